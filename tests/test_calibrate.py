@@ -313,6 +313,14 @@ def test_other_linear_observers(observer) -> None:
     assert one.settings.internal_noise == 1.0
 
 
+def test_an_efficiency_is_the_inverse_square_of_a_noise() -> None:
+    stimulus = Stimulus(3.0)
+    (one,), _ = noise_observers(tod.CsfObserver(efficiency=9.0), stimulus, blur_is_free=False)
+    assert one.settings.efficiency == 1.0
+    plain, keen = (tod.CsfObserver(efficiency=e).readout(stimulus).noise_covariance for e in (1.0, 16.0))
+    np.testing.assert_allclose(plain, 16.0 * keen, rtol=1e-12)
+
+
 # The command ---------------------------------------------------------------------------------------------------
 
 
@@ -389,25 +397,49 @@ def test_a_free_blur(two_people) -> None:
 
 
 @pytest.mark.slow
+def test_two_observers_on_the_same_answers(two_people, capsys) -> None:
+    """The people are pyramids: they see small triangles that csf does not, so csf explains them worse."""
+    folder, frames = two_people
+    arguments = ("calibrate", folder, frames, "--json", "--subject", "a1", "--set", "resamples=0", "--quiet")
+    pyramid, csf = (
+        json.loads(todframes(capsys, *arguments, "--observer", name)[1])["persons"][0]
+        for name in ("pyramid", "csf")
+    )
+    low, high = csf["efficiency_ci95"]
+    assert low < csf["efficiency"] < high
+    # The naked eye of csf needs more contrast than the pyramid for all of these triangles.
+    assert low > 1.0
+    assert csf["internal_noise"] is None and pyramid["efficiency"] is None
+    for one in (pyramid, csf):
+        assert one["aic"] == pytest.approx(2.0 - 2.0 * one["log_likelihood"], rel=1e-12)
+    assert csf["aic"] > pyramid["aic"] + 10.0
+
+
+@pytest.mark.slow
 @pytest.mark.weekly
-def test_intervals_of_simulated_people(two_people) -> None:
-    """A thousand people answer 240 of the frames; the whole campaign is tests/campaigns/coverage.py."""
+@pytest.mark.parametrize(("observer", "noise"), [(tod.PyramidObserver(), 0.35), (tod.CsfObserver(), 0.1)])
+def test_intervals_of_simulated_people(two_people, observer, noise: float) -> None:
+    """A thousand people answer 240 of the frames; the whole campaign is tests/campaigns/coverage.py.
+
+    The noise 0.1 of csf is an efficiency of 100, which these small triangles need.
+    """
     folder, frames = two_people
     dataset = load_dataset(frames)
-    sit(dataset, folder.parent / "all", up, a_monitor(dataset.display.pitch_mrad))
-    (session,) = read_answers(folder.parent / "all")
-    observers, blurs = noise_observers(tod.PyramidObserver(), dataset.trials[0].stimulus, blur_is_free=False)
+    place = folder.parent / f"all_{type(observer).__name__}"
+    sit(dataset, place, up, a_monitor(dataset.display.pitch_mrad))
+    (session,) = read_answers(place)
+    observers, blurs = noise_observers(observer, dataset.trials[0].stimulus, blur_is_free=False)
     answered = answered_trials(dataset, session, observers)
     table = answered.table(noise_grid([answered]), blurs)
-    p, rng = table.at(np.log([0.35]))[:, 0, 0], np.random.default_rng(5)
+    p, rng = table.at(np.log([noise]))[:, 0, 0], np.random.default_rng(5)
     fits = []
     for _ in range(1000):
         rows = rng.permutation(len(p))[:240]
         fits.append(fitted(table.select(rows), rng.random(240) < p[rows]))
-    covered = np.mean([fit.noise_ci95.low <= 0.35 <= fit.noise_ci95.high for fit in fits])
+    covered = np.mean([fit.noise_ci95.low <= noise <= fit.noise_ci95.high for fit in fits])
     # Four standard deviations of a share of 0.95 in 1000.
     assert abs(covered - 0.95) < 4.0 * math.sqrt(0.95 * 0.05 / 1000)
-    assert abs(np.mean([math.log(fit.noise / 0.35) for fit in fits])) < 0.02
+    assert abs(np.mean([math.log(fit.noise / noise) for fit in fits])) < 0.02
 
 
 def test_settings_of_a_person_with_a_strange_name(results) -> None:

@@ -11,15 +11,18 @@ from skimage.metrics import peak_signal_noise_ratio
 
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement.algorithm import find_enhancement
-from todframes.enhancement.compare import compare_dataset
+from todframes.enhancement.compare import compare_dataset, compare_observers
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame, EnhancedImage
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame
 from todframes.jobs.engine import open_engine
+from todframes.observers.csf import CsfObserver
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
+from todframes.report.data import Algorithm, ComparedObserver, Ratio
+from todframes.report.summary import comparisons
 from todframes.scoring.score import score_dataset
 from todframes.scoring.work import Run
 from todframes.stimulus import ORIENTATIONS, Stimulus, coverage
@@ -650,3 +653,51 @@ def test_smallest_p_values_are_told(make_dataset) -> None:
     assert [one.compared[0].is_p_value_least for one in (better, same)] == [True, False]
     # 200 resamples, 2/201, and two comparisons.
     assert better.compared[0].p_value_holm == pytest.approx(4 / 201)
+
+
+# Several observers.
+
+
+def test_observers_together_are_each_alone(make_dataset) -> None:
+    """Frames are read as wide as the widest retina needs; a sum of more zeros is the same but for rounding."""
+    dataset = load_dataset(make_dataset(suffix=".png", contrasts=(0.1, 0.2, 0.4)).path)
+    algorithms = [find_enhancement("own_enhancements:gain"), find_enhancement("gaussian:sigma=2")]
+    observers = [OBSERVER, CsfObserver()]
+    screen = AlgorithmDisplay(dataset.display, 1.0, True)
+    together = compare_observers(dataset, observers, algorithms, fit_settings=FAST, screen=screen)
+    assert len(together) == 2
+    for observer, found in zip(observers, together, strict=True):
+        alone = compare_dataset(dataset, observer, algorithms, fit_settings=FAST, screen=screen)
+        for one, other in zip(found, alone, strict=True):
+            np.testing.assert_allclose(one.scored.scores, other.scored.scores, rtol=1e-9, atol=1e-12)
+            assert [c.verdict for c in one.compared] == [c.verdict for c in other.compared]
+            assert one.n_clipped == other.n_clipped
+
+
+def test_observers_that_look_at_different_points_are_refused(make_dataset) -> None:
+    dataset = load_dataset(make_dataset().path)
+    with pytest.raises(SettingsError, match="centre: found centroid, bounding_box of several observers"):
+        compare_observers(dataset, [OBSERVER, CsfObserver(centre="bounding_box")], [])
+
+
+def test_disagreements_come_first() -> None:
+    """Those that are better for one observer before those that are worse for one."""
+
+    def judged(*verdicts: str) -> tuple[Algorithm, ...]:
+        ratio = Ratio(group={}, verdict="better")
+        names = ("none", "blur", "sharpen", "same")
+        return tuple(
+            Algorithm(name=name, verdict=verdict, overall=ratio)
+            for name, verdict in zip(names, (None, *verdicts), strict=True)
+        )
+
+    no = "no difference shown"
+    other = ComparedObserver(settings={"observer": "csf"}, algorithms=judged("worse", no, no))
+    lines = comparisons("pyramid", judged(no, "better", no), [other])
+    assert lines[:2] == (
+        "The observers disagree about sharpen: better for pyramid, no difference shown for csf.",
+        "The observers disagree about blur: no difference shown for pyramid, worse for csf.",
+    )
+    assert [line.split(": ")[:2] for line in lines[2:]] == [
+        [who, name] for who in ("pyramid", "csf") for name in ("blur", "sharpen", "same")
+    ]

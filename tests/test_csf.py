@@ -145,3 +145,36 @@ def test_a_field_of_too_many_samples_says_so() -> None:
         SettingsError, match=r"retina_pitch_mrad: found 0\.01, 5001 samples along a side of the field"
     ):
         CsfObserver(retina_pitch_mrad=0.01).grid(Stimulus(19.0))
+
+
+def test_an_ideal_template_is_the_best_for_its_noise() -> None:
+    """Signal over noise of a frame with that noise, by brute force: K as a matrix, of small images.
+
+    K is built column by column from the filter of single samples, and solved by LAPACK.
+    """
+    changes = {"retina_pitch_mrad": 0.2, "external_noise_deg": 0.01, "external_noise_exponent": 1.5}
+    ideal = CsfObserver(template="ideal", **changes)
+    side = 15
+    samples = np.eye(side**2).reshape(-1, side, side)
+    deg = 0.2 / 17.453293
+    x = np.fft.fftfreq(2 * side, deg)
+    f = np.hypot(x, x[:, None])
+    density = 0.01**2 * np.maximum(f, x[1]) ** -1.5
+    seen = contrast_sensitivity(f) * oblique_effect(x, x[:, None])
+    power = density / deg**2 * seen**2
+    place = (np.arange(side) - side // 2) * deg
+    aperture = np.exp(-np.add.outer(place**2, place**2) / (2.0 * 0.35**2))
+    spectra = np.fft.fft2(aperture * samples, (2 * side, 2 * side))
+    columns = aperture * np.fft.ifft2(power * spectra).real[:, :side, :side]
+    covariance = ideal.settings.noise_sd**2 * np.eye(side**2) + columns.reshape(side**2, side**2)
+    expected = np.random.default_rng(0).normal(size=(side, side))
+    (weights,) = ideal.template_of((expected,))
+    best = np.linalg.solve(covariance, expected.ravel()) * ideal.settings.noise_sd**2
+    # The solver's residual, 1e-10, times the condition of K, at most 1e3 here.
+    np.testing.assert_allclose(weights.ravel(), best, rtol=0.0, atol=1e-7 * np.abs(best).max())
+
+
+def test_an_ideal_template_without_external_noise_is_the_matched_one() -> None:
+    matched, ideal = (CsfObserver(template=name).readout(Stimulus(2.0)) for name in ("matched", "ideal"))
+    largest = np.abs(matched.deviations).max()
+    np.testing.assert_allclose(ideal.deviations, matched.deviations, rtol=0.0, atol=1e-12 * largest)

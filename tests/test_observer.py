@@ -45,6 +45,15 @@ VARIANTS = [
     ("oriented", {"phases": "even", "elongation": 2.0, "bandwidth_octaves": 1.5, "include_residual": True}),
     ("csf", {}),
     ("csf", {"retina_pitch_mrad": 0.17, "centre": "bounding_box", "aperture_sd_deg": 0.6, "efficiency": 3.0}),
+    (
+        "csf",
+        {
+            "retina_pitch_mrad": 0.2,
+            "template": "ideal",
+            "external_noise_deg": 0.003,
+            "external_noise_exponent": 1.0,
+        },
+    ),
 ]
 NOT_LINEAR = [("oriented", {"complex_cells": True})]
 

@@ -1,4 +1,4 @@
-"""The call `calibrate`: the internal noise that explains the answers of people."""
+"""The call `calibrate`: the internal noise, or the efficiency, that explains the answers of people."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def calibrate(
     answers : path
         Folder that `todframes experiment` wrote.
     observer : str or Observer
-        A linear observer with a setting `internal_noise`, whose value is not used.
+        A linear observer with a setting `internal_noise` or, as `csf`, `efficiency`, whose value is not used.
     free : sequence of {"lapse", "blur"}
         Further parameters to fit: the rate δ of lapses, up to `lapse_rate_max` of `fit`, and the observer's
         `template_blur_samples`, from a quarter to twice its value.
@@ -83,8 +83,9 @@ def calibrate(
     Returns
     -------
     Result
-        Result whose `persons` have the internal noise of each person and the thresholds of the model with this
-        noise; `pooled` is for all persons together. `thresholds` are the persons' own, from their counts alone.
+        Result whose `persons` have the internal noise, or the efficiency, of each person and the thresholds of the
+        model with it; `pooled` is for all persons together. `thresholds` are the persons' own, from their counts
+        alone.
 
     Raises
     ------
@@ -95,7 +96,7 @@ def calibrate(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     from todframes.experiment.answers import read_answers
-    from todframes.experiment.person import calibrate_persons
+    from todframes.experiment.person import calibrate_persons, has_efficiency
     from todframes.experiment.psych_ds import DESCRIPTION_FILE as DESCRIPTION_NAME
 
     if isinstance(dataset, str | Path) and (Path(dataset) / DESCRIPTION_NAME).exists():
@@ -129,9 +130,10 @@ def calibrate(
         for person in found.persons
         for one in person.groups
     ]
-    persons = [_person_result(data, person) for person in found.persons]
-    pooled = None if found.pooled is None else _person_result(data, found.pooled)
-    fitted = ("internal_noise", "internal_noise_sd", *(["template_blur_samples"] * ("blur" in free)))
+    is_efficiency, n_fitted = has_efficiency(judge), 1 + len(set(free))
+    persons = [_person_result(data, person, is_efficiency, n_fitted) for person in found.persons]
+    pooled = None if found.pooled is None else _person_result(data, found.pooled, is_efficiency, n_fitted)
+    fitted = ("efficiency", "internal_noise", "internal_noise_sd", *(["template_blur_samples"] * ("blur" in free)))
     settings = {name: value for name, value in settings.items() if name not in fitted}
     return Result.made(
         "calibrate",
@@ -148,8 +150,15 @@ def calibrate(
     )
 
 
-def _person_result(data: Dataset, person: PersonFit) -> PersonResult:
+def _person_result(data: Dataset, person: PersonFit, is_efficiency: bool, n_fitted: int) -> PersonResult:
     fit, is_known = person.fit, person.fit.status == "ok"
+    noise, efficiency = fit.noise, None
+    noise_ci95: tuple[float | None, float | None] = fit.noise_ci95
+    efficiency_ci95 = None
+    if is_efficiency:
+        efficiency, *ends = (None if one is None else one**-2 for one in (noise, *reversed(noise_ci95)))
+        efficiency_ci95 = ends[0], ends[1]
+        noise, noise_ci95 = None, (None, None)
     level = data.experiment.level
     predicted = [
         replace_struct(
@@ -162,8 +171,10 @@ def _person_result(data: Dataset, person: PersonFit) -> PersonResult:
     return PersonResult(
         subject=person.subject,
         status=fit.status,
-        internal_noise=fit.noise,
-        internal_noise_ci95=fit.noise_ci95,
+        internal_noise=noise,
+        internal_noise_ci95=noise_ci95,
+        efficiency=efficiency,
+        efficiency_ci95=efficiency_ci95,
         lapse_rate=fit.lapse_rate if is_known else None,
         lapse_rate_ci95=fit.lapse_rate_ci95 if is_known else None,
         template_blur_samples=fit.blur if is_known else None,
@@ -172,6 +183,7 @@ def _person_result(data: Dataset, person: PersonFit) -> PersonResult:
         n_correct=person.n_correct,
         n_flagged=dict(person.n_flagged),
         log_likelihood=fit.log_likelihood,
+        aic=2.0 * n_fitted - 2.0 * fit.log_likelihood,
         deviance=fit.deviance,
         deviance_p_value=fit.deviance_p_value,
         n_cells=fit.n_cells,

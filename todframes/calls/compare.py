@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +30,7 @@ from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import CurveName, FitSettings
 from todframes.report.advice import levels_to_add
 from todframes.report.data import (
+    ComparedObserver,
     algorithms,
     thresholds_of,
 )
@@ -50,7 +51,7 @@ def compare(
     dataset: Location | str | Dataset,
     enhance: Iterable[str | Callable[..., Any]],
     *,
-    observer: str | Observer = "pyramid",
+    observer: str | Observer | Sequence[str | Observer] = "pyramid",
     white: float = 1.0,
     allow_clipping: bool = False,
     decisions: Decisions = "expected",
@@ -72,9 +73,12 @@ def compare(
 
     Parameters
     ----------
-    dataset, observer, decisions, curve, plan, rng, fit, locate, on_error, workers, cluster, store, \
+    dataset, decisions, curve, plan, rng, fit, locate, on_error, workers, cluster, store, \
     examples, progress
         Parameters as in `score`.
+    observer : str, Observer, or sequence of them
+        As in `score`; several, also named as "pyramid,csf", each give a verdict on the same frames. The first is
+        that of `algorithms`, the others of `observers`, and `verdict` begins with where they disagree.
     enhance : iterable of str or function
         Algorithms: "name" of a registered one or "module:function", optionally followed by ":parameter=value,…";
         or functions of an image and keyword parameters.
@@ -107,21 +111,23 @@ def compare(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     from todframes.enhancement.algorithm import find_enhancement
-    from todframes.enhancement.compare import compare_dataset
+    from todframes.enhancement.compare import compare_observers
     from todframes.enhancement.enhanced_frame import AlgorithmDisplay
     from todframes.report import tables
-    from todframes.report.summary import comparison
+    from todframes.report.summary import comparison, comparisons
 
-    judge, settings = described(observer)
+    asked = observer.split(",") if isinstance(observer, str) else observer
+    judges, each_settings = zip(*map(described, asked if isinstance(asked, Sequence) else [asked]), strict=True)
+    judge, settings = judges[0], each_settings[0]
     fit = fit or FitSettings()
     found = [find_enhancement(one) for one in enhance]
     data = loaded(dataset)
     screen = AlgorithmDisplay(data.display, white, allow_clipping)
     data, more, placed_wrong = located(data, judge, locate, on_error, progress)
     with opened_run(workers, cluster, store, progress) as run:
-        results = compare_dataset(
+        results, *others = compare_observers(
             data,
-            judge,
+            judges,
             found,
             decisions=decisions,
             curve=curve,
@@ -133,6 +139,10 @@ def compare(
             run=run,
         )
     reference, compared = results[0].scored, algorithms(data, results)
+    further = tuple(
+        ComparedObserver(settings=of_observer, algorithms=algorithms(data, one))
+        for of_observer, one in zip(each_settings[1:], others, strict=True)
+    )
     if examples:
         from todframes.report.examples import compare_examples
 
@@ -147,8 +157,9 @@ def compare(
         | {"decisions": decisions, "plan": plan, "white": white, "allow_clipping": allow_clipping},
         seed=seed,
         algorithms=compared,
+        observers=further,
         data_range_cd_m2=peak - black,
-        verdict=comparison(compared),
+        verdict=comparisons(settings["observer"], compared, further) if further else comparison(compared),
         plan=tuple(plan_object(reference.plan, 1.0)),
         skipped=tuple(one._asdict() for one in reference.skipped),
         dataset=record,

@@ -15,7 +15,7 @@ from todframes.cli.options import (
     ScoringCommand,
     dataset_argument,
     json_option,
-    make_observer,
+    make_observers,
     observer_options,
     result_options,
     run_options,
@@ -51,10 +51,11 @@ def compare(*, dataset: Location, specs: Sequence[str], out: str | None, quiet: 
     """Test whether enhancement algorithms lower the thresholds of DATASET, by how much and how surely.
 
     Each is compared with the frames as they are, on the same frames and with the same random draws. `todframes
-    enhancements` lists the algorithms of the package. Without -o nothing is written.
+    enhancements` lists the algorithms of the package. With several observers, --observer pyramid,csf, each gives a
+    verdict, and the first lines say where they disagree. Without -o nothing is written.
     """
     shown = {name: asked.pop(name) for name in ("as_json", "verbose", "explain", "strict")}
-    observer, fit = make_observer(asked)
+    observers, fit = make_observers(asked)
     import todframes as tod
     from todframes.frames.dataset import load_dataset
 
@@ -62,7 +63,7 @@ def compare(*, dataset: Location, specs: Sequence[str], out: str | None, quiet: 
     with long_run(out, asked, quiet=quiet) as place, prints_go_to_stderr():
         with progress("comparing", len(data.trials) * PASSES[asked["locate"]], quiet=quiet) as advance:
             result = tod.compare(
-                data, specs, observer=observer, fit=fit, examples=out is not None, progress=advance, **asked
+                data, specs, observer=observers, fit=fit, examples=out is not None, progress=advance, **asked
             )
         place.write(result.files)
     n_trials = sum(one.n_trials for one in result.algorithms[0].fits)

@@ -220,6 +220,17 @@ def make_observer(asked: dict[str, Any], *, fitted: bool = True) -> tuple[Observ
     SettingsError
         If there is no such observer or setting, or a value is refused.
     """
+    if "," in (names := asked["observer"]):
+        raise SettingsError(f"observer: found {names!r}, expected a single one here")
+    (observer,), fit = make_observers(asked, fitted=fitted)
+    return observer, fit
+
+
+def make_observers(asked: dict[str, Any], *, fitted: bool = True) -> tuple[list[Observer], FitSettings]:
+    """Return the observers, separated by commas in `asked`, and the fit settings, as `make_observer` does.
+
+    With several observers, a setting goes to each that has it.
+    """
     from dataclasses import fields
 
     from todframes.base.reading import check_keys, from_table, read_toml
@@ -228,19 +239,22 @@ def make_observer(asked: dict[str, Any], *, fitted: bool = True) -> tuple[Observ
     from todframes.psychometrics.fit import FitSettings
 
     where, table = "settings", {}
-    name, path = asked.pop("observer"), asked.pop("observer_settings")
+    names, path = asked.pop("observer").split(","), asked.pop("observer_settings")
     if path is not None:
         where, table = str(path), read_toml(path)
     table |= _set(asked, "internal_noise", "p_correct")
     if {"internal_noise", "internal_noise_sd"} <= table.keys():
         raise SettingsError(f"{where}: found internal_noise and internal_noise_sd, expected one of them")
     with prints_go_to_stderr():
-        kind = find_observer(name)
-    of_observer = [field.name for field in fields(kind.settings_type)]
+        kinds = [find_observer(name) for name in names]
+    of_observers = [[field.name for field in fields(kind.settings_type)] for kind in kinds]
     of_fit = [field.name for field in fields(FitSettings) if fitted or field.name == "p_correct"]
-    check_keys(table, of_observer + of_fit, where)
-    settings = from_table({k: v for k, v in table.items() if k in of_observer}, kind.settings_type, where)
-    return kind(settings), from_table({k: v for k, v in table.items() if k in of_fit}, FitSettings, where)
+    check_keys(table, list(dict.fromkeys([*sum(of_observers, []), *of_fit])), where)  # noqa: RUF017 - they are few
+    observers = [
+        kind(from_table({k: v for k, v in table.items() if k in own}, kind.settings_type, where))
+        for kind, own in zip(kinds, of_observers, strict=True)
+    ]
+    return observers, from_table({k: v for k, v in table.items() if k in of_fit}, FitSettings, where)
 
 
 def make_fit(asked: dict[str, Any]) -> FitSettings:

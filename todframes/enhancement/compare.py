@@ -21,14 +21,14 @@ from todframes.enhancement.algorithm import REFERENCE, Enhancement, find_enhance
 from todframes.enhancement.contrast_gain import contrast_gains, strongest_levels, triangle_contrasts
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, FrameMeasurements, TrialReader
 from todframes.enhancement.image_quality import psnr_db
-from todframes.frames.dataset import Dataset
+from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.position import check_places
 from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer, Readout
 from todframes.psychometrics.fit import MAX_RESAMPLES, CurveName, FitSettings
 from todframes.psychometrics.paired_bootstrap import RatioDraws, ThresholdRatio, holm, ratio_draws, threshold_ratio
 from todframes.scoring.error_budget import PlanName
-from todframes.scoring.plan import plan_score
+from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.score import (
     ScoredDataset,
     check_seen,
@@ -115,13 +115,47 @@ def compare_dataset(
     skip_bad_frames: bool = False,
     run: Run | None = None,
 ) -> tuple[AlgorithmResult, ...]:
-    """Show every trial to the observer as it is and after each algorithm, and compare the thresholds.
+    """Compare algorithms as `compare_observers` does, with one observer."""
+    (results,) = compare_observers(
+        dataset,
+        [observer],
+        enhancements,
+        decisions=decisions,
+        curve=curve,
+        seed=seed,
+        fit_settings=fit_settings,
+        screen=screen,
+        plan_name=plan_name,
+        skip_bad_frames=skip_bad_frames,
+        run=run,
+    )
+    return results
 
-    Parameters not listed are those of `score_dataset`. With the same plan, the scores and fits of the reference
-    are those of `score_dataset`, number for number.
+
+def compare_observers(
+    dataset: Dataset,
+    observers: Sequence[Observer],
+    enhancements: Sequence[Enhancement],
+    *,
+    decisions: Decisions = "expected",
+    curve: CurveName | None = None,
+    seed: int = 1,
+    fit_settings: FitSettings | None = None,
+    screen: AlgorithmDisplay | None = None,
+    plan_name: PlanName = "needed",
+    skip_bad_frames: bool = False,
+    run: Run | None = None,
+) -> tuple[tuple[AlgorithmResult, ...], ...]:
+    """Show every trial to observers as it is and after each algorithm, and compare the thresholds of each.
+
+    Frames are decoded and enhanced once for all observers. Parameters not listed are those of `score_dataset`.
+    With the same plan and one observer, the scores and fits of the reference are those of `score_dataset`, number
+    for number.
 
     Parameters
     ----------
+    observers : sequence of Observer
+        Observers that look at the same point of the triangle.
     enhancements : sequence of Enhancement
         Algorithms to compare. The reference, `none`, is the first in the result even if it is not among them.
     screen : AlgorithmDisplay, optional
@@ -131,8 +165,8 @@ def compare_dataset(
 
     Returns
     -------
-    tuple of AlgorithmResult
-        One for each algorithm, the reference first.
+    tuple of tuples of AlgorithmResult
+        For each observer one for each algorithm, the reference first.
 
     Raises
     ------
@@ -141,8 +175,12 @@ def compare_dataset(
         for all algorithms instead.
     SettingsError
         If an algorithm is given twice, there are no resamples, decisions are "expected" and the observer is not
-        linear, or the observer's curve is asked for and decisions are not "expected".
+        linear, or the observer's curve is asked for and decisions are not "expected"; or if observers look at
+        different points.
     """
+    if len({one.centre for one in observers}) > 1:
+        found = ", ".join(one.centre for one in observers)
+        raise SettingsError(f"centre: found {found} of several observers, expected the same of all")
     fit_settings = settings_of_level(fit_settings, dataset.experiment.level)
     curve = fitted_curve(curve, decisions)
     if not fit_settings.resamples:
@@ -154,26 +192,68 @@ def compare_dataset(
     screen = screen or AlgorithmDisplay(dataset.display)
     whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
     if not skip_bad_frames:
-        check_places(dataset, whole, observer.centre)
+        check_places(dataset, whole, observers[0].centre)
     reader, expected = TrialReader(algorithms, screen), decisions == "expected"
     # The plan considers frames after the algorithms too: what it leaves out is left out for all algorithms.
-    plan = plan_score(dataset, whole, observer, name=plan_name, expected=expected, read=reader)
+    plans = [
+        plan_score(dataset, whole, observer, name=plan_name, expected=expected, read=reader)
+        for observer in observers
+    ]
     strongest = strongest_levels(whole)
-    columns = _ResultColumns(whole, len(algorithms))
+    of_observer = [_ResultColumns(whole, len(algorithms)) for _ in observers]
+
+    def collect(row: int, found: _SeenTrial) -> None:
+        for columns, seen in zip(of_observer, (found.seen, *found.others), strict=True):
+            columns.put(row, found._replace(seen=seen))
+
     skipped += see_trials(
-        Scoring(dataset, plan, decisions, seed),
+        Scoring(dataset, plans[0], decisions, seed),
         whole,
-        _Show(reader, strongest),
+        _Show(reader, strongest, tuple(plans[1:])),
         kind=_SeenTrial,
-        collect=columns.put,
+        collect=collect,
         skip_bad_frames=skip_bad_frames,
         run=run or Run(),
-        depends_on=([(one.spec, one.function) for one in algorithms], screen, strongest),
+        depends_on=([(one.spec, one.function) for one in algorithms], screen, strongest, _parts(plans[1:])),
         with_references=True,
         with_levels=True,
     )
-    seen = check_seen(dataset, columns.seen(), skipped)
-    fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)
+    return tuple(
+        _results(
+            algorithms,
+            check_seen(dataset, columns.seen(), skipped),
+            columns,
+            partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected),
+            skipped=skipped,
+            strongest=strongest,
+            expected=expected,
+            seed=seed,
+            fit_settings=fit_settings,
+            screen=screen,
+        )
+        for plan, columns in zip(plans, of_observer, strict=True)
+    )
+
+
+def _parts(plans: Sequence[ScorePlan]) -> list[object]:
+    """Return what the scores of further observers depend on; nothing if there are none."""
+    return [(plan.observer, plan.whole_frames, sorted(map(repr, plan.stimuli.items()))) for plan in plans]
+
+
+def _results(
+    algorithms: Sequence[Enhancement],
+    seen: Sequence[SeenTrials],
+    columns: _ResultColumns,
+    fit: Callable[..., ScoredDataset],
+    *,
+    skipped: Sequence[Skipped],
+    strongest: Mapping[tuple[float | str, ...], float],
+    expected: bool,
+    seed: int,
+    fit_settings: FitSettings,
+    screen: AlgorithmDisplay,
+) -> tuple[AlgorithmResult, ...]:
+    """Fit and compare the scores of one observer."""
     scored = [replace(fit(one), skipped=tuple(skipped)) for one in seen]
     gains = contrast_gains(seen[0].trials, columns.contrasts[columns.is_seen], strongest)
     plain = [_amplified(fit, seen[0], of_algorithm, fit_settings) for of_algorithm in gains[1:] if expected]
@@ -201,37 +281,50 @@ class _SeenTrial(NamedTuple):
     """The observer's scores of a trial after each algorithm, and the measurements of each of its frames.
 
     `contrasts` are the displayed contrasts of the triangle; NaN if the trial is not of its group's highest level.
+    `others` are the scores of further observers.
     """
 
     seen: tuple[SeenTrial, ...]
     measured: tuple[tuple[FrameMeasurements, ...], ...]
     contrasts: tuple[float, ...]
+    others: tuple[tuple[SeenTrial, ...], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class _Show:
-    """Function that shows a trial to the observer after each algorithm."""
+    """Function that shows a trial to the observer, and those of further plans, after each algorithm."""
 
     reader: TrialReader
     strongest: Mapping[tuple[float | str, ...], float]
+    further: tuple[ScorePlan, ...] = ()
 
     def __call__(self, scoring: Scoring, trial: Trial, readout: Readout | None) -> _SeenTrial:
         started = time.perf_counter()
-        viewing = trial_viewing(scoring, trial, readout)
+        scorings = [scoring, *(replace(scoring, plan=plan) for plan in self.further)]
+        viewings = [trial_viewing(scoring, trial, readout)]
+        viewings += [trial_viewing(one, trial, one.plan.readout(trial.stimulus)) for one in scorings[1:]]
+        viewing = viewings[0]
+        # The frames are read once, as wide as the widest of the grids needs at any displacement.
+        widest = max(viewings, key=lambda one: one.grid.width_mrad)
+        displaced = [one.displacement_samples * (one.grid.pitch_mrad / widest.grid.pitch_mrad) for one in viewings]
         found = self.reader.read(
             scoring.dataset,
             trial,
-            viewing.observer,
-            viewing.grid,
-            viewing.displacement_samples,
-            whole=scoring.plan.whole_frames,
+            widest.observer,
+            widest.grid,
+            np.concatenate(displaced),
+            whole=any(one.plan.whole_frames for one in scorings),
         )
-        seen = see(scoring, trial, viewing, [one.shown for one in found], started)
+        ways = [one.shown for one in found]
+        seen, *others = (
+            tuple(see(of_observer, trial, one, ways, started))
+            for of_observer, one in zip(scorings, viewings, strict=True)
+        )
         contrasts = [math.nan] * len(found)
         if trial.level == self.strongest[trial.group]:
             centre = viewing.observer.centre
             contrasts = triangle_contrasts([one.shown for one in found], trial, grid=viewing.grid, centre=centre)
-        return _SeenTrial(tuple(seen), tuple(one.measured for one in found), tuple(contrasts))
+        return _SeenTrial(seen, tuple(one.measured for one in found), tuple(contrasts), tuple(others))
 
 
 class _Measurements:

@@ -41,8 +41,14 @@ from todframes.stimulus import Stimulus
 
 Free = Literal["lapse", "blur"]
 
-NOISE, NOISE_SD, BLUR = "internal_noise", "internal_noise_sd", "template_blur_samples"
-"""Settings of an observer that are fitted, or that contradict a fitted one."""
+NOISE, NOISE_SD, BLUR, EFFICIENCY = (
+    "internal_noise",
+    "internal_noise_sd",
+    "template_blur_samples",
+    "efficiency",
+)
+"""Settings of an observer that are fitted, or that contradict a fitted one. Where there is an efficiency and no
+internal noise, the noise is that of efficiency 1 times a factor, and the efficiency is its inverse square."""
 
 DISPLACEMENTS = 1
 """Number of displacements of the retina in each of the `REPLICATES` sets that P(correct) of a trial averages."""
@@ -316,7 +322,7 @@ def noise_observers(
     """
     settings = getattr(observer, "settings", None)
     names = [field.name for field in fields(settings)] if is_dataclass(settings) else []
-    for name in (NOISE, *([BLUR] * blur_is_free)):
+    for name in (EFFICIENCY if has_efficiency(observer) else NOISE, *([BLUR] * blur_is_free)):
         if name not in names:
             raise SettingsError(
                 f"observer: {type(observer).__name__} has no setting {name}, which is to be fitted"
@@ -343,9 +349,19 @@ def noise_observers(
     return [_changed(one, {BLUR: each}) for each in blurs.tolist()], blurs
 
 
+def has_efficiency(observer: Observer) -> bool:
+    """Return whether an observer's efficiency is fitted, since it has no internal noise among its settings."""
+    settings = getattr(observer, "settings", None)
+    return hasattr(settings, EFFICIENCY) and not hasattr(settings, NOISE)
+
+
 def _changed(observer: Observer, changes: dict[str, Any]) -> Observer:
-    """Return the observer with other settings; `internal_noise` replaces `internal_noise_sd`."""
+    """Return the observer with other settings; `internal_noise` replaces `internal_noise_sd` or `efficiency`."""
     settings = observer.settings  # type: ignore[attr-defined] # `noise_observers` has checked it
+    if NOISE in changes and has_efficiency(observer):
+        changes = {name: value for name, value in changes.items() if name != NOISE} | {
+            EFFICIENCY: changes[NOISE] ** -2
+        }
     if NOISE in changes and hasattr(settings, NOISE_SD):
         changes = {NOISE_SD: None, **changes}
     return type(observer)(replace(settings, **changes))

@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -24,7 +24,8 @@ from todframes.base.reading import check_keys, check_values
 from todframes.observers.interface import OmittedWeights, Readout
 from todframes.observers.internal_noise import Bands, inner_product, summed_covariance
 from todframes.observers.laplacian_pyramid import framed
-from todframes.observers.retina import RetinaGrid
+from todframes.observers.light import LEAST_CD_M2, MODELFEST_CD_M2, MOST_CD_M2, sensitivity_ratio
+from todframes.observers.retina import RetinaGrid, mean_of_turns
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
 
 MRAD_PER_DEG = math.radians(1000.0)
@@ -43,6 +44,9 @@ FIELD_MRAD, APERTURE_SDS = 6.0, 4.0
 """Half-width of the field, beyond the size of the triangle or so many standard deviations of the aperture,
 whichever is less. Beyond it the weights of a score have a root sum of squares of less than 1e-3 of all, for
 triangles of 0.5 to 30 mrad."""
+
+SOLVER_TOLERANCE, MOST_ITERATIONS = 1e-10, 2000
+"""Residual of the ideal templates, relative to the matched ones, and the largest number of steps to reach it."""
 
 LARGEST_SIDE = 4097
 """Largest side of the retina grid; filtering it takes 0.6 GB."""
@@ -113,6 +117,17 @@ class CsfSettings:
     aperture_sd_deg : float
         Standard deviation of the Gaussian aperture within which contrast is seen, in degrees; it is centred on the
         grid's middle. 0.35 is that of a linear observer for ModelFest, whose stimuli people fixated.
+    luminance_cd_m2 : float
+        Luminance of the background, to which the eye is adapted, from 0.02 to 300. The filter is that of
+        ModelFest, 30 cd/m², times the ratio of people's sensitivity in the two lights.
+    template : {"matched", "ideal"}
+        Expected activity itself, the best template for the internal noise alone; or the best one for internal and
+        external noise together, which prewhitens.
+    external_noise_deg : float
+        Root of the spectral density of the frames' noise at 1 cycle/degree, in contrast × degrees, for which the
+        ideal template is best: of white noise, its standard deviation times the width of a sample in degrees.
+    external_noise_exponent : float
+        Its density falls as frequency to this power: 0 white, 2 an amplitude of 1/f.
     efficiency : float
         Squared ratio of a person's d′ to that of ModelFest's average person: contrast thresholds are divided by
         its root.
@@ -127,6 +142,10 @@ class CsfSettings:
     retina_pitch_mrad: Annotated[float, Meta(ge=1e-3, le=1e6)] = 0.1
     position_jitter_samples: Annotated[float, Meta(ge=0.0, le=1e3)] = 0.0
     aperture_sd_deg: Annotated[float, Meta(ge=0.05, le=10.0)] = 0.35
+    luminance_cd_m2: Annotated[float, Meta(ge=LEAST_CD_M2, le=MOST_CD_M2)] = MODELFEST_CD_M2
+    template: Literal["matched", "ideal"] = "matched"
+    external_noise_deg: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
+    external_noise_exponent: Annotated[float, Meta(ge=0.0, le=4.0)] = 0.0
     efficiency: Annotated[float, Meta(ge=1e-6, le=1e6)] = 1.0
 
     def __post_init__(self) -> None:
@@ -243,21 +262,27 @@ class CsfObserver:
 
     def _filtered(self, image: FloatArray) -> FloatArray:
         """Filter a retina image (side, side); beyond it there is nothing. The filter is its own adjoint."""
-        from scipy.fft import irfft2, next_fast_len, rfft2
-
-        side = len(image)
-        shape = (next_fast_len(2 * side, real=True),) * 2
-        spectrum = rfft2(image, shape)
-        spectrum *= self._transfer(shape[0])
-        return np.ascontiguousarray(irfft2(spectrum, shape, overwrite_x=True)[:side, :side])
+        return _convolved(image, self._transfer(_padded(len(image))))
 
     def _find_transfer(self, side: int) -> FloatArray:
         """Compute the filter of a retina image: (side, side // 2 + 1)."""
+        x, y = self._frequencies(side)
+        pitch_deg = self.settings.retina_pitch_mrad / MRAD_PER_DEG
+        return self._seen_transfer(x, y) / (np.sinc(pitch_deg * x) * np.sinc(pitch_deg * y))
+
+    def _seen_transfer(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Compute the filter of what is in front of the eye, at frequencies in cycles/degree."""
+        frequency = np.hypot(x, y)
+        transfer = np.asarray(contrast_sensitivity(frequency) * oblique_effect(x, y))
+        if self.settings.luminance_cd_m2 == MODELFEST_CD_M2:
+            return transfer
+        return transfer * sensitivity_ratio(frequency, luminance_cd_m2=self.settings.luminance_cd_m2)
+
+    def _frequencies(self, side: int) -> tuple[FloatArray, FloatArray]:
+        """Return the frequencies of a real transform along x and y, in cycles/degree, that broadcast together."""
         pitch_deg = self.settings.retina_pitch_mrad / MRAD_PER_DEG
         x = np.asarray(np.fft.rfftfreq(side, pitch_deg), dtype=np.float64)
-        y = np.asarray(np.fft.fftfreq(side, pitch_deg), dtype=np.float64)[:, None]
-        averaged = np.sinc(pitch_deg * x) * np.sinc(pitch_deg * y)
-        return np.asarray(contrast_sensitivity(np.hypot(x, y)) * oblique_effect(x, y) / averaged)
+        return x, np.asarray(np.fft.fftfreq(side, pitch_deg), dtype=np.float64)[:, None]
 
     def _aperture(self, side: int) -> FloatArray:
         place_deg = (np.arange(side) - side // 2) * self.settings.retina_pitch_mrad / MRAD_PER_DEG
@@ -277,20 +302,77 @@ class CsfObserver:
         )
 
     def _templates(self, stimulus: Stimulus) -> tuple[Bands, ...]:
-        """Compute the activity that the triangle in each of its orientations is expected to cause."""
-        expected = self.activity(self._upright(stimulus))
-        return tuple(self.turned(expected, k) for k in range(4))
+        """Compute the weights of the activity in each of the four scores."""
+        (common,) = self._common_template(stimulus)
+        (upright,) = self._template_deviation(stimulus)
+        return tuple((common + np.rot90(upright, -k),) for k in range(4))
+
+    def _common_template(self, stimulus: Stimulus) -> Bands:
+        return self.template_of(self.activity(mean_of_turns(self._upright(stimulus))))
+
+    def _template_deviation(self, stimulus: Stimulus) -> Bands:
+        image = self._upright(stimulus)
+        return self.template_of(self.activity(image - mean_of_turns(image)))
+
+    def external_noise_density(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
+        """Return the spectral density of the frames' noise, in squared contrast × squared degrees.
+
+        A subclass may replace it by any function that is even along both axes and the same after a quarter turn.
+
+        Parameters
+        ----------
+        frequency_x, frequency_y : ndarray
+            Cycles/degree, broadcast against each other. Frequency 0 has the density of the lowest other one.
+        """
+        settings, frequency = self.settings, np.hypot(frequency_x, frequency_y)
+        lowest = float(frequency[frequency > 0.0].min())
+        decay = np.maximum(frequency, lowest) ** -settings.external_noise_exponent
+        return np.asarray(settings.external_noise_deg**2 * decay)
+
+    def template_of(self, expected: Bands) -> Bands:
+        """Return the weights of an expected activity: itself, or K⁻¹ of it, K being the covariance of all noise.
+
+        K = σ²I + A F N F A, with the internal noise σ, the aperture A, the filter F and the noise's density N,
+        divided by σ². Without external noise both templates are the same.
+
+        Raises
+        ------
+        SettingsError
+            If the ideal weights are not found.
+        """
+        if self.settings.template == "matched":
+            return expected
+        from scipy.sparse.linalg import LinearOperator, cg
+
+        (image,) = expected
+        side, aperture = len(image), self._aperture(len(image))
+        x, y = self._frequencies(_padded(side))
+        # Activity is of samples: the density over the area of a sample is the variance of white noise on it.
+        sample_deg = self.settings.retina_pitch_mrad / MRAD_PER_DEG
+        power = self.external_noise_density(x, y) / sample_deg**2 * self._seen_transfer(x, y) ** 2
+        power /= self.settings.noise_sd**2
+
+        def covariance(weights: FloatArray) -> FloatArray:
+            seen = weights.reshape(side, side)
+            return np.asarray(seen + aperture * _convolved(aperture * seen, power)).ravel()
+
+        operator = LinearOperator((image.size, image.size), matvec=covariance, dtype=np.float64)
+        weights, not_converged = cg(operator, image.ravel(), rtol=SOLVER_TOLERANCE, maxiter=MOST_ITERATIONS)
+        if not_converged:
+            raise SettingsError(
+                f"external_noise_deg: found {self.settings.external_noise_deg:g}, whose ideal template is not "
+                f"found in {MOST_ITERATIONS} steps; expected less noise"
+            )
+        return (weights.reshape(side, side),)
 
     def _readout(self, stimulus: Stimulus) -> Readout:
         """Fold filter, aperture and templates onto the retina."""
-        image = self._upright(stimulus)
-        mean = sum(np.rot90(image, -k) for k in range(4)) / 4.0
-        upright = self.activity(image - mean)
+        upright = self._template_deviation(stimulus)
         turned = [self.turned(upright, k) for k in range(4)]
         folded = self._fold(upright)
         return Readout(
             grid=self.grid(stimulus),
-            find_common=lambda: self._fold(self.activity(np.asarray(mean))),
+            find_common=lambda: self._fold(self._common_template(stimulus)),
             deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
             noise_covariance=summed_covariance(turned, self.settings.noise_sd),
             excess_kurtosis=0.0,
@@ -313,3 +395,20 @@ class CsfObserver:
         """Answer with the largest score, ties at random."""
         scores = self.literal_scores(contrast, stimulus, rng)
         return ORIENTATIONS[int(rng.choice(np.flatnonzero(scores == scores.max())))]
+
+
+def _padded(side: int) -> int:
+    """Return the period of a transform in which an image and its filtered copies do not meet."""
+    from scipy.fft import next_fast_len
+
+    return int(next_fast_len(2 * side, real=True))
+
+
+def _convolved(image: FloatArray, transfer: FloatArray) -> FloatArray:
+    """Apply a filter of this transfer, (period, period // 2 + 1), to an image that is 0 beyond its edges."""
+    from scipy.fft import irfft2, rfft2
+
+    side, period = len(image), len(transfer)
+    spectrum = rfft2(image, (period, period))
+    spectrum *= transfer
+    return np.ascontiguousarray(irfft2(spectrum, (period, period), overwrite_x=True)[:side, :side])

@@ -26,7 +26,7 @@ from todframes.base.reading import check_keys, check_values
 from todframes.observers.interface import OmittedWeights, Readout
 from todframes.observers.internal_noise import Bands, inner_product, summed_covariance, summed_noise
 from todframes.observers.laplacian_pyramid import BORDER, LaplacianPyramid, even_half
-from todframes.observers.retina import RetinaGrid, gaussian_blur
+from todframes.observers.retina import RetinaGrid, gaussian_blur, mean_of_turns
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, Stimulus, coverage, vertices
 
 MOST_LEVELS = 11
@@ -257,7 +257,7 @@ class PyramidObserver:
 
     def _common_template(self, stimulus: Stimulus) -> Bands:
         """Compute the part that all four templates have in common."""
-        return self._expected(_mean_of_turns(self._upright(stimulus)))
+        return self._expected(mean_of_turns(self._upright(stimulus)))
 
     def _template_deviation(self, stimulus: Stimulus) -> Bands:
         """Compute the deviation of the upright triangle's template from the common one.  The difference is taken
@@ -265,7 +265,7 @@ class PyramidObserver:
         needs.
         """
         image = self._upright(stimulus)
-        return self._expected(image - _mean_of_turns(image))
+        return self._expected(image - mean_of_turns(image))
 
     def _upright(self, stimulus: Stimulus, half: int | None = None) -> FloatArray:
         """Draw the upright triangle, times its polarity, on the retina's middle: by default on all of it."""
@@ -337,7 +337,7 @@ class PyramidObserver:
         )
         reach = float(np.abs(corners).max()) + 8.0 * settings.template_blur_samples + 2.0 + BORDER
         image = self._upright(stimulus, even_half(min(reach, side // 2)))
-        blurred = gaussian_blur(image - _mean_of_turns(image), settings.template_blur_samples)
+        blurred = gaussian_blur(image - mean_of_turns(image), settings.template_blur_samples)
         bands = self._pyramid(side).build_middle(blurred.astype(dtype), side // 2)
         return self._as_activity(bands)
 
@@ -380,7 +380,3 @@ class PyramidObserver:
         """Answer with the largest score, ties at random."""
         scores = self.literal_scores(contrast, stimulus, rng)
         return ORIENTATIONS[int(rng.choice(np.flatnonzero(scores == scores.max())))]
-
-
-def _mean_of_turns(image: FloatArray) -> FloatArray:
-    return np.asarray(sum(np.rot90(image, -k) for k in range(4)) / 4.0)

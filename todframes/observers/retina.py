@@ -270,3 +270,8 @@ def gaussian_blur(image: FloatArray, sigma: float) -> FloatArray:
     # Two reaches of zeros about what is filled: the mirror image of the box's own border is zero there.
     blurred[box] = cv2.sepFilter2D(image[box], cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_REFLECT_101)
     return blurred
+
+
+def mean_of_turns(image: FloatArray) -> FloatArray:
+    """Compute the mean of a square image and its three quarter turns."""
+    return np.asarray(sum(np.rot90(image, -k) for k in range(4)) / 4.0)

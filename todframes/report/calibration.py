@@ -28,6 +28,8 @@ NOISE_COLUMNS = (
     Column(key=SUBJECT, header="person", is_name=True),
     Column(key="internal_noise", header="internal noise", digits=3),
     Column(key="internal_noise_ci95", header="95 % interval", interval="internal_noise_ci95", digits=3),
+    Column(key="efficiency", digits=3),
+    Column(key="efficiency_ci95", header="its 95 % interval", interval="efficiency_ci95", digits=3),
     Column(key="lapse_rate", header="lapses δ", digits=2, rank=3),
     Column(key="lapse_rate_ci95", interval="lapse_rate_ci95", in_file_only=True),
     Column(key="template_blur_samples", header="template blur", digits=3, rank=3),
@@ -36,6 +38,7 @@ NOISE_COLUMNS = (
     Column(key="n_correct", header="correct", rank=4),
     Column(key="n_flagged", header="flagged", rank=3),
     Column(key="log_likelihood", in_file_only=True),
+    Column(key="aic", header="AIC", digits=5, rank=3),
     Column(key="deviance", digits=3, rank=2),
     Column(key="n_cells", header="cells", rank=2),
     Column(key="deviance_p_value", header="p", digits=2),
@@ -63,6 +66,7 @@ NOT_OF_OBSERVER = {
     "observer",
     "free",
     "include_flagged",
+    "efficiency",
     "internal_noise",
     "internal_noise_sd",
     *(f.name for f in fields(FitSettings)),
@@ -88,8 +92,14 @@ def noise_table(result: ResultData) -> Table:
         if not any(record[f"{key}_ci95"] for record in records):  # it was not fitted
             for record in records:
                 record[key] = None
-    return Table.of("Internal noise", "internal_noise.csv", NOISE_COLUMNS, records).without_empty_columns(
-        "internal_noise", "internal_noise_ci95"
+    is_efficiency = any(record["efficiency_ci95"] is not None for record in records)
+    kept = "efficiency" if is_efficiency else "internal_noise"
+    other = "internal_noise_ci95" if is_efficiency else "efficiency_ci95"
+    for record in records:
+        record[other] = None
+    title = "Efficiency" if is_efficiency else "Internal noise"
+    return Table.of(title, "internal_noise.csv", NOISE_COLUMNS, records).without_empty_columns(
+        kept, f"{kept}_ci95"
     )
 
 
@@ -148,11 +158,14 @@ def sentences(result: ResultData) -> list[str]:
 
 def _sentence(result: ResultData, one: PersonResult) -> str:
     who = TOGETHER.capitalize() if one.subject is None else f"Person {_printable(one.subject)}"
-    interval = interval_phrase(one.internal_noise_ci95)
-    if one.internal_noise is None:
+    name, value, ends = "internal noise", one.internal_noise, one.internal_noise_ci95
+    if one.efficiency_ci95 is not None:
+        name, value, ends = "efficiency", one.efficiency, one.efficiency_ci95
+    interval = interval_phrase(ends)
+    if value is None:
         known = "" if interval == "open" else f" (95 % interval {interval})"
-        return f"{who}: no internal noise{known}: {NO_NOISE.get(one.status, one.status)}."
-    text = f"{who}: internal noise {plain(one.internal_noise)} (95 % interval {interval})"
+        return f"{who}: no {name}{known}: {NO_NOISE.get(one.status, one.status)}."
+    text = f"{who}: {name} {plain(value)} (95 % interval {interval})"
     if one.lapse_rate_ci95 is not None:
         text += f", lapses {plain(one.lapse_rate, 2)} ({interval_phrase(one.lapse_rate_ci95, 2)})"
     if one.template_blur_samples_ci95 is not None:
@@ -197,12 +210,15 @@ def settings_files(result: ResultData) -> dict[str, bytes]:
         while f"observer_{name}.toml" in names:
             name += "-"
         names[f"observer_{name}.toml"] = one
-    return {name: _toml(result, one).encode() for name, one in names.items() if one.internal_noise is not None}
+    return {name: _toml(result, one).encode() for name, one in names.items() if one.status == "ok"}
 
 
 def _toml(result: ResultData, one: PersonResult) -> str:
     values = {name: value for name, value in result.settings.items() if name not in NOT_OF_OBSERVER}
-    values["internal_noise"] = one.internal_noise
+    if one.efficiency is not None:
+        values["efficiency"] = one.efficiency
+    else:
+        values["internal_noise"] = one.internal_noise
     if one.template_blur_samples_ci95 is not None:
         values["template_blur_samples"] = one.template_blur_samples
     how = f"todframes score DATASET --observer {result.settings.get('observer')} --observer-settings FILE"

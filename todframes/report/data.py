@@ -254,6 +254,18 @@ class Algorithm(Struct, frozen=True, kw_only=True):
     cpu_s: float | None = None
 
 
+class ComparedObserver(Struct, frozen=True, kw_only=True):
+    """A further observer of `compare`: its name and settings, and its verdicts on the algorithms."""
+
+    settings: Record
+    algorithms: tuple[Algorithm, ...]
+
+    @property
+    def name(self) -> str:
+        """Return the name of the observer."""
+        return str(self.settings.get("observer"))
+
+
 def thresholds_of(algorithms: Sequence[Algorithm]) -> tuple[Fit, ...]:
     """Return the fits of all algorithms, each with the algorithm's name in its group."""
     return tuple(
@@ -421,6 +433,9 @@ class PersonResult(Struct, frozen=True, kw_only=True):
         Full width of each neuron's noise.
     internal_noise_ci95 : (float or None, float or None)
         95 % interval; an end is None if the answers leave it open.
+    efficiency, efficiency_ci95
+        Squared ratio of the person's d′ to that of an observer such as `csf`, in place of an internal noise; the
+        interval is None for observers with an internal noise.
     lapse_rate, template_blur_samples : float or None
         Error rate δ of lapses and blur of the templates, in retina samples; fitted if they have an interval.
     n_trials, n_correct : int
@@ -430,6 +445,9 @@ class PersonResult(Struct, frozen=True, kw_only=True):
         with the setting `include_flagged`.
     log_likelihood : float
         Sum of the ln probabilities of the answers.
+    aic : float or None
+        Akaike's criterion, 2 · (fitted parameters) − 2 · log_likelihood; of two observers, that with the smaller
+        one explains the same answers better.
     deviance, deviance_p_value : float
         Deviance of the proportions correct of the `n_cells` groups and levels, and the share of experiments with
         the fitted model that have as large a one.
@@ -442,6 +460,8 @@ class PersonResult(Struct, frozen=True, kw_only=True):
     status: str
     internal_noise: Positive | None = NULL
     internal_noise_ci95: Interval
+    efficiency: Positive | None = NULL
+    efficiency_ci95: Interval | None = NULL
     lapse_rate: Proportion | None = NULL
     lapse_rate_ci95: tuple[Proportion, Proportion] | None = NULL
     template_blur_samples: float | None = NULL
@@ -450,6 +470,7 @@ class PersonResult(Struct, frozen=True, kw_only=True):
     n_correct: int
     n_flagged: dict[str, int] = field(default_factory=dict)
     log_likelihood: float
+    aic: float | None = NULL
     deviance: float
     deviance_p_value: Proportion | None = NULL
     n_cells: int
@@ -556,6 +577,7 @@ class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
     seed: int | None = NULL
     fits: tuple[Fit, ...] = EMPTY
     algorithms: tuple[Algorithm, ...] = ()
+    observers: tuple[ComparedObserver, ...] = ()
     scenes: tuple[SceneResult, ...] = ()
     cases: tuple[Record, ...] = ()
     persons: tuple[PersonResult, ...] = ()

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from todframes.report.data import NO_DIFFERENCE, Algorithm, Fit, Group, Ratio, ResultData, SceneResult
+from todframes.report.data import (
+    NO_DIFFERENCE,
+    Algorithm,
+    ComparedObserver,
+    Fit,
+    Group,
+    Ratio,
+    ResultData,
+    SceneResult,
+)
 from todframes.report.wording import (
     count,
     group_phrase,
@@ -179,6 +188,34 @@ REACHED = {
 def comparison(algorithms: Sequence[Algorithm]) -> tuple[str, ...]:
     """Return a paragraph for each algorithm except the first, the reference: whether it helps and by how much."""
     return tuple(_paragraph(one, algorithms[0]) for one in algorithms[1:])
+
+
+def comparisons(
+    first: str, algorithms: Sequence[Algorithm], others: Sequence[ComparedObserver]
+) -> tuple[str, ...]:
+    """Return a sentence for each algorithm on which observers disagree, then the paragraphs of each observer.
+
+    Parameters
+    ----------
+    first : str
+        Name of the observer of `algorithms`.
+    others : sequence of ComparedObserver
+        Further observers, with the same algorithms in the same order.
+    """
+    names = [first, *(one.name for one in others)]
+    if len(set(names)) < len(names):  # the same observer with other settings
+        names = [f"{name} ({number})" for number, name in enumerate(names, 1)]
+    of_observer = dict(zip(names, [algorithms, *(one.algorithms for one in others)], strict=True))
+    disagreements = []
+    for number, one in enumerate(algorithms[1:], 1):
+        found = {name: of_each[number].verdict for name, of_each in of_observer.items()}
+        if len(set(found.values())) > 1:
+            each = ", ".join(f"{verdict} for {name}" for name, verdict in found.items())
+            disagreements.append(
+                ("better" not in found.values(), f"The observers disagree about {one.name}: {each}.")
+            )
+    paragraphs = [f"{name}: {text}" for name, of_each in of_observer.items() for text in comparison(of_each)]
+    return (*(text for _, text in sorted(disagreements, key=lambda one: one[0])), *paragraphs)
 
 
 def _paragraph(one: Algorithm, reference: Algorithm) -> str:

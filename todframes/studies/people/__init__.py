@@ -1,0 +1,1 @@
+"""Observers held against published thresholds of people for other tasks than triangles."""

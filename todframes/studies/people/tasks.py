@@ -1,0 +1,114 @@
+"""Thresholds of observers for images: detection in two intervals, and identification of one of four.
+
+The observers are those that give the activity of their neurons, with one standard deviation of independent noise
+on all of them. Templates are the expected activity, or what the observer makes of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
+from todframes.observers.decision import answer_probabilities
+from todframes.observers.internal_noise import Bands
+from todframes.observers.retina import RetinaGrid, resample
+from todframes.psychometrics.threshold_search import find_crossing
+
+CONTRAST_RANGE = (1e-9, 1e9)
+"""Smallest and largest contrast in the search for a threshold."""
+
+
+class HasActivity(Protocol):
+    """An observer with neurons; `settings` has `retina_pitch_mrad` and `noise_sd`."""
+
+    @property
+    def settings(self) -> Any: ...  # noqa: D102 - the class describes it
+
+    def activity(self, contrast: FloatArray) -> Bands:
+        """Return the noise-free activity of all neurons for a retina image, its side 4 · 2^k + 1."""
+
+
+@runtime_checkable
+class HasTemplates(Protocol):
+    """An observer whose weights are not the expected activity itself."""
+
+    def template_of(self, expected: Bands) -> Bands:
+        """Return the weights of an expected activity."""
+
+
+def activity_of(observer: HasActivity, contrast: FloatArray, pitch_mrad: float) -> Bands:
+    """Compute the activity for an image of square pixels, seen with background around it.
+
+    Parameters
+    ----------
+    contrast : ndarray, shape (rows, columns)
+    pitch_mrad : float
+        Visual angle of a pixel.
+    """
+    pitch = observer.settings.retina_pitch_mrad
+    samples = max(contrast.shape) * pitch_mrad / pitch
+    grid = RetinaGrid(4 * 2 ** math.ceil(math.log2(max(samples / 4.0, 1.0))) + 1, pitch)
+    y_px, x_px = ((length - 1) / 2.0 for length in contrast.shape)
+    return observer.activity(resample(contrast, grid, x_px=x_px, y_px=y_px, pixel_pitch_mrad=pitch_mrad))
+
+
+def detection_d_prime(observer: HasActivity, signal: Bands, noise: Sequence[Bands] = ()) -> float:
+    """Compute d′ of one of two intervals, one of which shows a signal.
+
+    Parameters
+    ----------
+    signal : Bands
+        Activity caused by the signal.
+    noise : sequence of Bands
+        Activity caused by draws of the noise in the images. The variance of their scores has a relative standard
+        error of √(2 / draws).
+
+    Returns
+    -------
+    float
+        Of 1.406, 84 % of the answers are right: P = Φ(d′ / √2).
+    """
+    weights = observer.template_of(signal) if isinstance(observer, HasTemplates) else signal
+    variance = observer.settings.noise_sd**2 * _product(weights, weights)
+    if noise:
+        variance += float(np.var([_product(weights, one) for one in noise], ddof=1))
+    return _product(weights, signal) / math.sqrt(variance)
+
+
+def identification_threshold(observer: HasActivity, images: Sequence[Bands], *, p_correct: float = 0.75) -> float:
+    """Find the contrast at which one of four images is identified.
+
+    Parameters
+    ----------
+    images : sequence of four Bands
+        Activity caused by each at contrast 1.
+    p_correct : float
+        Proportion of right answers at the threshold.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such contrast: the images look the same.
+    """
+    rows = np.array([np.concatenate([band.ravel() for band in bands]) for bands in images])
+    rows -= rows.mean(axis=0)
+    products = rows @ rows.T
+    covariance = observer.settings.noise_sd**2 * products
+
+    def proportion(contrast: float) -> float:
+        return float(np.diagonal(answer_probabilities(contrast * products, covariance)).mean())
+
+    found = find_crossing(proportion, p_correct, bounds=CONTRAST_RANGE, start=1.0, factor=4.0)
+    status, threshold = found[:2]
+    if threshold is None:
+        raise SettingsError(f"images: found none that is identified ({status}), expected four different ones")
+    return float(threshold)
+
+
+def _product(a: Bands, b: Bands) -> float:
+    return sum(float(np.vdot(one, other)) for one, other in zip(a, b, strict=True))
