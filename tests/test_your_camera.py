@@ -117,6 +117,22 @@ def waved(height_px: float) -> Callable[[NDArray[np.uint8]], NDArray[np.uint8]]:
     return spoil
 
 
+def through_a_tilted_lens(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Film through a lens with a barrel of 5 % whose elements are tilted: radial and tangential distortion."""
+    rows, columns = frame.shape
+    half = np.hypot(rows, columns) / 2.0
+    middle = np.array([(columns - 1) / 2.0, (rows - 1) / 2.0])
+    y, x = np.mgrid[:rows, :columns].astype(float)
+    bent = (np.stack([x, y], axis=-1) - middle) / half
+    ideal = bent.copy()
+    for _ in range(50):  # OpenCV's k1 = -0.05 and p1 = 0.02, inverted
+        square = (ideal**2).sum(axis=-1)
+        beside = np.stack([2.0 * ideal[..., 0] * ideal[..., 1], square + 2.0 * ideal[..., 1] ** 2], axis=-1)
+        ideal = (bent - 0.02 * beside) / (1.0 - 0.05 * square)[..., None]
+    places = (ideal * half + middle).astype(np.float32)
+    return cv2.remap(frame, places[..., 0], places[..., 1], cv2.INTER_CUBIC, borderValue=10)
+
+
 NEARER = moved([[0.95, 0.0, 7.8], [0.0, 0.95, 4.3], [0.0, 0.0, 1.0]])
 ROLLED = moved([[0.85, -0.09, 31.0], [0.09, 0.85, -1.0], [0.0, 0.0, 1.0]])  # by 6 degrees
 FROM_THE_SIDE = moved([[0.7, 0.0, 45.0], [0.0, 0.95, 4.0], [0.0, 0.0, 1.0]])
@@ -130,6 +146,11 @@ SPOILED: dict[str, tuple[Callable[[Frames], Frames], tuple[str, ...], int]] = {
     "triangles are turned by": (lambda frames: [*map(ROLLED, frames)], AT_20_HZ, 0),
     "triangles are stretched by": (lambda frames: [*map(FROM_THE_SIDE, frames)], AT_20_HZ, 0),
     "triangles may be placed wrong by": (lambda frames: [*map(waved(1.0), frames)], AT_20_HZ, 0),
+    "too few points to determine the distortion": (
+        lambda frames: [*map(through_a_tilted_lens, frames)],
+        AT_20_HZ,
+        0,
+    ),
     "px off a flat chart behind a lens": (lambda frames: [*map(waved(3.0), frames)], AT_20_HZ, 1),
     "the lens zooms": (lambda frames: [*frames[:4], *map(NEARER, frames[4:])], AT_20_HZ, 0),
     "the triangle moves on the display": (

@@ -8,8 +8,6 @@ process goes on after it.
 from __future__ import annotations
 
 import faulthandler
-import functools
-import importlib.metadata
 import io
 import json
 import os
@@ -413,7 +411,6 @@ def main(seed: int, first: int, stop: int, log: Path, *, kind: type[Child] = Chi
     from todframes.cli.console import keep_libraries_to_one_thread
 
     keep_libraries_to_one_thread()
-    importlib.metadata.entry_points = functools.cache(importlib.metadata.entry_points)  # a third of a case's time
     faulthandler.enable(os.fdopen(os.dup(2), "w"))
     last = min(stop, first + CASES_PER_CHILD)
     child = kind(seed, Path.cwd())

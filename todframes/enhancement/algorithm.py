@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import check_keys, check_positive, convert, toml_value
-from todframes.base.user_code import import_named, in_words
+from todframes.base.user_code import import_named, in_words, registered
 
 Domain = Literal["code_value", "luminance"]
 
@@ -264,16 +264,12 @@ def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
 
 def enhancement_names() -> list[str]:
     """Return the names of the registered algorithms; those of this package come first."""
-    from importlib.metadata import entry_points
-
-    found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
+    found = registered(ENTRY_POINT_GROUP)
     return sorted(found, key=lambda name: (not found[name].value.startswith("todframes."), name))
 
 
 def _registered(name: str, where: str) -> Callable[..., Any]:
-    from importlib.metadata import entry_points
-
-    found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
+    found = registered(ENTRY_POINT_GROUP)
     if name not in found:
         check_keys([name], found, f"{where}: expected a registered name or module:function")
     try:

@@ -486,14 +486,22 @@ class ChartSource:
             return max((float(clip[name]) for clip in clips), key=abs)  # type: ignore[arg-type]
 
         residual, error_px = worst("residual_px"), report.place_error_px or 0.0
-        if residual > MOST_RESIDUAL_PX or error_px > MOST_ERROR_PX:
+        lens = "an ideal lens" if report.lens is None else f"a lens of the {report.lens['model']} model"
+        if residual > MOST_RESIDUAL_PX:
             yield RecordingWarning(
                 "residual",
                 f"{where}triangles may be placed wrong by {max(error_px, residual):.2g} px (rms); the markers' "
-                f"edges lie {residual:.2g} px off a flat chart behind "
-                + ("an ideal lens" if report.lens is None else f"a lens of the {report.lens['model']} model")
-                + ": the chart is bent, the frames are noisy or blurred, or the markers are too few for this "
-                "lens; film the chart larger, or nearer to the middle of the frame",
+                f"edges lie {residual:.2g} px off a flat chart behind {lens}: the chart is bent, or the frames "
+                "are noisy or blurred; film the chart larger, or nearer to the middle of the frame",
+            )
+        elif error_px > MOST_ERROR_PX:
+            n_markers = len(self._markers.all_centres_mm)
+            yield RecordingWarning(
+                "few_points",
+                f"{where}the {n_markers} markers have too few points to determine the distortion: they fit "
+                f"{lens}, but also others that place triangles {error_px:.2g} px (rms) elsewhere; film "
+                + ("a chart with markers along its borders, " if n_markers == len(CORNERS) else "the chart ")
+                + "larger, or nearer to the middle of the frame",
             )
         if report.zoom_from is not None:
             yield RecordingWarning(

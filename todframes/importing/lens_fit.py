@@ -63,13 +63,15 @@ itself."""
 class Pieces(NamedTuple):
     """Pieces of edges on a chart: middles and unit vectors outwards, (n, 2), in millimetres; 0 for a point.
 
-    `middle_mm` and `spread_mm` are those of all, for coordinates about 1.
+    `middle_mm` and `spread_mm` are those of all, for coordinates about 1. `per_edge` pieces in a row are of one
+    edge.
     """
 
     places_mm: FloatArray
     outwards: FloatArray
     middle_mm: FloatArray
     spread_mm: float
+    per_edge: int = 1
 
     @property
     def to_one(self) -> FloatArray:
@@ -375,6 +377,7 @@ def _variance(pieces: Pieces, fit: LensFit, placed: Sequence[tuple[int, Places]]
     n_known = np.count_nonzero(np.isinf(usual))
     of_knowledge = (fit.weights * np.where(np.isinf(usual), 0.0, usual)) ** 2
     of_lens = np.einsum("vni,vn->ni", fit.scores, fit.left_px) @ fit.covariance
+    of_pieces = fit.scores.sum(axis=0).T
     variances = []
     for k, place in placed:
         geometry, influence, left = fit.geometries[k], fit.influence[k][:8], fit.left_px[k]
@@ -393,6 +396,10 @@ def _variance(pieces: Pieces, fit: LensFit, placed: Sequence[tuple[int, Places]]
         own = np.einsum("tij,jn->tin", by_view, influence * left)
         shared = np.einsum("tij,nj->tin", net, of_lens)
         of_edges = ((own + shared) ** 2).sum(axis=-1) * n_pieces / max(n_pieces - 9 - n_known, 1)
+        # An error that an edge has in all frames is not seen in what is left if the lens can follow it.
+        by_edge = np.einsum("tij,jn->tin", by_view, influence) + net @ (fit.covariance @ of_pieces)
+        by_edge = by_edge.reshape(*by_edge.shape[:2], -1, pieces.per_edge).sum(axis=-1)
+        of_edges += LEAST_ERROR_PX**2 * (by_edge**2).sum(axis=-1)
         variances.append(of_edges + (net @ fit.covariance) ** 2 @ of_knowledge)
     return np.array(variances)
 

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
@@ -40,6 +41,7 @@ from todframes.importing.lens_fit import (
     corner_pieces,
     first_lens,
     measured_edges,
+    solve,
     with_lenses,
 )
 
@@ -55,6 +57,12 @@ measured, and of the white around, which is as wide."""
 
 PROFILE_STEPS = 8
 """Samples of a profile on either side of an edge."""
+
+BESIDE_WHITE = 1.5
+"""Distance from an edge, in modules, of the page beside the white border."""
+
+BLURS = np.geomspace(0.02, 2.0, 100)
+"""Widths of a blur in modules, standard deviations, among which that of a frame is interpolated."""
 
 MOST_STEPS, CONVERGED_PX = 8, 0.02
 """Number of adjustments of a homography, and the motion of the edges after which there is no further one: each
@@ -88,6 +96,13 @@ MOST_WRONG_BITS = 1
 
 MOST_RECENT = 8
 """Frames from which the lens is estimated while a recording is read."""
+
+NEAR, LEAST_NEAR = 0.2, 0.5
+"""Distance of an edge from where it is looked for, in modules, up to which it counts for the lens while a
+recording is read; and the least share of such edges, without which all count."""
+
+NO_BETTER = 0.9
+"""Residual of the edges relative to that before, above which a lens is not estimated again."""
 
 NOTICED_PX = 0.1
 """Residual of the edges from which a lens is looked for while a recording is read."""
@@ -183,11 +198,29 @@ class MarkerFinder:
             self._last, lens = seen.geometry, self.lens
             self._follow_lens(seen, grey.shape)
             if lens is None and self.lens is not None:
-                # Edges are measured best where the geometry that they are looked for with is right.
-                seen = self._sighting(grey, self._last) or seen
-                self._last = seen.geometry
-                self._recent = [seen.edges]
+                seen = self._seen_through_lens(grey, seen)
         return seen
+
+    def _seen_through_lens(self, grey: NDArray[np.float32], seen: Sighting) -> Sighting:
+        """Measure the edges in the first frame through a lens, and estimate it, until they fit no better.
+
+        Edges are measured well only near to where the geometry that they are looked for with has them.
+        """
+        for _ in range(MOST_STEPS):
+            assert self._last is not None
+            again = self._sighting(grey, self._last)
+            if again is None or again.geometry.residual_px > NO_BETTER * seen.geometry.residual_px:
+                break
+            seen = again
+            self._recent = [seen.edges]
+            self.lens = first_lens(self.pieces, [self._near(seen.edges)], grey.shape) or self.lens
+            self._last = self._through_lens(self.pieces, self._near(seen.edges))
+        return seen
+
+    def _through_lens(self, pieces: Pieces, measured: MeasuredEdges) -> Geometry:
+        """Return the geometry of a frame behind the lens that is known."""
+        fit = solve(pieces, [measured], self.lens, 0)
+        return measured.start.with_lens(self.lens, pieces.places_mm) if fit is None else fit.geometries[0]
 
     def _follow_lens(self, seen: Sighting, shape: tuple[int, ...]) -> None:
         """Estimate the lens from the frames so far, ever more rarely, where markers do not fit without one."""
@@ -195,9 +228,18 @@ class MarkerFinder:
         self._recent = [*self._recent, seen.edges][-MOST_RECENT:]
         is_turn = self._n_seen & (self._n_seen - 1) == 0
         if is_turn and (self.lens is not None or seen.geometry.residual_px > NOTICED_PX):
-            self.lens = first_lens(self.pieces, [one.measured(self.pieces) for one in self._recent], shape)
-            if self._last is not None:
-                self._last = self._last.with_lens(self.lens, self.pieces.places_mm)
+            self.lens = first_lens(self.pieces, [self._near(one) for one in self._recent], shape)
+            self._last = self._through_lens(self.pieces, self._near(seen.edges))
+
+    def _near(self, edges: SeenEdges) -> MeasuredEdges:
+        """Return the places of edges, without those so far from where they were looked for that a profile reaches
+        little beyond them."""
+        measured = edges.measured(self.pieces)
+        across = np.einsum("nij,nj->ni", edges.start.jacobians(self.pieces.places_mm), self.pieces.outwards)
+        is_near = np.abs(edges.shifts_px) <= NEAR * self._module_mm * np.linalg.norm(across, axis=1)
+        if np.count_nonzero(is_near) < LEAST_NEAR * np.count_nonzero(np.isfinite(edges.shifts_px)):
+            return measured
+        return measured._replace(places_px=np.where(is_near[:, None], measured.places_px, np.nan))
 
     def _search(self, grey: NDArray[np.float32]) -> Sighting | None:
         """Search the whole frame, and its mirror image unless something was found the right way round before."""
@@ -227,15 +269,14 @@ class MarkerFinder:
             plain = fit_geometry(self._corners_mm[known], corners_px)
         except DataError:
             return
+        places = np.repeat(corners_px.reshape(-1, 2), 2, axis=0)
+        measured = MeasuredEdges(plain, places, np.tile(np.eye(2), (corners_px[..., 0].size, 1)))
+        pieces = corner_pieces(self._corners_mm[known])
         if self.lens is not None:
-            yield plain.with_lens(self.lens, self._corners_mm[known].reshape(-1, 2))
+            yield self._through_lens(pieces, measured)
         yield plain
         if len(known) >= len(CORNERS):
-            places = np.repeat(corners_px.reshape(-1, 2), 2, axis=0)
-            along = np.tile(np.eye(2), (corners_px[..., 0].size, 1))
-            yield from with_lenses(
-                corner_pieces(self._corners_mm[known]), MeasuredEdges(plain, places, along), shape
-            )
+            yield from with_lenses(pieces, measured, shape)
 
     def _detected(self, image: NDArray[np.uint8], times: int, mirrored: bool) -> dict[int, FloatArray]:
         """Return the corners of the markers that ArUco finds, (4, 2) each, by the number of the marker."""
@@ -271,13 +312,17 @@ class MarkerFinder:
                 break
             hidden[wrong] = True
         ids = []
-        for one in modules[: len(CORNERS)]:
+        patterns = np.concatenate([np.zeros((len(CORNERS), MODULES, MODULES), np.bool_), _border_bits()])
+        for k, one in enumerate(modules[: len(CORNERS)]):
             bits = _bits(one)
             if bits is None:
                 return None
             n_wrong = np.count_nonzero(_all_bits() != bits, axis=(1, 2))
             nearest = int(n_wrong.argmin())
-            ids.append(nearest if n_wrong[nearest] <= MOST_WRONG_BITS else -1)
+            is_marker = n_wrong[nearest] <= MOST_WRONG_BITS
+            ids.append(nearest if is_marker else -1)
+            patterns[k] = _all_bits()[nearest] if is_marker else bits
+        geometry, edges = self._edges.without_neighbours(grey, edges, patterns[: len(hidden)])
         return Sighting(geometry, tuple(ids), modules[: len(CORNERS)], edges)
 
     def _read(self, grey: NDArray[np.float32], geometry: Geometry, there: NDArray[np.bool_]) -> FloatArray:
@@ -351,12 +396,14 @@ class _Edges:
         self._module_mm = module_mm
         # (marker, edge, point along the edge, place across it, x and y)
         self._places_mm = middles[..., None, :] + distances[:, None] * outwards[:, :, None, None]
+        self._outside_mm = middles + BESIDE_WHITE * module_mm * outwards[:, :, None]
         pieces_mm = middles.reshape(-1, POINTS, 2).mean(axis=1)
         self.pieces = Pieces(
             pieces_mm,
             np.repeat(outwards.reshape(-1, 2), PIECES, axis=0),
             corners_mm.mean(axis=(0, 1)),
             float(corners_mm.std()),
+            PIECES,
         )
 
     def adjusted(
@@ -394,24 +441,52 @@ class _Edges:
         there = ~hidden & (lowest > 0.0).all(axis=1) & (highest < (width - 1, height - 1)).all(axis=1)
         if not there[: len(CORNERS)].all():
             return None
-        places = places[there]
-        profiles = _sampled(grey, places).reshape(len(places), 4, PIECES, POINTS, -1).mean(axis=3)
-        # Black and white of an edge, from all of its pieces: a level is as sharp as it is long.
-        black, white = (profiles[..., [end]].mean(axis=2, keepdims=True) for end in (0, -1))
-        contrast = (white - black).reshape(len(places), 4).min(axis=1)
+        profiles, length_px = _profiles(grey, places[there])
+        black, white = _levels(profiles)
+        contrast = (white - black).reshape(len(profiles), 4).min(axis=1)
         of_corners = contrast[: len(CORNERS)]
         if not (of_corners > 0.0).all():
             return None
         is_edge = contrast > LEAST_SHARE * float(np.median(of_corners))
         is_edge[: len(CORNERS)] = True
         with np.errstate(divide="ignore", invalid="ignore"):  # for markers that are not there
-            above = (profiles - black) / (white - black) - 0.5
-        integral = above.sum(axis=-1) - (above[..., 0] + above[..., -1]) / 2.0
-        across = np.linalg.norm(places[..., -1, :] - places[..., 0, :], axis=-1)
-        length_px = across.reshape(len(places), 4, PIECES, POINTS).mean(axis=3)
+            shift = _shift_per_module(profiles)
         shifts = np.full((len(there), 4, PIECES), np.nan)
-        shifts[there] = np.where(is_edge[:, None, None], -integral * length_px / (2 * PROFILE_STEPS), np.nan)
+        shifts[there] = np.where(is_edge[:, None, None], shift * length_px, np.nan)
         return shifts.ravel()
+
+    def without_neighbours(
+        self, grey: NDArray[np.float32], edges: SeenEdges, bits: NDArray[np.bool_]
+    ) -> tuple[Geometry, SeenEdges]:
+        """Correct the shifts of edges for the blur of what lies a module beside them; return the geometry, too.
+
+        Black beside a white module is less black, and white beside the grey of the page less white, so that the
+        middle of the slope is not where the edge is. How much follows from the width of the blur, which the
+        steepest part of the slopes shows, and from the pattern of the markers, `bits`, (n, 7, 7).
+        """
+        there = np.isfinite(edges.shifts_px).reshape(len(bits), -1).all(axis=1)
+        profiles, length_px = _profiles(grey, edges.start.to_px(self._places_mm[there]))
+        black, white = _levels(profiles)
+        outside_px = np.clip(edges.start.to_px(self._outside_mm[there]), 0.5, np.array(grey.shape[::-1]) - 1.5)
+        page = _sampled(grey, outside_px).reshape(len(profiles), 4, PIECES, POINTS).mean(axis=3)[..., None]
+        white_share = np.clip((page - black) / (white - black), 0.0, 1.0)
+        turned = np.stack([np.rot90(bits[there], turn, axes=(1, 2))[:, 1] for turn in range(4)], axis=1)
+        at = np.floor(
+            ((np.arange(PIECES * POINTS) + 0.5) / (PIECES * POINTS) - 0.5) * EDGE * MODULES + MODULES / 2
+        )
+        inside = turned[..., at.astype(int)].reshape(len(profiles), 4, PIECES, POINTS).mean(axis=3)[..., None]
+        middle = PROFILE_STEPS
+        rise = (profiles[..., middle + 1] - profiles[..., middle - 1])[..., None] / (white - black)
+        blur_px = float(np.median(np.interp(-rise[..., 0], -_rises(), BLURS) * length_px))
+        blur = np.clip(blur_px / length_px, BLURS[0], BLURS[-1])[..., None]
+        away = np.linspace(-PROFILE_REACH, PROFILE_REACH, 2 * PROFILE_STEPS + 1)
+        modelled = ndtr(away / blur) - (1.0 - white_share) * ndtr((away - 1.0) / blur)
+        modelled += inside * ndtr(-(away + 1.0) / blur)
+        shifts = edges.shifts_px.astype(np.float64).reshape(len(bits), 4, PIECES)
+        shifts[there] -= _shift_per_module(modelled) * length_px
+        corrected = SeenEdges(edges.start, shifts.ravel().astype(np.float32))
+        geometry, _ = self._moved(edges.start, shifts.ravel())
+        return geometry, corrected
 
     def _moved(self, geometry: Geometry, shifts_px: FloatArray) -> tuple[Geometry, float]:
         """Move a geometry's edges by the least squares of the shifts; return it and how far they moved at most."""
@@ -424,6 +499,36 @@ class _Edges:
         residual = math.sqrt(float(left @ left) / (len(left) - len(solution)))
         moved = Geometry(self.pieces.moved(geometry, solution), residual, geometry.lens)
         return moved, float(np.abs(design[:, :8] @ solution[:8]).max())
+
+
+def _profiles(grey: NDArray[np.float32], places_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Sample a frame across edges: profiles of the pieces, (marker, 4, piece, place), and a module in pixels
+    there, (marker, 4, piece)."""
+    shape = len(places_px), 4, PIECES, POINTS
+    profiles = _sampled(grey, places_px).reshape(*shape, -1).mean(axis=3)
+    across = np.linalg.norm(places_px[..., -1, :] - places_px[..., 0, :], axis=-1)
+    return profiles, across.reshape(shape).mean(axis=3) / (2.0 * PROFILE_REACH)
+
+
+def _levels(profiles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return black and white of edges, from all pieces of each: a level is as sharp as it is long."""
+    black, white = (profiles[..., [end]].mean(axis=2, keepdims=True) for end in (0, -1))
+    return black, white
+
+
+def _shift_per_module(profiles: FloatArray) -> FloatArray:
+    """Return how far outwards an edge lies from the middle of its profile, in modules."""
+    black, white = _levels(profiles)
+    above = (profiles - black) / (white - black) - 0.5
+    integral = above.sum(axis=-1) - (above[..., 0] + above[..., -1]) / 2.0
+    return np.asarray(-integral * 2.0 * PROFILE_REACH / (2 * PROFILE_STEPS))
+
+
+@cache
+def _rises() -> FloatArray:
+    """Return the rise of a blurred edge over its two middle steps, relative to that of its profile, by `BLURS`."""
+    step = PROFILE_REACH / PROFILE_STEPS
+    return np.asarray((2.0 * ndtr(step / BLURS) - 1.0) / (2.0 * ndtr(PROFILE_REACH / BLURS) - 1.0))
 
 
 def _search_parameters() -> Any:

@@ -19,6 +19,7 @@ import numpy as np
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_keys
+from todframes.base.user_code import import_named, registered
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.internal_noise import edgeworth_correction, inner_product
 from todframes.observers.retina import RetinaGrid
@@ -230,12 +231,9 @@ def find_observer(name: str) -> type[Observer]:
     SettingsError
         If there is none of this name, or it cannot be imported.
     """
-    from importlib.metadata import entry_points
-
     if ":" in name:
         return _imported(name)
-
-    found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
+    found = registered(ENTRY_POINT_GROUP)
     check_keys([name], found, "observer")
     try:
         return cast("type[Observer]", found[name].load())
@@ -244,8 +242,6 @@ def find_observer(name: str) -> type[Observer]:
 
 
 def _imported(name: str) -> type[Observer]:
-    from todframes.base.user_code import import_named
-
     module, _, class_name = name.partition(":")
     found = import_named(module, class_name, f"observer: {name!r}")
     if not (isinstance(found, type) and hasattr(found, "settings_type")):
@@ -267,9 +263,7 @@ def described(observer: str | Observer) -> tuple[Observer, Json]:
 
 def _name(kind: type) -> str:
     """Return the name that a class is registered under, or "module:Class" if it is not registered."""
-    from importlib.metadata import entry_points
-
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
+    for entry in registered(ENTRY_POINT_GROUP).values():
         if entry.module in sys.modules and entry.load() is kind:
             return entry.name
     return f"{kind.__module__}:{kind.__qualname__}"

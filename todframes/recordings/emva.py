@@ -590,7 +590,8 @@ def _evaluated(
         warnings.append(
             RecordingWarning(
                 "saturation_not_reached",
-                f"the variance still rises at the brightest stack: saturation is {where}; add brighter stacks{hint}",
+                f"the variance still rises at the brightest stack: saturation is {where}; add brighter stacks"
+                f"{hint}",
             )
         )
     threshold = None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -27,7 +26,9 @@ from todframes.report.figure_style import (
     label_text,
     new_figure,
     plain_ticks,
+    png_file,
     style,
+    svg_file,
     within,
 )
 from todframes.report.summary import by_curve, size_column
@@ -95,22 +96,17 @@ class ReportFigure(NamedTuple):
         """Return the picture as an SVG file with its title above and its note below."""
         import matplotlib as mpl
 
-        buffer = io.BytesIO()
         with style(), mpl.rc_context({"svg.hashsalt": self.file}):
             figure = self.figure()
             figure.axes[0].set_title(label_text(self.title))
             _add_note(figure, self.note)
-            figure.savefig(buffer, format="svg", metadata={"Date": None})
-        return buffer.getvalue()
+            return svg_file(figure)
 
 
 def save_png(figure: Figure, note: str = "") -> bytes:
     """Return the PNG of a figure with a note below it, inside `style`; the same figure gives the same bytes."""
     _add_note(figure, note)
-    buffer = io.BytesIO()
-    # The metadata has no software version, so the same figure always gives the same bytes.
-    figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
-    return buffer.getvalue()
+    return png_file(figure, dpi=160)
 
 
 def _add_note(figure: Figure, note: str) -> None:

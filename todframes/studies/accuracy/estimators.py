@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from typing import NamedTuple, Protocol, cast
 
 import numpy as np
@@ -17,6 +16,7 @@ import numpy as np
 from todframes.base._typing import FloatArray, IntArray
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys
+from todframes.base.user_code import registered
 from todframes.observers.decision import answer_probabilities
 
 ENTRY_POINT_GROUP = "todframes.accuracy_scenes"
@@ -226,7 +226,7 @@ def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], StudyScene]]:
     SettingsError
         If there is no scene of a name, or it cannot be imported.
     """
-    found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
+    found = registered(ENTRY_POINT_GROUP)
     check_keys(names, found, argument.scene)
     scenes = {}
     for name in names or found:

@@ -10,13 +10,13 @@ import math
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from todframes.base.errors import TodframesError
+from todframes.base.user_code import registered
 from todframes.report.table import Column, Table
 
 ENTRY_POINT_GROUP = "todframes.stability_cases"
@@ -73,7 +73,7 @@ class Outcome(NamedTuple):
 
 def find_cases() -> list[Case]:
     """List the cases of all installed packages, those of todframes first."""
-    found = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name != "todframes")
+    found = sorted(registered(ENTRY_POINT_GROUP).values(), key=lambda entry: entry.name != "todframes")
     return [case for entry in found for case in entry.load()()]
 
 
