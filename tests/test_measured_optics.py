@@ -89,8 +89,8 @@ def test_a_defocused_aperture_is_the_autocorrelation_of_its_pupil(ratio, waves):
         assert aperture_mtf(shift, optics=optics) == pytest.approx(
             pupil_autocorrelation(ratio, waves, shift), abs=4e-4
         )
-    # Without defocus the integral is the closed form. Where inner discs touch rims, its height has a corner that no
-    # node lies on: a part of 1/96 of the length, by 1/96 of the height.
+    # Without defocus the integral is the closed form. Where inner discs touch rims, its height has a corner that
+    # no node lies on: a part of 1/96 of the length, by 1/96 of the height.
     barely = ss.Optics(aperture_mm=1.0, wavelength_um=1.0, obscuration_ratio=0.4, defocus_waves=1e-9)
     x = np.linspace(0.0, 1.0, 301)
     assert aperture_mtf(x, optics=barely) == pytest.approx(obscured_mtf(x, obscuration_ratio=0.4), abs=1e-4)
