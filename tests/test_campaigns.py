@@ -54,6 +54,18 @@ def test_planted_links() -> None:
     assert "24 cases, 0 faults" in campaign("planted", "--only", ", score")
 
 
+def test_slanted_edges() -> None:
+    process = subprocess.run(
+        [sys.executable, RUN.with_name("slanted.py"), "40", "--only", "gaussian 0.8, 5"],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+        check=False,
+    )
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert "1 edges: the band holds 9" in process.stdout
+
+
 def test_servers() -> None:
     assert "3 cases, 0 faults" in campaign("servers", "--only", "moved on the same")
 

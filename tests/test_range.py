@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -16,10 +17,12 @@ from sensor_sim.sweeps.ranges import Aim
 from todframes.base.output import FILES_OF_COMMAND
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.field.acquisition import acquire, cycles_ratio, r46_distance_m, transfer_probability, with_search
+from todframes.field.acquisition import acquire, cycles_ratio, transfer_probability, with_search
 from todframes.field.atmosphere import atmosphere_names, find_atmosphere
 from todframes.field.target import find_target, target_names
 from todframes.field.threshold_curve import Psychometric, ThresholdCurve
+from todframes.report.data import FitPoint
+from todframes.report.measured_curve import _slope_error
 
 A_K, B_MRAD, SIGMA_PER_KM = 0.02, 1.0, 0.2
 NATO = tod.Target(size_m=2.3, delta_t_k=2.0)
@@ -87,7 +90,10 @@ def test_search_takes_time() -> None:
 
 def test_r46_worked_example() -> None:
     """60° and 480 lines: 3.75 arcmin, 0.8 m / tan(0.5°) = 91.7 m."""
-    assert r46_distance_m(view_deg=60.0, lines=480.0) == pytest.approx(91.7, abs=0.05)
+    system = replace(find_target("r46"), view_deg=60.0, lines=480.0)
+    assert system.r46_distance_m == pytest.approx(91.7, abs=0.05)
+    found = tod.acquisition_range(of_fits(), target=system, atmosphere=BEER)
+    assert "By its pixels alone (UN R46), the system shows the target up to 91.7 m." in found.sentences()
 
 
 def test_tod_needs_a_triangle_of_size_over_k() -> None:
@@ -104,7 +110,7 @@ def test_tod_needs_a_triangle_of_size_over_k() -> None:
 def test_proportion_correct_of_a_tod() -> None:
     """ΔT at 50 % and 90 % correct is that of eq. 3, with one β for all sizes; ranges are closed forms."""
     beta = 2.0
-    shape = Psychometric(np.full(6, beta), np.zeros(6), 0.25, 0.75)
+    shape = Psychometric(np.full(6, beta), *np.zeros((3, 6)), 0.25, 0.75)
     curve = exponential(pattern="triangle", p_correct=0.75, psychometric=shape)
     found = acquired(curve, replace(NATO, k={"seen": 3.0}))
     for p in (0.5, 0.75, 0.9):
@@ -113,6 +119,53 @@ def test_proportion_correct_of_a_tod() -> None:
         assert at(found, p)["seen"] == pytest.approx(expected, rel=1e-9)
         (curve_of,) = found.curves
         assert np.interp(expected, curve_of.range_km, curve_of.probability) == pytest.approx(p, abs=2e-3)
+
+
+def test_error_of_a_slope_is_that_of_the_likelihood() -> None:
+    """Covariance of ln threshold and ln β, from second differences of the likelihood of the expected counts."""
+    levels, n, beta, lapse = np.geomspace(0.5, 2.0, 6), 40, 2.2, 0.01
+
+    def halves(p: float) -> float:
+        return math.log2((0.75 - lapse) / (1.0 - lapse - p))
+
+    def proportions(ln_threshold: float, ln_beta: float):
+        slope = math.exp(ln_beta)
+        alpha = math.exp(ln_threshold) / halves(0.75) ** (1.0 / slope)
+        return 1.0 - lapse - (0.75 - lapse) * 2.0 ** -((levels / alpha) ** slope)
+
+    right = n * proportions(0.0, math.log(beta))
+
+    def likelihood(x: float, y: float) -> float:
+        p = proportions(x, math.log(beta) + y)
+        return float((right * np.log(p) + (n - right) * np.log(1.0 - p)).sum())
+
+    h = 1e-3
+    second = [(likelihood(h, 0) + likelihood(-h, 0) - 2 * likelihood(0, 0)) / h**2]
+    second += [(likelihood(0, h) + likelihood(0, -h) - 2 * likelihood(0, 0)) / h**2]
+    mixed = (likelihood(h, h) + likelihood(-h, -h) - likelihood(h, -h) - likelihood(-h, h)) / (4 * h**2)
+    covariance = np.linalg.inv(-np.array([[second[0], mixed], [mixed, second[1]]]))
+    sd = np.sqrt(np.diag(covariance))
+    points = tuple(FitPoint(*one) for one in zip(levels, [n] * 6, right / n, strict=True))
+    fit = tod.Fit(
+        group={},
+        level="contrast",
+        status="ok",
+        threshold=1.0,
+        p_correct=0.75,
+        points=points,
+        alpha=halves(0.75) ** (-1.0 / beta),
+        beta=beta,
+        guess_rate=0.25,
+        lapse_rate=lapse,
+        n_trials=6 * n,
+    )
+    # Second differences err by h² of the fourth derivative, 1e-5, and by rounding / h², 1e-8 of the largest term.
+    slope_sd, correlation = _slope_error(fit)
+    assert slope_sd == pytest.approx(sd[1], rel=1e-4)
+    assert correlation == pytest.approx(covariance[0, 1] / sd.prod(), abs=1e-4)
+    ends = np.exp(2.0 * 1.959964 * sd[0] * np.array([-1.0, 1.0]))
+    twice = msgspec.structs.replace(fit, threshold_ci95=tuple(ends))
+    assert _slope_error(twice)[0] == pytest.approx(2.0 * sd[1], rel=1e-4)
 
 
 def test_what_limits_is_the_change_of_range() -> None:
@@ -502,7 +555,7 @@ def test_results_that_are_no_curve() -> None:
     of_camera = of_fits(group={"camera": "left"})
     assert tod.acquisition_range(of_camera, target=DAYLIGHT, atmosphere=BEER, group={"camera": "left"})
     with pytest.raises(
-        tod.SettingsError, match=r"group: found 0 curves in .*, expected a choice of one: camera left"
+        tod.SettingsError, match=r"group: found 0 curves in .*, expected a choice of one: camera=left"
     ):
         tod.acquisition_range(of_camera, target=DAYLIGHT, atmosphere=BEER, group={"camera": "right"})
     with pytest.raises(tod.SettingsError, match="magnification: is given but not used"):

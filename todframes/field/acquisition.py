@@ -161,6 +161,8 @@ class Acquisition:
     curve : ThresholdCurve
         Curve of triangles, or of bars, also if it was converted.
     road : {"tod", "cycles"}
+    draws, betas : ndarray, shape (draws, points)
+        Curves of ln(threshold) and slopes β that are drawn from their errors.
     ranges : tuple of TaskRange
         Range for each task and probability.
     curves : tuple of TaskCurve
@@ -172,6 +174,7 @@ class Acquisition:
     curve: ThresholdCurve
     road: Road
     draws: FloatArray
+    betas: FloatArray
     ranges: tuple[TaskRange, ...] = ()
     curves: tuple[TaskCurve, ...] = ()
 
@@ -204,7 +207,7 @@ class Acquisition:
         known = np.vstack([np.log(self.curve.threshold)[None, :], self.draws])
         psychometric = self.curve.psychometric
         if self.road == "tod" and psychometric is not None and probability is not None:
-            known = known + psychometric.ln_ratio(probability)
+            known = known + psychometric.ln_ratio(probability, np.vstack([psychometric.beta, self.betas]))
         return rising(known)
 
     def crossing(self, kappa: float, ln_threshold: FloatArray) -> tuple[FloatArray, float, float]:
@@ -331,14 +334,13 @@ class Acquisition:
         weights = _weights(places, np.clip(frequency, places[0], places[-1]))
         ln_threshold = self.threshold_curves()
         margin = self.ln_contrast(ranges) - ln_threshold @ weights
-        low, high = (
-            None if one is None else psychometric.probability(one, weights) for one in self._ends(margin[1:])
-        )
+        probability = psychometric.probability(margin, np.vstack([psychometric.beta, self.betas]), weights)
+        low, high = self._ends(probability[1:])
         return TaskCurve(
             task=task,
             criterion=k,
             range_km=ranges,
-            probability=psychometric.probability(margin[0], weights),
+            probability=probability[0],
             low=low,
             high=high,
             bound=np.where(frequency < places[0], 1.0, np.where(frequency > places[-1], -1.0, 0.0)),
@@ -465,10 +467,12 @@ def _prepared(
             road = "tod"
     if road == "tod" and target.search_time_s is not None:
         raise SettingsError("search_time_s: is given but not used with a TOD and k, whose answers are never free")
-    draws = np.empty((0, curve.threshold.size))
+    draws = betas = np.empty((0, curve.threshold.size))
     if curve.ln_sd is not None and rng is not None:
-        draws = curve.ln_thresholds(curve.ln_sd, DRAWS, rng)
-    made = Acquisition(target=target, atmosphere=atmosphere, curve=curve, road=road, draws=draws)
+        errors = rng.standard_normal((DRAWS, curve.threshold.size))
+        draws = curve.ln_thresholds(curve.ln_sd, errors)
+        betas = betas if curve.psychometric is None else curve.psychometric.betas(errors, rng)
+    made = Acquisition(target=target, atmosphere=atmosphere, curve=curve, road=road, draws=draws, betas=betas)
     if (farthest := _farthest_km(made)) < NEAREST_KM:
         raise DataError(
             f"{curve.name}: the target of {target.size_m:g} m is smaller than the curve's smallest detail beyond "
@@ -508,14 +512,3 @@ def _check_kind(curve: ThresholdCurve, target: Target, atmosphere: Atmosphere) -
         raise SettingsError(
             f"atmosphere: found relative_humidity of thermal bands, expected air of daylight for {curve.name}"
         )
-
-
-def r46_distance_m(
-    *, view_deg: float, lines: float, object_m: float = 0.8, threshold_arcmin: float = 8.0
-) -> float:
-    """Return the distance at which a camera-monitor system shows the critical object, from its pixels alone.
-
-    r = D₀ / tan(f ω / 60), ω = 60 β / (2 N) arcmin for N lines over β degrees (UN R46; 2003/97/EC, Annex I).
-    """
-    resolution_arcmin = 60.0 * view_deg / (2.0 * lines)
-    return object_m / math.tan(math.radians(threshold_arcmin * resolution_arcmin / 60.0))

@@ -50,6 +50,9 @@ N50_CYCLES: dict[CriterionName, dict[str, float]] = {
 N50_RANGE_CYCLES = (0.1, 100.0)
 """Smallest and largest number of line pairs that a criterion may have; others are a mistake in the input."""
 
+R46_RESOLUTIONS = 8.0
+"""Size of the critical object of UN R46 in resolutions of the camera (2003/97/EC, Annex I)."""
+
 K_RANGE = (0.1, 100.0)
 """Smallest and largest divisor k of the target's size; others are a mistake in the input."""
 
@@ -81,6 +84,8 @@ class Target:
         the triangle's √area. None: no conversion, and a TOD needs `k`.
     search_time_s : float or None
         Time that the observer may search. None: without limit.
+    view_deg, lines : float or None
+        Angle of view of a camera-monitor system and its lines, for the distance of UN R46 by its pixels alone.
     title, source : str
         Name of the target, and the origin of its numbers.
 
@@ -100,6 +105,8 @@ class Target:
     k: dict[str, float] | None = None
     cycles_per_size: Annotated[float | None, Meta(ge=0.1, le=10.0)] = None
     search_time_s: Annotated[float | None, Meta(ge=0.01, le=1e5)] = None
+    view_deg: Annotated[float | None, Meta(ge=0.1, le=179.0)] = None
+    lines: Annotated[float | None, Meta(ge=1.0, le=1e6)] = None
     title: str = ""
     source: str = ""
 
@@ -116,6 +123,9 @@ class Target:
             _check_tasks("k", self.k, K_RANGE)
         if self.k is not None and self.cycles_per_size is not None:
             raise SettingsError("k: found it and cycles_per_size, expected one of them: they are two roads")
+        if (self.view_deg is None) != (self.lines is None):
+            missing = "view_deg" if self.view_deg is None else "lines"
+            raise SettingsError(f"{missing}: is missing, expected both view_deg and lines or none")
         self._check_contrast()
 
     def _check_contrast(self) -> None:
@@ -149,6 +159,18 @@ class Target:
         if self.reflectance is not None and self.background_reflectance is not None:
             return abs(self.reflectance - self.background_reflectance) / self.background_reflectance
         return abs(self.contrast or 0.0)
+
+    @property
+    def r46_distance_m(self) -> float | None:
+        """Distance at which UN R46 counts the target as seen, from the pixels alone; None without view and lines.
+
+        r = size / tan(f ω / 60), ω = 60 β / (2 N) arcmin for N lines over β degrees, f = 8 (2003/97/EC, Annex I).
+        """
+        if self.view_deg is None or self.lines is None:
+            return None
+        resolution_arcmin = 60.0 * self.view_deg / (2.0 * self.lines)
+        seen_deg = R46_RESOLUTIONS * resolution_arcmin / 60.0
+        return self.size_m / math.tan(math.radians(min(seen_deg, 89.0)))
 
     @property
     def n50_cycles(self) -> dict[str, float]:

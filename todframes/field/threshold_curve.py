@@ -64,34 +64,46 @@ class RangeWarning(NamedTuple):
 class Psychometric(NamedTuple):
     """Weibull functions of contrast / threshold at the points of a TOD (Hogervorst et al. 2001, eq. 3).
 
-    `beta` and `lapse_rate` have a value a point, shape (n,).
+    All but `guess_rate` and `p_correct`, that of the thresholds, have a value a point, shape (n,). `ln_beta_sd` is
+    the standard deviation of ln β, and `correlation` that of the errors of ln β and ln(threshold).
     """
 
     beta: FloatArray
     lapse_rate: FloatArray
+    ln_beta_sd: FloatArray
+    correlation: FloatArray
     guess_rate: float
     p_correct: float
 
-    def ln_ratio(self, p_correct: float) -> FloatArray:
-        """Return ln(contrast / threshold) at a proportion correct, shape (n,); `UNREACHED` from the ceiling on."""
+    def betas(self, drawn: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Draw β with errors that go with those of ln(threshold), in standard deviations, shape (draws, n)."""
+        apart = np.sqrt(1.0 - self.correlation**2) * rng.standard_normal(drawn.shape)
+        return np.asarray(self.beta * np.exp(self.ln_beta_sd * (self.correlation * drawn + apart)))
+
+    def ln_ratio(self, p_correct: float, beta: FloatArray) -> FloatArray:
+        """Compute ln(contrast / threshold) at a proportion correct for β of shape (..., n).
+
+        It is `UNREACHED` from the ceiling on.
+        """
         levels = [_halves(p, self.guess_rate, self.lapse_rate) for p in (p_correct, self.p_correct)]
         with np.errstate(divide="ignore"):
-            found = np.log(levels[0] / levels[1]) / self.beta
+            found = np.log(levels[0] / levels[1]) / beta
         return np.minimum(found, UNREACHED)
 
-    def probability(self, ln_ratio: FloatArray, weights: FloatArray) -> FloatArray:
+    def probability(self, ln_ratio: FloatArray, beta: FloatArray, weights: FloatArray) -> FloatArray:
         """Compute the proportion correct at ln(contrast / threshold).
 
         Parameters
         ----------
         ln_ratio : ndarray, shape (..., m)
+        beta : ndarray, shape (..., n)
         weights : ndarray, shape (n, m)
             Weights of the n points at each of the m places between them.
         """
-        beta, lapse = np.exp(np.log(self.beta) @ weights), self.lapse_rate @ weights
+        slope, lapse = np.exp(np.log(beta) @ weights), self.lapse_rate @ weights
         halves = _halves(self.p_correct, self.guess_rate, lapse)
         with np.errstate(over="ignore"):
-            exponent = halves * np.exp(np.minimum(beta * ln_ratio, UNREACHED))
+            exponent = halves * np.exp(np.minimum(slope * ln_ratio, UNREACHED))
         return np.asarray((1.0 - lapse) - (1.0 - lapse - self.guess_rate) * np.exp2(-exponent))
 
 
@@ -182,9 +194,8 @@ class ThresholdCurve:
             name=self.name,
         )
 
-    def ln_thresholds(self, ln_sd: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
-        """Draw n curves of ln(threshold) from the errors, shape (n, points); normal on each side of the value."""
-        drawn = rng.standard_normal((n, self.threshold.size))
+    def ln_thresholds(self, ln_sd: FloatArray, drawn: FloatArray) -> FloatArray:
+        """Return curves of ln(threshold) with errors in standard deviations, those of their side; (draws, n)."""
         return np.asarray(np.log(self.threshold) + drawn * np.where(drawn < 0.0, ln_sd[0], ln_sd[1]))
 
 

@@ -72,6 +72,9 @@ DEGREE = 3
 LEAST_STEP = 5.0
 """Least contrast of an edge in units of the noise of a pixel."""
 
+PART_PX = 4.0
+"""Length of the parts of an edge whose places are compared with its curve."""
+
 ROUGHEST_PX = 0.15
 """Largest standard deviation of the edge from its curve. It lowers the MTF at the Nyquist frequency by 10 %."""
 
@@ -165,6 +168,11 @@ class EdgeMtf(MtfBand):
         """Angle of the edge against rows or columns of pixels, whichever is nearer: 0 to 45."""
         return abs((self.normal_deg + 45.0) % 90.0 - 45.0)
 
+    @property
+    def relative_noise(self) -> float:
+        """Noise of a pixel in units of the contrast."""
+        return self.noise_sd / (self.bright - self.dark)
+
 
 def mean_band(bands: Sequence[MtfBand]) -> MtfBand:
     """Return the mean of MTFs, with the band that follows from theirs if their noise is independent."""
@@ -225,9 +233,8 @@ def measure_edge(
         if low is None or high is None or high - low > 2 * LARGEST_ERROR * mtf50.value:
             ends = f"{low or 0:.2g} to {'above 1' if high is None else f'{high:.2g}'}"
             raise DataError(
-                f"{where}noise of {found.noise_sd / (found.bright - found.dark):.1%} of the contrast leaves MTF50 "
-                f"at {ends} cycles/pixel, expected an interval within a quarter of it; average frames, or use a "
-                "longer edge"
+                f"{where}noise of {100 * found.relative_noise:.1f} % of the contrast leaves MTF50 at {ends} "
+                "cycles/pixel, expected an interval within a quarter of it; average frames, or use a longer edge"
             )
     return found
 
@@ -402,81 +409,156 @@ class _Fit(NamedTuple):
         return float(self.weights[_Profile.STEP])
 
 
+class _Pixels(NamedTuple):
+    """Places and values of the pixels of a box, and the distance from the edge up to which they are used."""
+
+    x: FloatArray
+    y: FloatArray
+    values: FloatArray
+    widest_px: float
+
+
+class _Solved(NamedTuple):
+    """A profile fitted to pixels for a given curve; arrays hold one number for each pixel that is used."""
+
+    used: NDArray[np.bool_]
+    distance: FloatArray
+    along: FloatArray
+    profile: _Profile
+    columns: FloatArray
+    factor: tuple[FloatArray, bool]
+    weights: FloatArray
+    residual: FloatArray
+    across: tuple[FloatArray, FloatArray]
+    """Changes of light across the edge, on its bright and its dark side."""
+    shape: tuple[FloatArray, FloatArray]
+    """Distances, and the profile there from 0 to 1."""
+
+    @property
+    def contrast(self) -> float:
+        return float(self.weights[_Profile.STEP])
+
+    @property
+    def rise_px(self) -> float:
+        """Distance from the last 10 % to the first 90 % of the profile."""
+        grid, profile = self.shape
+        high = grid[int(np.argmax(profile > 0.9))]
+        low = grid[len(profile) - 1 - int(np.argmax(profile[::-1] < 0.1))]
+        return max(float(high - low), KNOTS_PX)
+
+    def without(self, change: FloatArray) -> FloatArray:
+        """Return a change of the pixels without what the fitted functions can follow."""
+        from scipy.linalg import cho_solve
+
+        return np.asarray(change - self.columns @ cho_solve(self.factor, self.columns.T @ change))
+
+
 def _fitted(values: FloatArray, curve: _Curve, where: str) -> _Fit:
     """Fit curve and profile in turn, then find their covariance."""
-    from scipy.linalg import cho_factor, cho_solve
+    from scipy.linalg import cho_solve
 
     y, x = (one.ravel() for one in np.indices(values.shape, np.float64))
-    flat = values.ravel()
     distance, s = curve.distance(x, y)
     # The farthest pixels, as many as the edge has along it, lie in corners of the box.
     n_left_out = min(int(np.ptp(s)), len(s) // 4)
     ordered = np.sort(distance)
     widest_px = min(WIDEST_PX, float(ordered[-1 - n_left_out]), float(-ordered[n_left_out]))
-    if widest_px * FARTHEST_TAIL < TAIL_PX:
+    farthest_px = FARTHEST_TAIL * widest_px
+    if farthest_px < TAIL_PX:
         raise DataError(
-            f"{where}found an edge with {widest_px:.0f} pixels beside it, expected at least "
+            f"{where}found an edge with {max(widest_px, 0.0):.1f} pixels beside it, expected at least "
             f"{TAIL_PX / FARTHEST_TAIL:.0f} on both sides"
         )
-    tail_px = FARTHEST_TAIL * min(widest_px, 2.5 * TAIL_PX)
-    uniform_px, shape, is_shaded, n_left = tail_px, None, False, 5
-    while True:
-        distance, s = curve.distance(x, y)
-        used = np.abs(distance) <= widest_px
-        at, along, found = distance[used], s[used], flat[used]
-        knots_px = _knots_px(at, uniform_px, curve, where)
-        profile = _Profile(tail_px, uniform_px, knots_px, has_tail=not is_shaded)
-        columns = profile.columns(at)
-        # Shading along the edge, on the bright side and on the dark one, is no part of the profile.
-        of_step = columns[:, _Profile.STEP] if shape is None else np.interp(at, *shape)
-        length = float(np.abs(along).max())
-        # On either side light may change along the edge and, in place of the tail, across it.
-        sides, slopes = (of_step, 1.0 - of_step), (along / length, at / widest_px)
-        shading = [side * slope for slope in slopes[: 2 if is_shaded else 1] for side in sides]
-        columns = np.column_stack([columns, *shading])
-        factor = cho_factor(columns.T @ columns)
-        solved = cho_solve(factor, columns.T @ found)
-        residual = found - columns @ solved
-        weights = solved[: -len(shading)]
-        contrast = float(weights[_Profile.STEP])
-        if not contrast > LEAST_STEP * residual.std():
-            raise DataError(
-                f"{where}found no edge: the steepest step is {max(contrast, 0.0):.3g} against noise of "
-                f"{residual.std():.3g}, expected at least {LEAST_STEP:g} times the noise"
-            )
-        grid = np.linspace(-0.999 * profile.end_px, 0.999 * profile.end_px, 401)
-        rising = (profile.columns(grid) @ weights - weights[_Profile.DARK]) / contrast
-        shape = grid, np.clip(rising, 0.0, 1.0)
-        rise_px = _rise_px(grid, rising)
-        n_left -= 1
-        if n_left == 0:
-            break
-        if n_left == 2 and not is_shaded:
-            is_shaded = _is_shaded(columns, factor, residual, [side * slopes[1] for side in sides], contrast)
-        slope = np.zeros(len(at))
-        inside = np.abs(at) < profile.end_px
-        slope[inside] = profile.slopes(at[inside]) @ weights
-        powers = -slope[:, np.newaxis] * (along[:, np.newaxis] / length) ** np.arange(1, DEGREE + 1)
-        free = powers - columns @ cho_solve(factor, columns.T @ powers)
-        change = np.linalg.lstsq(free, residual, rcond=None)[0] / length ** np.arange(1, DEGREE + 1)
-        curve = curve.moved(np.concatenate([[0.0], change]))
-        farthest_px = FARTHEST_TAIL * widest_px
-        if n_left == 3:
-            tail_px = min(max(TAIL_PX, TAIL_RISES * rise_px), farthest_px)
-        uniform_px = min(max(UNIFORM_PX, UNIFORM_RISES * rise_px), tail_px)
-        if n_left == 1 and tail_px < farthest_px and _has_structure(at, residual, profile.end_px):
-            tail_px, n_left = min(1.4 * tail_px, farthest_px), 2
-    _check_smooth(along, at, residual, profile, weights, where)
-    inverse = cho_solve(factor, np.eye(columns.shape[1]))
+    pixels = _Pixels(x, y, values.ravel(), widest_px)
+    # First with knots everywhere, as the width of the profile is not known.
+    tail_px = uniform_px = min(farthest_px, 1.5 * TAIL_PX)
+    is_shaded, shape = False, None
+    for n_done in range(4):
+        solved = _solve(pixels, curve, tail_px, uniform_px, shape, is_shaded=is_shaded, where=where)
+        curve, shape = _improved(curve, solved), solved.shape
+        if n_done > 0:
+            tail_px = min(max(TAIL_PX, TAIL_RISES * solved.rise_px), farthest_px)
+            uniform_px = min(max(UNIFORM_PX, UNIFORM_RISES * solved.rise_px), tail_px)
+        if n_done == 2:
+            is_shaded = _is_shaded(solved)
+    solved = _solve(pixels, curve, tail_px, uniform_px, shape, is_shaded=is_shaded, where=where)
+    while tail_px < farthest_px and _has_structure(solved):
+        tail_px = min(1.4 * tail_px, farthest_px)
+        solved = _solve(pixels, curve, tail_px, uniform_px, shape, is_shaded=is_shaded, where=where)
+    _check_smooth(solved, where)
+    columns, residual = solved.columns, solved.residual
+    inverse = cho_solve(solved.factor, np.eye(columns.shape[1]))
     leverage = np.minimum(np.einsum("ij,ij->i", columns @ inverse, columns), 0.9)
-    meat = _meat(columns, residual / np.sqrt(1.0 - leverage), used.reshape(values.shape))
-    covariance = (inverse @ meat @ inverse)[: len(weights), : len(weights)]
-    visible = along[np.abs(at) < 1.0]
+    meat = _meat(columns, residual / np.sqrt(1.0 - leverage), solved.used.reshape(values.shape))
+    n = len(solved.weights)
+    visible = solved.along[np.abs(solved.distance) < 1.0]
     ends = np.linspace(visible.min(), visible.max(), 101)
     line = polyval(ends, curve.polynomial)
     chord = line - np.polyval(np.polyfit(ends, line, 1), ends)
-    fit = _Fit(curve, profile, weights, covariance, np.ones(0), float(residual.std()), float(np.ptp(chord)))
-    return fit._replace(pass_through=_pass_through(fit, columns, factor, at))
+    return _Fit(
+        curve=curve,
+        profile=solved.profile,
+        weights=solved.weights,
+        covariance=(inverse @ meat @ inverse)[:n, :n],
+        pass_through=_pass_through(solved),
+        residual_sd=float(residual.std()),
+        bend_px=float(np.ptp(chord)),
+    )
+
+
+def _solve(
+    pixels: _Pixels,
+    curve: _Curve,
+    tail_px: float,
+    uniform_px: float,
+    shape: tuple[FloatArray, FloatArray] | None,
+    *,
+    is_shaded: bool,
+    where: str,
+) -> _Solved:
+    """Fit a profile to pixels by least squares, for a given curve and, from an earlier fit, a rough profile."""
+    from scipy.linalg import cho_factor, cho_solve
+
+    distance, along = curve.distance(pixels.x, pixels.y)
+    used = np.abs(distance) <= pixels.widest_px
+    distance, along, values = distance[used], along[used], pixels.values[used]
+    knots_px = _knots_px(distance, uniform_px, curve, where)
+    profile = _Profile(tail_px, uniform_px, knots_px, has_tail=not is_shaded)
+    functions = profile.columns(distance)
+    of_step = functions[:, _Profile.STEP] if shape is None else np.interp(distance, *shape)
+    # On either side light may change along the edge and, in place of the tail, across it.
+    sides = (of_step, 1.0 - of_step)
+    across = (sides[0] * distance / pixels.widest_px, sides[1] * distance / pixels.widest_px)
+    shading = [side * along / np.abs(along).max() for side in sides] + list(across) * is_shaded
+    columns = np.column_stack([functions, *shading])
+    try:
+        factor = cho_factor(columns.T @ columns)
+    except np.linalg.LinAlgError:
+        raise DataError(f"{where}found too few pixels at the edge for a profile, expected a larger box") from None
+    solved = cho_solve(factor, columns.T @ values)
+    residual = values - columns @ solved
+    weights = solved[: functions.shape[1]]
+    contrast = float(weights[_Profile.STEP])
+    if not contrast > LEAST_STEP * residual.std():
+        raise DataError(
+            f"{where}found no edge: the steepest step is {max(contrast, 0.0):.3g} against noise of "
+            f"{residual.std():.3g}, expected at least {LEAST_STEP:g} times the noise"
+        )
+    grid = np.linspace(-0.999 * profile.end_px, 0.999 * profile.end_px, 401)
+    rising = (profile.columns(grid) @ weights - weights[_Profile.DARK]) / contrast
+    found = grid, np.clip(rising, 0.0, 1.0)
+    return _Solved(used, distance, along, profile, columns, factor, weights, residual, across, found)
+
+
+def _improved(curve: _Curve, solved: _Solved) -> _Curve:
+    """Return the curve after a Gauss-Newton step: moved by what the residuals say along the edge."""
+    slope = np.zeros(len(solved.distance))
+    inside = np.abs(solved.distance) < solved.profile.end_px
+    slope[inside] = solved.profile.slopes(solved.distance[inside]) @ solved.weights
+    length, powers = float(np.abs(solved.along).max()), np.arange(1, DEGREE + 1)
+    changes = -slope[:, np.newaxis] * (solved.along[:, np.newaxis] / length) ** powers
+    step = np.linalg.lstsq(solved.without(changes), solved.residual, rcond=None)[0] / length**powers
+    return curve.moved(np.concatenate([[0.0], step]))
 
 
 def _knots_px(distance: FloatArray, uniform_px: float, curve: _Curve, where: str) -> float:
@@ -493,65 +575,45 @@ def _knots_px(distance: FloatArray, uniform_px: float, curve: _Curve, where: str
     return max(KNOTS_PX, 1.02 * gap_px)
 
 
-def _rise_px(distance: FloatArray, profile: FloatArray) -> float:
-    """Return the distance from the last 10 % to the first 90 % of a profile from 0 to 1."""
-    high = distance[int(np.argmax(profile > 0.9))]
-    low = distance[len(profile) - 1 - int(np.argmax(profile[::-1] < 0.1))]
-    return max(float(high - low), KNOTS_PX)
-
-
-def _has_structure(distance: FloatArray, residual: FloatArray, from_px: float) -> bool:
-    """Return whether the residuals beyond a distance have means, pixel by pixel, that noise would rarely have."""
+def _has_structure(solved: _Solved) -> bool:
+    """Return whether residuals beyond the splines have means, pixel by pixel, that noise would rarely have."""
     from scipy.special import gammaincc
 
-    far = np.abs(distance) >= from_px
-    bins = np.floor(distance[far]).astype(np.intp)
+    far = np.abs(solved.distance) >= solved.profile.end_px
+    residual = solved.residual[far]
+    bins = np.floor(solved.distance[far]).astype(np.intp)
     bins -= bins.min()
-    counts = np.bincount(bins)
-    sums = np.bincount(bins, residual[far])
+    counts, sums = np.bincount(bins), np.bincount(bins, residual)
     filled = counts > 1
-    chi2 = float((sums[filled] ** 2 / counts[filled]).sum() / residual[far].var())
+    chi2 = float((sums[filled] ** 2 / counts[filled]).sum() / residual.var())
     return bool(gammaincc(filled.sum() / 2, chi2 / 2) < 1e-3)
 
 
-def _is_shaded(
-    columns: FloatArray,
-    factor: tuple[FloatArray, bool],
-    residual: FloatArray,
-    changes: Sequence[FloatArray],
-    contrast: float,
-) -> bool:
+def _is_shaded(solved: _Solved) -> bool:
     """Return whether light changes across one side of the edge, beyond what the tail explains.
 
     One edge cannot hold a tail and a change of light apart, so that a fit of both loses the levels.
     """
-    from scipy.linalg import cho_solve
-
-    for change in changes:
-        free = change - columns @ cho_solve(factor, columns.T @ change)
+    for change in solved.across:
+        free = solved.without(change)
         power = float(free @ free)
-        size, error = abs(float(free @ residual)) / power, math.sqrt(float(residual.var()) / power)
-        if size > LEAST_SHADING * contrast and size > SHADING_ERRORS * error:
+        size, error = abs(float(free @ solved.residual)) / power, math.sqrt(float(solved.residual.var()) / power)
+        if size > LEAST_SHADING * solved.contrast and size > SHADING_ERRORS * error:
             return True
     return False
 
 
-def _check_smooth(
-    along: FloatArray,
-    distance: FloatArray,
-    residual: FloatArray,
-    profile: _Profile,
-    weights: FloatArray,
-    where: str,
-) -> None:
+def _check_smooth(solved: _Solved, where: str) -> None:
     """Raise DataError if parts of the edge are displaced from the curve by more than noise would displace them."""
-    inside = np.abs(distance) < profile.end_px
-    slope = -(profile.slopes(distance[inside]) @ weights)
-    part = np.floor((along[inside] - along.min()) / 4.0).astype(np.intp)
+    inside = np.abs(solved.distance) < solved.profile.end_px
+    along, residual = solved.along[inside], solved.residual[inside]
+    slope = -(solved.profile.slopes(solved.distance[inside]) @ solved.weights)
+    part = np.floor((along - along.min()) / PART_PX).astype(np.intp)
     power = np.bincount(part, slope**2)
+    # Parts at the ends have few pixels.
     seen = power > 0.3 * np.median(power)
-    shift = np.bincount(part, slope * residual[inside])[seen] / power[seen]
-    by_noise = residual.var() / power[seen]
+    shift = np.bincount(part, slope * residual)[seen] / power[seen]
+    by_noise = solved.residual.var() / power[seen]
     rough_px = math.sqrt(max(float(np.mean(shift**2 - by_noise)), 0.0))
     if rough_px > ROUGHEST_PX:
         raise DataError(
@@ -584,20 +646,19 @@ def _meat(columns: FloatArray, residual: FloatArray, used: NDArray[np.bool_]) ->
     return total
 
 
-def _pass_through(
-    fit: _Fit, columns: FloatArray, factor: tuple[FloatArray, bool], distance: FloatArray
-) -> FloatArray:
+def _pass_through(solved: _Solved) -> FloatArray:
     """Return the share that the fit passes of each frequency of a Gaussian edge with the same MTF50."""
     from scipy.linalg import cho_solve
     from scipy.special import ndtr
 
     frequency = FREQUENCY_CYC_PER_PIXEL
-    transforms = fit.profile.transforms(frequency)
-    mtf50 = mtf50_of(frequency, np.abs(transforms @ fit.weights) / fit.contrast) or 1.0
+    transforms = solved.profile.transforms(frequency)
+    mtf50 = mtf50_of(frequency, np.abs(transforms @ solved.weights) / solved.contrast) or 1.0
     sigma_px = math.sqrt(math.log(2.0) / 2.0) / (math.pi * mtf50)
-    solved = cho_solve(factor, columns.T @ ndtr(distance / sigma_px))[: len(fit.weights)]
+    gaussian = ndtr(solved.distance / sigma_px)
+    weights = cho_solve(solved.factor, solved.columns.T @ gaussian)[: len(solved.weights)]
     expected = np.exp(-2.0 * (np.pi * sigma_px * frequency) ** 2)
-    found = np.abs(transforms @ solved) / solved[_Profile.STEP]
+    found = np.abs(transforms @ weights) / weights[_Profile.STEP]
     # Beyond, the Gaussian has too little to compare with.
     known = int(np.flatnonzero(expected > 0.02)[-1])
     share = found[: known + 1] / expected[: known + 1]

@@ -137,7 +137,7 @@ def _mean(recording: Recording, display: Display | None, progress: Callable[[int
             code = np.clip((values - black) / (white - black), 0.0, 1.0)
             channels = code[..., np.newaxis] if code.ndim == 2 else code
             each = [display.luminance(channels[..., k : k + 1]) for k in range(channels.shape[2])]
-            values = np.squeeze(np.stack(each, -1), -1) if len(each) == 1 else np.stack(each, -1)
+            values = each[0] if len(each) == 1 else np.stack(each, -1)
         total = total + values
         n += 1
         if progress is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -27,7 +26,9 @@ from todframes.report.figure_style import (
     label_text,
     new_figure,
     plain_ticks,
+    png_file,
     style,
+    svg_file,
     within,
 )
 from todframes.report.summary import by_curve, size_column
@@ -95,22 +96,17 @@ class ReportFigure(NamedTuple):
         """Return the picture as an SVG file with its title above and its note below."""
         import matplotlib as mpl
 
-        buffer = io.BytesIO()
         with style(), mpl.rc_context({"svg.hashsalt": self.file}):
             figure = self.figure()
             figure.axes[0].set_title(label_text(self.title))
             _add_note(figure, self.note)
-            figure.savefig(buffer, format="svg", metadata={"Date": None})
-        return buffer.getvalue()
+            return svg_file(figure)
 
 
 def save_png(figure: Figure, note: str = "") -> bytes:
     """Return the PNG of a figure with a note below it, inside `style`; the same figure gives the same bytes."""
     _add_note(figure, note)
-    buffer = io.BytesIO()
-    # The metadata has no software version, so the same figure always gives the same bytes.
-    figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
-    return buffer.getvalue()
+    return png_file(figure, dpi=160)
 
 
 def _add_note(figure: Figure, note: str) -> None:
@@ -255,8 +251,10 @@ def draw_field_map(axes: Axes, fits: Sequence[Fit]) -> None:
     room = 72.0 * inches_per_mrad * (steps / FIELD_LABEL_EM).max(axis=1).min()
     points = float(np.clip(room, *FIELD_LABEL_POINTS))
     has = [fit.threshold is not None for fit in fits]
+    # The scale spans the intervals, so that colours differ no more than the thresholds are known.
+    ends = [end for fit in fits if fit.threshold_ci95 is not None for end in fit.threshold_ci95 if end is not None]
     drawn = axes.scatter(
-        places[has, 0], places[has, 1], c=known, s=(3.0 * points) ** 2, norm=colour_scale(np.array(known)),
+        places[has, 0], places[has, 1], c=known, s=(3.0 * points) ** 2, norm=colour_scale(np.array(known + ends)),
         cmap="viridis_r", edgecolors=INK, linewidths=0.8, zorder=2,
         linestyles=["--" if fit.status == "extrapolated" else "-" for fit in fits if fit.threshold is not None],
     )  # fmt: skip

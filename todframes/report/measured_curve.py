@@ -10,7 +10,7 @@ from todframes.base.errors import DataError, SettingsError, argument
 from todframes.field.target import Quantity
 from todframes.field.threshold_curve import Psychometric, RangeWarning, ThresholdCurve, ln_sd_of_interval
 from todframes.report.data import Fit, ResultData
-from todframes.report.wording import group_phrase, unit_of, value_text
+from todframes.report.wording import unit_of, value_text
 
 SIZES = ("object_size_mrad", "size_mrad", "size_detectors")
 """Columns of sizes, the best first. `size_mrad` is as displayed: it is in the field only for the eye itself."""
@@ -28,6 +28,9 @@ NAMELESS = "level"
 
 SHOWN_P = (0.3, 0.97)
 """Proportions correct between which points give the slope of a psychometric function that was not fitted."""
+
+LARGEST_LN_HALVES = 6.0
+"""ln (x/α)^β beyond which an answer says nothing about the curve: 2^−400."""
 
 USUAL_GUESS_RATE = 0.25
 """Guess rate of four orientations."""
@@ -100,7 +103,7 @@ def measured_curve(
 
 def _of_group(fits: Sequence[Fit], where: str, group: dict[str, str]) -> list[Fit]:
     """Return the fits whose other columns have the values of `group`: those of one curve."""
-    others = [name for name in (fits[0].group if fits else ()) if not unit_of(name) and name != "size_px"]
+    others = [name for name in (fits[0].group if fits else ()) if not unit_of(name)]
     for name in group:
         if name not in others:
             known = ", ".join(others) or "none"
@@ -110,10 +113,10 @@ def _of_group(fits: Sequence[Fit], where: str, group: dict[str, str]) -> list[Fi
     chosen = [
         one for one in fits if all(value_text(one.group[name]) == str(value) for name, value in group.items())
     ]
-    curves = {tuple(one.group[name] for name in others): {n: one.group[n] for n in others} for one in chosen}
+    curves = {tuple(one.group[name] for name in others) for one in chosen}
     if len(curves) > 1 or not chosen:
-        all_curves = [{n: one.group[n] for n in others} for one in fits]
-        named = "; ".join(dict.fromkeys(group_phrase(one) for one in all_curves))
+        all_curves = [", ".join(f"{name}={value_text(one.group[name])}" for name in others) for one in fits]
+        named = "; ".join(dict.fromkeys(all_curves))
         raise SettingsError(
             f"{argument.group}: found {len(curves)} curves in {where}, expected a choice of one: {named}"
         )
@@ -184,12 +187,50 @@ def _psychometric(fits: Sequence[Fit]) -> Psychometric | None:
     slopes = [one.beta if one.beta is not None else _slope_of_points(one) for one in fits]
     if not fits or any(one is None for one in slopes):
         return None
+    errors = [_slope_error(one) if one.beta is not None and one.n_trials else (0.0, 0.0) for one in fits]
+    known = [one for one in errors if one is not None]
+    if not known:
+        return None
+    # A slope that the answers leave open has the largest error of the others.
+    open_ended = (max(one[0] for one in known), 0.0)
+    sd, correlation = np.array([open_ended if one is None else one for one in errors]).T
     return Psychometric(
         beta=np.array(slopes, dtype=np.float64),
         lapse_rate=np.array([one.lapse_rate or 0.0 for one in fits]),
+        ln_beta_sd=sd,
+        correlation=correlation,
         guess_rate=USUAL_GUESS_RATE if fits[0].guess_rate is None else fits[0].guess_rate,
         p_correct=fits[0].p_correct,
     )
+
+
+def _slope_error(fit: Fit) -> tuple[float, float] | None:
+    """Return the standard deviation of ln β, and its correlation with that of ln(threshold); None if unknown.
+
+    Their covariance has the form of the inverse Fisher information of answers at the levels shown, for a Weibull
+    function of known guess and lapse rates. It is scaled so that the error of the threshold is that of its
+    interval, which is smaller where proportions are expected ones.
+    """
+    if fit.alpha is None or fit.beta is None:
+        return None
+    guess, lapse = fit.guess_rate or 0.0, fit.lapse_rate or 0.0
+    span = 1.0 - lapse - guess
+    trials = np.array([one.n_trials for one in fit.points], dtype=np.float64)
+    z = fit.beta * np.log([one.level / fit.alpha for one in fit.points])
+    halves = np.exp(np.minimum(z, LARGEST_LN_HALVES))
+    p = 1.0 - lapse - span * np.exp2(-halves)
+    slope = span * np.log(2.0) * halves * np.exp2(-halves)
+    known = trials * slope**2 / np.maximum(p * (1.0 - p), np.finfo(float).tiny)
+    to_parameters = np.stack([np.full(z.size, -fit.beta), z])
+    information = (to_parameters * known) @ to_parameters.T
+    if np.linalg.matrix_rank(information) != 2:
+        return None
+    to_threshold = np.array([[1.0, -np.log(np.log2(span / (1.0 - lapse - fit.p_correct))) / fit.beta], [0.0, 1.0]])
+    covariance = to_threshold @ np.linalg.inv(information) @ to_threshold.T
+    sd = np.sqrt(np.diag(covariance))
+    of_interval = _ln_sd([fit])
+    scale = 1.0 if of_interval is None else float(of_interval.mean()) / sd[0]
+    return float(scale * sd[1]), float(covariance[0, 1] / (sd[0] * sd[1]))
 
 
 def _slope_of_points(fit: Fit) -> float | None:

@@ -72,6 +72,11 @@ class MtfResult(Saving):
         Further curves by name: means of "red", "green", "blue"; "tangential", "sagittal"; or "edge 1", "edge 2".
     edges : tuple of dict
         A record for each edge and colour, as in `edges.csv`.
+    measured : RecordingMtf or None
+        All that was measured, with the profiles of edges; None for a table.
+    is_light : bool
+        Whether a display's luminance was measured.
+    noted : tuple of RecordingWarning
     """
 
     source: str
@@ -367,7 +372,7 @@ def _record(number: int, colour: str, edge: EdgeMtf) -> Json:
         "bend_px": edge.bend_px,
         "dark": edge.dark,
         "bright": edge.bright,
-        "noise_percent": 100.0 * edge.noise_sd / (edge.bright - edge.dark),
+        "noise_percent": 100.0 * edge.relative_noise,
     }
     estimates: dict[str, EdgeValue | None] = {
         "mtf50_cyc_per_pixel": edge.mtf50_cyc_per_pixel,

@@ -159,6 +159,9 @@ class RangeResult(Saving):
                 "The extinction from humidity is that of dstl's RET; in 8–12 µm it is 1.4 to 2 times MODTRAN's, "
                 "so the range is rather longer."
             )
+        distance_m = acquired.target.r46_distance_m
+        if distance_m is not None:
+            found.append(f"By its pixels alone (UN R46), the system shows the target up to {plain(distance_m)} m.")
         if acquired.target.search_time_s is not None:
             found.append(f"With {acquired.target.search_time_s:g} s to search.")
         return found
@@ -217,6 +220,7 @@ class RangeResult(Saving):
                 "p_correct": curve.p_correct,
             },
             "criteria": acquired.criteria,
+            "r46_distance_m": acquired.target.r46_distance_m,
             "ranges": [_record(one) for one in acquired.ranges],
             "probability": [
                 {

@@ -6,12 +6,11 @@ the page's font.
 
 from __future__ import annotations
 
-import io
 import re
 from html import escape
 from typing import TYPE_CHECKING
 
-from todframes.report.figure_style import INK, PAPER
+from todframes.report.figure_style import INK, PAPER, svg_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,10 +49,10 @@ def inline_svg(figure: Figure, *, name: str, label: str) -> str:
     """
     import matplotlib as mpl
 
-    buffer = io.BytesIO()
+    for patch in (figure.patch, *(one.patch for axes in figure.axes for one in (axes, *axes.child_axes))):
+        patch.set(facecolor="none", edgecolor="none")
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
-        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
-    _, _, drawing = buffer.getvalue().decode().partition("<svg")
+        _, _, drawing = svg_file(figure).decode().partition("<svg")
     head, _, body = drawing.partition(">")
     view = re.search(r'viewBox="[^"]*"', head)
     assert view is not None  # matplotlib writes one into each file

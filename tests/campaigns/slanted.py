@@ -1,7 +1,7 @@
 """Bias and coverage of the MTF of slanted edges, over simulated edges of known MTF; minutes.
 
-OPENBLAS_NUM_THREADS=1 python tests/campaigns/edges.py 300   # 300 seeds for each edge, 2 % noise
-python tests/campaigns/edges.py 100 --noise 0.005 --only gaussian
+OPENBLAS_NUM_THREADS=1 python tests/campaigns/slanted.py 300   # 300 seeds for each edge, 2 % noise
+python tests/campaigns/slanted.py 100 --noise 0.005 --only gaussian
 
 The edges are those of tests/edges.py, of 120 x 80 pixels. docs/camera_mtf.md has the figures.
 """
