@@ -6,6 +6,7 @@ from .calls.sweep import sweep as sweep
 from .chain.dataset import Written as Written
 from .chain.sensor import Detector as Detector
 from .chain.sensor import Electronics as Electronics
+from .chain.sensor import Motion as Motion
 from .chain.sensor import Noise as Noise
 from .chain.sensor import Optics as Optics
 from .chain.sensor import PhotonNoise as PhotonNoise

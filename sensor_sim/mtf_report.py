@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.chain.transfer import stages
+from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, stages
 from todframes import __version__
 from todframes.report.data import json_file
 from todframes.report.figure_style import COLOURS, INK
@@ -37,6 +37,8 @@ MTF_NOTE = (
 LINES = {
     "diffraction": (COLOURS[0], "-"),
     "optics_blur": (COLOURS[1], "-"),
+    "measured_optics": (COLOURS[0], "-"),
+    "motion": (COLOURS[6], "-"),
     "detector": (COLOURS[2], "-"),
     "hold": (COLOURS[3], "--"),
     "electronics": (COLOURS[4], "--"),
@@ -137,7 +139,9 @@ class SensorMtf(msgspec.Struct, Saving, frozen=True, kw_only=True):
 
 def sensor_mtf(sensor: Sensor) -> SensorMtf:
     """Compute the transfer of every stage along x, up to the frequency at which optics or display pass nothing."""
-    cut_off, nyquist = sensor.optics.cut_off_cyc_per_mrad, sensor.detector.nyquist_cyc_per_mrad
+    optics = sensor.optics
+    cut_off = optics.cut_off_cyc_per_mrad if optics.is_modelled else band_limit_cyc_per_mrad(optics)
+    nyquist = sensor.detector.nyquist_cyc_per_mrad
     frequency = np.linspace(0.0, min(1.05 * cut_off, 10.0 * nyquist), POINTS)
     return SensorMtf(
         sensor=sensor.name,

@@ -57,9 +57,14 @@ def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[st
         """Return the scene after the optics, averaged over a width at every fine pixel."""
         detector = Detector(pitch_mrad=pitch_mrad, width_mrad=min(width_mrad, pitch_mrad))
         image = sample_image(
-            scene, pixel_pitch_mrad=pitch_mrad, optics=sensor.optics, detector=detector, field_detectors=n_fine
+            scene,
+            pixel_pitch_mrad=pitch_mrad,
+            optics=sensor.optics,
+            detector=detector,
+            field_detectors=n_fine,
+            motion=sensor.motion,
         )
-        if width_mrad <= pitch_mrad:
+        if width_mrad <= pitch_mrad or sensor.optics.mtf_includes_detector:
             return image
         frequency = np.fft.fftfreq(n_fine, pitch_mrad)
         box = np.sinc(frequency * width_mrad)

@@ -76,13 +76,5 @@ def brighter(image, gain=40.0):
     return 0.22 + gain * (image - 0.22)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["naked_eye", "grabbed_8bit", "staring_camera", "enhancement"])
-def test_samples_leave_nothing_open(name: str) -> None:
-    result = tod.score(SAMPLES / name, examples=False)
-    assert result.warnings == ()
-    assert {fit.status for fit in result.fits} == {"ok"}
-
-
 def test_fits_without_points_have_no_levels() -> None:
     assert levels_to_add(tod.naked_eye(size_mrad=1.0).fits) == ()

@@ -161,12 +161,6 @@ def test_good_frames_have_no_warning(changes) -> None:
     assert codes(recorded(**changes)) == set()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["naked_eye", "grabbed_8bit", "staring_camera", "enhancement"])
-def test_samples_have_no_warning(name) -> None:
-    assert codes(tod.load_dataset(SAMPLES / name)) == set()
-
-
 def vignetted(luminance, _number):
     v, u = np.mgrid[:SIDE, :SIDE] / MIDDLE - 1.0
     return luminance * (1.0 - 0.25 * (u * u + v * v))

@@ -23,12 +23,19 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Hashable
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sensor_sim.chain.sensor import Detector, Optics, Sensor
-from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, pre_sample_mtf, sharpness_bound
+from sensor_sim.chain.sensor import Detector, Motion, Optics, Sensor
+from sensor_sim.chain.transfer import (
+    band_limit_cyc_per_mrad,
+    blur_mrad,
+    looks_the_same_when_turned,
+    pre_sample_mtf,
+    sharpness_bound,
+)
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_positive
@@ -53,8 +60,9 @@ FIELD_SIZES, FIELD_MARGIN_DETECTORS, MAX_FIELD_DETECTORS = 4.0, 4, 1024
 class TriangleSampler:
     """Detector samples of triangles of one size, at any place and orientation.
 
-    The spectrum is computed once, for the upright triangle. Detectors and optics look the same after a
-    quarter turn, so the other orientations are turned samples, bit for bit.
+    The spectrum is computed once, for the upright triangle. Where detectors, optics and motion look the same after
+    a quarter turn, the other orientations are turned samples, bit for bit. Otherwise the optics are turned back
+    under the upright triangle, whose samples are then turned.
 
     If the sum would take more than `MAX_FREQUENCIES` terms, the optics are sharp against the detector: they
     are left out, and the samples are the exact area of the triangle on each detector. `neglected_bound` bounds
@@ -71,6 +79,8 @@ class TriangleSampler:
         Detectors along each side of the square field.
     period_detectors : int or None
         Number of detectors after which the scene repeats; at least the field, and by default the field.
+    motion : Motion or None
+        Motion during the exposure.
 
     Attributes
     ----------
@@ -94,6 +104,7 @@ class TriangleSampler:
         size_detectors: float,
         field_detectors: int,
         period_detectors: int | None = None,
+        motion: Motion | None = None,
     ) -> None:
         period = field_detectors if period_detectors is None else period_detectors
         check_positive("size_detectors", size_detectors)
@@ -106,7 +117,7 @@ class TriangleSampler:
         self._size = size_detectors
         self._field = self._whole_field = field_detectors
         self.period = period
-        self._optics, self._detector = optics, detector
+        self._optics, self._detector, self._motion = optics, detector, motion
         self._width = detector.width_mrad / detector.pitch_mrad
         self.neglected_bound = 0.0
         self._waves: dict[int, tuple[ComplexArray, ComplexArray]] = {}
@@ -133,12 +144,12 @@ class TriangleSampler:
     @property
     def key(self) -> Hashable:
         """Everything that the samples depend on."""
-        return self._optics, self._detector, self._size, self._whole_field, self._field, self.period
+        return self._optics, self._detector, self._motion, self._size, self._whole_field, self._field, self.period
 
     @property
     def nbytes(self) -> int:
         """Size of the spectrum in bytes."""
-        return 0 if self.sharp else self._unfolded.nbytes
+        return 0 if self.sharp else self._unfolded.nbytes * (1 if self._is_circular else 5)
 
     def _prepare_spectrum(self, optics: Optics, detector: Detector, last: float) -> None:
         """Compute the spectrum up to `last` cycles per period: [folded x][replica in y, folded y][replica in x].
@@ -146,14 +157,19 @@ class TriangleSampler:
         Real samples need folded x frequencies from 0 to half of the period only. The upright triangle is its own
         mirror image, and its spectrum at −f is conjugate to that at f, so a quarter of the plane is computed.
         """
+        self._is_circular = looks_the_same_when_turned(optics, self._motion)
+        self._turned: dict[int, ComplexArray] = {}
         period, half, end = self.period, self.period // 2, math.floor(last) + 1
         quarter = np.zeros((end + 1, end + 1), dtype=np.complex128)  # the last row and column stay empty
         below_last = np.argwhere(np.hypot(np.arange(end)[:, None], np.arange(end)) < last)
         for part in np.array_split(below_last, len(below_last) // FREQUENCIES_AT_ONCE + 1):
             k_y, k_x = part.T
             fx, fy = k_x / period, k_y / period
-            pitch = detector.pitch_mrad
-            transfer = pre_sample_mtf(fx / pitch, fy / pitch, optics=optics, detector=detector)
+            pitch, transfer = detector.pitch_mrad, np.ones(1)
+            if self._is_circular:
+                transfer = pre_sample_mtf(
+                    fx / pitch, fy / pitch, optics=optics, detector=detector, motion=self._motion
+                ).real
             quarter[k_y, k_x] = transfer * spectrum(fx, fy, size=self._size, orientation=Orientation.UP)
         n_y = math.floor((last + half) / period)
         self._folded_x = np.arange(half + 1)
@@ -164,6 +180,21 @@ class TriangleSampler:
         k_y = (self._replicas_y[:, None] * period + self._folded_y).reshape(-1, 1)
         self._unfolded = quarter[np.minimum(np.abs(k_y), end), np.minimum(np.abs(k_x), end)]
         self._unfolded.imag *= np.sign(k_y)
+        self._frequencies = k_x / period, k_y / period
+
+    def _seen(self, quarter_turns: int) -> ComplexArray:
+        """Return the spectrum of the upright triangle behind optics that are turned back by some quarter turns."""
+        unfolded: ComplexArray = self._unfolded
+        if self._is_circular:
+            return unfolded
+        if quarter_turns not in self._turned:
+            assert self._optics is not None
+            fx, fy = (one / self._detector.pitch_mrad for one in self._frequencies)
+            for _ in range(quarter_turns):
+                fx, fy = -fy, fx
+            transfer = pre_sample_mtf(fx, fy, optics=self._optics, detector=self._detector, motion=self._motion)
+            self._turned[quarter_turns] = np.asarray(unfolded * transfer, dtype=np.complex128)
+        return self._turned[quarter_turns]
 
     def within(self, field_detectors: int) -> TriangleSampler:
         """Return a sampler of a smaller field with the same middle; its samples are the same.
@@ -194,13 +225,15 @@ class TriangleSampler:
         """
         x, y = _upright_place(x_detectors, y_detectors, orientation)
         upright = np.empty((x.size, self._field, self._field))
-        samples_of = self._covered_area if self.sharp else self._band_limited
+        samples_of = self._covered_area
+        if not self.sharp:
+            samples_of = partial(self._band_limited, self._seen(orientation.quarter_turns))
         for start in range(0, x.size, SAMPLED_AT_ONCE):
             part = slice(start, start + SAMPLED_AT_ONCE)
             upright[part] = samples_of(x[part], y[part])
         return np.rot90(upright, -orientation.quarter_turns, axes=(1, 2))
 
-    def _band_limited(self, x: FloatArray, y: FloatArray) -> FloatArray:
+    def _band_limited(self, seen: ComplexArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """Sum the waves of upright triangles at these places: (places, field, field).
 
         Places are counted from the field's first detector, so that all replicas of a frequency are alike there.
@@ -214,7 +247,7 @@ class TriangleSampler:
         waves_y = _outer(
             np.exp(-2j * np.pi * np.outer(self._replicas_y, y)), np.exp(turn * np.outer(self._folded_y, y))
         )
-        replicas_y = (self._unfolded @ waves_x).reshape(-1, *waves_y.shape)
+        replicas_y = (seen @ waves_x).reshape(-1, *waves_y.shape)
         replicas_y *= waves_y
         folded = replicas_y.sum(axis=1)
         on_rows, on_columns = self._on_places(self._field)
@@ -264,7 +297,7 @@ def field_detectors(sensor: Sensor, size_detectors: float) -> int:
         If the size is not a positive number.
     """
     check_positive("size_detectors", size_detectors)
-    blur = 3.0 * sensor.optics.blur_sigma_mrad / sensor.detector.pitch_mrad
+    blur = 3.0 * blur_mrad(sensor.optics, sensor.motion) / sensor.detector.pitch_mrad
     field = FIELD_SIZES * size_detectors + 2.0 * blur + FIELD_MARGIN_DETECTORS
     if field > MAX_FIELD_DETECTORS:
         room = MAX_FIELD_DETECTORS - FIELD_MARGIN_DETECTORS
@@ -300,6 +333,7 @@ def field_sampler(sensor: Sensor, size_detectors: float) -> TriangleSampler:
         size_detectors=size_detectors,
         field_detectors=field,
         period_detectors=2 * field,
+        motion=sensor.motion,
     )
 
 
@@ -340,6 +374,7 @@ def sample_image(
     field_detectors: int,
     x_detectors: float = 0.0,
     y_detectors: float = 0.0,
+    motion: Motion | None = None,
 ) -> FloatArray:
     """Compute the detector samples of any scene, by FFT.
 
@@ -357,6 +392,7 @@ def sample_image(
         Detectors along each side of the square field.
     x_detectors, y_detectors : float
         Place of the image's middle, in detectors from the middle of the field.
+    motion : Motion or None
 
     Returns
     -------
@@ -389,9 +425,14 @@ def sample_image(
     k_y = np.arange(-math.floor(highest * sides[0]), math.floor(highest * sides[0]) + 1)
     k_x = np.arange(math.floor(highest * sides[1]) + 1)
     transfer = pre_sample_mtf(
-        k_x / (n_x * pixel_pitch_mrad), k_y[:, None] / (n_y * pixel_pitch_mrad), optics=optics, detector=detector
+        k_x / (n_x * pixel_pitch_mrad),
+        k_y[:, None] / (n_y * pixel_pitch_mrad),
+        optics=optics,
+        detector=detector,
+        motion=motion,
     )
-    transfer *= np.sinc(k_x / n_x) * np.sinc(k_y / n_y)[:, None] * np.where(k_x == 0, 1.0, 2.0)
+    shape_of_pixel = np.sinc(k_x / n_x) * np.sinc(k_y / n_y)[:, None] * np.where(k_x == 0, 1.0, 2.0)
+    transfer = transfer * shape_of_pixel
     scene = np.fft.fft2(image)[np.ix_(k_y % n_y, k_x % n_x)] / image.size
     waves_y = np.exp(2j * np.pi / n_y * np.outer(from_corner[0] - 0.5, k_y))
     waves_x = np.exp(2j * np.pi / n_x * np.outer(from_corner[1] - 0.5, k_x))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from todframes.base.errors import SettingsError
+from sensor_sim.chain.measured import MeasuredMtf, MeasuredPsf, read_measured_mtf, read_measured_psf
+from todframes.base.errors import SettingsError, TodframesError
 from todframes.base.reading import check_keys, check_values, from_table, read_toml, toml_text
 
 SCHEMA = 1
@@ -20,6 +21,9 @@ LARGEST = 1e12
 
 MAX_PIXELS = 1000
 """Largest width of a detector or a standard deviation of the blur, in display pixels."""
+
+MAX_DEFOCUS_WAVES = 20.0
+"""Largest defocus; beyond it the transfer oscillates faster than its table."""
 
 Distribution = Literal["uniform", "gaussian"]
 Positive = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)]
@@ -46,6 +50,20 @@ class Optics:
         Both > 0. The focal length turns lengths on the chip into angles.
     transmission : float
         Share of the light that the lens passes, above 0 and at most 1. It matters to photons only.
+    obscuration_ratio : float
+        Diameter of a central obscuration over that of the aperture, >= 0 and below 1.
+    defocus_waves : float
+        Wavefront error of defocus at the rim of the aperture, in wavelengths, >= 0.
+    mtf : MeasuredMtf or None
+        Measured MTF in place of diffraction, blur, obscuration and defocus.
+    mtf_includes_detector : bool
+        Whether the measured MTF holds the detector's active width too, as that of a whole camera does.
+    psf : MeasuredPsf or None
+        Image of a point in their place, with one of the next two.
+    psf_pitch_um, psf_pitch_mrad : float or None
+        Distance of its samples on the chip, or as an angle.
+    measured_units : float
+        Units of the table's frequencies, or cycles per sample of the PSF, in a cycle/mrad; a `Sensor` sets it.
 
     Raises
     ------
@@ -59,8 +77,17 @@ class Optics:
     f_number: OptionalPositive = None
     focal_length_mm: OptionalPositive = None
     transmission: Share = 1.0
+    obscuration_ratio: Annotated[float, Meta(ge=0.0, le=0.99)] = 0.0
+    defocus_waves: Annotated[float, Meta(ge=0.0, le=MAX_DEFOCUS_WAVES)] = 0.0
+    mtf: MeasuredMtf | None = None
+    mtf_includes_detector: bool = False
+    psf: MeasuredPsf | None = None
+    psf_pitch_um: OptionalPositive = None
+    psf_pitch_mrad: OptionalPositive = None
+    measured_units: Positive = 1.0
 
     def __post_init__(self) -> None:
+        self._check_measured()
         if self.f_number is not None:
             if self.focal_length_mm is None:
                 raise SettingsError("focal_length_mm is missing: the aperture is focal_length_mm / f_number")
@@ -69,6 +96,49 @@ class Optics:
         elif self.aperture_mm is FOLLOWS:
             raise SettingsError("aperture_mm is missing")
         check_values(self)
+
+    def _check_measured(self) -> None:
+        given = [name for name in ("mtf", "psf") if getattr(self, name) is not None]
+        if given:
+            modelled = ("blur_sigma_mrad", "obscuration_ratio", "defocus_waves")
+            others = [name for name in modelled if getattr(self, name) != 0.0]
+            if len(given + others) > 1:
+                raise SettingsError(f"found {' and '.join(given + others)}, expected one: a measured one has all")
+        pitches = (self.psf_pitch_um, self.psf_pitch_mrad)
+        if (self.psf is None) != (pitches == (None, None)) or None not in pitches:
+            raise SettingsError(
+                "psf: expected it with psf_pitch_um or psf_pitch_mrad, the distance of its samples"
+            )
+        if self.mtf_includes_detector and self.mtf is None:
+            raise SettingsError("mtf_includes_detector: found true without mtf, expected a measured one")
+
+    def before(self, detector: Detector) -> Optics:
+        """Return the optics with the unit of their measured frequencies, which detector and focal length give.
+
+        Raises
+        ------
+        SettingsError
+            If there is no focal length for lengths on the chip.
+        """
+        on_chip = (self.mtf is not None and self.mtf.unit == "cyc_per_mm") or self.psf_pitch_um is not None
+        if on_chip and self.focal_length_mm is None:
+            name = "mtf in cycles/mm" if self.mtf is not None else "psf_pitch_um"
+            raise SettingsError(f"optics.focal_length_mm is missing: {name} needs it for its angle")
+        units = 1.0
+        if self.psf_pitch_mrad is not None:
+            units = self.psf_pitch_mrad
+        elif self.focal_length_mm is not None and self.psf_pitch_um is not None:
+            units = self.psf_pitch_um / self.focal_length_mm
+        elif self.focal_length_mm is not None and self.mtf is not None and self.mtf.unit == "cyc_per_mm":
+            units = 1000.0 / self.focal_length_mm
+        elif self.mtf is not None and self.mtf.unit == "cyc_per_pixel":
+            units = detector.pitch_mrad
+        return self if units == self.measured_units else replace(self, measured_units=units)
+
+    @property
+    def is_modelled(self) -> bool:
+        """Whether the transfer is that of a model, and not measured."""
+        return self.mtf is None and self.psf is None
 
     @property
     def cut_off_cyc_per_mrad(self) -> float:
@@ -295,6 +365,30 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """Motion of the camera during the exposure of a frame.
+
+    Attributes
+    ----------
+    smear_mrad : float
+        Length of an even motion along x, >= 0.
+    jitter_sigma_mrad : float
+        Standard deviation of a random motion, the same along x and y, >= 0.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range.
+    """
+
+    smear_mrad: NotNegative = 0.0
+    jitter_sigma_mrad: NotNegative = 0.0
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Electronics:
     """Gaussian blur of the electronics; if the file has no such table, there is none.
 
@@ -379,9 +473,11 @@ class Sensor:
     name: str = "unnamed"
     photons: PhotonNoise | None = None
     scene: Scene | None = None
+    motion: Motion | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "detector", self.detector.behind(self.optics))
+        object.__setattr__(self, "optics", self.optics.before(self.detector))
         if self.photons is None:
             if self.scene is not None:
                 raise SettingsError('scene: found a table [scene], expected [noise] with model = "photon" too')
@@ -404,6 +500,7 @@ class Sensor:
 
 TABLES = {
     "optics": Optics,
+    "motion": Motion,
     "detector": Detector,
     "scene": Scene,
     "noise": Noise,
@@ -432,7 +529,7 @@ def load_sensor(path: Path | str) -> Sensor:
         If it cannot be read or is not TOML, or a table or key is unknown, missing or out of its range; the
         message names the file, table and key, the value found and the values expected.
     """
-    return sensor_from(read_toml(Path(path)), str(path))
+    return sensor_from(read_toml(Path(path)), str(path), folder=Path(path).parent)
 
 
 def sensor_of(sensor: Sensor | Path | str) -> Sensor:
@@ -440,8 +537,8 @@ def sensor_of(sensor: Sensor | Path | str) -> Sensor:
     return sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
 
 
-def sensor_from(content: Mapping[str, Any], where: str) -> Sensor:
-    """Return the checked settings of the tables of a `SENSOR.toml`.
+def sensor_from(content: Mapping[str, Any], where: str, *, folder: Path | None = None) -> Sensor:
+    """Return the checked settings of the tables of a `SENSOR.toml`, whose measured files are in a folder.
 
     Raises
     ------
@@ -469,13 +566,34 @@ def sensor_from(content: Mapping[str, Any], where: str) -> Sensor:
             if table == "noise" and "model" in content[table]:
                 parts["photons"] = _photons(content[table], place)
             else:
-                parts[table] = from_table(content[table], kind, place)
+                values = _with_measured(content[table], place, folder) if table == "optics" else content[table]
+                parts[table] = from_table(values, kind, place)
         elif table in _REQUIRED_TABLES:
             raise SettingsError(f"{where}: table [{table}] is missing")
     try:
         return Sensor(name=name, **parts)
     except SettingsError as error:
         raise SettingsError(f"{where}: {error}") from None
+
+
+def _with_measured(table: Mapping[str, Any], where: str, folder: Path | None) -> dict[str, Any]:
+    """Return the table [optics] with the content of the files that it names."""
+    values = dict(table)
+    if "measured_units" in values:
+        raise SettingsError(f"{where}: unknown key 'measured_units'")
+    for name, read in (("mtf", read_measured_mtf), ("psf", read_measured_psf)):
+        file = values.get(name)
+        if file is None:
+            continue
+        if not isinstance(file, str):
+            raise SettingsError(f"{where}: {name}: found {file!r}, expected the name of a file")
+        if folder is None:
+            raise SettingsError(f"{where}: {name}: found {file!r}, but files are not read here; expected none")
+        try:
+            values[name] = read(file, folder)
+        except TodframesError as error:
+            raise SettingsError(f"{where}: {error}") from None
+    return values
 
 
 def _photons(table: Mapping[str, Any], where: str) -> Any:
@@ -506,7 +624,9 @@ def used_keys(sensor: Sensor) -> dict[str, list[str]]:
 def _followers(part: object) -> tuple[str, ...]:
     """Return the names of settings that follow from others of the same table, or are of no use with them."""
     if isinstance(part, Optics):
-        return ("aperture_mm",) if part.f_number is not None else ("f_number",)
+        of_aperture = "aperture_mm" if part.f_number is not None else "f_number"
+        measured = () if part.is_modelled else ("blur_sigma_mrad", "obscuration_ratio", "defocus_waves")
+        return ("measured_units", of_aperture, *measured)
     if isinstance(part, Detector):
         return ("pitch_mrad", "width_mrad") if part.pitch_um is not None else ("pitch_um", "width_um")
     if isinstance(part, Scene):
@@ -519,7 +639,7 @@ def sensor_tables(sensor: Sensor) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for table, names in used_keys(sensor).items():
         part = part_of(table, sensor)
-        values = asdict(getattr(sensor, part))
+        values = {name: _plain(getattr(getattr(sensor, part), name)) for name in names}
         model = {"model": "photon"} if part == "photons" else {}
         found[table] = model | {name: values[name] for name in names if not _is_left_out(name, values[name])}
     return found
@@ -536,7 +656,16 @@ def _is_left_out(name: str, value: object) -> bool:
 
     `netd_mk` is null in results where it is not known.
     """
-    return (value is None and name != "netd_mk") or (name == "transmission" and value == 1.0)
+    return (value is None and name != "netd_mk") or _NOTHING.get(name, ()) == value
+
+
+_NOTHING = {"transmission": 1.0, "obscuration_ratio": 0.0, "defocus_waves": 0.0, "mtf_includes_detector": False}
+"""Values of keys that change nothing, so that they are left out."""
+
+
+def _plain(value: Any) -> Any:
+    """Return a setting as a `SENSOR.toml` has it: a file by its name."""
+    return value.file if isinstance(value, MeasuredMtf | MeasuredPsf) else value
 
 
 def sensor_toml(sensor: Sensor) -> str:

@@ -10,12 +10,14 @@ would not be circularly symmetric (Hogervorst et al. 2001, section 3).
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sensor_sim.chain.sensor import Detector, Optics, Sensor
-from todframes.base._typing import FloatArray
+from sensor_sim.chain.sensor import Detector, Motion, Optics, Sensor
+from todframes.base._typing import ComplexArray, FloatArray
 
 
 def diffraction_mtf(frequency_cyc_per_mrad: ArrayLike, *, wavelength_um: float, aperture_mm: float) -> FloatArray:
@@ -81,21 +83,135 @@ def box_mtf(frequency: ArrayLike, *, width: float) -> FloatArray:
     return np.sinc(width * np.asarray(frequency, dtype=np.float64))
 
 
+DEFOCUS_NODES, DEFOCUS_FREQUENCIES = 96, 2049
+"""Nodes of each part of the integral over a defocused aperture, and frequencies at which it is tabulated."""
+
+
+def obscured_mtf(relative_frequency: ArrayLike, *, obscuration_ratio: float) -> FloatArray:
+    """Return the modulation transfer of an annular aperture at a frequency over the cut-off.
+
+    It is the area that two annuli of outer radius 1 have in common at the distance 2x, over that of one: the areas
+    that the outer discs, the inner discs, and an outer and an inner one have in common.
+
+    O'Neill, J. Opt. Soc. Am. 46 (1956) 285.
+    """
+    x, ratio = np.abs(np.asarray(relative_frequency, dtype=np.float64)), obscuration_ratio
+
+    def of_disc(of_cut_off: FloatArray) -> FloatArray:
+        return diffraction_mtf(of_cut_off, wavelength_um=1.0, aperture_mm=1.0)
+
+    distance = np.clip(2.0 * x, 1.0 - ratio, 1.0 + ratio)  # one disc in the other, and discs apart
+    outer = np.arccos(np.clip((distance**2 + 1.0 - ratio**2) / (2.0 * distance), -1.0, 1.0))
+    inner = np.arccos(np.clip((distance**2 + ratio**2 - 1.0) / (2.0 * distance * ratio), -1.0, 1.0))
+    in_common = (outer + ratio**2 * inner - distance * np.sin(outer)) / np.pi
+    found = of_disc(x) - 2.0 * in_common + ratio**2 * of_disc(x / ratio)
+    return np.asarray(np.where(x < 1.0, found / (1.0 - ratio**2), 0.0))
+
+
+@lru_cache(maxsize=64)
+def _defocused(obscuration_ratio: float, defocus_waves: float) -> Any:
+    """Return the transfer of a defocused, perhaps annular aperture as a cubic spline over [0, 1].
+
+    At the frequency s over the cut-off, the path difference across two apertures that are displaced by ±s is
+    4·W·s·x, so that the transfer is the mean of cos(8πWsx) over what they have in common. Between the places where
+    its height has a root, sin(θ) for x takes the roots away.
+    """
+    from scipy.interpolate import CubicSpline
+
+    ratio = obscuration_ratio
+    angle, weight = np.polynomial.legendre.leggauss(DEFOCUS_NODES)
+    angle, weight = angle * np.pi / 2.0, weight * np.pi / 2.0
+    frequency = np.linspace(0.0, 1.0, DEFOCUS_FREQUENCIES)
+    last = 1.0 - frequency
+    ends = [
+        np.zeros_like(last),
+        *(np.clip(one, 0.0, last) for one in (np.abs(frequency - ratio), frequency + ratio)),
+    ]
+    total = np.zeros_like(last)
+    for low, high in zip(ends, [*ends[1:], last], strict=True):
+        half = ((high - low) / 2.0)[:, None]
+        x = (low + high)[:, None] / 2.0 + half * np.sin(angle)
+        outer = np.sqrt(np.maximum(1.0 - (x + frequency[:, None]) ** 2, 0.0))
+        inner = np.sqrt(np.maximum(ratio**2 - (x - frequency[:, None]) ** 2, 0.0))
+        height = np.maximum(outer - np.minimum(inner, outer), 0.0)
+        wave = np.cos(8.0 * np.pi * defocus_waves * frequency[:, None] * x)
+        total += 4.0 * ((height * wave) * half * np.cos(angle)) @ weight
+    return CubicSpline(frequency, total / (np.pi * (1.0 - ratio**2)))
+
+
+def aperture_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) -> FloatArray:
+    """Return the transfer of the aperture: diffraction, obscuration and defocus, which may make it negative."""
+    if optics.defocus_waves == 0.0 and optics.obscuration_ratio == 0.0:
+        return diffraction_mtf(
+            radial_frequency_cyc_per_mrad, wavelength_um=optics.wavelength_um, aperture_mm=optics.aperture_mm
+        )
+    relative = np.abs(np.asarray(radial_frequency_cyc_per_mrad, dtype=np.float64)) / optics.cut_off_cyc_per_mrad
+    if optics.defocus_waves == 0.0:
+        return obscured_mtf(relative, obscuration_ratio=optics.obscuration_ratio)
+    curve = _defocused(optics.obscuration_ratio, optics.defocus_waves)
+    return np.asarray(np.where(relative < 1.0, curve(np.minimum(relative, 1.0)), 0.0))
+
+
 def optics_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) -> FloatArray:
-    """Return diffraction × Gaussian blur, in the shape of the frequency; exactly 0 at and beyond the cut-off.
+    """Return aperture × Gaussian blur, in the shape of the frequency; exactly 0 at and beyond the cut-off.
 
     Hogervorst et al. 2001, section 3.1.
     """
-    diffraction = diffraction_mtf(
-        radial_frequency_cyc_per_mrad, wavelength_um=optics.wavelength_um, aperture_mm=optics.aperture_mm
-    )
+    aperture = aperture_mtf(radial_frequency_cyc_per_mrad, optics=optics)
     if optics.blur_sigma_mrad == 0.0:
-        return diffraction
-    return diffraction * gaussian_mtf(radial_frequency_cyc_per_mrad, sigma=optics.blur_sigma_mrad)
+        return aperture
+    return aperture * gaussian_mtf(radial_frequency_cyc_per_mrad, sigma=optics.blur_sigma_mrad)
+
+
+def optics_otf(
+    frequency_x_cyc_per_mrad: ArrayLike, frequency_y_cyc_per_mrad: ArrayLike, *, optics: Optics
+) -> FloatArray | ComplexArray:
+    """Return the transfer of the optics, modelled or measured, at frequencies that broadcast against each other.
+
+    It is complex for a measured PSF, whose image may be on one side.
+    """
+    fx, fy = (np.asarray(one, float) for one in (frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad))
+    if optics.mtf is not None:
+        return optics.mtf.at(fx * optics.measured_units, fy * optics.measured_units)
+    if optics.psf is not None:
+        return optics.psf.at(fx * optics.measured_units, fy * optics.measured_units)
+    return optics_mtf(np.hypot(fx, fy), optics=optics)
+
+
+def looks_the_same_when_turned(optics: Optics, motion: Motion | None) -> bool:
+    """Return whether the transfer before sampling is the same in all directions."""
+    smear = 0.0 if motion is None else motion.smear_mrad
+    return optics.psf is None and (optics.mtf is None or optics.mtf.is_radial) and smear == 0.0
+
+
+def blur_mrad(optics: Optics, motion: Motion | None) -> float:
+    """Return the standard deviation of the blur on top of diffraction: how far light strays from its place.
+
+    For measured optics, and those with a defocus, it is that of the Gaussian with the same frequency of half
+    transfer.
+    """
+    of_motion = (
+        0.0 if motion is None else math.hypot(motion.smear_mrad / math.sqrt(12.0), motion.jitter_sigma_mrad)
+    )
+    if optics.is_modelled and optics.defocus_waves == 0.0:
+        return math.hypot(optics.blur_sigma_mrad, of_motion) if of_motion else optics.blur_sigma_mrad
+    frequency = np.linspace(0.0, band_limit_cyc_per_mrad(optics), BLUR_FREQUENCIES)
+    transfer = np.minimum(*(np.abs(optics_otf(*along, optics=optics)).ravel() for along in
+                            ((frequency, np.zeros(1)), (np.zeros(1), frequency))))  # fmt: skip
+    half = frequency[int(np.argmax(transfer < 0.5))] if transfer.min() < 0.5 else frequency[-1]
+    return math.hypot(math.sqrt(math.log(2.0) / 2.0) / (math.pi * half), of_motion)
+
+
+BLUR_FREQUENCIES = 512
+"""Frequencies at which the blur of measured optics is looked for."""
 
 
 def band_limit_cyc_per_mrad(optics: Optics) -> float:
-    """Return the end of the optics' transfer: the cut-off, or the frequency with a Gaussian below 1e-17."""
+    """Return the end of the optics' transfer: the cut-off, the end of a table, or a Gaussian below 1e-17."""
+    if optics.mtf is not None:
+        return optics.mtf.frequency[-1] / optics.measured_units
+    if optics.psf is not None:
+        return optics.psf.band_limit_cyc_per_sample / optics.measured_units
     if optics.blur_sigma_mrad == 0.0:
         return optics.cut_off_cyc_per_mrad
     return min(optics.cut_off_cyc_per_mrad, 1.42 / optics.blur_sigma_mrad)
@@ -106,24 +222,50 @@ def sharpness_bound(optics: Optics, *, width_mrad: float) -> float:
 
     Moving the scene by u changes it by at most (|u_x| + |u_y|)/width, and by at most 1. The mean of that over
     the Gaussian is 2√(2/π)·σ/width. Over the Airy pattern, whose energy beyond r is J₀² + J₁² at πcr, c the
-    cut-off, it is at most √2/v · (1 + 2/π·ln(1 + v)) with v = πc·width.
+    cut-off, it is at most √2/v · (1 + 2/π·ln(1 + v)) with v = πc·width. For measured optics, an obscuration or
+    defocus there is no bound.
     """
+    if not optics.is_modelled or optics.obscuration_ratio > 0.0 or optics.defocus_waves > 0.0:
+        return math.inf
     v = np.pi * optics.cut_off_cyc_per_mrad * width_mrad
     of_blur = math.sqrt(8.0 / math.pi) * optics.blur_sigma_mrad / width_mrad
     return of_blur + math.sqrt(2.0) / v * (1.0 + 2.0 / math.pi * math.log1p(v))
 
 
 def pre_sample_mtf(
-    frequency_x_cyc_per_mrad: ArrayLike, frequency_y_cyc_per_mrad: ArrayLike, *, optics: Optics, detector: Detector
-) -> FloatArray:
-    """Return optics × detector at frequencies that broadcast against each other, in the broadcast shape.
+    frequency_x_cyc_per_mrad: ArrayLike,
+    frequency_y_cyc_per_mrad: ArrayLike,
+    *,
+    optics: Optics,
+    detector: Detector,
+    motion: Motion | None = None,
+) -> FloatArray | ComplexArray:
+    """Return optics × motion × detector at frequencies that broadcast against each other, in the broadcast shape.
+
+    It is complex for a measured PSF. A measured MTF that includes the detector has its active width.
 
     Hogervorst et al. 2001, section 3.6.
     """
+    found: FloatArray | ComplexArray
+    found = optics_otf(frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad, optics=optics)
+    others: list[FloatArray] = []
+    if motion is not None:
+        others.append(motion_mtf(frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad, motion=motion))
+    if not optics.mtf_includes_detector:
+        others.append(box_mtf(frequency_x_cyc_per_mrad, width=detector.width_mrad))
+        others.append(box_mtf(frequency_y_cyc_per_mrad, width=detector.width_mrad))
+    for stage in others:
+        found = found * stage
+    return found
+
+
+def motion_mtf(
+    frequency_x_cyc_per_mrad: ArrayLike, frequency_y_cyc_per_mrad: ArrayLike, *, motion: Motion
+) -> FloatArray:
+    """Return the transfer of an even motion along x and of a random one, in the broadcast shape."""
     radial = np.hypot(frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad)
-    along_x = box_mtf(frequency_x_cyc_per_mrad, width=detector.width_mrad)
-    along_y = box_mtf(frequency_y_cyc_per_mrad, width=detector.width_mrad)
-    return np.asarray(optics_mtf(radial, optics=optics) * along_x * along_y)
+    smear = box_mtf(frequency_x_cyc_per_mrad, width=motion.smear_mrad)
+    return np.asarray(smear * gaussian_mtf(radial, sigma=motion.jitter_sigma_mrad))
 
 
 def post_sample_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor) -> FloatArray:
@@ -148,23 +290,32 @@ def stages(frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor) -> dict[str, Fl
     Returns
     -------
     dict of ndarray
-        "diffraction", "optics_blur", "detector", "hold", "electronics", "display", then "pre_sample"
-        (the first three) and "post_sample" (electronics and display).
+        "diffraction" (with obscuration and defocus) and "optics_blur", or "measured_optics", "motion" if there is
+        some, "detector" unless a measured MTF includes it, "hold", "electronics", "display", then "pre_sample"
+        (those before "hold") and "post_sample" (electronics and display).
 
     Hogervorst et al. 2001, section 3.
     """
     frequency = np.asarray(frequency_cyc_per_mrad, dtype=np.float64)
-    optics, detector = sensor.optics, sensor.detector
+    optics, detector, along_y = sensor.optics, sensor.detector, np.zeros_like(frequency)
     cyc_per_px = frequency * detector.pitch_mrad / sensor.display.pixels_per_detector
+    if optics.is_modelled:
+        of_optics = {
+            "diffraction": aperture_mtf(frequency, optics=optics),
+            "optics_blur": gaussian_mtf(frequency, sigma=optics.blur_sigma_mrad),
+        }
+    else:
+        of_optics = {"measured_optics": np.abs(optics_otf(frequency, along_y, optics=optics))}
+    if sensor.motion is not None:
+        of_optics["motion"] = motion_mtf(frequency, along_y, motion=sensor.motion)
+    if not optics.mtf_includes_detector:
+        of_optics["detector"] = box_mtf(frequency, width=detector.width_mrad)
+    presample = pre_sample_mtf(frequency, along_y, optics=optics, detector=detector, motion=sensor.motion)
     return {
-        "diffraction": diffraction_mtf(
-            frequency, wavelength_um=optics.wavelength_um, aperture_mm=optics.aperture_mm
-        ),
-        "optics_blur": gaussian_mtf(frequency, sigma=optics.blur_sigma_mrad),
-        "detector": box_mtf(frequency, width=detector.width_mrad),
+        **of_optics,
         "hold": box_mtf(frequency, width=detector.pitch_mrad),
         "electronics": gaussian_mtf(cyc_per_px, sigma=sensor.electronics.blur_sigma_px),
         "display": gaussian_mtf(cyc_per_px, sigma=sensor.display.blur_sigma_px),
-        "pre_sample": pre_sample_mtf(frequency, np.zeros_like(frequency), optics=optics, detector=detector),
+        "pre_sample": np.abs(presample) if np.iscomplexobj(presample) else np.asarray(presample.real),
         "post_sample": post_sample_mtf(frequency, sensor=sensor),
     }

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from sensor_sim.chain.sampling import TriangleSampler, field_detectors, smallest_field
 from sensor_sim.chain.sensor import Sensor
+from sensor_sim.chain.transfer import blur_mrad, looks_the_same_when_turned
 from sensor_sim.thresholds.curve_plan import CurvePlan, centre_offset
 from sensor_sim.thresholds.folding import Folding, is_unblurred
 from sensor_sim.thresholds.predict import (
@@ -79,7 +80,7 @@ def corrected(found: PooledThreshold, reference: Reference | None) -> tuple[floa
 
 def quick_field(sensor: Sensor, size_detectors: float) -> int:
     """Return the detectors along each side of the field of an estimate."""
-    blur = 6.0 * sensor.optics.blur_sigma_mrad / sensor.detector.pitch_mrad
+    blur = 6.0 * blur_mrad(sensor.optics, sensor.motion) / sensor.detector.pitch_mrad
     post_sample_px = math.hypot(sensor.display.blur_sigma_px, sensor.electronics.blur_sigma_px)
     blur += 4.0 * post_sample_px / sensor.display.pixels_per_detector
     full = field_detectors(sensor, size_detectors)
@@ -105,14 +106,16 @@ def quick_plan(
     """Return a plan that leaves out, without a test, what most plans leave out: the far field and double
     precision."""
     field = quick_field(sensor, size_detectors)
+    is_circular = looks_the_same_when_turned(sensor.optics, sensor.motion)
     sampler = shared.samplers.get(
-        ("quick", sensor.optics, sensor.detector, size_detectors, field),
+        ("quick", sensor.optics, sensor.motion, sensor.detector, size_detectors, field),
         lambda: TriangleSampler(
             optics=sensor.optics,
             detector=sensor.detector,
             size_detectors=size_detectors,
             field_detectors=field,
             period_detectors=2 * field,
+            motion=sensor.motion,
         ),
     )
     return CurvePlan(
@@ -120,7 +123,7 @@ def quick_plan(
         field=field,
         sampler=sampler,
         dtype=np.float32,
-        orientations=ORIENTATIONS[:1] if symmetric else ORIENTATIONS,
+        orientations=ORIENTATIONS[:1] if symmetric and is_circular else ORIENTATIONS,
         three_templates=True,
         merge_pixels=is_unblurred(sensor),
         shared=shared,

@@ -310,7 +310,7 @@ def _order(unique: Sequence[tuple[Sensor, Changes]]) -> list[int]:
     places = []
     observers: dict[Changes, int] = {}
     for number, (sensor, changes) in enumerate(unique):
-        sampled = before.setdefault((sensor.optics, sensor.detector), len(before))
+        sampled = before.setdefault((sensor.optics, sensor.motion, sensor.detector), len(before))
         # Displays that differ in gain alone, and observers in noise alone, share weights and stay neighbours.
         weighed = behind.setdefault((replace(sensor.display, gain=1.0), sensor.electronics), len(behind))
         observer = observers.setdefault(changes, len(observers))

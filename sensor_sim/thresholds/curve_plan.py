@@ -19,12 +19,13 @@ from numpy.typing import DTypeLike, NDArray
 from sensor_sim.chain.photons import contrast_variance
 from sensor_sim.chain.sampling import TriangleSampler, field_detectors, field_sampler, smallest_field
 from sensor_sim.chain.sensor import Sensor
+from sensor_sim.chain.transfer import blur_mrad, looks_the_same_when_turned
 from sensor_sim.thresholds.folding import Folding, is_unblurred
 from sensor_sim.thresholds.sharing import NOTHING, Shared
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.observers.decision import answer_probability
-from todframes.observers.interface import Observer, Readout, TruncatedObserver
+from todframes.observers.interface import Observer, Readout, TruncatedObserver, omitted_part
 from todframes.psychometrics.threshold_search import crossing
 from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change, total_bound
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, bounding_box_offset
@@ -39,6 +40,9 @@ TRIED_AT = ((0.0, 0.0), (0.5, 0.5), (0.25, -0.375))
 """Places, in detectors from the field's middle, at which the omissions are bounded."""
 
 FIELDS_IN_SIZES = (2.0, 2.5, 3.0)
+
+LEAST_END_MTF = 1e-3
+"""MTF at the end of a table below which nothing beyond it matters."""
 
 LARGEST_SHARE = 0.6
 """Largest share of the budget that one omission may take."""
@@ -227,7 +231,8 @@ def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared:
         observer=observer,
         field=detectors,
         sampler=shared.samplers.get(
-            (sensor.optics, sensor.detector, size_detectors), lambda: field_sampler(sensor, size_detectors)
+            (sensor.optics, sensor.motion, sensor.detector, size_detectors),
+            lambda: field_sampler(sensor, size_detectors),
         ),
         fewest_places=FULL_PLACES,
         steps=(Step("everything", True, f"as {argument.plan} full asks; the field is {detectors} detectors"),),
@@ -388,7 +393,15 @@ class _CurvePlanner:
         plan, period = self._period(plan)
         plan, precision = self._precision(plan)
         plan, identities = self._identities(plan)
-        steps = (*levels, self._optics(self.full), field_step, *period, precision, *identities)
+        steps = (
+            *levels,
+            self._optics(self.full),
+            *self._beyond_table(),
+            field_step,
+            *period,
+            precision,
+            *identities,
+        )
         near = (self.level, self.slope) if math.isfinite(self.level) else (None, math.nan)
         return replace(plan, steps=steps, near_level=near[0], slope=near[1], unit_s=self.unit_s)
 
@@ -409,7 +422,7 @@ class _CurvePlanner:
         return self.levels_bound is not None and self.levels_bound <= LARGEST_SHARE * self.budget
 
     def _levels(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
-        bound, stage, side = self.levels_bound, "pyramid levels", self.readout.grid.side
+        bound, stage, side = self.levels_bound, omitted_part(self.observer), self.readout.grid.side
         if bound is None:
             return plan, ()
         if self._affordable(bound):
@@ -426,9 +439,28 @@ class _CurvePlanner:
         why = "too sharp against the detectors for their frequencies to be counted"
         return Step("optics", False, why, self.bound(change) / SAFETY)
 
+    def _beyond_table(self) -> Sequence[Step]:
+        """Bound what may lie beyond the end of a measured MTF: it is continued there, and falls as 1/frequency."""
+        optics = self.sensor.optics
+        if optics.mtf is None or optics.mtf.end_mtf < LEAST_END_MTF:
+            return ()
+        continued = replace(optics, mtf=optics.mtf.continued())
+        sampler = TriangleSampler(
+            optics=continued,
+            detector=self.sensor.detector,
+            size_detectors=self.size,
+            field_detectors=self.full.field,
+            period_detectors=self.full.sampler.period,
+            motion=self.sensor.motion,
+        )
+        samples, _ = self._samples(sampler)
+        bound = self.bound(self._scores(self.weights, samples - self.samples))
+        why = f"the table ends at an MTF of {optics.mtf.end_mtf:.2g}"
+        return [Step("MTF beyond its table", False, why, bound)]
+
     def _field(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
         full, stage = plan.field, "field"
-        blur = self.sensor.optics.blur_sigma_mrad / self.sensor.detector.pitch_mrad
+        blur = blur_mrad(self.sensor.optics, self.sensor.motion) / self.sensor.detector.pitch_mrad
         for sizes in FIELDS_IN_SIZES:
             side = max(math.ceil(sizes * self.size + 6.0 * blur) + 2, smallest_field(self.size))
             side += (full - side) % 2  # so that it lies in the middle of the full one
@@ -480,13 +512,14 @@ class _CurvePlanner:
         period = plan.sampler.period
         shorter = 2 * plan.field if 2 * plan.field < period else period // 2
         sampler = plan.shared.samplers.get(
-            (self.sensor.optics, self.sensor.detector, self.size, plan.field, shorter),
+            (self.sensor.optics, self.sensor.motion, self.sensor.detector, self.size, plan.field, shorter),
             lambda: TriangleSampler(
                 optics=self.sensor.optics,
                 detector=self.sensor.detector,
                 size_detectors=self.size,
                 field_detectors=plan.field,
                 period_detectors=shorter,
+                motion=self.sensor.motion,
             ),
         )
         samples, spent = self._samples(sampler)
@@ -506,13 +539,13 @@ class _CurvePlanner:
     def _identities(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
         """Leave out the parts that change nothing. Returns the plan and its steps."""
         steps = []
-        if is_symmetric(self.readout):
+        if is_symmetric(self.readout) and looks_the_same_when_turned(self.sensor.optics, self.sensor.motion):
             # Square detectors and a symmetric observer look the same to all orientations.
             plan = replace(plan, orientations=ORIENTATIONS[:1])
             saved = 3.0 * self.unit_s
             steps.append(Step("orientations", False, "one stands for all four, which are its turns", 0.0, saved))
         else:
-            steps.append(Step("orientations", True, "all four: the observer is not symmetric"))
+            steps.append(Step("orientations", True, "all four: the observer or the optics are not symmetric"))
         plan = replace(plan, three_templates=True)
         why = "the four score deviations add up to zero"
         steps.append(Step("fourth template", False, why, 0.0, self.unit_s / 4.0))

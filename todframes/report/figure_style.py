@@ -80,10 +80,11 @@ def png_file(figure: Figure, *, dpi: float) -> bytes:
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+    canvas: Any = FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     figure.set_dpi(dpi)
     # The metadata has no software version, so the same figure always gives the same bytes.
-    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
+    canvas.print_png(buffer, metadata={"Software": None})
     return buffer.getvalue()
 
 
@@ -91,8 +92,9 @@ def svg_file(figure: Figure) -> bytes:
     """Return the SVG of a figure, inside `style`, without a date; drawn once as in `png_file`."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
+    canvas: Any = FigureCanvasSVG(figure)
     buffer = io.BytesIO()
-    FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})
+    canvas.print_svg(buffer, metadata={"Date": None})
     return buffer.getvalue()
 
 

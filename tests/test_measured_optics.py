@@ -1,0 +1,288 @@
+"""Obscured, defocused and measured optics, and motion: against pupils, drawn scenes and the closed forms."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from scipy.signal import fftconvolve
+
+import sensor_sim as ss
+from sensor_sim import cli
+from sensor_sim.chain.sampling import TriangleSampler, sample_image
+from sensor_sim.chain.sensor import sensor_toml
+from sensor_sim.chain.transfer import aperture_mtf, motion_mtf, obscured_mtf, optics_mtf
+from todframes.cli.console import run
+from todframes.stimulus import ORIENTATIONS, coverage
+
+STAR_LIKE = Path(__file__).parent.parent / "sample_frames" / "star_like.toml"
+CUT_OFF = 55.0
+OPTICS = "[optics]\naperture_mm = 220.0\nwavelength_um = 4.0\nblur_sigma_mrad = 0.01\n"
+TEXT = STAR_LIKE.read_text(encoding="utf-8")
+
+
+def sensor_file(tmp_path: Path, optics: str) -> Path:
+    begin, end = TEXT.index("[optics]"), TEXT.index("[detector]")
+    path = tmp_path / "sensor.toml"
+    path.write_text(TEXT[:begin] + f"[optics]\naperture_mm = 220.0\nwavelength_um = 4.0\n{optics}\n" + TEXT[end:])
+    return path
+
+
+def write_table(
+    tmp_path: Path, rows: list[tuple[float, ...]], columns: str = "frequency_cyc_per_mrad,mtf"
+) -> None:
+    lines = [columns, *(",".join(map(repr, row)) for row in rows)]
+    (tmp_path / "mtf.csv").write_text("\n".join(lines), encoding="utf-8")
+
+
+def write_psf(path: Path, values: np.ndarray) -> None:
+    file = oiio.ImageOutput.create(str(path))
+    file.open(str(path), oiio.ImageSpec(values.shape[1], values.shape[0], 1, "float"))
+    file.write_image(np.ascontiguousarray(values[..., None], dtype=np.float32))
+    file.close()
+
+
+def pupil_autocorrelation(ratio: float, waves: float, shift: float, n: int = 1200) -> float:
+    """Overlap of an annular pupil of radius 1 with itself, displaced by twice `shift`, on n × n points."""
+    grid = (np.arange(n) + 0.5) / n * 2.0 - 1.0
+    x, y = np.meshgrid(grid, grid)
+
+    def pupil(at: np.ndarray) -> np.ndarray:
+        square = at**2 + y**2
+        return ((square <= 1.0) & (square >= ratio**2)) * np.exp(2j * np.pi * waves * square)
+
+    overlap = (pupil(x + shift) * pupil(x - shift).conj()).sum().real * (2.0 / n) ** 2
+    return float(overlap / (np.pi * (1.0 - ratio**2)))
+
+
+@pytest.mark.parametrize("ratio", [0.15, 0.4, 0.7])
+def test_an_obscured_aperture_is_the_autocorrelation_of_its_pupil(ratio):
+    # About 8n of the n² points lie on a rim, and are wrong by 0.3 of themselves at random:
+    # √(8n)·0.3·(2/n)²/(π(1 − ε²)) is 5e-5 of an annulus with ε = 0.7; four of these.
+    for shift in (0.05, 0.2, 0.45, 0.62, 0.85):
+        assert obscured_mtf(shift, obscuration_ratio=ratio) == pytest.approx(
+            pupil_autocorrelation(ratio, 0.0, shift), abs=2e-4
+        )
+
+
+def test_an_obscured_aperture_in_closed_form():
+    # By hand: below (1 − ε)/2 an inner disc lies in the other's outer one, 1 − ε² − ε²·2 + …, and between
+    # (1 + ε)/2 and the cut-off the inner discs do not count: the clear aperture's over 1 − ε².
+    ratio, x = 0.5, np.linspace(0.76, 1.0, 20)
+    clear = (2.0 / np.pi) * (np.arccos(x) - x * np.sqrt(1.0 - x**2))
+    assert obscured_mtf(x, obscuration_ratio=ratio) == pytest.approx(clear / 0.75, abs=1e-12)
+    x = np.linspace(0.0, 0.24, 20)
+    discs = [(2.0 / np.pi) * (np.arccos(v) - v * np.sqrt(1.0 - v**2)) for v in (x, x / ratio)]
+    assert obscured_mtf(x, obscuration_ratio=ratio) == pytest.approx(
+        (discs[0] - 2.0 * ratio**2 + ratio**2 * discs[1]) / 0.75, abs=1e-12
+    )
+
+
+@pytest.mark.parametrize(("ratio", "waves"), [(0.0, 0.5), (0.0, 3.0), (0.45, 1.0)])
+def test_a_defocused_aperture_is_the_autocorrelation_of_its_pupil(ratio, waves):
+    optics = ss.Optics(aperture_mm=1.0, wavelength_um=1.0, obscuration_ratio=ratio, defocus_waves=waves)
+    for shift in (0.03, 0.21, 0.5, 0.8):
+        assert aperture_mtf(shift, optics=optics) == pytest.approx(
+            pupil_autocorrelation(ratio, waves, shift), abs=4e-4
+        )
+    # Without defocus the integral is the closed form. Where inner discs touch rims, its height has a corner that
+    # no node lies on: a part of 1/96 of the length, by 1/96 of the height.
+    barely = ss.Optics(aperture_mm=1.0, wavelength_um=1.0, obscuration_ratio=0.4, defocus_waves=1e-9)
+    x = np.linspace(0.0, 1.0, 301)
+    assert aperture_mtf(x, optics=barely) == pytest.approx(obscured_mtf(x, obscuration_ratio=0.4), abs=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", ["mm", "pixel"])
+def test_a_table_of_the_closed_form_gives_its_curve(tmp_path, unit):
+    sensor = ss.load_sensor(STAR_LIKE)
+    frequency = np.linspace(0.0, CUT_OFF, 51)
+    mtf = optics_mtf(frequency, optics=sensor.optics)
+    # 1 mrad is 0.1 mm behind 100 mm, and a pixel 0.0681 mrad.
+    per_unit = {"mm": 10.0, "pixel": sensor.detector.pitch_mrad}[unit]
+    rows = list(zip((frequency * per_unit).tolist(), mtf.tolist(), strict=True))
+    write_table(tmp_path, rows, f"frequency_cyc_per_{unit},mtf")
+    focal = "\nfocal_length_mm = 100.0" if unit == "mm" else ""
+    measured = ss.load_sensor(sensor_file(tmp_path, f'mtf = "mtf.csv"{focal}'))
+    (fit,), (closed,) = (
+        ss.curve(one, size_detectors=[4], tolerance=2e-3, examples=False).fits for one in (measured, sensor)
+    )
+    # Both have the same places of the triangle, whose error is common to them.
+    assert fit.threshold == pytest.approx(closed.threshold, rel=2e-3)
+    assert 'mtf = "mtf.csv"' in sensor_toml(measured)
+
+
+def samples_of(sensor: ss.Sensor, orientation, size: float = 4.0, field: int = 22) -> np.ndarray:
+    sampler = TriangleSampler(
+        optics=sensor.optics,
+        detector=sensor.detector,
+        size_detectors=size,
+        field_detectors=field,
+        period_detectors=2 * field,
+        motion=sensor.motion,
+    )
+    return sampler.samples(0.2, -0.3, orientation=orientation)[0]
+
+
+@pytest.mark.parametrize("orientation", ORIENTATIONS)
+def test_an_asymmetric_psf_stands_as_its_picture_does(tmp_path, orientation):
+    """A scene of fine pixels convolved with the picture of the point, and averaged over detectors."""
+    fine, field, size = 10, 22, 4.0
+    pitch = 0.0681 / fine
+    place = np.arange(-20.0, 21.0)
+    blob = np.exp(-0.5 * ((place - 6.0)[None] / 2.5) ** 2) * np.exp(-0.5 * ((place + 5.0)[:, None] / 4.0) ** 2)
+    psf = blob / blob.sum() + np.exp(-0.5 * (place[None] ** 2 + place[:, None] ** 2) / 4.0) / (8.0 * np.pi)
+    psf /= psf.sum()
+    x_at, y_at = psf.sum(axis=0) @ place, psf.sum(axis=1) @ place
+    psf = np.roll(psf, (-round(y_at), -round(x_at)), axis=(0, 1))
+    write_psf(tmp_path / "psf.tif", psf)
+    sensor = ss.load_sensor(sensor_file(tmp_path, f'psf = "psf.tif"\npsf_pitch_mrad = {pitch!r}'))
+    x_left, y_left = psf.sum(axis=0) @ place, psf.sum(axis=1) @ place
+    # The package takes the rest of the shift out, so that the scene is moved back by as much here.
+    shifted = coverage(
+        (field * fine, field * fine),
+        size_px=size * fine,
+        x_px=(0.2 + field / 2.0) * fine - 0.5 - x_left,
+        y_px=(-0.3 + field / 2.0) * fine - 0.5 - y_left,
+        orientation=orientation,
+    )
+    seen = fftconvolve(shifted, psf, mode="same").reshape(field, fine, field, fine).mean(axis=(1, 3))
+    found = samples_of(sensor, orientation)
+    # Samples of a smooth PSF integrate as its continuous form does; fine pixels of the scene add 1/12 pixel² to
+    # variances of several pixels², which changes the slope of an edge by below 1 %: 0.005 of a sample.
+    assert found == pytest.approx(seen, abs=5e-3)
+    assert np.abs(found - seen[::-1, ::-1]).max() > 0.05, "a PSF turned by 180° would not be seen"
+
+
+@pytest.mark.slow
+def test_a_round_psf_gives_the_samples_of_its_closed_form(tmp_path):
+    sensor = ss.load_sensor(STAR_LIKE)
+    pitch = 0.5 / CUT_OFF
+    frequency = np.fft.fftfreq(64, pitch)
+    transfer = optics_mtf(np.hypot(frequency[:, None], frequency), optics=sensor.optics)
+    psf = np.fft.fftshift(np.fft.ifft2(transfer).real)
+    write_psf(tmp_path / "psf.tif", psf / psf.sum())
+    measured = ss.load_sensor(sensor_file(tmp_path, f'psf = "psf.tif"\npsf_pitch_mrad = {pitch!r}'))
+    (fit,), (closed,) = (ss.curve(one, size_detectors=[4], examples=False).fits for one in (measured, sensor))
+    assert fit.threshold == pytest.approx(closed.threshold, rel=2e-3)
+
+
+def test_tangential_is_along_x_and_sagittal_along_y(tmp_path):
+    frequency = np.linspace(0.0, 30.0, 31)
+    rows = zip(
+        frequency.tolist(), np.exp(-frequency / 4.0).tolist(), np.exp(-(frequency**2) / 90.0).tolist(), strict=True
+    )
+    write_table(tmp_path, list(rows), "frequency_cyc_per_mrad,mtf_tangential,mtf_sagittal")
+    optics = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"')).optics
+    along_x, along_y, between = optics.mtf.at(np.array([5.0, 0.0, 3.0]), np.array([0.0, 5.0, 4.0]))
+    assert along_x == pytest.approx(np.exp(-5.0 / 4.0), abs=1e-12)
+    assert along_y == pytest.approx(np.exp(-25.0 / 90.0), abs=1e-12)
+    assert between == pytest.approx(0.36 * along_x + 0.64 * along_y, abs=1e-12)
+
+
+def test_an_mtf_with_the_detector_leaves_the_detector_out(tmp_path):
+    sensor = ss.load_sensor(STAR_LIKE)
+    frequency = np.linspace(0.0, 1.0 / 0.0681, 101)
+    system = optics_mtf(frequency, optics=sensor.optics) * np.sinc(frequency * 0.0681)
+    write_table(tmp_path, list(zip(frequency.tolist(), np.maximum(system, 0.0).tolist(), strict=True)))
+    measured = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"\nmtf_includes_detector = true'))
+    transfer = ss.mtf(measured).mtf
+    assert "detector" not in transfer and transfer["pre_sample"] == transfer["measured_optics"]
+
+
+def test_smear_is_a_mean_over_its_length():
+    """A triangle that moves evenly by three detectors is the mean of triangles at 61 places."""
+    sensor = ss.load_sensor(STAR_LIKE)
+    length = 3.0 * sensor.detector.pitch_mrad
+    moved = replace(sensor, motion=ss.Motion(smear_mrad=length))
+    sampler = TriangleSampler(
+        optics=sensor.optics, detector=sensor.detector, size_detectors=4.0, field_detectors=22, period_detectors=44
+    )
+    places = (np.arange(61) + 0.5) / 61.0 * 3.0 - 1.5
+    for orientation in ORIENTATIONS[:2]:
+        mean = sampler.samples(0.2 + places, np.full(61, -0.3), orientation=orientation).mean(axis=0)
+        # The midpoint rule of 61 places over 3 detectors: h²/24 times the change of slope, below 1e-3.
+        assert samples_of(moved, orientation) == pytest.approx(mean, abs=1e-3)
+    jitter = motion_mtf(2.0, 0.0, motion=ss.Motion(jitter_sigma_mrad=0.1))
+    assert jitter == pytest.approx(np.exp(-2.0 * (np.pi * 0.2) ** 2), rel=1e-12)
+
+
+def test_a_scene_seen_by_asymmetric_optics_is_the_triangle_seen_by_them():
+    moved = replace(ss.load_sensor(STAR_LIKE), motion=ss.Motion(smear_mrad=0.15))
+    fine, field = 8, 22
+    scene = coverage(
+        (field * fine, field * fine),
+        size_px=4.0 * fine,
+        x_px=(0.2 + field / 2.0) * fine - 0.5,
+        y_px=(-0.3 + field / 2.0) * fine - 0.5,
+        orientation=ORIENTATIONS[1],
+    )
+    seen = sample_image(
+        scene,
+        pixel_pitch_mrad=0.0681 / fine,
+        optics=moved.optics,
+        detector=moved.detector,
+        field_detectors=field,
+        motion=moved.motion,
+    )
+    assert seen == pytest.approx(samples_of(moved, ORIENTATIONS[1]), abs=2e-3)
+
+
+GOOD = [(0.0, 1.0), (10.0, 0.5), (30.0, 0.0)]
+WRONG_TABLES = {
+    "above 1": ([(0.0, 1.0), (10.0, 1.2), (30.0, 0.0)], 'mtf = "mtf.csv"', r"mtf 1\.2 at 10, expected at most 1"),
+    "stops early": (
+        [(0.0, 1.0), (10.0, 0.5)],
+        'mtf = "mtf.csv"',
+        r"ends at 10 with an MTF of 0\.5, expected .* 0\.16 of",
+    ),
+    "blur as well": (
+        GOOD,
+        'mtf = "mtf.csv"\nblur_sigma_mrad = 0.1',
+        "found mtf and blur_sigma_mrad, expected one",
+    ),
+    "no file": (GOOD, 'mtf = "none.csv"', r"none\.csv"),
+    "no table": (GOOD, "mtf_includes_detector = true", "mtf_includes_detector: found true without mtf"),
+    "a number": (GOOD, "mtf = 3", "mtf: found 3, expected the name of a file"),
+    "psf without pitch": (GOOD, 'psf = "psf.tif"', "psf: expected it with psf_pitch_um or psf_pitch_mrad"),
+    "no focal length": (GOOD, 'psf = "psf.tif"\npsf_pitch_um = 1.0', "psf_pitch_um needs it for its angle"),
+    "too much": (GOOD, "obscuration_ratio = 1.0", r"obscuration_ratio: found 1\.0"),
+    "inner": (GOOD, "measured_units = 2.0", "unknown key 'measured_units'"),
+}
+
+
+@pytest.mark.parametrize(("rows", "optics", "message"), WRONG_TABLES.values(), ids=WRONG_TABLES.keys())
+def test_wrong_measured_optics_are_one_clear_line(tmp_path, capsys, rows, optics, message):
+    write_table(tmp_path, rows)
+    psf = np.zeros((9, 9))
+    psf[3:6, 3:6] = 1.0 / 9.0
+    write_psf(tmp_path / "psf.tif", psf)
+    assert run(cli.cli, ["curve", str(sensor_file(tmp_path, optics)), "--size-detectors", "4"]) in (1, 2)
+    out, error = capsys.readouterr()
+    assert re.fullmatch(rf"error: .*{message}.*\n", error) and not out
+
+
+def psf_with(place: tuple[int, int], total: float = 1.0) -> np.ndarray:
+    psf = np.zeros((15, 15))
+    psf[place[0] - 1 : place[0] + 2, place[1] - 1 : place[1] + 2] = total / 9.0
+    return psf
+
+
+WRONG_PSFS = {
+    "not normalised": (psf_with((7, 7), 255.0), r"psf\.tif has the sum 255, expected 1"),
+    "off centre": (psf_with((7, 10)), r"centroid 3\.0 samples right of and 0\.0 below its middle"),
+    "cut off": (np.full((15, 15), 1.0 / 225.0), r"25 % of its light in the outermost samples"),
+    "negative": (psf_with((7, 7), 1.0) - 1e-3 * np.eye(15), "expected none below 0"),
+}
+
+
+@pytest.mark.parametrize(("psf", "message"), WRONG_PSFS.values(), ids=WRONG_PSFS.keys())
+def test_a_wrong_psf_is_one_clear_line(tmp_path, capsys, psf, message):
+    write_psf(tmp_path / "psf.tif", psf)
+    path = sensor_file(tmp_path, 'psf = "psf.tif"\npsf_pitch_mrad = 0.01')
+    assert run(cli.cli, ["mtf", str(path)]) == 2
+    assert re.fullmatch(rf"error: .*{message}.*\n", capsys.readouterr().err)
