@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from todframes.base.errors import SettingsError
+from todframes.frames.dataset import load_dataset
 from todframes.observers.csf import CsfObserver, contrast_sensitivity, oblique_effect
+from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.naked_eye import contrast_threshold
+from todframes.scoring.plan import plan_score
 from todframes.stimulus import Orientation, Stimulus, coverage
 
 
@@ -178,3 +181,11 @@ def test_an_ideal_template_without_external_noise_is_the_matched_one() -> None:
     matched, ideal = (CsfObserver(template=name).readout(Stimulus(2.0)) for name in ("matched", "ideal"))
     largest = np.abs(matched.deviations).max()
     np.testing.assert_allclose(ideal.deviations, matched.deviations, rtol=0.0, atol=1e-12 * largest)
+
+
+def test_the_plan_names_what_this_observer_omits(make_dataset) -> None:
+    dataset = load_dataset(make_dataset(contrasts=(0.1, 0.4)).path)
+    for observer, part in ((CsfObserver(), "outer field"), (PyramidObserver(), "pyramid levels")):
+        steps = {step.stage: step for step in plan_score(dataset, dataset.trials, observer).steps}
+        assert part in steps and len({"outer field", "pyramid levels"} & set(steps)) == 1
+        assert not steps[part].kept

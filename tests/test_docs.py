@@ -170,6 +170,15 @@ HOW_TO = [
 ]
 
 
+def page_with_its_file(name: str, folder: Path) -> str:
+    """Return a page, whose reader has saved the file that it shows."""
+    text = page(name)
+    if name in SAVED:
+        file, language, number = SAVED[name]
+        (folder / file).write_text(blocks(text, language)[number], encoding="utf-8")
+    return text
+
+
 def test_commands_of_the_page_on_noise(folder: Path, capsys) -> None:
     text = page("camera_noise.md")
     run_code(*blocks(text, "python"))
@@ -193,10 +202,7 @@ def test_commands_of_the_page_on_mtf(folder: Path, capsys) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", HOW_TO)
 def test_commands_of_a_how_to_page(name: str, folder: Path) -> None:
-    text = page(name)
-    if name in SAVED:
-        file, language, number = SAVED[name]
-        (folder / file).write_text(blocks(text, language)[number], encoding="utf-8")
+    text = page_with_its_file(name, folder)
     commands = blocks(text, "sh")
     assert commands
     for command in commands:
@@ -229,9 +235,8 @@ QUICK = [
 @pytest.mark.parametrize(
     "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW_CODE if name not in QUICK)]
 )
-@pytest.mark.usefixtures("folder")
-def test_code_of_a_page(name: str, capsys) -> None:
-    text = page(name)
+def test_code_of_a_page(name: str, folder: Path, capsys) -> None:
+    text = page_with_its_file(name, folder)
     run_code(*blocks(text, "python"))
     if name == "own_frames.md":
         assert capsys.readouterr().out == "never_reached\n"

@@ -25,7 +25,7 @@ from sensor_sim.thresholds.sharing import NOTHING, Shared
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.observers.decision import answer_probability
-from todframes.observers.interface import Observer, Readout, TruncatedObserver
+from todframes.observers.interface import Observer, Readout, TruncatedObserver, omitted_part
 from todframes.psychometrics.threshold_search import crossing
 from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change, total_bound
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, bounding_box_offset
@@ -422,7 +422,7 @@ class _CurvePlanner:
         return self.levels_bound is not None and self.levels_bound <= LARGEST_SHARE * self.budget
 
     def _levels(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
-        bound, stage, side = self.levels_bound, "pyramid levels", self.readout.grid.side
+        bound, stage, side = self.levels_bound, omitted_part(self.observer), self.readout.grid.side
         if bound is None:
             return plan, ()
         if self._affordable(bound):

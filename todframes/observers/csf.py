@@ -183,6 +183,7 @@ class CsfObserver:
     """
 
     settings_type: ClassVar[type[CsfSettings]] = CsfSettings
+    omitted_part: ClassVar[str] = "outer field"
 
     def __init__(self, settings: CsfSettings | None = None, *, wider: float = 1.0, **changes: Any) -> None:
         check_keys(changes, [field.name for field in fields(self.settings_type)], "settings")

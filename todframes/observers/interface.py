@@ -209,6 +209,15 @@ class TruncatedObserver(Protocol):
         """Estimate what the readout omits; None if it omits nothing."""
 
 
+PYRAMID_LEVELS = "pyramid levels"
+"""Name of what most truncated observers omit."""
+
+
+def omitted_part(observer: Observer) -> str:
+    """Return the name of what an observer's readout omits: its attribute `omitted_part`, or pyramid levels."""
+    return str(getattr(observer, "omitted_part", PYRAMID_LEVELS))
+
+
 def find_observer(name: str) -> type[Observer]:
     """Return the class of the observer with a given name.
 

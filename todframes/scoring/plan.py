@@ -21,7 +21,14 @@ from todframes.base.errors import FrameError, SettingsError, argument
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import check_place
 from todframes.frames.trials import Trial, Trials, indices_by
-from todframes.observers.interface import Observer, OmittedWeights, Readout, TruncatedObserver
+from todframes.observers.interface import (
+    PYRAMID_LEVELS,
+    Observer,
+    OmittedWeights,
+    Readout,
+    TruncatedObserver,
+    omitted_part,
+)
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change
 from todframes.scoring.retina_view import Reader, Shown, read_as_it_is, retina_image
@@ -29,6 +36,9 @@ from todframes.stimulus import ORIENTATIONS, Stimulus, bounding_box_offset
 
 HALF_FIELDS_IN_SIZES = (1.5, 2.0, 2.5)
 """Half-widths of the fields that are tried, in triangle sizes."""
+
+OMITTED = "omitted"
+"""Key of the bound on what the observer's readout omits."""
 
 SLOPE = 0.5
 """Approximate slope dP / d ln level of a psychometric function at its threshold."""
@@ -133,7 +143,8 @@ def plan_score(
         stimulus: _weigh(dataset, _by_level(trials.select(members)), observer, budget, read)
         for stimulus, members in of_stimulus.items()
     }
-    return ScorePlan(observer, {s: w.plan for s, w in weighed.items()}, False, _steps(list(weighed.values())))
+    plans = {stimulus: one.plan for stimulus, one in weighed.items()}
+    return ScorePlan(observer, plans, False, _steps(list(weighed.values()), omitted_part(observer)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,10 +195,10 @@ def _weigh(dataset: Dataset, trials: Trials, observer: Observer, budget: float, 
     bounds: dict[str, float] = {}
     full = False
     if missing is not None:
-        bounds["pyramid levels"] = _levels_bound(readout, missing, images)
-        full = bounds["pyramid levels"] > budget
+        bounds[OMITTED] = _levels_bound(readout, missing, images)
+        full = bounds[OMITTED] > budget
         if full:
-            del bounds["pyramid levels"]
+            del bounds[OMITTED]
             assert isinstance(observer, TruncatedObserver)
             readout = observer.with_extra_level().readout(stimulus)
             assert readout is not None
@@ -291,20 +302,24 @@ def _score(weights: FloatArray, images: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("kyx,nyx->nk", weights, images, optimize=True))
 
 
-def _steps(weighed: Sequence[_Weighed]) -> tuple[Step, ...]:
-    """Summarise the plans of all stimuli: the largest bounds and the sums of the time saved."""
+def _steps(weighed: Sequence[_Weighed], omitted: str) -> tuple[Step, ...]:
+    """Summarise the plans of all stimuli: the largest bounds and the sums of the time saved.
+
+    `omitted` is the name of what the observer's readout omits.
+    """
     n = len(weighed)
     n_narrow = sum(one.plan.half_width is not None for one in weighed)
-    levels = max((one.plan.bounds.get("pyramid levels", 0.0) for one in weighed), default=0.0)
+    levels = max((one.plan.bounds.get(OMITTED, 0.0) for one in weighed), default=0.0)
     narrow = max((one.plan.bounds.get("field", 0.0) for one in weighed), default=0.0)
     retina = f"{100.0 * float(np.mean([one.retina for one in weighed])):.2g} % of the retina"
     rows = [100.0 * one.rows for one in weighed]
     shares = f"{min(rows):.3g} % of" if max(rows) - min(rows) < 0.5 else f"{min(rows):.3g} to {max(rows):.3g} % of"
     saves_s = sum(one.saves_s for one in weighed)
     n_thrifty = n - sum(one.plan.full_observer for one in weighed)
+    less = "one level less than full" if omitted == PYRAMID_LEVELS else "left out"
     return (
         Step("frame rows", min(rows) >= 100.0, f"{shares} a frame's rows are looked at", saves_once_s=saves_s),
-        Step("pyramid levels", n_thrifty == 0, f"one level less than full for {n_thrifty} of {n} stimuli", levels),
+        Step(omitted, n_thrifty == 0, f"{less} for {n_thrifty} of {n} stimuli", levels),
         Step("field", n_narrow == 0, f"{retina} for {n_narrow} of {n} stimuli", narrow),
         Step("noise on neurons", False, "the decision's probability is computed, not drawn"),
     )
