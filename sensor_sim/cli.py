@@ -334,14 +334,22 @@ def explore(*, sensor: Path, host: str, port: int, no_browser: bool) -> None:
 @click.option("--exposure-ms", type=float, help="Exposure.  [default: that of the results, or 10]")
 @click.option("--luminance", type=float, default=100.0, show_default=True, help="Of the background in cd/m².")
 @click.option("--name", help="Name of the sensor.")
-def new(**asked: Any) -> None:
+@click.option("-o", "--out", type=click.Path(path_type=Path), metavar="SENSOR.toml", help="File to write instead.")
+def new(*, out: Path | None, **asked: Any) -> None:
     """Print a SENSOR.toml in which every key is explained.
 
     It is for a camera with results of EMVA 1288, a thermal camera, or one from public figures.
     """
     import sensor_sim as ss
 
-    click.echo(ss.new_sensor(**asked), nl=False)
+    text = ss.new_sensor(**asked)
+    if out is None:
+        click.echo(text, nl=False)
+        return
+    from todframes.base.output import write_file
+
+    write_file(out, text.encode())
+    echo(f"written: {out}")
 
 
 def main(arguments: list[str] | None = None) -> None:

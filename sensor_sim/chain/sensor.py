@@ -662,7 +662,7 @@ def _is_left_out(name: str, value: object) -> bool:
 
     `netd_mk` is null in results where it is not known.
     """
-    return (value is None and name != "netd_mk") or _NOTHING.get(name, ()) == value
+    return (value is None and name != "netd_mk") or (name in _NOTHING and value == _NOTHING[name])
 
 
 _NOTHING = {
