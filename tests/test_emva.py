@@ -189,6 +189,22 @@ def test_saturation_is_the_largest_variance() -> None:
     assert sum(one.is_fitted for one in found.measured.points) in (8, 9)
 
 
+def test_stacks_that_differ_by_noise_alone_are_not_saturated() -> None:
+    """In about half of the cases the brighter of two stacks of one light has the smaller variance."""
+    made = stacks(n=2)
+    is_less = set()
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        again = CAMERA.film(rng, CAMERA.patterns(rng, (64, 64)), 2, photons=16_000.0, exposure_ms=20.0)
+        found = tod.emva_noise(
+            bright=[*made["bright"], again], dark=made["dark"][3:], photons=[*made["photons"], 16_000.0], bits=12
+        )
+        *_, one, other = found.measured.points
+        is_less.add(other.bright.temporal < one.bright.temporal)
+        assert not found.measured.is_saturation_reached
+    assert is_less == {True, False}
+
+
 def test_signal_to_noise_is_that_of_the_model() -> None:
     """At 9,000 electrons and 100 of other variance: 9000 / √(9000 + 100 + …), by hand."""
     measured = tod.emva_noise(**stacks()).measured

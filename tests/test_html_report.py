@@ -491,6 +491,7 @@ def test_a_map_of_the_field_has_each_place_with_its_numbers() -> None:
     (discs,) = axes.collections
     assert discs.get_offsets().tolist() == [[-20.0, -5.0], [0.0, 5.0]]
     assert discs.get_array().tolist() == [0.2, 0.5]
+    assert (discs.norm.vmin, discs.norm.vmax) == (0.18, 0.5)  # from the lowest end of an interval
     dashed = [dashes is not None for _, dashes in discs.get_linestyles()]
     assert dashed == [False, True]
     assert {text.get_text(): text.xy for text in axes.texts} == {

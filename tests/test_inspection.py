@@ -48,7 +48,7 @@ def recorded(
             dx, dy = rng.normal(0.0, 1.0, 2) * scatter
             triangle = tod.coverage(
                 (SIDE, SIDE),
-                size_px=size * SIZE_PX,
+                size_px=(size(len(frames)) if callable(size) else size) * SIZE_PX,
                 x_px=MIDDLE + x + dx,
                 y_px=MIDDLE + y + dy,
                 orientation=tod.ORIENTATIONS[shown(turn.quarter_turns)],
@@ -100,6 +100,17 @@ def test_scatter_is_measured_in_frames_of_different_noise() -> None:
     # The standard deviation of 32 normal deviates is known to 1/√64.
     assert measured(scatter=0.3, spoil=louder).scatter_px == pytest.approx(0.3, rel=3.0 / np.sqrt(64.0))
     assert measured(spoil=louder).scatter_px == 0.0
+
+
+def test_sizes_that_differ_from_frame_to_frame_are_reported() -> None:
+    """Half of the frames of each orientation is larger than stated by a quarter, half is smaller."""
+    dataset = recorded(size=lambda number: 1.25 if number // 4 % 2 else 0.75)
+    (found,) = inspect(dataset, dataset.trials)
+    # A step that is linear in the size overstates and understates a quarter of it by up to a quarter of that.
+    assert found.size_scatter == pytest.approx(0.25, rel=0.25)
+    (warning,) = [one for one in frame_warnings(dataset, [found]) if one.code in ("mixed_sizes", "size_mismatch")]
+    assert (warning.code, warning.found) == ("mixed_sizes", found.size_scatter)
+    assert "from frame to frame, and the manifest gives one" in warning.message
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])

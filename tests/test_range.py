@@ -555,7 +555,7 @@ def test_results_that_are_no_curve() -> None:
     of_camera = of_fits(group={"camera": "left"})
     assert tod.acquisition_range(of_camera, target=DAYLIGHT, atmosphere=BEER, group={"camera": "left"})
     with pytest.raises(
-        tod.SettingsError, match=r"group: found 0 curves in .*, expected a choice of one: camera left"
+        tod.SettingsError, match=r"group: found 0 curves in .*, expected a choice of one: camera=left"
     ):
         tod.acquisition_range(of_camera, target=DAYLIGHT, atmosphere=BEER, group={"camera": "right"})
     with pytest.raises(tod.SettingsError, match="magnification: is given but not used"):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import NamedTuple
+
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
@@ -66,26 +69,60 @@ def camera(
     return place @ tilted @ turned @ to_middle
 
 
+class Seen(NamedTuple):
+    """A finely sampled frame: the place on the page of each sample, in mm, and the page without its content."""
+
+    x_mm: np.ndarray
+    y_mm: np.ndarray
+    empty: np.ndarray
+
+    @classmethod
+    def through(cls, homography: np.ndarray) -> Seen:
+        y, x = ((np.arange(n * SAMPLES) + 0.5) / SAMPLES - 0.5 for n in (ROWS, COLUMNS))
+        to_mm = np.linalg.inv(homography)
+        grid = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1) @ to_mm.T
+        x_mm, y_mm = grid[..., 0] / grid[..., 2], grid[..., 1] / grid[..., 2]
+        empty = np.full(x_mm.shape, 0.02)
+        empty[(x_mm > 0) & (x_mm < WIDTH_MM) & (y_mm > 0) & (y_mm < HEIGHT_MM)] = BACKGROUND
+        return cls(x_mm, y_mm, empty)
+
+
+@lru_cache(maxsize=2)  # films show page after page through one homography
+def _seen(homography: bytes) -> Seen:
+    return Seen.through(np.frombuffer(homography).reshape(3, 3))
+
+
+def _around(homography: np.ndarray, corners_mm: np.ndarray) -> tuple[slice, slice]:
+    """The rows and columns of fine samples among which a convex figure of the page lies."""
+    x, y, w = homography @ np.column_stack([corners_mm, np.ones(len(corners_mm))]).T
+    at = (np.array([y / w, x / w]) + 0.5) * SAMPLES - 0.5
+    first, stop = np.floor(at.min(axis=1)).astype(int), np.ceil(at.max(axis=1)).astype(int) + 1
+    return slice(max(first[0], 0), max(stop[0], 0)), slice(max(first[1], 0), max(stop[1], 0))
+
+
 def filmed(chart: Chart, page: int, homography: np.ndarray, *, blur_px: float = 0.8) -> np.ndarray:
     """Luminance of a page in a frame, (ROWS, COLUMNS), white is 1: sampled finely, averaged, blurred."""
-    y, x = ((np.arange(n * SAMPLES) + 0.5) / SAMPLES - 0.5 for n in (ROWS, COLUMNS))
-    to_mm = np.linalg.inv(homography)
-    grid = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1) @ to_mm.T
-    x_mm, y_mm = grid[..., 0] / grid[..., 2], grid[..., 1] / grid[..., 2]
-    image = np.full(x_mm.shape, 0.02)
-    image[(x_mm > 0) & (x_mm < WIDTH_MM) & (y_mm > 0) & (y_mm < HEIGHT_MM)] = BACKGROUND
-    for bits, (at_x, at_y) in chart.drawn_markers(chart.pages[page]):
+    seen = _seen(np.ascontiguousarray(homography, np.float64).tobytes())
+    image = seen.empty.copy()
+    square = SIDE_MM / 7 * 4.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    for bits, centre in chart.drawn_markers(chart.pages[page]):
         shown = np.pad(np.where(bits, 1.0, 0.05), 1, constant_values=1.0)
+        here = _around(homography, square + centre)
         column, row = (
-            np.floor((at - centre) / (SIDE_MM / 7) + 4.5).astype(int)
-            for at, centre in ((x_mm, at_x), (y_mm, at_y))
+            np.floor((at[here] - middle) / (SIDE_MM / 7) + 4.5).astype(int)
+            for at, middle in zip((seen.x_mm, seen.y_mm), centre, strict=True)
         )
         inside = (column >= 0) & (column < 9) & (row >= 0) & (row < 9)
-        image[inside] = shown[row[inside], column[inside]]
+        image[here][inside] = shown[row[inside], column[inside]]
     one = chart.pages[page].triangles[0]
-    a, b, c = vertices(size=one.size_mm, orientation=one.orientation, x=one.x_mm, y=one.y_mm)
-    sides = [(q[0] - p[0]) * (y_mm - p[1]) - (q[1] - p[1]) * (x_mm - p[0]) for p, q in ((a, b), (b, c), (c, a))]
-    image[np.all([side > 0 for side in sides], axis=0)] = BACKGROUND * (1.0 + one.contrast)
+    corners = vertices(size=one.size_mm, orientation=one.orientation, x=one.x_mm, y=one.y_mm)
+    here = _around(homography, corners)
+    x_mm, y_mm = seen.x_mm[here], seen.y_mm[here]
+    sides = [
+        (q[0] - p[0]) * (y_mm - p[1]) - (q[1] - p[1]) * (x_mm - p[0])
+        for p, q in zip(corners, np.roll(corners, -1, axis=0), strict=True)
+    ]
+    image[here][np.all([side > 0 for side in sides], axis=0)] = BACKGROUND * (1.0 + one.contrast)
     image = image.reshape(ROWS, SAMPLES, COLUMNS, SAMPLES).mean(axis=(1, 3))
     return gaussian_filter(image, blur_px) if blur_px else image
 

@@ -184,9 +184,7 @@ def mean_band(bands: Sequence[MtfBand]) -> MtfBand:
     return MtfBand(mtf=mean, lower=np.maximum(mean - down, 0.0), upper=mean + up)
 
 
-def measure_edge(
-    image: FloatArray, box: Box, *, saturated: NDArray[np.bool_] | None = None, where: str = ""
-) -> EdgeMtf:
+def measure_edge(image: FloatArray, box: Box, *, saturated: NDArray[np.bool_] | None = None) -> EdgeMtf:
     """Measure the MTF across the one edge in a box.
 
     Parameters
@@ -197,8 +195,6 @@ def measure_edge(
         Left column, top row, width and height.
     saturated : ndarray of bool (rows, columns), optional
         Whether a pixel was at an end of its scale.
-    where : str
-        Start of messages.
 
     Raises
     ------
@@ -210,7 +206,7 @@ def measure_edge(
     """
     left, top, width, height = box
     rows, columns = image.shape
-    where = f"{where}box {left},{top},{width},{height}: "
+    where = f"box {left},{top},{width},{height}: "
     if min(width, height) < LEAST_SIDE_PX or min(left, top) < 0 or left + width > columns or top + height > rows:
         raise SettingsError(
             f"{where}expected x, y, width, height of at least {LEAST_SIDE_PX} x {LEAST_SIDE_PX} pixels within the "

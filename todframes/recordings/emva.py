@@ -46,6 +46,10 @@ FITTED = 0.7
 LINEAR = (0.05, 0.95)
 """Parts of the saturation signal between which the linearity error is measured. EMVA 1288 release 4.0 linear."""
 
+SATURATED_VARIANCE = 0.8
+"""Temporal variance beyond saturation, relative to the largest: by noise alone, a pair of 64 x 64 pixels falls to
+that once in 10¹⁰; behind a full well or the end of the scale it falls to nearly nothing."""
+
 FEWEST_OF_SERIES = 3
 """Number of stacks with as many frames from which they are the series of photon transfer."""
 
@@ -478,9 +482,18 @@ def _with_common_frames(stacks: Sequence[StackNoise]) -> list[StackNoise]:
 
 
 def _saturation(points: Sequence[TransferPoint]) -> int | None:
-    """Return the place of the largest temporal variance, the saturation point; None if it is the last one."""
-    place = max(range(len(points)), key=lambda k: points[k].bright.temporal)
-    return place if place < len(points) - 1 else None
+    """Return the place of the largest temporal variance, the saturation point; None if nothing is saturated.
+
+    Behind it the variance falls, or values are at the end of the scale.
+    """
+    variances = [one.bright.temporal for one in points]
+    most = max(variances)
+    place = variances.index(most)
+    beyond = points[place + 1 :]
+    is_reached = any(
+        one.bright.temporal < SATURATED_VARIANCE * most or one.bright.saturated > MOST_SATURATED for one in beyond
+    )
+    return place if is_reached else None
 
 
 class _Draws(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -24,6 +24,9 @@ LEAST_LENGTH_PX = 40.0
 
 END_PX = 6.0
 """Length at either end of a found edge that is left out: corners are round there."""
+
+SAME_PX = 6.0
+"""Largest distance beside a line of points that belong to the same edge, which may be bent."""
 
 WIDTHS_PX = (32, 24, 18, 13)
 """Widths beside a found edge, of which the first without other edges is taken."""
@@ -88,14 +91,17 @@ def measure_mtf(
     whole = frames.colours[LUMA]
     warnings = list(recording.warnings)
     edges = []
-    asked = [(box, True) for box in boxes] or [(box, False) for box in find_edges(whole)]
+    try:
+        places = list(boxes) or find_edges(whole)
+    except DataError as error:
+        raise DataError(f"{recording.path}: {error.marked}") from None
     problems = []
-    for box, is_given in asked:
+    for box in places:
         try:
             edge = {LUMA: measure_edge(whole, box, saturated=frames.saturated)}
-        except DataError as error:
-            if is_given:
-                raise
+        except (DataError, SettingsError) as error:
+            if boxes:
+                raise type(error)(f"{recording.path}: {error.marked}") from None
             problems.append(error.marked)
             continue
         for name in COLOURS if len(frames.colours) > 1 else ():
@@ -168,10 +174,16 @@ class _Segment(NamedTuple):
         share = np.linspace(0.0, 1.0, int(self.length) + 2)[:, np.newaxis]
         return np.array([self.x1, self.y1]) * (1.0 - share) + np.array([self.x2, self.y2]) * share
 
-    def distances(self, points: FloatArray) -> FloatArray:
-        """Return the distances of points from the line, which goes on beyond its ends."""
+    def coordinates(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far points are along the line, from its first end, and beside it."""
         dx, dy = (self.x2 - self.x1) / self.length, (self.y2 - self.y1) / self.length
-        return np.abs((points[:, 0] - self.x1) * dy - (points[:, 1] - self.y1) * dx)
+        x, y = points[:, 0] - self.x1, points[:, 1] - self.y1
+        return x * dx + y * dy, np.abs(x * dy - y * dx)
+
+    def repeats(self, other: _Segment) -> bool:
+        """Return whether the line is a part of the same edge as another: beside it, and not beyond its ends."""
+        along, beside = other.coordinates(self.points())
+        return bool(beside.max() < SAME_PX and along.max() > 0.0 and along.min() < other.length)
 
 
 def find_edges(image: FloatArray) -> list[Box]:
@@ -196,13 +208,14 @@ def find_edges(image: FloatArray) -> list[Box]:
     found.sort(key=lambda one: -one.length)
     boxes: list[Box] = []
     taken: list[_Segment] = []
+    points = [one.points() for one in found]
     for one in found:
         if one.length < LEAST_LENGTH_PX or len(boxes) == MOST_EDGES:
             break
-        if any(_is_part(one, other) for other in taken):
-            continue
-        taken.append(one)
-        boxes += list(_boxes(one, [other for other in found if other is not one], image.shape))[:1]
+        if not any(one.repeats(other) for other in taken):
+            taken.append(one)
+            box = _box(one, points, image.shape)
+            boxes += [] if box is None else [box]
     if not boxes:
         raise DataError(
             f"found no straight edge of at least {LEAST_LENGTH_PX:g} pixels that stands alone, expected one; give "
@@ -211,25 +224,21 @@ def find_edges(image: FloatArray) -> list[Box]:
     return boxes
 
 
-def _is_part(one: _Segment, other: _Segment) -> bool:
-    """Return whether a line is the same edge as another: it lies on it."""
-    return bool(other.distances(one.points()).max() < 6.0)
-
-
-def _boxes(one: _Segment, others: Sequence[_Segment], shape: tuple[int, ...]) -> Iterator[Box]:
-    """Yield the boxes about an edge without others in them, the widest first."""
+def _box(one: _Segment, points: Sequence[FloatArray], shape: tuple[int, ...]) -> Box | None:
+    """Return the widest box about an edge without points of other lines in it; None if there is none."""
     rows, columns = shape
+    # All lines but those that go on where this one ends.
+    counts, every = np.array([len(some) for some in points]), np.concatenate(points)
+    farthest = np.maximum.reduceat(one.coordinates(every)[1], np.cumsum(counts) - counts)
+    rest = every[np.repeat(farthest >= SAME_PX, counts)]
     is_upright = abs(one.y2 - one.y1) >= abs(one.x2 - one.x1)
-    share = END_PX / one.length
     inner = one.points()[[0, -1]]
-    ends = inner + share * (inner[::-1] - inner)
-    low, high = ends.min(0), ends.max(0)
-    rest = [points for other in others if not _is_part(other, one) for points in [other.points()]]
+    ends = inner + END_PX / one.length * (inner[::-1] - inner)
     for width in WIDTHS_PX:
         margin = np.array([width, 0.0] if is_upright else [0.0, width])
-        first = np.maximum(np.ceil(low - margin), 0).astype(int)
-        last = np.minimum(np.floor(high + margin), [columns - 1, rows - 1]).astype(int)
-        if (last - first + 1 < LEAST_SIDE_PX).any():
-            continue
-        if not any(((first <= points) & (points <= last)).all(1).any() for points in rest):
-            yield int(first[0]), int(first[1]), int(last[0] - first[0] + 1), int(last[1] - first[1] + 1)
+        first = np.maximum(np.ceil(ends.min(0) - margin), 0).astype(int)
+        last = np.minimum(np.floor(ends.max(0) + margin), [columns - 1, rows - 1]).astype(int)
+        is_free = not ((first <= rest) & (rest <= last)).all(1).any()
+        if is_free and (last - first + 1 >= LEAST_SIDE_PX).all():
+            return int(first[0]), int(first[1]), int(last[0] - first[0] + 1), int(last[1] - first[1] + 1)
+    return None

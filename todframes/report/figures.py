@@ -251,8 +251,10 @@ def draw_field_map(axes: Axes, fits: Sequence[Fit]) -> None:
     room = 72.0 * inches_per_mrad * (steps / FIELD_LABEL_EM).max(axis=1).min()
     points = float(np.clip(room, *FIELD_LABEL_POINTS))
     has = [fit.threshold is not None for fit in fits]
+    # The scale spans the intervals, so that colours differ no more than the thresholds are known.
+    ends = [end for fit in fits if fit.threshold_ci95 is not None for end in fit.threshold_ci95 if end is not None]
     drawn = axes.scatter(
-        places[has, 0], places[has, 1], c=known, s=(3.0 * points) ** 2, norm=colour_scale(np.array(known)),
+        places[has, 0], places[has, 1], c=known, s=(3.0 * points) ** 2, norm=colour_scale(np.array(known + ends)),
         cmap="viridis_r", edgecolors=INK, linewidths=0.8, zorder=2,
         linestyles=["--" if fit.status == "extrapolated" else "-" for fit in fits if fit.threshold is not None],
     )  # fmt: skip

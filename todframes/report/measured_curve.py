@@ -10,7 +10,7 @@ from todframes.base.errors import DataError, SettingsError, argument
 from todframes.field.target import Quantity
 from todframes.field.threshold_curve import Psychometric, RangeWarning, ThresholdCurve, ln_sd_of_interval
 from todframes.report.data import Fit, ResultData
-from todframes.report.wording import group_phrase, unit_of, value_text
+from todframes.report.wording import unit_of, value_text
 
 SIZES = ("object_size_mrad", "size_mrad", "size_detectors")
 """Columns of sizes, the best first. `size_mrad` is as displayed: it is in the field only for the eye itself."""
@@ -103,7 +103,7 @@ def measured_curve(
 
 def _of_group(fits: Sequence[Fit], where: str, group: dict[str, str]) -> list[Fit]:
     """Return the fits whose other columns have the values of `group`: those of one curve."""
-    others = [name for name in (fits[0].group if fits else ()) if not unit_of(name) and name != "size_px"]
+    others = [name for name in (fits[0].group if fits else ()) if not unit_of(name)]
     for name in group:
         if name not in others:
             known = ", ".join(others) or "none"
@@ -113,10 +113,10 @@ def _of_group(fits: Sequence[Fit], where: str, group: dict[str, str]) -> list[Fi
     chosen = [
         one for one in fits if all(value_text(one.group[name]) == str(value) for name, value in group.items())
     ]
-    curves = {tuple(one.group[name] for name in others): {n: one.group[n] for n in others} for one in chosen}
+    curves = {tuple(one.group[name] for name in others) for one in chosen}
     if len(curves) > 1 or not chosen:
-        all_curves = [{n: one.group[n] for n in others} for one in fits]
-        named = "; ".join(dict.fromkeys(group_phrase(one) for one in all_curves))
+        all_curves = [", ".join(f"{name}={value_text(one.group[name])}" for name in others) for one in fits]
+        named = "; ".join(dict.fromkeys(all_curves))
         raise SettingsError(
             f"{argument.group}: found {len(curves)} curves in {where}, expected a choice of one: {named}"
         )
