@@ -656,7 +656,7 @@ def _is_left_out(name: str, value: object) -> bool:
 
     `netd_mk` is null in results where it is not known.
     """
-    return (value is None and name != "netd_mk") or _NOTHING.get(name, ()) == value
+    return (value is None and name != "netd_mk") or (name in _NOTHING and bool(_NOTHING[name] == value))
 
 
 _NOTHING = {"transmission": 1.0, "obscuration_ratio": 0.0, "defocus_waves": 0.0, "mtf_includes_detector": False}
