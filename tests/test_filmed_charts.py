@@ -18,6 +18,7 @@ from independent_camera import Bending, Camera, Chart, Seen, film, looking_at, w
 from numpy.typing import NDArray
 
 import todframes as tod
+from todframes.base.errors import DataError
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.importing.clips import Integration
@@ -404,6 +405,21 @@ def test_a_fisheye_lens_is_found_by_the_residual(tmp_path: Path) -> None:
     assert any("fisheye model" in note for note in done.notes)
     # Seen 20 px beside the axis of a lens that squeezes the picture outwards: by far more than 3 %.
     assert "lens_stretch" in {code for code, _ in done.warnings}
+
+
+@pytest.mark.parametrize("markers", ["borders", "corners"])
+def test_pages_of_another_chart_are_named_through_a_lens(markers: str, tmp_path: Path) -> None:
+    """With markers at the same places, and with markers at others."""
+    (tmp_path / "other").mkdir()
+    filmed = make_chart(tmp_path, sizes="4", contrasts="0.3")
+    other = make_chart(tmp_path / "other", sizes="4", contrasts="0.2", markers=markers)
+    bending = Bending(width=400, height=240, k=(-0.1,))
+    camera = Camera(width=400, height=240, oversampling=3, bending=bending)
+    made = Film.of(filmed, camera, frames_per_page=1, pages=[0, 1], scale=0.36, shift_px=(12.0, 5.0))
+    keys = [one.content["key"] for one in (filmed, other)]
+    expected = f"2 of 2 frames show a chart with the key {keys[0]}, expected {keys[1]}"
+    with pytest.raises(DataError, match=expected):
+        imported(made._replace(chart=other), made.write(tmp_path / "film.mkv"))
 
 
 def test_a_zoom_is_found_with_the_frame_where_it_begins(tmp_path: Path) -> None:

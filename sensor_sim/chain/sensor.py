@@ -662,7 +662,7 @@ def _is_left_out(name: str, value: object) -> bool:
 
     `netd_mk` is null in results where it is not known.
     """
-    return (value is None and name != "netd_mk") or (name in _NOTHING and value == _NOTHING[name])
+    return (value is None and name != "netd_mk") or (name in _NOTHING and bool(_NOTHING[name] == value))
 
 
 _NOTHING = {

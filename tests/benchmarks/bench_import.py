@@ -10,7 +10,7 @@ import numpy as np
 from timing import Row, process
 
 from todframes.charts.layout import Chart, Markers, Page, Point, Screen, Triangle, write_chart
-from todframes.charts.markers import CORNERS, marker_bits, marker_ids
+from todframes.charts.markers import CORNERS
 from todframes.stimulus import ORIENTATIONS, coverage
 
 N_FRAMES, ROWS, COLUMNS, RATE, FRAMES_PER_PAGE = 18_000, 512, 640, 30, 30
@@ -72,7 +72,7 @@ def _chart(n_pages: int) -> Chart:
         page_width_mm=float(COLUMNS),
         page_height_mm=float(ROWS),
         pages=tuple(pages),
-        markers=Markers(side_mm=7.0 * MODULE_PX, **corners),
+        markers=Markers(side_mm=7.0 * MODULE_PX, **corners).with_borders(free_mm=120.0, step_mm=1.0),
         screen=screen,
     ).with_key()
 
@@ -96,8 +96,8 @@ def _film(path: Path, chart: Chart, n_frames: int) -> None:
 
 def _page(chart: Chart, number: int) -> np.ndarray:
     image = np.full((ROWS, COLUMNS), 0.5, np.float32)
-    for (x, y), marker in zip(chart.markers.centres_mm, marker_ids(number, chart.key), strict=True):
-        shown = np.kron(np.pad(marker_bits(marker), 1, constant_values=True), np.ones((MODULE_PX, MODULE_PX)))
+    for bits, (x, y) in chart.drawn_markers(chart.pages[number]):
+        shown = np.kron(np.pad(bits, 1, constant_values=True), np.ones((MODULE_PX, MODULE_PX)))
         top, left = round(y - len(shown) / 2), round(x - len(shown) / 2)
         image[top : top + len(shown), left : left + len(shown)] = 0.05 + 0.9 * shown
     one = chart.pages[number].triangles[0]

@@ -169,12 +169,12 @@ class MarkerFinder:
         self._module_mm = side_mm / MODULES
         corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * side_mm
         self._corners_mm = centres_mm[:, None, :] + corner
-        self._edges = _Edges(self._corners_mm, self._module_mm)
+        self._edges = MarkerEdges(self._corners_mm, self._module_mm)
         within = np.linspace(-0.5, 0.5, SAMPLES) * SAMPLED
         along = (np.arange(MODULES) - (MODULES - 1) / 2)[:, None] + within
         grid = np.stack(np.meshgrid(along.ravel(), along.ravel()), axis=-1) * self._module_mm
         self._samples_mm = centres_mm[:, None, None, :] + grid
-        self._detector = cv2.aruco.ArucoDetector(_dictionary(len(centres_mm) - len(CORNERS)), _search_parameters())
+        self._detector = cv2.aruco.ArucoDetector(_dictionary(len(centres_mm) - len(CORNERS)), search_parameters())
         self._last: Geometry | None = None
         self.pieces = self._edges.pieces
         self.lens: Lens | None = None
@@ -377,7 +377,7 @@ _BORDER = np.ones((MODULES, MODULES), np.bool_)
 _BORDER[1:-1, 1:-1] = False
 
 
-class _Edges:
+class MarkerEdges:
     """The outer edges of markers, which homographies are adjusted to.
 
     Each of a marker's four edges has `PIECES` pieces. The profile of a piece, averaged along it, is antisymmetric
@@ -531,7 +531,7 @@ def _rises() -> FloatArray:
     return np.asarray((2.0 * ndtr(step / BLURS) - 1.0) / (2.0 * ndtr(PROFILE_REACH / BLURS) - 1.0))
 
 
-def _search_parameters() -> Any:
+def search_parameters() -> Any:
     """Return the parameters of a search for small, blurred and noisy markers; later steps notice errors."""
     import cv2
 
