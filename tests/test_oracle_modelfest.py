@@ -65,7 +65,7 @@ def rms(values: dict[int, float], *, without: tuple[int, ...] = ()) -> float:
 def test_the_published_model_describes_people(stimuli: list[Seen]) -> None:
     """Watson & Ahumada 2005, pooling exponent 2.4081: they report 0.67 dB without the noise and the scene.
 
-    People scatter by 0.87 dB (a standard error over the sixteen), so 0.1 dB of the mean is their 0.13.
+    The mean of the 43 thresholds of people has a standard error of 0.87 dB / √43 = 0.13 dB.
     """
     found = errors_db(stimuli, gain=373.08, aperture_sd_deg=0.6273, exponent=2.4081)
     assert abs(np.mean(list(found.values()))) < 0.13

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -99,3 +101,14 @@ def test_csf_needs_one_factor_for_rings_of_any_contrast() -> None:
             ratios.append(identification_threshold(observer, seen) / contrast)
         spread.append(float(np.std(20.0 * np.log10(ratios), ddof=1)))
     assert spread[0] < 1.0 < 5.0 < spread[1]
+
+
+@pytest.mark.slow
+def test_documented_sharpening_is_what_the_observers_say(capsys) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "enhancement.md").read_text(encoding="utf-8")
+    code, printed = (
+        re.search(rf"^```{kind} sharpening\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)[1]
+        for kind in ("python", "text")
+    )
+    exec(code, {})
+    assert capsys.readouterr().out == printed
