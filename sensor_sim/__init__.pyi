@@ -1,6 +1,7 @@
 from .calls.curve import curve as curve
 from .calls.explore import explore as explore
 from .calls.mtf import mtf as mtf
+from .calls.new_sensor import new_sensor as new_sensor
 from .calls.simulate import simulate as simulate
 from .calls.sweep import sweep as sweep
 from .chain.dataset import Written as Written

@@ -322,6 +322,36 @@ def explore(*, sensor: Path, host: str, port: int, no_browser: bool) -> None:
     ss.explore(sensor, host=host, port=port, open_browser=not no_browser, tell=echo, warn=say)
 
 
+@cli.command()
+@click.option("--emva", type=click.Path(path_type=Path), metavar="CAMERA.xml", help="Results of EMVA 1288.")
+@click.option("--thermal", is_flag=True, help="A thermal camera, described by its NETD.")
+@click.option("--preset", type=click.Choice(["emva_basler", "boson"]), help="A camera from public figures.")
+@click.option("--focal-length-mm", type=float, required=True, help="Focal length of the lens.")
+@click.option("--f-number", type=float, help="f-number of the lens.")
+@click.option("--pitch-um", type=float, help="From one detector to the next on the chip.")
+@click.option("--netd-mk", type=float, help="NETD of a thermal camera.")
+@click.option("--wavelength-um", type=float, help="Wavelength.  [default: 0.55, thermal 10]")
+@click.option("--exposure-ms", type=float, help="Exposure.  [default: that of the results, or 10]")
+@click.option("--luminance", type=float, default=100.0, show_default=True, help="Of the background in cd/m².")
+@click.option("--name", help="Name of the sensor.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), metavar="SENSOR.toml", help="File to write instead.")
+def new(*, out: Path | None, **asked: Any) -> None:
+    """Print a SENSOR.toml in which every key is explained.
+
+    It is for a camera with results of EMVA 1288, a thermal camera, or one from public figures.
+    """
+    import sensor_sim as ss
+
+    text = ss.new_sensor(**asked)
+    if out is None:
+        click.echo(text, nl=False)
+        return
+    from todframes.base.output import write_file
+
+    write_file(out, text.encode())
+    echo(f"written: {out}")
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and end the process: status 0 done, 1 bad data, 2 bad usage or settings."""
     keep_libraries_to_one_thread()

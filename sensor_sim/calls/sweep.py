@@ -117,7 +117,7 @@ def sweep(
     [12, 25, 10, 21]
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from sensor_sim.sweeps.designs import Base, check_coupling, make_designs
+    from sensor_sim.sweeps.designs import NETD, Base, check_coupling, make_designs
     from sensor_sim.sweeps.result import SweepResult
     from sensor_sim.sweeps.tables import Criterion, objectives
     from sensor_sim.sweeps.work import SweepWork, Variants, check_sweep, run_sweep
@@ -128,8 +128,12 @@ def sweep(
     sizes = [float(size) for size in size_detectors]
     check_sweep(sensor, judge, sizes, p_correct=p_correct, tolerance=tolerance)
     observers = Variants.of(judge)
+    designs = make_designs(
+        Base(sensor, observers.settings, keep_fill_factor), vary=vary, design=design, sample=sample, seed=seed
+    )
+    # A file states that its NETD follows the light; designs with NETDs of their own have these.
+    couple_netd = couple_netd or (sensor.noise.couple_netd and NETD not in designs.keys)
     base = Base(sensor, observers.settings, keep_fill_factor, couple_netd)
-    designs = make_designs(base, vary=vary, design=design, sample=sample, seed=seed)
     if couple_netd:
         check_coupling(sensor, designs.keys)
     if sensor.level != "snr" and (acuity_snr is not None or acuity_delta_t_mk is not None):

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
-from todframes.recordings.mtf_table import DIRECTIONS, LARGEST_END, RADIAL, FrequencyUnit, read_mtf_table
-from todframes.recordings.opening import open_recordings
+
+if TYPE_CHECKING:
+    from todframes.recordings.mtf_table import FrequencyUnit
 
 LARGEST_SHIFT_SAMPLES = 1.0
 """Distance of a PSF's centroid from the middle of its image, along each axis, that is taken out without a word."""
@@ -162,6 +164,8 @@ def read_measured_mtf(file: str, folder: Path) -> MeasuredMtf:
     SettingsError
         If the table stops early.
     """
+    from todframes.recordings.mtf_table import DIRECTIONS, LARGEST_END, RADIAL, read_mtf_table
+
     table = read_mtf_table(folder / file)
     if table.stops_early:
         # Behind an edge, all that is beyond f adds ∫ MTF/(πf) df at most; it falls as 1/f if a detector's does.
@@ -190,6 +194,8 @@ def read_measured_psf(file: str, folder: Path) -> MeasuredPsf:
     SettingsError
         If the image has colours, negative values, is not normalised, off centre or cut off.
     """
+    from todframes.recordings.opening import open_recordings
+
     (recording,) = open_recordings(folder / file)
     values = np.asarray(next(iter(recording.frames())).values, dtype=np.float64)
     if values.ndim == 3 and values.shape[-1] == 1:

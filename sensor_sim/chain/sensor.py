@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from msgspec import Meta
 
 from sensor_sim.chain.measured import MeasuredMtf, MeasuredPsf, read_measured_mtf, read_measured_psf
 from todframes.base.errors import SettingsError, TodframesError
-from todframes.base.reading import check_keys, check_values, from_table, read_toml, toml_text
+from todframes.base.reading import check_keys, check_values, from_table, read_toml, toml_literal, toml_text
 
 SCHEMA = 1
 
@@ -231,6 +232,8 @@ class Noise:
         Static divided by dynamic standard deviation, >= 0.
     frames_integrated : int
         Frames that the observer's eye averages, >= 1.
+    couple_netd : bool
+        Whether the NETD follows f-number² / area of a detector where a sweep varies them.
 
     Raises
     ------
@@ -242,9 +245,12 @@ class Noise:
     netd_mk: Annotated[float | None, Meta(ge=1.0 / LARGEST, le=LARGEST)] = None
     fixed_pattern_ratio: NotNegative = 0.0
     frames_integrated: Annotated[int, Meta(ge=1)] = 1
+    couple_netd: bool = False
 
     def __post_init__(self) -> None:
         check_values(self)
+        if self.couple_netd and self.netd_mk is None:
+            raise SettingsError("couple_netd: needs netd_mk, which is missing")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -488,7 +494,7 @@ class Sensor:
             raise SettingsError("optics.focal_length_mm is missing: light falls on a pixel by f-number and area")
 
     @property
-    def level(self) -> Literal["snr", "contrast"]:
+    def level(self) -> str:
         """Quantity that is the strength of a triangle: SNR, or the contrast for a camera that counts photons."""
         return "snr" if self.photons is None else "contrast"
 
@@ -659,7 +665,13 @@ def _is_left_out(name: str, value: object) -> bool:
     return (value is None and name != "netd_mk") or (name in _NOTHING and bool(_NOTHING[name] == value))
 
 
-_NOTHING = {"transmission": 1.0, "obscuration_ratio": 0.0, "defocus_waves": 0.0, "mtf_includes_detector": False}
+_NOTHING = {
+    "transmission": 1.0,
+    "obscuration_ratio": 0.0,
+    "defocus_waves": 0.0,
+    "mtf_includes_detector": False,
+    "couple_netd": False,
+}
 """Values of keys that change nothing, so that they are left out."""
 
 
@@ -671,3 +683,75 @@ def _plain(value: Any) -> Any:
 def sensor_toml(sensor: Sensor) -> str:
     """Return the text of a `SENSOR.toml` with all keys; every number keeps all its digits."""
     return toml_text({"schema": SCHEMA, "name": sensor.name} | sensor_tables(sensor))
+
+
+EXPLAINED = {
+    "optics.aperture_mm": "diameter of the circular aperture",
+    "optics.wavelength_um": "of the diffraction, and of the light of a luminance",
+    "optics.blur_sigma_mrad": "standard deviation of a Gaussian blur on top of the diffraction",
+    "optics.f_number": "focal length over the diameter of the aperture",
+    "optics.focal_length_mm": "turns lengths on the chip into angles",
+    "optics.transmission": "share of the light that the lens passes; for photons only",
+    "optics.obscuration_ratio": "diameter of a central obscuration over that of the aperture",
+    "optics.defocus_waves": "wavefront error of defocus at the rim, in wavelengths",
+    "optics.mtf": "table of a measured MTF, in place of the model of the optics",
+    "optics.mtf_includes_detector": "whether that MTF holds the width of the detectors too",
+    "optics.psf": "image of a point, in place of the model of the optics",
+    "optics.psf_pitch_um": "distance of the samples of that image on the chip",
+    "optics.psf_pitch_mrad": "or as an angle",
+    "motion.smear_mrad": "length of an even motion along x during an exposure",
+    "motion.jitter_sigma_mrad": "standard deviation of a random motion",
+    "detector.pitch_mrad": "from one detector to the next",
+    "detector.width_mrad": "side of the active area: pitch times the root of the fill factor",
+    "detector.pitch_um": "from one detector to the next on the chip",
+    "detector.width_um": "side of the active area; without it, the pitch",
+    "scene.luminance_cd_m2": "of the background",
+    "scene.illuminance_lx": "of a matt background",
+    "scene.reflectance": "share of the light that this background reflects",
+    "scene.photons_per_lux_s_um2": "photons of a lux; without it, those of monochromatic light of the wavelength",
+    "noise.model": "noise of a camera that counts photons, in the words of EMVA 1288",
+    "noise.distribution": "uniform or gaussian",
+    "noise.netd_mk": "noise-equivalent temperature difference of one frame",
+    "noise.fixed_pattern_ratio": "static over dynamic standard deviation",
+    "noise.frames_integrated": "frames that the eye averages",
+    "noise.couple_netd": "the NETD follows f-number² / area of a detector where a sweep varies them",
+    "noise.quantum_efficiency": "electrons for each photon on the area of a pixel",
+    "noise.system_gain_dn_per_electron": "K: digital numbers for each electron",
+    "noise.dark_noise_electrons": "standard deviation of a frame in the dark",
+    "noise.dark_current_electrons_per_s": "at the temperature of use",
+    "noise.dsnu_electrons": "standard deviation of the fixed pattern in the dark",
+    "noise.prnu_percent": "standard deviation of the responses of the pixels",
+    "noise.full_well_electrons": "electrons at which a pixel saturates",
+    "noise.bits": "of the converter",
+    "noise.exposure_ms": "of a frame",
+    "noise.row_noise_electrons": "what the pixels of a row have in common, new in each frame",
+    "noise.column_noise_electrons": "what the pixels of a column have in common, new in each frame",
+    "noise.row_pattern_electrons": "what the pixels of a row have in common in all frames",
+    "noise.column_pattern_electrons": "what the pixels of a column have in common in all frames",
+    "electronics.blur_sigma_px": "Gaussian blur in display pixels",
+    "display.pixels_per_detector": "display pixels along each side of a displayed detector",
+    "display.pixel_pitch_mm": "from one display pixel to the next",
+    "display.viewing_distance_mm": "from the eye to the display",
+    "display.background_luminance_cd_m2": "luminance where there is no signal",
+    "display.blur_sigma_px": "Gaussian spot of the display in its pixels",
+    "display.gain": "display contrast per unit of signal",
+}
+"""Each key of a SENSOR.toml in words."""
+
+
+def explained_toml(sensor: Sensor, *, source: str = "") -> str:
+    """Return the text of a `SENSOR.toml` with a comment at every key; keys without a value are comments."""
+    lines = sensor_toml(sensor).splitlines()[:2]
+    lines += [f"# {line}" for line in textwrap.wrap(f"Source: {source}", 100)] if source else []
+    set_keys = sensor_tables(sensor)
+    for table, names in used_keys(sensor).items():
+        lines += ["", f"[{table}]"]
+        values = set_keys[table]
+        if "model" in values:
+            lines.append(f"model = {toml_literal(values['model'])}  # {EXPLAINED['noise.model']}")
+        for name in names:
+            value = _plain(getattr(getattr(sensor, part_of(table, sensor)), name))
+            text = f"{name} =" if value is None else f"{name} = {toml_literal(value)}"
+            is_set = values.get(name) is not None
+            lines.append(f"{'' if is_set else '# '}{text}  # {EXPLAINED[f'{table}.{name}']}")
+    return "\n".join([*lines, ""])

@@ -20,7 +20,7 @@ from starlette.applications import Starlette
 
 from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sampling import field_detectors
-from sensor_sim.chain.sensor import SCHEMA, Sensor, sensor_from, sensor_settings, sensor_toml
+from sensor_sim.chain.sensor import SCHEMA, TABLES, Sensor, sensor_from, sensor_settings, sensor_toml
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import PARAMETERS
@@ -68,10 +68,13 @@ def shown(sensor: Sensor) -> Sensor:
     Raises
     ------
     SettingsError
-        If it counts photons: the page has no light.
+        If it has keys for which the page has no field, as a camera that counts photons does.
     """
-    if sensor.photons is not None:
-        raise SettingsError("noise.model: the page cannot show a camera that counts photons; take curve or sweep")
+    known = {one.key for one in PARAMETERS}
+    for table in TABLES:
+        for name in sensor_settings(sensor).get(table, {}):
+            if f"{table}.{name}" not in known:
+                raise SettingsError(f"{table}.{name}: the page has no field for it; take curve or sweep")
     return sensor
 
 

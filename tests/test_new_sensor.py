@@ -1,0 +1,86 @@
+"""New files of sensors: every key is explained, and the file is the camera that was asked for."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+
+import pytest
+
+import sensor_sim as ss
+from sensor_sim import cli
+from sensor_sim.chain.sensor import EXPLAINED, NOISE_MODELS, TABLES
+from todframes.base.errors import SettingsError
+from todframes.cli.console import run
+from todframes.recordings.emva_xml import emva_xml
+
+
+def test_every_key_is_explained():
+    kinds = [*TABLES.items(), *(("noise", kind) for kind in NOISE_MODELS.values())]
+    keys = {f"{table}.{one.name}" for table, kind in kinds for one in fields(kind)} | {"noise.model"}
+    assert keys - {"optics.measured_units"} == EXPLAINED.keys()
+
+
+def test_a_thermal_camera(tmp_path, capsys):
+    options = ["--thermal", "--netd-mk", "50", "--pitch-um", "12", "--f-number", "1.0", "--focal-length-mm", "35"]
+    assert run(cli.cli, ["new", *options]) == 0
+    text = capsys.readouterr().out
+    (tmp_path / "new.toml").write_text(text, encoding="utf-8")
+    sensor = ss.load_sensor(tmp_path / "new.toml")
+    assert sensor.optics.aperture_mm == 35.0 and sensor.noise.netd_mk == 50.0
+    assert sensor.detector.pitch_mrad == pytest.approx(12.0 / 35.0, rel=1e-15)
+    lines = [line for line in text.splitlines()[2:] if line and not line.startswith("[")]
+    assert all(re.fullmatch(r"(# )?[a-z0-9_]+ =.*  # .+", line) for line in lines)
+    swept = ss.sweep(sensor, size_detectors=[8], vary={"optics.f_number": [1.0, 1.1]}, tolerance=0.1)
+    # The file states the coupling: NETD follows the square of the f-number.
+    assert [record["netd_mk"] for record in swept.records()] == pytest.approx([50.0, 50.0 * 1.1**2])
+    own = ss.sweep(sensor, size_detectors=[8], vary={"noise.netd_mk": [40.0, 60.0]}, tolerance=0.1)
+    assert own.settings["couple_netd"] is False
+
+
+def test_results_of_emva_1288(tmp_path):
+    values = {
+        "QE": 60.0,
+        "K": 0.4,
+        "sigma_d": 2.5,
+        "DSNU1288": 1.2,
+        "PRNU1288": 0.6,
+        "u_e_sat": 9000.0,
+        "bits": 12,
+    }
+    (tmp_path / "camera.xml").write_bytes(emva_xml(values | {"exposure": 20.0}))
+    common = {"f_number": 2.8, "focal_length_mm": 25.0}
+    text = ss.new_sensor(emva=tmp_path / "camera.xml", pitch_um=3.45, luminance=5.0, **common)
+    (tmp_path / "new.toml").write_text(text, encoding="utf-8")
+    sensor = ss.load_sensor(tmp_path / "new.toml")
+    assert sensor.photons == ss.PhotonNoise(
+        quantum_efficiency=0.6,
+        system_gain_dn_per_electron=0.4,
+        dark_noise_electrons=2.5,
+        dsnu_electrons=1.2,
+        prnu_percent=0.6,
+        full_well_electrons=9000.0,
+        bits=12,
+        exposure_ms=20.0,
+    )
+    assert sensor.scene == ss.Scene(luminance_cd_m2=5.0)
+    (tmp_path / "dark.xml").write_bytes(emva_xml({"K": 0.4, "sigma_d": 2.5}))
+    with pytest.raises(SettingsError, match="quantum_efficiency is missing: the results do not have it"):
+        ss.new_sensor(emva=tmp_path / "dark.xml", pitch_um=3.45, **common)
+
+
+@pytest.mark.parametrize("preset", ["emva_basler", "boson"])
+def test_a_preset_names_its_source(tmp_path, preset):
+    text = ss.new_sensor(preset=preset, pitch_um=6.45, f_number=1.4, focal_length_mm=20.0)
+    assert "# Source: " in text
+    (tmp_path / "new.toml").write_text(text, encoding="utf-8")
+    assert ss.load_sensor(tmp_path / "new.toml").optics.f_number == 1.4
+
+
+def test_what_is_missing_is_named():
+    with pytest.raises(SettingsError, match="f_number is missing: give f_number"):
+        ss.new_sensor(thermal=True, netd_mk=50, pitch_um=12, focal_length_mm=35)
+    with pytest.raises(SettingsError, match="new: expected one of emva, thermal and preset"):
+        ss.new_sensor(focal_length_mm=35)
+    with pytest.raises(SettingsError, match="preset: found 'lepton', expected one of emva_basler, boson"):
+        ss.new_sensor(preset="lepton", focal_length_mm=35)
