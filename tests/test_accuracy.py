@@ -25,10 +25,10 @@ from todframes.studies.accuracy import estimators
 from todframes.studies.accuracy import report as accuracy_report
 from todframes.studies.accuracy.estimators import (
     Converged,
-    Estimate,
     MonteCarlo,
     Quadrature,
     StudyScene,
+    ThresholdEstimate,
     Variant,
     estimate_at_one_level,
     find_scenes,
@@ -140,8 +140,8 @@ class Known:
         def literal() -> Callable[[int, np.random.Generator], np.ndarray]:
             return lambda n, rng: (rng.random((n, 1)) < 0.75).astype(float)
 
-        def closed_form() -> Callable[[int, np.random.Generator], Estimate]:
-            return lambda n, _: Estimate(0.75 + 0.5 / n, converged.threshold * math.exp(1.0 / n))
+        def closed_form() -> Callable[[int, np.random.Generator], ThresholdEstimate]:
+            return lambda n, _: ThresholdEstimate(0.75 + 0.5 / n, converged.threshold * math.exp(1.0 / n))
 
         return (
             MonteCarlo("literal", "drawn", literal, 0.5, smallest=64, fewest=4096),
@@ -150,11 +150,11 @@ class Known:
 
     def variants(self, converged: Converged) -> tuple[Variant, ...]:
         def variant(threshold: float) -> Variant:
-            return Variant(f"{threshold}", lambda: lambda _: Estimate(0.75, threshold))
+            return Variant(f"{threshold}", lambda: lambda _: ThresholdEstimate(0.75, threshold))
 
         return variant(converged.threshold), variant(1.01 * converged.threshold)
 
-    def estimate(self, outcomes: np.ndarray, converged: Converged) -> Estimate:
+    def estimate(self, outcomes: np.ndarray, converged: Converged) -> ThresholdEstimate:
         return estimate_at_one_level(outcomes, converged)
 
     def non_gaussian_bound(self) -> float:

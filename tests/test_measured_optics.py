@@ -16,6 +16,7 @@ from sensor_sim import cli
 from sensor_sim.chain.sampling import TriangleSampler, sample_image
 from sensor_sim.chain.sensor import sensor_toml
 from sensor_sim.chain.transfer import aperture_mtf, motion_mtf, obscured_mtf, optics_mtf
+from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.stimulus import ORIENTATIONS, coverage
 
@@ -286,3 +287,35 @@ def test_a_wrong_psf_is_one_clear_line(tmp_path, capsys, psf, message):
     path = sensor_file(tmp_path, 'psf = "psf.tif"\npsf_pitch_mrad = 0.01')
     assert run(cli.cli, ["mtf", str(path)]) == 2
     assert re.fullmatch(rf"error: .*{message}.*\n", capsys.readouterr().err)
+
+
+def test_a_threshold_states_what_may_lie_beyond_its_table(tmp_path):
+    """The same MTF to its end, cut at 4 %, and cut where nothing is left."""
+    found = {}
+    for name, last in (("whole", 40.0), ("cut", 20.0)):
+        frequency = np.linspace(0.0, last, 81)
+        write_table(tmp_path, list(zip(frequency.tolist(), np.exp(-0.008 * frequency**2).tolist(), strict=True)))
+        sensor = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"'))
+        (found[name],) = ss.curve(sensor, size_detectors=[4], tolerance=0.01, examples=False).fits
+    steps = {
+        name: [step for step in fit.plan if step["stage"] == "MTF beyond its table"] for name, fit in found.items()
+    }
+    assert not steps["whole"] and 0.0 < steps["cut"][0]["bound"] <= found["cut"].p_correct_left_out_bound
+    error = found["cut"].threshold_numerical_error + found["whole"].threshold_numerical_error
+    assert abs(found["cut"].threshold - found["whole"].threshold) < error
+
+
+def test_sweeps_vary_what_a_file_has(tmp_path):
+    sensor = replace(ss.load_sensor(STAR_LIKE), motion=ss.Motion())
+    swept = ss.sweep(
+        sensor,
+        size_detectors=[6],
+        vary={"motion.smear_mrad": [0.0, 0.1], "optics.obscuration_ratio": [0.0, 0.4]},
+        tolerance=0.05,
+    )
+    thresholds = [record["threshold_snr"] for record in swept.records()]
+    assert thresholds[0] < min(thresholds[1:3]) and max(thresholds[1:3]) < thresholds[3]
+    measured = sensor_file(tmp_path, 'mtf = "mtf.csv"')
+    write_table(tmp_path, GOOD)
+    with pytest.raises(SettingsError, match=r"unknown key 'optics\.blur_sigma_mrad'"):
+        ss.sweep(measured, size_detectors=[6], vary={"optics.blur_sigma_mrad": [0.0, 0.1]})

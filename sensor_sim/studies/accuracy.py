@@ -31,10 +31,10 @@ from todframes.stimulus import ORIENTATIONS, Stimulus
 from todframes.studies.accuracy.estimators import (
     P_CORRECT,
     Converged,
-    Estimate,
     FoldedTrials,
     MonteCarlo,
     Quadrature,
+    ThresholdEstimate,
     Variant,
     estimate_at_one_level,
     monte_carlos,
@@ -136,7 +136,7 @@ class Camera:
 
             return draw
 
-        def closed_form(tolerance: float) -> Callable[[int, np.random.Generator], Estimate]:
+        def closed_form(tolerance: float) -> Callable[[int, np.random.Generator], ThresholdEstimate]:
             chain = self._chain(self._plan(tolerance=tolerance))
             return lambda n, rng: self._estimate(chain, math.isqrt(n // 2), converged, rng)
 
@@ -151,7 +151,7 @@ class Camera:
         """List plans that keep one of the omissions, and all of them; planning is part of the time."""
 
         def variant(label: str, plan: Callable[[], CurvePlan]) -> Variant:
-            def prepare() -> Callable[[np.random.Generator], Estimate]:
+            def prepare() -> Callable[[np.random.Generator], ThresholdEstimate]:
                 chain = self._chain(plan())
                 return lambda rng: self._estimate(chain, VARIANT_PLACES, converged, rng)
 
@@ -175,7 +175,7 @@ class Camera:
             variant("nothing left out", everything),
         )
 
-    def estimate(self, outcomes: FloatArray, converged: Converged) -> Estimate:
+    def estimate(self, outcomes: FloatArray, converged: Converged) -> ThresholdEstimate:
         """Estimate the threshold from P(correct) at the converged one."""
         return estimate_at_one_level(outcomes, converged)
 
@@ -225,10 +225,10 @@ class Camera:
 
     def _estimate(
         self, chain: FoldedChain, places: int, converged: Converged, rng: np.random.Generator
-    ) -> Estimate:
+    ) -> ThresholdEstimate:
         phases = chain.phases(places, rng)
         p_correct = self._proportion(chain, phases, converged.threshold)
-        return Estimate(p_correct, self._threshold(chain, phases))
+        return ThresholdEstimate(p_correct, self._threshold(chain, phases))
 
 
 def external_noise() -> Camera:

@@ -388,6 +388,7 @@ class _CurvePlanner:
 
     def plan(self) -> CurvePlan:
         """Return the plan, with a decision on every part in turn."""
+        beyond_table = self._beyond_table()
         plan, levels = self._levels(self.full)
         plan, field_step = self._field(plan)
         plan, period = self._period(plan)
@@ -396,7 +397,7 @@ class _CurvePlanner:
         steps = (
             *levels,
             self._optics(self.full),
-            *self._beyond_table(),
+            *beyond_table,
             field_step,
             *period,
             precision,

@@ -36,7 +36,7 @@ class Converged(NamedTuple):
     slope: float
 
 
-class Estimate(NamedTuple):
+class ThresholdEstimate(NamedTuple):
     """P(correct) at the converged threshold, and the threshold; NaN where there is none."""
 
     p_correct: float
@@ -106,7 +106,7 @@ class Quadrature:
 
     name: str
     label: str
-    prepare: Callable[[], Callable[[int, np.random.Generator], Estimate]]
+    prepare: Callable[[], Callable[[int, np.random.Generator], ThresholdEstimate]]
     budgets: tuple[int, ...]
     share: float
     repeats: int = 1
@@ -120,7 +120,7 @@ class Variant:
     """
 
     label: str
-    prepare: Callable[[], Callable[[np.random.Generator], Estimate]]
+    prepare: Callable[[], Callable[[np.random.Generator], ThresholdEstimate]]
 
 
 class StudyScene(Protocol):
@@ -151,7 +151,7 @@ class StudyScene(Protocol):
     def variants(self, converged: Converged) -> Sequence[Variant]:
         """List the closed form as it is, then with single changes."""
 
-    def estimate(self, outcomes: FloatArray, converged: Converged) -> Estimate:
+    def estimate(self, outcomes: FloatArray, converged: Converged) -> ThresholdEstimate:
         """Estimate the threshold from the mean of independent trials: (columns,)."""
 
     def non_gaussian_bound(self) -> float:
@@ -208,14 +208,14 @@ def monte_carlos(
     )
 
 
-def estimate_at_one_level(outcomes: FloatArray, converged: Converged) -> Estimate:
+def estimate_at_one_level(outcomes: FloatArray, converged: Converged) -> ThresholdEstimate:
     """Estimate a threshold from trials at the converged one, to first order: the slope there is taken as known.
 
     No way to choose levels needs fewer trials, and none of these knows the threshold beforehand.
     """
     p_correct = float(outcomes.mean())
     threshold = converged.threshold * math.exp((P_CORRECT - p_correct) / converged.slope)
-    return Estimate(p_correct, threshold)
+    return ThresholdEstimate(p_correct, threshold)
 
 
 def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], StudyScene]]:

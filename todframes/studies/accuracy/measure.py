@@ -24,10 +24,10 @@ from todframes.base.errors import SettingsError
 from todframes.studies.accuracy.estimators import (
     P_CORRECT,
     Converged,
-    Estimate,
     MonteCarlo,
     Quadrature,
     StudyScene,
+    ThresholdEstimate,
     Variant,
 )
 
@@ -317,7 +317,7 @@ def _measure_rule(estimator: Quadrature, converged: Converged, seconds: float, r
     return _curve(estimator, set_up[0], points, tuple(time_of_rule(points, at) for at in TARGETS))
 
 
-def _errors(estimates: Sequence[Estimate], converged: Converged) -> tuple[float, float]:
+def _errors(estimates: Sequence[ThresholdEstimate], converged: Converged) -> tuple[float, float]:
     p_correct, threshold = np.array(estimates).T
     of_p = p_correct - P_CORRECT
     of_threshold = np.log(threshold / converged.threshold)
@@ -336,10 +336,10 @@ def _curve(
 
 
 def _changes(variants: Sequence[Variant], seed: int) -> list[Change]:
-    def run(variant: Variant) -> Estimate:
+    def run(variant: Variant) -> ThresholdEstimate:
         return variant.prepare()(np.random.default_rng(np.random.SeedSequence(seed)))
 
-    results: list[tuple[str, float, Estimate]] = []
+    results: list[tuple[str, float, ThresholdEstimate]] = []
     for variant in variants:
         (cpu_s, _), estimate = _timed(partial(run, variant))
         results.append((variant.label, cpu_s, estimate))

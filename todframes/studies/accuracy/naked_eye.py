@@ -18,10 +18,10 @@ from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 from todframes.studies.accuracy.estimators import (
     P_CORRECT,
     Converged,
-    Estimate,
     FoldedTrials,
     MonteCarlo,
     Quadrature,
+    ThresholdEstimate,
     Variant,
     estimate_at_one_level,
     monte_carlos,
@@ -99,7 +99,7 @@ class NakedEye:
 
             return draw
 
-        def closed_form() -> Callable[[int, np.random.Generator], Estimate]:
+        def closed_form() -> Callable[[int, np.random.Generator], ThresholdEstimate]:
             observer = PyramidObserver()
             self._readout(observer)
             return lambda n, _: _estimate(self._proportion(observer, math.isqrt(n)), converged)
@@ -114,7 +114,7 @@ class NakedEye:
         levels = side.bit_length() - 3
 
         def variant(label: str, levels: int, dtype: type[np.floating] = np.float64) -> Variant:
-            def prepare() -> Callable[[np.random.Generator], Estimate]:
+            def prepare() -> Callable[[np.random.Generator], ThresholdEstimate]:
                 observer = PyramidObserver(PyramidSettings(levels=levels))
                 return lambda _: _estimate(self._proportion(observer, VARIANT_NODES, dtype), converged)
 
@@ -132,7 +132,7 @@ class NakedEye:
             *fewer,
         )
 
-    def estimate(self, outcomes: FloatArray, converged: Converged) -> Estimate:
+    def estimate(self, outcomes: FloatArray, converged: Converged) -> ThresholdEstimate:
         """Estimate the threshold from P(correct) at the converged one."""
         return estimate_at_one_level(outcomes, converged)
 
@@ -179,8 +179,8 @@ def _threshold(proportion: Callable[[float], float]) -> float:
     return math.nan if threshold is None else threshold
 
 
-def _estimate(proportion: Callable[[float], float], converged: Converged) -> Estimate:
-    return Estimate(proportion(converged.threshold), _threshold(proportion))
+def _estimate(proportion: Callable[[float], float], converged: Converged) -> ThresholdEstimate:
+    return ThresholdEstimate(proportion(converged.threshold), _threshold(proportion))
 
 
 def small() -> NakedEye:

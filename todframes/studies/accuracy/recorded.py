@@ -26,10 +26,10 @@ from todframes.stimulus import Stimulus
 from todframes.studies.accuracy.estimators import (
     P_CORRECT,
     Converged,
-    Estimate,
     FoldedTrials,
     MonteCarlo,
     Quadrature,
+    ThresholdEstimate,
     Variant,
     monte_carlos,
 )
@@ -181,7 +181,7 @@ class Recorded:
 
             return draw
 
-        def closed_form() -> Callable[[int, np.random.Generator], Estimate]:
+        def closed_form() -> Callable[[int, np.random.Generator], ThresholdEstimate]:
             frames = self._planned()
             return lambda n, rng: self.estimate(
                 frames.p_correct(_sequence(n, len(self.trials), rng)).mean(0), converged
@@ -200,10 +200,10 @@ class Recorded:
         levels = max(sides).bit_length() - 3
 
         def variant(label: str, frames_of: Callable[[], Frames], dtype: type[np.floating] = np.float64) -> Variant:
-            def prepare() -> Callable[[np.random.Generator], Estimate]:
+            def prepare() -> Callable[[np.random.Generator], ThresholdEstimate]:
                 frames = frames_of()
 
-                def run(rng: np.random.Generator) -> Estimate:
+                def run(rng: np.random.Generator) -> ThresholdEstimate:
                     displacements = _sequence(VARIANT_DISPLACEMENTS, len(self.trials), rng)
                     return self.estimate(frames.p_correct(displacements, dtype).mean(axis=0), converged)
 
@@ -221,12 +221,12 @@ class Recorded:
             ),
         )
 
-    def estimate(self, outcomes: FloatArray, converged: Converged) -> Estimate:
+    def estimate(self, outcomes: FloatArray, converged: Converged) -> ThresholdEstimate:
         """Fit P(correct) of each trial. Returns the curve at the converged threshold, and its own threshold."""
         fit = self._fit(outcomes)
         if fit.threshold is None:
-            return Estimate(math.nan, math.nan)
-        return Estimate(_curve(fit, converged.threshold), fit.threshold)
+            return ThresholdEstimate(math.nan, math.nan)
+        return ThresholdEstimate(_curve(fit, converged.threshold), fit.threshold)
 
     def non_gaussian_bound(self) -> float:
         """Return the bound that the readout states."""
