@@ -360,14 +360,15 @@ class _CurvePlanner:
     def _find_covariance(self, p_correct: float) -> None:
         """Find the covariance of the scores near threshold, the level there and the slope of P(correct)."""
         signal, noise = self._scores(self.weights, self.samples), self._noise(self.weights, 1.0)
-        by_signal = signal_covariance(self.weights, self.samples[:, None])[:, 0]
+        internal, variance = self.readout.noise_covariance, self.variance
+        if variance is not None:
+            by_signal = signal_covariance(self.weights, self.samples[:, None])[:, 0]
 
         def covariance(level: float) -> FloatArray:
-            internal = self.readout.noise_covariance
-            if self.variance is None:
+            if variance is None:
                 return internal + noise / level**2
-            of_triangle = self.variance.per_signal / level * by_signal[:, 0]
-            return (internal + noise) / level**2 + of_triangle + self.variance.per_squared_signal * by_signal[:, 1]
+            of_triangle = variance.per_signal / level * by_signal[:, 0]
+            return (internal + noise) / level**2 + of_triangle + variance.per_squared_signal * by_signal[:, 1]
 
         def proportion(level: float) -> float:
             return float(answer_probability(signal, covariance(level), 0, tolerance=ORTHANT_TOLERANCE).mean())
