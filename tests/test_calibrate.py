@@ -383,6 +383,7 @@ def test_a_person_is_calibrated_and_scored(two_people, tmp_path: Path, capsys) -
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_a_free_blur(two_people) -> None:
     """The templates of the people are blurred by 1.2 samples."""
     folder, frames = two_people

@@ -66,6 +66,7 @@ class Person:
         return KEYS[answer.value]
 
 
+@pytest.mark.weekly
 def test_person_whose_server_is_killed_twice(
     make_dataset: Any, open_page: OpenPage, tmp_path: Path, capsys: Any
 ) -> None:

@@ -241,6 +241,7 @@ def test_colour_mosaic_and_vignetting(chart: Chart, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_a_shaking_hand_is_told_and_can_be_taken_out(chart: Chart, tmp_path: Path) -> None:
     made = Film.of(chart, Camera(), frames_per_page=2, shake_px=3.0)
     recording = made.write(tmp_path / "film.mkv")
@@ -358,7 +359,7 @@ def misplacement_px(film: Film, dataset: Path) -> float:
     return float(np.sqrt((np.array(distances) ** 2).sum(axis=1).mean()))
 
 
-@pytest.mark.parametrize("markers", ["borders", "corners"])
+@pytest.mark.parametrize("markers", ["borders", pytest.param("corners", marks=pytest.mark.slow)])
 def test_a_triangle_is_placed_through_the_lens(markers: str, tmp_path: Path) -> None:
     """A barrel of 2 % and a chart beside the axis: a homography alone would misplace triangles by 0.3 px."""
     chart = make_chart(tmp_path, sizes="4", contrasts="0.3", markers=markers)
@@ -397,6 +398,7 @@ def test_thresholds_through_a_lens_are_those_of_frames_placed_by_hand(
     assert report["place_error_px"] < 0.1
 
 
+@pytest.mark.slow
 def test_a_fisheye_lens_is_found_by_the_residual(tmp_path: Path) -> None:
     chart = make_chart(tmp_path, sizes="4", contrasts="0.3")
     made = through_lens(chart, "off axis", fisheye_deg=120.0)

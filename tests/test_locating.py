@@ -310,7 +310,7 @@ def held_by_hand(seed: int, *, noise_sd: float, memory: float = 0.0) -> tuple[Da
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("memory", [0.0, 10.0])
+@pytest.mark.parametrize("memory", [pytest.param(0.0, marks=pytest.mark.weekly), 10.0])
 def test_faint_triangles_of_a_hand_held_camera_do_not_raise_the_threshold(memory: float) -> None:
     """By their own frames, or by those before and after: 9 and 12 % high if faint trials have the mean place."""
     ratios, settings = [], {"examples": False, "fit": tod.FitSettings(resamples=0)}
@@ -343,7 +343,7 @@ def test_a_drift_of_many_sizes_is_followed() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shake_px", [0.0, 3.0])
+@pytest.mark.parametrize("shake_px", [pytest.param(0.0, marks=pytest.mark.weekly), 3.0])
 def test_thresholds_are_those_of_known_positions(shake_px: float) -> None:
     """Positions that were chosen to favour the stated orientation would lower thresholds."""
     rng, ratios = np.random.default_rng(7), []

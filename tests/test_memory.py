@@ -84,7 +84,8 @@ def todframes(capsys: pytest.CaptureFixture[str]):
 @pytest.mark.parametrize(
     ("command", "background"),
     [("score", "50.0"), ("score", "'border'"), ("score", "'frame_mean'"), ("score", "'surround'"),
-     ("validate", "50.0"), ("validate", "'border'"), ("score --locate", "50.0"),
+     ("validate", "50.0"), ("validate", "'border'"),
+     pytest.param("score --locate", "50.0", marks=pytest.mark.weekly),
      ("score --workers 2", "'surround'")],
 )  # fmt: skip
 def test_a_large_frame_takes_little_more_than_its_pixels(large_frames, command, background) -> None:

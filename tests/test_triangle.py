@@ -118,6 +118,7 @@ def test_intervals_are_honest() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_good_frames_at_random_have_no_warning() -> None:
     for k in range(12):
         dataset = triangles.clean(np.random.default_rng([8, k]))
