@@ -353,6 +353,7 @@ def test_declarations_of_the_enhancement_page() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 @pytest.mark.usefixtures("folder")
 def test_enhancement_of_the_samples_is_as_shown(capsys) -> None:
     """The page's command gives the page's thresholds, ratios and verdicts: one helps, one hurts, one neither."""

@@ -385,6 +385,7 @@ def test_a_reload_at_once_brings_back_the_state_and_the_pinned_curves(explore) -
     assert page.locator("#pins li").count() == 0
 
 
+@pytest.mark.weekly
 def test_a_server_that_has_ended_is_noticed_without_an_action(open_page) -> None:
     """And one that takes its place is another: one line says so, at one place."""
     with open_listener(Launch()) as listener:

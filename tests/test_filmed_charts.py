@@ -212,7 +212,10 @@ VIEWS: dict[str, tuple[Camera, dict[str, Any], str]] = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", VIEWS)
+@pytest.mark.parametrize(
+    "name",
+    ["straight", "perspective", *(pytest.param(one, marks=pytest.mark.weekly) for one in ("mirrored", "turned"))],
+)
 def test_lossless_film_has_the_thresholds_of_frames_placed_by_hand(
     name: str, chart: Chart, tmp_path: Path
 ) -> None:
@@ -275,6 +278,7 @@ def test_dropped_frames_are_told_and_no_trial_goes_across(chart: Chart, tmp_path
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_doubled_frames_are_told(chart: Chart, tmp_path: Path) -> None:
     made = Film.of(chart, Camera(), frames_per_page=6)
     doubled = np.random.default_rng(3).random(len(made.frames)) < 0.1

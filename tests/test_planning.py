@@ -305,6 +305,7 @@ def test_a_bad_frame_leaves_no_bound_out(make_dataset):
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_tolerance_takes_as_many_displacements_as_needed():
     dataset = load_dataset(NAKED_EYE)
     dataset = replace(dataset, trials=tuple(t for t in dataset.trials if t.group == (0.6,)))

@@ -201,6 +201,7 @@ def with_gain(frames: Frames, gain: float) -> Frames:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_lines_that_score_prints(tmp_path, capsys) -> None:
     cases: dict[str, Callable[[Frames], Frames]] = {
         "twice": lambda frames: with_gain(frames, 2.0),
