@@ -42,8 +42,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--one-of", type=int, default=1, metavar="N", help=help_text)
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Deselect cases as `--one-of` asks."""
+    """Deselect cases as `--one-of` asks, of those that the marks asked for have left."""
     n, found = config.getoption("--one-of"), Counter[str]()
     chosen: dict[bool, list[pytest.Item]] = {True: [], False: []}
     for item in items:
