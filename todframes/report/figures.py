@@ -245,9 +245,8 @@ def draw_field_map(axes: Axes, fits: Sequence[Fit]) -> None:
     axes.set(xlabel="right of the frame's middle (mrad)", ylabel="below the frame's middle (mrad)")
     axes.plot(0.0, 0.0, "+", color=INK, markersize=12.0, alpha=0.5, zorder=1)
     # The colour bar, titles and ticks leave about 0.7 of the width and 0.75 of the height.
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    inches_per_mrad = float((figure.get_size_inches() * (0.7, 0.75) / (high - low)).min())
+    page_inches = np.array([axes.figure.bbox.width, axes.figure.bbox.height]) / axes.figure.dpi
+    inches_per_mrad = float((page_inches * (0.7, 0.75) / (high - low)).min())
     room = 72.0 * inches_per_mrad * (steps / FIELD_LABEL_EM).max(axis=1).min()
     points = float(np.clip(room, *FIELD_LABEL_POINTS))
     has = [fit.threshold is not None for fit in fits]
