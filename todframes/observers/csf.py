@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -20,8 +20,8 @@ from msgspec import Meta
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
-from todframes.base.reading import check_keys, check_values
-from todframes.observers.interface import OmittedWeights, Readout
+from todframes.base.reading import check_values
+from todframes.observers.interface import ObserverWithSettings, OmittedWeights, Readout
 from todframes.observers.internal_noise import Bands, inner_product, summed_covariance
 from todframes.observers.laplacian_pyramid import framed
 from todframes.observers.light import LEAST_CD_M2, MODELFEST_CD_M2, MOST_CD_M2, sensitivity_ratio
@@ -163,7 +163,7 @@ class CsfSettings:
         return NOISE_DEG * MRAD_PER_DEG / (self.retina_pitch_mrad * math.sqrt(self.efficiency))
 
 
-class CsfObserver:
+class CsfObserver(ObserverWithSettings):
     """A linear observer with people's contrast sensitivity, without a free parameter but the efficiency.
 
     Parameters
@@ -183,36 +183,17 @@ class CsfObserver:
     """
 
     settings_type: ClassVar[type[CsfSettings]] = CsfSettings
+    settings: CsfSettings
     omitted_part: ClassVar[str] = "outer field"
 
     def __init__(self, settings: CsfSettings | None = None, *, wider: float = 1.0, **changes: Any) -> None:
-        check_keys(changes, [field.name for field in fields(self.settings_type)], "settings")
-        self.settings = replace(settings if settings is not None else self.settings_type(), **changes)
+        super().__init__(settings, changes)
         self._wider = wider
-        self._make_caches()
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if not hasattr(value, "cache_info")}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self._make_caches()
-        vars(self).update(state)
 
     def _make_caches(self) -> None:
-        # Per observer, not per class: a cache on the method would keep every observer alive.
         self.templates = lru_cache(maxsize=4)(self._templates)
         self.readout = lru_cache(maxsize=4)(self._readout)
         self._transfer = lru_cache(maxsize=2)(self._find_transfer)
-
-    @property
-    def centre(self) -> Centre:
-        """Point of the triangle on which the retina grid is centred."""
-        return self.settings.centre
-
-    @property
-    def position_jitter_samples(self) -> float:
-        """Half the width of the uniform displacement of the grid, in retina samples."""
-        return self.settings.position_jitter_samples
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
         """Return the retina samples it looks at: as wide as triangle, filter and aperture reach.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, is_dataclass, replace
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Protocol, cast, runtime_checkable
 
@@ -267,3 +267,53 @@ def _name(kind: type) -> str:
         if entry.module in sys.modules and entry.load() is kind:
             return entry.name
     return f"{kind.__module__}:{kind.__qualname__}"
+
+
+class ObserverWithSettings:
+    """Base of observers that are made from settings and cache what they compute for a stimulus.
+
+    A subclass names its dataclass in `settings_type` and makes its caches in `_make_caches`, which is called for
+    every object, also for one that comes from another process: caches are not pickled.
+
+    Parameters
+    ----------
+    settings : dataclass, optional
+        Of the type `settings_type`. Default: its defaults.
+    changes : dict
+        Settings by name, in place of those of `settings`.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such setting, or a value is out of its range.
+    """
+
+    settings_type: ClassVar[type[Any]]
+
+    def __init__(self, settings: Any, changes: dict[str, Any]) -> None:
+        check_keys(changes, [field.name for field in fields(self.settings_type)], "settings")
+        self.settings = replace(settings if settings is not None else self.settings_type(), **changes)
+        self._make_caches()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if not hasattr(value, "cache_info")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self._make_caches()
+        vars(self).update(state)
+
+    def _make_caches(self) -> None:
+        """Make the caches of this object: one on a method of the class would keep every observer alive."""
+        raise NotImplementedError
+
+    @property
+    def centre(self) -> Centre:
+        """Point of the triangle on which the retina grid is centred."""
+        centre: Centre = self.settings.centre
+        return centre
+
+    @property
+    def position_jitter_samples(self) -> float:
+        """Half the width of the uniform displacement of the grid, in retina samples."""
+        jitter: float = self.settings.position_jitter_samples
+        return jitter

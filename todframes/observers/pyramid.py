@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Self
 
@@ -22,8 +22,8 @@ from numpy.typing import DTypeLike, NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
-from todframes.base.reading import check_keys, check_values
-from todframes.observers.interface import OmittedWeights, Readout
+from todframes.base.reading import check_values
+from todframes.observers.interface import ObserverWithSettings, OmittedWeights, Readout
 from todframes.observers.internal_noise import Bands, inner_product, summed_covariance, summed_noise
 from todframes.observers.laplacian_pyramid import BORDER, LaplacianPyramid, even_half
 from todframes.observers.retina import RetinaGrid, gaussian_blur, mean_of_turns
@@ -97,7 +97,7 @@ class PyramidSettings:
         return self.internal_noise / math.sqrt(12.0)
 
 
-class PyramidObserver:
+class PyramidObserver(ObserverWithSettings):
     """The paper's observer: a Laplacian pyramid with noise on every neuron, correlated with four templates.
 
     Parameters
@@ -124,36 +124,17 @@ class PyramidObserver:
     """
 
     settings_type: ClassVar[type[PyramidSettings]] = PyramidSettings
+    settings: PyramidSettings
 
     def __init__(self, settings: PyramidSettings | None = None, *, more_levels: int = 0, **changes: Any) -> None:
-        check_keys(changes, [field.name for field in fields(self.settings_type)], "settings")
-        self.settings = replace(settings if settings is not None else self.settings_type(), **changes)
+        super().__init__(settings, changes)
         self._more_levels = more_levels
-        self._make_caches()
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if not hasattr(value, "cache_info")}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self._make_caches()
-        vars(self).update(state)
 
     def _make_caches(self) -> None:
-        # Per observer, not per class: a cache on the method would keep every observer alive.
         self.templates = lru_cache(maxsize=4)(self._templates)
         self.readout = lru_cache(maxsize=4)(self._readout)
         self.with_extra_level = lru_cache(maxsize=1)(self._with_extra_level)
         self.with_fewer_levels = lru_cache(maxsize=4)(self._with_fewer_levels)
-
-    @property
-    def centre(self) -> Centre:
-        """Point of the triangle on which the retina grid is centred."""
-        return self.settings.centre
-
-    @property
-    def position_jitter_samples(self) -> float:
-        """Half the width of the uniform displacement of the grid, in retina samples."""
-        return self.settings.position_jitter_samples
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
         """Return the retina samples it looks at: side 4 · 2^levels + 1, about four times the triangle's size.
