@@ -1,6 +1,7 @@
 """The engine of a Dask cluster: one that runs already, or processes of this machine.
 
-The executor is that of Dask's client. A plugin gives the work to each process, those that join later included.
+A plugin gives the work to each process, those that join later included. Each batch is waited for by a coroutine of
+its own: the executor of Dask's client never hears of a batch whose worker dies while its outcome is fetched.
 """
 
 from __future__ import annotations
@@ -95,6 +96,7 @@ class ClusterEngine(ExecutorEngine):
         self._cluster = cluster
         self._client = client
         self._background = background
+        self._batches: set[distributed.Future] = set()
         self.dashboard = _dashboard(client)
         self._last_worker_s = time.monotonic()
         background.start(self._keep_counting())
@@ -104,12 +106,9 @@ class ClusterEngine(ExecutorEngine):
         folders = searched_last() if self._cluster.startswith(LOCAL) else []
         with self._scheduler_needed():
             self._background.result(self._register(_Receiver(key, work, folders)))
-        self._executor = self._client.get_executor(pure=False)  # Dask remembers what has failed
 
     def _submit(self, key: str, items: bytes) -> Future[Any]:
-        with self._scheduler_needed():
-            future: Future[Any] = self._executor.submit(_do_batch, key, items, worker.versions())
-            return future
+        return self._background.start(self._done(key, items))
 
     def _outcome(self, future: Future[Any]) -> Done | Killed:
         try:
@@ -127,9 +126,7 @@ class ClusterEngine(ExecutorEngine):
         return outcome
 
     def _end(self, key: str) -> None:
-        with suppress(OSError):
-            self._executor.shutdown(wait=False)
-        wait([self._background.start(self._unregister(key))], timeout=CLOSE_CLIENT_S)
+        wait([self._background.start(self._drop(key))], timeout=CLOSE_CLIENT_S)
 
     def _check_workers(self) -> None:
         if time.monotonic() - self._last_worker_s > WITHOUT_WORKERS_S:
@@ -150,7 +147,20 @@ class ClusterEngine(ExecutorEngine):
     async def _register(self, receiver: _Receiver) -> None:
         await self._client.register_plugin(receiver, name=receiver.key)
 
-    async def _unregister(self, key: str) -> None:
+    async def _done(self, key: str, items: bytes) -> tuple[str, Done | Unfit]:
+        # Not pure: Dask remembers what has failed.
+        batch = self._client.submit(_do_batch, key, items, worker.versions(), pure=False)
+        self._batches.add(batch)
+        try:
+            outcome: tuple[str, Done | Unfit] = await batch
+            return outcome
+        finally:
+            self._batches.discard(batch)
+
+    async def _drop(self, key: str) -> None:
+        # The coroutines end with their batches. Cancelled themselves, they would take the others along: Dask fetches
+        # the outcomes of several in one task.
+        await self._client.cancel(list(self._batches))
         await self._client.unregister_worker_plugin(key)
 
     async def _keep_counting(self) -> None:
