@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes.base.errors import DataError
+from todframes.base.errors import DataError, SettingsError
 from todframes.frames.dataset import load_dataset
+from todframes.frames.position import candidate_places
+from todframes.frames.trials import SceneView
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.counts import read_counts
 from todframes.psychometrics.fit import FitSettings
@@ -52,6 +54,49 @@ def test_groups_are_numbers_where_they_read_as_such(make_dataset) -> None:
         row["camera"] = "left" if number % 2 else "7"
     made.save()
     assert {trial.group for trial in load_dataset(made.path).trials} == {(2.0, "left"), (2.0, 7.0)}
+
+
+def test_scenes_and_places_are_read(make_dataset) -> None:
+    """Five places in rows of three; the triangle of place 2 at (20, 24) has one two columns left of place 3's."""
+    made = make_dataset(experiment={"places": 5})
+    for number, row in enumerate(made.rows):
+        view = {"scene": "street", "scene_turn": "m90", "scene_window": f"8,{number}"}
+        row |= view | {"place": str(number % 5 + 1), "place_step_px": "6.5", "x_px": "20", "y_px": "24"}
+    made.save()
+    trials = load_dataset(made.path).trials
+    assert trials[1].view == SceneView("street", "m90", "8,1")
+    assert [trials.views[code] for code in trials.view_codes] == [one.view for one in trials]
+    assert trials.places.tolist() == [1, 2, 3, 4, 5, 1, 2, 3]
+    assert (trials[1].place, trials[1].place_step_px, trials.place_steps_px[7]) == (2, 6.5, 6.5)
+    found = candidate_places(20.0, 24.0, place=2, step_px=6.5, places=5)
+    assert found == ((13.5, 24.0), (20.0, 24.0), (26.5, 24.0), (13.5, 30.5), (20.0, 30.5))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"scene": ""}, "scene: found none beside a turn or a window, expected its name"),
+        ({"place": "6"}, "place: found '6', expected a whole number from 1 to 5"),
+        ({"place_step_px": "0"}, "place_step_px: found '0', expected a finite number > 0"),
+        ({"x_px": "", "y_px": ""}, "x_px, y_px: found none, expected the place 1 in pixels"),
+    ],
+)
+def test_rows_with_half_a_scene_are_bad(make_dataset, changes, message) -> None:
+    made = make_dataset(experiment={"places": 5})
+    for row in made.rows:
+        row |= {"scene": "street", "scene_turn": "r0", "place": "1", "place_step_px": "6"}
+        row |= {"x_px": "24", "y_px": "24"}
+    made.rows[2] |= changes
+    made.save()
+    (bad,) = load_dataset(made.path).bad_rows
+    assert message in bad.error
+
+
+def test_places_need_their_columns(make_dataset) -> None:
+    with pytest.raises(DataError, match="place"):
+        load_dataset(make_dataset(experiment={"places": 2}).path)
+    with pytest.raises(SettingsError, match="places: found 0, expected a whole number from 1 to"):
+        load_dataset(make_dataset("other", experiment={"places": 0}).path)
 
 
 def test_any_column_can_be_the_level(make_dataset) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from todframes.frames.dataset import _Index, load_dataset
-from todframes.frames.trials import FrameReference, Trial, Trials, TrialsBuilder, indices_by
+from todframes.frames.trials import FrameReference, SceneView, Trial, Trials, TrialsBuilder, indices_by
 from todframes.stimulus import ORIENTATIONS, Stimulus
 
 DIGEST = "0123456789abcdef" * 4
@@ -40,6 +40,8 @@ MIXED = [
     trial(5, frames=tuple(FrameReference(f"{k}.exr", None, 0.1 * k + 0.1, f"ref/{k}") for k in range(3))),
     trial(9, frames=(FrameReference("odd.exr", DIGEST.upper(), None, None),), group=("7", 7.0)),
     trial(10, frames=(FrameReference("odd.exr", "no checksum", 50.0, "odd.exr"),), name="odd.exr"),
+    trial(12, view=SceneView("street", "r90", "0,8")),
+    trial(13, view=SceneView("street"), place=3, place_step_px=4.5, x_px=1.0, y_px=2.0),
     trial(11, frames=(FrameReference("\udcff", f"{DIGEST[:62]} 0", 1.0),), name="\udcff"),
 ]
 

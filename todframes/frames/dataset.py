@@ -38,7 +38,7 @@ from todframes.frames.files import (
     frame_sha256,
     has_own_checksums,
 )
-from todframes.frames.trials import FrameReference, Trial, Trials, TrialsBuilder
+from todframes.frames.trials import FrameReference, SceneView, Trial, Trials, TrialsBuilder
 from todframes.stimulus import ORIENTATIONS, Stimulus
 
 SCHEMA = 1
@@ -49,6 +49,16 @@ BACKGROUND_COLUMN = "background_luminance_cd_m2"
 
 REFERENCE_COLUMN = "reference_frame"
 """Name of the manifest column with the path of the same frame without noise."""
+
+SCENE_COLUMNS = ("scene", "scene_turn", "scene_window")
+"""Names of the manifest columns with the image behind the triangle, how it is turned and mirrored, and which part
+of it is shown."""
+
+PLACE_COLUMNS = ("place", "place_step_px")
+"""Names of the manifest columns with the number of the triangle's place, and the distance of neighbours."""
+
+MOST_PLACES = 4096
+"""Largest number of places at which a triangle may be."""
 
 MOST_REMEMBERED = 1024
 """Number of files behind URLs of which a thread remembers what it read."""
@@ -111,12 +121,18 @@ class DatasetWarning(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """The varied manifest columns: `level` is the stimulus strength, each group of `group_by` has a curve."""
+    """The varied manifest columns: `level` is the stimulus strength, each group of `group_by` has a curve.
+
+    `places` is the number of places at which a triangle may be; with 1, its place is known.
+    """
 
     level: str
     group_by: tuple[str, ...] = ()
+    places: int = 1
 
     def __post_init__(self) -> None:
+        if not 1 <= self.places <= MOST_PLACES:
+            raise SettingsError(f"places: found {self.places}, expected a whole number from 1 to {MOST_PLACES}")
         for name in (self.level, *self.group_by):
             if not name.strip():
                 raise SettingsError(f"level, group_by: found {name!r}, expected the name of a manifest column")
@@ -432,6 +448,8 @@ class _Manifest:
         needed = ["frame", "orientation", "size_mrad", self.experiment.level, *self.experiment.group_by]
         if self.needs_background:
             needed.append(BACKGROUND_COLUMN)
+        if self.experiment.places > 1:
+            needed += [*PLACE_COLUMNS, "x_px", "y_px"]
         check_columns(found, needed, self.path)
         if ("x_px" in found) != ("y_px" in found):
             raise DataError(f"{self.path}: found one of the columns x_px and y_px, expected both or none")
@@ -457,6 +475,8 @@ class _Manifest:
             if self.needs_background
             else None
         )
+        view = self._view(row, where)
+        place, step_px = self._place(row, where) if self.experiment.places > 1 else (None, None)
         sha256 = (row.get("sha256") or "").strip().lower() or None
         reference = (row.get(REFERENCE_COLUMN) or "").strip() or None
         if reference is not None:
@@ -471,7 +491,28 @@ class _Manifest:
             group=tuple(number_or_text(row[name]) for name in self.experiment.group_by),
             x_px=x_px,
             y_px=y_px,
+            view=view,
+            place=place,
+            place_step_px=step_px,
         )
+
+    def _view(self, row: Mapping[str, str], where: str) -> SceneView | None:
+        """Return the scene of a row; None if it has none."""
+        texts = [(row.get(name) or "").strip() for name in SCENE_COLUMNS]
+        if not texts[0]:
+            if any(texts):
+                raise DataError(f"{where}: scene: found none beside a turn or a window, expected its name")
+            return None
+        return SceneView(*texts)
+
+    def _place(self, row: Mapping[str, str], where: str) -> tuple[int, float]:
+        places = self.experiment.places
+        text = row["place"].strip()
+        if not text.isdecimal() or not 1 <= int(text) <= places:
+            raise DataError(f"{where}: place: found {text!r}, expected a whole number from 1 to {places}")
+        if not row["x_px"].strip():
+            raise DataError(f"{where}: x_px, y_px: found none, expected the place {text} in pixels")
+        return int(text), number(row["place_step_px"], f"{where}: place_step_px", positive=True)
 
     def _frame_path(self, frame: str, where: str) -> str:
         if os.sep == "/" and "\\" in frame and not self._is_there(frame):
@@ -520,6 +561,8 @@ class _Manifest:
             self.experiment.level: trial.level,
             "x_px": trial.x_px,
             "y_px": trial.y_px,
+            **dict(zip(SCENE_COLUMNS, trial.view or SceneView(""), strict=True)),
+            **dict(zip(PLACE_COLUMNS, (trial.place, trial.place_step_px), strict=True)),
             **dict(zip(self.experiment.group_by, trial.group, strict=True)),
         }
 

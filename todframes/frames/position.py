@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -31,6 +32,32 @@ def to_centroid(
     """Return the centroid (x, y) in pixels of a trial's triangle whose `centre` lies at (x_px, y_px)."""
     dx, dy = from_centroid(trial, centre, pixel_pitch_mrad)
     return x_px - dx, y_px - dy
+
+
+def candidate_places(
+    x_px: float, y_px: float, *, place: int, step_px: float, places: int
+) -> tuple[tuple[float, float], ...]:
+    """Return the centroids (x, y), in pixels, of all places at which a triangle may be.
+
+    The places fill a grid of ⌈√places⌉ columns row by row.
+
+    Parameters
+    ----------
+    x_px, y_px : float
+        Centroid of the triangle.
+    place : int
+        Number of the triangle's place, from 1.
+    step_px : float
+        Distance of neighbouring places in pixels.
+    places : int
+        Number of places.
+    """
+    columns = math.isqrt(places - 1) + 1
+    row, column = divmod(place - 1, columns)
+    return tuple(
+        (x_px + (one % columns - column) * step_px, y_px + (one // columns - row) * step_px)
+        for one in range(places)
+    )
 
 
 def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> None:

@@ -33,12 +33,25 @@ class FrameReference(NamedTuple):
     reference: str | None = None
 
 
+class SceneView(NamedTuple):
+    """The background of a frame. Frames that agree in all three have the same pixels before triangle and noise.
+
+    `scene` is the name of the image, `turn` how it is turned and mirrored, and `window` which part of it is shown.
+    """
+
+    scene: str
+    turn: str = ""
+    window: str = ""
+
+
 class Trial(NamedTuple):
     """One presentation: the frames to average, their stimulus and its position.
 
     `number` is the number of the first frame's row in the manifest and seeds the trial's random stream. `x_px` and
     `y_px` are the position of the triangle's centroid in pixels; None: the frame's centre. `group` has one value
-    for each column of `group_by`.
+    for each column of `group_by`. `view` is the scene behind the triangle; None: an even background. `place` is
+    the number, from 1, of the triangle's place among those of its experiment, and `place_step_px` the distance of
+    neighbouring places; None: the place is known.
     """
 
     number: int
@@ -50,6 +63,9 @@ class Trial(NamedTuple):
     group: Group
     x_px: float | None
     y_px: float | None
+    view: SceneView | None = None
+    place: int | None = None
+    place_step_px: float | None = None
 
 
 class Trials(Sequence[Trial]):
@@ -164,6 +180,27 @@ class Trials(Sequence[Trial]):
         return np.full((len(self), 2), np.nan) if position_px is None else position_px[self._rows]
 
     @property
+    def views(self) -> tuple[SceneView | None, ...]:
+        """Scenes that `view_codes` count; a selection may lack some of them."""
+        return tuple(one.view for one in self._columns.backdrops)
+
+    @property
+    def view_codes(self) -> NDArray[np.int32]:
+        """Scene of each trial, an index into `views`."""
+        return self._columns.backdrop[self._rows]
+
+    @property
+    def places(self) -> NDArray[np.int32]:
+        """Number of each trial's place; 0 where it is known."""
+        return np.array([one.place or 0 for one in self._columns.backdrops], np.int32)[self.view_codes]
+
+    @property
+    def place_steps_px(self) -> FloatArray:
+        """Distance of neighbouring places of each trial in pixels; NaN where the place is known."""
+        steps = [np.nan if one.step_px is None else one.step_px for one in self._columns.backdrops]
+        return np.array(steps)[self.view_codes]
+
+    @property
     def frame_counts(self) -> NDArray[np.int64]:
         """Number of frames of each trial."""
         return np.asarray(np.diff(self._columns.first_frame)[self._rows])
@@ -204,6 +241,7 @@ class TrialsBuilder:
         self._first_frame, self._trial_of_frame, self._background = array("i"), array("i"), array("d")
         self._name, self._path, self._sha256, self._reference = (_Texts() for _ in range(4))
         self._stimuli, self._groups = _Codes[Stimulus](), _Codes[Group]()
+        self._backdrop, self._backdrops = array("i"), _Codes[_Backdrop]()
 
     def __len__(self) -> int:
         return len(self._number)
@@ -215,7 +253,7 @@ class TrialsBuilder:
 
     def append(self, trial: Trial) -> None:
         """Add a trial with its frames."""
-        number, name, frames, orientation, stimulus, level, group, x_px, y_px = trial
+        number, name, frames, orientation, stimulus, level, group, x_px, y_px, view, place, step_px = trial
         index = len(self._number)
         self._name.append(b"" if name == frames[0].path else _encoded(f"={name}"))
         self._number.append(number)
@@ -225,6 +263,7 @@ class TrialsBuilder:
         self._group.append(self._groups.code(group))
         self._position_px.append(np.nan if x_px is None else x_px)
         self._position_px.append(np.nan if y_px is None else y_px)
+        self._backdrop.append(self._backdrops.code(_Backdrop(view, place, step_px)))
         self._first_frame.append(len(self._trial_of_frame))
         for frame in frames:
             self.append_frame(index, frame)
@@ -250,15 +289,16 @@ class TrialsBuilder:
         """Return the trial at an index, without its frames."""
         x_px, y_px = self._position_px[2 * index : 2 * index + 2]
         return Trial(
-            number=self._number[index],
-            name=self.name(index),
-            frames=(),
-            orientation=ORIENTATIONS[self._orientation[index]],
-            stimulus=self._stimuli.values[self._stimulus[index]],
-            level=self._level[index],
-            group=self._groups.values[self._group[index]],
-            x_px=_or_none(x_px),
-            y_px=_or_none(y_px),
+            self._number[index],
+            self.name(index),
+            (),
+            ORIENTATIONS[self._orientation[index]],
+            self._stimuli.values[self._stimulus[index]],
+            self._level[index],
+            self._groups.values[self._group[index]],
+            _or_none(x_px),
+            _or_none(y_px),
+            *self._backdrops.values[self._backdrop[index]],
         )
 
     def trials(self) -> Trials:
@@ -283,8 +323,10 @@ class TrialsBuilder:
             level=_column(self._level, np.float64),
             group=_column(self._group, np.int32),
             position_px=_unless_missing(_column(self._position_px, np.float64).reshape(-1, 2)),
+            backdrop=_column(self._backdrop, np.int32),
             stimuli=tuple(self._stimuli.values),
             groups=tuple(self._groups.values),
+            backdrops=tuple(self._backdrops.values),
         )
         return Trials(columns, np.arange(len(self)))
 
@@ -322,8 +364,9 @@ class _TrialColumns:
 
     Attributes
     ----------
-    number, orientation, stimulus, level, group : ndarray, shape (n,)
-        The number; an index into `ORIENTATIONS`; one into `stimuli`; the level; an index into `groups`.
+    number, orientation, stimulus, level, group, backdrop : ndarray, shape (n,)
+        The number; an index into `ORIENTATIONS`; one into `stimuli`; the level; one into `groups`; one into
+        `backdrops`.
     name : _Texts or None
         Names after a "=", and nothing where the name is the path of the first frame; None: nowhere another one.
     first_frame : ndarray, shape (n + 1,)
@@ -341,8 +384,10 @@ class _TrialColumns:
     level: FloatArray
     group: NDArray[np.int32]
     position_px: FloatArray | None
+    backdrop: NDArray[np.int32]
     stimuli: tuple[Stimulus, ...]
     groups: tuple[Group, ...]
+    backdrops: tuple[_Backdrop, ...]
 
     def made(self, rows: NDArray[np.intp]) -> Iterator[Trial]:
         """Yield the trials in some rows."""
@@ -350,7 +395,7 @@ class _TrialColumns:
         ends = np.cumsum(self.first_frame[rows + 1] - self.first_frame[rows]).tolist()
         of_trials = [tuple(frames[start:end]) for start, end in zip([0, *ends], ends, strict=False)]
         places = [(None, None)] * len(rows) if self.position_px is None else self.position_px[rows].tolist()
-        for number, name, own, turns, stimulus, level, group, (x_px, y_px) in zip(
+        for number, name, own, turns, stimulus, level, group, (x_px, y_px), backdrop in zip(
             self.number[rows].tolist(),
             self.names(rows),
             of_trials,
@@ -359,6 +404,7 @@ class _TrialColumns:
             self.level[rows].tolist(),
             self.group[rows].tolist(),
             places,
+            self.backdrop[rows].tolist(),
             strict=True,
         ):
             yield Trial(
@@ -371,6 +417,7 @@ class _TrialColumns:
                 self.groups[group],
                 _or_none(x_px),
                 _or_none(y_px),
+                *self.backdrops[backdrop],
             )
 
     def names(self, rows: NDArray[np.intp]) -> list[str]:
@@ -386,6 +433,7 @@ class _TrialColumns:
         n_frames = self.first_frame[rows + 1] - self.first_frame[rows]
         stimuli, stimulus = np.unique(self.stimulus[rows], return_inverse=True)
         groups, group = np.unique(self.group[rows], return_inverse=True)
+        backdrops, backdrop = np.unique(self.backdrop[rows], return_inverse=True)
         return _TrialColumns(
             number=self.number[rows],
             name=None if self.name is None else self.name.taken(rows),
@@ -396,8 +444,10 @@ class _TrialColumns:
             level=self.level[rows],
             group=group.astype(np.int32),
             position_px=None if self.position_px is None else self.position_px[rows],
+            backdrop=backdrop.astype(np.int32),
             stimuli=tuple(self.stimuli[k] for k in stimuli.tolist()),
             groups=tuple(self.groups[k] for k in groups.tolist()),
+            backdrops=tuple(self.backdrops[k] for k in backdrops.tolist()),
         )
 
     def _rows_of_frames(self, rows: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -405,6 +455,14 @@ class _TrialColumns:
         first = self.first_frame[rows]
         n_frames = self.first_frame[rows + 1] - first
         return np.repeat(first - np.cumsum(n_frames) + n_frames, n_frames) + np.arange(n_frames.sum())
+
+
+class _Backdrop(NamedTuple):
+    """What lies behind a triangle and where it may be: the last three values of a `Trial`."""
+
+    view: SceneView | None = None
+    place: int | None = None
+    step_px: float | None = None
 
 
 class _Codes(Generic[V]):

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from todframes.display.display import Display
     from todframes.enhancement.algorithm import Enhancement
     from todframes.enhancement.compare import AlgorithmResult, Compared
-    from todframes.frames.dataset import Dataset
+    from todframes.frames.dataset import Dataset, Experiment
     from todframes.psychometrics.fit import PsychometricFit
     from todframes.psychometrics.threshold_search import ComputedThreshold
     from todframes.scoring.score import GroupFit
@@ -534,11 +534,16 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
         return cls(
             path=in_utf8(str(dataset.path)),
             display=_display(dataset.display),
-            experiment={"level": dataset.experiment.level, "group_by": list(dataset.experiment.group_by)},
+            experiment=_experiment(dataset.experiment),
             manifest_sha256=dataset.manifest_sha256,
             n_frames=dataset.n_frames,
             measured={"stimuli": as_read_again} if measured else {},
         )
+
+
+def _experiment(experiment: Experiment) -> Record:
+    values: Record = {"level": experiment.level, "group_by": list(experiment.group_by)}
+    return values | {"places": experiment.places} if experiment.places > 1 else values
 
 
 def _display(display: Display) -> Record:
