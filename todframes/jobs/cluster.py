@@ -158,8 +158,8 @@ class ClusterEngine(ExecutorEngine):
             self._batches.discard(batch)
 
     async def _drop(self, key: str) -> None:
-        # The coroutines end with their batches. Cancelled themselves, they would take the others along: Dask fetches
-        # the outcomes of several in one task.
+        # The coroutines end with their batches. Cancelled themselves, they would take the others along: Dask
+        # fetches the outcomes of several in one task.
         await self._client.cancel(list(self._batches))
         await self._client.unregister_worker_plugin(key)
 
