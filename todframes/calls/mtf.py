@@ -25,6 +25,7 @@ def mtf(
     recording: PathLike | Sequence[PathLike] | NDArray[Any],
     *,
     boxes: Sequence[tuple[int, int, int, int]] = (),
+    chart: PathLike | None = None,
     display: str | Display | None = None,
     max_frame_mb: int = 256,
     progress: Progress | None = None,
@@ -40,6 +41,10 @@ def mtf(
     boxes : sequence of (int, int, int, int)
         Left column, top row, width and height in pixels of the parts of the frame that have an edge each. Default:
         edges are found.
+    chart : path, optional
+        `chart.toml` of the chart that the recording shows: the edges are those of its page made with
+        `camera_page=True`, found by the markers, in the frames that show this page. What the pixels of its monitor
+        take from the MTF is divided out.
     display : str or Display, optional
         Display whose transfer function the values have been encoded for, such as "reference_sdr": its luminance is
         measured. Default: values are taken as proportional to light.
@@ -76,7 +81,7 @@ def mtf(
     from todframes.recordings.arrays import memory_recording
     from todframes.recordings.mtf_table import is_table, read_mtf_mapper, read_mtf_table
     from todframes.recordings.opening import open_recordings
-    from todframes.recordings.slanted_edges import measure_mtf
+    from todframes.recordings.slanted_edges import PlacedEdge, measure_mtf
     from todframes.report.mtf_report import mapper_result, measured_result, table_result
 
     found: Sequence[Recording]
@@ -86,9 +91,9 @@ def mtf(
         is_one = isinstance(recording, str | Path) or not isinstance(recording, Sequence)
         paths = [Path(recording)] if is_one else [Path(one) for one in recording]  # type: ignore[arg-type, union-attr]
         if len(paths) == 1 and is_table(paths[0]):
-            if boxes or display is not None:
-                given = argument.boxes if boxes else argument.display
-                raise SettingsError(f"{given}: {paths[0]} is a table of an MTF, expected a recording")
+            given = {argument.boxes: boxes or None, argument.chart: chart, argument.display: display}
+            for option in (name for name, value in given.items() if value is not None):
+                raise SettingsError(f"{option}: {paths[0]} is a table of an MTF, expected a recording")
             name = in_utf8(str(paths[0]))
             if paths[0].suffix.lower() == ".csv":
                 return table_result(read_mtf_table(paths[0], may_exceed_1=True), name, started=started)
@@ -98,5 +103,12 @@ def mtf(
         names = ", ".join(str(one.path) for one in found[:3])
         raise DataError(f"mtf: found {len(found)} recordings ({names} …), expected one")
     shown = find_display(display).display if isinstance(display, str) else display
-    measured = measure_mtf(found[0], boxes=boxes, display=shown, progress=progress)
-    return measured_result(measured, in_utf8(str(found[0].path)), is_light=shown is not None, started=started)
+    shows, edges = found[0], list[PlacedEdge]()
+    if chart is not None:
+        from todframes.importing.camera_page import view_of_camera_page
+
+        if boxes:
+            raise SettingsError(f"{argument.boxes}: is given with {argument.chart}, expected one of them")
+        shows, _, edges = view_of_camera_page(found[0], Path(chart), needs_edges=True, progress=progress)
+    measured = measure_mtf(shows, boxes=boxes, edges=edges, display=shown, progress=progress)
+    return measured_result(measured, in_utf8(str(shows.path)), is_light=shown is not None, started=started)

@@ -52,7 +52,8 @@ def noise(
         They give the signal transfer, and a signal-to-noise ratio for each level.
     chart : path, optional
         `chart.toml` of the chart that the recording shows: its patches are found by its markers. The default of
-        `region` is then the largest patch.
+        `region` is then the largest patch. If the chart has a page made with `camera_page=True`, the frames that
+        show it are measured.
     signal : float or sequence of float
         Differences of the values, whose signal-to-noise ratios are given too.
     mk_per_count : float, optional
@@ -104,12 +105,14 @@ def noise(
         names = ", ".join(str(one.path) for one in found[:3])
         raise DataError(f"noise: found {len(found)} recordings ({names} …), expected one")
     levels = [FramePatch(place, float(level)) for place, level in (patches or {}).items()]
+    shows = found[0]
     if chart is not None:
-        from todframes.importing.chart_patches import find_patches
+        from todframes.importing.camera_page import view_of_camera_page
 
-        levels += find_patches(found[0], Path(chart))
+        shows, of_chart, _ = view_of_camera_page(found[0], Path(chart), progress=progress)
+        levels += of_chart
         region = region or max((one.region for one in levels), key=lambda place: place[2] * place[3])
-    measured = measure_noise(found[0], region=region, patches=levels, progress=progress)
+    measured = measure_noise(shows, region=region, patches=levels, progress=progress)
     if mk_per_count is None:
         mk_per_count = mk_per_count_of(found[0], measured.mean)
     signals = tuple(np.atleast_1d(np.asarray(signal, np.float64)).tolist())

@@ -258,28 +258,67 @@ class Patch:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Page:
-    """A page of a chart: an image on the monitor, a sheet of paper, or a setting of the plate.
+class Edge:
+    """A straight edge between two greys on a page, to measure an MTF across.
 
-    `file` is its path in the chart's folder; None for a setting of the plate. `borders` are the numbers of the
-    markers along the borders that it has; None for all.
+    Attributes
+    ----------
+    x1_mm, y1_mm, x2_mm, y2_mm : float
+        Its ends.
+    free_mm : float
+        Distance on either side in which there is nothing else, > 0.
 
     Raises
     ------
     SettingsError
-        If there is no triangle, or the file lies outside of the chart's folder.
+        If a value is out of range, or the ends are the same.
+    """
+
+    x1_mm: Place
+    y1_mm: Place
+    x2_mm: Place
+    y2_mm: Place
+    free_mm: Length
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if (self.x1_mm, self.y1_mm) == (self.x2_mm, self.y2_mm):
+            raise SettingsError(
+                "x2_mm, y2_mm: found x1_mm and y1_mm again, expected the other end of an edge"
+            )
+
+    @property
+    def ends_mm(self) -> FloatArray:
+        """Its two ends (x, y), shape (2, 2)."""
+        return np.array([[self.x1_mm, self.y1_mm], [self.x2_mm, self.y2_mm]])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Page:
+    """A page of a chart: an image on the monitor, a sheet of paper, or a setting of the plate.
+
+    `file` is its path in the chart's folder; None for a setting of the plate. `borders` are the numbers of the
+    markers along the borders that it has; None for all. A page with `edges` in place of triangles is that by which
+    the camera is measured.
+
+    Raises
+    ------
+    SettingsError
+        If there is neither a triangle nor an edge, or the file lies outside of the chart's folder.
     """
 
     number: Annotated[int, Meta(ge=0, le=MOST_PAGES - 1)]
-    triangles: tuple[Triangle, ...]
+    triangles: tuple[Triangle, ...] = ()
+    edges: tuple[Edge, ...] = ()
     patches: tuple[Patch, ...] = ()
     file: str | None = None
     borders: tuple[Annotated[int, Meta(ge=0, lt=len(BORDER_IDS))], ...] | None = None
 
     def __post_init__(self) -> None:
         check_values(self)
-        if not self.triangles:
-            raise SettingsError("triangles: found none, expected at least one")
+        if bool(self.triangles) == bool(self.edges):
+            found = "both" if self.triangles else "neither"
+            raise SettingsError(f"triangles, edges: found {found}, expected one or more of either")
         if self.file is not None:
             path = PurePosixPath(self.file)
             if not path.parts or path.is_absolute() or ".." in path.parts or "\0" in self.file:
@@ -418,6 +457,11 @@ class Chart:
                 raise SettingsError(f"{where}: borders: found {page.borders}, expected numbers below {n_borders}")
             for one in page.triangles:
                 self._check_triangle(one, where)
+            for edge in page.edges:
+                if (edge.ends_mm > (self.page_width_mm, self.page_height_mm)).any():
+                    raise SettingsError(f"{where}: found an edge beyond the page, expected its ends on the page")
+        if not any(page.triangles for page in self.pages):
+            raise SettingsError("pages: found none with triangles, expected at least one")
 
     def _check_triangle(self, one: Triangle, where: str) -> None:
         if (self.kind == "thermal") != (one.delta_t_k is not None):
@@ -433,6 +477,11 @@ class Chart:
             _check_equal("size_mm", one.size_mm, one.size_mrad * self.distance_m, "size_mrad and distance_m give")
         except SettingsError as error:
             raise SettingsError(f"{where}: {error}") from None
+
+    @property
+    def camera_pages(self) -> tuple[Page, ...]:
+        """Pages with slanted edges and a grey wedge, by which a camera is measured."""
+        return tuple(page for page in self.pages if page.edges)
 
     @property
     def level(self) -> str:
@@ -517,7 +566,7 @@ def _screen(found: object, where: str) -> Screen:
 
 def _page(found: object, where: str) -> Page:
     table = dict(_table(found, where))
-    for name, kind in (("triangles", Triangle), ("patches", Patch)):
+    for name, kind in (("triangles", Triangle), ("edges", Edge), ("patches", Patch)):
         if name in table:
             items = _list(table[name], f"{where}: {name}")
             table[name] = tuple(_made(one, kind, f"{where}: {name}") for one in items)
@@ -573,6 +622,7 @@ def chart_toml(chart: Chart) -> str:
             "file": page.file,
             "borders": page.borders,
             "triangles": [*map(_plain, page.triangles)] or None,
+            "edges": [*map(_plain, page.edges)] or None,
             "patches": [*map(_plain, page.patches)] or None,
         }
         for page in chart.pages

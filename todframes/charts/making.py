@@ -32,7 +32,7 @@ BACKGROUND_SHARE = 0.25
 """Background of a monitor relative to white if none is asked for; contrasts reach from -1 to 3."""
 
 SETTINGS: dict[ChartKind, set[str]] = {
-    "screen": {field.name for field in fields(Screen)} | {"display", "marker_mm", "markers"},
+    "screen": {field.name for field in fields(Screen)} | {"display", "marker_mm", "markers", "camera_page"},
     "print": {field.name for field in fields(Paper)},
     "thermal": {field.name for field in fields(Plate)},
 }
@@ -87,11 +87,12 @@ def chart(
         Called with the number of pages that were just drawn.
     **settings
         For "screen": `display`, a name or file as for a dataset; `pixel_pitch_mm`, needed unless the display has
-        it; others of the table [screen] of chart.toml; `marker_mm`, `markers`.
+        it; others of the table [screen] of chart.toml; `marker_mm`, `markers`, `camera_page`.
         For "print": `paper_width_mm`, `paper_height_mm`, `margin_mm`, `paper_reflectance`, `black_reflectance`,
-        `reflectances`, `background_reflectance`, `marker_mm`, `markers`. For "thermal": `plate_mm`.
+        `reflectances`, `background_reflectance`, `marker_mm`, `markers`, `camera_page`. For "thermal": `plate_mm`.
         `markers` is "borders" (default) or "corners": also along the borders, by which `import_recordings` solves
-        a lens, or in the corners alone, as in charts made before there were others.
+        a lens, or in the corners alone, as in charts made before there were others. `camera_page=True` adds a
+        first page with slanted edges and a grey wedge, from which `mtf` and `noise` measure the camera.
 
     Returns
     -------
@@ -153,11 +154,18 @@ def _screen(design: Design, settings: Mapping[str, Any], folder: Path, progress:
     table = SCREEN_DEFAULTS | table
     marker_mm = convert(table.pop("marker_mm", None), float | None, "screen: marker_mm")
     markers = convert(table.pop("markers", "borders"), MarkerPlaces, "screen: markers")
+    camera_page = convert(table.pop("camera_page", False), bool, "screen: camera_page")
     white = convert(table["white_luminance_cd_m2"], float, "screen: white_luminance_cd_m2")
     assert isinstance(white, float) and isinstance(marker_mm, float | None)
     table.setdefault("background_luminance_cd_m2", BACKGROUND_SHARE * white)
     screen = from_table(table, Screen, "screen")
-    made = design_screen_chart(design, screen, marker_mm=marker_mm, markers=cast("MarkerPlaces", markers))
+    made = design_screen_chart(
+        design,
+        screen,
+        marker_mm=marker_mm,
+        markers=cast("MarkerPlaces", markers),
+        camera_page=cast("bool", camera_page),
+    )
     write_screen_chart(folder, made, progress=progress)
     return made.chart
 

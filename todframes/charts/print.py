@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import check_values, read_numbers
+from todframes.charts.camera_page import N_PATCHES, CameraContent, camera_codes, camera_content
 from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
 from todframes.charts.layout import (
     CHART_FILE,
@@ -44,9 +45,6 @@ MARKER_SHARE = 0.08
 
 GAP_MM = 2.0
 """Distance between the grey field and the bands above and below it."""
-
-N_PATCHES = 12
-"""Number of grey patches; the first has the grey of the background."""
 
 RULER_MM, RULER_STEP_MM, LEAST_RULER_MM = 200.0, 10.0, 50.0
 """Longest ruler, distance of its marks, and step of its length, which is also the shortest ruler."""
@@ -96,6 +94,8 @@ class Paper:
         Side of the markers. Default: 8 % of the smaller side of the sheet.
     markers : {"borders", "corners"}
         Markers in the corners, and one each in the bands above and below; or in the corners alone.
+    camera_page : bool
+        Begin with a sheet of slanted edges and a large grey wedge.
 
     Raises
     ------
@@ -112,6 +112,7 @@ class Paper:
     background_reflectance: Reflectance = 0.3
     marker_mm: Length | None = None
     markers: MarkerPlaces = "borders"
+    camera_page: bool = False
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -205,9 +206,15 @@ def design_print_chart(design: Design, paper: Paper) -> PrintChart:
         for first in range(0, len(ours), len(places)):
             some = ours[first : first + len(places)]
             sheets.append([(one, *place) for one, place in zip(some, places, strict=False)])
-    patches, patch_codes = _patches(sheet, paper, reflectance, background_code)
-    pages = []
-    for page_number, content in enumerate(sheets):
+    patch_codes = [background_code, *np.linspace(0, WHITE, N_PATCHES - 1).round().astype(int).tolist()]
+    patches = _patches(sheet, paper, reflectance[patch_codes].tolist())
+    square_code, wedge_codes = camera_codes(reflectance, background_code)
+    pages, camera = [], None
+    if paper.camera_page:
+        camera = camera_content(sheet.left_mm, sheet.top_mm, sheet.width_mm, sheet.height_mm)
+        large = camera.patches(reflectance[wedge_codes].tolist(), "reflectance")
+        pages.append(Page(number=0, file="sheets/00.svg", edges=camera.edges, patches=large))
+    for page_number, content in enumerate(sheets, len(pages)):
         triangles = tuple(
             design.triangle(
                 condition,
@@ -232,15 +239,17 @@ def design_print_chart(design: Design, paper: Paper) -> PrintChart:
     ).with_key()
     origin = "nominal" if paper.reflectances is None else "as measured"
     drawings = []
-    for page, content in zip(chart.pages, sheets, strict=True):
+    for page in chart.pages:
         shapes: list[Shape] = [
             rectangle(sheet.left_mm, sheet.top_mm, sheet.width_mm, sheet.height_mm, background_code)
         ]
-        for one, (condition, _, _) in zip(page.triangles, content, strict=True):
+        if page.edges and camera is not None:
+            shapes += _camera_shapes(camera, square_code, wedge_codes)
+        for one in page.triangles:
             corners = vertices(size=one.size_mm, orientation=one.orientation, x=one.x_mm, y=one.y_mm)
-            shapes.append(area(corners, code_of_level[condition.level]))
+            shapes.append(area(corners, code_of_level[abs(one.contrast_asked or one.strength)]))
         shapes += _marker_shapes(chart, page)
-        shapes += _patch_shapes(page, patch_codes)
+        shapes += _patch_shapes(patches, patch_codes)
         shapes += _ruler(sheet)
         shapes += _text(chart, page, sheet, f"{least:.2g} to {largest:.2g}, {origin}")
         drawings.append(Drawing(chart.page_width_mm, chart.page_height_mm, tuple(shapes)))
@@ -347,11 +356,8 @@ def _places(design: Design, size_mrad: float, sheet: _Sheet) -> list[tuple[float
     return sorted(places, key=lambda place: math.hypot(place[0] - middle_x, place[1] - middle_y))
 
 
-def _patches(
-    sheet: _Sheet, paper: Paper, reflectance: FloatArray, background_code: int
-) -> tuple[tuple[Patch, ...], list[int]]:
-    """Return the grey patches of every sheet, from left to right, and their code values."""
-    codes = [background_code, *np.linspace(0, WHITE, N_PATCHES - 1).round().astype(int).tolist()]
+def _patches(sheet: _Sheet, paper: Paper, levels: Sequence[float]) -> tuple[Patch, ...]:
+    """Return the grey patches of every sheet, from left to right, with these reflectances."""
     n_in_part = N_PATCHES // len(sheet.above_mm)
     height_mm = 0.7 * sheet.band_mm
     slots = [
@@ -359,17 +365,21 @@ def _patches(
         for left, width in sheet.above_mm
         for k in range(n_in_part)
     ]
-    patches = tuple(
+    return tuple(
         Patch(
             x_mm=left + pitch_mm / 2.0,
             y_mm=paper.margin_mm + height_mm / 2.0,
             width_mm=pitch_mm,
             height_mm=height_mm,
-            reflectance=float(f"{reflectance[code]:.6g}"),
+            reflectance=float(f"{level:.6g}"),
         )
-        for (left, pitch_mm), code in zip(slots, codes, strict=True)
+        for (left, pitch_mm), level in zip(slots, levels, strict=True)
     )
-    return patches, codes
+
+
+def _camera_shapes(camera: CameraContent, square_code: int, codes: Sequence[int]) -> list[Shape]:
+    patches = zip(camera.patches_mm, codes, strict=True)
+    return [*(rectangle(*place, code) for place, code in patches), area(camera.square_mm, square_code)]
 
 
 def _marker_shapes(chart: Chart, page: Page) -> list[Shape]:
@@ -399,9 +409,9 @@ def _runs(bits: NDArray[np.bool_]) -> Iterator[tuple[int, int, int]]:
             yield row, start, stop
 
 
-def _patch_shapes(page: Page, codes: list[int]) -> list[Shape]:
+def _patch_shapes(patches: Sequence[Patch], codes: Sequence[int]) -> list[Shape]:
     shapes: list[Shape] = []
-    for patch, code in zip(page.patches, codes, strict=True):
+    for patch, code in zip(patches, codes, strict=True):
         left, top = patch.x_mm - patch.width_mm / 2.0, patch.y_mm - patch.height_mm / 2.0
         grey = rectangle(left, top, patch.width_mm, patch.height_mm, code)
         shapes += [grey, Outline(grey.corners_mm)]
@@ -421,11 +431,12 @@ def _ruler(sheet: _Sheet) -> list[Shape]:
 
 def _text(chart: Chart, page: Page, sheet: _Sheet, contrasts: str) -> list[Shape]:
     """Return the text in the last part of the band below: beside the ruler, or below it."""
-    one = page.triangles[0]
+    sizes = [f"{one.size_mrad:g} mrad = {one.size_mm:.4g} mm" for one in page.triangles[:1]]
+    content = sizes[0] if sizes else "slanted edges and a grey wedge, to measure the camera"
     lines = [
         f"{sheet.ruler_mm:g} mm from the first to the last mark. Print at 100 %, without fitting to the page.",
         f"{chart.name}, key {chart.key}: sheet {page.number + 1} of {len(chart.pages)}, for a distance of "
-        f"{chart.distance_m:g} m; {one.size_mrad:g} mrad = {one.size_mm:.4g} mm",
+        f"{chart.distance_m:g} m; {content}",
         f"Contrasts of 8-bit greys: {contrasts}. Numbers at the patches are code values; measure the patches.",
     ]
     below_mm = TICK_MM + 1.0 if len(sheet.below_mm) == 1 else 0.0

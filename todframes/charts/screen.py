@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
+from todframes.charts.camera_page import CameraContent, camera_codes, camera_content
 from todframes.charts.design import FIELD_PER_SIZE, SURROUND_PER_SIZE, Condition, Design
 from todframes.charts.layout import CHART_FILE, Chart, MarkerPlaces, Markers, Page, Screen, Triangle, write_chart
 from todframes.charts.markers import MODULES
@@ -56,14 +57,26 @@ class DrawnTriangle(NamedTuple):
     is_dithered: bool
 
 
+class DrawnCameraPage(NamedTuple):
+    """The page by which a camera is measured: its content, and the code values of its square and its patches."""
+
+    content: CameraContent
+    square_code: int
+    patch_codes: list[int]
+
+
 @dataclass(frozen=True, slots=True)
 class ScreenChart:
-    """A chart for a monitor, ready to be drawn: its description, and the triangle of each page."""
+    """A chart for a monitor, ready to be drawn: its description, and the triangle of each page.
+
+    `order` has None for the page by which a camera is measured.
+    """
 
     chart: Chart
-    order: tuple[Condition, ...]
+    order: tuple[Condition | None, ...]
     drawn: dict[Condition, DrawnTriangle]
     background_code: int
+    camera: DrawnCameraPage | None = None
 
     def page_codes(self) -> Iterator[NDArray[np.uint16]]:
         """Yield the code values of each page, shape (rows, columns)."""
@@ -77,7 +90,11 @@ class ScreenChart:
                 modules = np.where(with_white, 2**screen.bits - 1, 0).astype(np.uint16)
                 drawn = np.kron(modules, np.ones((module_px, module_px), np.uint16))
                 _put(codes, drawn, *(centre_mm / screen.pixel_pitch_mm))
-            _put(codes, self.drawn[condition].code, screen.width_px / 2.0, screen.height_px / 2.0)
+            if condition is None:
+                assert self.camera is not None
+                _put_camera(codes, self.camera, screen.pixel_pitch_mm)
+            else:
+                _put(codes, self.drawn[condition].code, screen.width_px / 2.0, screen.height_px / 2.0)
             yield codes
 
 
@@ -88,8 +105,26 @@ def _put(codes: NDArray[np.uint16], patch: NDArray[np.uint16], x_edge_px: float,
     codes[top : top + rows, left : left + columns] = patch
 
 
+def _put_camera(codes: NDArray[np.uint16], camera: DrawnCameraPage, pitch_mm: float) -> None:
+    """Write the wedge and the slanted square into a page; pixels whose centre is in the square belong to it."""
+    for patch_mm, code in zip(camera.content.patches_mm, camera.patch_codes, strict=True):
+        left, top, width, height = (round(one / pitch_mm) for one in patch_mm)
+        codes[top : top + height, left : left + width] = code
+    y, x = ((np.arange(n) + 0.5) * pitch_mm for n in codes.shape)
+    inside = np.ones(codes.shape, bool)
+    for edge in camera.content.edges:
+        (x1, y1), (x2, y2) = edge.ends_mm.tolist()
+        inside &= (x2 - x1) * (y[:, None] - y1) - (y2 - y1) * (x[None, :] - x1) > 0.0
+    codes[inside] = camera.square_code
+
+
 def design_screen_chart(
-    design: Design, screen: Screen, *, marker_mm: float | None = None, markers: MarkerPlaces = "borders"
+    design: Design,
+    screen: Screen,
+    *,
+    marker_mm: float | None = None,
+    markers: MarkerPlaces = "borders",
+    camera_page: bool = False,
 ) -> ScreenChart:
     """Lay out a chart for a monitor: one triangle in the middle of each page, in blocks of random order.
 
@@ -104,6 +139,8 @@ def design_screen_chart(
         and 15 % if they are in the corners alone.
     markers : {"borders", "corners"}
         Markers in the corners and along the borders, or in the corners alone.
+    camera_page : bool
+        Begin with a page of slanted edges and a grey wedge.
 
     Raises
     ------
@@ -138,16 +175,20 @@ def design_screen_chart(
     beside = {size_mrad: laid.borders_beside(surround_mm) for size_mrad, surround_mm in surrounds_mm.items()}
     borders = {one: some if len(some) < len(laid.borders) else None for one, some in beside.items()}
     drawn = {one: _drawn(one, design, screen, luminance_of_code, background_code) for one in design.conditions}
-    order = [condition for block in design.blocks() for condition in block]
-    pages = [
-        Page(
-            number=number,
-            file=f"pages/{number:0{max(4, len(str(len(order) - 1)))}d}.png",
-            borders=borders[condition.size_mrad],
-            triangles=(_triangle(condition, design, drawn, x_mm=width_mm / 2.0, y_mm=height_mm / 2.0),),
-        )
-        for number, condition in enumerate(order)
-    ]
+    order: list[Condition | None] = [None] if camera_page else []
+    order += [condition for block in design.blocks() for condition in block]
+    camera = _camera_page(laid, luminance_of_code, background_code, pitch_mm) if camera_page else None
+    pages = []
+    for number, condition in enumerate(order):
+        file = f"pages/{number:0{max(4, len(str(len(order) - 1)))}d}.png"
+        if condition is not None:
+            triangle = _triangle(condition, design, drawn, x_mm=width_mm / 2.0, y_mm=height_mm / 2.0)
+            pages.append(
+                Page(number=number, file=file, borders=borders[condition.size_mrad], triangles=(triangle,))
+            )
+        elif camera is not None:
+            patches = camera.content.patches(luminance_of_code[camera.patch_codes].tolist(), "luminance_cd_m2")
+            pages.append(Page(number=number, file=file, edges=camera.content.edges, patches=patches))
     chart = Chart(
         kind="screen",
         name=design.name,
@@ -160,7 +201,20 @@ def design_screen_chart(
         markers=laid,
         pages=tuple(pages),
     )
-    return ScreenChart(chart.with_key(), tuple(order), drawn, background_code)
+    return ScreenChart(chart.with_key(), tuple(order), drawn, background_code, camera)
+
+
+def _camera_page(
+    markers: Markers, luminance_of_code: FloatArray, background_code: int, pitch_mm: float
+) -> DrawnCameraPage:
+    """Return a page by which a camera is measured, with its content in the area between all markers."""
+    reach_mm = (0.5 + 2.0 / MODULES) * markers.side_mm  # a module of white, and one of background
+    (left, top), (right, bottom) = markers.centres_mm[0].tolist(), markers.centres_mm[2].tolist()
+    content = camera_content(
+        left + reach_mm, top + reach_mm, right - left - 2.0 * reach_mm, bottom - top - 2.0 * reach_mm,
+        step_mm=pitch_mm,
+    )  # fmt: skip
+    return DrawnCameraPage(content, *camera_codes(luminance_of_code, background_code))
 
 
 def _luminance_of_code(screen: Screen) -> FloatArray:

@@ -82,6 +82,13 @@ SHOWN_TOLERANCE = 1e-3
     "[default: borders]",
 )
 @click.option(
+    "--camera-page",
+    is_flag=True,
+    default=None,
+    help=f"{SCREEN_PRINT}A first page with slanted edges and a grey wedge, from which `mtf` and `noise` measure "
+    "the camera in the same film.",
+)
+@click.option(
     "--width-px", type=int, metavar="N", help=f"{SCREEN}Pixels in a row of the monitor.  [default: 1920]"
 )
 @click.option("--height-px", type=int, metavar="N", help=f"{SCREEN}Rows of the monitor.  [default: 1080]")

@@ -37,6 +37,13 @@ from todframes.cli.options import box, json_option, max_frame_option, quiet_opti
     "edges are found]",
 )
 @click.option(
+    "--chart",
+    type=click.Path(path_type=Path),
+    metavar="CHART.toml",
+    help="The chart that RECORDING shows, made with --camera-page: edges are found by its markers, in the frames "
+    "of that page.",
+)
+@click.option(
     "--display",
     metavar="NAME|FILE",
     help="Display whose transfer function RECORDING was encoded for: its luminance is measured.  [default: values "
@@ -51,6 +58,7 @@ def mtf(
     recording: tuple[Path, ...],
     out: str | None,
     boxes: tuple[str, ...],
+    chart: Path | None,
     display: str | None,
     max_frame_mb: int,
     strict: bool,
@@ -70,7 +78,14 @@ def mtf(
     asked = [box(one, "--box") for one in boxes]
     with staged(out) as place:
         with progress("reading", None, quiet=quiet) as advance:
-            result = tod.mtf(recording, boxes=asked, display=display, max_frame_mb=max_frame_mb, progress=advance)
+            result = tod.mtf(
+                recording,
+                boxes=asked,
+                chart=chart,
+                display=display,
+                max_frame_mb=max_frame_mb,
+                progress=advance,
+            )
         place.write(result.files)
     warnings = result.warnings
     if as_json:

@@ -193,7 +193,11 @@ class ChartSource:
         self._settle(finder.pieces, recording.shape, measured, seen, report)
         report.clips = [asdict(clip) | measured[clip.number - self._n_runs - 1].medians for clip in clips]
         if recording.frames_per_second is not None:
-            starts = [(one.page, one.start_s) for one in measured if one.start_s is not None]
+            starts = [
+                (one.page, one.start_s)
+                for one in measured
+                if one.start_s is not None and self.chart.pages[one.page].triangles
+            ]
             report.page_duration_s = page_duration_s(starts, 1.0 / recording.frames_per_second)
         self.clips += clips
         self._n_runs += len(measured)
@@ -221,7 +225,7 @@ class ChartSource:
             page = self._page(seen, finder.key, report)
             if page is not None and seen is not None:
                 placed = self._placed(page, seen.geometry)
-                roll = max((one.roll_degrees for one in placed), key=abs)
+                roll = max((one.roll_degrees for one in placed), key=abs, default=0.0)
                 if abs(roll) > LARGEST_ROLL_DEGREES:
                     report.n_rolled += 1
                     continue
@@ -327,13 +331,18 @@ class ChartSource:
             self._measure(one, geometry, shape)
 
     def _places(self, page: int, geometry: Geometry) -> FloatArray:
+        """Return the places of a page's triangles, and of those of another page if it has none."""
+        if not self.chart.pages[page].triangles:
+            page = next(one.number for one in self.chart.pages if one.triangles)
         return np.array([(one.x_px, one.y_px, one.size_px) for one in self._placed(page, geometry)])
 
     def _measure(self, measured: _Measured, geometry: Geometry, shape: tuple[int, int]) -> None:
-        triangles = self.chart.pages[measured.page].triangles
-        views = [geometry.view((one.x_mm, one.y_mm)) for one in (triangles if geometry.lens else triangles[:1])]
-        placed = self._placed(measured.page, geometry)
         middle_mm = self._markers.centres_mm.mean(axis=0)
+        triangles = self.chart.pages[measured.page].triangles
+        places_mm = [(one.x_mm, one.y_mm) for one in triangles] or [tuple(middle_mm.tolist())]
+        views = [geometry.view(one) for one in (places_mm if geometry.lens else places_mm[:1])]
+        placed = self._placed(measured.page, geometry)
+        x_px, y_px = (placed[0].x_px, placed[0].y_px) if placed else geometry.to_px(middle_mm).tolist()
         middle_px = (np.array(shape[::-1]) - 1.0) / 2.0
         x_mrad, y_mrad = geometry.direction_mrad(
             middle_mm, middle_px=middle_px, distance_m=self.chart.distance_m
@@ -344,10 +353,10 @@ class ChartSource:
             turn_degrees=views[0].turn_degrees,
             mirrored=float(views[0].is_mirrored),
             stretch=max(one.stretch for one in views),
-            lens_stretch=max(geometry.lens_stretch((one.x_mm, one.y_mm)) for one in triangles),
-            roll_degrees=max((one.roll_degrees for one in placed), key=abs),
-            x_px=placed[0].x_px,
-            y_px=placed[0].y_px,
+            lens_stretch=max(geometry.lens_stretch(one) for one in places_mm),
+            roll_degrees=max((one.roll_degrees for one in placed), key=abs, default=0.0),
+            x_px=x_px,
+            y_px=y_px,
             object_x_mrad=x_mrad,
             object_y_mrad=y_mrad,
             frame_mrad=math.hypot(*shape) / (views[0].scale_px_per_mm * self.chart.distance_m),

@@ -352,7 +352,7 @@ def choose_lens(
     if not fits:
         return None
     some = [(k, placed[k]) for k in np.unique(np.linspace(0, len(measured) - 1, MOST_PLACED).round().astype(int))]
-    places = np.array([[place(one.geometries[k]) for k, place in some] for one in fits])
+    places = np.array([np.concatenate([place(one.geometries[k]) for k, place in some]) for one in fits])
     variances = np.array([_variance(pieces, one, some) for one in fits])
     # Bayesian information criterion: among models that are as likely before, this is -2 ln of the probability.
     criteria = np.array([one.criterion for one in fits])
@@ -360,14 +360,14 @@ def choose_lens(
     likely = np.exp((criteria[best] - criteria) / 2.0)
     likely /= likely.sum()
     apart = (places - places[best]) ** 2
-    variance = np.einsum("k,kvti->vti", likely, variances + apart)
+    variance = np.einsum("k,kti->ti", likely, variances + apart)
     error_px = math.sqrt(float(variance[..., :2].sum(axis=-1).mean()))
     size_error = math.sqrt(float((variance[..., 2] / places[best][..., 2] ** 2).mean()))
     return LensChoice(fits[best], error_px, size_error)
 
 
 def _variance(pieces: Pieces, fit: LensFit, placed: Sequence[tuple[int, Places]]) -> FloatArray:
-    """Return the variances of the places of triangles, (frame, triangle, 3).
+    """Return the variances of the places of the triangles of all frames, (triangle, 3).
 
     What is left of an edge is alike in all frames if the camera stands still, so that it is an error of the edge
     and not of a frame: the residuals of a piece are summed over the frames before they are squared.
@@ -401,7 +401,7 @@ def _variance(pieces: Pieces, fit: LensFit, placed: Sequence[tuple[int, Places]]
         by_edge = by_edge.reshape(*by_edge.shape[:2], -1, pieces.per_edge).sum(axis=-1)
         of_edges += LEAST_ERROR_PX**2 * (by_edge**2).sum(axis=-1)
         variances.append(of_edges + (net @ fit.covariance) ** 2 @ of_knowledge)
-    return np.array(variances)
+    return np.concatenate(variances)
 
 
 def _derivative(place: Places, more: Sequence[Geometry], less: Sequence[Geometry]) -> FloatArray:

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -167,6 +167,16 @@ class EdgeMtf(MtfBand):
     def angle_deg(self) -> float:
         """Angle of the edge against rows or columns of pixels, whichever is nearer: 0 to 45."""
         return abs((self.normal_deg + 45.0) % 90.0 - 45.0)
+
+    def without_steps(self, step_px: float) -> EdgeMtf:
+        """Return the edge with what steps of this width, along the normal, take from its MTF divided out.
+
+        A regular stair, averaged along the edge, is a straight edge whose light is spread evenly over one step.
+        """
+        if step_px == 0.0:
+            return self
+        of_steps = np.sinc(step_px * FREQUENCY_CYC_PER_PIXEL)
+        return replace(self, mtf=self.mtf / of_steps, lower=self.lower / of_steps, upper=self.upper / of_steps)
 
     @property
     def relative_noise(self) -> float:

@@ -59,10 +59,19 @@ class RecordingMtf:
     warnings: tuple[RecordingWarning, ...]
 
 
+class PlacedEdge(NamedTuple):
+    """An edge whose place is known: a box about it, and the width of its steps if it is a stair of a monitor's
+    pixels, in pixels of the frame along the normal; 0 for a straight one."""
+
+    box: Box
+    step_px: float
+
+
 def measure_mtf(
     recording: Recording,
     *,
     boxes: Sequence[Box] = (),
+    edges: Sequence[PlacedEdge] = (),
     display: Display | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> RecordingMtf:
@@ -75,6 +84,9 @@ def measure_mtf(
     boxes : sequence of (int, int, int, int)
         Left column, top row, width and height of the part of the frame about each edge. Without any, edges are
         found.
+    edges : sequence of PlacedEdge
+        In place of boxes: edges of a chart. Those that cannot be measured are left out, as those that are found;
+        what their steps take from the MTF is divided out.
     display : Display, optional
         Display whose transfer function the values have been made for: luminance is measured then.
     progress : function of an int, optional
@@ -90,15 +102,15 @@ def measure_mtf(
     frames = _mean(recording, display, progress)
     whole = frames.colours[LUMA]
     warnings = list(recording.warnings)
-    edges = []
+    measured = []
     try:
-        places = list(boxes) or find_edges(whole)
+        places = edges or [PlacedEdge(box, 0.0) for box in boxes or find_edges(whole)]
     except DataError as error:
         raise DataError(f"{recording.path}: {error.marked}") from None
     problems = []
-    for box in places:
+    for box, step_px in places:
         try:
-            edge = {LUMA: measure_edge(whole, box, saturated=frames.saturated)}
+            edge = {LUMA: measure_edge(whole, box, saturated=frames.saturated).without_steps(step_px)}
         except (DataError, SettingsError) as error:
             if boxes:
                 raise type(error)(f"{recording.path}: {error.marked}") from None
@@ -106,17 +118,20 @@ def measure_mtf(
             continue
         for name in COLOURS if len(frames.colours) > 1 else ():
             try:
-                edge[name] = measure_edge(frames.colours[name], box, saturated=frames.saturated)
+                found = measure_edge(frames.colours[name], box, saturated=frames.saturated)
+                edge[name] = found.without_steps(step_px)
             except DataError as error:
                 problems.append(f"{name}: {error.marked}")
-        edges.append(edge)
-    if not edges:
+        measured.append(edge)
+    if not measured:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise DataError(f"{recording.path}: no edge can be measured: {problems[0]}{more}")
     warnings += [RecordingWarning("edge_left_out", f"left out: {one}") for one in problems]
-    names = dict.fromkeys(name for edge in edges for name in edge)
-    means = {name: mean_band([edge[name] for edge in edges if name in edge]) for name in names}
-    return RecordingMtf(n_frames=frames.n, edges=tuple(edges), means=means, image=whole, warnings=tuple(warnings))
+    names = dict.fromkeys(name for edge in measured for name in edge)
+    means = {name: mean_band([edge[name] for edge in measured if name in edge]) for name in names}
+    return RecordingMtf(
+        n_frames=frames.n, edges=tuple(measured), means=means, image=whole, warnings=tuple(warnings)
+    )
 
 
 class _MeanFrame(NamedTuple):
@@ -222,6 +237,22 @@ def find_edges(image: FloatArray) -> list[Box]:
             f"the part of the frame with the edge: {argument.boxes}"
         )
     return boxes
+
+
+def box_about(ends_px: FloatArray, others_px: Sequence[FloatArray], shape: tuple[int, int]) -> Box | None:
+    """Return the widest box about an edge without others in it; None if there is none.
+
+    Parameters
+    ----------
+    ends_px : ndarray, shape (2, 2)
+        Its ends, (x, y).
+    others_px : sequence of ndarray, shape (2, 2)
+        Ends of other edges.
+    shape : (int, int)
+        Rows and columns of the frame.
+    """
+    line, *others = (_Segment(*map(float, one.ravel())) for one in (ends_px, *others_px))
+    return _box(line, [one.points() for one in (line, *others)], shape) if line.length >= LEAST_LENGTH_PX else None
 
 
 def _box(one: _Segment, points: Sequence[FloatArray], shape: tuple[int, ...]) -> Box | None:
