@@ -205,7 +205,7 @@ def test_what_is_no_film_of_the_page_is_one_line(folder, recording, tmp_path, ca
     assert isinstance(other, Chart)
     table = tmp_path / "mtf.csv"
     table.write_text("frequency_cyc_per_pixel,mtf\n0,1\n0.5,0.3\n1,0\n")
-    for film, chart, problem, status in (
+    for shown, chart, problem, status in (
         ("triangles.npy", folder, "found no frame of the page of", 1),
         (
             recording,
@@ -216,6 +216,6 @@ def test_what_is_no_film_of_the_page_is_one_line(folder, recording, tmp_path, ca
         (recording, tmp_path / "other", "(but a chart with the key", 1),
         (table, folder, "--chart:", 2),
     ):
-        assert run(cli, ["mtf", str(tmp_path / film), "--chart", str(chart), "--quiet"]) == status
+        assert run(cli, ["mtf", str(tmp_path / shown), "--chart", str(chart), "--quiet"]) == status
         message = capsys.readouterr().err
         assert problem in message and message.count("\n") == 1, message

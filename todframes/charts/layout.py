@@ -283,9 +283,7 @@ class Edge:
     def __post_init__(self) -> None:
         check_values(self)
         if (self.x1_mm, self.y1_mm) == (self.x2_mm, self.y2_mm):
-            raise SettingsError(
-                "x2_mm, y2_mm: found x1_mm and y1_mm again, expected the other end of an edge"
-            )
+            raise SettingsError("x2_mm, y2_mm: found x1_mm and y1_mm again, expected the other end of an edge")
 
     @property
     def ends_mm(self) -> FloatArray:
