@@ -92,7 +92,7 @@ def view_of_camera_page(
             f"{chart}: has no page with slanted edges, expected a chart made with {argument.camera_page}; or name "
             f"edges with {argument.boxes}"
         )
-    seen = _Seen(recording, layout)
+    seen = _SeenFilm(recording, layout)
     if layout.camera_pages:
         clip = seen.clip(progress)
         if clip is not None:
@@ -107,7 +107,7 @@ def view_of_camera_page(
     return seen.first(chart)
 
 
-class _Seen:
+class _SeenFilm:
     """What the frames of a recording show of a chart."""
 
     def __init__(self, recording: Recording, chart: Chart) -> None:
