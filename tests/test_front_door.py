@@ -349,7 +349,7 @@ def test_texts_of_calls_name_arguments() -> None:
             assert not FLAG.search(text), (place, text)
     calls = [getattr(package, name) for package, name in NAMES]
     known = {name for one in calls if inspect.isfunction(one) for name in inspect.signature(one).parameters}
-    known |= {"bits"}  # a setting of `chart` for a screen
+    known |= {"bits", "camera_page"}  # settings of `chart`
     named = arguments_named()
     assert len(named) > 20
     assert {name: place for name, place in named.items() if name not in known} == {}

@@ -477,9 +477,9 @@ class Chart:
             raise SettingsError(f"{where}: {error}") from None
 
     @property
-    def camera_pages(self) -> tuple[Page, ...]:
-        """Pages with slanted edges and a grey wedge, by which a camera is measured."""
-        return tuple(page for page in self.pages if page.edges)
+    def has_camera_page(self) -> bool:
+        """Whether a page has slanted edges and a grey wedge, by which a camera is measured."""
+        return any(page.edges for page in self.pages)
 
     @property
     def level(self) -> str:

@@ -87,13 +87,13 @@ def view_of_camera_page(
     if layout.markers is None:
         option = argument.boxes if needs_edges else argument.patches
         raise SettingsError(f"{chart}: a thermal chart has no markers; name its parts of the frame with {option}")
-    if needs_edges and not layout.camera_pages:
+    if needs_edges and not layout.has_camera_page:
         raise SettingsError(
             f"{chart}: has no page with slanted edges, expected a chart made with {argument.camera_page}; or name "
             f"edges with {argument.boxes}"
         )
     seen = _SeenFilm(recording, layout)
-    if layout.camera_pages:
+    if layout.has_camera_page:
         clip = seen.clip(progress)
         if clip is not None:
             return seen.view(*clip)
