@@ -104,6 +104,9 @@ recording is read; and the least share of such edges, without which all count.""
 NO_BETTER = 0.9
 """Residual of the edges relative to that before, above which a lens is not estimated again."""
 
+CORRECTIONS = 3
+"""Steps in which the shift of an edge is found that a profile with its neighbours would show as measured."""
+
 NOTICED_PX = 0.1
 """Residual of the edges from which a lens is looked for while a recording is read."""
 
@@ -462,7 +465,8 @@ class MarkerEdges:
 
         Black beside a white module is less black, and white beside the grey of the page less white, so that the
         middle of the slope is not where the edge is. How much follows from the width of the blur, which the
-        steepest part of the slopes shows, and from the pattern of the markers, `bits`, (n, 7, 7).
+        steepest part of the slopes shows, from the pattern of the markers, `bits`, (n, 7, 7), and from the shift
+        itself: an edge that is not where it was looked for is nearer to what lies on one of its sides.
         """
         there = np.isfinite(edges.shifts_px).reshape(len(bits), -1).all(axis=1)
         profiles, length_px = _profiles(grey, edges.start.to_px(self._places_mm[there]))
@@ -479,11 +483,16 @@ class MarkerEdges:
         rise = (profiles[..., middle + 1] - profiles[..., middle - 1])[..., None] / (white - black)
         blur_px = float(np.median(np.interp(-rise[..., 0], -_rises(), BLURS) * length_px))
         blur = np.clip(blur_px / length_px, BLURS[0], BLURS[-1])[..., None]
-        away = np.linspace(-PROFILE_REACH, PROFILE_REACH, 2 * PROFILE_STEPS + 1)
-        modelled = ndtr(away / blur) - (1.0 - white_share) * ndtr((away - 1.0) / blur)
-        modelled += inside * ndtr(-(away + 1.0) / blur)
+        places = np.linspace(-PROFILE_REACH, PROFILE_REACH, 2 * PROFILE_STEPS + 1)
         shifts = edges.shifts_px.astype(np.float64).reshape(len(bits), 4, PIECES)
-        shifts[there] -= _shift_per_module(modelled) * length_px
+        measured = shifts[there] / length_px
+        shift = np.zeros_like(measured)
+        for _ in range(CORRECTIONS):
+            away = places - shift[..., None]
+            modelled = ndtr(away / blur) - (1.0 - white_share) * ndtr((away - 1.0) / blur)
+            modelled += inside * ndtr(-(away + 1.0) / blur)
+            shift += measured - _shift_per_module(modelled)
+        shifts[there] = shift * length_px
         corrected = SeenEdges(edges.start, shifts.ravel().astype(np.float32))
         geometry, _ = self._moved(edges.start, shifts.ravel())
         return geometry, corrected
