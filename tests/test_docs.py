@@ -161,6 +161,7 @@ HOW_TO = [
     "own_frames.md",
     "charts.md",
     "import_recordings.md",
+    "scenes.md",
     "compare_algorithms.md",
     "simulate_sensor.md",
     "sweep.md",

@@ -26,7 +26,8 @@ from todframes.importing.chart_source import page_duration_s
 from todframes.importing.clips import Clip, ClipFrame, FramePart, Placed, clean_clips, share_of_other
 from todframes.importing.filmed_trials import TrialDivision, TriangleDescription, merged_sizes
 from todframes.importing.geometry import Geometry, place_triangle
-from todframes.importing.windows import CodeRange, RecordedWindow, WrittenWindow
+from todframes.importing.windows import RecordedWindow, WrittenWindow
+from todframes.recordings.recording import CodeRange
 from todframes.stimulus import Orientation
 
 CHART = film.make_chart()

@@ -1,3 +1,5 @@
+from .backdrops.making import ScenesMade as ScenesMade
+from .backdrops.making import scenes as scenes
 from .base.errors import DataError as DataError
 from .base.errors import FrameError as FrameError
 from .base.errors import OutputError as OutputError

@@ -30,6 +30,7 @@ MODULES = {
         "noise": "noise:noise",
         "range": "range:range_command",
         "report": "checks:report_command",
+        "scenes": "scenes:scenes",
         "score": "score:score",
         "stability": "studies:stability",
         "validate": "checks:validate",

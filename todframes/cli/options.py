@@ -320,3 +320,20 @@ def box(text: str, option: str) -> tuple[int, int, int, int]:
     except ValueError:
         raise SettingsError(f"{option}: found {text!r}, expected X,Y,W,H: four whole numbers of pixels") from None
     return left, top, width, height
+
+
+def limits(text: str | None) -> tuple[float, float] | None:
+    """Return the two numbers of `--range LOW:HIGH`; None if it is not given.
+
+    Raises
+    ------
+    SettingsError
+        If the text is not two numbers.
+    """
+    if text is None:
+        return None
+    try:
+        low, high = map(float, text.split(":"))
+    except ValueError:
+        raise SettingsError(f"--range: found {text!r}, expected two numbers LOW:HIGH") from None
+    return low, high

@@ -10,7 +10,7 @@ import click
 
 from todframes.base.errors import SettingsError
 from todframes.cli.console import MOST_ALIKE, echo, progress, say, terminal_width
-from todframes.cli.options import max_frame_option, quiet_option, restart_options
+from todframes.cli.options import limits, max_frame_option, quiet_option, restart_options
 
 UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
 """Units of a time on the command line, in seconds."""
@@ -88,7 +88,7 @@ def import_command(
     """
     if (asked["chart"] is None) == (asked["schedule"] is None):
         raise SettingsError("import: expected one of --chart and --schedule, which says what is shown")
-    time_s, limits = seconds(integration_time), _limits(value_range)
+    time_s, shown_range = seconds(integration_time), limits(value_range)
     from todframes.importing.importing import import_recordings, open_for_import
     from todframes.report.wording import count
 
@@ -106,7 +106,7 @@ def import_command(
             opened,
             out=out,
             integration_time_s=time_s,
-            value_range=limits,
+            value_range=shown_range,
             tell=None if quiet else say,
             progress=advance,
             **asked,
@@ -145,13 +145,3 @@ def seconds(text: str) -> float | Literal["all"]:
         return float(number) * UNITS_S[unit]
     except (ValueError, KeyError):
         raise SettingsError(f"--integration-time: found {text!r}, expected a time such as 0.1 s, or all") from None
-
-
-def _limits(text: str | None) -> tuple[float, float] | None:
-    if text is None:
-        return None
-    try:
-        low, high = map(float, text.split(":"))
-    except ValueError:
-        raise SettingsError(f"--range: found {text!r}, expected two numbers LOW:HIGH") from None
-    return low, high

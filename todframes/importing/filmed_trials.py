@@ -12,7 +12,8 @@ import numpy as np
 
 from todframes.importing.clips import Clip, ClipFrame, Integration, Placed, Rectangle
 from todframes.importing.spool import Spool
-from todframes.importing.windows import CodeRange, RecordedWindow, WrittenWindow, narrowed, suffix
+from todframes.importing.windows import RecordedWindow, WrittenWindow, narrowed, suffix
+from todframes.recordings.recording import CodeRange
 from todframes.stimulus import Orientation
 
 OBJECT_SIZE = "object_size_mrad"

@@ -37,10 +37,17 @@ from todframes.importing.filmed_trials import (
 )
 from todframes.importing.schedule import read_schedule
 from todframes.importing.schedule_source import ScheduleSource
-from todframes.importing.windows import WindowWriter, code_range
+from todframes.importing.windows import WindowWriter
 from todframes.jobs.store import Store
 from todframes.recordings.opening import open_recordings
-from todframes.recordings.recording import GAP, INTEGRATION_TIME_S, Recording, RecordingWarning, natural_order
+from todframes.recordings.recording import (
+    GAP,
+    INTEGRATION_TIME_S,
+    Recording,
+    RecordingWarning,
+    code_range,
+    natural_order,
+)
 
 LARGEST_TIME_ERROR = 0.1
 """Relative difference of the trials' time from the integration time, above which it is reported."""

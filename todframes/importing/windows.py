@@ -6,7 +6,6 @@ import hashlib
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base.errors import FrameError, OutputError, SettingsError, argument
+from todframes.base.errors import FrameError, OutputError
 from todframes.frames.files import frame_sha256, write_frame
 from todframes.frames.surround import TrianglePlace, surround_window
 from todframes.importing.clips import FramePart, Rectangle
@@ -23,7 +22,7 @@ from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.run import WORTH_S
 from todframes.jobs.store import Store
 from todframes.observers.pyramid import PyramidObserver
-from todframes.recordings.recording import Recording
+from todframes.recordings.recording import CodeRange
 from todframes.stimulus import Stimulus
 
 MARGIN_PX = 2
@@ -75,34 +74,6 @@ def narrowed(part: FramePart, window: Rectangle) -> NDArray[Any] | None:
     if min(top, left) < 0 or bottom > rows or right > columns:
         return None
     return part.values[top:bottom, left:right]
-
-
-@dataclass(frozen=True, slots=True)
-class CodeRange:
-    """Recorded values that become code values 0 and 1 of the display."""
-
-    low: float
-    high: float
-
-
-def code_range(recording: Recording, asked: tuple[float, float] | None) -> CodeRange:
-    """Return the range of a recording: the one asked for, or black and white of the recording.
-
-    Raises
-    ------
-    SettingsError
-        If the recording has no white and none is asked for.
-    """
-    if asked is not None:
-        return CodeRange(*asked)
-    if recording.full_scale is None:
-        what = {"celsius": "temperatures", "counts": "counts"}.get(recording.unit, "values")
-        raise SettingsError(
-            f"{recording.path}: has {what} without a black and a white, expected {argument.value_range} "
-            "LOW:HIGH, the values "
-            "that the display shows black and white"
-        )
-    return CodeRange(recording.zero, recording.full_scale)
 
 
 class RecordedWindow(NamedTuple):

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 from numpy.typing import NDArray
 
-from todframes.base.errors import DataError, FrameError, argument
+from todframes.base.errors import DataError, FrameError, SettingsError, argument
 from todframes.base.reading import check_positive
 
 INTEGRATION_TIME_S = 0.1
@@ -98,6 +98,34 @@ class Recording:
             If a frame is damaged or has another size; those before it are good.
         """
         return self.read()
+
+
+@dataclass(frozen=True, slots=True)
+class CodeRange:
+    """Recorded values that become code values 0 and 1 of the display."""
+
+    low: float
+    high: float
+
+
+def code_range(recording: Recording, asked: tuple[float, float] | None) -> CodeRange:
+    """Return the range of a recording: the one asked for, or black and white of the recording.
+
+    Raises
+    ------
+    SettingsError
+        If the recording has no white and none is asked for.
+    """
+    if asked is not None:
+        return CodeRange(*asked)
+    if recording.full_scale is None:
+        what = {"celsius": "temperatures", "counts": "counts"}.get(recording.unit, "values")
+        raise SettingsError(
+            f"{recording.path}: has {what} without a black and a white, expected {argument.value_range} "
+            "LOW:HIGH, the values "
+            "that the display shows black and white"
+        )
+    return CodeRange(recording.zero, recording.full_scale)
 
 
 class StillHeader(NamedTuple):

@@ -1,0 +1,304 @@
+"""Triangles on scenes: the frames hold what the manifest says, and backgrounds are shown in balance."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+import todframes as tod
+from todframes.backdrops.images import Encoder
+from todframes.backdrops.views import TURNS, balanced, own_orientation, plan, turned, turned_place
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.display.display_files import find_display
+from todframes.frames.position import candidate_places
+from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+
+PITCH_MRAD = 0.5
+DISPLAY = tod.Display(
+    eotf="gamma",
+    gamma=2.2,
+    white_luminance_cd_m2=100.0,
+    black_luminance_cd_m2=0.5,
+    pixel_pitch_mrad=PITCH_MRAD,
+    background_luminance_cd_m2="surround",
+)
+
+
+def textured(side: int = 160, seed: int = 1, low: float = 0.2, high: float = 0.9) -> np.ndarray:
+    """A smooth random image, code values from `low` to `high`."""
+    noise = np.random.default_rng(seed).normal(size=(side, side))
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(side), np.fft.fftfreq(side)))
+    image = np.fft.ifft2(np.fft.fft2(noise) / np.maximum(frequency, 1.0 / side)).real
+    image -= image.min()
+    return low + (high - low) * image / image.max()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two images of 8 and 16 bits."""
+    path = tmp_path / "images"
+    path.mkdir()
+    tod.write_frame(path / "hills.png", textured(seed=1), pixel_type="uint8")
+    tod.write_frame(path / "woods.png", textured(seed=2), pixel_type="uint16")
+    return path
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with (path / "manifest.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def luminance_of(path: Path, row: dict[str, str]) -> np.ndarray:
+    return DISPLAY.luminance(tod.read_frame(path / row["frame"]).values)
+
+
+def test_a_frame_is_the_scene_and_a_triangle(folder: Path, tmp_path: Path) -> None:
+    """Scene, local luminance and coverage are computed again, from the file and what the manifest says."""
+    out = tmp_path / "out"
+    made = tod.scenes(
+        folder, out=out, size_mrad=[4], contrast=[0.1, 0.3], trials=16, display=DISPLAY, dim=0.5, rng=3
+    )
+    rows = rows_of(out)
+    assert made.n_frames == len(rows) == 32
+    images = {
+        name: DISPLAY.luminance(tod.read_frame(folder / f"{name}.png").values) for name in ("hills", "woods")
+    }
+    for row in rows[::5]:
+        shown = luminance_of(out, row)
+        side = len(shown)
+        first = [int(one) for one in row["scene_window"].split(",")]
+        scene = 0.5 + 0.5 * (images[row["scene"]][first[0] :, first[1] :][:side, :side] - 0.5)
+        if row["scene_turn"].startswith("m"):
+            scene = np.fliplr(scene)
+        for _ in range(int(row["scene_turn"][1:]) // 90):
+            scene = scene.T[:, ::-1]  # clockwise
+        x, y, size_px = float(row["x_px"]), float(row["y_px"]), 4.0 / PITCH_MRAD
+        # The mean over the circle through the corners, by a fine grid: 2/3 of the height 3^(1/4) √area.
+        fine = (np.arange(8 * side) + 0.5) / 8.0 - 0.5
+        inside = np.hypot(fine[:, None] - y, fine - x) <= 2.0 / 3.0 * 3.0**0.25 * size_px
+        local = np.repeat(np.repeat(scene, 8, axis=0), 8, axis=1)[inside].mean()
+        stated = float(row["background_luminance_cd_m2"])
+        # Shares of pixels at the circle are taken along the radius: of 150 pixels 40 are shared, to 0.1 each.
+        assert stated == pytest.approx(local, rel=2e-3)
+        triangle = coverage(
+            shown.shape, size_px=size_px, x_px=x, y_px=y, orientation=Orientation(row["orientation"])
+        )
+        # A code of 16 bits is at most 2.2 · 99.5 / 65535 cd/m²; half of it is rounding.
+        expected = scene + float(row["contrast"]) * stated * triangle
+        assert np.abs(shown - expected).max() <= 0.51 * 2.2 * 99.5 / 65535
+
+
+@pytest.mark.parametrize("turns", [8, 4, 1])
+def test_backgrounds_are_shown_in_balance(turns: int) -> None:
+    n, names = 3, TURNS[:turns]
+    shown = [one for one in plan(n, names, 2, balanced(n, names)) if one.level == 1]
+
+    def alike(key) -> bool:
+        counts = Counter(key(one) for one in shown)
+        return len(set(counts.values())) == 1
+
+    assert alike(lambda one: (one.background, one.turn))
+    assert alike(lambda one: (one.background, one.orientation))
+    quarter = {turn: int(turn[1:]) // 90 for turn in names}
+    relative = Counter(
+        (one.background, one.turn[0], (one.orientation.quarter_turns - quarter[one.turn]) % 4) for one in shown
+    )
+    assert len(relative) == n * 4 * (2 if turns == 8 else 1) and len(set(relative.values())) == 1
+    # A second round has each turn with the next orientation; with all of them, all pairs occur equally often.
+    everything = Counter((one.background, one.turn, one.orientation) for one in plan(n, names, 1, 4 * turns * n))
+    assert len(everything) == n * turns * 4 and set(everything.values()) == {1}
+
+
+def test_turns_are_the_symmetries_of_the_square() -> None:
+    """A marked pixel goes where its place is said to go, and the eight images differ."""
+    image = np.zeros((7, 7))
+    image[1, 5] = 1.0  # 2 to the right and 2 up of the middle, and 1 more up
+    image[0, 5] = 2.0
+    seen = set()
+    for turn in TURNS:
+        shown = turned(image, turn)
+        for value, (x, y) in {1.0: (2.0, -2.0), 2.0: (2.0, -3.0)}.items():
+            ((row, column),) = np.argwhere(shown == value)
+            assert turned_place(x, y, turn) == (column - 3.0, row - 3.0)
+        seen.add(shown.tobytes())
+    assert len(seen) == 8
+    assert np.array_equal(turned(np.array([[1, 2], [3, 4]]), "r90"), [[3, 1], [4, 2]])
+
+
+def test_own_orientation_of_a_triangle_is_its_contrast() -> None:
+    """Also that of a stripe, which is alike in up and down by symmetry."""
+    place = {"size_px": 12.0, "x_px": 24.0, "y_px": 24.0}
+    shape, c = (49, 49), 0.2
+    alone = c * coverage(shape, orientation=Orientation.LEFT, **place)
+    # The circle through the corners holds the triangle; relative to its mean, the contrast is c · level / mean.
+    found = own_orientation(1.0 + alone, x_px=24.0, y_px=24.0, size_px=12.0)
+    mean = 1.0 + c * 144.0 / (np.pi * (2.0 / 3.0 * 3.0**0.25 * 12.0) ** 2)
+    # The circle's edge is shared along the radius: 1e-3 of its area.
+    assert found[ORIENTATIONS.index(Orientation.LEFT)] == pytest.approx(c / mean, rel=2e-3)
+    assert found.sum() == pytest.approx(0.0, abs=1e-12) and found.argmax() == 3
+    stripe = np.ones(shape)
+    stripe[:, 20:29] = 1.2
+    up, right, down, left = own_orientation(stripe, x_px=24.0, y_px=24.0, size_px=12.0)
+    assert up == pytest.approx(down, abs=1e-12) and right == pytest.approx(left, abs=1e-12)
+    assert up == pytest.approx(-right, abs=1e-12) and abs(up) > 1e-3
+
+
+@pytest.mark.parametrize("name", ["reference_sdr", "srgb_monitor", "tod_2001"])
+def test_encoding_is_the_nearest_code_of_a_display(name: str) -> None:
+    display = find_display(name).display
+    encoder = Encoder(display)
+    wanted = np.random.default_rng(4).uniform(encoder.black_cd_m2, encoder.white_cd_m2, 50)
+    codes = np.arange(65536) / 65535.0
+    of_code = display.luminance(codes.astype(np.float32).reshape(-1, 1, 1))[:, 0]
+    nearest = np.abs(of_code - wanted[:, None]).min(axis=1)
+    shown = display.luminance(encoder(wanted).astype(np.float32).reshape(-1, 1, 1))[:, 0]
+    assert np.abs(shown - wanted) == pytest.approx(nearest, abs=1e-9 * encoder.white_cd_m2)
+
+
+def test_places_are_on_the_stated_grid(folder: Path, tmp_path: Path) -> None:
+    """Each place is used equally often, and the same background has its triangle at one place."""
+    out = tmp_path / "out"
+    tod.scenes(folder, out=out, size_mrad=[3], contrast=[0.2], places=4, windows=2, display=DISPLAY)
+    data = tod.load_dataset(out)
+    assert data.experiment.places == 4
+    places: dict[object, set[int]] = {}
+    for trial in data.trials:
+        assert trial.place is not None and trial.place_step_px == pytest.approx(2.5 * 3.0 / PITCH_MRAD)
+        places.setdefault(trial.view, set()).add(trial.place)
+        frame = tod.read_frame(data.frame_path(trial.frames[0]))
+        for x, y in candidate_places(
+            trial.x_px, trial.y_px, place=trial.place, step_px=trial.place_step_px, places=4
+        ):
+            # The whole triangle lies on the frame at each of them, with the ring of three sizes around it.
+            assert 17.5 < x < frame.width - 18.5 and 17.5 < y < frame.height - 18.5
+    assert set(Counter(data.trials.places.tolist()).values()) == {len(data.trials) // 4}
+    assert all(len(one) == 1 for one in places.values()) and len(places) == 2 * 2 * 8
+
+
+def test_the_same_seed_gives_the_same_dataset(folder: Path, tmp_path: Path, capsys) -> None:
+    asked = [folder, "--size-mrad", "3", "--contrast", "0.2,0.4", "--trials", "4", "--seed", "5", "--turns", "1"]
+    for name in ("a", "b"):
+        assert run(cli, ["scenes", *map(str, asked), "-o", str(tmp_path / name)]) == 0
+    files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*") if path.is_file())
+    assert len(files) == 3 + 8
+    for file in files:
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+    text = capsys.readouterr()
+    assert "8 frames with 2 scenes" in text.out and "note: 4 trials of each size and contrast are no" in text.err
+
+
+@pytest.fixture
+def hostile(tmp_path: Path) -> Path:
+    """Images that no triangle can be placed on."""
+    tod.write_frame(tmp_path / "small.png", textured(20))
+    tod.write_frame(tmp_path / "white.png", np.ones((160, 160)))
+    tod.write_frame(tmp_path / "even.png", np.full((160, 160), 0.5))
+    tod.write_frame(tmp_path / "good.png", textured())
+    tod.write_frame(tmp_path / "warm.exr", 20.0 + textured())
+    (tmp_path / "text.png").write_text("no image")
+    content = (tmp_path / "good.png").read_bytes()
+    (tmp_path / "torn.png").write_bytes(content[: len(content) // 2])
+    spec = oiio.ImageSpec(160, 160, 5, "uint8")
+    output = oiio.ImageOutput.create(str(tmp_path / "five.tif"))
+    output.open(str(tmp_path / "five.tif"), spec)
+    output.write_image(np.zeros((160, 160, 5), np.uint8))
+    output.close()
+    (tmp_path / "none").mkdir()
+    (tmp_path / "none" / "README.md").write_text("nothing here")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("background", "changes", "message"),
+    [
+        (
+            "small.png",
+            {},
+            r"small.png: found 20 × 20 pixels, expected at least \d+ × \d+ for a triangle of 8 pixels",
+        ),
+        ("good.png", {"places": 64}, r"found 160 × 160 .* for 64 places 20 pixels apart"),
+        (
+            "white.png",
+            {},
+            r"white.png: found no window .* \(100 % of the image are\), expected an image that is not",
+        ),
+        ("even.png", {}, r"even.png: found no window .* with contrast"),
+        ("text.png", {}, r"text.png: found a file that starts with b'no image', expected an image"),
+        ("torn.png", {}, "torn.png: "),
+        ("five.tif", {}, "five.tif: found 5 .*channels"),
+        ("none", {}, r"none: found only README.md, expected images"),
+        ("gone", {}, "gone: found no file"),
+        ("skimage:nobody", {}, "found 'nobody', expected of the photographs of scikit-image some of astronaut"),
+        ("warm.exr", {}, "warm.exr: has values without a black and a white, expected value_range LOW:HIGH"),
+        (
+            "good.png",
+            {"dim": 1.0, "contrast": [0.1, 4.0]},
+            "triangle of contrast 4 goes beyond white of the display, ",
+        ),
+        ("good.png", {"polarity": -1, "contrast": [3.0]}, "goes beyond black of the display, expected at most"),
+        ("good.png", {"contrast": []}, "contrast: found no values"),
+        ("good.png", {"contrast": [0.1, 0.1]}, "contrast: found a value twice"),
+        ("good.png", {"contrast": [1e6]}, "contrast: found 1e.06, expected less than 199"),
+        ("good.png", {"size_mrad": [0.2]}, "size_mrad: found 0.2 mrad, which is 0.4 pixels of 0.5 mrad"),
+        (
+            "good.png",
+            {"places": 4, "place_step_mrad": 1.0},
+            "place_step_mrad: found 1 mrad, expected at least the",
+        ),
+        ("good.png", {"windows": 400}, r"windows of .* pixels apart from each other, .* expected 400"),
+        ("good.png", {"turns": 2}, "turns: found 2, expected 1, 4 or 8"),
+        ("good.png", {"dim": 0.0}, "dim: found 0.0, expected more than 0"),
+        ("good.png", {"value_range": (2.0, 1.0)}, "value_range: found 2:1, expected LOW:HIGH"),
+        ("good.png", {"blur_px": -1.0}, "blur_px: found -1.0, expected 0 to 1000 pixels"),
+        ("good.png", {"frames": 0}, "frames: found 0, expected at least 1"),
+        ("good.png", {"polarity": 2}, "polarity: found 2, expected 1 or -1"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(hostile: Path, background, changes, message) -> None:
+    name = background if background.startswith("skimage") else hostile / background
+    asked = {"size_mrad": [4.0], "contrast": [0.2], "display": DISPLAY} | changes
+    with pytest.raises(tod.TodframesError, match=message) as caught:
+        tod.scenes(name, out=hostile / "out", **asked)
+    assert "\n" not in str(caught.value)
+    assert not (hostile / "out").exists()
+
+
+def test_two_files_of_one_name_are_refused(folder: Path, hostile: Path) -> None:
+    tod.write_frame(hostile / "hills.png", textured())
+    with pytest.raises(tod.DataError, match=re.escape("hills.png: found the name hills as of")):
+        tod.scenes([folder, hostile / "hills.png"], out=hostile / "out", size_mrad=[4], contrast=[0.1])
+
+
+def test_frames_of_a_film_are_spread_over_it(tmp_path: Path) -> None:
+    """Frames 0, 4 and 9 of ten, of which each has its number in its mean; a blurred triangle keeps its energy."""
+    film = np.array([textured(seed=1) * (0.5 + 0.05 * k) for k in range(10)], np.float32)
+    np.save(tmp_path / "film.npy", film)
+    made = tod.scenes(
+        tmp_path / "film.npy",
+        out=tmp_path / "out",
+        size_mrad=[4],
+        contrast=[0.1],
+        frames=3,
+        trials=6,
+        turns=1,
+        blur_px=1.5,
+        value_range=(0.0, 1.0),
+        display=DISPLAY,
+    )
+    assert made.n_scenes == 1
+    rows = rows_of(tmp_path / "out")
+    assert {row["scene_window"].partition(":")[0] for row in rows} == {"0", "4", "9"}
+    # Two orientations of one background differ by triangles alone, of equal sum: size² · contrast · local.
+    first, second = rows[0], rows[3]
+    assert first["scene_window"] == second["scene_window"] and first["orientation"] != second["orientation"]
+    differ = luminance_of(tmp_path / "out", first) - luminance_of(tmp_path / "out", second)
+    energy = 64.0 * 0.1 * float(first["background_luminance_cd_m2"])
+    # Rounding to 16 bits is 1e-3 cd/m² a pixel, of which 9000 make 0.1.
+    assert abs(differ.sum()) < 0.1 and np.abs(differ).sum() > 0.2 * energy

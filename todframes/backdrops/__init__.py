@@ -1,0 +1,1 @@
+"""Images behind triangles: real scenes, their turns, and datasets of triangles on them."""

@@ -1,0 +1,211 @@
+"""Images that triangles are placed on: files, folders and the photographs of scikit-image, as luminance."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, FrameError, SettingsError
+from todframes.base.reading import spelling_hint
+from todframes.display.display import Display
+from todframes.frames.files import PathLike
+from todframes.recordings.opening import open_recordings
+from todframes.recordings.recording import CodeRange, Recording, code_range, files_in
+
+PHOTOGRAPHS = (
+    *("astronaut.png", "brick.png", "camera.png", "chelsea.png", "coffee.png", "coins.png", "grass.png"),
+    *("gravel.png", "hubble_deep_field.jpg", "moon.png", "motorcycle_left.png", "rocket.jpg"),
+)
+"""Photographs that every installation of scikit-image has."""
+
+PACKAGED = "skimage"
+"""Name that stands for these photographs in place of a path; `skimage:camera,brick` for some of them."""
+
+
+class SceneFile(NamedTuple):
+    """A recording that scenes are taken from: its name in the manifest and the values of black and white."""
+
+    scene: str
+    recording: Recording
+    scale: CodeRange
+
+
+class SceneImage(NamedTuple):
+    """A frame of a recording as luminance.
+
+    Attributes
+    ----------
+    scene, path : str
+    frame : int
+        Number of the frame in its recording, from 0.
+    luminance_cd_m2 : ndarray, shape (rows, columns)
+    at_end : ndarray of bool, shape (rows, columns)
+        Pixels with a channel at black or white, or beyond.
+    """
+
+    scene: str
+    path: str
+    frame: int
+    luminance_cd_m2: FloatArray
+    at_end: NDArray[np.bool_]
+
+
+def open_scenes(
+    paths: PathLike | Sequence[PathLike],
+    *,
+    value_range: tuple[float, float] | None = None,
+    max_frame_mb: int = 256,
+    note: Callable[[str], None] | None = None,
+) -> list[SceneFile]:
+    """Open the files of scenes; each image file, film or array is a scene with the name of its file.
+
+    Parameters
+    ----------
+    paths : path or sequence of path
+        Files, folders, and "skimage" or "skimage:camera,brick" for photographs of scikit-image.
+    value_range : (float, float), optional
+        Recorded values of black and white.
+    max_frame_mb : int
+        Largest decoded size of a frame in 2**20 bytes.
+    note : function of a text, optional
+        Called with a remark about files of a folder that are no recordings.
+
+    Raises
+    ------
+    DataError, FrameError
+        If a file cannot be read, or a folder has no recording.
+    SettingsError
+        If values have no black and white and no range is given.
+    """
+    given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    if not given:
+        raise DataError("backgrounds: found no path, expected at least one")
+    opened: list[Recording] = []
+    for path in given:
+        name = os.fspath(path)
+        if name.partition(":")[0] == PACKAGED and not Path(name).exists():
+            opened += [_opened(one, max_frame_mb) for one in _photographs(name)]
+        elif Path(name).is_dir():
+            opened += _of_folder(Path(name), max_frame_mb, note)
+        else:
+            opened.append(_opened(Path(name), max_frame_mb))
+    names: dict[str, Path] = {}
+    for one in opened:
+        if names.setdefault(one.path.stem, one.path) is not one.path:
+            raise DataError(
+                f"{one.path}: found the name {one.path.stem} as of {names[one.path.stem]}, expected a name of its "
+                "own, which the manifest has as scene"
+            )
+    return [SceneFile(one.path.stem, one, code_range(one, value_range)) for one in opened]
+
+
+def _photographs(name: str) -> list[Path]:
+    spec = find_spec("skimage")
+    assert spec is not None and spec.origin is not None  # scikit-image is a dependency
+    known = {Path(one).stem: Path(spec.origin).parent / "data" / one for one in PHOTOGRAPHS}
+    wanted = [one.strip() for one in name.partition(":")[2].split(",")] if ":" in name else list(known)
+    for one in wanted:
+        if one not in known:
+            raise DataError(
+                f"{name}: found {one!r}, expected of the photographs of scikit-image some of {', '.join(known)}"
+                f"{spelling_hint(one, known)}"
+            )
+    return [known[one] for one in wanted]
+
+
+def _of_folder(folder: Path, max_frame_mb: int, note: Callable[[str], None] | None) -> list[Recording]:
+    """Open each recording of a folder; files of other kinds are left out."""
+    try:
+        files = files_in(folder)
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be read: {error.strerror}") from None
+    found, others = [], []
+    for path in files:
+        try:
+            found.append(_opened(path, max_frame_mb))
+        except FrameError as error:
+            if "expected an image, video" not in str(error):
+                raise
+            others.append(path.name)
+    if not found:
+        what = f"only {', '.join(others[:3])}" if others else "no files"
+        raise DataError(f"{folder}: found {what}, expected images or other recordings")
+    if others and note is not None:
+        names = ", ".join(others[:3]) + (", …" if len(others) > 3 else "")
+        note(f"{folder}: left out {names}, which are no recordings")
+    return found
+
+
+def _opened(path: Path, max_frame_mb: int) -> Recording:
+    (recording,) = open_recordings([path], max_frame_mb=max_frame_mb)
+    return recording
+
+
+def decoded_images(file: SceneFile, display: Display, *, frames: int) -> Iterator[SceneImage]:
+    """Yield frames of a scene, spread evenly over its recording, as luminance on a display.
+
+    Parameters
+    ----------
+    file : SceneFile
+    display : Display
+        Display that shows the recorded values; those beyond black and white are shown as these.
+    frames : int
+        Number of frames, at most; an image file has one.
+
+    Raises
+    ------
+    FrameError, DataError
+        If a frame cannot be decoded.
+    """
+    recording, (low, high) = file.recording, (file.scale.low, file.scale.high)
+    total = recording.n_frames or sum(1 for _ in recording.frames())
+    wanted = set(np.linspace(0, total - 1, min(frames, total)).round().astype(int).tolist()) if total else set()
+    for number, recorded in enumerate(recording.frames()):
+        if number in wanted:
+            code = (np.atleast_3d(recorded.values).astype(np.float64) - low) / (high - low)
+            at_end = np.any((code <= 0.0) | (code >= 1.0), axis=2)
+            luminance = display.luminance(_shown(np.clip(code, 0.0, 1.0), display))
+            yield SceneImage(file.scene, str(recording.path), number, luminance, at_end)
+        if wanted and number >= max(wanted):
+            return
+    if not wanted:
+        raise DataError(f"{recording.path}: found no frame, expected at least one")
+
+
+def _shown(code: NDArray[Any], display: Display) -> FloatArray:
+    """Return code values within the range of a display's LUT."""
+    if display.lut is None:
+        return np.asarray(code)
+    first, last = float(display.lut.code_value[0]), float(display.lut.code_value[-1])
+    return np.asarray(first + (last - first) * code)
+
+
+class Encoder:
+    """The inverse of a display: luminance to code values of 16 bits.
+
+    Raises
+    ------
+    SettingsError
+        If the luminance of the display does not rise with the code value.
+    """
+
+    def __init__(self, display: Display) -> None:
+        codes = np.arange(65536) / 65535.0
+        if display.lut is not None:
+            codes = codes[(codes >= display.lut.code_value[0]) & (codes <= display.lut.code_value[-1])]
+        luminance = display.luminance(codes.astype(np.float32).reshape(-1, 1, 1))[:, 0]
+        if not (np.diff(luminance) >= 0.0).all():
+            raise SettingsError("display: its luminance does not rise with the code value, expected one that does")
+        self.black_cd_m2, self.white_cd_m2 = float(luminance[0]), float(luminance[-1])
+        self._codes, self._middles = codes, (luminance[1:] + luminance[:-1]) / 2.0
+
+    def __call__(self, luminance_cd_m2: FloatArray) -> FloatArray:
+        """Return the code values nearest in luminance, of the same shape."""
+        return np.asarray(self._codes[np.searchsorted(self._middles, luminance_cd_m2)])

@@ -1,0 +1,502 @@
+"""Datasets of triangles on recorded frames: `scenes`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from todframes import __version__
+from todframes.backdrops.images import Encoder, decoded_images, open_scenes
+from todframes.backdrops.views import (
+    TURNS,
+    Background,
+    Layout,
+    PlannedTrial,
+    balanced,
+    draw_windows,
+    local_luminance,
+    own_orientation,
+    plan,
+    turned,
+    turned_place,
+)
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.output import new_folder
+from todframes.base.reading import check_positive, toml_text
+from todframes.base.safe_text import csv_text, one_line
+from todframes.base.seeds import Rng, seed_of
+from todframes.display.display import Display
+from todframes.display.display_files import DisplayDescription, find_display, table_of_display
+from todframes.frames.dataset import Experiment
+from todframes.frames.files import MAX_FRAME_MB, PathLike, write_frame
+from todframes.importing.windows import field_reach_px
+from todframes.stimulus import coverage
+
+LEAST_TRIALS = 40
+"""Least number of trials of each size and contrast, if none is asked for."""
+
+PLACE_STEP_SIZES = 2.5
+"""Distance of neighbouring places in sizes of the triangle, if none is asked for."""
+
+WINDOW_STREAM, VIEW_STREAM = 0, 1
+"""First elements of the spawn keys of random streams."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScenesMade:
+    """The dataset that `scenes` has written, in numbers and messages.
+
+    Attributes
+    ----------
+    path : Path
+        The dataset.
+    n_frames, n_scenes : int
+        Frames in the dataset, and images behind them.
+    trials : int
+        Frames of each size and contrast.
+    own_orientation : float
+        Root mean square, over the backgrounds, of the contrast of the triangle that would answer as the background
+        does by itself.
+    own_orientation_left : float
+        The same of the mean over all frames of a background: the turns balance it.
+    notes : tuple of str
+        Remarks that need no action.
+    """
+
+    path: Path
+    n_frames: int
+    n_scenes: int
+    trials: int
+    own_orientation: float
+    own_orientation_left: float
+    notes: tuple[str, ...]
+
+
+def scenes(
+    backgrounds: PathLike | Sequence[PathLike],
+    *,
+    out: PathLike,
+    size_mrad: Sequence[float],
+    contrast: Sequence[float],
+    places: int = 1,
+    place_step_mrad: float | None = None,
+    trials: int | None = None,
+    polarity: int = 1,
+    blur_px: float = 0.0,
+    windows: int = 1,
+    frames: int = 1,
+    turns: int = 8,
+    dim: float | None = None,
+    display: str | Display = "reference_sdr",
+    value_range: tuple[float, float] | None = None,
+    rng: Rng = 1,
+    max_frame_mb: int = MAX_FRAME_MB,
+    progress: Callable[[int], None] | None = None,
+) -> ScenesMade:
+    """Make a dataset of triangles on recorded frames, as `todframes scenes` does.
+
+    The luminance of a frame is that of the scene on the display, plus contrast × local luminance × the share of
+    each pixel that the triangle covers. The local luminance is the mean over the circle through the triangle's
+    corners, before it is added.
+
+    Parameters
+    ----------
+    backgrounds : path or sequence of path
+        Images, films and arrays, folders of them, and "skimage" or "skimage:camera,brick" for photographs that
+        scikit-image ships. Each file is a scene.
+    out : path
+        Folder of the dataset, new or empty.
+    size_mrad : sequence of float
+        Sizes √(area) of the triangles.
+    contrast : sequence of float
+        Contrasts of the triangles against the local luminance, > 0.
+    places : int
+        Number of places at which the triangle may be. With 1, its place is known.
+    place_step_mrad : float, optional
+        Distance of neighbouring places. Default: 2.5 sizes.
+    trials : int, optional
+        Frames of each size and contrast. Default: the least number from 40 in which the turns are balanced.
+    polarity : {1, -1}
+        Brighter or darker than the scene.
+    blur_px : float
+        Standard deviation in pixels of a Gaussian that blurs the triangle, as the camera's optics would have.
+    windows : int
+        Backgrounds that are taken from each frame of each scene.
+    frames : int
+        Frames that are taken from a film, evenly spread.
+    turns : {8, 4, 1}
+        Turned and mirrored versions in which each background is shown.
+    dim : float, optional
+        Factor of the scene's luminance above black, at most 1. Default: the largest with which no triangle clips.
+    display : str or Display
+        Display that shows the frames: the name of one of this package, a TOML file, or a `Display`.
+    value_range : (float, float), optional
+        Recorded values that the display shows black and white. Needed for values without a white.
+    rng : int, SeedSequence or Generator
+        Seed of all random draws.
+    max_frame_mb : int
+        Largest size of a decoded frame in 2**20 bytes.
+    progress : function of an int, optional
+        Called with the number of frames that were just written.
+
+    Returns
+    -------
+    ScenesMade
+
+    Raises
+    ------
+    DataError, FrameError
+        If a background cannot be read, is smaller than a frame or saturated, or a triangle on it clips.
+    SettingsError
+        If a setting is invalid.
+    OutputError
+        If `out` cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import todframes as tod
+    >>> made = tod.scenes("skimage:camera", size_mrad=[2], contrast=[0.1, 0.4], trials=8, out=tempfile.mkdtemp())
+    >>> made.n_frames
+    16
+    """
+    seed = seed_of(rng)
+    sizes, contrasts = _values(argument.size_mrad, size_mrad), _values(argument.contrast, contrast)
+    if polarity not in (1, -1):
+        raise SettingsError(f"polarity: found {polarity!r}, expected 1 or -1")
+    if turns not in (1, 4, 8):
+        raise SettingsError(f"{argument.turns}: found {turns!r}, expected 1, 4 or 8")
+    counts = {argument.windows: windows, argument.frames: frames, argument.trials: trials}
+    for name, number in counts.items():
+        if number is not None and number < 1:
+            raise SettingsError(f"{name}: found {number}, expected at least 1")
+    if not 0.0 <= blur_px <= 1e3:
+        raise SettingsError(f"{argument.blur_px}: found {blur_px!r}, expected 0 to 1000 pixels")
+    if value_range is not None and not -math.inf < value_range[0] < value_range[1] < math.inf:
+        low, high = value_range
+        raise SettingsError(f"{argument.value_range}: found {low:g}:{high:g}, expected LOW:HIGH, the first lower")
+    experiment = Experiment(level="contrast", group_by=("size_mrad",), places=places)
+    shown = DisplayDescription(display=display) if isinstance(display, Display) else find_display(display)
+    stage = _Stage.of(shown.display, contrasts, polarity, blur_px, dim)
+    pitch = shown.display.pitch_mrad
+    layouts = [_layout(one, pitch, places, place_step_mrad) for one in sizes]
+    notes: list[str] = []
+    files = open_scenes(backgrounds, value_range=value_range, max_frame_mb=max_frame_mb, note=notes.append)
+    backgrounds_of: list[list[Background]] = [[] for _ in sizes]
+    for number, file in enumerate(files):
+        streams = [
+            np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(WINDOW_STREAM, number, k)))
+            for k in range(len(sizes))
+        ]
+        for image in decoded_images(file, shown.display, frames=frames):
+            names_frame = image.frame > 0 or frames > 1
+            for layout, stream, found in zip(layouts, streams, backgrounds_of, strict=True):
+                found += draw_windows(image, layout, windows, stream, names_frame=names_frame)
+    shown_turns = TURNS[:turns]
+    step = balanced(len(backgrounds_of[0]), shown_turns)
+    n_trials = math.ceil(LEAST_TRIALS / step) * step if trials is None else trials
+    if n_trials % step:
+        notes.append(
+            f"{n_trials} trials of each size and contrast are no multiple of {step}: the turns of the "
+            f"{len(backgrounds_of[0])} backgrounds are not balanced"
+        )
+    written = _Written()
+    with new_folder(str(out)) as folder:
+        (folder / "frames").mkdir()
+        for k, (size, layout, found) in enumerate(zip(sizes, layouts, backgrounds_of, strict=True)):
+            views = _views(found, shown_turns, layout, np.random.SeedSequence(seed, spawn_key=(VIEW_STREAM, k)))
+            seen = _SeenViews(stage, layout, found, views)
+            for trial in plan(len(found), shown_turns, len(contrasts), n_trials):
+                written.rows.append(seen.write(folder, size, contrasts[trial.level], trial, places))
+                if progress is not None:
+                    progress(1)
+            written.own += seen.report(size)
+        (folder / "manifest.csv").write_text(
+            csv_text([_columns(polarity, places), *written.rows], as_it_is=True),
+            encoding="utf-8",
+            errors="backslashreplace",
+        )
+        (folder / "scenes.csv").write_text(
+            csv_text([OWN_COLUMNS, *(one.row() for one in written.own)]),
+            encoding="utf-8",
+            errors="backslashreplace",
+        )
+        table = table_of_display(shown.display, folder) | {"background_luminance_cd_m2": "column"}
+        settings: dict[str, object] = {"level": experiment.level, "group_by": list(experiment.group_by)}
+        settings |= {"places": places} if places > 1 else {}
+        (folder / "dataset.toml").write_text(
+            toml_text(
+                {"schema": 1, "display": table, "experiment": settings},
+                comment=f"Triangles on scenes by todframes {__version__} with seed {seed}, scenes dimmed by "
+                f"{stage.dim:.6g}\nDisplay: {one_line(shown.title)}",
+            ),
+            encoding="utf-8",
+            errors="backslashreplace",
+        )
+    before, left = (
+        math.sqrt(float(np.mean(np.square([getattr(one, name) for one in written.own]))))
+        for name in ("own", "left")
+    )
+    return ScenesMade(
+        path=Path(out),
+        n_frames=len(written.rows),
+        n_scenes=len(files),
+        trials=n_trials,
+        own_orientation=before,
+        own_orientation_left=left,
+        notes=tuple(notes),
+    )
+
+
+def _values(name: str, values: Sequence[float]) -> list[float]:
+    found = [float(one) for one in values]
+    if not found:
+        raise SettingsError(f"{name}: found no values, expected at least one")
+    for one in found:
+        check_positive(name, one)
+    if len(set(found)) < len(found):
+        raise SettingsError(f"{name}: found a value twice in {', '.join(f'{one:g}' for one in found)}")
+    return found
+
+
+def _layout(size_mrad: float, pitch_mrad: float, places: int, step_mrad: float | None) -> Layout:
+    size_px = size_mrad / pitch_mrad
+    if not 1.0 <= size_px <= 1e4:
+        raise SettingsError(
+            f"{argument.size_mrad}: found {size_mrad:g} mrad, which is {size_px:.3g} pixels of {pitch_mrad:g} "
+            "mrad, expected 1 to 10000 pixels"
+        )
+    if step_mrad is not None:
+        check_positive(argument.place_step_mrad, step_mrad)
+    step_px = PLACE_STEP_SIZES * size_px if step_mrad is None else step_mrad / pitch_mrad
+    if places > 1 and not size_px <= step_px <= 1e4:
+        raise SettingsError(
+            f"{argument.place_step_mrad}: found {step_mrad:g} mrad, expected at least the size, {size_mrad:g} mrad"
+        )
+    return Layout(size_px, field_reach_px(math.ceil(size_px), pitch_mrad), places, step_px)
+
+
+class _Stage(NamedTuple):
+    """What holds for all frames: the display, the factor of the scene's luminance, and the triangle's look."""
+
+    encoder: Encoder
+    dim: float
+    polarity: int
+    blur_px: float
+    contrasts: list[float]
+
+    @classmethod
+    def of(
+        cls, display: Display, contrasts: list[float], polarity: int, blur_px: float, dim: float | None
+    ) -> _Stage:
+        encoder = Encoder(display)
+        black, white = encoder.black_cd_m2, encoder.white_cd_m2
+        largest = 1.0
+        if polarity > 0:
+            largest = min((white / (1.0 + max(contrasts)) - black) / (white - black), 1.0)
+        if dim is not None and not 0.0 < dim <= 1.0:
+            raise SettingsError(f"{argument.dim}: found {dim!r}, expected more than 0, and at most 1")
+        if not largest > 0.0:
+            raise SettingsError(
+                f"{argument.contrast}: found {max(contrasts):g}, expected less than {white / black - 1.0:.3g}"
+            )
+        return cls(encoder, largest if dim is None else dim, polarity, blur_px, contrasts)
+
+    def dimmed(self, luminance_cd_m2: FloatArray) -> FloatArray:
+        """Return the luminance of a scene as the frames show it."""
+        black = self.encoder.black_cd_m2
+        return np.asarray(black + self.dim * (luminance_cd_m2 - black))
+
+
+class _View(NamedTuple):
+    """Where the triangle is on a background in one turn: the number of the place, and its centroid."""
+
+    place: int
+    x_px: float
+    y_px: float
+
+
+def _views(
+    backgrounds: Sequence[Background], turns: Sequence[str], layout: Layout, seed: np.random.SeedSequence
+) -> dict[tuple[int, str], _View]:
+    """Draw the place of the triangle on each background, within half a pixel; it is turned as the background is.
+
+    All places are used equally often as far as possible. If they fill no square, each turn has a place of its own.
+    """
+    rng = np.random.default_rng(seed)
+    keys = [(number, turn) for number in range(len(backgrounds)) for turn in turns]
+    one_each = math.isqrt(layout.places) ** 2 == layout.places
+    drawn = np.arange(len(backgrounds) if one_each else len(keys)) % layout.places + 1
+    places = np.repeat(rng.permutation(drawn), len(turns) if one_each else 1).tolist()
+    jitters = rng.uniform(-0.5, 0.5, (len(backgrounds), 2)).tolist()
+    middle = (layout.side_px - 1) / 2.0
+    found = {}
+    for (number, turn), place in zip(keys, places, strict=True):
+        dx, dy = turned_place(jitters[number][0], jitters[number][1], turn)
+        if one_each:
+            x, y = layout.at(place)
+            x, y = turned_place(x - middle, y - middle, turn)
+            place = layout.nearest(x + middle, y + middle)
+        x, y = layout.at(place)
+        found[number, turn] = _View(place, x + dx, y + dy)
+    return found
+
+
+OWN_COLUMNS = (
+    *("scene", "scene_window", "size_mrad", "n_frames", "local_luminance_cd_m2", "texture_contrast"),
+    *("own_orientation_contrast", "own_orientation_left"),
+)
+"""Columns of scenes.csv."""
+
+
+class _OwnOrientation(NamedTuple):
+    """A row of scenes.csv: the background's luminance and texture, and what orientation it has by itself."""
+
+    scene: str
+    window: str
+    size_mrad: float
+    n_frames: int
+    local_cd_m2: float
+    texture: float
+    own: float
+    left: float
+
+    def row(self) -> list[str]:
+        numbers = (self.local_cd_m2, self.texture, self.own, self.left)
+        return [
+            self.scene,
+            self.window,
+            repr(self.size_mrad),
+            str(self.n_frames),
+            *(f"{one:.6g}" for one in numbers),
+        ]
+
+
+class _Written:
+    """The rows of the manifest and of scenes.csv."""
+
+    def __init__(self) -> None:
+        self.rows: list[list[str]] = []
+        self.own: list[_OwnOrientation] = []
+
+
+def _columns(polarity: int, places: int) -> list[str]:
+    found = ["frame", "orientation", "size_mrad", "contrast", "x_px", "y_px", "background_luminance_cd_m2"]
+    found += ["scene", "scene_turn", "scene_window"]
+    return found + ["place", "place_step_px"] * (places > 1) + ["polarity"] * (polarity < 0)
+
+
+class _SeenViews:
+    """The frames of one size, and how often each view was shown."""
+
+    def __init__(
+        self,
+        stage: _Stage,
+        layout: Layout,
+        backgrounds: Sequence[Background],
+        views: dict[tuple[int, str], _View],
+    ) -> None:
+        self.stage, self.layout, self.backgrounds, self.views = stage, layout, backgrounds, views
+        self.shown = dict.fromkeys(views, 0)
+        self._scene = lru_cache(maxsize=4 * len(TURNS))(self._dimmed)
+
+    def _dimmed(self, background: int, turn: str) -> tuple[FloatArray, float]:
+        """Return a background's luminance as shown, and the local luminance at its place."""
+        view = self.views[background, turn]
+        luminance = self.stage.dimmed(turned(self.backgrounds[background].luminance_cd_m2, turn))
+        return luminance, local_luminance(luminance, view.x_px, view.y_px, self.layout.size_px)
+
+    def write(
+        self, folder: Path, size_mrad: float, contrast: float, trial: PlannedTrial, places: int
+    ) -> list[str]:
+        """Write a frame; return its row of the manifest."""
+        background, (key, view) = self.backgrounds[trial.background], self._key(trial)
+        scene, local = self._scene(*key)
+        triangle = coverage(
+            (scene.shape[0], scene.shape[1]),
+            size_px=self.layout.size_px,
+            x_px=view.x_px,
+            y_px=view.y_px,
+            orientation=trial.orientation,
+        )
+        if self.stage.blur_px:
+            from scipy.ndimage import gaussian_filter
+
+            triangle = gaussian_filter(triangle, self.stage.blur_px, mode="constant", truncate=6.0)
+        luminance = scene + self.stage.polarity * contrast * local * triangle
+        self._check(luminance, scene, local, triangle, contrast, background, trial.turn)
+        name = f"frames/s{size_mrad:g}_c{contrast:g}_{trial.orientation}_{trial.number}.png"
+        write_frame(folder / name, self.stage.encoder(luminance))
+        self.shown[key] += 1
+        row = [
+            name,
+            trial.orientation.value,
+            repr(size_mrad),
+            repr(contrast),
+            f"{view.x_px:.6f}",
+            f"{view.y_px:.6f}",
+        ]
+        row += [f"{local:.8g}", *background.view(trial.turn)]
+        row += [str(view.place), f"{self.layout.step_px:.8g}"] * (places > 1)
+        return row + ["-1"] * (self.stage.polarity < 0)
+
+    def _key(self, trial: PlannedTrial) -> tuple[tuple[int, str], _View]:
+        key = trial.background, trial.turn
+        return key, self.views[key]
+
+    def _check(
+        self,
+        luminance: FloatArray,
+        scene: FloatArray,
+        local: float,
+        triangle: FloatArray,
+        contrast: float,
+        background: Background,
+        turn: str,
+    ) -> None:
+        """Raise DataError if the display cannot show a frame: the message has the largest contrast that it can."""
+        black, white = self.stage.encoder.black_cd_m2, self.stage.encoder.white_cd_m2
+        slack = 1e-9 * white
+        if luminance.max() <= white + slack and luminance.min() >= black - slack:
+            return
+        room = white - scene if self.stage.polarity > 0 else scene - black
+        inside = triangle > 0.0
+        most = float((room[inside] / triangle[inside]).min()) / local
+        end = "white" if self.stage.polarity > 0 else "black"
+        advice = f", or {argument.dim} below {self.stage.dim:.3g}" if self.stage.polarity > 0 else ""
+        raise DataError(
+            f"{background.scene}, window {background.window}, {turn}: a triangle of contrast {contrast:g} goes "
+            f"beyond {end} of the display, expected at most {max(most, 0.0):.2g}{advice}"
+        )
+
+    def report(self, size_mrad: float) -> Iterator[_OwnOrientation]:
+        """Yield for each background what orientation it has by itself, as it is and over the frames shown."""
+        for number, background in enumerate(self.backgrounds):
+            keys = [key for key in self.views if key[0] == number and self.shown[key]]
+            if not keys:
+                continue
+            counts = np.array([self.shown[key] for key in keys], np.float64)
+            responses, local, texture = [], [], []
+            for key in keys:
+                scene, mean = self._scene(*key)
+                view = self.views[key]
+                responses.append(own_orientation(scene, view.x_px, view.y_px, self.layout.size_px))
+                local.append(mean)
+                texture.append(float((scene / mean).std()))
+            yield _OwnOrientation(
+                background.scene,
+                background.window,
+                size_mrad,
+                int(counts.sum()),
+                float(np.average(local, weights=counts)),
+                float(np.average(texture, weights=counts)),
+                float(np.average(np.max(responses, axis=1), weights=counts)),
+                float(np.average(responses, axis=0, weights=counts).max()),
+            )

@@ -1,0 +1,224 @@
+"""Backgrounds of triangles: square windows of images, as seen in the symmetries of the square."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.backdrops.images import SceneImage
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError
+from todframes.frames.position import candidate_places
+from todframes.frames.trials import SceneView
+from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Orientation, coverage
+
+TURNS = ("r0", "r90", "r180", "r270", "m0", "m90", "m180", "m270")
+"""Symmetries of the square: clockwise turns, and turns after mirroring left to right."""
+
+CIRCLE_PER_SIZE = 2.0 / 3.0 * HEIGHT_PER_SIZE
+"""Radius of the circle through the corners of a triangle of unit size."""
+
+MOST_AT_END = 0.01
+"""Largest share of the pixels of a window at black or white; near the places it is a tenth."""
+
+WINDOWS_TRIED = 400
+"""Number of places of an image at which a window is tried."""
+
+
+def turned(image: FloatArray, turn: str) -> FloatArray:
+    """Return an image in one of `TURNS`: mirrored left to right if it begins with m, then turned clockwise."""
+    shown = image[:, ::-1] if turn[0] == "m" else image
+    return np.rot90(shown, -(int(turn[1:]) // 90))
+
+
+def turned_place(x_px: float, y_px: float, turn: str) -> tuple[float, float]:
+    """Return where a point of an image, counted from its middle, is after a turn."""
+    x, y = (-x_px, y_px) if turn[0] == "m" else (x_px, y_px)
+    for _ in range(int(turn[1:]) // 90):
+        x, y = -y, x
+    return x, y
+
+
+def local_luminance(luminance_cd_m2: FloatArray, x_px: float, y_px: float, size_px: float) -> float:
+    """Return the mean luminance in the circle through the corners of a triangle, before it is added.
+
+    Parameters
+    ----------
+    luminance_cd_m2 : ndarray, shape (rows, columns)
+    x_px, y_px : float
+        Centroid of the triangle.
+    size_px : float
+        √(area) in pixels.
+
+    Returns
+    -------
+    float
+        Luminance in cd/m². Pixels at the circle count by the share of a pixel that lies within, along the radius.
+    """
+    rows, columns = luminance_cd_m2.shape
+    away = np.hypot(np.arange(rows)[:, None] - y_px, np.arange(columns) - x_px)
+    share = np.clip(CIRCLE_PER_SIZE * size_px + 0.5 - away, 0.0, 1.0)
+    return float((share * luminance_cd_m2).sum() / share.sum())
+
+
+class Layout(NamedTuple):
+    """The geometry of frames with triangles of one size, in pixels.
+
+    Attributes
+    ----------
+    size_px : float
+    reach_px : int
+        Distance from each place to the edges that the observer needs.
+    places : int
+    step_px : float
+    """
+
+    size_px: float
+    reach_px: int
+    places: int
+    step_px: float
+
+    @property
+    def side_px(self) -> int:
+        """Side of the square frames."""
+        return 2 * self.reach_px + 1 + math.ceil(math.isqrt(self.places - 1) * self.step_px)
+
+    def at(self, place: int) -> tuple[float, float]:
+        """Return the centroid (x, y) of a place, by its number from 1; the grid is in the middle of the frame."""
+        return self._grid[place - 1]
+
+    def nearest(self, x_px: float, y_px: float) -> int:
+        """Return the number of the place that is nearest to a point."""
+        return 1 + min(range(self.places), key=lambda one: math.dist(self._grid[one], (x_px, y_px)))
+
+    @property
+    def _grid(self) -> list[tuple[float, float]]:
+        grid = candidate_places(0.0, 0.0, place=1, step_px=self.step_px, places=self.places)
+        dx, dy = (((self.side_px - 1) - max(one[axis] for one in grid)) / 2.0 for axis in (0, 1))
+        return [(x + dx, y + dy) for x, y in grid]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Background:
+    """A window of an image, not turned: its luminance in cd/m², shape (side, side)."""
+
+    scene: str
+    window: str
+    luminance_cd_m2: FloatArray
+
+    def view(self, turn: str) -> SceneView:
+        """Return how the manifest names this background in a turn."""
+        return SceneView(self.scene, turn, self.window)
+
+
+def draw_windows(
+    image: SceneImage, layout: Layout, number: int, rng: np.random.Generator, *, names_frame: bool
+) -> Iterator[Background]:
+    """Yield windows of an image at random places where it is neither black nor white, nor without any contrast.
+
+    Raises
+    ------
+    DataError
+        If the image is smaller than a window, or has no such place.
+    """
+    side = layout.side_px
+    rows, columns = image.luminance_cd_m2.shape
+    for_places = f" for {layout.places} places {layout.step_px:g} pixels apart" if layout.places > 1 else ""
+    if min(rows, columns) < side:
+        raise DataError(
+            f"{image.path}: found {columns} × {rows} pixels, expected at least {side} × {side} for a triangle of "
+            f"{layout.size_px:.4g} pixels and what the observer sees around it{for_places}"
+        )
+    sums = np.zeros((rows + 1, columns + 1))
+    sums[1:, 1:] = image.at_end.cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
+    near = math.ceil(layout.size_px)
+    begins, ends = layout.reach_px - near, side - layout.reach_px + near
+    found: set[tuple[int, int]] = set()
+    for _ in range(WINDOWS_TRIED):
+        row, column = int(rng.integers(rows - side + 1)), int(rng.integers(columns - side + 1))
+        part = image.luminance_cd_m2[row : row + side, column : column + side]
+        is_new = not any(abs(row - r) < near and abs(column - c) < near for r, c in found)
+        inner = _sum(sums, row + begins, row + ends, column + begins, column + ends) / (ends - begins) ** 2
+        whole = _sum(sums, row, row + side, column, column + side) / side**2
+        if is_new and whole <= MOST_AT_END and inner <= MOST_AT_END / 10.0 and part.min() < part.max():
+            found.add((row, column))
+            frame = f"{image.frame}:" if names_frame else ""
+            yield Background(image.scene, f"{frame}{row},{column}", part.astype(np.float32).astype(np.float64))
+            if len(found) == number:
+                return
+    if found:
+        raise DataError(
+            f"{image.path}: found {len(found)} windows of {side} × {side} pixels apart from each other, with "
+            f"contrast and not at black or white, expected {number}"
+        )
+    share = 100.0 * float(image.at_end.mean())
+    raise DataError(
+        f"{image.path}: found no window of {side} × {side} pixels with contrast and at most {100 * MOST_AT_END:g} "
+        f"% of its pixels at black or white ({share:.3g} % of the image are), expected an image that is not "
+        "saturated, or another range of values"
+    )
+
+
+def _sum(sums: FloatArray, top: int, bottom: int, left: int, right: int) -> float:
+    return float(sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left])
+
+
+class PlannedTrial(NamedTuple):
+    """A trial on a background: indices of background and level, the turn, the orientation and the number."""
+
+    background: int
+    turn: str
+    level: int
+    orientation: Orientation
+    number: int
+
+
+def plan(n_backgrounds: int, turns: Sequence[str], n_levels: int, trials: int) -> list[PlannedTrial]:
+    """Plan the trials of one size: backgrounds in turn, each in all turns and, relative to it, all orientations.
+
+    After `balanced(…)` trials of a level, each background has been shown in each turn as often as in any other,
+    and with each orientation of the triangle, relative to it and on the display, as often as with any other.
+    """
+    planned = []
+    for level in range(n_levels):
+        for number in range(trials):
+            background, round_ = number % n_backgrounds, number // n_backgrounds
+            turn = round_ % len(turns)
+            relative = turn + turn // 4 + round_ // len(turns) + level + background
+            orientation = ORIENTATIONS[(turn + relative) % 4]
+            planned.append(PlannedTrial(background, turns[turn], level, orientation, number))
+    return planned
+
+
+def balanced(n_backgrounds: int, turns: Sequence[str]) -> int:
+    """Return the number of trials of a level after which `plan` is balanced."""
+    return n_backgrounds * (4 if len(turns) == 1 else 8)
+
+
+def own_orientation(luminance_cd_m2: FloatArray, x_px: float, y_px: float, size_px: float) -> NDArray[np.float64]:
+    """Measure the orientation that a background has by itself.
+
+    The background's contrast is multiplied by triangles of the four orientations, each without the mean of the
+    four, in units of a triangle's own product. A triangle of contrast 0.1 alone has 0.1 in its orientation.
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        Contrasts in the order of `ORIENTATIONS`; their sum is 0. The largest is that of the triangle that would
+        answer as the background does.
+    """
+    contrast = luminance_cd_m2 / local_luminance(luminance_cd_m2, x_px, y_px, size_px) - 1.0
+    shape = (contrast.shape[0], contrast.shape[1])
+    triangles = np.array(
+        [coverage(shape, size_px=size_px, x_px=x_px, y_px=y_px, orientation=one) for one in ORIENTATIONS]
+    )
+    differences = triangles - triangles.mean(axis=0)
+    energy = float(np.square(differences).sum()) / 4.0
+    if not energy > 1e-12:  # within one pixel all orientations are alike
+        return np.zeros(4)
+    return np.asarray(np.tensordot(differences, contrast, 2) / energy)
