@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,7 @@ from todframes.calls.shared import (
     opened_run,
 )
 from todframes.display.display import Display
-from todframes.frames.dataset import Dataset
+from todframes.frames.dataset import Dataset, Gaze
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import CurveName, FitSettings
@@ -43,7 +43,19 @@ if TYPE_CHECKING:
     from todframes.jobs.store import Store
 
 
-SHOWN = ("orientation", "level", "size_mrad", "group", "position", "polarity", "trial", "level_name")
+SHOWN = (
+    "orientation",
+    "level",
+    "size_mrad",
+    "group",
+    "position",
+    "polarity",
+    "trial",
+    "level_name",
+    "clip",
+    "time_s",
+    "judged",
+)
 """Parameters of `score_frames` that describe what the frames show."""
 
 
@@ -60,6 +72,7 @@ def compare(
     rng: Rng = 1,
     fit: FitSettings | None = None,
     locate: Locate | bool = False,
+    gaze: Gaze = "tracked",
     on_error: OnError = "stop",
     workers: int = 1,
     cluster: str | Engine | None = None,
@@ -73,7 +86,7 @@ def compare(
 
     Parameters
     ----------
-    dataset, decisions, curve, plan, rng, fit, locate, on_error, workers, cluster, store, \
+    dataset, decisions, curve, plan, rng, fit, locate, gaze, on_error, workers, cluster, store, \
     examples, progress
         Parameters as in `score`.
     observer : str, Observer, or sequence of them
@@ -121,7 +134,7 @@ def compare(
     judge, settings = judges[0], each_settings[0]
     fit = fit or FitSettings()
     found = [find_enhancement(one) for one in enhance]
-    data = loaded(dataset)
+    data = replace(loaded(dataset), gaze=gaze)
     screen = AlgorithmDisplay(data.display, white, allow_clipping)
     data, more, placed_wrong = located(data, judge, locate, on_error, progress)
     with opened_run(workers, cluster, store, progress) as run:
@@ -154,7 +167,7 @@ def compare(
         started,
         settings=settings
         | asdict(fit)
-        | {"decisions": decisions, "plan": plan, "white": white, "allow_clipping": allow_clipping},
+        | {"decisions": decisions, "plan": plan, "white": white, "allow_clipping": allow_clipping, "gaze": gaze},
         seed=seed,
         algorithms=compared,
         observers=further,
@@ -189,7 +202,7 @@ def compare_frames(
         Display as in `score_frames`.
     **settings
         What the frames show, as for `score_frames`: orientation, level, size_mrad, group, position, polarity,
-        trial and level_name. All other settings are those of `compare`.
+        trial, level_name, clip, time_s and judged. All other settings are those of `compare`.
 
     Returns
     -------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,11 +19,12 @@ from todframes.calls.shared import (
     in_memory,
     inspected,
     is_skip,
+    loaded,
     located,
     opened_run,
 )
 from todframes.display.display import Display
-from todframes.frames.dataset import Dataset
+from todframes.frames.dataset import Dataset, Gaze
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import CurveName, FitSettings
@@ -54,6 +55,7 @@ def score(
     rng: Rng = 1,
     fit: FitSettings | None = None,
     locate: Locate | bool = False,
+    gaze: Gaze = "tracked",
     on_error: OnError = "stop",
     workers: int = 1,
     cluster: str | Engine | None = None,
@@ -87,6 +89,9 @@ def score(
     locate : {"group", "each"} or bool
         Find the triangle's position, from that in the manifest if there is one: one for each group (also True), or
         one for each trial, for hand-held or drifting recordings.
+    gaze : {"tracked", "fixed"}
+        Where the observer looks while a triangle moves: at its place in each frame, or at its mean place in the
+        trial, so that it sees the motion as blur.
     on_error : {"stop", "skip"}
         At a frame or row that cannot be used: raise, or go on and list it in `Result.skipped`.
     workers : int
@@ -127,7 +132,7 @@ def score(
 
     judge, settings = described(observer)
     fit = fit or FitSettings()
-    data, more, placed_wrong = located(dataset, judge, locate, on_error, progress)
+    data, more, placed_wrong = located(replace(loaded(dataset), gaze=gaze), judge, locate, on_error, progress)
     with opened_run(workers, cluster, store, progress) as run:
         scored = score_dataset(
             data,
@@ -169,7 +174,9 @@ def score(
     return Result.made(
         "score",
         started,
-        settings=settings | asdict(fit) | {"decisions": decisions, "tolerance": tolerance, "plan": plan},
+        settings=settings
+        | asdict(fit)
+        | {"decisions": decisions, "tolerance": tolerance, "plan": plan, "gaze": gaze},
         seed=seed,
         fits=fits,
         plan=tuple(plan_object(scored.plan, 1.0)),
@@ -194,6 +201,9 @@ def score_frames(
     polarity: int | Sequence[int] = 1,
     trial: Sequence[object] | None = None,
     level_name: str = "contrast",
+    clip: str | Sequence[str | None] | None = None,
+    time_s: Sequence[float] | None = None,
+    judged: Sequence[bool] | None = None,
     **settings: Any,
 ) -> Result:
     """Score frames that are in memory and fit their thresholds, without touching a disk.
@@ -227,6 +237,12 @@ def score_frames(
         frame is a trial.
     level_name : str
         Name of the level, for tables and pictures.
+    clip : str or sequence of str, optional
+        Names of continuous recordings, in which the triangle may move: frames of one stand in the order of time.
+    time_s : sequence of float, optional
+        Time of each frame in its clip, in seconds; needed with `clip`.
+    judged : sequence of bool, optional
+        False for frames that are in no trial, and only come before one in their clip. Default: all are judged.
     **settings
         Settings as for `score`: observer, decisions, rng, fit, locate, workers and so on.
 
@@ -270,5 +286,8 @@ def score_frames(
         polarity=polarity,
         trial=trial,
         level_name=level_name,
+        clip=clip,
+        time_s=time_s,
+        judged=judged,
     )
     return score(data, **settings)

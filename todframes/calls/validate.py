@@ -8,7 +8,7 @@ from collections.abc import Callable
 from todframes.base.locations import Location
 from todframes.calls.shared import Progress, inspected, loaded
 from todframes.frames.checksums import check_writable, write_sha256
-from todframes.frames.contrast import frame_problems
+from todframes.frames.contrast import frame_problems, unjudged_problems
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import frame_sha256
 from todframes.report.result import Result
@@ -80,6 +80,11 @@ def validate(
             sha256_of |= {frame.path: frame_sha256(data.frame_path(frame)) for frame in missing}
         if progress is not None:
             progress(1)
+    for frame in data.trials.unjudged_frames():
+        for error in unjudged_problems(data, frame):
+            add(str(error.path), str(error), error.problem)
+        if add_sha256 and not found and frame.sha256 is None:
+            sha256_of[frame.path] = frame_sha256(data.frame_path(frame))
     if add_sha256 and not found:
         write_sha256(data, sha256_of)
         data = load_dataset(data.path, max_frame_mb=data.max_frame_mb)

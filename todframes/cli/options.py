@@ -154,6 +154,13 @@ scoring_options = options(
         help="Find the triangle's position, from that in the manifest if there is one: one a group (also if "
         "alone), or one for each trial, for recordings by hand.",
     ),
+    click.option(
+        "--gaze",
+        type=click.Choice(["tracked", "fixed"]),
+        default="tracked",
+        show_default=True,
+        help="Where the observer looks while a triangle moves: at its place in each frame, or at the mean place.",
+    ),
     on_error_option,
     max_frame_option,
     workers_option,

@@ -105,7 +105,11 @@ def measure_trial(
     FrameError, DataError
         If a frame cannot be read, or has no background.
     """
-    first, *others = (_measured(dataset, trial, frame, centre, size_px, reach_px) for frame in trial.frames)
+    # Frames of a triangle that moves cannot be averaged: its place on the pixels differs.
+    n_alike = 1 if any(frame.motion_px is not None for frame in trial.frames) else len(trial.frames)
+    first, *others = (
+        _measured(dataset, trial, frame, centre, size_px, reach_px) for frame in trial.frames[:n_alike]
+    )
     if not others:
         return first
     frames = (first, *others)
@@ -123,7 +127,7 @@ def _measured(
     rule = display.background_luminance_cd_m2
     with dataset.open(frame) as file:
         header = file.header
-        x, y = centroid_position(trial, header, centre, display.pitch_mrad)
+        x, y = centroid_position(trial, header, centre, display.pitch_mrad, frame)
         triangle = TrianglePlace(x, y, size_px)
         all_rows, all_columns = file.clip(None, None)
         window = surround_window(triangle, rows=all_rows, columns=all_columns)

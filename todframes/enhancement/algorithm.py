@@ -6,7 +6,12 @@
         return gain * image
 
 The declaration is optional: any function that takes an image of code values and returns one of the same shape is
-an algorithm.
+an algorithm. An algorithm of clips takes the frames of a whole trial, and those before it:
+
+    @algorithm(clip=True, warm_up_frames=3)
+    def mean_of_four(frames, *, judged):
+        \"\"\"Mean of a frame and the three before it.\"\"\"
+        return np.stack([frames[k - 3 : k + 1].mean(axis=0) for k in judged])
 """
 
 from __future__ import annotations
@@ -32,11 +37,17 @@ Image = NDArray[np.floating]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+CONTEXT = ("judged", "frame_rate_hz")
+"""Names of the keyword parameters that an algorithm of clips may have and users do not set."""
+
 REFERENCE = "none"
 """Name of the algorithm that leaves frames as they are."""
 
 DECLARATION = "todframes_enhancement"
 """Name of the function attribute that holds its declaration."""
+
+MOST_WARM_UP = 10_000
+"""Largest number of frames before a trial that an algorithm may need: they are held in memory together."""
 
 ROUNDING = 1e-6
 """Largest excess of a value over its range that counts as rounding of 32-bit values near 1."""
@@ -57,6 +68,11 @@ class Declaration:
         Whether it takes one channel at a time; otherwise it takes a colour image whole.
     writes : bool
         Whether it may write into the image; if so, it gets a copy.
+    clip : bool
+        Whether it takes the frames of a trial together.
+    warm_up_frames : int or str
+        Number of frames before a trial that an algorithm of clips needs, or the name of the parameter with this
+        number.
     library : str
         Library and function that do the work.
     """
@@ -65,6 +81,8 @@ class Declaration:
     magnification: float | str = 1.0
     each_channel: bool = False
     writes: bool = True
+    clip: bool = False
+    warm_up_frames: int | str = 0
     library: str = ""
 
     def __post_init__(self) -> None:
@@ -72,6 +90,17 @@ class Declaration:
             raise SettingsError(f"domain: found {self.domain!r}, expected one of {', '.join(get_args(Domain))}")
         if not isinstance(self.magnification, str):
             check_positive("magnification", self.magnification)
+        if not isinstance(self.warm_up_frames, str):
+            check_warm_up("warm_up_frames", self.warm_up_frames)
+        if self.warm_up_frames != 0 and not self.clip:
+            raise SettingsError(f"warm_up_frames: found {self.warm_up_frames!r} without clip, expected 0")
+
+
+def check_warm_up(name: str, n_frames: object) -> int:
+    """Return a number of frames of warm-up; raise SettingsError unless it is a whole number in range."""
+    if not isinstance(n_frames, int) or isinstance(n_frames, bool) or not 0 <= n_frames <= MOST_WARM_UP:
+        raise SettingsError(f"{name}: found {n_frames!r}, expected a whole number from 0 to {MOST_WARM_UP}")
+    return n_frames
 
 
 def algorithm(
@@ -80,6 +109,8 @@ def algorithm(
     magnification: float | str = 1.0,
     each_channel: bool = False,
     writes: bool = True,
+    clip: bool = False,
+    warm_up_frames: int | str = 0,
     library: str = "",
 ) -> Callable[[F], F]:
     """Return a decorator that declares the properties of `function(image, **parameters)`; see `Declaration`.
@@ -88,13 +119,24 @@ def algorithm(
     function returns an image of this shape times the magnification. The first line of its docstring describes it
     in lists and reports; parameters may be annotated with `parameter`.
 
+    With `clip`, the function takes frames of shape (n, rows, columns) or (n, rows, columns, 3), in the order of
+    time: `warm_up_frames` that come before the trial in its recording, then those of the trial. It returns one
+    frame for each of the trial: (m, rows, columns[, 3]). It may have two keyword-only parameters that users do not
+    set: `judged`, an array of the m indices of the trial's frames, and `frame_rate_hz`, None if it is not known.
+
     Raises
     ------
     SettingsError
-        If the domain or the magnification is not valid.
+        If the domain, the magnification or the number of frames of warm-up is not valid.
     """
     declaration = Declaration(
-        domain=domain, magnification=magnification, each_channel=each_channel, writes=writes, library=library
+        domain=domain,
+        magnification=magnification,
+        each_channel=each_channel,
+        writes=writes,
+        clip=clip,
+        warm_up_frames=warm_up_frames,
+        library=library,
     )
 
     def declare(function: F) -> F:
@@ -140,7 +182,7 @@ class Enhancement:
     """An algorithm with the values of its parameters.
 
     `spec` is the text that the user wrote, `name` the part of it before the parameters. `any_parameter` states
-    whether the function accepts parameters that it does not name.
+    whether the function accepts parameters that it does not name. `context` are those of `CONTEXT` that it has.
     """
 
     name: str
@@ -149,6 +191,7 @@ class Enhancement:
     declaration: Declaration
     parameters: tuple[Parameter, ...]
     any_parameter: bool
+    context: tuple[str, ...] = ()
     values: Mapping[str, Any] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -171,6 +214,12 @@ class Enhancement:
         declared = self.declaration.magnification
         return float(self.values[declared] if isinstance(declared, str) else declared)
 
+    @property
+    def warm_up_frames(self) -> int:
+        """Number of frames before a trial that the algorithm needs."""
+        declared = self.declaration.warm_up_frames
+        return int(self.values[declared] if isinstance(declared, str) else declared)
+
     def run(self, image: Image) -> tuple[Image, float]:
         """Apply the algorithm to an image; return the result and the processor time in seconds.
 
@@ -190,24 +239,64 @@ class Enhancement:
             If the function fails or returns anything else, including NaN or infinity; the message names the
             algorithm.
         """
-        if self.declaration.each_channel and image.ndim == 3:
-            channels, times = zip(*(self.run(np.ascontiguousarray(image[..., k])) for k in range(3)), strict=True)
+        return self._applied(image, "an image", {}, ())
+
+    def run_clip(
+        self, frames: Image, judged: NDArray[np.intp], frame_rate_hz: float | None
+    ) -> tuple[Image, float]:
+        """Apply an algorithm of clips to frames; return the judged frames after it and the processor time.
+
+        Parameters
+        ----------
+        frames : ndarray of float32, shape (n, rows, columns) or (n, rows, columns, 3)
+            Frames in the order of time.
+        judged : ndarray of int, shape (m,)
+            Indices of the frames that are judged.
+        frame_rate_hz : float or None
+            None if it is not known.
+
+        Returns
+        -------
+        (ndarray, float)
+            The m frames after the algorithm, and the processor time that the function took, in seconds.
+
+        Raises
+        ------
+        DataError
+            As `run` does, and if the function returns another number of frames.
+        """
+        known = {"judged": judged, "frame_rate_hz": frame_rate_hz}
+        return self._applied(frames, "frames", {name: known[name] for name in self.context}, (len(judged),))
+
+    def _applied(
+        self, image: Image, what: str, context: Mapping[str, Any], n_judged: tuple[int, ...]
+    ) -> tuple[Image, float]:
+        """Apply the algorithm to an image, or to frames of which `n_judged` come back, and check the result."""
+        n_leading = len(n_judged)
+        if self.declaration.each_channel and image.ndim == 3 + n_leading:
+            each = (np.ascontiguousarray(image[..., k]) for k in range(3))
+            channels, times = zip(*(self._applied(one, what, context, n_judged) for one in each), strict=True)
             return np.stack(channels, axis=-1), sum(times)
         given = image.copy() if self.declaration.writes else image
         started = time.thread_time()
         try:
             with np.errstate(all="ignore"):  # the result is checked below
-                found = self.function(given, **self.values)
+                found = self.function(given, **self.values, **context)
         except SystemExit:
-            raise DataError(f"{self.spec}: called sys.exit, expected it to return an image") from None
+            raise DataError(f"{self.spec}: called sys.exit, expected it to return {what}") from None
         except Exception as error:
             raise DataError(f"{self.spec}: {in_words(error)}") from None
         cpu_s = time.thread_time() - started
-        sides = [self.magnification * side for side in image.shape[:2]]
-        expected = (*map(round, sides), *image.shape[2:])
+        sides = [self.magnification * side for side in image.shape[n_leading:][:2]]
+        expected = (*n_judged, *map(round, sides), *image.shape[n_leading + 2 :])
         if not isinstance(found, np.ndarray) or found.dtype.kind != "f":
             kind = f"values of {found.dtype}" if isinstance(found, np.ndarray) else type(found).__name__
             raise DataError(f"{self.spec}: gave {kind}, expected an array of floating-point numbers")
+        if n_judged and found.shape[1:] == expected[1:] and len(found) != n_judged[0]:
+            raise DataError(
+                f"{self.spec}: gave {len(found)} frames for a trial of {n_judged[0]} and "
+                f"{len(image) - n_judged[0]} before it, expected {n_judged[0]}, one for each frame of the trial"
+            )
         if found.shape != expected or any(abs(side - round(side)) > 1e-6 for side in sides):
             raise DataError(
                 f"{self.spec}: gave shape {found.shape} for {image.shape}, expected {expected} with the declared "
@@ -215,9 +304,11 @@ class Enhancement:
             )
         if not (np.isfinite(found.min()) and np.isfinite(found.max())):
             bad = np.argwhere(~np.isfinite(found))
+            *of_frame, row, column = bad[0, : n_leading + 2]
+            where = f"frame {of_frame[0]}, " if of_frame else ""
             raise DataError(
-                f"{self.spec}: gave {len(bad)} values that are NaN or infinite, the first at row {bad[0, 0]}, "
-                f"column {bad[0, 1]}"
+                f"{self.spec}: gave {len(bad)} values that are NaN or infinite, the first at {where}row {row}, "
+                f"column {column}"
             )
         return found, cpu_s
 
@@ -298,16 +389,21 @@ def _described(name: str, spec: str, function: Callable[..., Any], where: str) -
         kinds = get_type_hints(function, include_extras=True)
     except Exception:  # annotations may use names that exist for type checkers only
         kinds = {}
+    declaration = getattr(function, DECLARATION, Declaration())
     named = [one for one in signature[1:] if one.kind in (one.KEYWORD_ONLY, one.POSITIONAL_OR_KEYWORD)]
+    context = tuple(one.name for one in named if declaration.clip and one.name in CONTEXT)
     return Enhancement(
         name=name,
         spec=spec,
         function=function,
-        declaration=getattr(function, DECLARATION, Declaration()),
+        declaration=declaration,
         parameters=tuple(
-            Parameter(one.name, kinds.get(one.name, _kind_of(one.default)), one.default) for one in named
+            Parameter(one.name, kinds.get(one.name, _kind_of(one.default)), one.default)
+            for one in named
+            if one.name not in context
         ),
         any_parameter=any(one.kind is one.VAR_KEYWORD for one in signature),
+        context=context,
     )
 
 
@@ -350,4 +446,7 @@ def _values(algorithm: Enhancement, assignments: str, where: str) -> dict[str, A
             raise SettingsError(
                 f"{where}: magnification {magnification!r}: found {found!r}, expected a number > 0"
             )
+    warm_up = algorithm.declaration.warm_up_frames
+    if isinstance(warm_up, str):
+        check_warm_up(f"{where}: warm_up_frames {warm_up!r}", values.get(warm_up))
     return values

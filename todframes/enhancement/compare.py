@@ -19,7 +19,12 @@ import numpy as np
 from todframes.base.errors import SettingsError
 from todframes.enhancement.algorithm import REFERENCE, Enhancement, find_enhancement
 from todframes.enhancement.contrast_gain import contrast_gains, strongest_levels, triangle_contrasts
-from todframes.enhancement.enhanced_frame import AlgorithmDisplay, FrameMeasurements, TrialReader
+from todframes.enhancement.enhanced_frame import (
+    AlgorithmDisplay,
+    FrameMeasurements,
+    TrialReader,
+    check_warm_up_there,
+)
 from todframes.enhancement.image_quality import psnr_db
 from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.position import check_places
@@ -191,7 +196,11 @@ def compare_observers(
             raise SettingsError(f"enhance {one.spec!r}: found twice, expected once")
     screen = screen or AlgorithmDisplay(dataset.display)
     whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
+    if of_clips := [one for one in algorithms if one.declaration.clip]:
+        whole = whole.with_warm_up(max(one.warm_up_frames for one in of_clips))
     if not skip_bad_frames:
+        for trial in whole if of_clips else ():
+            check_warm_up_there(dataset, trial, of_clips)
         check_places(dataset, whole, observers[0].centre)
     reader, expected = TrialReader(algorithms, screen), decisions == "expected"
     # The plan considers frames after the algorithms too: what it leaves out is left out for all algorithms.

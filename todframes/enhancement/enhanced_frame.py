@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError, SettingsError, argument
+from todframes.base.locations import Location
 from todframes.base.reading import check_positive
 from todframes.display.display import Display
 from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
@@ -176,9 +177,21 @@ class DecodedFrame:
         """
         if enhancement.is_reference:
             return self.original
+        return self.shown(*enhancement.run(self.input_of(enhancement)), enhancement)
+
+    def input_of(self, enhancement: Enhancement) -> Image:
+        """Return the image that an algorithm takes: code values, or relative luminance."""
+        return self.relative_luminance if enhancement.declaration.domain == "luminance" else self.code_values
+
+    def shown(self, found: Image, cpu_s: float, enhancement: Enhancement) -> EnhancedImage:
+        """Return the picture that the display shows of what an algorithm returned for this frame.
+
+        Raises
+        ------
+        DataError
+            If the display cannot show it.
+        """
         of_luminance = enhancement.declaration.domain == "luminance"
-        image = self.relative_luminance if of_luminance else self.code_values
-        found, cpu_s = enhancement.run(image)
         n_clipped = 0
         if self.is_integer or self.screen.display.eotf != "linear":
             low, high = (0.0, 1.0) if of_luminance else (end / self.screen.white for end in self.screen.code_range)
@@ -346,8 +359,21 @@ class EnhancedTrial(NamedTuple):
     measured: tuple[FrameMeasurements, ...]
 
 
+class _PlacedFrame(NamedTuple):
+    """A decoded frame of a trial, with its path, its number of rows and the place of the retina on it."""
+
+    reference: FrameReference
+    path: Location
+    n_rows: int
+    place: Placement
+    decoded: DecodedFrame
+
+
 class TrialReader:
-    """A `Reader` of trials that applies several algorithms; it returns one `Shown` for each of them."""
+    """A `Reader` of trials that applies several algorithms; it returns one `Shown` for each of them.
+
+    Without algorithms of clips, one decoded frame is held at a time; with them, those of a trial and its warm-up.
+    """
 
     def __init__(self, algorithms: Sequence[Enhancement], screen: AlgorithmDisplay) -> None:
         self.algorithms = tuple(algorithms)
@@ -388,24 +414,89 @@ class TrialReader:
         FrameError
             If a frame cannot be used, the triangle does not lie on it, or an algorithm fails with it.
         """
+        placed: Iterable[_PlacedFrame] = self._placed(dataset, trial, observer, grid, displacement_samples)
+        of_clips = [one for one in self.algorithms if one.declaration.clip]
+        after_clip: dict[str, list[EnhancedImage]] = {}
+        if of_clips:
+            placed = list(placed)
+            after_clip = self._after_clips(dataset, trial, [one.decoded for one in placed], of_clips)
         frames, n_rows = [], []
-        for frame in trial.frames:
-            with dataset.open(frame, verify=True) as file:
-                place = place_grid(dataset, trial, file, observer, grid, displacement_samples)
-                decoded = DecodedFrame(file, self.screen)
-            n_rows.append(file.header.height)
+        for number, (frame, path, height, place, decoded) in enumerate(placed):
             looked = []
             try:
                 for algorithm in self.algorithms:
-                    picture = decoded.after(algorithm)
+                    own = after_clip.get(algorithm.spec)
+                    picture = decoded.after(algorithm) if own is None else own[number]
                     part = decoded.crop(picture, place, frame.background_luminance_cd_m2, whole=whole)
                     looked.append((part, self._measured(dataset, frame, picture)))
             except FrameError:
                 raise
             except DataError as error:
-                raise FrameError(file.path, error.marked) from None
+                raise FrameError(path, error.marked) from None
             frames.append(looked)
+            n_rows.append(height)
         return [_of_trial(of_algorithm, n_rows[0]) for of_algorithm in zip(*frames, strict=True)]
+
+    def _placed(
+        self,
+        dataset: Dataset,
+        trial: Trial,
+        observer: Observer,
+        grid: RetinaGrid,
+        displacement_samples: Sequence[tuple[float, float]] | FloatArray,
+    ) -> Iterator[_PlacedFrame]:
+        """Yield the decoded frames of a trial."""
+        for frame in trial.frames:
+            with dataset.open(frame, verify=True) as file:
+                place = place_grid(dataset, trial, frame, file, observer, grid, displacement_samples)
+                decoded = DecodedFrame(file, self.screen)
+            yield _PlacedFrame(frame, file.path, file.header.height, place, decoded)
+
+    def _after_clips(
+        self, dataset: Dataset, trial: Trial, judged: list[DecodedFrame], algorithms: Sequence[Enhancement]
+    ) -> dict[str, list[EnhancedImage]]:
+        """Return the pictures of a trial's frames after each algorithm of clips, by its text."""
+        check_warm_up_there(dataset, trial, algorithms)
+        decoded = []
+        for frame in trial.warm_up:
+            with dataset.open(frame, verify=True) as file:
+                decoded.append(DecodedFrame(file, self.screen))
+        decoded += judged
+        references = (*trial.warm_up, *trial.frames)
+        times_s = [frame.time_s for frame in references if frame.time_s is not None]
+        frame_rate_hz = float(1.0 / np.median(np.diff(times_s))) if len(times_s) > 1 else None
+        found = {}
+        for algorithm in algorithms:
+            first = len(trial.warm_up) - algorithm.warm_up_frames
+            images = []
+            for frame, one in zip(references[first:], decoded[first:], strict=True):
+                try:
+                    images.append(one.input_of(algorithm))
+                except DataError as error:
+                    raise FrameError(dataset.frame_path(frame), error.marked) from None
+                if images[-1].shape[:2] != images[0].shape[:2]:
+                    raise FrameError(
+                        dataset.frame_path(frame),
+                        f"has {images[-1].shape[1]} × {images[-1].shape[0]} pixels, expected "
+                        f"{images[0].shape[1]} × {images[0].shape[0]} as the first frame that "
+                        f"{algorithm.spec} takes with it",
+                    )
+            if any(image.ndim == 3 for image in images):
+                images = [
+                    np.broadcast_to(one if one.ndim == 3 else one[..., None], (*one.shape[:2], 3))
+                    for one in images
+                ]
+            indices = np.arange(algorithm.warm_up_frames, len(images))
+            path = dataset.frame_path(trial.frames[0])
+            try:
+                after, cpu_s = algorithm.run_clip(np.stack(images), indices, frame_rate_hz)
+                found[algorithm.spec] = [
+                    one.shown(image, cpu_s / len(judged), algorithm)
+                    for image, one in zip(after, judged, strict=True)
+                ]
+            except DataError as error:
+                raise FrameError(path, error.marked) from None
+        return found
 
     def _measured(self, dataset: Dataset, frame: FrameReference, picture: EnhancedImage) -> FrameMeasurements:
         path = dataset.reference_path(frame)
@@ -424,6 +515,25 @@ class TrialReader:
             raise
         except DataError as error:
             raise FrameError(path, error.marked) from None
+
+
+def check_warm_up_there(dataset: Dataset, trial: Trial, algorithms: Sequence[Enhancement]) -> None:
+    """Raise FrameError if a trial has fewer frames of warm-up than an algorithm needs."""
+    needy = max(algorithms, key=lambda one: one.warm_up_frames)
+    needed, found, clip = needy.warm_up_frames, len(trial.warm_up), trial.frames[0].clip
+    if found >= needed:
+        return
+    if clip is None:
+        why = "the manifest names no clip of it; expected the columns clip and time_s"
+    else:
+        why = (
+            f"clip {clip!r} has {found} there; leave the first trials of a clip out ({argument.on_error} skip), "
+            "or state in the column judged that they are not judged"
+        )
+    raise FrameError(
+        dataset.frame_path(trial.frames[0]),
+        f"{needy.spec} takes {needed} frames before trial {trial.name!r}, and {why}",
+    )
 
 
 def _of_trial(frames: Sequence[tuple[CroppedImage, FrameMeasurements]], n_rows: int) -> EnhancedTrial:

@@ -71,12 +71,11 @@ def row_bands(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
 def skipped_frames(dataset: Dataset, trial: Trial, error: FrameError | str) -> list[Skipped]:
     """Return all frames of an unusable trial as skipped; a trial is averaged over all of its frames or none."""
     others = f"another frame of trial {trial.name} cannot be used"
+    paths = [dataset.frame_path(frame) for frame in trial.frames]
+    path_of_error = error.path if isinstance(error, FrameError) and error.path in paths else None
     return [
-        Skipped(
-            frame.path,
-            others if isinstance(error, FrameError) and error.path != dataset.frame_path(frame) else str(error),
-        )
-        for frame in trial.frames
+        Skipped(frame.path, str(error) if path_of_error in (None, path) else others)
+        for frame, path in zip(trial.frames, paths, strict=True)
     ]
 
 
@@ -284,6 +283,16 @@ def check_contrast(largest_luminance_cd_m2: float, background: Background) -> No
         raise DataError("the contrast is beyond all numbers; expected luminances nearer to the background's")
 
 
+def unjudged_problems(dataset: Dataset, frame: FrameReference) -> Iterator[FrameError]:
+    """Yield an error if a frame that is in no trial cannot be read; every pixel of it is checked."""
+    try:
+        with dataset.open(frame, verify=True) as file:
+            for _ in file.bands():
+                pass
+    except FrameError as error:
+        yield error
+
+
 def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
     """Yield an error for each frame of a trial that cannot be used; every pixel of every frame is checked."""
     for frame in trial.frames:
@@ -291,7 +300,7 @@ def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
         try:
             with dataset.open(frame, verify=True) as file:
                 pitch_mrad = dataset.display.pitch_mrad
-                x, y = centroid_position(trial, file.header, "centroid", pitch_mrad)
+                x, y = centroid_position(trial, file.header, "centroid", pitch_mrad, frame)
                 check_on_frame(path, trial, file.header, x, y, pitch_mrad)
                 triangle = TrianglePlace(x, y, size_in_px(trial, pitch_mrad))
                 check_pixels(file, dataset.display, frame, triangle)

@@ -10,7 +10,7 @@ from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 from todframes.base.errors import DataError, FrameError, RemoteError, SettingsError
 from todframes.base.locations import Location, RemotePath, location
@@ -38,7 +38,7 @@ from todframes.frames.files import (
     frame_sha256,
     has_own_checksums,
 )
-from todframes.frames.trials import FrameReference, SceneView, Trial, Trials, TrialsBuilder
+from todframes.frames.trials import FrameReference, SceneView, Trial, Trials, TrialsBuilder, joined
 from todframes.stimulus import ORIENTATIONS, Stimulus
 
 SCHEMA = 1
@@ -60,6 +60,9 @@ PLACE_COLUMNS = ("place", "place_step_px")
 MOST_PLACES = 4096
 """Largest number of places at which a triangle may be."""
 
+CLIP_COLUMN, TIME_COLUMN, JUDGED_COLUMN = "clip", "time_s", "judged"
+"""Names of the manifest columns with a frame's continuous recording, its time there, and whether it is judged."""
+
 MOST_REMEMBERED = 1024
 """Number of files behind URLs of which a thread remembers what it read."""
 
@@ -78,6 +81,9 @@ class Skipped(NamedTuple):
     frame: str
     error: str
 
+
+Gaze = Literal["tracked", "fixed"]
+"""Direction of the observer's gaze: it follows a triangle that moves, or stays at its mean place in the trial."""
 
 WarningCode = Literal[
     "above_contrast_1",
@@ -150,7 +156,7 @@ class Dataset:
     bad row is among them, but its name is also in `spoilt`: it would be averaged over fewer frames than the others
     and must not be scored.
     `manifest_sha256` is the checksum of `manifest.csv`; None for frames in memory. `max_frame_mb` is the largest
-    decoded size of a frame in 2**20 bytes.
+    decoded size of a frame in 2**20 bytes. `gaze` states where the observer looks in trials with moving triangles.
     """
 
     path: Location
@@ -161,8 +167,11 @@ class Dataset:
     spoilt: frozenset[str]
     manifest_sha256: str | None
     max_frame_mb: int = field(default=MAX_FRAME_MB, kw_only=True)
+    gaze: Gaze = field(default="tracked", kw_only=True)
 
     def __post_init__(self) -> None:
+        if self.gaze not in get_args(Gaze):
+            raise SettingsError(f"gaze: found {self.gaze!r}, expected one of {', '.join(get_args(Gaze))}")
         object.__setattr__(self, "trials", Trials.of(self.trials))
 
     @property
@@ -172,8 +181,8 @@ class Dataset:
 
     @property
     def n_frames(self) -> int:
-        """Number of frames in the manifest, those in bad rows included."""
-        return self.trials.n_frames + len(self.bad_rows)
+        """Number of frames in the manifest, those in bad rows and those that are not judged included."""
+        return self.trials.n_frames + self.trials.n_unjudged_frames + len(self.bad_rows)
 
     def frame_path(self, frame: FrameReference) -> Location:
         """Return the path or URL of the frame."""
@@ -409,6 +418,9 @@ class _Manifest:
         self.names, self.real_paths = _Index(), _Index()
         # For each real path: the line, and the frame in `found`, or the row in `bad_rows` counted back from -1.
         self.lines, self.frames = array("q"), array("i")
+        # The time of each clip's last frame, and how often a bad row has broken the clip.
+        self.last_s: dict[str, float] = {}
+        self.n_breaks: dict[str, int] = {}
 
     def trials(self) -> Trials:
         path_inside(self.folder, self.path.name, f"{self.path}:")
@@ -419,7 +431,11 @@ class _Manifest:
             n_paths = len(self.real_paths)
             try:
                 check_fields(row, len(header), where)
-                self._add(self._trial(row, where, number_of_row), where, joins="trial" in header)
+                made = self._trial(row, where, number_of_row)
+                if self._is_judged(row, where):
+                    self._add(made, where, joins="trial" in header)
+                else:
+                    self.found.append_unjudged(made.frames[0])
                 frame = self.found.n_frames - 1
             except DataError as error:
                 if len(self.bad_rows) == MOST_BAD_ROWS:
@@ -429,6 +445,8 @@ class _Manifest:
                 self.bad_rows.append(Skipped((row.get("frame") or "").strip(), str(error)))
                 if name := (row.get("trial") or "").strip():
                     self.spoilt.add(name)
+                if clip := (row.get(CLIP_COLUMN) or "").strip():
+                    self.n_breaks[clip] = self.n_breaks.get(clip, 0) + 1
                 frame = -len(self.bad_rows)
             if len(self.real_paths) > n_paths:
                 self.lines.append(int(where.rpartition(" ")[2]))
@@ -441,8 +459,15 @@ class _Manifest:
         if index == len(self.found):
             self.found.append(trial)
         else:
-            self._check_joined(self.found.without_frames(index), trial, where)
-            self.found.append_frame(index, trial.frames[0])
+            first, clip = self.found.without_frames(index), self.found.clip(index)
+            trial, frame = joined(first, clip, trial)
+            self._check_joined(first, trial, where)
+            if frame.clip != clip and first.name not in self.spoilt:
+                raise DataError(
+                    f"{where}: {CLIP_COLUMN}: found {frame.clip}, expected {clip} as in the other frames of trial "
+                    f"{first.name!r}"
+                )
+            self.found.append_frame(index, frame)
 
     def _check_columns(self, found: Mapping[str, str]) -> None:
         needed = ["frame", "orientation", "size_mrad", self.experiment.level, *self.experiment.group_by]
@@ -453,6 +478,9 @@ class _Manifest:
         check_columns(found, needed, self.path)
         if ("x_px" in found) != ("y_px" in found):
             raise DataError(f"{self.path}: found one of the columns x_px and y_px, expected both or none")
+        for name, needs in ((CLIP_COLUMN, TIME_COLUMN), (JUDGED_COLUMN, CLIP_COLUMN)):
+            if name in found and needs not in found:
+                raise DataError(f"{self.path}: found the column {name} without {needs}, expected both or none")
 
     def _trial(self, row: Mapping[str, str], where: str, row_number: int) -> Trial:
         frame = self._frame_path(row["frame"].strip(), where)
@@ -481,10 +509,11 @@ class _Manifest:
         reference = (row.get(REFERENCE_COLUMN) or "").strip() or None
         if reference is not None:
             path_inside(self.folder, reference, f"{where}: {REFERENCE_COLUMN}", self.real_folders)
+        clip, time_s = self._clip(row, where)
         return Trial(
             number=row_number,
             name=(row.get("trial") or "").strip() or frame,
-            frames=(FrameReference(frame, sha256, background, reference),),
+            frames=(FrameReference(frame, sha256, background, reference, clip, time_s),),
             orientation=ORIENTATION_OF[orientation],
             stimulus=self._stimulus(row["size_mrad"], polarity, where),
             level=number(row[self.experiment.level], f"{where}: {self.experiment.level}", positive=True),
@@ -513,6 +542,36 @@ class _Manifest:
         if not row["x_px"].strip():
             raise DataError(f"{where}: x_px, y_px: found none, expected the place {text} in pixels")
         return int(text), number(row["place_step_px"], f"{where}: place_step_px", positive=True)
+
+    def _clip(self, row: Mapping[str, str], where: str) -> tuple[str | None, float | None]:
+        """Return the clip of a row and its time there; the rows of a clip must stand in the order of time.
+
+        A bad row breaks a clip in two: its frame is missing between those before and after it.
+        """
+        clip = (row.get(CLIP_COLUMN) or "").strip()
+        if not clip:
+            return None, None
+        if not row[TIME_COLUMN].strip():
+            raise DataError(f"{where}: found clip {clip!r} without {TIME_COLUMN}, expected both or none")
+        time_s = number(row[TIME_COLUMN], f"{where}: {TIME_COLUMN}")
+        last_s = self.last_s.get(clip)
+        if last_s is not None and time_s <= last_s:
+            raise DataError(
+                f"{where}: {TIME_COLUMN}: found {time_s:g}, expected more than {last_s:g}, the time of the frame "
+                f"before it in clip {clip!r}"
+            )
+        self.last_s[clip] = time_s
+        n_breaks = self.n_breaks.get(clip, 0)
+        return f"{clip} after bad row {n_breaks}" if n_breaks else clip, time_s
+
+    def _is_judged(self, row: Mapping[str, str], where: str) -> bool:
+        """Return whether a row's frame is in a trial; otherwise it only comes before one in its clip."""
+        found = (row.get(JUDGED_COLUMN) or "1").strip()
+        if found not in ("0", "1"):
+            raise DataError(f"{where}: {JUDGED_COLUMN}: found {found!r}, expected 1 or 0")
+        if found == "0" and not row[CLIP_COLUMN].strip():
+            raise DataError(f"{where}: {JUDGED_COLUMN}: found 0 without a clip, expected the clip it belongs to")
+        return found == "1"
 
     def _frame_path(self, frame: str, where: str) -> str:
         if os.sep == "/" and "\\" in frame and not self._is_there(frame):

@@ -17,7 +17,7 @@ from todframes.base.locations import Location
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset, Experiment
 from todframes.frames.files import Frame, FrameHeader, FrameSource, Range, clip_rectangle
-from todframes.frames.trials import FrameReference, Trial, Trials
+from todframes.frames.trials import FrameReference, Trial, TrialsBuilder, joined
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 OIIO_TYPES: dict[str, Any] = {"uint8": "uint8", "uint16": "uint16", "float16": "half"}
@@ -121,6 +121,9 @@ def memory_dataset(
     polarity: Sequence[int] | int = 1,
     trial: Sequence[object] | None = None,
     level_name: str = "contrast",
+    clip: Sequence[str | None] | str | None = None,
+    time_s: Sequence[float] | None = None,
+    judged: Sequence[bool] | None = None,
 ) -> MemoryDataset:
     """Return a dataset of frames in memory; parameters are those of `todframes.score_frames`.
 
@@ -144,7 +147,9 @@ def memory_dataset(
             raise DataError("position: found NaN or infinity, expected x and y in pixels")
         places = [(x, y) for x, y in centres.tolist()]
     names = [str(one) for one in (range(n) if trial is None else _column("trial", trial, n))]
-    trials: dict[str, Trial] = {}
+    clips, times = _clips(clip, time_s, n)
+    is_judged = _column("judged", True if judged is None else judged, n)
+    builder, index_of = TrialsBuilder(), dict[str, int]()
     arrays: dict[str, NDArray[Any]] = {}
     for k, image in enumerate(images):
         path = f"frame {k}"
@@ -156,7 +161,7 @@ def memory_dataset(
         made = Trial(
             number=k,
             name=names[k],
-            frames=(FrameReference(path, None, None),),
+            frames=(FrameReference(path, None, None, None, clips[k], times[k]),),
             orientation=Orientation(orientations[k]),
             stimulus=Stimulus(sizes[k], int(polarities[k])),
             level=levels[k],
@@ -164,25 +169,52 @@ def memory_dataset(
             x_px=places[k][0],
             y_px=places[k][1],
         )
-        if names[k] in trials:
-            first = trials[names[k]]
-            if made[3:] != first[3:]:
-                raise DataError(
-                    f"trial {names[k]!r}: frame {k} shows another stimulus than the trial's other frames"
-                )
-            made = first._replace(frames=first.frames + made.frames)
-        trials[names[k]] = made
+        if not is_judged[k]:
+            builder.append_unjudged(made.frames[0])
+            continue
+        index = index_of.setdefault(names[k], len(builder))
+        if index == len(builder):
+            builder.append(made)
+            continue
+        first = builder.without_frames(index)
+        made, frame = joined(first, builder.clip(index), made)
+        if made[3:] != first[3:]:
+            raise DataError(f"trial {names[k]!r}: frame {k} shows another stimulus than the trial's other frames")
+        builder.append_frame(index, frame)
+    if not len(builder):
+        raise DataError("judged: found no frame that is judged, expected at least one")
     experiment = Experiment(level=level_name, group_by=tuple(groups))
     return MemoryDataset(
         path=Path("in memory"),
         display=display,
         experiment=experiment,
-        trials=Trials.of(trials.values()),
+        trials=builder.trials(),
         bad_rows=(),
         spoilt=frozenset(),
         manifest_sha256=None,
         arrays=arrays,
     )
+
+
+def _clips(
+    clip: Sequence[str | None] | str | None, time_s: Sequence[float] | None, n: int
+) -> tuple[list[str | None], list[float | None]]:
+    """Return the clip of each frame and its time there; the frames of a clip must stand in the order of time."""
+    if clip is None:
+        return [None] * n, [None] * n
+    if time_s is None:
+        raise DataError("clip: found it without time_s, expected both or none")
+    clips: list[str | None] = _column("clip", clip, n)
+    times = [float(one) for one in _column("time_s", time_s, n)]
+    last_s: dict[str, float] = {}
+    for k, (name, time) in enumerate(zip(clips, times, strict=True)):
+        if name is not None and not time > last_s.get(name, -math.inf):
+            raise DataError(
+                f"time_s[{k}]: found {time:g}, expected more than that of the frame before in the clip"
+            )
+        if name is not None:
+            last_s[name] = time
+    return clips, [None if name is None else time for name, time in zip(clips, times, strict=True)]
 
 
 def _column(name: str, values: Any, n: int) -> list[Any]:

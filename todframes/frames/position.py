@@ -10,19 +10,24 @@ from todframes.base.errors import FrameError
 from todframes.base.locations import Location
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import FrameHeader
-from todframes.frames.trials import Trial
+from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import Centre, Orientation, Stimulus, bounding_box_offset, vertices
 
 
 def centroid_position(
-    trial: Trial, header: FrameHeader, centre: Centre, pixel_pitch_mrad: float
+    trial: Trial,
+    header: FrameHeader,
+    centre: Centre,
+    pixel_pitch_mrad: float,
+    frame: FrameReference | None = None,
 ) -> tuple[float, float]:
-    """Return the position (x, y) of the triangle's centroid in pixels.
+    """Return the position (x, y) of the triangle's centroid in pixels: in a frame, or its mean in the trial.
 
     It is the position in the manifest. If there is none, the triangle's `centre` lies at the frame's centre.
     """
     if trial.x_px is not None and trial.y_px is not None:
-        return trial.x_px, trial.y_px
+        right, down = frame.motion_px if frame is not None and frame.motion_px is not None else (0.0, 0.0)
+        return trial.x_px + right, trial.y_px + down
     return to_centroid(trial, (header.width - 1) / 2.0, (header.height - 1) / 2.0, centre, pixel_pitch_mrad)
 
 
@@ -72,7 +77,7 @@ def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> N
     """
     of_stimulus: dict[Stimulus, Trial] = {}
     for trial in trials:
-        for frame in trial.frames:
+        for frame in (*trial.warm_up, *trial.frames):
             if not dataset.has_frame(frame):
                 raise FrameError(dataset.frame_path(frame), "cannot be opened: No such file or directory")
         of_stimulus.setdefault(trial.stimulus, trial)
@@ -83,7 +88,7 @@ def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> N
 def check_place(dataset: Dataset, trial: Trial, centre: Centre) -> None:
     """Raise FrameError if a trial's triangle does not lie on its first frame; only the header is read."""
     with dataset.open(trial.frames[0]) as file:
-        x, y = centroid_position(trial, file.header, centre, dataset.display.pitch_mrad)
+        x, y = centroid_position(trial, file.header, centre, dataset.display.pitch_mrad, trial.frames[0])
         check_on_frame(file.path, trial, file.header, x, y, dataset.display.pitch_mrad)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any, Generic, NamedTuple, SupportsIndex, TypeVar, overload
 
 import numpy as np
@@ -17,6 +18,9 @@ V = TypeVar("V", bound=Hashable)
 
 Group = tuple[float | str, ...]
 
+UNJUDGED = -1
+"""Index of the trial of frames that are in none."""
+
 BLOCK = 4096
 """Number of trials that are made from the columns at a time."""
 
@@ -24,13 +28,19 @@ BLOCK = 4096
 class FrameReference(NamedTuple):
     """A frame as the manifest names it: its path relative to the dataset, its checksum and its background.
 
-    `reference` is the path of the same frame without noise; None if there is none.
+    `reference` is the path of the same frame without noise; None if there is none. `clip` is the name of the
+    continuous recording that the frame is from, and `time_s` its time there in seconds; None if the manifest
+    states none. `motion_px` is the triangle's displacement (x, y) in this frame from its mean place in the trial's
+    frames; None if it is there.
     """
 
     path: str
     sha256: str | None
     background_luminance_cd_m2: float | None
     reference: str | None = None
+    clip: str | None = None
+    time_s: float | None = None
+    motion_px: tuple[float, float] | None = None
 
 
 class SceneView(NamedTuple):
@@ -48,10 +58,11 @@ class Trial(NamedTuple):
     """One presentation: the frames to average, their stimulus and its position.
 
     `number` is the number of the first frame's row in the manifest and seeds the trial's random stream. `x_px` and
-    `y_px` are the position of the triangle's centroid in pixels; None: the frame's centre. `group` has one value
-    for each column of `group_by`. `view` is the scene behind the triangle; None: an even background. `place` is
-    the number, from 1, of the triangle's place among those of its experiment, and `place_step_px` the distance of
-    neighbouring places; None: the place is known.
+    `y_px` are the position of the triangle's centroid in pixels, its mean over the frames; None: the frame's
+    centre. `group` has one value for each column of `group_by`. `view` is the scene behind the triangle; None: an
+    even background. `place` is the number, from 1, of the triangle's place among those of its experiment, and
+    `place_step_px` the distance of neighbouring places; None: the place is known. `warm_up` are the frames of the
+    same clip that come directly before the trial, in the order of time; see `Trials.with_warm_up`.
     """
 
     number: int
@@ -66,6 +77,7 @@ class Trial(NamedTuple):
     view: SceneView | None = None
     place: int | None = None
     place_step_px: float | None = None
+    warm_up: tuple[FrameReference, ...] = ()
 
 
 class Trials(Sequence[Trial]):
@@ -122,7 +134,10 @@ class Trials(Sequence[Trial]):
         return f"<Trials: {len(self)}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Trials, (self._columns.taken(self._rows), np.arange(len(self)))
+        columns, rows = self._columns, np.arange(len(self))
+        if not np.array_equal(self._rows, np.arange(len(columns.number))):
+            columns = columns.taken(self._rows)
+        return Trials, (columns, rows)
 
     def select(self, indices: ArrayLike | slice) -> Trials:
         """Return the trials at some indices, in the order of these, or those for which a mask is true."""
@@ -137,6 +152,29 @@ class Trials(Sequence[Trial]):
         moved = np.full((len(self._columns.number), 2), np.nan)
         moved[self._rows] = position_px
         return Trials(replace(self._columns, position_px=moved), self._rows)
+
+    def with_warm_up(self, n_frames: int) -> Trials:
+        """Return the same trials with up to `n_frames` frames of warm-up each: `Trial.warm_up`.
+
+        They are the frames that come before the trial's first frame in its clip, whether they are judged or not. A
+        trial near the beginning of its clip has fewer, one without a clip none. `Trials.of` does not take them
+        over from single trials.
+        """
+        return Trials(replace(self._columns, warm_up=self._columns.found_warm_up(n_frames)), self._rows)
+
+    def unjudged_frames(self) -> Iterator[FrameReference]:
+        """Yield the frames that are in no trial: those that the manifest marks as not judged.
+
+        Those of a selection are those of the trials that it was selected from.
+        """
+        frames, first = self._columns.frames, int(self._columns.first_frame[-1])
+        for start in range(first, len(frames), BLOCK):
+            yield from frames.made(np.arange(start, min(start + BLOCK, len(frames))))
+
+    @property
+    def n_unjudged_frames(self) -> int:
+        """Number of frames that are in no trial."""
+        return len(self._columns.frames) - int(self._columns.first_frame[-1])
 
     @property
     def numbers(self) -> NDArray[np.int64]:
@@ -229,6 +267,21 @@ def indices_by(codes: NDArray[np.integer]) -> list[NDArray[np.intp]]:
     return sorted(parts, key=lambda part: int(part[0]))
 
 
+def joined(first: Trial, clip: str | None, other: Trial) -> tuple[Trial, FrameReference]:
+    """Return a trial of one frame that joins another trial, at that one's place, and its frame with its motion.
+
+    In a clip, the triangle may move from frame to frame: the place of `first` is that in its first frame.
+    """
+    (frame,) = other.frames
+    if None in (clip, frame.clip, first.x_px, first.y_px, other.x_px, other.y_px):
+        return other, frame
+    assert first.x_px is not None and first.y_px is not None and other.x_px is not None and other.y_px is not None
+    moved_px = other.x_px - first.x_px, other.y_px - first.y_px
+    if any(moved_px):
+        frame = frame._replace(motion_px=moved_px)
+    return other._replace(x_px=first.x_px, y_px=first.y_px), frame
+
+
 # Columns -------------------------------------------------------------------------------------------------------
 
 
@@ -242,6 +295,8 @@ class TrialsBuilder:
         self._name, self._path, self._sha256, self._reference = (_Texts() for _ in range(4))
         self._stimuli, self._groups = _Codes[Stimulus](), _Codes[Group]()
         self._backdrop, self._backdrops = array("i"), _Codes[_Backdrop]()
+        self._clip, self._time_s, self._motion_px = array("i"), array("d"), array("d")
+        self._clips = _Codes[str]()
 
     def __len__(self) -> int:
         return len(self._number)
@@ -253,7 +308,7 @@ class TrialsBuilder:
 
     def append(self, trial: Trial) -> None:
         """Add a trial with its frames."""
-        number, name, frames, orientation, stimulus, level, group, x_px, y_px, view, place, step_px = trial
+        number, name, frames, orientation, stimulus, level, group, x_px, y_px, view, place, step_px, _ = trial
         index = len(self._number)
         self._name.append(b"" if name == frames[0].path else _encoded(f"={name}"))
         self._number.append(number)
@@ -270,12 +325,47 @@ class TrialsBuilder:
 
     def append_frame(self, index: int, frame: FrameReference) -> None:
         """Add a frame to the trial at an index."""
-        path, sha256, background_cd_m2, reference = frame
+        path, sha256, background_cd_m2, reference, clip, time_s, motion_px = frame
         self._trial_of_frame.append(index)
+        if self._clip or (clip, time_s, motion_px) != (None, None, None):
+            self._append_clip(clip, time_s, motion_px)
         self._path.append(_encoded(path))
         self._sha256.append(b"" if sha256 is None else _packed_sha256(sha256))
         self._background.append(np.nan if background_cd_m2 is None else background_cd_m2)
         self._reference.append(b"" if reference is None else _encoded(reference))
+
+    def append_unjudged(self, frame: FrameReference) -> None:
+        """Add a frame that is in no trial."""
+        self.append_frame(UNJUDGED, frame)
+
+    def _clip_columns(self, trial_of_frame: NDArray[np.int32]) -> tuple[_Clips | None, FloatArray | None]:
+        """Return the columns of clips and the mean displacement of each trial, (n, 2); None if there are none."""
+        if not self._clip:
+            return None, None
+        motion_px, middle_px = _column(self._motion_px, np.float64).reshape(-1, 2), None
+        if motion_px.any():
+            judged = trial_of_frame != UNJUDGED
+            of_trial = trial_of_frame[judged]
+            n_frames = np.bincount(of_trial, minlength=len(self))
+            sums = [np.bincount(of_trial, along[judged], minlength=len(self)) for along in motion_px.T]
+            middle_px = np.stack(sums, axis=1) / n_frames[:, None]
+            motion_px = motion_px - np.where(judged[:, None], middle_px[trial_of_frame], motion_px)
+        return _Clips(
+            names=_Texts(map(_encoded, self._clips.values)),
+            code=_column(self._clip, np.int32),
+            time_s=_column(self._time_s, np.float64),
+            motion_px=motion_px if motion_px.any() else None,
+        ), middle_px
+
+    def _append_clip(self, clip: str | None, time_s: float | None, motion_px: tuple[float, float] | None) -> None:
+        """Add a frame's clip; the frames before the first one that has a clip get none."""
+        missing = len(self._trial_of_frame) - 1 - len(self._clip)
+        self._clip.extend([-1] * missing)
+        self._time_s.extend([np.nan] * missing)
+        self._motion_px.extend([0.0] * (2 * missing))
+        self._clip.append(-1 if clip is None else self._clips.code(clip))
+        self._time_s.append(np.nan if time_s is None else time_s)
+        self._motion_px.extend(motion_px or (0.0, 0.0))
 
     def path(self, frame: int) -> str:
         """Return the path of a frame, by its number in the order in which frames were added."""
@@ -284,6 +374,12 @@ class TrialsBuilder:
     def name(self, index: int) -> str:
         """Return the name of the trial at an index."""
         return _decoded(self._name[index])[1:] if self._name[index] else self.path(self._first_frame[index])
+
+    def clip(self, index: int) -> str | None:
+        """Return the clip of the first frame of the trial at an index."""
+        first = self._first_frame[index]
+        code = self._clip[first] if first < len(self._clip) else -1
+        return None if code < 0 else self._clips.values[code]
 
     def without_frames(self, index: int) -> Trial:
         """Return the trial at an index, without its frames."""
@@ -304,15 +400,22 @@ class TrialsBuilder:
     def trials(self) -> Trials:
         """Return the trials; no more can be added afterwards."""
         trial_of_frame = _column(self._trial_of_frame, np.int32)
+        position_px = _unless_missing(_column(self._position_px, np.float64).reshape(-1, 2))
+        clips, middle_px = self._clip_columns(trial_of_frame)
+        if middle_px is not None and position_px is not None:
+            position_px = position_px + middle_px
         frames = _Frames(
             path=self._path,
             sha256=self._sha256.or_none(),
             background_cd_m2=_unless_missing(_column(self._background, np.float64)),
             reference=self._reference.or_none(),
+            clips=clips,
         )
-        if np.any(np.diff(trial_of_frame) < 0):  # the frames of a trial are to follow each other
-            frames = frames.taken(np.argsort(trial_of_frame, kind="stable"))
-        n_frames = np.bincount(trial_of_frame, minlength=len(self))
+        is_judged = trial_of_frame != UNJUDGED
+        order = np.where(is_judged, trial_of_frame, len(self))
+        if np.any(np.diff(order) < 0):  # the frames of a trial are to follow each other, the unjudged ones all
+            frames = frames.taken(np.argsort(order, kind="stable"))
+        n_frames = np.bincount(trial_of_frame[is_judged], minlength=len(self))
         columns = _TrialColumns(
             number=_column(self._number, np.int64),
             name=self._name.or_none(),
@@ -322,7 +425,7 @@ class TrialsBuilder:
             stimulus=_column(self._stimulus, np.int32),
             level=_column(self._level, np.float64),
             group=_column(self._group, np.int32),
-            position_px=_unless_missing(_column(self._position_px, np.float64).reshape(-1, 2)),
+            position_px=position_px,
             backdrop=_column(self._backdrop, np.int32),
             stimuli=tuple(self._stimuli.values),
             groups=tuple(self._groups.values),
@@ -339,6 +442,10 @@ class _Frames:
     sha256: _Texts | None
     background_cd_m2: FloatArray | None
     reference: _Texts | None
+    clips: _Clips | None
+
+    def __len__(self) -> int:
+        return len(self.path)
 
     def made(self, rows: NDArray[np.intp]) -> list[FrameReference]:
         """Return the frames in some rows."""
@@ -346,7 +453,8 @@ class _Frames:
         sha256 = none if self.sha256 is None else map(_unpacked_sha256, self.sha256.at(rows))
         background = none if self.background_cd_m2 is None else map(_or_none, self.background_cd_m2[rows].tolist())
         reference = none if self.reference is None else (_decoded(one) or None for one in self.reference.at(rows))
-        return list(map(FrameReference, map(_decoded, self.path.at(rows)), sha256, background, reference))
+        columns = map(_decoded, self.path.at(rows)), sha256, background, reference
+        return list(map(FrameReference, *columns, *(() if self.clips is None else self.clips.made(rows))))
 
     def taken(self, rows: NDArray[np.intp]) -> _Frames:
         """Return the columns of some rows alone."""
@@ -355,6 +463,37 @@ class _Frames:
             sha256=None if self.sha256 is None else self.sha256.taken(rows),
             background_cd_m2=None if self.background_cd_m2 is None else self.background_cd_m2[rows],
             reference=None if self.reference is None else self.reference.taken(rows),
+            clips=None if self.clips is None else self.clips.taken(rows),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Clips:
+    """Columns of frames: index into the clips' `names` or -1, time, and displacement, (n, 2) or None."""
+
+    names: _Texts
+    code: NDArray[np.int32]
+    time_s: FloatArray
+    motion_px: FloatArray | None
+
+    def made(self, rows: NDArray[np.intp]) -> tuple[list[str | None], list[float | None], Sequence[Any]]:
+        """Return the clips, times and displacements of the frames in some rows."""
+        codes = self.code[rows].tolist()
+        names = [None if code < 0 else _decoded(self.names[code]) for code in codes]
+        times = [_or_none(time_s) for time_s in self.time_s[rows].tolist()]
+        if self.motion_px is None:
+            return names, times, [None] * len(codes)
+        return names, times, [(x, y) if x or y else None for x, y in self.motion_px[rows].tolist()]
+
+    def taken(self, rows: NDArray[np.intp]) -> _Clips:
+        """Return the columns of some rows alone."""
+        codes, code = np.unique(self.code[rows], return_inverse=True)
+        named = codes >= 0
+        return _Clips(
+            names=self.names.taken(codes[named].astype(np.intp)),
+            code=(code - np.count_nonzero(~named)).astype(np.int32),
+            time_s=self.time_s[rows],
+            motion_px=None if self.motion_px is None else self.motion_px[rows],
         )
 
 
@@ -373,6 +512,8 @@ class _TrialColumns:
         Row in `frames` of each trial's first frame, which its other frames follow.
     position_px : ndarray, shape (n, 2), or None
         Position (x, y); NaN where it is not stated. None: nowhere stated.
+    warm_up : ndarray, shape (n, k), or None
+        Rows in `frames` of each trial's warm-up in the order of time, -1 in front where there are fewer than k.
     """
 
     number: NDArray[np.int64]
@@ -388,6 +529,22 @@ class _TrialColumns:
     stimuli: tuple[Stimulus, ...]
     groups: tuple[Group, ...]
     backdrops: tuple[_Backdrop, ...]
+    warm_up: NDArray[np.int32] | None = None
+
+    def found_warm_up(self, n_frames: int) -> NDArray[np.int32] | None:
+        """Find the rows of the frames that come before each trial in its clip: the attribute `warm_up`."""
+        clips = self.frames.clips
+        if clips is None or not n_frames or not len(self.number):
+            return None
+        in_time = np.lexsort((clips.time_s, clips.code))
+        place = np.empty(len(in_time), np.int32)
+        place[in_time] = np.arange(len(in_time), dtype=np.int32)
+        first = self.first_frame[:-1]
+        before = place[first][:, None] + np.arange(-n_frames, 0, dtype=np.int32)
+        found = in_time[np.maximum(before, 0)].astype(np.int32)
+        code = clips.code[first][:, None]
+        is_there = (before >= 0) & (clips.code[found] == code) & (code >= 0)
+        return np.where(is_there, found, np.int32(-1))
 
     def made(self, rows: NDArray[np.intp]) -> Iterator[Trial]:
         """Yield the trials in some rows."""
@@ -395,7 +552,8 @@ class _TrialColumns:
         ends = np.cumsum(self.first_frame[rows + 1] - self.first_frame[rows]).tolist()
         of_trials = [tuple(frames[start:end]) for start, end in zip([0, *ends], ends, strict=False)]
         places = [(None, None)] * len(rows) if self.position_px is None else self.position_px[rows].tolist()
-        for number, name, own, turns, stimulus, level, group, (x_px, y_px), backdrop in zip(
+        before = [()] * len(rows) if self.warm_up is None else self._made_warm_up(self.warm_up[rows])
+        for number, name, own, turns, stimulus, level, group, (x_px, y_px), backdrop, warm_up in zip(
             self.number[rows].tolist(),
             self.names(rows),
             of_trials,
@@ -405,6 +563,7 @@ class _TrialColumns:
             self.group[rows].tolist(),
             places,
             self.backdrop[rows].tolist(),
+            before,
             strict=True,
         ):
             yield Trial(
@@ -417,8 +576,14 @@ class _TrialColumns:
                 self.groups[group],
                 _or_none(x_px),
                 _or_none(y_px),
-                *self.backdrops[backdrop],
+                *(*self.backdrops[backdrop], warm_up),
             )
+
+    def _made_warm_up(self, rows: NDArray[np.int32]) -> list[tuple[FrameReference, ...]]:
+        """Return the frames of warm-up of some trials, given their rows."""
+        is_there = rows >= 0
+        frames = iter(self.frames.made(rows[is_there].astype(np.intp)))
+        return [tuple(islice(frames, n)) for n in np.count_nonzero(is_there, axis=1).tolist()]
 
     def names(self, rows: NDArray[np.intp]) -> list[str]:
         """Return the names of the trials in some rows."""
@@ -434,11 +599,18 @@ class _TrialColumns:
         stimuli, stimulus = np.unique(self.stimulus[rows], return_inverse=True)
         groups, group = np.unique(self.group[rows], return_inverse=True)
         backdrops, backdrop = np.unique(self.backdrop[rows], return_inverse=True)
+        of_trials, warm_up = self._rows_of_frames(rows), None
+        if self.warm_up is not None:
+            before, place = np.unique(self.warm_up[rows], return_inverse=True)
+            before, n_missing = before[before >= 0], np.count_nonzero(before < 0)
+            place = place.reshape(len(rows), -1) - n_missing
+            warm_up = np.where(place < 0, -1, len(of_trials) + place).astype(np.int32)
+            of_trials = np.concatenate([of_trials, before])
         return _TrialColumns(
             number=self.number[rows],
             name=None if self.name is None else self.name.taken(rows),
             first_frame=np.concatenate([[0], np.cumsum(n_frames)]),
-            frames=self.frames.taken(self._rows_of_frames(rows)),
+            frames=self.frames.taken(of_trials),
             orientation=self.orientation[rows],
             stimulus=stimulus.astype(np.int32),
             level=self.level[rows],
@@ -448,6 +620,7 @@ class _TrialColumns:
             stimuli=tuple(self.stimuli[k] for k in stimuli.tolist()),
             groups=tuple(self.groups[k] for k in groups.tolist()),
             backdrops=tuple(self.backdrops[k] for k in backdrops.tolist()),
+            warm_up=warm_up,
         )
 
     def _rows_of_frames(self, rows: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -458,7 +631,7 @@ class _TrialColumns:
 
 
 class _Backdrop(NamedTuple):
-    """What lies behind a triangle and where it may be: the last three values of a `Trial`."""
+    """What lies behind a triangle and where it may be: values of a `Trial`."""
 
     view: SceneView | None = None
     place: int | None = None
@@ -496,6 +669,9 @@ class _Texts:
     def append(self, part: bytes | bytearray) -> None:
         self._content += part
         self._ends.append(len(self._content))
+
+    def __len__(self) -> int:
+        return len(self._ends) - 1
 
     def __getitem__(self, index: int) -> bytearray:
         return self._content[self._ends[index] : self._ends[index + 1]]

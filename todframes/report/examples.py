@@ -84,7 +84,7 @@ def _whole(dataset: Dataset, trial: Trial, observer: Observer) -> tuple[float, t
     for frame in trial.frames:
         with dataset.open(frame) as file:
             header = file.header
-            x, y = centroid_position(trial, header, observer.centre, pitch_mrad)
+            x, y = centroid_position(trial, header, observer.centre, pitch_mrad, frame)
             patch = read_contrast(file, dataset.display, frame)
         side = max(patch.values.shape[:2])
         block_px = math.ceil(side / WHOLE_SIDE_PX)
@@ -149,7 +149,7 @@ def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[ExamplePa
     found = []
     for frame in trial.frames:
         with dataset.open(frame, verify=True) as file:
-            x, y = centroid_position(trial, file.header, observer.centre, pitch_mrad)
+            x, y = centroid_position(trial, file.header, observer.centre, pitch_mrad, frame)
             rows, columns = ((round(place) - reach_px, round(place) + reach_px + 1) for place in (y, x))
             triangle = TrianglePlace(x, y, size_in_px(trial, pitch_mrad))
             patch = read_contrast(file, dataset.display, frame, rows, columns, triangle=triangle)

@@ -22,7 +22,7 @@ from todframes.frames.position import (
     size_in_px,
 )
 from todframes.frames.surround import TrianglePlace
-from todframes.frames.trials import Trial
+from todframes.frames.trials import FrameReference, Trial
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid, resample, resampled_rows
 
@@ -41,6 +41,7 @@ class Placement(NamedTuple):
 def place_grid(
     dataset: Dataset,
     trial: Trial,
+    frame: FrameReference,
     file: FrameSource,
     observer: Observer,
     grid: RetinaGrid,
@@ -48,15 +49,19 @@ def place_grid(
 ) -> Placement:
     """Find the position of a retina grid on an open frame, and the pixels it touches at all of its displacements.
 
+    The grid follows a triangle that moves, or stays at its mean place in the trial, as the dataset's `gaze` says.
+
     Raises
     ------
     FrameError
         If the triangle does not lie on the frame.
     """
     pitch, header = dataset.display.pitch_mrad, file.header
-    x, y = centroid_position(trial, header, observer.centre, pitch)
+    x, y = centroid_position(trial, header, observer.centre, pitch, frame)
     check_on_frame(file.path, trial, header, x, y, pitch)
     triangle = TrianglePlace(x, y, size_in_px(trial, pitch))
+    if dataset.gaze == "fixed":
+        x, y = centroid_position(trial, header, observer.centre, pitch)
     to_centre_x, to_centre_y = from_centroid(trial, observer.centre, pitch)
     x, y = x + to_centre_x, y + to_centre_y
     offsets = np.asarray(displacement_samples) * grid.pitch_mrad / pitch
@@ -159,7 +164,7 @@ def read_trial(
     patches, places, n_rows = [], [], []
     for frame in trial.frames:
         with dataset.open(frame, verify=True) as file:
-            place = place_grid(dataset, trial, file, observer, grid, displacement_samples)
+            place = place_grid(dataset, trial, frame, file, observer, grid, displacement_samples)
             part = (None, None) if whole else (place.rows, place.columns)
             patches.append(read_contrast(file, dataset.display, frame, *part, triangle=place.triangle))
             places.append(place)

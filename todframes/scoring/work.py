@@ -144,6 +144,7 @@ class TrialWork(Generic[T]):
         try:
             return fingerprint(
                 scoring.dataset.display,
+                scoring.dataset.gaze,
                 scoring.plan.observer,
                 scoring.plan.whole_frames,
                 scoring.decisions,
@@ -159,7 +160,8 @@ class TrialWork(Generic[T]):
         if self.identity is None:
             return None
         try:
-            return self._key(item, [self._contents(frame, is_done) for frame in item.frames])
+            frames = (*item.warm_up, *item.frames)
+            return self._key(item, [self._contents(frame, is_done) for frame in frames])
         except FrameError:
             return None
 
@@ -187,6 +189,8 @@ class TrialWork(Generic[T]):
             item.stimulus.polarity,
             (item.x_px, item.y_px),
             (item.level, item.group) if self.with_levels else None,
+            len(item.warm_up),
+            [(frame.time_s, frame.motion_px) for frame in (*item.warm_up, *item.frames)],
             contents,
         )
         # All are numbers and texts, which their representations distinguish; a fingerprint takes far longer.
@@ -198,7 +202,8 @@ class TrialWork(Generic[T]):
         folder = self.scoring.dataset.path
         if not isinstance(folder, Path):
             return None
-        names = [name for frame in item.frames for name in (frame.path, frame.reference) if name is not None]
+        frames = (*item.warm_up, *item.frames)
+        names = [name for frame in frames for name in (frame.path, frame.reference) if name is not None]
         return [_stamp(os.path.join(folder, name)) for name in names]  # noqa: PTH118 - pathlib is slow
 
     def encode(self, result: bytes | Unusable) -> bytes | None:
