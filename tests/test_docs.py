@@ -343,6 +343,10 @@ def test_own_functions_of_the_enhancement_page(tmp_path: Path, monkeypatch) -> N
     finer = find_enhancement("own_of_docs:finer")
     assert (finer.declaration.domain, finer.magnification) == ("luminance", 2.0)
     assert finer.run(image)[0].shape == (12, 16)
+    after, _ = find_enhancement("own_of_docs:fading:before=2").run_clip(
+        np.stack([7.0 * image, 14.0 * image, 0.0 * image, 7.0 * image]), np.array([2, 3]), None
+    )
+    assert np.allclose(after, np.array([5.0, 6.0])[:, None, None] * image, rtol=1e-6)  # weights 1/7, 2/7, 4/7
 
 
 def test_declarations_of_the_enhancement_page() -> None:

@@ -22,7 +22,7 @@ from todframes.enhancement.algorithm import (
     parameter,
 )
 
-NAMES = enhancement_names()
+NAMES = [name for name in enhancement_names() if not find_enhancement(name).declaration.clip]
 BUILT_IN = [
     *("none", "clahe", "unsharp", "gaussian", "median", "bilateral", "nlm", "tv", "wiener", "richardson_lucy"),
     *("guided", "gamma", "equalize", "bicubic", "lanczos"),

@@ -355,6 +355,7 @@ def enhancement_record(algorithm: Enhancement) -> Record:
         "what": algorithm.what,
         "domain": algorithm.declaration.domain,
         "changes_pitch": algorithm.declaration.magnification != 1.0,
+        "clip": algorithm.declaration.clip,
         "library": algorithm.declaration.library,
         "parameters": [
             {

@@ -250,7 +250,7 @@ def enhancements(found: Sequence[Record]) -> Table:
     """Make the table of registered algorithms, with a row for each parameter below its algorithm."""
     records: list[Record] = []
     for one in found:
-        takes = one["domain"].replace("_", " ") + "s" * (one["domain"] == "code_value")
+        takes = one["domain"].replace("_", " ") + "s" * (one["domain"] == "code_value") + ", clips" * one["clip"]
         records.append({"name": one["name"], "what": one["what"], "takes": takes, "from": one["library"]})
         for parameter in one["parameters"]:
             default, ends = parameter["default"], parameter["range"] or ()

@@ -1,0 +1,190 @@
+"""The enhancement algorithms of this package that take clips; each calls OpenCV or NumPy.
+
+Frames are code values with white as 1, of shape (n, rows, columns), in the order of time. All of them are causal:
+the result of a frame depends on that frame and on those before it. The first lines of the functions' docstrings
+appear in lists and reports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Annotated, Any, Literal, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.enhancement.algorithm import MOST_WARM_UP, Image, algorithm, meaning, parameter
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+Judged = NDArray[np.intp]
+
+Motion = Literal["translation", "euclidean", "affine"]
+
+Before = Annotated[int, parameter(0, 1000, what="frames before a frame that are taken with it")]
+
+Motions = Annotated[Motion, meaning("how frames may differ: shifted, also turned, also stretched")]
+
+ECC_MOTIONS = {
+    "translation": cv2.MOTION_TRANSLATION,
+    "euclidean": cv2.MOTION_EUCLIDEAN,
+    "affine": cv2.MOTION_AFFINE,
+}
+
+ECC_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-6)
+"""Iterations of ECC, and the change of its correlation below which it ends."""
+
+ECC_BLUR_PX = 5
+"""Side in pixels of the Gaussian window that frames are smoothed with before ECC, OpenCV's default."""
+
+UINT16_WHITE = 65535
+
+
+def _of_clips(
+    library: str, *, warm_up_frames: int | str = 0, magnification: float | str = 1.0
+) -> Callable[[F], F]:
+    """Declare an algorithm of clips of code values that takes one channel at a time and does not write into it."""
+    return algorithm(
+        clip=True,
+        each_channel=True,
+        writes=False,
+        warm_up_frames=warm_up_frames,
+        magnification=magnification,
+        library=library,
+    )
+
+
+@_of_clips("NumPy: mean", warm_up_frames="before")
+def temporal_mean(frames: Image, *, judged: Judged, before: Before = 3) -> Image:
+    """Mean of a frame and those before it."""
+    return np.stack([frames[k - before : k + 1].mean(axis=0) for k in judged])
+
+
+@_of_clips("OpenCV: accumulateWeighted", warm_up_frames="before")
+def recursive(
+    frames: Image,
+    *,
+    weight: Annotated[
+        float, parameter(1e-3, 1.0, what="share of the new frame; the rest is the result before")
+    ] = 0.25,
+    before: Annotated[
+        int, parameter(0, MOST_WARM_UP, what="frames before the trial; the first is the start")
+    ] = 16,
+) -> Image:
+    """Recursive filter: a running mean in which old frames fade."""
+    state, found = frames[0].astype(np.float64), []
+    for number, frame in enumerate(frames):
+        if number:
+            cv2.accumulateWeighted(frame, state, weight)
+        if number >= before:
+            found.append(state.copy())
+    return np.stack(found)
+
+
+@_of_clips("OpenCV: fastNlMeansDenoisingMulti", warm_up_frames="before")
+def temporal_nlm(
+    frames: Image,
+    *,
+    judged: Judged,
+    h: Annotated[
+        float, parameter(1e-4, 1.0, unit="white", what="patches that differ by less are averaged")
+    ] = 0.02,
+    before: Annotated[
+        Literal[2, 4, 6, 8], meaning("frames before a frame in which its patches are searched for too")
+    ] = 4,
+    patch_size: Annotated[Literal[3, 5, 7, 9], meaning("side of a patch in px")] = 7,
+    window_size: Annotated[
+        Literal[11, 21, 31], meaning("side in px of the window where patches are searched for")
+    ] = 21,
+) -> Image:
+    """Non-local means over a frame and those before it, on 16-bit code values."""
+    if frames.min() < 0.0 or frames.max() > 1.0:
+        raise ValueError(f"code values run from {frames.min():g} to {frames.max():g} of white, expected 0 to 1")
+    codes = np.rint(frames * UINT16_WHITE).astype(np.uint16)
+    found = []
+    for k in judged:
+        # OpenCV denoises the frame in the middle and searches all alike, so their order has no effect.
+        earlier = list(codes[k - before : k])
+        window = [*earlier[: before // 2], codes[k], *earlier[before // 2 :]]
+        denoised = cv2.fastNlMeansDenoisingMulti(
+            window,
+            before // 2,
+            before + 1,
+            h=[h * UINT16_WHITE],
+            templateWindowSize=patch_size,
+            searchWindowSize=window_size,
+            normType=cv2.NORM_L1,
+        )
+        found.append(denoised / np.float32(UINT16_WHITE))
+    return np.stack(found)
+
+
+@_of_clips("OpenCV: findTransformECC, warpAffine", warm_up_frames="before")
+def registered_mean(
+    frames: Image, *, judged: Judged, before: Before = 3, motion: Motions = "translation"
+) -> Image:
+    """Mean of a frame and those before it, registered to it by the whole picture (ECC)."""
+    found = []
+    for k in judged:
+        total, rows_columns = frames[k].astype(np.float64), frames[k].shape
+        for frame in frames[k - before : k]:
+            warp = _ecc_warp(frames[k], frame, motion)
+            total += _warped(frame, warp, rows_columns)
+        found.append(total / (before + 1))
+    return np.stack(found)
+
+
+@_of_clips("OpenCV: findTransformECC, warpAffine")
+def stabilize(frames: Image) -> Image:
+    """Frames of a trial shifted to their mean place, found from frame to frame (ECC)."""
+    steps = [_ecc_warp(one, other, "translation")[:, 2] for one, other in pairwise(frames)]
+    places = np.cumsum([np.zeros(2), *steps], axis=0)
+    found = []
+    for frame, from_mean in zip(frames, places - places.mean(axis=0), strict=True):
+        found.append(_warped(frame, np.hstack([np.eye(2), from_mean[:, None]]), frame.shape))
+    return np.stack(found)
+
+
+@_of_clips("OpenCV: findTransformECC, warpAffine", warm_up_frames="before", magnification="factor")
+def shift_and_add(
+    frames: Image,
+    *,
+    judged: Judged,
+    before: Before = 7,
+    factor: Annotated[int, parameter(2, 8, what="pixels for one along each axis")] = 2,
+    motion: Motions = "translation",
+) -> Image:
+    """Super-resolution from several frames: registered (ECC), interpolated and averaged on smaller pixels."""
+    # A pixel of the result, x, lies at (x − (factor − 1) / 2) / factor of the frame.
+    finer = (
+        np.array([[1.0, 0.0, (1.0 - factor) / 2.0], [0.0, 1.0, (1.0 - factor) / 2.0], [0.0, 0.0, factor]]) / factor
+    )
+    found = []
+    for k in judged:
+        shape = (factor * frames.shape[1], factor * frames.shape[2])
+        total = np.zeros(shape)
+        for frame in frames[k - before : k + 1]:
+            warp = np.eye(2, 3) if frame is frames[k] else _ecc_warp(frames[k], frame, motion)
+            total += _warped(frame, warp @ finer, shape)
+        found.append(total / (before + 1))
+    return np.stack(found)
+
+
+def _ecc_warp(reference: Image, frame: Image, motion: Motion) -> NDArray[np.float64]:
+    """Return the place in a frame of each place in the reference, a (2, 3) matrix; no motion if ECC finds none."""
+    start, everywhere = np.eye(2, 3, dtype=np.float32), np.ones(frame.shape, np.uint8)
+    try:
+        _, warp = cv2.findTransformECC(
+            reference, frame, start, ECC_MOTIONS[motion], ECC_CRITERIA, everywhere, ECC_BLUR_PX
+        )
+    except cv2.error:  # nothing in the pictures but noise
+        return np.eye(2, 3)
+    return np.asarray(warp, np.float64)
+
+
+def _warped(frame: Image, warp: NDArray[np.float64], shape: tuple[int, ...]) -> Image:
+    """Return a frame at places that a matrix gives for each pixel of the result, by cubic interpolation."""
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(frame, warp, shape[1::-1], flags=flags, borderMode=cv2.BORDER_REFLECT_101))
