@@ -67,7 +67,7 @@ def test_frames_of_a_clip_come_before_a_trial(tmp_path: Path) -> None:
     before = [[frame.path for frame in trial.warm_up] for trial in data.trials.with_warm_up(3)]
     assert before == [["0.exr", "1.exr"], ["1.exr", "2.exr", "3.exr"], []]
     assert [frame.time_s for frame in data.trials[0].frames] == [0.2, 0.3]
-    # A part of the trials takes its warm-up along to another process, and all of them the frames that are not judged.
+    # A part of the trials takes its warm-up along to another process, and all of them also the other frames.
     part = data.trials.with_warm_up(3).select([2, 1])
     assert list(pickle.loads(pickle.dumps(part))) == list(part)
     again = pickle.loads(pickle.dumps(data.trials)).with_warm_up(1)
@@ -140,7 +140,7 @@ def test_a_clip_algorithm_gets_what_it_names() -> None:
     @algorithm(clip=True, warm_up_frames="before")
     def seen(frames, *, judged, frame_rate_hz, before: int = 2, offset: float = 0.0):
         assert (frames.shape, judged.tolist(), frame_rate_hz) == ((5, 4, 6), [2, 3, 4], 25.0)
-        return frames[judged] + offset
+        return frames[before:] + offset
 
     found = replace(find_enhancement(seen), spec="seen")
     assert [one.name for one in found.parameters] == ["before", "offset"]
@@ -173,7 +173,7 @@ def test_bad_declarations(declared: dict[str, object], message: str) -> None:
         (lambda frames: frames, "gave 3 frames for a trial of 2 and 1 before it, expected 2, one for each frame"),
         (lambda frames: frames[1:, :-1], r"gave shape \(2, 3, 6\) for \(3, 4, 6\), expected \(2, 4, 6\)"),
         (lambda frames: frames[1:] / 0.0, "gave 48 values that are NaN or infinite, the first at frame 0, row 0"),
-        (lambda frames: 1 / 0, "ZeroDivisionError"),
+        (lambda frames: frames + 1 // 0, "ZeroDivisionError"),
     ],
 )
 def test_wrong_results_of_clips(function, message: str) -> None:
