@@ -503,8 +503,8 @@ class ChartSource:
         if report.lens_unsolved:
             yield RecordingWarning(
                 "residual",
-                f"{where}the markers' edges determine neither a flat chart nor one behind a lens, so that it is not "
-                "known how far triangles are placed wrong; film the chart larger, sharper and with less noise",
+                f"{where}the markers' edges determine neither a flat chart nor one behind a lens, so that it is "
+                "not known how far triangles are placed wrong; film the chart larger, sharper and with less noise",
             )
         elif residual > MOST_RESIDUAL_PX:
             yield RecordingWarning(

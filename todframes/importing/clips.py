@@ -170,8 +170,8 @@ def _without_other(
 ) -> list[ClipFrame]:
     """Return the frames whose share of another page is not above that of the clip's reference frames.
 
-    The share grows towards the other page: a frame is left out with all that are nearer to it, or noise alone would
-    make a gap in the clip.
+    The share grows towards the other page: a frame is left out with all that are nearer to it, or noise alone
+    would make a gap in the clip.
     """
     if other is None or not frames:
         return frames
