@@ -1,0 +1,218 @@
+"""Probability of each answer when the triangle may be at one of several places.
+
+The observer has four scores at each place, takes the largest of all, and answers its orientation: it is right from
+the triangle's own place, or by luck from another one. If the noise of the places is independent, this is one
+integral over the largest score t: with g the density of a place's score being t and the place's other scores below
+it, and F the probability that all four are below t, P(answer k) = Σ_m ∫ g_mk(t) Π_{n ≠ m} F_n(t) dt. The other
+three scores of a place are a trivariate normal given the one that is t. If Q places have four independent scores
+each, one of mean d′, P(correct) = ∫ φ(t − d′) Φ(t)^(4Q − 1) + (Q − 1) φ(t) Φ(t)^(4Q − 2) Φ(t − d′) dt.
+
+If the noise of the places is correlated, it is a sum of two: an independent one of the covariance at a place, as
+large as the joint covariance allows, and the rest. The integral is averaged over randomised quasi-Monte Carlo draws
+of the rest, whose replicates give the error.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
+from todframes.observers.decision import OTHERS, PAIRS, checked_covariance, orthants
+
+REACH = 6.5
+"""Standard deviations around the largest mean within which the largest score is sought: 1e-10 lies beyond."""
+
+NODES, MOST_NODES = 48, 160
+"""Gauss–Legendre nodes within that reach, besides one for each place, and their largest number. Against twice as
+many, P is within 1e-7 for 1 to 256 places."""
+
+REPLICATES, DRAWS = 8, 32
+"""Independent replicates of the quasi-Monte Carlo draws of correlated places, and draws in each."""
+
+LEAST_OWN_SHARE = 1e-3
+"""Share of a place's own noise below which nothing of it is integrated: the largest score is counted."""
+
+_AT_ONCE = 1 << 15
+
+
+class PlaceProbabilities(NamedTuple):
+    """Probabilities of the four answers, (..., 4), and their standard error, of the same shape.
+
+    The error is 0 if the places are independent: the integral is then right to 1e-7.
+    """
+
+    probability: FloatArray
+    standard_error: FloatArray
+
+
+def unknown_place_probabilities(score: ArrayLike, covariance: ArrayLike) -> PlaceProbabilities:
+    """Compute the probability of each answer by the largest of the scores of all places.
+
+    Parameters
+    ----------
+    score : array_like, shape (..., place, 4)
+        Mean scores at each place, in the order of `ORIENTATIONS`. Unlike for a known place, the part that the four
+        scores of a place have in common matters.
+    covariance : array_like, shape (4, 4) or (place, 4, place, 4)
+        Covariance of the Gaussian noise on the scores of a place, the same at all places, which are independent;
+        or the joint covariance of the scores of all places.
+
+    Returns
+    -------
+    PlaceProbabilities
+        Probabilities with sum 1.
+
+    Raises
+    ------
+    SettingsError
+        If a shape or value is wrong, a matrix is no covariance, or the covariance is not the same at all places.
+    """
+    scores = np.asarray(score, dtype=np.float64)
+    if scores.ndim < 2 or scores.shape[-1] != 4:
+        raise SettingsError(f"score has shape {scores.shape}, expected (..., place, 4)")
+    if not np.isfinite(scores).all():
+        raise SettingsError("score: found a value that is not finite, expected finite numbers")
+    joint, (n_places, _) = np.asarray(covariance, dtype=np.float64), scores.shape[-2:]
+    flat = scores.reshape(-1, n_places, 4)
+    if joint.shape == (4, 4):
+        probability = _independent(flat, checked_covariance(joint))
+        error = np.zeros_like(probability)
+    elif joint.shape == (n_places, 4, n_places, 4):
+        probability, error = _correlated(flat, joint.reshape(4 * n_places, 4 * n_places))
+    else:
+        raise SettingsError(
+            f"covariance has shape {joint.shape}, expected (4, 4) or {(n_places, 4, n_places, 4)}"
+        )
+    shape = (*scores.shape[:-2], 4)
+    return PlaceProbabilities(probability.reshape(shape), error.reshape(shape))
+
+
+def _independent(score: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Compute the probabilities, (n, 4), for scores (n, place, 4) and a checked covariance (4, 4) of each place."""
+    deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    if not deviation.any():
+        return _largest(score)
+    if deviation.min() < 0.1 * deviation.max():
+        raise SettingsError(
+            f"covariance: found standard deviations of {deviation.min():g} and {deviation.max():g} of a place's "
+            "scores, expected about the same of all four"
+        )
+    nodes = min(NODES + score.shape[1], MOST_NODES)
+    node, weight, above = _rule(nodes)
+    reach = REACH * float(deviation.max())
+    probability = np.empty((len(score), 4))
+    n_rows = max(_AT_ONCE // (score.shape[1] * nodes), 1)
+    for start in range(0, len(score), n_rows):
+        part = score[start : start + n_rows]
+        largest = part.max(axis=(1, 2))[:, None, None] + reach * node  # (row, 1, node)
+        density = _densities(part, largest, covariance, deviation)  # (row, place, node, 4)
+        below = np.clip(1.0 - reach * (density.sum(axis=-1) @ above.T), 0.0, 1.0)
+        others = _product_of_others(below)
+        found = reach * np.einsum("rpnk,rpn,n->rk", density, others, weight)
+        probability[start : start + n_rows] = found / found.sum(axis=-1, keepdims=True)
+    return probability
+
+
+def _densities(score: FloatArray, largest: FloatArray, covariance: FloatArray, deviation: FloatArray) -> FloatArray:
+    """Compute the density of each score being t and the three others of its place below t: (row, place, node, 4).
+
+    `largest` holds the values t, (row, 1, node).
+    """
+    slope = covariance / np.square(deviation)  # [j, k]: change of the mean of score j with score k
+    given = np.array(
+        [
+            (covariance - np.outer(slope[:, k], covariance[k]))[np.ix_(others, others)]
+            for k, others in enumerate(OTHERS)
+        ]
+    )
+    spread = np.sqrt(np.maximum(np.diagonal(given, axis1=1, axis2=2), 0.0))  # (4, 3)
+    spread = np.where(spread > 1e-7 * deviation[:, None], spread, 0.0)
+    product = np.array([spread[:, i] * spread[:, j] for i, j in PAIRS]).T
+    cosine = np.divide(
+        np.array([given[:, i, j] for i, j in PAIRS]).T, product, out=np.zeros_like(product), where=product > 0.0
+    )
+    distance = largest[..., None] - score[:, :, None, :]  # (row, place, node, 4)
+    following = slope[OTHERS, np.arange(4)[:, None]]
+    room = largest[..., None, None] - score[:, :, None, OTHERS] - following * distance[..., None]
+    limit = np.where(room >= 0.0, np.inf, -np.inf)
+    np.divide(room, spread, out=limit, where=np.broadcast_to(spread > 0.0, room.shape))
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    below = orthants(limit.reshape(-1, 4, 3), angle).reshape(distance.shape)
+    standard = distance / deviation
+    return np.asarray(below * np.exp(-np.square(standard) / 2.0) / (np.sqrt(2.0 * np.pi) * deviation))
+
+
+def _product_of_others(values: FloatArray) -> FloatArray:
+    """Compute for each place the product of the values (row, place, node) of all other places."""
+    before, after = np.ones_like(values), np.ones_like(values)
+    np.cumprod(values[:, :-1], axis=1, out=before[:, 1:])
+    np.cumprod(values[:, :0:-1], axis=1, out=after[:, -2::-1])
+    return before * after
+
+
+@cache
+def _rule(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return Gauss–Legendre nodes on [−1, 1], weights, and a matrix (n, n) of integrals from each node to 1.
+
+    The matrix integrates the polynomial through the values at the nodes.
+    """
+    from numpy.polynomial import legendre
+
+    node, weight = legendre.leggauss(n)
+    order = np.arange(n)
+    value = legendre.legvander(node, n)  # (node, order 0 … n)
+    # ∫ P_k from x to 1 is (P_{k−1}(x) − P_{k+1}(x)) / (2k + 1), and 1 − x for k = 0.
+    integral = np.empty((n, n))
+    integral[:, 0] = 1.0 - node
+    integral[:, 1:] = (value[:, : n - 1] - value[:, 2:]) / (2.0 * order[1:] + 1.0)
+    to_coefficients = (2.0 * order[:, None] + 1.0) / 2.0 * value[:, :n].T * weight
+    return node, weight, integral @ to_coefficients
+
+
+def _correlated(score: FloatArray, joint: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute probabilities and standard errors, (n, 4), for scores (n, place, 4) and their joint covariance."""
+    from scipy.stats import norm, qmc
+
+    n_places = score.shape[1]
+    blocks = joint.reshape(n_places, 4, n_places, 4)
+    own = checked_covariance(np.array([blocks[m, :, m] for m in range(n_places)]))
+    scale = max(float(np.abs(own).max()), 1e-300)
+    if np.abs(own - own[0]).max() > 1e-6 * scale or np.abs(joint - joint.T).max() > 1e-6 * scale:
+        raise SettingsError("covariance: found places that differ, expected a symmetric one, the same at all places")
+    share = _own_share(joint, own[0])
+    values, vectors = np.linalg.eigh((joint + joint.T) / 2.0 - np.kron(np.eye(n_places), share * own[0]))
+    if values[0] < -1e-6 * scale:
+        raise SettingsError(f"covariance: found an eigenvalue of {values[0]:g}, expected none below 0")
+    factor = vectors * np.sqrt(np.maximum(values, 0.0))
+    each = np.empty((REPLICATES, len(score), 4))
+    for replicate in range(REPLICATES):
+        uniform = qmc.Sobol(4 * n_places, rng=np.random.default_rng(replicate)).random(DRAWS)
+        noise = norm.ppf(np.clip(uniform, 1e-12, 1.0 - 1e-12)) @ factor.T
+        noise = noise.reshape(DRAWS, n_places, 4)
+        for row, one in enumerate(score):
+            each[replicate, row] = (
+                _independent(one + noise, share * own[0]) if share else _largest(one + noise)
+            ).mean(axis=0)
+    return each.mean(axis=0), each.std(axis=0, ddof=1) / np.sqrt(REPLICATES)
+
+
+def _own_share(joint: FloatArray, own: FloatArray) -> float:
+    """Return the largest share of the covariance at a place that is independent of the other places."""
+    values, vectors = np.linalg.eigh(own)
+    kept = values > 1e-9 * max(values[-1], 1e-300)
+    whitening = np.kron(np.eye(len(joint) // 4), vectors[:, kept] / np.sqrt(values[kept]))
+    if not kept.any():
+        return 0.0
+    share = min(float(np.linalg.eigvalsh(whitening.T @ joint @ whitening)[0]), 1.0) - 1e-9
+    return share if share > LEAST_OWN_SHARE else 0.0
+
+
+def _largest(score: FloatArray) -> FloatArray:
+    """Return 1 for the orientation of the largest score without noise, (n, 4); equal ones share."""
+    is_largest = score == score.max(axis=(1, 2), keepdims=True)
+    return np.asarray(is_largest.sum(axis=1) / is_largest.sum(axis=(1, 2))[:, None])
