@@ -7,14 +7,14 @@ import pytest
 
 from todframes.base.errors import SettingsError
 from todframes.diagnosis.locate import locate_triangles
-from todframes.frames.dataset import load_dataset
+from todframes.frames.dataset import Experiment, load_dataset
 from todframes.frames.files import read_frame, write_frame
 from todframes.jobs.engine import open_engine
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.naked_eye import contrast_threshold
-from todframes.scoring.score import score_dataset, settings_of_level
+from todframes.scoring.score import score_dataset, settings_of_experiment
 from todframes.scoring.work import Run
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
@@ -314,4 +314,4 @@ def test_a_constant_frame_tells_nothing_even_without_noise(make_dataset) -> None
     ("level", "expected"), [("contrast", 0.2), ("sent_contrast", 0.2), ("SNR", 0.2), ("size_mrad", None)]
 )
 def test_a_slope_is_expected_of_levels_that_are_the_signal(level: str, expected: float | None) -> None:
-    assert settings_of_level(None, level).slope_spread == expected
+    assert settings_of_experiment(None, Experiment(level=level)).slope_spread == expected

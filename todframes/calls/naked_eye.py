@@ -26,6 +26,7 @@ def naked_eye(
     contrast: float | Sequence[float] | None = None,
     observer: str | Observer = "pyramid",
     p_correct: float = 0.75,
+    places: int = 1,
     progress: Progress | None = None,
 ) -> Result:
     """Compute thresholds of the observer without any display in between, as `todframes naked-eye` does.
@@ -40,6 +41,8 @@ def naked_eye(
         Observer as in `score`; it must be linear.
     p_correct : float
         Raw proportion correct at threshold.
+    places : int
+        Number of places, far apart, at which the triangle may be; 1: its place is known.
     progress : function of an int, optional
         Called with the number of thresholds that were just found.
 
@@ -72,16 +75,16 @@ def naked_eye(
     fits = []
     for value in values:
         if contrast is None:
-            found = contrast_threshold(judge, size_mrad=value, p_correct=p_correct)
+            found = contrast_threshold(judge, size_mrad=value, p_correct=p_correct, places=places)
         else:
-            found = acuity(judge, contrast=value, p_correct=p_correct)
+            found = acuity(judge, contrast=value, p_correct=p_correct, places=places)
         fits.append(Fit.of_computed({given: value}, level, p_correct, found))
         if progress is not None:
             progress(1)
     return Result.made(
         "naked-eye",
         started,
-        settings=settings | {"p_correct": p_correct},
+        settings=settings | {"p_correct": p_correct} | ({"places": places} if places > 1 else {}),
         fits=tuple(fits),
         warnings=above_contrast_1(fits),
     )

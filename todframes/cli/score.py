@@ -68,13 +68,20 @@ def score(*, dataset: Location, out: str | None, quiet: bool, **asked: Any) -> N
 @click.command("naked-eye")
 @click.option("--contrast", type=float, help="Weber contrast; the threshold is then a size: the acuity.")
 @click.option("--size-mrad", metavar="S[,S…]", help="Sizes; the threshold is then a contrast for each.")
+@click.option(
+    "--places",
+    type=int,
+    default=1,
+    show_default=True,
+    help="Number of places, far apart, at which the triangle may be.",
+)
 @click.option("-o", "--out", metavar="OUT", help="Folder for result.json, report.html and tod_curve.png.")
 @observer_options
 @verbose_option
 @json_option
 @quiet_option
 def naked_eye(
-    *, contrast: float | None, size_mrad: str | None, out: str | None, quiet: bool, **asked: Any
+    *, contrast: float | None, size_mrad: str | None, places: int, out: str | None, quiet: bool, **asked: Any
 ) -> None:
     """Compute thresholds of the observer without any display in between."""
     if (contrast is None) == (size_mrad is None):
@@ -87,7 +94,12 @@ def naked_eye(
     with staged(out) as place:
         with progress("computing", 1 if sizes is None else len(sizes), quiet=quiet) as advance:
             result = tod.naked_eye(
-                contrast=contrast, size_mrad=sizes, observer=observer, p_correct=fit.p_correct, progress=advance
+                contrast=contrast,
+                size_mrad=sizes,
+                observer=observer,
+                p_correct=fit.p_correct,
+                places=places,
+                progress=advance,
             )
         place.write(result.files)
     finish(result, "Naked eye", out=out, quiet=quiet, **shown)

@@ -39,7 +39,7 @@ from todframes.scoring.score import (
     check_seen,
     fit_groups,
     fitted_curve,
-    settings_of_level,
+    settings_of_experiment,
     usable_trials,
 )
 from todframes.scoring.seen_trials import (
@@ -186,7 +186,7 @@ def compare_observers(
     if len({one.centre for one in observers}) > 1:
         found = ", ".join(one.centre for one in observers)
         raise SettingsError(f"centre: found {found} of several observers, expected the same of all")
-    fit_settings = settings_of_level(fit_settings, dataset.experiment.level)
+    fit_settings = settings_of_experiment(fit_settings, dataset.experiment)
     curve = fitted_curve(curve, decisions)
     if not fit_settings.resamples:
         raise SettingsError("resamples: found 0, expected 40 or more: a comparison rests on them")
@@ -315,7 +315,7 @@ class _Show:
         viewing = viewings[0]
         # The frames are read once, as wide as the widest of the grids needs at any displacement.
         widest = max(viewings, key=lambda one: one.grid.width_mrad)
-        displaced = [one.displacement_samples * (one.grid.pitch_mrad / widest.grid.pitch_mrad) for one in viewings]
+        displaced = [one.reached_samples * (one.grid.pitch_mrad / widest.grid.pitch_mrad) for one in viewings]
         found = self.reader.read(
             scoring.dataset,
             trial,

@@ -34,7 +34,7 @@ from todframes.psychometrics.noise_fit import MOST_CERTAIN, AnswerTable, NoiseFi
 from todframes.psychometrics.observer_curve import GUESS_RATE
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.retina_view import read_trial
-from todframes.scoring.score import check_seen, groups_of, settings_of_level
+from todframes.scoring.score import check_seen, groups_of, settings_of_experiment
 from todframes.scoring.seen_trials import Scoring, see, trial_viewing
 from todframes.scoring.work import Run, see_trials
 from todframes.stimulus import Stimulus
@@ -507,7 +507,7 @@ def calibrate_persons(
     SettingsError
         If the observer's noise cannot be fitted.
     """
-    fit_settings = settings_of_level(fit_settings, dataset.experiment.level)
+    fit_settings = settings_of_experiment(fit_settings, dataset.experiment)
     stimulus = dataset.trials[0].stimulus
     observers, blurs = noise_observers(observer, stimulus, blur_is_free="blur" in free)
     answered = [

@@ -65,6 +65,16 @@ def candidate_places(
     )
 
 
+def place_offsets_px(trial: Trial, places: int) -> tuple[tuple[float, float], ...]:
+    """Return the distances (x, y), in pixels, from a trial's triangle to all places at which it may be.
+
+    There are none if the place is known.
+    """
+    if places == 1 or trial.place is None or trial.place_step_px is None:
+        return ()
+    return candidate_places(0.0, 0.0, place=trial.place, step_px=trial.place_step_px, places=places)
+
+
 def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> None:
     """Check quickly that all files exist and that each stimulus lies on its frame.
 
@@ -107,9 +117,16 @@ def size_in_px(trial: Trial, pixel_pitch_mrad: float) -> float:
 
 
 def check_on_frame(
-    path: Location, trial: Trial, header: FrameHeader, x: float, y: float, pixel_pitch_mrad: float
+    path: Location,
+    trial: Trial,
+    header: FrameHeader,
+    x: float,
+    y: float,
+    pixel_pitch_mrad: float,
+    *,
+    what: str = "the triangle",
 ) -> None:
-    """Raise FrameError if any part of the triangle lies outside the pixels that the file has."""
+    """Raise FrameError if any part of a trial's triangle at (x, y) lies outside the pixels that the file has."""
     size_px = size_in_px(trial, pixel_pitch_mrad)
     left, top, right, bottom = _reach(size_px, trial.orientation)
     left, top, right, bottom = x + left, y + top, x + right, y + bottom
@@ -124,7 +141,7 @@ def check_on_frame(
     if left < first_x or right > last_x or top < first_y or bottom > last_y:
         raise FrameError(
             path,
-            f"the triangle reaches from ({left:.6g}, {top:.6g}) to ({right:.6g}, {bottom:.6g}) px, off the frame "
+            f"{what} reaches from ({left:.6g}, {top:.6g}) to ({right:.6g}, {bottom:.6g}) px, off the frame "
             f"({first_x:.1f}, {first_y:.1f}) to ({last_x:.1f}, {last_y:.1f}) px",
         )
 

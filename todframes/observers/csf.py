@@ -22,7 +22,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
 from todframes.observers.interface import ObserverWithSettings, OmittedWeights, Readout
-from todframes.observers.internal_noise import Bands, inner_product, summed_covariance
+from todframes.observers.internal_noise import Bands, inner_product, summed_covariance, summed_variance
 from todframes.observers.laplacian_pyramid import framed
 from todframes.observers.light import LEAST_CD_M2, MODELFEST_CD_M2, MOST_CD_M2, sensitivity_ratio
 from todframes.observers.retina import RetinaGrid, mean_of_turns
@@ -358,6 +358,7 @@ class CsfObserver(ObserverWithSettings):
             deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
             noise_covariance=summed_covariance(turned, self.settings.noise_sd),
             excess_kurtosis=0.0,
+            find_common_variance=lambda: summed_variance(self._common_template(stimulus), self.settings.noise_sd),
         )
 
     def _fold(self, bands: Sequence[FloatArray]) -> FloatArray:

@@ -143,6 +143,10 @@ class HotellingObserver(PyramidObserver):
         """
         return None if self.settings.sample_noise_sd > 0.0 else super().omitted_bands(stimulus)
 
+    def noise_between_places(self, stimulus: Stimulus, offset_mrad: tuple[float, float]) -> FloatArray:  # noqa: ARG002 - the base's
+        """Return zeros: the neurons in use are chosen for each place by itself."""
+        return np.zeros((4, 4))
+
     def _coarser(self, octaves: int) -> PyramidSettings:
         coarse = super()._coarser(octaves)
         assert isinstance(coarse, HotellingSettings)

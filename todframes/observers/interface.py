@@ -8,8 +8,9 @@ answers.
 from __future__ import annotations
 
 import hashlib
+import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Protocol, cast, runtime_checkable
@@ -52,6 +53,9 @@ class Readout:
     find_fourth_cumulants : function of no arguments, or None
         Returns `fourth_cumulants`, (4, 4, 4, 4), of the same noise as `noise_covariance`, when a decision needs
         them. None: decisions take the noise as Gaussian.
+    find_common_variance : function of no arguments, or None
+        Returns the variance of the internal noise that the four scores share, which `noise_covariance` is without.
+        A decision needs it only if the triangle's place is unknown. None: it is not known.
     """
 
     grid: RetinaGrid
@@ -60,6 +64,7 @@ class Readout:
     noise_covariance: FloatArray
     excess_kurtosis: float
     find_fourth_cumulants: Callable[[], FloatArray] | None = None
+    find_common_variance: Callable[[], float] | None = None
 
     @cached_property
     def common(self) -> FloatArray:
@@ -124,6 +129,52 @@ class Readout:
         np.put_along_axis(changed, largest, 1.0 - changed.sum(axis=-1, keepdims=True), axis=-1)
         return changed
 
+    @cached_property
+    def full_covariance(self) -> FloatArray:
+        """Covariance of the internal noise on the four scores, with the noise that they share: (4, 4).
+
+        Raises
+        ------
+        SettingsError
+            If the observer does not give the noise that they share.
+        """
+        if self.find_common_variance is None:
+            raise SettingsError(
+                "observer: its readout has no find_common_variance, expected one: the place of the triangle is "
+                "unknown, and the scores of different places are compared"
+            )
+        return self.noise_covariance + self.find_common_variance()
+
+    def place_probabilities(
+        self, scores: FloatArray, joint_covariance: FloatArray | None, *, empty_places: int = 0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Compute the probability of each answer if the triangle is at an unknown one of several places, (..., 4).
+
+        The second array, of the same shape, has the standard errors: 0 if places are independent.
+
+        The noise is taken as Gaussian.
+
+        Parameters
+        ----------
+        scores : ndarray, shape (..., place, 4)
+            Scores at each place, with the part that the four have in common.
+        joint_covariance : ndarray, shape (place, 4, place, 4), or None
+            Covariance of the internal noise on all of them; None: places are independent.
+        empty_places : int
+            Number of further, independent places with nothing to be seen.
+        """
+        from todframes.observers.unknown_place import unknown_place_probabilities
+
+        covariance = self.full_covariance if joint_covariance is None else joint_covariance
+        return unknown_place_probabilities(scores, covariance, empty_places=empty_places)
+
+    def place_bound(self, places: int) -> float:
+        """Return the bound on the error in P(correct) at an unknown place from noise that is not Gaussian.
+
+        It is of first order in the kurtosis: 4 · places − 1 differences decide instead of three.
+        """
+        return (4 * places - 1) / 3.0 * non_gaussian_bound(self.excess_kurtosis)
+
     @property
     def non_gaussian_bound(self) -> float:
         """Bound on the error in P(correct) from noise that is not Gaussian.
@@ -133,6 +184,66 @@ class Readout:
         """
         first_order = non_gaussian_bound(self.excess_kurtosis)
         return first_order if self.find_fourth_cumulants is None else SECOND_ORDER * first_order**2
+
+
+@runtime_checkable
+class SharesNeurons(Protocol):
+    """Optional protocol of observers whose neurons see several places at once: give the noise these share.
+
+    Without it, the observer looks at each place by itself, and the noise of the places is independent.
+    """
+
+    def noise_between_places(self, stimulus: Stimulus, offset_mrad: tuple[float, float]) -> FloatArray:
+        """Return the covariance, (4, 4), of the scores here (rows) and those at another place (columns).
+
+        `offset_mrad` is the vector (x, y) from this place to the other one.
+        """
+
+
+MOST_SHARED = 256
+"""Largest number of places whose noise is correlated."""
+
+LEAST_SHARED = 0.01
+"""Correlation of the noise at two places up to which places are taken as independent. For 2 to 64 places about
+this correlated, P(correct) changes by less than 0.001."""
+
+
+def joint_noise_covariance(
+    observer: Observer, readout: Readout, stimulus: Stimulus, places_mrad: Sequence[tuple[float, float]]
+) -> FloatArray | None:
+    """Compute the joint covariance of the scores at several places, (place, 4, place, 4).
+
+    None if they are independent: if the noise at the two nearest places is.
+
+    Raises
+    ------
+    SettingsError
+        If the readout does not give the noise that its four scores share, or too many places share noise.
+    """
+    n, own = len(places_mrad), readout.full_covariance
+    if n < 2 or not isinstance(observer, SharesNeurons):
+        return None
+    offsets = np.subtract(np.array(places_mrad)[:, None], np.array(places_mrad)[:1])[1:, 0]
+    nearest = offsets[np.hypot(*offsets.T).argmin()].tolist()
+    shared = float(np.abs(observer.noise_between_places(stimulus, (nearest[0], nearest[1]))).max())
+    if shared <= LEAST_SHARED * float(np.diagonal(own).max()):
+        return None
+    if n > MOST_SHARED:
+        raise SettingsError(
+            f"places: found {n} at a distance of {math.hypot(*nearest):.4g} mrad, at which neurons see several of "
+            f"them; expected at most {MOST_SHARED}, or a larger distance"
+        )
+    joint = np.zeros((n, 4, n, 4))
+    found: dict[tuple[float, float], FloatArray] = {}
+    for here, (x, y) in enumerate(places_mrad):
+        joint[here, :, here] = own
+        for there in range(here):
+            offset = (round(places_mrad[there][0] - x, 9), round(places_mrad[there][1] - y, 9))
+            if offset not in found:
+                found[offset] = observer.noise_between_places(stimulus, offset)
+            joint[here, :, there] = found[offset]
+            joint[there, :, here] = found[offset].T
+    return joint
 
 
 class OmittedWeights(NamedTuple):

@@ -63,6 +63,11 @@ def summed_covariance(turned: Sequence[Bands], noise_sd: float) -> FloatArray:
     return np.array([np.roll(row, k) for k in range(4)])
 
 
+def summed_variance(weights: Bands, noise_sd: float) -> float:
+    """Compute the variance of noise of standard deviation `noise_sd`, independent, summed with these weights."""
+    return noise_sd**2 * sum(map(inner_product, weights, weights))
+
+
 def _participation(turned: Sequence[Bands]) -> float:
     """Compute Σw⁴ / (Σw²)² of the weights of a score difference, the larger of the two kinds."""
     largest = 0.0

@@ -24,7 +24,13 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
 from todframes.observers.interface import ObserverWithSettings, OmittedWeights, Readout
-from todframes.observers.internal_noise import Bands, inner_product, summed_covariance, summed_noise
+from todframes.observers.internal_noise import (
+    Bands,
+    inner_product,
+    summed_covariance,
+    summed_noise,
+    summed_variance,
+)
 from todframes.observers.laplacian_pyramid import BORDER, LaplacianPyramid, even_half
 from todframes.observers.retina import RetinaGrid, gaussian_blur, mean_of_turns
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, Stimulus, coverage, vertices
@@ -299,7 +305,33 @@ class PyramidObserver(ObserverWithSettings):
             find_common=lambda: self._fold(self._common_template(stimulus), grid),
             deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
             **summed_noise(self._all_turns(upright), self.settings.noise_sd)._asdict(),
+            find_common_variance=lambda: summed_variance(self._common_template(stimulus), self.settings.noise_sd),
         )
+
+    def noise_between_places(self, stimulus: Stimulus, offset_mrad: tuple[float, float]) -> FloatArray:
+        """Compute the covariance of the noise on the scores of two places: the same neurons see both.
+
+        The bands are those of this place's grid, where the templates of the other place end with the grid.
+        """
+        grid = self.grid(stimulus)
+        middle, size_px = grid.side // 2, stimulus.size_mrad / grid.pitch_mrad
+        x_px, y_px = (middle + offset / grid.pitch_mrad for offset in offset_mrad)
+        there = [
+            self._expected(
+                stimulus.polarity
+                * coverage(
+                    (grid.side, grid.side),
+                    size_px=size_px,
+                    x_px=x_px,
+                    y_px=y_px,
+                    orientation=orientation,
+                    centre=self.centre,
+                )
+            )
+            for orientation in ORIENTATIONS
+        ]
+        products = [[sum(map(inner_product, one, other)) for other in there] for one in self.templates(stimulus)]
+        return self.settings.noise_sd**2 * np.array(products)
 
     def _all_turns(self, upright: Bands) -> tuple[Bands, ...]:
         beside = self.turned(upright, 1)

@@ -126,6 +126,9 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Proportion correct at each level.
     p_correct_error_bound, p_correct_left_out_bound : float or None
         Bounds on the error in P(correct) from noise that is not Gaussian, and from the omissions of the plan.
+    p_correct_places_error : float or None
+        Largest standard error of a trial's P(correct) if the noise of the places at which the triangle may be is
+        correlated, 0 if it is not; None if the place is known.
     delta_t_mk : float or None
         Threshold as a temperature difference in mK, SNR · NETD / k: the noise of a displayed sample is NETD / k.
     delta_t_as_printed_mk : float or None
@@ -162,6 +165,7 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     n_phases: int | None = None
     p_correct_error_bound: float | None = NULL
     p_correct_left_out_bound: float | None = NULL
+    p_correct_places_error: float | None = None
     plan: tuple[Record, ...] = ()
     run_time_s: float | None = NULL
     answers: tuple[tuple[float, ...], ...] | None = None
@@ -197,6 +201,7 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
             cls.of_counts(group_of(dataset, fit.group), dataset.experiment.level, fit.fit),
             p_correct_error_bound=fit.non_gaussian_bound,
             p_correct_left_out_bound=fit.left_out_bound,
+            p_correct_places_error=fit.places_error,
             threshold_displacement_error=fit.numerical_error,
             n_displacements=fit.n_displacements,
             background_luminance_cd_m2=fit.background_luminance_cd_m2,

@@ -8,12 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_positive
+from todframes.frames.dataset import MOST_PLACES
 from todframes.observers.interface import Observer, Readout
 from todframes.psychometrics.threshold_search import ComputedThreshold, find_crossing
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus, coverage
@@ -34,7 +36,9 @@ SIZE_RANGE_SAMPLES = (1e-2, 1e3)
 """Smallest and largest size in the search for an acuity, in retina samples; larger sizes are refused."""
 
 
-def proportion_correct(observer: Observer, *, size_mrad: float, contrast: float, nodes: int = 16) -> float:
+def proportion_correct(
+    observer: Observer, *, size_mrad: float, contrast: float, nodes: int = 16, places: int = 1
+) -> float:
     """Compute P(correct) for a triangle seen directly, averaged over orientation and displacement.
 
     Parameters
@@ -47,17 +51,20 @@ def proportion_correct(observer: Observer, *, size_mrad: float, contrast: float,
         Weber contrast, > 0.
     nodes : int
         Number of Gauss–Legendre displacements along each axis.
+    places : int
+        Number of places, far apart, at which the triangle may be; with 1, its place is known.
 
     Raises
     ------
     SettingsError
         If the observer is not linear, or a value is out of range.
     """
-    readout, deviations, weights = _responses(observer, size_mrad, nodes)
-    return _proportion_correct(contrast, readout, deviations, weights)
+    return _proportion_correct(contrast, _responses(observer, size_mrad, nodes, places))
 
 
-def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float = 0.75) -> ComputedThreshold:
+def contrast_threshold(
+    observer: Observer, *, size_mrad: float, p_correct: float = 0.75, places: int = 1
+) -> ComputedThreshold:
     """Find the Weber contrast at which a triangle of a given size is answered correctly with `p_correct`.
 
     Parameters
@@ -68,6 +75,8 @@ def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float
         √(area) of the triangle in mrad, > 0.
     p_correct : float
         Probability of a correct answer at the threshold.
+    places : int
+        Number of places, far apart, at which the triangle may be; with 1, its place is known.
 
     Returns
     -------
@@ -81,9 +90,9 @@ def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float
     """
 
     def threshold(nodes: int) -> ComputedThreshold:
-        response = _responses(observer, size_mrad, nodes)
+        response = _responses(observer, size_mrad, nodes, places)
         return _crossing(
-            lambda contrast: _proportion_correct(contrast, *response),
+            lambda contrast: _proportion_correct(contrast, response),
             p_correct,
             CONTRAST_RANGE,
             1.0,
@@ -94,7 +103,9 @@ def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float
     return _refined(threshold, NODES if size_samples < FEW_NODES_FROM_SAMPLES else FEW_NODES + NODES)
 
 
-def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75) -> ComputedThreshold:
+def acuity(
+    observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75, places: int = 1
+) -> ComputedThreshold:
     """Find the size at which a triangle of a given contrast is answered correctly with `p_correct`.
 
     Parameters
@@ -105,6 +116,8 @@ def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75
         Weber contrast, > 0.
     p_correct : float
         Probability of a correct answer at the threshold.
+    places : int
+        Number of places, far apart, at which the triangle may be; with 1, its place is known.
 
     Returns
     -------
@@ -121,7 +134,9 @@ def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75
 
     def threshold(nodes: int) -> ComputedThreshold:
         return _crossing(
-            lambda size: proportion_correct(observer, size_mrad=size, contrast=contrast, nodes=nodes),
+            lambda size: proportion_correct(
+                observer, size_mrad=size, contrast=contrast, nodes=nodes, places=places
+            ),
             p_correct,
             sizes,
             4.0 * pitch,
@@ -148,39 +163,58 @@ def _refined(
     return result
 
 
-def _responses(observer: Observer, size_mrad: float, nodes: int) -> tuple[Readout, FloatArray, FloatArray]:
-    """Return the readout, score deviations at contrast 1, shape (orientation, node, 4), and the nodes' weights."""
+class _Responses(NamedTuple):
+    """Scores at contrast 1, and the readout that made them.
+
+    `deviations` has shape (orientation, node, 4). `common`, (orientation, node), is the mean of the four, and
+    None if the place is known; `weights` are those of the nodes.
+    """
+
+    readout: Readout
+    deviations: FloatArray
+    common: FloatArray | None
+    weights: FloatArray
+    places: int
+
+
+def _responses(observer: Observer, size_mrad: float, nodes: int, places: int = 1) -> _Responses:
+    """Compute the scores at contrast 1 for a triangle of each orientation at each node."""
+    if not 1 <= places <= MOST_PLACES:
+        raise SettingsError(f"places: found {places!r}, expected a whole number from 1 to {MOST_PLACES}")
     _size_samples(observer, size_mrad)
     readout = observer.readout(Stimulus(size_mrad))
     if readout is None:
         raise SettingsError("observer: it is not linear; its naked-eye threshold cannot be computed")
     side, pitch = readout.grid.side, readout.grid.pitch_mrad
     jitter = observer.position_jitter_samples
-    places, weights = np.polynomial.legendre.leggauss(nodes if jitter > 0 else 1)
+    displaced, weights = np.polynomial.legendre.leggauss(nodes if jitter > 0 else 1)
     # The triangle covers a part of the grid; its apex is farthest from its centre.
     reach = 2.0 / 3.0 * HEIGHT_PER_SIZE * size_mrad / pitch + jitter
     half_width = math.ceil(min(reach + 1.0, side // 2))
     seen = readout.cropped(half_width)
-    deviations = [
+    images = [
         [
-            seen.score_deviations(
-                np.ascontiguousarray(
-                    coverage(
-                        (seen.grid.side, seen.grid.side),
-                        size_px=size_mrad / pitch,
-                        x_px=half_width + jitter * dx,
-                        y_px=half_width + jitter * dy,
-                        orientation=orientation,
-                        centre=observer.centre,
-                    )
+            np.ascontiguousarray(
+                coverage(
+                    (seen.grid.side, seen.grid.side),
+                    size_px=size_mrad / pitch,
+                    x_px=half_width + jitter * dx,
+                    y_px=half_width + jitter * dy,
+                    orientation=orientation,
+                    centre=observer.centre,
                 )
             )
-            for dy in places
-            for dx in places
+            for dy in displaced
+            for dx in displaced
         ]
-        for orientation in ORIENTATIONS
+        # A turned triangle has the turned scores: where a decision takes longer, one orientation is enough.
+        for orientation in (ORIENTATIONS if places == 1 else ORIENTATIONS[:1])
     ]
-    return readout, np.array(deviations), np.outer(weights, weights).ravel() / 4.0
+    deviations = np.array([[seen.score_deviations(image) for image in row] for row in images])
+    common = None
+    if places > 1:
+        common = np.array([[seen.common_score(image) for image in row] for row in images])
+    return _Responses(readout, deviations, common, np.outer(weights, weights).ravel() / 4.0, places)
 
 
 def _size_samples(observer: Observer, size_mrad: float) -> float:
@@ -196,11 +230,16 @@ def _size_samples(observer: Observer, size_mrad: float) -> float:
     return size_mrad / pitch
 
 
-def _proportion_correct(contrast: float, readout: Readout, deviations: FloatArray, weights: FloatArray) -> float:
+def _proportion_correct(contrast: float, responses: _Responses) -> float:
     if not 0 < contrast <= CONTRAST_RANGE[1] * 1.000001:  # the limit of the search, with room for rounding
         raise SettingsError(f"contrast: found {contrast!r}, expected a finite number > 0, at most 1e12")
-    answers = readout.answer_probabilities(contrast * deviations)
-    correct = np.stack([answers[k, :, k] for k in range(4)])
+    readout, deviations, common, weights, places = responses
+    if common is None:
+        answers = readout.answer_probabilities(contrast * deviations)
+    else:
+        scores = contrast * (deviations + common[..., None])
+        answers, _ = readout.place_probabilities(scores[..., None, :], None, empty_places=places - 1)
+    correct = np.stack([of_shown[:, k] for k, of_shown in enumerate(answers)])
     return float((correct @ weights).mean())
 
 

@@ -69,12 +69,13 @@ class StimulusPlan:
 
 @dataclass(frozen=True, slots=True)
 class ScorePlan:
-    """The plan for a dataset: the plan of each stimulus, whether whole frames are decoded, and the steps."""
+    """The plan for a dataset: that of each stimulus, whether whole frames are decoded, steps, and pixel pitch."""
 
     observer: Observer
     stimuli: Mapping[Stimulus, StimulusPlan]
     whole_frames: bool
     steps: tuple[Step, ...]
+    pixel_pitch_mrad: float
 
     def observer_of(self, stimulus: Stimulus) -> Observer:
         """Return the observer for a stimulus: the given one, or its variant with an extra pyramid level."""
@@ -133,18 +134,24 @@ def plan_score(
     """
     trials = Trials.of(trials)
     of_stimulus = {trials.stimuli[trials.stimulus_codes[one[0]]]: one for one in indices_by(trials.stimulus_codes)}
-    if name == "full" or not expected:
+    pitch, places = dataset.display.pitch_mrad, dataset.experiment.places
+    if name == "full" or not expected or places > 1:
         full = name == "full" and isinstance(observer, TruncatedObserver)
         plans = {stimulus: StimulusPlan(full_observer=full) for stimulus in of_stimulus}
-        why = f"as {argument.plan} full asks" if name == "full" else "answers are drawn with noise on every neuron"
-        return ScorePlan(observer, plans, name == "full", (Step("everything", True, why),))
+        if name == "full":
+            why = f"as {argument.plan} full asks"
+        elif not expected:
+            why = "answers are drawn with noise on every neuron"
+        else:
+            why = f"the triangle may be at any of {places} places, whose scores are compared whole"
+        return ScorePlan(observer, plans, name == "full", (Step("everything", True, why),), pitch)
     budget = LEFT_OUT_SHARE * tolerance * SLOPE / 2.0
     weighed = {
         stimulus: _weigh(dataset, _by_level(trials.select(members)), observer, budget, read)
         for stimulus, members in of_stimulus.items()
     }
     plans = {stimulus: one.plan for stimulus, one in weighed.items()}
-    return ScorePlan(observer, plans, False, _steps(list(weighed.values()), omitted_part(observer)))
+    return ScorePlan(observer, plans, False, _steps(list(weighed.values()), omitted_part(observer)), pitch)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from todframes.frames.position import (
     centroid_position,
     check_on_frame,
     from_centroid,
+    place_offsets_px,
     size_in_px,
 )
 from todframes.frames.surround import TrianglePlace
@@ -54,11 +55,13 @@ def place_grid(
     Raises
     ------
     FrameError
-        If the triangle does not lie on the frame.
+        If the triangle, or one at another place where it may be, does not lie on the frame.
     """
     pitch, header = dataset.display.pitch_mrad, file.header
     x, y = centroid_position(trial, header, observer.centre, pitch, frame)
     check_on_frame(file.path, trial, header, x, y, pitch)
+    for number, (dx, dy) in enumerate(place_offsets_px(trial, dataset.experiment.places), 1):
+        check_on_frame(file.path, trial, header, x + dx, y + dy, pitch, what=f"a triangle at place {number}")
     triangle = TrianglePlace(x, y, size_in_px(trial, pitch))
     if dataset.gaze == "fixed":
         x, y = centroid_position(trial, header, observer.centre, pitch)

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
 from todframes.frames.contrast import skipped_frames
-from todframes.frames.dataset import Dataset, Skipped
-from todframes.frames.position import check_places
+from todframes.frames.dataset import Dataset, Experiment, Skipped
+from todframes.frames.position import candidate_places, check_places
 from todframes.frames.trials import Group, Trials, indices_by
-from todframes.observers.interface import Observer
+from todframes.observers.interface import Observer, joint_noise_covariance
 from todframes.psychometrics.fit import CurveName, FitSettings, PsychometricFit, fit_trials
 from todframes.psychometrics.replicates import REPLICATES, half_width_95
 from todframes.scoring.error_budget import PlanName, Step
@@ -33,6 +33,7 @@ from todframes.scoring.seen_trials import (
     score_trial,
 )
 from todframes.scoring.work import Run, see_trials
+from todframes.stimulus import Stimulus
 
 S = TypeVar("S", bound=Sized)
 
@@ -57,7 +58,8 @@ class GroupFit:
     answers were drawn with noise on every neuron. `left_out_bound` bounds the change of P(correct) by all that the
     plan leaves out. `numerical_error` is the half-width of the threshold's 95 % interval over displacements; None
     if each trial has one displacement. `background_luminance_cd_m2` is the mean over trials of the luminance that
-    contrast refers to. `run_time_s` is the time for the trials and the fit, in seconds.
+    contrast refers to. `run_time_s` is the time for the trials and the fit, in seconds. `places_error` is the
+    largest standard error of a trial's P(correct) by correlated noise of places; None if the place is known.
     """
 
     group: tuple[float | str, ...]
@@ -68,6 +70,7 @@ class GroupFit:
     n_displacements: int
     background_luminance_cd_m2: float
     run_time_s: float
+    places_error: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +194,7 @@ def score_dataset(
     seen, unread = see(scoring, whole, run)
     skipped += unread
     seen = check_seen(dataset, seen, skipped)
-    fit_settings = settings_of_level(fit_settings, dataset.experiment.level)
+    fit_settings = settings_of_experiment(fit_settings, dataset.experiment)
     fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)
     decided = fit(seen)
     if tolerance is not None:
@@ -234,11 +237,14 @@ def fitted_curve(curve: CurveName | None, decisions: Decisions) -> CurveName:
     return "weibull"
 
 
-def settings_of_level(settings: FitSettings | None, level: str) -> FitSettings:
-    """Return the settings of fits, which expect no slope unless the signal is proportional to the level."""
+def settings_of_experiment(settings: FitSettings | None, experiment: Experiment) -> FitSettings:
+    """Return the settings of fits, which expect no slope unless the signal is proportional to the level.
+
+    Nor do they if the triangle's place is unknown: curves are then steeper, the more places there are.
+    """
     settings = settings or FitSettings()
-    is_signal = any(word in level.lower() for word in SIGNAL_WORDS)
-    return settings if is_signal else replace(settings, slope_spread=None)
+    is_signal = any(word in experiment.level.lower() for word in SIGNAL_WORDS)
+    return settings if is_signal and experiment.places == 1 else replace(settings, slope_spread=None)
 
 
 def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[Trials, list[Skipped]]:
@@ -324,9 +330,10 @@ def fit_groups(
     first = np.flatnonzero(of_look == 0)
     parts = [(first, seen if not looks else seen.select(first)), *zip(again, looks, strict=True)]
     displaced, scores, probabilities = np.full((n, 2), np.nan), np.empty((n, 4)), np.full((n, 4), np.nan)
-    p_correct, bounds = np.full(n, np.nan), np.zeros(n)
+    p_correct, bounds, place_errors = np.full(n, np.nan), np.zeros(n), np.zeros(n)
     background, seconds = np.empty(n), np.empty(n)
     p_each: dict[int, FloatArray] = {}
+    has_places = seen.place_scores.shape[2] > 0
     for number, (rows, part) in enumerate(parts):
         if not len(rows):
             continue
@@ -334,7 +341,7 @@ def fit_groups(
             displaced[rows] = part.displacement_samples[:, 0]
         scores[rows] = part.scores.mean(axis=1)
         background[rows], seconds[rows] = part.background_luminance_cd_m2, part.seconds
-        p_each[number] = _decide(plan, part, correct[rows], rows, probabilities, bounds)
+        p_each[number] = _decide(plan, part, correct[rows], rows, probabilities, bounds, place_errors)
         p_correct[rows] = p_each[number].mean(axis=1)
     answers = probabilities.argmax(axis=1)
     if not expected:
@@ -361,6 +368,7 @@ def fit_groups(
                 n_displacements=p_of_rows.shape[1],
                 background_luminance_cd_m2=sum(background[rows].tolist()) / len(rows),
                 run_time_s=sum(seconds[rows].tolist()) + time.perf_counter() - started,
+                places_error=float(place_errors[rows].max()) if has_places else None,
             )
         )
     return ScoredDataset(
@@ -384,26 +392,55 @@ def _decide(
     places: NDArray[np.intp],
     probabilities: FloatArray,
     bounds: FloatArray,
+    place_errors: FloatArray,
 ) -> FloatArray:
     """Compute the probability of the correct answer with each displacement.
 
-    The probability of each answer and its error bound are written to `places` of the last two arguments.
+    The probability of each answer, its error bound and, if the triangle's place is unknown, its standard error are
+    written to `places` of the last three arguments.
     """
     n, n_displacements, _ = seen.deviations.shape
+    n_places = seen.place_scores.shape[2]
     p_each = np.full((n, n_displacements), np.nan)
     for members in indices_by(seen.trials.stimulus_codes):
         stimulus = seen.trials.stimuli[seen.trials.stimulus_codes[members[0]]]
         readout = plan.observer_of(stimulus).readout(stimulus)
         if readout is None:
             continue
-        bounds[places[members]] = readout.non_gaussian_bound
+        bounds[places[members]] = readout.non_gaussian_bound if not n_places else readout.place_bound(n_places)
         for start in range(0, len(members), DECIDED_AT_A_TIME):
             rows = members[start : start + DECIDED_AT_A_TIME]
-            answers = readout.answer_probabilities(seen.deviations[rows].reshape(-1, 4))
-            answers = answers.reshape(len(rows), n_displacements, 4)
+            if n_places:
+                answers, errors = _of_places(plan, stimulus, seen, rows)
+                place_errors[places[rows]] = errors.max(axis=(1, 2))
+            else:
+                answers = readout.answer_probabilities(seen.deviations[rows].reshape(-1, 4))
+                answers = answers.reshape(len(rows), n_displacements, 4)
             probabilities[places[rows]] = answers.mean(axis=1)
             p_each[rows] = np.take_along_axis(answers, correct[rows, None, None], axis=2)[..., 0]
     return p_each
+
+
+def _of_places(
+    plan: ScorePlan, stimulus: Stimulus, seen: SeenTrials, rows: NDArray[np.intp]
+) -> tuple[FloatArray, FloatArray]:
+    """Compute the probabilities of the answers of some trials whose place is unknown, and their standard errors.
+
+    Both arrays have shape (trial, displacement, 4).
+    """
+    observer = plan.observer_of(stimulus)
+    readout = observer.readout(stimulus)
+    assert readout is not None
+    scores = seen.place_scores[rows]
+    probability, error = np.empty((2, *scores.shape[:2], 4))
+    steps = np.unique(seen.trials.place_steps_px[rows], return_inverse=True)
+    for number, step_px in enumerate(steps[0].tolist()):
+        these = np.flatnonzero(steps[1] == number)
+        step_mrad = step_px * plan.pixel_pitch_mrad
+        grid = candidate_places(0.0, 0.0, place=1, step_px=step_mrad, places=scores.shape[2])
+        joint = joint_noise_covariance(observer, readout, stimulus, grid)
+        probability[these], error[these] = readout.place_probabilities(scores[these], joint)
+    return probability, error
 
 
 def _numerical_error(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.frames.dataset import Dataset
+from todframes.frames.position import place_offsets_px
 from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer, Readout
 from todframes.observers.internal_noise import inner_product
@@ -52,6 +53,8 @@ class SeenTrial(NamedTuple):
         Luminance that contrast refers to, averaged over the trial's frames.
     seconds : float
         Time that the trial took.
+    place_scores : ndarray, shape (d, place, 4)
+        Scores at each place at which the triangle may be; without places if its place is known.
     """
 
     displacement_samples: FloatArray
@@ -61,6 +64,7 @@ class SeenTrial(NamedTuple):
     n_negative: int
     background_luminance_cd_m2: float
     seconds: float
+    place_scores: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +80,7 @@ class SeenTrials:
     n_negative: NDArray[np.int64]
     background_luminance_cd_m2: FloatArray
     seconds: FloatArray
+    place_scores: FloatArray
 
     def __len__(self) -> int:
         return len(self.answer)
@@ -89,7 +94,12 @@ class SeenTrials:
         """Return the scores after a plain gain of contrast, one gain for each trial; scores are linear in
         contrast."""
         each = gain[:, None, None]
-        return replace(self, scores=each * self.scores, deviations=each * self.deviations)
+        return replace(
+            self,
+            scores=each * self.scores,
+            deviations=each * self.deviations,
+            place_scores=each[..., None] * self.place_scores,
+        )
 
 
 class SeenColumns:
@@ -144,7 +154,9 @@ class TrialViewing(NamedTuple):
     """The observer, retina grid and displacements for a trial, the same for all ways in which it is shown.
 
     `displacement_samples`, (d, 2), are the displacements of the retina grid in retina samples; `rng` is the
-    trial's own random stream after they were drawn. `readout` is None if the observer is not linear.
+    trial's own random stream after they were drawn. `readout` is None if the observer is not linear. `offsets`,
+    (place, 2), are the distances from the triangle to all places at which it may be, in retina samples; there are
+    none if its place is known.
     """
 
     observer: Observer
@@ -152,6 +164,14 @@ class TrialViewing(NamedTuple):
     displacement_samples: FloatArray
     rng: np.random.Generator
     readout: Readout | None
+    offsets: FloatArray
+
+    @property
+    def reached_samples(self) -> FloatArray:
+        """Displacements of the grid at which the trial is looked at, in retina samples: (d or d · places, 2)."""
+        if not len(self.offsets):
+            return self.displacement_samples
+        return np.asarray((self.displacement_samples[:, None] + self.offsets).reshape(-1, 2))
 
 
 def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> TrialViewing:
@@ -160,8 +180,13 @@ def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> Tr
     Raises
     ------
     SettingsError
-        If the observer is not linear and its answer is not drawn.
+        If the observer is not linear and its answer is not drawn, or answers are drawn and the place is unknown.
     """
+    places = scoring.dataset.experiment.places
+    if places > 1 and scoring.decisions == "sampled":
+        raise SettingsError(
+            f"decisions: found 'sampled' with {places} places at which the triangle may be, expected 'expected'"
+        )
     if readout is None and scoring.decisions == "expected":
         raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
     observer = scoring.plan.observer_of(trial.stimulus)
@@ -169,7 +194,8 @@ def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> Tr
     rng = np.random.Generator(np.random.PCG64(stream))
     displaced = _displacements(scoring, trial, rng, observer.position_jitter_samples)
     grid = observer.grid(trial.stimulus) if readout is None else readout.grid
-    return TrialViewing(observer, grid, displaced, rng, readout)
+    offsets = np.array(place_offsets_px(trial, places)) * scoring.dataset.display.pitch_mrad / grid.pitch_mrad
+    return TrialViewing(observer, grid, displaced, rng, readout, offsets)
 
 
 def see(
@@ -202,13 +228,16 @@ def see(
         else:
             pairs = [_scores(viewing.readout, retina_image(shown, viewing.grid, place)) for place in places]
             scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
+        at_places = _place_scores(viewing, shown)
         if is_sampled:
             image = retina_image(shown, viewing.grid, places[0])
             viewing.rng.bit_generator.state = state
             answer = viewing.observer.respond(image, trial.stimulus, viewing.rng).quarter_turns
         seconds = reading_s + time.perf_counter() - started
         background = shown.background_luminance_cd_m2
-        seen.append(SeenTrial(displaced, scores, deviations, answer, shown.n_negative, background, seconds))
+        seen.append(
+            SeenTrial(displaced, scores, deviations, answer, shown.n_negative, background, seconds, at_places)
+        )
     return seen
 
 
@@ -229,7 +258,7 @@ def score_trial(scoring: Scoring, trial: Trial, readout: Readout | None) -> Seen
         trial,
         viewing.observer,
         viewing.grid,
-        viewing.displacement_samples,
+        viewing.reached_samples,
         whole=scoring.plan.whole_frames,
     )
     (seen,) = see(scoring, trial, viewing, [shown], started)
@@ -243,6 +272,16 @@ def _displacements(scoring: Scoring, trial: Trial, rng: np.random.Generator, jit
     shifts = np.random.default_rng(np.random.SeedSequence(scoring.seed, spawn_key=key)).random((REPLICATES, 1, 2))
     evenly = (shifts + np.arange(scoring.displacements)[:, None] * KRONECKER_STEPS_2D) % 1.0
     return np.asarray(jitter * (2.0 * evenly.reshape(-1, 2) - 1.0))
+
+
+def _place_scores(viewing: TrialViewing, shown: Shown) -> FloatArray:
+    """Compute the scores at each displacement and place, (d, place, 4)."""
+    n_displaced, n_places = len(viewing.displacement_samples), len(viewing.offsets)
+    scores = np.empty((n_displaced * n_places, 4))
+    if viewing.readout is not None and n_places:
+        for row, (dx, dy) in enumerate(viewing.reached_samples.tolist()):
+            scores[row], _ = _scores(viewing.readout, retina_image(shown, viewing.grid, (dx, dy)))
+    return scores.reshape(n_displaced, n_places, 4)
 
 
 def _scores(readout: Readout, contrast: FloatArray) -> tuple[FloatArray, FloatArray]:
