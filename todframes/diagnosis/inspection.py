@@ -30,6 +30,15 @@ from todframes.diagnosis.limits import (
     USABLE_CONTRASTS,
     WHOLE_IN_SIZES,
 )
+from todframes.diagnosis.scene_backgrounds import (
+    SceneParts,
+    has_scenes,
+    numbered_views,
+    scene_names,
+    that_share,
+    view_middles,
+    whole_views,
+)
 from todframes.diagnosis.triangle import (
     AMPLITUDE,
     Images,
@@ -183,7 +192,7 @@ def inspect(dataset: Dataset, trials: Sequence[Trial], *, centre: Centre = "cent
     for members in of_stimulus:
         ours = trials.select(members)
         size_mrad = float(np.median(_sizes_mrad(ours)))
-        samples = list(_samples(dataset, _spread(ours, most), centre, size_mrad))
+        samples = _samples(dataset, ours, most, centre, size_mrad)
         if samples:
             first = samples[0].trial
             found.append(_measured(dataset, first.group, replace(first.stimulus, size_mrad=size_mrad), samples))
@@ -233,13 +242,25 @@ def _spread(trials: Trials, most: int) -> Trials:
     return trials.select(ordered[np.linspace(0, len(trials) - 1, most).round().astype(int)])
 
 
-def _samples(dataset: Dataset, trials: Trials, centre: Centre, size_mrad: float) -> Iterator[TrialSample]:
+def _samples(
+    dataset: Dataset, trials: Trials, most: int, centre: Centre, size_mrad: float
+) -> Sequence[TrialSample]:
+    """Measure some of the trials of a group; on scenes, only those that share their background with others."""
+    middles: Sequence[tuple[float, float] | None]
+    if has_scenes(trials):
+        chosen = trials.select(whole_views(trials, strengths(dataset, trials.levels), most))
+        middles = view_middles(chosen)
+    else:
+        chosen = _spread(trials, most)
+        middles = [None] * len(chosen)
     size_px = min(size_mrad / dataset.display.pitch_mrad, 1e300)
-    for trial in trials:
+    found = []
+    for trial, middle in zip(chosen, middles, strict=True):
         try:
-            yield measure_trial(dataset, trial, centre, size_px=size_px)
+            found.append(measure_trial(dataset, trial, centre, size_px=size_px, middle_px=middle))
         except DataError:
             continue
+    return that_share(found)
 
 
 def _are_windows(samples: Sequence[TrialSample]) -> bool:
@@ -256,12 +277,21 @@ def _are_windows(samples: Sequence[TrialSample]) -> bool:
 def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Sequence[TrialSample]) -> Inspection:
     level = np.array([sample.trial.level for sample in samples])
     strength = strengths(dataset, level)
-    ratio = np.array([sample.ring_cd_m2 / sample.background_cd_m2 for sample in samples])
-    scatter = float(ratio.std(ddof=1)) if len(ratio) > 1 else 0.0
     block_px = samples[0].block_px
     pitch = dataset.display.pitch_mrad
     size_px = min(stimulus.size_mrad / pitch, 1e300)
     sizes = np.maximum([size_in_px(sample.trial, pitch) / block_px for sample in samples], LEAST_SIZE)
+    of_group = GroupTriangle.of(samples, strength, sizes, max(size_px / block_px, LEAST_SIZE))
+    names = scene_names(samples)
+    if of_group.scenes is not None:
+        keeps_ring = dataset.display.background_luminance_cd_m2 == "surround"
+        samples = of_group.scenes.on_even_field(
+            samples, stimulus.polarity, size_px / block_px, keeps_ring=keeps_ring
+        )
+    ratio = np.array([sample.ring_cd_m2 / sample.background_cd_m2 for sample in samples])
+    if of_group.scenes is not None:  # trials on one scene have the same luminance around their triangles
+        ratio = np.array([ratio[np.array(names) == name].mean() for name in sorted(set(names))])
+    scatter = float(ratio.std(ddof=1)) if len(ratio) > 1 else 0.0
     codes = [sample.codes for sample in samples if sample.codes is not None]
     return Inspection(
         group=group,
@@ -284,7 +314,7 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
         level=float(np.median(level)),
         noise_contrast=float(np.median([sample.noise for sample in samples])),
         **_of_codes(codes),
-        **_of_triangle(samples, strength, sizes, max(size_px / block_px, LEAST_SIZE), block_px),
+        **_of_triangle(of_group, samples, strength, max(size_px / block_px, LEAST_SIZE), names),
     )
 
 
@@ -343,6 +373,8 @@ class GroupTriangle(NamedTuple):
         Standard errors of contrast, x, y and size (as a share): by noise, and by the spread over the trials.
     signal : float
         Contrast in standard errors by noise alone.
+    scenes : SceneParts or None
+        The frames as background, triangle and noise, if they show scenes.
     """
 
     images: Images
@@ -351,6 +383,7 @@ class GroupTriangle(NamedTuple):
     middle: FloatArray
     error: FloatArray
     signal: float
+    scenes: SceneParts | None
 
     @classmethod
     def of(
@@ -358,28 +391,36 @@ class GroupTriangle(NamedTuple):
     ) -> GroupTriangle:
         """Fit the triangle of some trials, whose sizes are alike."""
         turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
-        even = samples[0].trial.stimulus.polarity * np.array([sample.even for sample in samples])
+        view = numbered_views(samples)
+        shown = [sample.even if view is None else sample.seen for sample in samples]
+        even = samples[0].trial.stimulus.polarity * np.array(shown)
         known = np.logical_and.reduce([sample.known for sample in samples])
-        noise = noise_of_frames(even, level, known, size)
+        noise = noise_of_frames(
+            even if view is None else _parted(even, level, turns, known, view), level, known, size
+        )
         share = np.square(level / noise) / np.square(level / noise).sum()
         stated = np.column_stack([[sample.offset for sample in samples], np.log(sizes)])
         frames = {"level": level, "noise": noise, "turns": turns}
         hole = HOLE_IN_SIZES * size
-        images = Images.of(even, known=known, hole=hole, **frames)
+        images = Images.of(even, known=known, hole=hole, view=view, **frames)
         middle = share @ stated
         apart = stated - middle
         is_apart = bool(np.abs(apart).max() > LEAST_APART)
         found = fitted(images, first_guess(images, size), CERTAIN_TURN, with_errors=not is_apart)
         if is_apart:
             even = aligned(even, found, level=level, turns=turns, apart=apart)
-            images = Images.of(even, known=known, hole=hole, **frames)
+            images = Images.of(even, known=known, hole=hole, view=view, **frames)
             found = fit(images, found.shape, found.shown)
-        each = of_trials(found, images, even, **frames)
+        scenes, of_noise_alone = None, images
+        if view is not None:
+            scenes = SceneParts.of(even, found, images, level=level, turns=turns, view=view)
+            even, of_noise_alone = scenes.even, images._replace(background=np.zeros_like(images.background))
+        each = of_trials(found, of_noise_alone, even, **frames)
         excess = np.maximum(np.square(share) @ (np.square(each.away) - np.square(each.error)), 0.0)
         of_noise = np.array([*(found.error((one, 1.0)) for one in (AMPLITUDE, X, Y)), found.size_error])
         alone = float(of_noise[0]) / math.sqrt(found.larger)
         signal = abs(found.shape.amplitude) / alone if alone > 0.0 else math.inf
-        return cls(images, found, each, middle, np.sqrt(np.square(of_noise) + excess), signal)
+        return cls(images, found, each, middle, np.sqrt(np.square(of_noise) + excess), signal, scenes)
 
     @property
     def size_ratio(self) -> float:
@@ -392,13 +433,30 @@ class GroupTriangle(NamedTuple):
         return np.array([self.fit.shape.x, self.fit.shape.y]) - self.middle[:2]
 
 
+def _parted(
+    windows: FloatArray,
+    level: FloatArray,
+    turns: NDArray[np.intp],
+    known: NDArray[np.bool_],
+    view: NDArray[np.intp],
+) -> FloatArray:
+    """Return windows on scenes without their backgrounds, as a first fit with equal noise finds them."""
+    first = Images.of(
+        windows, level=level, noise=np.ones(len(level)), turns=turns, known=known, hole=0.0, view=view
+    )
+    assert first.of_view is not None
+    left = windows - level[:, None, None] * first.triangles[turns]
+    counts = np.bincount(view)[view].astype(np.float64)
+    left -= np.tensordot(first.of_view, left, 1)[view]
+    return np.asarray(left * np.sqrt(counts / np.maximum(counts - 1.0, 0.5))[:, None, None])
+
+
 def _of_triangle(
-    samples: Sequence[TrialSample], level: FloatArray, sizes: FloatArray, size: float, block_px: int
+    of_group: GroupTriangle, samples: Sequence[TrialSample], level: FloatArray, size: float, scenes: Sequence[str]
 ) -> dict[str, Any]:
     """Measure the triangle; lengths are in blocks until the end."""
-    of_group = GroupTriangle.of(samples, level, sizes, size)
-    images, found, each, _, error, signal = of_group
-    shape = found.shape
+    images, found, each, _, error, signal, parts = of_group
+    block_px, shape = samples[0].block_px, found.shape
     turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
     known = images.weight > 0.0
     polarity = samples[0].trial.stimulus.polarity
@@ -410,7 +468,9 @@ def _of_triangle(
         "contrast_slope": shape.amplitude,
         "contrast_slope_error": float(error[0]) if is_whole else None,
         "signal": signal,
-        **_unevenness(seen, images, level, turns, size),
+        **_unevenness(
+            seen, images, level, turns, size, None if parts is None else (parts, parts.of_scenes(scenes))
+        ),
     }
     if signal < LEAST_SIGNAL:
         return measured
@@ -470,12 +530,18 @@ def _scatter(apart: FloatArray, noise: FloatArray) -> float | None:
 
 
 def _unevenness(
-    seen: FloatArray, images: Images, level: FloatArray, turns: NDArray[np.intp], size: float
+    seen: FloatArray,
+    images: Images,
+    level: FloatArray,
+    turns: NDArray[np.intp],
+    size: float,
+    scenes: tuple[SceneParts, FloatArray | None] | None,
 ) -> dict[str, Any]:
     """Measure the contrast of the triangle that would answer the templates as the background's own structure does.
 
     The structure elsewhere on the frames, such as a fixed pattern, is measured in the same way. Nothing is
-    returned if the frames show too little else.
+    returned if the frames show too little else. Of scenes, that is the mean of their backgrounds, which is as
+    uncertain as they differ; nothing is returned if they are too few.
     """
     import cv2
 
@@ -489,9 +555,16 @@ def _unevenness(
     elsewhere = (inner > 0) & ~within(n, size)
     if elsewhere.sum() < np.square(2.0 * size):
         return {}
-    static = np.tensordot(images.shares[4], seen, 1)
-    triangles = np.tensordot(images.shares[:4], seen, 1)
-    noise = seen - static - level[:, None, None] * triangles[turns]
+    of_scenes: FloatArray | None = None
+    if scenes is None:
+        static = np.tensordot(images.shares[4], seen, 1)
+        triangles = np.tensordot(images.shares[:4], seen, 1)
+        noise = seen - static - level[:, None, None] * triangles[turns]
+    else:
+        parts, of_scenes = scenes
+        if of_scenes is None:
+            return {}
+        static, noise = of_scenes.mean(axis=0), parts.noise
     square = Square(0, 0, n)
     pictures = picture(Shape.upright(1.0, 0.0, 0.0, size, 0.0), square, n).images
     differ = pictures - pictures.mean(axis=0)
@@ -502,9 +575,13 @@ def _unevenness(
     maps = np.array([np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(one)), static.shape) for one in differ])
     spread = np.fft.fftshift(np.ptp(maps, axis=0)) / energy
     each = noise.reshape(len(noise), -1) @ differ.reshape(4, -1).T / energy
+    variance = float((np.square(images.shares[4]) @ np.square(each)).max())
+    if of_scenes is not None:
+        apart = np.tensordot(of_scenes - static, differ, ([1, 2], [1, 2])) / energy
+        variance += float(np.square(apart).sum(axis=0).max()) / (len(apart) * (len(apart) - 1))
     return {
         "uneven": float(spread[n // 2, n // 2]),
-        "uneven_error": math.sqrt((np.square(images.shares[4]) @ np.square(each)).max()),
+        "uneven_error": math.sqrt(variance),
         "uneven_texture": float(np.median(spread[elsewhere])),
     }
 

@@ -68,6 +68,13 @@ MOST_SAMPLED, LEAST_SAMPLED = 24, 8
 SAMPLED, SAMPLED_SHARE = 96, 0.04
 """Number of frames that are measured in all, and their share of the frames if that is more."""
 
+VIEWED_TIMES, MOST_OF_VIEW = 3, 8
+"""Number of trials with scenes that are measured, in those on even backgrounds, and most of one background: with
+eight, its error adds an eighth to the variance of the noise."""
+
+LEAST_SCENES = 4
+"""Least number of scenes whose mean tells what all frames share, such as dirt, from what a scene shows."""
+
 USABLE_CONTRASTS = (1e-9, 1e9)
 """Range of contrasts that are computed with; beyond it are mistakes in a manifest, whose squares may overflow."""
 

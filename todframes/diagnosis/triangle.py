@@ -204,6 +204,8 @@ class Images(NamedTuple):
         Inverse covariance of a block of the triangles for noise of unit variance.
     weight : ndarray, shape (n, n)
         Share with which a block counts: 0 beyond the frames, less than 1 where they are unsteady.
+    of_view : ndarray, shape (view, trial), or None
+        Weights of the frames in the mean of each background, for frames on several.
     """
 
     background: FloatArray
@@ -211,6 +213,7 @@ class Images(NamedTuple):
     shares: FloatArray
     information: FloatArray
     weight: FloatArray
+    of_view: FloatArray | None = None
 
     @classmethod
     def of(
@@ -222,10 +225,13 @@ class Images(NamedTuple):
         turns: NDArray[np.intp],
         known: NDArray[np.bool_],
         hole: float,
+        view: NDArray[np.intp] | None = None,
     ) -> Images:
         """Separate the part that all frames share from the part that grows with the level in each orientation.
 
-        If the levels hardly differ, the two cannot be separated, and all of it counts as triangle.
+        If the levels hardly differ, the two cannot be separated, and all of it counts as triangle. With `view`,
+        frames share what others of their background have; if its levels do not differ, only the differences of the
+        orientations count as triangle, which `information` accounts for.
 
         Parameters
         ----------
@@ -239,24 +245,46 @@ class Images(NamedTuple):
             Blocks that all frames have.
         hole : float
             Distance from the middle within which all blocks count.
+        view : ndarray of int, shape (trial,), optional
+            Number of each frame's background, from 0.
         """
         columns = np.array([np.where(turns == k, level, 0.0) for k in range(4)])
-        is_separable = level.max() > SEPARABLE * level.min()
-        design = np.vstack([columns, np.full(len(level), float(is_separable))]).T
-        shares = np.linalg.pinv(design / noise[:, None]) / noise
-        parts = np.tensordot(shares, frames, 1)
         certain = np.square(1.0 / noise)
-        mixed = columns @ certain
-        information = np.diag(np.square(columns) @ certain)
-        if is_separable:
-            information -= np.outer(mixed, mixed) / certain.sum()
+        of_view = None
+        if view is None:
+            is_separable = level.max() > SEPARABLE * level.min()
+            design = np.vstack([columns, np.full(len(level), float(is_separable))]).T
+            shares = np.linalg.pinv(design / noise[:, None]) / noise
+            mixed = columns @ certain
+            information = np.diag(np.square(columns) @ certain)
+            if is_separable:
+                information -= np.outer(mixed, mixed) / certain.sum()
+            parts = np.tensordot(shares, frames, 1)
+            backgrounds = parts[4]
+        else:
+            of_view = np.where(np.arange(view.max() + 1)[:, None] == view, certain, 0.0)
+            of_view /= of_view.sum(axis=1, keepdims=True)
+            # The regression on levels, from which that on backgrounds is taken out (Frisch, Waugh and Lovell).
+            apart = (columns.T - (of_view @ columns.T)[view]) / noise[:, None]
+            of_triangles = np.linalg.pinv(apart, rcond=1e-6) / noise
+            of_backgrounds = of_view - of_view @ (level[:, None] * of_triangles[turns])
+            shares = np.vstack([of_triangles, of_backgrounds.mean(axis=0)])
+            information = apart.T @ apart
+            parts = np.tensordot(shares, frames, 1)
+            backgrounds = np.tensordot(of_backgrounds, frames, 1)[view]
         weight = known.astype(np.float64)
         if len(frames) > 1:
-            left = frames - parts[4] - level[:, None, None] * parts[turns]
+            left = frames - backgrounds - level[:, None, None] * parts[turns]
             spread = np.sqrt(np.square(left / noise[:, None, None]).mean(axis=0))
             steady = np.square(UNSTEADY / np.maximum(spread, UNSTEADY))
             weight *= np.where(within(len(known), hole), 1.0, steady)
-        return cls(parts[4], parts[:4], shares, information, weight)
+        return cls(parts[4], parts[:4], shares, information, weight, of_view)
+
+    @property
+    def has_triangle(self) -> bool:
+        """Whether the mean of the orientations is known, and not their differences alone."""
+        counts = np.diag(self.information)
+        return bool(self.information.sum() > 1e-3 * counts.sum())
 
 
 class TriangleFit(NamedTuple):
@@ -567,6 +595,8 @@ def first_guess(images: Images, size: float) -> Shape:
     """
     n = len(images.weight)
     counts = np.diag(images.information)
+    if not images.has_triangle:
+        return _stated(images, size)
     mean = np.average(images.triangles, axis=0, weights=counts) * np.sqrt(images.weight)
     spectrum = np.fft.rfft2(mean)
     best, found = -1.0, Shape.upright(1.0, 0.0, 0.0, size)
@@ -586,6 +616,20 @@ def first_guess(images: Images, size: float) -> Shape:
             x, y = float(column + edge - n // 2), float(row + edge - n // 2)
             found = Shape.upright(math.copysign(1.0, height), x, y, tried)
     return found
+
+
+def _stated(images: Images, size: float) -> Shape:
+    """Return the shape of the stated place and size; its amplitude is that of the differences of images."""
+    n = len(images.weight)
+    start = Shape.upright(1.0, 0.0, 0.0, size)
+    square = Square.about(start, n)
+    upright = picture(start, square, n).images
+    differ = (upright - upright.mean(axis=0)) * square.of(images.weight)
+    counts = np.diag(images.information)
+    like = float((counts[:, None, None] * square.of(images.triangles) * differ).sum())
+    energy = float((counts[:, None, None] * np.square(differ)).sum())
+    amplitude = like / energy if energy > 0.0 else 0.0
+    return start._replace(amplitude=amplitude if amplitude != 0.0 else 1e-9)
 
 
 def fitted(images: Images, start: Shape, certain: float, *, with_errors: bool = True) -> TriangleFit:

@@ -86,7 +86,13 @@ class Codes(NamedTuple):
 
 
 def measure_trial(
-    dataset: Dataset, trial: Trial, centre: Centre, *, size_px: float, reach_px: float = 0.0
+    dataset: Dataset,
+    trial: Trial,
+    centre: Centre,
+    *,
+    size_px: float,
+    reach_px: float = 0.0,
+    middle_px: tuple[float, float] | None = None,
 ) -> TrialSample:
     """Measure the frames of a trial about its stated place.
 
@@ -99,6 +105,9 @@ def measure_trial(
         The size that the window and its blocks are made for: that of the trial, or one for several alike.
     reach_px : float
         Least distance from the stated place that the window has.
+    middle_px : (float, float), optional
+        Place (x, y) about which the window is cut, so that windows of several trials show the same pixels.
+        Default: the stated one.
 
     Raises
     ------
@@ -108,7 +117,7 @@ def measure_trial(
     # Frames of a triangle that moves cannot be averaged: its place on the pixels differs.
     n_alike = 1 if any(frame.motion_px is not None for frame in trial.frames) else len(trial.frames)
     first, *others = (
-        _measured(dataset, trial, frame, centre, size_px, reach_px) for frame in trial.frames[:n_alike]
+        _measured(dataset, trial, frame, centre, size_px, reach_px, middle_px) for frame in trial.frames[:n_alike]
     )
     if not others:
         return first
@@ -121,7 +130,13 @@ def measure_trial(
 
 
 def _measured(
-    dataset: Dataset, trial: Trial, frame: FrameReference, centre: Centre, size_px: float, reach_px: float
+    dataset: Dataset,
+    trial: Trial,
+    frame: FrameReference,
+    centre: Centre,
+    size_px: float,
+    reach_px: float,
+    middle_px: tuple[float, float] | None,
 ) -> TrialSample:
     display = dataset.display
     rule = display.background_luminance_cd_m2
@@ -138,7 +153,7 @@ def _measured(
         if triangle.size_px > 2 * max(header.height, header.width) or min(b - a for a, b in window) < 1:
             raise FrameError(file.path, "the triangle does not lie on the frame")
         whole = rule in ("border", "frame_mean")
-        blocks = _BlockMeans.about(triangle, reach_px)
+        blocks = _BlockMeans.about(triangle, reach_px, middle_px or (x, y))
         surround, found, codes = SurroundSums(triangle, window), LuminanceFound(), _CodeCounts(triangle)
         stop_row = all_rows[1]
         for band in file.bands() if whole else file.bands(rows=read.rows, columns=read.columns):
@@ -202,19 +217,21 @@ def _measured(
 class _BlockMeans:
     """The means of square blocks about a triangle, by bands; their number depends on its size alone."""
 
-    def __init__(self, triangle: TrianglePlace, block_px: int, n_blocks: int) -> None:
+    def __init__(
+        self, triangle: TrianglePlace, middle_px: tuple[float, float], block_px: int, n_blocks: int
+    ) -> None:
         self.block_px, self.n = block_px, n_blocks
         length = n_blocks * block_px
-        self.first = tuple(round(at) - length // 2 for at in (triangle.y_px, triangle.x_px))
+        self.first = tuple(round(at) - length // 2 for at in reversed(middle_px))
         middle_y, middle_x = (first + (length - 1) / 2.0 for first in self.first)
         self.offset = (triangle.x_px - middle_x) / block_px, (triangle.y_px - middle_y) / block_px
         self.sums, self.counts = np.zeros((n_blocks, n_blocks)), np.zeros((n_blocks, n_blocks))
 
     @classmethod
-    def about(cls, triangle: TrianglePlace, reach_px: float) -> _BlockMeans:
+    def about(cls, triangle: TrianglePlace, reach_px: float, middle_px: tuple[float, float]) -> _BlockMeans:
         block_px = max(int(triangle.size_px / PICTURE_BLOCKS_PER_SIZE), 1)
         reach = max(REACH_IN_SIZES * triangle.size_px, hole_radius_px(triangle.size_px) + 8.0, reach_px)
-        return cls(triangle, block_px, 2 * math.ceil(reach / block_px) + 1)
+        return cls(triangle, middle_px, block_px, 2 * math.ceil(reach / block_px) + 1)
 
     def add(self, luminance: FloatArray, row: int, column: int, window: Window) -> None:
         """Add the part of a rectangle of luminance, its first pixel at (row, column), that lies in the window."""

@@ -1,0 +1,169 @@
+"""Triangles on scenes: false alarms of good datasets, and backgrounds that nothing can be placed on; minutes.
+
+python tests/campaigns/backdrops.py clean 100        # good datasets: not one warning
+python tests/campaigns/backdrops.py hostile 200      # damaged and unfit backgrounds: one line, nothing written
+
+The exit status is 1 if a good dataset has a warning, or a hostile background ends in anything but one line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import sensor_sim as ss
+import todframes as tod
+from todframes.cli.console import run
+from todframes.cli.main import cli
+
+ROOT = Path(__file__).parents[2]
+PHOTOGRAPHS = ("astronaut", "brick", "camera", "chelsea", "coffee", "coins", "grass", "gravel", "moon", "rocket")
+CAMERA = ROOT / "sample_frames" / "staring_camera.toml"
+
+
+def field(rng: np.random.Generator, side: int, power: float) -> NDArray[np.float64]:
+    """A random image with a spectrum of amplitude 1/f to some power; code values from 0.15 to 0.85."""
+    noise = np.fft.fft2(rng.normal(size=(side, side)))
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(side), np.fft.fftfreq(side)))
+    image = np.fft.ifft2(noise / np.maximum(frequency, 1.0 / side) ** power).real
+    image -= image.min()
+    return 0.15 + 0.7 * image / image.max()
+
+
+def backgrounds(rng: np.random.Generator, folder: Path) -> list[str]:
+    """Return the backgrounds of a random dataset: photographs, fields, or a film in which noise changes."""
+    kind = rng.choice(["photographs", "fields", "film"])
+    if kind == "photographs":
+        return ["skimage:" + ",".join(rng.choice(PHOTOGRAPHS, int(rng.integers(1, 6)), replace=False))]
+    if kind == "fields":
+        for number in range(int(rng.integers(1, 6))):
+            image = field(rng, 256, float(rng.uniform(0.3, 2.0)))
+            tod.write_frame(folder / f"field_{number}.png", image, pixel_type=rng.choice(["uint8", "uint16"]))
+        return [str(folder)]
+    scene = field(rng, 200, float(rng.uniform(0.5, 2.0)))
+    noise = 10.0 ** rng.uniform(-3.0, -1.3)
+    film = np.clip(scene + noise * rng.normal(size=(6, *scene.shape)), 0.001, 0.999)
+    np.save(folder / "film.npy", np.rint(65535 * film).astype(np.uint16))
+    return [str(folder / "film.npy")]
+
+
+def clean(rng: np.random.Generator, folder: Path) -> tuple[str, tod.Result]:
+    """Make a random dataset that is what it says; return how, and its validation."""
+    images = folder / "images"
+    images.mkdir()
+    shown = backgrounds(rng, images)
+    asked = {
+        "size_mrad": sorted(rng.choice([2.0, 2.7, 3.5, 4.4], int(rng.integers(1, 3)), replace=False).tolist()),
+        "contrast": np.geomspace(0.05, rng.uniform(0.2, 0.6), int(rng.integers(1, 5))).tolist(),
+        "places": int(rng.choice([1, 1, 4, 5])),
+        "frames": int(rng.integers(1, 4)),
+        "turns": int(rng.choice([8, 8, 4, 1])),
+        "blur_px": float(rng.choice([0.0, rng.uniform(0.3, 2.0)])),
+        "display": str(rng.choice(["reference_sdr", "reference_linear", "srgb_monitor"])),
+        "rng": int(rng.integers(1000)),
+    }
+    if rng.random() < 0.3:
+        asked |= {"polarity": -1, "contrast": [one / 6.0 for one in asked["contrast"]]}
+    try:
+        tod.scenes(shown, out=folder / "dataset", **asked)
+    except tod.DataError as error:
+        if "beyond black" not in str(error) and "found no window" not in str(error):
+            raise
+        return f"refused: {error}", tod.validate(ROOT / "sample_frames" / "naked_eye")
+    return f"{shown} {asked}", tod.validate(folder / "dataset")
+
+
+def simulated(rng: np.random.Generator, folder: Path) -> tuple[str, tod.Result]:
+    """The same with a camera in front of the scenes."""
+    images = folder / "images"
+    images.mkdir()
+    for number in range(int(rng.integers(1, 6))):
+        tod.write_frame(images / f"field_{number}.png", field(rng, 256, float(rng.uniform(0.5, 1.5))))
+    asked = {
+        "size_detectors": [float(rng.choice([4.0, 6.0]))],
+        "snr": np.geomspace(rng.uniform(1.0, 2.0), rng.uniform(4.0, 30.0), int(rng.integers(1, 5))).tolist(),
+        "trials": 8 * int(rng.integers(3, 8)),
+        "rng": int(rng.integers(1000)),
+    }
+    ss.simulate(CAMERA, background=images, out=folder / "dataset", **asked)
+    return f"simulated {asked}", tod.validate(folder / "dataset")
+
+
+def clean_sets(n: int, seed: int, first: int) -> bool:
+    """Print the warnings of good datasets, every fourth of them simulated; return whether there is none."""
+    n_warned = 0
+    for k in range(first, first + n):
+        with tempfile.TemporaryDirectory() as name:
+            make = simulated if k % 4 == 3 else clean
+            how, result = make(np.random.default_rng([seed, k]), Path(name))
+        n_warned += bool(result.warnings or result.skipped)
+        for one in (*result.warnings, *result.skipped):
+            print(f"{k}: {how}\n  {one}")
+    print(f"{n_warned} of {n} good datasets have a warning")
+    return n_warned == 0
+
+
+def hostile_sets(n: int, seed: int, first: int) -> bool:
+    """Damage the file of a background, or ask for what it cannot give; return whether each ends in one line."""
+    n_bad = n_refused = 0
+    for k in range(first, first + n):
+        rng = np.random.default_rng([seed, k])
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            image = field(rng, int(rng.choice([30, 120, 200])), 1.0)
+            image = rng.choice([1.0, 1.0, 3.0]) * (image - rng.choice([0.0, 0.0, 0.4]))
+            path = folder / f"image{rng.choice(['.png', '.exr'])}"
+            tod.write_frame(path, np.clip(image, 0.0, 1.0))
+            content = bytearray(path.read_bytes())
+            match rng.integers(4):
+                case 0:
+                    del content[int(rng.integers(len(content))) :]
+                case 1:
+                    content[int(rng.integers(len(content)))] ^= 1 << int(rng.integers(8))
+            path.write_bytes(content)
+            asked = [
+                "--size-mrad",
+                str(rng.choice([0.1, 1.0, 3.0, 9.0])),
+                "--contrast",
+                rng.choice(["0.1", "0.5,9"]),
+            ]
+            asked += ["--places", str(rng.choice([1, 9])), "--range", "0:1"] if rng.random() < 0.7 else []
+            asked += ["--dim", "1"] if rng.random() < 0.3 else []
+            out, errors = folder / "out", io.StringIO()
+            with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(io.StringIO()):
+                status = run(cli, ["scenes", str(path), *asked, "-o", str(out), "--trials", "8", "--quiet"])
+            lines = [line for line in errors.getvalue().splitlines() if line]
+            is_one_line = status in (1, 2) and len(lines) == 1 and not out.exists()
+            is_done = status == 0 and (out / "manifest.csv").is_file() and not lines
+            n_refused += is_one_line
+            if not (is_one_line or is_done):
+                n_bad += 1
+                print(f"{k}: status {status}: {asked}\n  " + "\n  ".join(lines))
+    print(f"{n} cases, {n_refused} refused, {n_bad} faults")
+    return n_bad == 0
+
+
+PARTS: dict[str, Callable[[int, int, int], bool]] = {"clean": clean_sets, "hostile": hostile_sets}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a part of the campaign. Returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", choices=list(PARTS))
+    parser.add_argument("n", type=int)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0, help="number of the first case, to repeat one")
+    asked = parser.parse_args(arguments)
+    return int(not PARTS[asked.part](asked.n, asked.seed, asked.first))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

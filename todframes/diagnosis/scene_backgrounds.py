@@ -1,0 +1,176 @@
+"""Trials on scenes: which of them share a background, and what is left of their windows without it.
+
+All trials of one background show it with triangles of different orientations or levels, so backgrounds and
+triangles are known from a joint fit (`Images.of`). What is left of a window without its background is what it
+would be on an even field, and is judged in the same way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.base._typing import FloatArray
+from todframes.diagnosis.limits import LEAST_SCENES, MOST_OF_VIEW, VIEWED_TIMES
+from todframes.diagnosis.triangle import Images, TriangleFit, subtract
+from todframes.diagnosis.windows import TrialSample
+from todframes.frames.trials import Trials, indices_by
+from todframes.stimulus import HEIGHT_PER_SIZE
+
+
+def has_scenes(trials: Trials) -> bool:
+    """Return whether any of the trials has a scene behind its triangle."""
+    return any(trials.views[code] is not None for code in np.unique(trials.view_codes).tolist())
+
+
+def whole_views(trials: Trials, strength: FloatArray, most: int) -> NDArray[np.intp]:
+    """Choose trials so that their backgrounds are known: of views spread over the manifest, up to a few of each.
+
+    A view is left out if all of its trials have one orientation and one strength.
+
+    Parameters
+    ----------
+    trials : Trials
+        The trials of a group, with scenes.
+    strength : ndarray
+        Value of each that its displayed contrast is proportional to.
+    most : int
+        Number of trials that would be chosen on an even background; on scenes they are `VIEWED_TIMES` as many.
+    """
+    usable = []
+    for members in indices_by(trials.view_codes):
+        turns, levels = trials.quarter_turns[members], strength[members]
+        if np.unique([turns, levels], axis=1).shape[1] > 1:
+            ordered = members[np.lexsort([turns, levels])]
+            usable.append(ordered[_evenly(len(ordered), MOST_OF_VIEW)])
+    if not usable:
+        return np.zeros(0, np.intp)
+    n_views = int(most * VIEWED_TIMES / np.mean([len(one) for one in usable]))
+    return np.concatenate([usable[k] for k in _evenly(len(usable), max(n_views, 1))])
+
+
+def _evenly(n: int, most: int) -> NDArray[np.intp]:
+    return np.linspace(0, n - 1, min(n, most)).round().astype(np.intp)
+
+
+def view_middles(trials: Trials) -> list[tuple[float, float] | None]:
+    """Return for each trial the mean stated place of its view: windows cut there show the same pixels."""
+    places = trials.positions_px.copy()
+    for members in indices_by(trials.view_codes):
+        places[members] = places[members].mean(axis=0)
+    return [None if math.isnan(x) else (x, y) for x, y in places.tolist()]
+
+
+def numbered_views(samples: Sequence[TrialSample]) -> NDArray[np.intp] | None:
+    """Return the number, from 0, of the background of each window; None if none has a scene."""
+    if all(sample.trial.view is None for sample in samples):
+        return None
+    keys = [(sample.trial.view, sample.trial.place) for sample in samples]
+    numbers = {key: number for number, key in enumerate(dict.fromkeys(keys))}
+    return np.array([numbers[key] for key in keys], np.intp)
+
+
+def that_share(samples: Sequence[TrialSample]) -> list[TrialSample]:
+    """Return the windows whose background is that of others too; none if they are too few for a joint fit."""
+    view = numbered_views(samples)
+    if view is None:
+        return list(samples)
+    counts = np.bincount(view)
+    kept = [sample for sample, number in zip(samples, view.tolist(), strict=True) if counts[number] > 1]
+    return kept if len(kept) > int((counts > 1).sum()) + 4 else []
+
+
+class SceneParts(NamedTuple):
+    """Windows on scenes as background, triangle and noise.
+
+    Attributes
+    ----------
+    view : ndarray of int, shape (trial,)
+    backgrounds : ndarray, shape (view, n, n)
+        Contrast, in the sign of the triangles' polarity.
+    even : ndarray, shape (trial, n, n)
+        Triangle and noise, as on an even field.
+    noise : ndarray, shape (trial, n, n)
+    """
+
+    view: NDArray[np.intp]
+    backgrounds: FloatArray
+    even: FloatArray
+    noise: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        windows: FloatArray,
+        found: TriangleFit,
+        images: Images,
+        *,
+        level: FloatArray,
+        turns: NDArray[np.intp],
+        view: NDArray[np.intp],
+    ) -> SceneParts:
+        """Separate windows by the triangle that was fitted to them."""
+        assert images.of_view is not None
+        pictures = found.picture.images[np.array(found.shown)[turns]] * level[:, None, None]
+        left = windows.copy()
+        _subtract_each(left, pictures, found)
+        backgrounds = np.tensordot(images.of_view, left, 1)
+        left -= backgrounds[view]
+        counts = np.bincount(view)[view].astype(np.float64)
+        left *= np.sqrt(counts / np.maximum(counts - 1.0, 0.5))[:, None, None]  # the mean has taken a part of it
+        even = left.copy()
+        _subtract_each(even, -pictures, found)
+        return cls(view, backgrounds, even, left)
+
+    def on_even_field(
+        self, samples: Sequence[TrialSample], polarity: int, size: float, *, keeps_ring: bool
+    ) -> list[TrialSample]:
+        """Return windows with noise and luminance as they would be on an even field.
+
+        The luminance around the triangle is that in the circle through its corners, without the triangle.
+        With `keeps_ring` it is as good as measured: the dataset takes its background from the same pixels.
+        """
+        radius = 2.0 / 3.0 * HEIGHT_PER_SIZE * size
+        local = np.zeros(len(self.backgrounds))
+        for number in range(0 if keeps_ring else len(local)):
+            offsets = [one.offset for one, of in zip(samples, self.view, strict=True) if of == number]
+            circle = _circle(self.backgrounds.shape[-1], radius, *np.mean(offsets, axis=0).tolist())
+            local[number] = polarity * float((circle * self.backgrounds[number]).sum())
+        return [
+            one._replace(
+                ring_cd_m2=one.background_cd_m2 * max(1.0 + float(local[number]), 1e-9),
+                noise=float(noise[one.known].std()) * one.block_px,
+                even=polarity * even,
+            )
+            for one, number, noise, even in zip(samples, self.view, self.noise, self.even, strict=True)
+        ]
+
+    def of_scenes(self, names: Sequence[str]) -> FloatArray | None:
+        """Return the mean background of each scene, (scene, n, n), the scene of each trial given; None if few."""
+        of_view = {int(number): name for number, name in zip(self.view, names, strict=True)}
+        scenes = sorted(set(names))
+        if len(scenes) < LEAST_SCENES:
+            return None
+        which = np.array([scenes.index(of_view[number]) for number in range(len(self.backgrounds))])
+        return np.array([self.backgrounds[which == number].mean(axis=0) for number in range(len(scenes))])
+
+
+def scene_names(samples: Sequence[TrialSample]) -> list[str]:
+    """Return the name of the scene of each window; empty for an even background."""
+    return ["" if one.trial.view is None else one.trial.view.scene for one in samples]
+
+
+def _subtract_each(windows: FloatArray, pictures: FloatArray, found: TriangleFit) -> None:
+    for window, picture in zip(windows, pictures, strict=True):
+        subtract(window, picture, found.square)
+
+
+def _circle(n: int, radius: float, x: float, y: float) -> FloatArray:
+    """Return weights of sum 1 of the blocks of a window in a circle about a place, counted from its middle."""
+    v, u = np.mgrid[:n, :n] - (n - 1) / 2.0
+    share = np.clip(radius + 0.5 - np.hypot(v - y, u - x), 0.0, 1.0)
+    return np.asarray(share / share.sum())
