@@ -302,3 +302,120 @@ def test_frames_of_a_film_are_spread_over_it(tmp_path: Path) -> None:
     energy = 64.0 * 0.1 * float(first["background_luminance_cd_m2"])
     # Rounding to 16 bits is 1e-3 cd/m² a pixel, of which 9000 make 0.1.
     assert abs(differ.sum()) < 0.1 and np.abs(differ).sum() > 0.2 * energy
+
+
+@pytest.fixture(scope="module")
+def on_scenes(tmp_path_factory) -> Path:
+    """A dataset of five scenes, as strong in texture as in triangles."""
+    path = tmp_path_factory.mktemp("scenes")
+    for seed in range(5):
+        tod.write_frame(path / f"scene_{seed}.png", textured(140, seed))
+    tod.scenes(
+        path, out=path / "dataset", size_mrad=[4], contrast=[0.2, 0.35, 0.5], trials=40, turns=1, display=DISPLAY
+    )
+    return path / "dataset"
+
+
+def warnings_of(source: Path, folder: Path, change) -> set[str]:
+    """Validate a dataset after a change of its rows; return the codes of the warnings."""
+    changed = folder / "changed"
+    (changed / "frames").mkdir(parents=True)
+    (changed / "dataset.toml").write_bytes((source / "dataset.toml").read_bytes())
+    rows = rows_of(source)
+    change(rows)
+    with (changed / "manifest.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    for row in rows:
+        (changed / row["frame"]).hardlink_to(source / row["frame"])
+    result = tod.validate(changed)
+    assert not result.skipped
+    return {one.code for one in result.warnings}
+
+
+def times(column: str, factor: float):
+    def change(rows) -> None:
+        for row in rows:
+            row[column] = repr(factor * float(row[column]))
+
+    return change
+
+
+def renamed(**names: str):
+    def change(rows) -> None:
+        for row in rows:
+            row["orientation"] = names.get(row["orientation"], row["orientation"])
+
+    return change
+
+
+def moved(rows) -> None:
+    for row in rows:
+        row["x_px"] = repr(float(row["x_px"]) + 2.5)
+
+
+def shuffled_levels(rows) -> None:
+    levels = [row["contrast"] for row in rows]
+    for row, level in zip(rows, np.random.default_rng(1).permutation(levels), strict=True):
+        row["contrast"] = str(level)
+
+
+def some_wrong(rows) -> None:
+    for row in rows[::4]:
+        row["orientation"] = {"up": "down", "down": "up", "left": "right", "right": "left"}[row["orientation"]]
+
+
+def darker(rows) -> None:
+    for row in rows:
+        row["polarity"] = "-1"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (times("contrast", 1.0), None),
+        (times("contrast", 1.4), "contrast_mismatch"),
+        (times("size_mrad", 1.3), "size_mismatch"),
+        (times("background_luminance_cd_m2", 0.8), "background_mismatch"),
+        (moved, "position_offset"),
+        (renamed(up="right", right="down", down="left", left="up"), "turned"),
+        (renamed(left="right", right="left"), "mirrored"),
+        (some_wrong, "orientation_mismatch"),
+        (shuffled_levels, "contrast_mismatch"),
+        (darker, "polarity_mismatch"),
+    ],
+)
+def test_mishaps_are_found_on_scenes(on_scenes: Path, tmp_path: Path, change, code) -> None:
+    found = warnings_of(on_scenes, tmp_path, change)
+    assert found == set() if code is None else code in found
+
+
+def test_what_frames_on_scenes_show_is_measured(on_scenes: Path) -> None:
+    """Without texture or noise in the way: contrast, place and size are those of the triangles, to the codes."""
+    (one,) = tod.validate(on_scenes).dataset.measured["stimuli"]
+    # Triangles are shown by their coverage of pixels, whose blur by blocks leaves half a per cent of contrast.
+    assert one["contrast_slope"] == pytest.approx(1.0, abs=0.01)
+    assert one["size_ratio"] == pytest.approx(1.0, abs=0.005) and max(map(abs, one["offset_px"])) < 0.05
+    assert one["ring_ratio"] == pytest.approx(1.0, abs=0.005)
+    assert one["noise_contrast"] < 0.01  # the texture's standard deviation is 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("contrasts", [[0.3], [0.1, 0.3]])
+def test_even_one_level_tells_triangles_from_scenes(folder: Path, tmp_path: Path, contrasts) -> None:
+    """With noise of each frame on top: orientations differ on each background, so the scene is known."""
+    out = tmp_path / "out"
+    tod.scenes(folder, out=out, size_mrad=[5], contrast=contrasts, trials=48, display=DISPLAY, polarity=-1)
+    rng, encode = np.random.default_rng(8), Encoder(DISPLAY)
+    for row in rows_of(out):
+        noisy = luminance_of(out, row) * (
+            1.0 + 0.02 * rng.normal(size=(tod.read_frame(out / row["frame"]).height,) * 2)
+        )
+        tod.write_frame(out / row["frame"], encode(np.clip(noisy, 0.5, 100.0)))
+    result = tod.validate(out)
+    assert result.warnings == ()
+    (one,) = result.dataset.measured["stimuli"]
+    assert abs(one["contrast_slope"] - 1.0) < 0.005 + 4.0 * one["contrast_slope_error"] < 0.06
+    assert one["noise_contrast"] == pytest.approx(0.02, rel=0.1)
