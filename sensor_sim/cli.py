@@ -29,6 +29,7 @@ from todframes.cli.console import (
 from todframes.cli.options import (
     json_option,
     launch_options,
+    limits,
     make_observer,
     numbers,
     observer_options,
@@ -74,6 +75,32 @@ def cli() -> None:
     "--stages", is_flag=True, help="Also write the stages of a trial with the highest level as pictures."
 )
 @click.option(
+    "--background",
+    multiple=True,
+    metavar="FOLDER|FILE",
+    help="Images of scenes behind the triangles; repeatable. skimage: photographs that scikit-image ships.",
+)
+@click.option(
+    "--background-pixels",
+    type=float,
+    default=2.0,
+    show_default=True,
+    metavar="N",
+    help="Pixels of these images along a detector.",
+)
+@click.option(
+    "--background-range",
+    metavar="LOW:HIGH",
+    help="Values of these images that are black and white, proportional to light in between.  [default: sRGB]",
+)
+@click.option(
+    "--turns",
+    type=click.Choice(["8", "4", "1"]),
+    default="8",
+    show_default=True,
+    help="Turned and mirrored versions in which each scene is shown.",
+)
+@click.option(
     "--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that draw frames."
 )
 @run_options
@@ -85,6 +112,9 @@ def simulate(
     snrs: str | None,
     contrasts: str | None,
     trials: int,
+    background: tuple[str, ...],
+    background_range: str | None,
+    turns: str,
     out: str,
     quiet: bool,
     **asked: Any,
@@ -106,6 +136,9 @@ def simulate(
             snr=snr,
             contrast=contrast,
             trials=trials,
+            background=background or None,
+            background_range=limits(background_range, "--background-range"),
+            turns=int(turns),
             out=out,
             tell=tell,
             progress=advance,

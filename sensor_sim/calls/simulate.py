@@ -13,6 +13,7 @@ from todframes.base.seeds import Rng, seed_of
 
 if TYPE_CHECKING:
     from sensor_sim.chain.dataset import FrameFormat, Written
+    from todframes.frames.files import PathLike
     from todframes.jobs.work import Engine
 
 
@@ -28,6 +29,10 @@ def simulate(
     frame_format: FrameFormat = "exr",
     allow_clipping: bool = False,
     stages: bool = False,
+    background: PathLike | Sequence[PathLike] | None = None,
+    background_pixels: float = 2.0,
+    background_range: tuple[float, float] | None = None,
+    turns: int = 8,
     workers: int = 1,
     cluster: str | Engine | None = None,
     restart: bool = False,
@@ -59,6 +64,16 @@ def simulate(
         Let PNG clip more than 1 % of the pixels.
     stages : bool
         Also write the stages of a trial with the highest level as pictures.
+    background : path or sequence of path, optional
+        Images of scenes behind the triangles, folders of them, and "skimage" or "skimage:camera,brick" for
+        photographs that scikit-image ships. Default: an even background.
+    background_pixels : float
+        Pixels of these images along a detector.
+    background_range : (float, float), optional
+        Values of these images that are black and white, and proportional to light in between. Default: pictures
+        are sRGB.
+    turns : {8, 4, 1}
+        Turned and mirrored versions in which each scene is shown.
     workers : int
         Processes that draw frames. With more than one, a script calls this below `if __name__ == "__main__":`,
         because they import the script.
@@ -82,6 +97,8 @@ def simulate(
     ------
     SettingsError
         If a setting is invalid, or too many pixels would be clipped.
+    DataError, FrameError
+        If a background cannot be read, is too small or saturated.
     OutputError
         If the place cannot be written.
 
@@ -109,6 +126,32 @@ def simulate(
         raise SettingsError(f"{sensor.level}: the sensor {why}; expected levels as {expected} and no others")
     sizes = [float(one) for one in size_detectors]
     planned = plan_trials(sizes, [float(one) for one in levels], trials, sensor.level)
+    scenery = None
+    if background is not None:
+        from sensor_sim.chain.scenery import Scenery
+        from sensor_sim.chain.simulation import plan_on_scenes
+
+        if stages:
+            raise SettingsError(f"{argument.stages}: found it with {argument.background}, expected one of the two")
+        notes: list[str] = []
+        scenery = Scenery.opened(
+            sensor,
+            background,
+            sizes,
+            pixels_per_detector=background_pixels,
+            value_range=background_range,
+            turns=turns,
+            seed=seed,
+            note=notes.append,
+        )
+        planned = plan_on_scenes(planned, scenery)
+        if trials % scenery.balanced:
+            notes.append(
+                f"{trials} trials are no multiple of {scenery.balanced}: the turns of scenes are not balanced"
+            )
+        if tell is not None:
+            for note in notes:
+                tell(f"note: {note}")
     going = Going(restart=restart, keep=keep_store)
     with (
         open_engine(cluster, workers) as engine,
@@ -122,6 +165,7 @@ def simulate(
             seed=seed,
             frame_format=frame_format,
             allow_clipping=allow_clipping,
+            scenery=scenery,
             engine=engine,
             store=store,
             progress=progress,

@@ -14,6 +14,7 @@ import numpy as np
 
 from sensor_sim.chain.detector_noise import noise_parts
 from sensor_sim.chain.photons import contrast_variance
+from sensor_sim.chain.scenery import Scenery
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.simulation import SimulatedFrame, SimulatedTrial, Simulator
 from todframes import __version__
@@ -22,6 +23,7 @@ from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.base.output import held, remove_others
 from todframes.base.reading import toml_text
 from todframes.base.safe_text import csv_text, one_line
+from todframes.frames.dataset import SCENE_COLUMNS
 from todframes.frames.files import frame_sha256, write_frame
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.run import run_stored
@@ -82,6 +84,8 @@ class SimulationWork:
     frame_format : {"exr", "png"}
     white_cd_m2 : float
         Luminance of code value 1.
+    scenery : Scenery or None
+        Scenes behind the triangles.
     """
 
     folder: Path
@@ -89,11 +93,12 @@ class SimulationWork:
     seed: int
     frame_format: FrameFormat
     white_cd_m2: float
+    scenery: Scenery | None = None
     items_at_once = 1
 
     def function(self) -> Callable[[list[SimulatedTrial]], WrittenFrames]:
         """Return the function that writes the frames of some trials."""
-        simulator_of = lru_cache(maxsize=4)(partial(Simulator, self.sensor, seed=self.seed))
+        simulator_of = lru_cache(maxsize=4)(partial(Simulator, self.sensor, seed=self.seed, scenery=self.scenery))
 
         def write(trials: list[SimulatedTrial]) -> WrittenFrames:
             rows, clipped, n_pixels = [], 0, 0
@@ -116,7 +121,10 @@ class SimulationWork:
         size_mrad = trial.size_detectors * self.sensor.display.detector_pitch_mrad
         numbers = [repr(size_mrad), repr(trial.size_detectors), repr(trial.level)]
         place = [f"{frame.x_px:.6f}", f"{frame.y_px:.6f}"]
-        return [name, trial.orientation.value, *numbers, *place, frame_sha256(folder / name)]
+        scene: tuple[str, ...] = ()
+        if self.scenery is not None and trial.background is not None:
+            scene = self.scenery.view(trial.size_detectors, trial.background, trial.turn)
+        return [name, trial.orientation.value, *numbers, *place, *scene, frame_sha256(folder / name)]
 
     def lost(self, item: list[SimulatedTrial]) -> DataError:
         """Return the error about trials whose process died with them."""
@@ -126,8 +134,8 @@ class SimulationWork:
 
     def key(self, item: list[SimulatedTrial], *, is_done: bool) -> bytes:  # noqa: ARG002
         """Return the key of frames: it stands for the sensor, the trials and the format."""
-        trials = [(trial.key, trial.size_detectors, trial.level, trial.orientation.value) for trial in item]
-        return fingerprint(self.sensor, self.seed, self.frame_format, self.white_cd_m2, trials)
+        trials = [tuple(trial) for trial in item]
+        return fingerprint(self.sensor, self.seed, self.frame_format, self.white_cd_m2, self.scenery, trials)
 
     def stamp(self, item: list[SimulatedTrial]) -> None:
         """Return None: no file is read."""
@@ -157,6 +165,7 @@ def write_dataset(
     seed: int,
     frame_format: FrameFormat = "exr",
     allow_clipping: bool = False,
+    scenery: Scenery | None = None,
     engine: Engine | None = None,
     store: Store | None = None,
     progress: Callable[[int], None] | None = None,
@@ -170,6 +179,8 @@ def write_dataset(
         from 0 cd/m² to `white_luminance_cd_m2`.
     allow_clipping : bool
         Whether more than 1 % of the pixels of a PNG dataset may be clipped.
+    scenery : Scenery, optional
+        Scenes behind the triangles. Default: an even background.
     engine : Engine, optional
         Default: this thread. The bytes written do not depend on it.
     store : Store, optional
@@ -184,14 +195,17 @@ def write_dataset(
     """
     (folder / "frames").mkdir(exist_ok=store is not None)
     white = white_luminance_cd_m2(sensor, [trial.level for trial in trials]) if frame_format == "png" else 1.0
+    if frame_format == "png" and scenery is not None:
+        gain = sensor.display.gain if sensor.photons is not None else 1.0
+        white += sensor.display.background_luminance_cd_m2 * gain * scenery.largest_contrast()
     tasks: list[list[SimulatedTrial]] = []
     for trial in trials:
         if not tasks or len(tasks[-1]) == TRIALS_PER_TASK or tasks[-1][0].size_detectors != trial.size_detectors:
             tasks.append([])
         tasks[-1].append(trial)
     for size in {task[0].size_detectors for task in tasks}:
-        Simulator(sensor, size, seed=seed)  # refuses a size before anything is drawn
-    work = SimulationWork(folder.resolve(), sensor, seed, frame_format, white)
+        Simulator(sensor, size, seed=seed, scenery=scenery)  # refuses a size before anything is drawn
+    work = SimulationWork(folder.resolve(), sensor, seed, frame_format, white, scenery)
     done: list[WrittenFrames | None] = [None] * len(tasks)
     for number, found in run_stored(work, tasks, engine=engine or LocalEngine(), store=store):
         if isinstance(found, Lost):
@@ -210,7 +224,8 @@ def write_dataset(
     rows = [row for one in written for row in one.rows]
     if store is not None:
         remove_others(folder, {row[0] for row in rows})
-    columns = ("frame", "orientation", "size_mrad", "size_detectors", sensor.level, "x_px", "y_px", "sha256")
+    columns = ["frame", "orientation", "size_mrad", "size_detectors", sensor.level, "x_px", "y_px"]
+    columns += [*(SCENE_COLUMNS if scenery is not None else ()), "sha256"]
     manifest = csv_text([columns, *rows], as_it_is=True)
     (folder / "manifest.csv").write_text(manifest, encoding="utf-8")
     (folder / "dataset.toml").write_text(_settings(sensor, white, seed), encoding="utf-8")

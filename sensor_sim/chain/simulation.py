@@ -6,7 +6,8 @@ Hogervorst et al. 2001, sections 3 and 5.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,8 +20,14 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.stimulus import ORIENTATIONS, Orientation
 
+if TYPE_CHECKING:
+    from sensor_sim.chain.scenery import Scenery
+
 # First element of the spawn keys of random streams.
 TRIAL_STREAMS, PATTERN_STREAM = 0, 1
+
+MOST_SCENES_HELD = 64
+"""Number of turned scenes whose samples are held."""
 
 LARGEST_SIDE_PX = 11_585
 """Largest side of square frames of two bytes a pixel that `todframes` reads: they take 256 MB."""
@@ -29,13 +36,16 @@ LARGEST_SIDE_PX = 11_585
 class SimulatedTrial(NamedTuple):
     """A presentation: size, level and orientation of the triangle. `key` seeds its random stream.
 
-    `level` is a signal-to-noise ratio, or a contrast for a camera that counts photons.
+    `level` is a signal-to-noise ratio, or a contrast for a camera that counts photons. `background` is the number
+    of the scene's window, and `turn` how it is turned; None: an even background.
     """
 
     key: tuple[int, int, int]
     size_detectors: float
     level: float
     orientation: Orientation
+    background: int | None = None
+    turn: str = ""
 
 
 class SimulatedFrame(NamedTuple):
@@ -74,6 +84,20 @@ def plan_trials(
     ]
 
 
+def plan_on_scenes(planned: Sequence[SimulatedTrial], scenery: Scenery) -> list[SimulatedTrial]:
+    """Return the same numbers of presentations of each size and level, on scenes in their turns."""
+    found = []
+    sizes: dict[float, dict[int, float]] = {}
+    for trial in planned:
+        sizes.setdefault(trial.size_detectors, {})[trial.key[1]] = trial.level
+    for i, (size, levels) in enumerate(sizes.items()):
+        trials = len(planned) // len(sizes) // len(levels)
+        for one in scenery.plan(size, len(levels), trials):
+            key = i, one.level, one.number
+            found.append(SimulatedTrial(key, size, levels[one.level], one.orientation, one.background, one.turn))
+    return found
+
+
 class Simulator:
     """Source of frames of one sensor for triangles of one size, in any order.
 
@@ -86,6 +110,8 @@ class Simulator:
     size_detectors : float
         √(area) of the triangle, > 0.
     seed : int
+    scenery : Scenery or None
+        Scenes behind the triangles; None: an even background.
 
     Raises
     ------
@@ -93,8 +119,12 @@ class Simulator:
         If the optics pass too little or too much for the field, or its frame has more pixels than may be read.
     """
 
-    def __init__(self, sensor: Sensor, size_detectors: float, *, seed: int) -> None:
+    def __init__(
+        self, sensor: Sensor, size_detectors: float, *, seed: int, scenery: Scenery | None = None
+    ) -> None:
         self.sensor = sensor
+        self.size_detectors, self.scenery = size_detectors, scenery
+        self._scene = lru_cache(maxsize=MOST_SCENES_HELD)(self._scene_signal)
         self.seed = seed
         self.field = field_detectors(sensor, size_detectors)
         per_detector = sensor.display.pixels_per_detector
@@ -128,6 +158,8 @@ class Simulator:
             for trial in trials
         ]
         places = np.array([rng.uniform(-0.5, 0.5, 2) for rng in rngs])
+        if self.scenery is not None:
+            places = np.array([self._scene(one.background, one.turn)[0] for one in trials])
         samples = np.empty((len(trials), self.field, self.field))
         for orientation in ORIENTATIONS:
             shown = [n for n, trial in enumerate(trials) if trial.orientation is orientation]
@@ -136,6 +168,9 @@ class Simulator:
         for trial, rng, sample in zip(trials, rngs, samples, strict=True):
             if self.camera is not None:
                 sample *= trial.level
+            if self.scenery is not None:
+                sample += self._scene(trial.background, trial.turn)[1]
+            if self.camera is not None:
                 if noise:
                     sample[:] = self.camera.contrast(sample, rng)
             elif noise:
@@ -143,3 +178,15 @@ class Simulator:
                     self.pattern, total_sd=1.0 / trial.level, noise=self.sensor.noise, rng=rng
                 )
         return places, samples
+
+    def _scene_signal(self, background: int, turn: str) -> tuple[tuple[float, float], FloatArray]:
+        """Return the place of a scene and its triangle on the detectors, and the scene in units of the signal.
+
+        Where levels are signal-to-noise ratios, the display shows the scene with its own contrast at any gain.
+        """
+        assert self.scenery is not None
+        contrast = self.scenery.contrast(
+            self.size_detectors, background, turn, field=self.field, matrix=self.matrix
+        )
+        unit = self.sensor.display.gain if self.camera is None else 1.0
+        return self.scenery.place(self.size_detectors, background, turn), contrast / unit

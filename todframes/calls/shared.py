@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import Json
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.base.locations import Location
 from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import inspect, records
+from todframes.diagnosis.scene_backgrounds import has_scenes
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset, dataset_warnings, load_dataset
 from todframes.frames.trials import Trial
@@ -87,6 +88,12 @@ def located(
     if not locate:
         return data, {}, lambda _: ()
     from todframes.diagnosis.locate import locate_triangles, location_warnings
+
+    if has_scenes(data.trials):
+        raise SettingsError(
+            f"{argument.locate}: the dataset has scenes, in which texture may look like a triangle; expected it "
+            "without, as their places are known"
+        )
 
     data, locations = locate_triangles(
         data,

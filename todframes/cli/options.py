@@ -329,8 +329,8 @@ def box(text: str, option: str) -> tuple[int, int, int, int]:
     return left, top, width, height
 
 
-def limits(text: str | None) -> tuple[float, float] | None:
-    """Return the two numbers of `--range LOW:HIGH`; None if it is not given.
+def limits(text: str | None, option: str = "--range") -> tuple[float, float] | None:
+    """Return the two numbers of an option LOW:HIGH; None if it is not given.
 
     Raises
     ------
@@ -342,5 +342,5 @@ def limits(text: str | None) -> tuple[float, float] | None:
     try:
         low, high = map(float, text.split(":"))
     except ValueError:
-        raise SettingsError(f"--range: found {text!r}, expected two numbers LOW:HIGH") from None
+        raise SettingsError(f"{option}: found {text!r}, expected two numbers LOW:HIGH") from None
     return low, high

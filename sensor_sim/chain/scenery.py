@@ -1,0 +1,176 @@
+"""Scenes in front of a sensor: windows of images, their turns, and their samples by the sensor's detectors.
+
+A scene passes optics and detectors as the triangle does. The triangle lies on the same spot of it in each turn,
+and both together are displaced against the detectors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sensor_sim.chain.reconstruction import display_position_px, display_signal
+from sensor_sim.chain.sampling import field_detectors, sample_image
+from sensor_sim.chain.sensor import Sensor
+from sensor_sim.chain.transfer import blur_mrad
+from todframes.backdrops.images import decoded_images, open_scenes
+from todframes.backdrops.views import (
+    TURNS,
+    Background,
+    Layout,
+    PlannedTrial,
+    balanced,
+    draw_windows,
+    local_luminance,
+    plan,
+    turned,
+    turned_place,
+)
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError, argument
+from todframes.display.display import Display
+from todframes.frames.files import PathLike
+from todframes.frames.trials import SceneView
+
+SCENE_STREAM = 2
+"""First element of the spawn keys of the random streams of scenes; those of trials and patterns have others."""
+
+MARGIN_DETECTORS = 4
+"""Detectors of a window beyond the field on each side, beside three standard deviations of the optics' blur."""
+
+MOST_PIXELS_PER_DETECTOR = 64
+"""Largest number of pixels of an image along a detector."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scenery:
+    """The backgrounds of a simulation, by size of the triangle, and their turns.
+
+    Attributes
+    ----------
+    sensor : Sensor
+    backgrounds : dict of float to tuple of Background
+        Windows of images for triangles of each size in detectors. Luminance is relative.
+    pixels_per_detector : float
+        Pixels of the images along a detector.
+    turns : tuple of str
+    seed : int
+    """
+
+    sensor: Sensor
+    backgrounds: dict[float, tuple[Background, ...]]
+    pixels_per_detector: float
+    turns: tuple[str, ...]
+    seed: int
+
+    @classmethod
+    def opened(
+        cls,
+        sensor: Sensor,
+        paths: PathLike | Sequence[PathLike],
+        sizes_detectors: Sequence[float],
+        *,
+        pixels_per_detector: float,
+        value_range: tuple[float, float] | None,
+        turns: int,
+        seed: int,
+        note: Callable[[str], None],
+    ) -> Scenery:
+        """Decode images and draw a window of each for each size.
+
+        Pictures are taken to be sRGB; with a range, values are proportional to light.
+
+        Raises
+        ------
+        DataError, FrameError
+            If an image cannot be read, is too small or saturated.
+        SettingsError
+            If a setting is out of range.
+        """
+        if not 1.0 <= pixels_per_detector <= MOST_PIXELS_PER_DETECTOR:
+            raise SettingsError(
+                f"{argument.background_pixels}: found {pixels_per_detector:g}, expected 1 to "
+                f"{MOST_PIXELS_PER_DETECTOR} pixels along a detector"
+            )
+        if turns not in (1, 4, 8):
+            raise SettingsError(f"{argument.turns}: found {turns!r}, expected 1, 4 or 8")
+        display = Display(
+            eotf="srgb" if value_range is None else "linear",
+            background_luminance_cd_m2="column",
+            pixel_pitch_mrad=1.0,
+        )
+        found: dict[float, tuple[Background, ...]] = dict.fromkeys(sizes_detectors, ())
+        margin = math.ceil(3.0 * blur_mrad(sensor.optics, sensor.motion) / sensor.detector.pitch_mrad)
+        for number, file in enumerate(open_scenes(paths, value_range=value_range, note=note)):
+            for image in decoded_images(file, display, frames=1):
+                for k, size in enumerate(sizes_detectors):
+                    side = field_detectors(sensor, size) + 2 * (margin + MARGIN_DETECTORS)
+                    reach = math.ceil(side * pixels_per_detector / 2.0)
+                    layout = Layout(size * pixels_per_detector, reach, 1, 0.0)
+                    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(SCENE_STREAM, number, k)))
+                    found[size] += tuple(draw_windows(image, layout, 1, rng, names_frame=False))
+        return cls(sensor, found, pixels_per_detector, TURNS[:turns], seed)
+
+    def plan(self, size_detectors: float, n_levels: int, trials: int) -> list[PlannedTrial]:
+        """Plan the trials of one size, level by level."""
+        return plan(len(self.backgrounds[size_detectors]), self.turns, n_levels, trials)
+
+    @property
+    def balanced(self) -> int:
+        """Number of trials of a size and level after which turns and orientations are balanced."""
+        return balanced(len(next(iter(self.backgrounds.values()))), self.turns)
+
+    def place(self, size_detectors: float, background: int, turn: str) -> tuple[float, float]:
+        """Return where triangle and scene are on the detectors, (x, y) from the middle of the field."""
+        number = list(self.backgrounds).index(size_detectors)
+        key = (SCENE_STREAM, background, number, 1)
+        x, y = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key)).uniform(-0.5, 0.5, 2)
+        return turned_place(float(x), float(y), turn)
+
+    def view(self, size_detectors: float, background: int, turn: str) -> SceneView:
+        """Return how the manifest names a background in a turn."""
+        return self.backgrounds[size_detectors][background].view(turn)
+
+    def contrast(
+        self, size_detectors: float, background: int, turn: str, *, field: int, matrix: FloatArray
+    ) -> FloatArray:
+        """Compute the contrast of a scene at the detectors, (field, field), without triangle and noise.
+
+        It refers to the local luminance: the mean, on the display, over the circle through the triangle's corners.
+
+        Parameters
+        ----------
+        field : int
+            Detectors along each side.
+        matrix : ndarray
+            Matrix of the display, of `axis_matrix`.
+        """
+        sensor, display = self.sensor, self.sensor.display
+        x, y = self.place(size_detectors, background, turn)
+        samples = sample_image(
+            turned(self.backgrounds[size_detectors][background].luminance_cd_m2, turn),
+            pixel_pitch_mrad=sensor.detector.pitch_mrad / self.pixels_per_detector,
+            optics=sensor.optics,
+            detector=sensor.detector,
+            field_detectors=field,
+            x_detectors=x,
+            y_detectors=y,
+            motion=sensor.motion,
+        )
+        x_px, y_px = (display_position_px(at, n_detectors=field, display=display) for at in (x, y))
+        size_px = size_detectors * display.pixels_per_detector
+        local = local_luminance(display_signal(samples, matrix), x_px, y_px, size_px)
+        return np.asarray(samples / local - 1.0)
+
+    def largest_contrast(self) -> float:
+        """Return the largest contrast of all scenes before the sensor blurs them."""
+        found = 0.0
+        for size, windows in self.backgrounds.items():
+            for one in windows:
+                middle = (len(one.luminance_cd_m2) - 1) / 2.0
+                local = local_luminance(one.luminance_cd_m2, middle, middle, size * self.pixels_per_detector)
+                found = max(found, float(one.luminance_cd_m2.max()) / local - 1.0)
+        return found

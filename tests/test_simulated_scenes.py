@@ -1,0 +1,167 @@
+"""Scenes in front of a simulated sensor: they pass it as the triangle does, and are turned with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_photons import CAMERA as PHOTON_CAMERA
+from test_scenes import textured
+
+import sensor_sim as ss
+import todframes as tod
+from sensor_sim.chain.photons import background_electrons
+from sensor_sim.chain.reconstruction import axis_matrix, display_signal
+from sensor_sim.chain.sampling import field_sampler, sample_image
+from sensor_sim.chain.scenery import Scenery
+from sensor_sim.chain.simulation import SimulatedTrial, Simulator
+from sensor_sim.cli import cli
+from todframes.cli.console import run
+from todframes.stimulus import ORIENTATIONS, Orientation
+
+CAMERA = ss.load_sensor("sample_frames/staring_camera.toml")
+SIZE, NO_NOISE = 4.0, 1e9
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("images")
+    for seed in range(3):
+        tod.write_frame(path / f"scene_{seed}.png", textured(150, seed, low=0.3))
+    return path
+
+
+@pytest.fixture(scope="module")
+def simulator(images: Path) -> Simulator:
+    scenery = Scenery.opened(
+        CAMERA, images, [SIZE], pixels_per_detector=2.0, value_range=None, turns=8, seed=3, note=print
+    )
+    return Simulator(CAMERA, SIZE, seed=1, scenery=scenery)
+
+
+def shown(simulator: Simulator, turn: str, orientation: Orientation, level: float = NO_NOISE) -> np.ndarray:
+    (frame,) = simulator.frames([SimulatedTrial((0, 0, 0), SIZE, level, orientation, 1, turn)])
+    return frame.luminance_cd_m2
+
+
+def test_triangles_are_added_as_on_an_even_field(simulator: Simulator) -> None:
+    """Two orientations on one scene differ as on an even field at the same place."""
+    x, y = simulator.scenery.place(SIZE, 1, "r90")
+    up, left = (
+        field_sampler(CAMERA, SIZE).samples(x, y, orientation=one)[0] for one in (Orientation.UP, Orientation.LEFT)
+    )
+    display = CAMERA.display
+    matrix = axis_matrix(simulator.field, display=display, electronics=CAMERA.electronics)
+    alone = display.background_luminance_cd_m2 * display.gain * display_signal(up - left, matrix)
+    differ = shown(simulator, "r90", Orientation.UP) - shown(simulator, "r90", Orientation.LEFT)
+    # The noise of an SNR of 1e9 is 50 cd/m² · 1e-9, and rounding less.
+    assert np.abs(differ - alone).max() < 1e-6
+
+
+def test_local_luminance_on_the_display_is_its_background(simulator: Simulator) -> None:
+    """The mean over the circle through the corners, on a fine grid, without the triangle."""
+    display = CAMERA.display
+    (frame,) = simulator.frames([SimulatedTrial((0, 0, 0), SIZE, NO_NOISE, Orientation.UP, 1, "m0")])
+    x, y = simulator.scenery.place(SIZE, 1, "m0")
+    triangle = display_signal(
+        field_sampler(CAMERA, SIZE).samples(x, y, orientation=Orientation.UP)[0], simulator.matrix
+    )
+    scene = frame.luminance_cd_m2 - display.background_luminance_cd_m2 * display.gain * triangle
+    side, radius = len(scene), 2.0 / 3.0 * 3.0**0.25 * SIZE * display.pixels_per_detector
+    fine = (np.arange(6 * side) + 0.5) / 6.0 - 0.5
+    inside = np.hypot(fine[:, None] - frame.y_px, fine - frame.x_px) <= radius
+    local = np.repeat(np.repeat(scene, 6, axis=0), 6, axis=1)[inside].mean()
+    # Shares of pixels at the circle are taken along the radius: 1e-3 of the texture's contrast of 0.3.
+    assert local == pytest.approx(display.background_luminance_cd_m2, rel=1e-3)
+    assert scene.std() > 0.05 * display.background_luminance_cd_m2
+
+
+def test_the_scene_passes_optics_and_detectors(simulator: Simulator) -> None:
+    """Samples of the window by `sample_image`, itself held against other computations, without the triangle."""
+    window = simulator.scenery.backgrounds[SIZE][1].luminance_cd_m2
+    x, y = simulator.scenery.place(SIZE, 1, "r0")
+    samples = sample_image(
+        window,
+        pixel_pitch_mrad=CAMERA.detector.pitch_mrad / 2.0,
+        optics=CAMERA.optics,
+        detector=CAMERA.detector,
+        field_detectors=simulator.field,
+        x_detectors=x,
+        y_detectors=y,
+        motion=CAMERA.motion,
+    )
+    found = simulator.scenery.contrast(SIZE, 1, "r0", field=simulator.field, matrix=simulator.matrix) + 1.0
+    assert found == pytest.approx(samples * (found[0, 0] / samples[0, 0]), rel=1e-12)
+    assert samples.std() > 0.05 * samples.mean()
+
+
+@pytest.mark.parametrize("turn", ["r90", "r180", "r270"])
+def test_a_turned_scene_with_its_triangle_is_the_frame_turned(simulator: Simulator, turn: str) -> None:
+    quarters = int(turn[1:]) // 90
+    upright = shown(simulator, "r0", Orientation.UP)
+    found = shown(simulator, turn, ORIENTATIONS[quarters])
+    # Of noise that is left, 50 cd/m² · 1e-9, and of sums in another order.
+    assert np.abs(np.rot90(upright, -quarters) - found).max() < 1e-6
+
+
+def test_noise_of_photons_follows_the_scene(images: Path, tmp_path: Path) -> None:
+    """Where the scene is brighter, frames vary more: as the electrons of light and of dark do."""
+    path = tmp_path / "sensor.toml"
+    path.write_text(PHOTON_CAMERA, encoding="utf-8")
+    sensor = ss.load_sensor(path)
+    scenery = Scenery.opened(
+        sensor, images, [SIZE], pixels_per_detector=2.0, value_range=None, turns=1, seed=3, note=print
+    )
+    simulator = Simulator(sensor, SIZE, seed=1, scenery=scenery)
+    trials = [SimulatedTrial((0, 0, n), SIZE, 1e-6, Orientation.UP, 0, "r0") for n in range(300)]
+    _, samples = simulator.samples(trials)
+    scene = scenery.contrast(SIZE, 0, "r0", field=simulator.field, matrix=simulator.matrix)
+    electrons = background_electrons(sensor)
+    bright, dark = scene > np.quantile(scene, 0.7), scene < np.quantile(scene, 0.3)
+    variance = samples.var(axis=0, ddof=1)
+    ratio = variance[bright].mean() / variance[dark].mean()
+    # Dark noise 2.5, dark current 100 /s for 10 ms, and rounding to 1/0.4 electrons.
+    in_dark = 2.5**2 + 1.0 + (1.0 / 0.4) ** 2 / 12.0
+    light = [electrons * (1.0 + scene[part].mean()) + in_dark for part in (bright, dark)]
+    # 120 pixels of 300 frames a side: standard error √(2 / 36,000) · √2 = 1 %; 4 of them.
+    assert ratio == pytest.approx(light[0] / light[1], rel=0.04) and light[0] > 1.2 * light[1]
+
+
+def test_simulated_scenes_have_no_false_warning(images: Path, tmp_path: Path, capsys) -> None:
+    asked = [
+        "simulate",
+        "sample_frames/staring_camera.toml",
+        "--size-detectors",
+        "4",
+        "--snr",
+        "2,8",
+        "--trials",
+        "24",
+    ]
+    out = tmp_path / "out"
+    assert run(cli, [*asked, "--background", str(images), "-o", str(out)]) == 0
+    assert "note" not in capsys.readouterr().err
+    data = tod.load_dataset(out)
+    assert {data.trials.views[code].scene for code in data.trials.view_codes} == {"scene_0", "scene_1", "scene_2"}
+    assert len({data.trials.views[code] for code in data.trials.view_codes}) == 24
+    result = tod.validate(out)
+    assert result.warnings == () and result.skipped == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"background": "nowhere.png"}, "nowhere.png: found no file"),
+        ({"background_pixels": 0.5}, "background_pixels: found 0.5, expected 1 to 64 pixels along a detector"),
+        ({"background_pixels": 20.0}, "found 150 × 150 pixels, expected at least"),
+        ({"turns": 3}, "turns: found 3, expected 1, 4 or 8"),
+        ({"stages": True}, "stages: found it with background, expected one of the two"),
+    ],
+)
+def test_what_scenes_cannot_be_is_one_line(images: Path, tmp_path: Path, changes, message) -> None:
+    asked = {"background": images, "size_detectors": [4.0], "snr": [4.0], "trials": 8} | changes
+    with pytest.raises(tod.TodframesError, match=message):
+        ss.simulate(replace(CAMERA), out=tmp_path / "out", **asked)
+    assert not (tmp_path / "out").exists()
