@@ -37,13 +37,16 @@ from todframes.display.display_files import DisplayDescription, find_display, ta
 from todframes.frames.dataset import Experiment
 from todframes.frames.files import MAX_FRAME_MB, PathLike, write_frame
 from todframes.importing.windows import field_reach_px
-from todframes.stimulus import coverage
+from todframes.stimulus import Orientation, coverage
 
 LEAST_TRIALS = 40
 """Least number of trials of each size and contrast, if none is asked for."""
 
 PLACE_STEP_SIZES = 2.5
 """Distance of neighbouring places in sizes of the triangle, if none is asked for."""
+
+FINER = 4
+"""Points along a pixel at which a triangle is blurred."""
 
 WINDOW_STREAM, VIEW_STREAM = 0, 1
 """First elements of the spawn keys of random streams."""
@@ -379,6 +382,26 @@ class _OwnOrientation(NamedTuple):
         ]
 
 
+def _shown_triangle(
+    side: int, size_px: float, view: _View, orientation: Orientation, *, blur_px: float
+) -> FloatArray:
+    """Return the share of each pixel of a frame that a triangle covers, after a Gaussian blur of the scene."""
+    if not blur_px:
+        return coverage((side, side), size_px=size_px, x_px=view.x_px, y_px=view.y_px, orientation=orientation)
+    from scipy.ndimage import gaussian_filter
+
+    # Blurred on pixels, a triangle would be sampled before the blur, and narrow kernels would be narrower.
+    fine = coverage(
+        (FINER * side, FINER * side),
+        size_px=FINER * size_px,
+        x_px=FINER * (view.x_px + 0.5) - 0.5,
+        y_px=FINER * (view.y_px + 0.5) - 0.5,
+        orientation=orientation,
+    )
+    blurred = gaussian_filter(fine, FINER * blur_px, mode="constant", truncate=6.0)
+    return np.asarray(blurred.reshape(side, FINER, side, FINER).mean(axis=(1, 3)))
+
+
 class _Written:
     """The rows of the manifest and of scenes.csv."""
 
@@ -419,17 +442,9 @@ class _SeenViews:
         """Write a frame; return its row of the manifest."""
         background, (key, view) = self.backgrounds[trial.background], self._key(trial)
         scene, local = self._scene(*key)
-        triangle = coverage(
-            (scene.shape[0], scene.shape[1]),
-            size_px=self.layout.size_px,
-            x_px=view.x_px,
-            y_px=view.y_px,
-            orientation=trial.orientation,
+        triangle = _shown_triangle(
+            len(scene), self.layout.size_px, view, trial.orientation, blur_px=self.stage.blur_px
         )
-        if self.stage.blur_px:
-            from scipy.ndimage import gaussian_filter
-
-            triangle = gaussian_filter(triangle, self.stage.blur_px, mode="constant", truncate=6.0)
         luminance = scene + self.stage.polarity * contrast * local * triangle
         self._check(luminance, scene, local, triangle, contrast, background, trial.turn)
         name = f"frames/s{size_mrad:g}_c{contrast:g}_{trial.orientation}_{trial.number}.png"

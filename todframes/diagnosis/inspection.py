@@ -21,6 +21,7 @@ from todframes.diagnosis.limits import (
     LEAST_SAMPLED,
     LEAST_SIGNAL,
     LEAST_SIZE,
+    MOST_BLUR_PER_SIZE,
     MOST_SAMPLED,
     OFF_LEVEL,
     SAMPLED,
@@ -463,6 +464,8 @@ def _of_triangle(
     amplitude = abs(shape.amplitude)
     # A triangle that is cut off by the edge of some frames has a place, but no sure size and contrast.
     is_whole = bool(known[within(len(known), WHOLE_IN_SIZES * size)].all())
+    # Where levels do not tell a scene from its triangles, only their differences are known: little, if blurred.
+    is_whole &= images.has_triangle or shape.variance <= (MOST_BLUR_PER_SIZE * size) ** 2
     seen = polarity * np.array([sample.seen for sample in samples])
     measured: dict[str, Any] = {
         "contrast_slope": shape.amplitude,

@@ -69,8 +69,12 @@ SAMPLED, SAMPLED_SHARE = 96, 0.04
 """Number of frames that are measured in all, and their share of the frames if that is more."""
 
 VIEWED_TIMES, MOST_OF_VIEW = 3, 8
-"""Number of trials with scenes that are measured, in those on even backgrounds, and most of one background: with
-eight, its error adds an eighth to the variance of the noise."""
+"""Number of trials with scenes that are measured, in those on even backgrounds, and of those of one background if
+there are many: with eight, its error adds an eighth to the variance of the noise."""
+
+MOST_BLUR_PER_SIZE = 0.22
+"""Largest blur, in sizes, at which contrast and size are judged by the differences of orientations alone: from
+0.29 on, fits of blurred triangles of 4 pixels end with contrasts off by half, and sizes off by a tenth."""
 
 LEAST_SCENES = 4
 """Least number of scenes whose mean tells what all frames share, such as dirt, from what a scene shows."""

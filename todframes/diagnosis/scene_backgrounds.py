@@ -45,12 +45,13 @@ def whole_views(trials: Trials, strength: FloatArray, most: int) -> NDArray[np.i
     for members in indices_by(trials.view_codes):
         turns, levels = trials.quarter_turns[members], strength[members]
         if np.unique([turns, levels], axis=1).shape[1] > 1:
-            ordered = members[np.lexsort([turns, levels])]
-            usable.append(ordered[_evenly(len(ordered), MOST_OF_VIEW)])
+            usable.append(members[np.lexsort([turns, levels])])
     if not usable:
         return np.zeros(0, np.intp)
-    n_views = int(most * VIEWED_TIMES / np.mean([len(one) for one in usable]))
-    return np.concatenate([usable[k] for k in _evenly(len(usable), max(n_views, 1))])
+    of_each = max(MOST_OF_VIEW, most * VIEWED_TIMES // len(usable))
+    chosen = [ordered[_evenly(len(ordered), of_each)] for ordered in usable]
+    n_views = int(most * VIEWED_TIMES / np.mean([len(one) for one in chosen]))
+    return np.concatenate([chosen[k] for k in _evenly(len(chosen), max(n_views, 1))])
 
 
 def _evenly(n: int, most: int) -> NDArray[np.intp]:
@@ -113,18 +114,19 @@ class SceneParts(NamedTuple):
         turns: NDArray[np.intp],
         view: NDArray[np.intp],
     ) -> SceneParts:
-        """Separate windows by the triangle that was fitted to them."""
+        """Separate windows by the mean triangles, or by the fitted one if only their differences are known."""
         assert images.of_view is not None
-        pictures = found.picture.images[np.array(found.shown)[turns]] * level[:, None, None]
-        left = windows.copy()
-        _subtract_each(left, pictures, found)
+        triangles = images.triangles
+        if not images.has_triangle:
+            triangles = np.zeros_like(images.triangles)
+            subtract(triangles, -found.picture.images[list(found.shown)], found.square)
+        shown = level[:, None, None] * triangles[turns]
+        left = windows - shown
         backgrounds = np.tensordot(images.of_view, left, 1)
         left -= backgrounds[view]
         counts = np.bincount(view)[view].astype(np.float64)
         left *= np.sqrt(counts / np.maximum(counts - 1.0, 0.5))[:, None, None]  # the mean has taken a part of it
-        even = left.copy()
-        _subtract_each(even, -pictures, found)
-        return cls(view, backgrounds, even, left)
+        return cls(view, backgrounds, shown + left, left)
 
     def on_even_field(
         self, samples: Sequence[TrialSample], polarity: int, size: float, *, keeps_ring: bool
@@ -162,11 +164,6 @@ class SceneParts(NamedTuple):
 def scene_names(samples: Sequence[TrialSample]) -> list[str]:
     """Return the name of the scene of each window; empty for an even background."""
     return ["" if one.trial.view is None else one.trial.view.scene for one in samples]
-
-
-def _subtract_each(windows: FloatArray, pictures: FloatArray, found: TriangleFit) -> None:
-    for window, picture in zip(windows, pictures, strict=True):
-        subtract(window, picture, found.square)
 
 
 def _circle(n: int, radius: float, x: float, y: float) -> FloatArray:

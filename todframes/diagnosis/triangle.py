@@ -284,7 +284,7 @@ class Images(NamedTuple):
     def has_triangle(self) -> bool:
         """Whether the mean of the orientations is known, and not their differences alone."""
         counts = np.diag(self.information)
-        return bool(self.information.sum() > 1e-3 * counts.sum())
+        return self.of_view is None or bool(self.information.sum() > 1e-3 * counts.sum())
 
 
 class TriangleFit(NamedTuple):
@@ -503,7 +503,8 @@ class TrialEstimates(NamedTuple):
     error : ndarray, shape (trial, 4)
         Standard errors of these.
     likeness, likeness_error : ndarray, shapes (trial, 4) and (trial,)
-        Product of each trial, without its background, with the differences of the orientations; its noise.
+        Product of each trial, without its background, with the differences of the orientations, less what these
+        differ in energy; its noise.
     spectrum : ndarray, shape (length, length/2 + 1)
         Power spectrum of the noise, in units of the trials' noise.
     """
@@ -543,10 +544,15 @@ def of_trials(
     shaped = steps.reshape(4, 4, found.square.side, -1)
     errors = np.sqrt(filter_variances(shaped, spectrum))
     likeness_error = math.sqrt(float(filter_variances(differ, spectrum).mean()))
+    likeness = cut.reshape(len(frames), -1) @ differ.reshape(4, -1).T
+    # A stretched triangle has more energy in some orientations, which is not likeness: half of it counts, as in a
+    # sum of squares.
+    energy = (np.square(found.picture.images) * weight).sum(axis=(1, 2))
+    likeness -= (energy - energy.mean()) / 2.0
     return TrialEstimates(
         np.einsum("kpi,ki->kp", steps[shown], left),
         errors[shown] * relative[:, None],
-        cut.reshape(len(frames), -1) @ differ.reshape(4, -1).T,
+        likeness,
         likeness_error * relative,
         spectrum,
     )

@@ -503,6 +503,7 @@ class Example(Struct, frozen=True, kw_only=True, omit_defaults=True):
     p_correct: float | None = None
     frame: str | None = None
     n_frames: int | None = None
+    scene: str | None = None
     width_mrad: float | None = NULL
     pictures: tuple[Thumbnail, ...]
 

@@ -11,6 +11,7 @@ from functools import partial
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.diagnosis.whole_frames import block_means
@@ -31,6 +32,9 @@ from todframes.stimulus import Stimulus, vertices
 
 MOST_EXAMPLES = 4
 
+MOST_SCENES = 8
+"""Largest number of scenes of a group of which a trial is drawn."""
+
 MOST_WITHOUT = 60
 """Largest number of groups without a threshold whose strongest trial is drawn."""
 
@@ -44,6 +48,8 @@ OUTLINE_BGR = (0, 128, 255)
 def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tuple[Example, ...]:
     """Draw the trial nearest to threshold of up to `MOST_EXAMPLES` groups, and the strongest where there is none.
 
+    On scenes it is one of each scene of a group, up to `MOST_SCENES`.
+
     Raises
     ------
     FrameError
@@ -51,8 +57,8 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tup
     """
     known = [one for one in scored.fits if one.fit.threshold is not None]
     found = []
-    for one in evenly(known, MOST_EXAMPLES):
-        place = nearest_trial(scored, one)
+    drawn_places = [place for one in evenly(known, MOST_EXAMPLES) for place in _nearest_trials(scored, one)]
+    for place in drawn_places:
         trial = scored.trials[place]
         # The displacement is NaN if the trial was seen at several displacements.
         dx, dy = np.nan_to_num(scored.displacement_samples[place]).tolist()
@@ -126,17 +132,30 @@ def _example(
         p_correct=p_correct,
         frame=trial.frames[0].path,
         n_frames=len(trial.frames),
+        scene=None if trial.view is None else " ".join(filter(None, trial.view[:2])),
         width_mrad=width_mrad,
         pictures=drawn,
     )
 
 
-def nearest_trial(scored: ScoredDataset, one: GroupFit) -> int:
-    """Return the trial's index: level nearest to threshold, and of those P(correct) nearest to the criterion."""
+def _nearest_trials(scored: ScoredDataset, one: GroupFit) -> list[int]:
+    """Return the index of the trial nearest to threshold, or on scenes that of each scene."""
+    trials = scored.trials
+    names = np.array(["" if view is None else view.scene for view in trials.views])[trials.view_codes]
+    members = trials.indices_of_group(one.group)
+    of_scenes = [members[names[members] == name] for name in dict.fromkeys(names[members].tolist())]
+    return [nearest_trial(scored, one, of_scene) for of_scene in evenly(of_scenes, MOST_SCENES)]
+
+
+def nearest_trial(scored: ScoredDataset, one: GroupFit, places: NDArray[np.intp] | None = None) -> int:
+    """Return the trial's index: level nearest to threshold, and of those P(correct) nearest to the criterion.
+
+    `places` are the indices to choose from, by default all of the group.
+    """
     threshold, criterion = one.fit.threshold, one.fit.p_correct
     assert threshold is not None
     trials = scored.trials
-    places = trials.indices_of_group(one.group)
+    places = trials.indices_of_group(one.group) if places is None else places
     from_threshold = np.abs(np.log(trials.levels[places] / threshold))
     from_criterion = np.abs(scored.p_correct[places] - criterion)
     return int(places[np.lexsort([from_criterion, from_threshold])[0]])

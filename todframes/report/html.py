@@ -157,6 +157,7 @@ def _about_example(one: Example) -> str:
         f"P(correct) {plain(one.p_correct, 2)}" if one.p_correct is not None else "",
         f"{plain(one.width_mrad)} mrad wide" if one.width_mrad is not None else "",
         f"mean of {one.n_frames} frames" if (one.n_frames or 1) > 1 else "",
+        f"scene {one.scene}" if one.scene else "",
         one.frame or "",
     ]
     return ", ".join(part for part in parts if part)
