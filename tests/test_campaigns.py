@@ -66,6 +66,21 @@ def test_slanted_edges() -> None:
     assert "1 edges: the band holds 9" in process.stdout
 
 
+@pytest.mark.parametrize(
+    ("part", "n", "end"), [("clean", 8, "0 of 8 good datasets have a warning"), ("hostile", 30, "0 faults")]
+)
+def test_triangles_on_scenes(part: str, n: int, end: str) -> None:
+    process = subprocess.run(
+        [sys.executable, RUN.with_name("backdrops.py"), part, str(n), "--seed", "2"],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+        check=False,
+    )
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert end in process.stdout
+
+
 def test_servers() -> None:
     assert "3 cases, 0 faults" in campaign("servers", "--only", "moved on the same")
 
