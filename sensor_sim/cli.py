@@ -344,15 +344,25 @@ def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
 
 @cli.command()
 @sensor_argument
+@observer_options
 @launch_options
-def explore(*, sensor: Path, host: str, port: int, no_browser: bool) -> None:
+def explore(*, sensor: Path, no_browser: bool, **asked: Any) -> None:
     """Open a page in the browser on which the sensor's parameters move, and its TOD curve with them.
 
     A server on this machine computes the numbers, and sends nothing elsewhere. Ctrl-C ends it.
     """
+    observer, fit = make_observer(asked, fitted=False)
     import sensor_sim as ss
 
-    ss.explore(sensor, host=host, port=port, open_browser=not no_browser, tell=echo, warn=say)
+    ss.explore(
+        sensor,
+        observer=observer,
+        p_correct=fit.p_correct,
+        open_browser=not no_browser,
+        tell=echo,
+        warn=say,
+        **asked,
+    )
 
 
 @cli.command()

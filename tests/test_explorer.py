@@ -12,12 +12,15 @@ import socket
 import subprocess
 import sys
 import time
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from types import NoneType
+from typing import Any, get_type_hints
 from xml.etree import ElementTree
 
 import numpy as np
@@ -27,13 +30,13 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 import sensor_sim as ss
-from sensor_sim.chain.sensor import TABLES, Distribution, sensor_settings, sensor_toml
+from sensor_sim.chain.sensor import NOISE_MODELS, TABLES, sensor_from, sensor_settings, sensor_toml
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.cli import cli
 from sensor_sim.explorer import routes
 from sensor_sim.explorer.limits import Shares
 from sensor_sim.explorer.live import LiveCurve, LiveCurves
-from sensor_sim.explorer.parameters import PARAMETERS
+from sensor_sim.explorer.parameters import SLIDERS, observer_fields, sensor_fields
 from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves, mtf_plot
 from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
 from sensor_sim.explorer.scaled import unit_of
@@ -43,6 +46,8 @@ from sensor_sim.sweeps.designs import numeric_keys
 from sensor_sim.thresholds.predict import PredictedThreshold
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
+from todframes.observers.csf import CsfObserver, CsfSettings
+from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.stimulus import ORIENTATIONS
 from todframes.web import server
@@ -56,37 +61,96 @@ TABLES_SENT = sensor_settings(SENSOR)
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
-def test_every_parameter_of_a_sensor_is_there_once():
-    used = sensor_settings(SENSOR)
-    of_sensor = [f"{table}.{key}" for table in TABLES if table in used for key in used[table]]
-    assert Counter(one.key for one in PARAMETERS) == Counter([*of_sensor, "observer.internal_noise"])
+PHOTON = sensor_from(
+    tomllib.loads(ss.new_sensor(preset="emva_basler", focal_length_mm=25, f_number=2.8, pitch_um=3.45)), "photon"
+)
+THERMAL = sensor_from(
+    tomllib.loads(ss.new_sensor(thermal=True, netd_mk=50, pitch_um=12, f_number=1.0, focal_length_mm=35)),
+    "thermal",
+)
+PARAMETERS = (*sensor_fields(), *observer_fields(PyramidSettings))
+OBSERVERS_PARAMETERS = (*observer_fields(PyramidSettings), *observer_fields(CsfSettings))
 
 
-@pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda one: one.key)
-def test_a_parameter_takes_what_its_setting_takes(parameter):
+@pytest.mark.parametrize("sensor", [SENSOR, PHOTON, THERMAL], ids=lambda one: one.name)
+def test_every_key_of_a_sensor_has_one_field(sensor):
+    keys = Counter(one.key for one in PARAMETERS)
+    assert set(keys.values()) == {1}
+    settings = sensor_settings(sensor)
+    of_sensor = {f"{table}.{key}" for table in TABLES if table in settings for key in settings[table]}
+    # The model of the noise is not changed by a field, and the coupling is a switch of the page.
+    assert of_sensor - keys.keys() <= {"noise.model", "noise.couple_netd"}
+    assert numeric_keys(sensor, NoneType).keys() - {"detector.fill_factor"} <= keys.keys()
+
+
+@pytest.mark.parametrize("parameter", [*sensor_fields(), *OBSERVERS_PARAMETERS], ids=lambda one: one.key)
+def test_a_slider_has_values_that_its_setting_takes(parameter):
+    """Also those of settings that a later version has: label, unit and slider follow from name and type."""
     table, name = parameter.key.split(".")
-    kind = PyramidSettings if table == "observer" else TABLES[table]
-    hint = get_type_hints(kind)[name]
+    kinds = [TABLES[table], *(NOISE_MODELS.values() if table == "noise" else ())] if table in TABLES else []
+    kind = next((one for one in kinds if name in get_type_hints(one)), None)
+    if table == "observer":
+        kind = PyramidSettings if name == "internal_noise" else CsfSettings
     assert parameter.label and parameter.help.endswith(".")
-    assert parameter.optional == (type(None) in get_args(hint))
-    if parameter.kind == "choice":
-        assert parameter.choices == get_args(Distribution)
+    assert parameter.label[0].isupper() or parameter.label == "f-number"
+    if parameter.kind not in ("number", "integer"):
         return
-    assert (parameter.kind == "integer") == numeric_keys(SENSOR, PyramidSettings)[parameter.key]
-    assert (parameter.unit == "mm") == name.endswith("_mm") and (parameter.unit == "mrad") == name.endswith(
-        "_mrad"
+    endings = {"mm": "_mm", "mrad": "_mrad", "µm": "_um", "cd/m²": "_cd_m2", "e⁻": "_electrons", "mK": "_mk"}
+    assert [unit for unit, ending in endings.items() if name.endswith(ending)] == [parameter.unit] * (
+        parameter.unit in endings
     )
+    assert parameter.min < parameter.max and parameter.step > 0
     assert parameter.scale == "linear" or parameter.min > 0.0
-    values = {} if table == "observer" else asdict(getattr(SENSOR, table))
-    for value in (parameter.min, parameter.max):
-        settings = values | {name: value}
-        if name == "pitch_mrad":
-            settings["width_mrad"] = value
-        if name != "width_mrad" or value <= settings["pitch_mrad"]:
-            kind(**settings)
-    for sensor in routes.presets().values():
-        value = 0.5 if table == "observer" else getattr(getattr(sensor, table), name)
-        assert (value is None and parameter.optional) or parameter.min <= value <= parameter.max
+    for limits in getattr(get_type_hints(kind, include_extras=True)[name], "__metadata__", ()):
+        assert limits.ge is None or limits.ge <= parameter.min
+        assert limits.le is None or parameter.max <= limits.le
+
+
+def test_the_ends_of_sliders_are_those_of_keys_that_are_there():
+    known = {one.key for one in (*sensor_fields(), *OBSERVERS_PARAMETERS)}
+    assert SLIDERS.keys() <= known
+
+
+@pytest.mark.parametrize("sensor", [SENSOR, PHOTON, THERMAL, *routes.presets().values()], ids=lambda one: one.name)
+def test_the_values_of_sensors_are_on_their_sliders(sensor):
+    settings = sensor_settings(sensor)
+    for one in sensor_fields():
+        table, name = one.key.split(".")
+        value = settings.get(table, {}).get(name)
+        if value is not None and one.min is not None:
+            assert one.min <= value <= one.max, one.key
+
+
+def test_a_link_or_a_request_reads_no_file(tmp_path):
+    """The server knows the files of its own sensor; no other name makes it read one."""
+    (tmp_path / "mtf.csv").write_text("frequency_cyc_per_mrad,mtf\n0,1\n5,0.4\n10,0\n")
+    text = sensor_toml(replace(SENSOR, optics=replace(SENSOR.optics, blur_sigma_mrad=0.0)))
+    text = text.replace("[optics]\n", '[optics]\nmtf = "mtf.csv"\n').replace("blur_sigma_mrad = 0.0\n", "")
+    (tmp_path / "mine.toml").write_text(text)
+    sensor = ss.load_sensor(tmp_path / "mine.toml")
+    explorer, tables = Explorer(sensor), sensor_settings(sensor)
+    assert explorer.made(SensorAsked(tables)) == sensor
+    written = explorer.written(TomlAsked(tables, None))
+    assert written["beside"] == ["mtf.csv"] and written["text"] == sensor_toml(sensor)
+    for name in (str(tmp_path / "mtf.csv"), "../mtf.csv", "other.csv"):
+        with pytest.raises(
+            SettingsError, match=r"mtf: found '.*', a file that cannot be read from here; give the"
+        ):
+            explorer.made(SensorAsked(tables | {"optics": tables["optics"] | {"mtf": name}}))
+    with pytest.raises(SettingsError, match=r"^mine\.toml: \[optics\]: mtf: found 'mtf\.csv', a file that cannot"):
+        routes.read(TextAsked(text, "mine.toml"))
+    (tmp_path / "mtf.csv").write_text("frequency_cyc_per_mrad,mtf\n0,1\n5,0.3\n10,0\n")
+    assert Explorer(ss.load_sensor(tmp_path / "mine.toml")).start()["measured"] != explorer.start()["measured"]
+
+
+def test_a_camera_that_counts_photons_has_thresholds_in_contrast():
+    explorer = Explorer(PHOTON)
+    explorer._live = FakeCurves()
+    (line,) = explorer.curve(asked(1, sensor=sensor_settings(PHOTON), level="snr"), lambda: True)
+    assert explorer._live.levels == ["snr"]  # with the noise of its detectors
+    reached, _ = line["thresholds"]
+    assert line["level"] == "contrast"
+    assert (reached["contrast"], reached["contrast_error"], reached["snr"]) == (2.0, 0.04, None)
 
 
 def test_the_sample_sensors_are_among_the_presets():
@@ -163,24 +227,24 @@ def test_the_file_of_a_sensor_gives_the_same_sensor(name, netd_mk, aperture_mm):
     )
     text = sensor_toml(sensor)
     assert routes.read(TextAsked(text)) == {"sensor": sensor_settings(sensor)}
-    assert SensorAsked(sensor_settings(sensor)).made() == sensor
+    assert Explorer(sensor).made(SensorAsked(sensor_settings(sensor))) == sensor
 
 
 @pytest.mark.parametrize(
     "name", ["</script><script>alert(1)</script>", "../../etc/passwd", "a; rm -rf ~", "$(reboot)", "", "é 波"]
 )
 def test_a_strange_name_is_harmless_in_files_and_commands(name):
-    made = routes.written(TomlAsked(sensor_settings(replace(SENSOR, name=name)), [4.0]))
+    made = Explorer(SENSOR).written(TomlAsked(sensor_settings(replace(SENSOR, name=name)), [4.0]))
     assert re.fullmatch(r"[\w-]+\.toml", made["file"])
     program, _, file, *_ = shlex.split(made["command"])
     assert (program, file) == ("sensor-sim", made["file"])
     assert not re.search(r"[;$`&|<>]", made["command"])
-    assert routes.written(TomlAsked(TABLES_SENT, None))["command"] is None  # the sizes are being chosen
+    assert Explorer(SENSOR).written(TomlAsked(TABLES_SENT, None))["command"] is None  # the sizes are being chosen
 
 
 def test_the_command_computes_what_the_page_shows(tmp_path, monkeypatch):
     shown = TomlAsked(TABLES_SENT, [2.5, 4.0], {"internal_noise": 0.35}, p_correct=0.8)
-    made = routes.written(shown)
+    made = Explorer(SENSOR).written(shown)
     (tmp_path / made["file"]).write_text(made["text"], encoding="utf-8")
     asked: dict[str, Any] = {}
 
@@ -194,6 +258,43 @@ def test_the_command_computes_what_the_page_shows(tmp_path, monkeypatch):
     assert asked["sensor"] == SENSOR
     assert (asked["size_detectors"], asked["p_correct"]) == ([2.5, 4.0], 0.8)
     assert asked["observer"].settings == PyramidSettings(internal_noise=0.35)
+
+
+def test_the_command_names_the_observer_and_its_settings():
+    explorer = Explorer(SENSOR, CsfObserver(aperture_sd_deg=0.5), p_correct=0.8)
+    start = explorer.start()
+    assert start["observer"] == {"efficiency": 1.0, "luminance_cd_m2": 30.0} and start["p_correct"] == 0.8
+    made = explorer.written(TomlAsked(TABLES_SENT, [4.0], {"efficiency": 0.5, "luminance_cd_m2": 30.0}))
+    words = shlex.split(made["command"])
+    assert words[words.index("--observer") + 1] == "csf"
+    assert [two for one, two in pairwise(words) if one == "--set"] == ["aperture_sd_deg=0.5", "efficiency=0.5"]
+    assert explorer.observed_by({"efficiency": 0.5}).settings == CsfSettings(aperture_sd_deg=0.5, efficiency=0.5)
+    given_by_sd = Explorer(SENSOR, PyramidObserver(internal_noise_sd=0.1))
+    assert given_by_sd.start()["observer"] == {}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--observer", "oriented", "--set", "complex_cells=true"], "observer: it is not linear; no curve"),
+        (["--observer", "no_such"], "observer: unknown key 'no_such'"),
+        (["--observer", "pyramid,csf"], "observer: found 'pyramid,csf', expected a single one here"),
+        (["--observer", "csf", "--internal-noise", "0.5"], "settings: unknown key 'internal_noise'"),
+        (["--p-correct", "0.2"], "settings: p_correct: found 0.2"),
+    ],
+)
+def test_an_observer_that_cannot_be_explored_is_one_line(capsys, options, message):
+    assert run(cli, ["explore", str(CAMERA), "--no-browser", *options]) == 2
+    (line,) = lines(capsys)
+    assert line.startswith(f"error: {message}")
+
+
+def test_an_observer_that_no_process_can_get_is_refused():
+    class Local(OrientedObserver):
+        pass
+
+    with pytest.raises(SettingsError, match=r"^observer: .*Local cannot be sent to the processes that compute"):
+        Explorer(SENSOR, Local()).check()
 
 
 def test_a_broken_file_gives_the_line_that_the_command_gives(tmp_path):
@@ -224,7 +325,7 @@ def nested(depth: int) -> Any:
 )
 def test_the_line_about_an_impossible_sensor_names_the_key(tables, key):
     with pytest.raises(SettingsError, match=r"^SENSOR\.toml: ") as found:
-        SensorAsked({**TABLES_SENT, **tables}).made()
+        Explorer(SENSOR).made(SensorAsked({**TABLES_SENT, **tables}))
     assert error_of(found.value)["key"] == key
 
 
@@ -248,7 +349,7 @@ def test_the_line_about_a_limit_of_the_computation_names_its_field(changed, size
     for key, value in changed.items():
         table, _, setting = key.partition(".")
         tables[table][setting] = value
-    made, observer = SensorAsked(tables).made(), PyramidObserver()
+    made, observer = Explorer(SENSOR).made(SensorAsked(tables)), PyramidObserver()
     with pytest.raises(SettingsError, match=r"expected at (most|least) [\d.]+") as found:
         list(
             ThresholdEngine(lambda: None).answers(
@@ -260,7 +361,7 @@ def test_the_line_about_a_limit_of_the_computation_names_its_field(changed, size
 
 
 def test_the_transfer_is_that_of_the_command():
-    found, command = routes.transfer(SensorAsked(TABLES_SENT)), ss.mtf(SENSOR)
+    found, command = routes.transfer(SENSOR), ss.mtf(SENSOR)
     assert found["frequency_cyc_per_mrad"] == command.frequency_cyc_per_mrad
     assert found["nyquist_cyc_per_mrad"] == command.nyquist_cyc_per_mrad
     for name, key in {"presample": "pre_sample", "postsample": "post_sample"}.items():
@@ -271,7 +372,7 @@ def test_the_pictures_are_the_seven_stages_of_one_trial():
     asked = TrialAsked(TABLES_SENT, 3.0, 4.0, 7)
     orientation = asked.trial().orientation
     made = trial_stages(SENSOR, SimulatedTrial((0, 0, 0), 3.0, 4.0, orientation), seed=7)
-    found = routes.trial_pictures(asked)
+    found = routes.trial_pictures(asked, SENSOR)
     assert [one["name"] for one in found["stages"]] == list(made)
     assert len(made) == 7 and orientation.value not in json.dumps(
         [one | {"pixels": ""} for one in found["stages"]]
@@ -294,7 +395,7 @@ def test_a_picture_that_is_too_large_is_refused():
     with pytest.raises(
         SettingsError, match=r"^found a trial of \d+ × \d+ pixels, too many to show; choose a smaller"
     ):
-        routes.trial_pictures(TrialAsked(TABLES_SENT, 200.0, 4.0, 7))
+        routes.trial_pictures(TrialAsked(TABLES_SENT, 200.0, 4.0, 7), SENSOR)
 
 
 class FakeCurves:
@@ -302,11 +403,13 @@ class FakeCurves:
 
     def __init__(self) -> None:
         self.is_wanted: list[Callable[[], bool]] = []
+        self.levels: list[str] = []
 
     def curves(
         self, *sensor_observer_sizes: Any, p_correct: float, level: str, is_wanted: Callable[[], bool]
     ) -> Iterator[LiveCurve]:
         assert level in ("snr", "contrast")
+        self.levels.append(level)
         self.is_wanted.append(is_wanted)
         sizes = sensor_observer_sizes[2]
         reached = PredictedThreshold("ok", 2.0, 0.04, sizes[0], 8)

@@ -17,7 +17,10 @@ import numpy as np
 import pytest
 
 from sensor_sim.chain.detector_noise import delta_t_mk
-from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor, SensorDisplay
+from sensor_sim.chain.measured import MeasuredMtf
+from sensor_sim.chain.photons import background_electrons
+from sensor_sim.chain.sensor import Detector, Noise, Optics, PhotonNoise, Scene, Sensor, SensorDisplay
+from sensor_sim.chain.transfer import optics_mtf
 from sensor_sim.explorer.limits import Shares, decision_shares, what_limits
 from sensor_sim.explorer.live import LiveCurves
 from sensor_sim.explorer.scaled import Unit, unit_of
@@ -26,6 +29,7 @@ from sensor_sim.thresholds.curve_plan import plan_curve
 from sensor_sim.thresholds.folding import Folding
 from sensor_sim.thresholds.predict import FoldedChain, Level, Phases, PredictedThreshold, predict_threshold
 from todframes.base.errors import SettingsError
+from todframes.observers.csf import CsfObserver
 from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import Observer
 from todframes.observers.oriented import OrientedObserver
@@ -44,6 +48,21 @@ SENSOR = Sensor(
         background_luminance_cd_m2=50.0,
         blur_sigma_px=1.0,
     ),
+)
+PHOTON = replace(
+    SENSOR,
+    optics=Optics(aperture_mm=10.0, wavelength_um=0.55, focal_length_mm=30.0),
+    detector=Detector(pitch_um=6.0),
+    noise=Noise(),
+    photons=PhotonNoise(
+        quantum_efficiency=0.5,
+        dark_noise_electrons=8.0,
+        exposure_ms=10.0,
+        prnu_percent=1.0,
+        row_noise_electrons=2.0,
+        full_well_electrons=20_000.0,
+    ),
+    scene=Scene(luminance_cd_m2=1.0),
 )
 OBSERVER = PyramidObserver()
 TOLERANCES = (0.03, 0.02)
@@ -149,6 +168,58 @@ def test_contrast_is_the_snr_without_noise_that_gives_the_share():
     )
     # The stated error and that of the lattice of 17² places are below half a per cent each.
     assert low < 0.75 < high
+
+
+def test_a_camera_that_counts_photons_has_the_thresholds_of_the_curve():
+    """Also after its light has moved: the trials do not depend on it."""
+    one = engine()
+    for sensor in (PHOTON, replace(PHOTON, scene=Scene(luminance_cd_m2=0.3))):
+        estimated, refined = computed(one, sensor)
+        chain = FoldedChain(sensor, OBSERVER, 4.0, plan_curve(sensor, OBSERVER, 4.0, tolerance=0.02))
+        expected = predict_threshold(chain, tolerance=0.02)
+        assert abs(refined.threshold - expected.threshold) <= 1e-4 * expected.threshold  # the same places
+        assert abs(estimated.threshold - refined.threshold) <= estimated.numerical_error + refined.numerical_error
+
+
+def test_a_contrast_beyond_the_full_well_is_never_reached():
+    """Just above and below the contrast at which the pixels saturate, as the curve has it."""
+    (_, found) = computed(engine(), PHOTON)
+    for share, status in ((0.9, "never_reached"), (1.1, "ok")):
+        electrons = background_electrons(PHOTON)
+        well = electrons * (1.0 + share * found.threshold)
+        camera = replace(PHOTON, photons=replace(PHOTON.photons, full_well_electrons=well))
+        answers = list(engine().answers(request(camera)))
+        assert {one.threshold.status for one in answers} == {status}
+        assert sum(answers[0].shares) == pytest.approx(1.0) and answers[0].shares.detector > 0.0
+
+
+def test_a_measured_mtf_of_the_model_has_the_estimate_of_the_model():
+    """Sampled 400 times up to its cut-off, an interpolated MTF differs from it by less than 1e-5."""
+    optics = SENSOR.optics
+    frequency = np.linspace(0.0, optics.cut_off_cyc_per_mrad, 401)
+    values = tuple(optics_mtf(frequency, optics=optics).tolist())
+    table = MeasuredMtf(
+        file="mtf.csv",
+        unit="cyc_per_mrad",
+        frequency=tuple(frequency.tolist()),
+        tangential=values,
+        sagittal=values,
+    )
+    measured = replace(SENSOR, optics=replace(optics, mtf=table))
+    found = [next(iter(engine().answers(request(one)))).threshold.threshold for one in (SENSOR, measured)]
+    assert found[1] == pytest.approx(found[0], rel=2e-3)
+
+
+@pytest.mark.parametrize("efficiency", [1.0, 0.4])
+def test_the_observer_with_peoples_contrast_sensitivity(efficiency):
+    """Its efficiency is a factor of its noise, as the engine takes it, and not of its weights."""
+    observer = CsfObserver(efficiency=efficiency)
+    estimated, refined = computed(engine(), SENSOR, observer)
+    plan = plan_curve(SENSOR, observer, 4.0, tolerance=0.02)
+    expected = predict_threshold(FoldedChain(SENSOR, observer, 4.0, plan), tolerance=0.02)
+    assert refined.threshold == pytest.approx(expected.threshold, rel=1e-4)
+    assert estimated.numerical_error <= 0.03 * estimated.threshold
+    assert abs(estimated.threshold - refined.threshold) <= estimated.numerical_error + refined.numerical_error
 
 
 @pytest.mark.slow
@@ -301,7 +372,7 @@ def test_shares_are_those_of_drawn_decisions():
     signal = rng.normal([3.0, 0.0, 0.0, 0.0], size=(places, 2, 4))
     factor = rng.normal(size=(places, 4, 3))
     phases = Phases(signal, factor @ factor.swapaxes(1, 2), 0)
-    shares = decision_shares([phases], internal, snr)
+    shares = decision_shares([phases], internal, [phases.noise.mean(axis=0) / snr**2])
     assert sum(shares) == pytest.approx(1.0, rel=1e-12)
 
     n = 4000

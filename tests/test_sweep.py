@@ -6,9 +6,12 @@ import csv
 import itertools
 import json
 import math
+import re
+import tomllib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -16,11 +19,13 @@ from matplotlib.figure import Figure
 
 import sensor_sim as ss
 import todframes as tod
+from sensor_sim.chain.measured import MeasuredPsf
+from sensor_sim.chain.sensor import TABLES, Optics, PhotonNoise, part_of, sensor_from
 from sensor_sim.cli import cli
-from sensor_sim.sweeps.designs import Base, grid, latin_hypercube, numeric_keys, parse_range
+from sensor_sim.sweeps.designs import Base, grid, latin_hypercube, make_designs, numeric_keys, parse_range
 from sensor_sim.sweeps.figures import draw_map
 from sensor_sim.sweeps.tables import acuity, front
-from sensor_sim.sweeps.work import SweepWork, Variants, plan_sweep, run_sweep
+from sensor_sim.sweeps.work import SweepWork, Variants, as_computed, plan_sweep, run_sweep
 from sensor_sim.thresholds.sharing import Kept
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
@@ -406,6 +411,56 @@ def test_a_netd_that_cannot_be_coupled_is_refused() -> None:
     without = replace(small_camera(), noise=replace(small_camera().noise, netd_mk=None))
     with pytest.raises(SettingsError, match=r"^couple_netd: needs noise\.netd_mk of the sensor$"):
         ss.sweep(without, vary={"optics.aperture_mm": [220.0]}, **asked)
+
+
+def cameras() -> dict[str, ss.Sensor]:
+    """Sensors that together have every number of a SENSOR.toml, with two ways of light and of lengths."""
+    asked: dict[str, Any] = {"focal_length_mm": 25, "f_number": 2.8, "pitch_um": 3.45}
+    text = ss.new_sensor(preset="emva_basler", **asked)
+    in_lux = re.sub("(?m)^luminance_cd_m2 = .*", "illuminance_lx = 300.0\nreflectance = 0.5", text)
+    in_motion = ss.new_sensor(thermal=True, netd_mk=50, **asked) + "[motion]\nsmear_mrad = 0.1\n"
+    by_psf = MeasuredPsf(file="psf.tif", shape=(3, 3), data=np.full(9, 1 / 9).tobytes())
+    made = [sensor_from(tomllib.loads(one), "") for one in (text, in_lux, in_motion)]
+    optics = Optics(wavelength_um=0.55, aperture_mm=8.0, focal_length_mm=25.0, psf=by_psf, psf_pitch_um=1.0)
+    with_psf = [replace(made[0], optics=optics)]
+    with_psf.append(replace(made[0], optics=replace(optics, psf_pitch_um=None, psf_pitch_mrad=0.04)))
+    names = ["photons", "photons in lux", "thermal in motion", "PSF on the chip", "PSF as an angle", "2001"]
+    return dict(zip(names, [*made, *with_psf, small_camera()], strict=True))
+
+
+def test_the_cameras_have_every_number_of_a_sensor() -> None:
+    found = {key for camera in cameras().values() for key in numeric_keys(camera, NoneType)}
+    assert found == {
+        key
+        for table, kind in [*TABLES.items(), ("noise", PhotonNoise)]
+        for key, hint in ((f"{table}.{name}", hint) for name, hint in get_type_hints(kind).items())
+        if {int, float} & {hint, *get_args(hint)} and key != "optics.measured_units"
+    } | {"detector.fill_factor"}
+
+
+@pytest.mark.parametrize("name", cameras())
+def test_every_number_of_a_sensor_can_be_varied(name: str, tmp_path: Path) -> None:
+    """By `vary` and as a column of a file of designs; and thresholds are computed anew for all but a few."""
+    camera = cameras()[name]
+    base = Base(camera, None, False)
+    usual = {"detector.width_um": 3.0, "scene.photons_per_lux_s_um2": 4000.0, "detector.fill_factor": 0.5}
+    without_effect = {"display.background_luminance_cd_m2"}
+    if camera.photons is None:  # a threshold in SNR does not depend on the noise
+        without_effect |= {f"noise.{name}" for name in ("netd_mk", "fixed_pattern_ratio", "frames_integrated")}
+    for key, is_whole in base.keys.items():
+        table, _, setting = key.partition(".")
+        before = getattr(getattr(camera, part_of(table, camera)), setting, None)
+        if before is None and key not in usual:
+            continue  # another camera has it
+        value = usual.get(key) or (before + 1 if is_whole else 0.9 * before or 0.01)
+        designs = make_designs(base, vary={key: [value]}, design=None, sample=None, seed=1)
+        (tmp_path / "designs.csv").write_text(f"{key}\n{value!r}\n")
+        of_file = make_designs(base, vary=None, design=tmp_path / "designs.csv", sample=None, seed=1)
+        assert of_file.keys == designs.keys == (key,) and of_file.values.tolist() == designs.values.tolist()
+        made, _ = base.design({key: value})
+        if key != "detector.fill_factor":
+            assert getattr(getattr(made, part_of(table, camera)), setting) == value
+        assert (as_computed(made) == as_computed(camera)) == (key in without_effect), key
 
 
 def test_impossible_and_never_reached_designs_look_different_on_the_map() -> None:

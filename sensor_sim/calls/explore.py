@@ -6,11 +6,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from sensor_sim.chain.sensor import Sensor, sensor_of
+from todframes.observers.interface import Observer
+from todframes.psychometrics.fit import FitSettings
 
 
 def explore(
     sensor: Sensor | Path | str,
     *,
+    observer: str | Observer = "pyramid",
+    p_correct: float = 0.75,
     host: str = "127.0.0.1",
     port: int = 0,
     open_browser: bool = True,
@@ -25,6 +29,11 @@ def explore(
     ----------
     sensor : Sensor or path
         Settings to begin with, or the path of a SENSOR.toml.
+    observer : str or Observer
+        Name of a registered observer, "module:Class", or an observer; it must be linear. Settings by which people
+        differ move on the page, the others stay.
+    p_correct : float
+        Raw proportion correct at threshold, to begin with.
     host, port : str, int
         Address or name of this machine to listen at; port 0 is a free one.
     open_browser : bool
@@ -37,14 +46,18 @@ def explore(
     Raises
     ------
     SettingsError
-        If a setting is invalid, the server cannot listen there, or Starlette or uvicorn is not installed.
+        If a setting is invalid, the observer is not linear, the server cannot listen there, or Starlette or
+        uvicorn is not installed.
     """
     from todframes.web import check_installed
 
+    FitSettings(p_correct=p_correct)  # checks it
     sensor = sensor_of(sensor)
     check_installed("explore")
-    from sensor_sim.explorer.routes import Explorer, shown
+    from sensor_sim.explorer.routes import Explorer
     from todframes.web.server import Launch, serve
 
     launch = Launch(host=host, port=port, open_browser=open_browser)
-    serve(Explorer(shown(sensor)).app(), launch, tell=tell, warn=warn)
+    explorer = Explorer(sensor, observer, p_correct=p_correct)
+    explorer.check()
+    serve(explorer.app(), launch, tell=tell, warn=warn)

@@ -543,8 +543,24 @@ def sensor_of(sensor: Sensor | Path | str) -> Sensor:
     return sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
 
 
-def sensor_from(content: Mapping[str, Any], where: str, *, folder: Path | None = None) -> Sensor:
-    """Return the checked settings of the tables of a `SENSOR.toml`, whose measured files are in a folder.
+def sensor_from(
+    content: Mapping[str, Any],
+    where: str,
+    *,
+    folder: Path | None = None,
+    measured: Mapping[str, MeasuredMtf | MeasuredPsf] | None = None,
+) -> Sensor:
+    """Return the checked settings of the tables of a `SENSOR.toml`.
+
+    Parameters
+    ----------
+    content : mapping
+    where : str
+        Name of the file; messages begin with it.
+    folder : Path, optional
+        Folder of the measured files that the tables name. Without it, no file is read.
+    measured : mapping, optional
+        Measured files that have been read, by their keys such as "mtf".
 
     Raises
     ------
@@ -572,7 +588,11 @@ def sensor_from(content: Mapping[str, Any], where: str, *, folder: Path | None =
             if table == "noise" and "model" in content[table]:
                 parts["photons"] = _photons(content[table], place)
             else:
-                values = _with_measured(content[table], place, folder) if table == "optics" else content[table]
+                values = (
+                    _with_measured(content[table], place, folder, measured or {})
+                    if table == "optics"
+                    else content[table]
+                )
                 parts[table] = from_table(values, kind, place)
         elif table in _REQUIRED_TABLES:
             raise SettingsError(f"{where}: table [{table}] is missing")
@@ -582,7 +602,9 @@ def sensor_from(content: Mapping[str, Any], where: str, *, folder: Path | None =
         raise SettingsError(f"{where}: {error}") from None
 
 
-def _with_measured(table: Mapping[str, Any], where: str, folder: Path | None) -> dict[str, Any]:
+def _with_measured(
+    table: Mapping[str, Any], where: str, folder: Path | None, measured: Mapping[str, MeasuredMtf | MeasuredPsf]
+) -> dict[str, Any]:
     """Return the table [optics] with the content of the files that it names."""
     values = dict(table)
     if "measured_units" in values:
@@ -593,8 +615,14 @@ def _with_measured(table: Mapping[str, Any], where: str, folder: Path | None) ->
             continue
         if not isinstance(file, str):
             raise SettingsError(f"{where}: {name}: found {file!r}, expected the name of a file")
+        if name in measured and measured[name].file == file:
+            values[name] = measured[name]
+            continue
         if folder is None:
-            raise SettingsError(f"{where}: {name}: found {file!r}, but files are not read here; expected none")
+            raise SettingsError(
+                f"{where}: {name}: found {file!r}, a file that cannot be read from here; give the "
+                "command the path of this SENSOR.toml"
+            )
         try:
             values[name] = read(file, folder)
         except TodframesError as error:
@@ -698,7 +726,7 @@ EXPLAINED = {
     "optics.mtf_includes_detector": "whether that MTF holds the width of the detectors too",
     "optics.psf": "image of a point, in place of the model of the optics",
     "optics.psf_pitch_um": "distance of the samples of that image on the chip",
-    "optics.psf_pitch_mrad": "or as an angle",
+    "optics.psf_pitch_mrad": "or their distance as an angle",
     "motion.smear_mrad": "length of an even motion along x during an exposure",
     "motion.jitter_sigma_mrad": "standard deviation of a random motion",
     "detector.pitch_mrad": "from one detector to the next",

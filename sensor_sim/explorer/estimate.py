@@ -141,6 +141,7 @@ def lattice_phases(
     name: Hashable,
     pitch_mrad: float,
     images: Callable[[], NDArray[Any]],
+    counts_photons: bool = False,
 ) -> list[Phases]:
     """Return the trials of each orientation on all lattices, as `pooled`.
 
@@ -160,6 +161,8 @@ def lattice_phases(
         Visual angle from one of these weights to the next.
     images : function of no arguments
         Returns them, (4, side, side); called if they are not folded yet.
+    counts_photons : bool
+        Whether the trials need `Phases.of_light`.
     """
     offsets = [centre_offset(observer, orientation, size_detectors) for orientation in plan.orientations]
 
@@ -196,6 +199,7 @@ def lattice_phases(
                 size_detectors=size_detectors,
                 gain=sensor.display.gain,
                 weights_by_row=partial(weights_by_row, number),
+                counts_photons=counts_photons,
             )
             for number, shift in enumerate(SHIFTS)
         ]

@@ -4,13 +4,14 @@ The decision is a comparison of scores: the right answer wins while the three di
 others are positive. At threshold, over trials, each D varies for three reasons:
 
 - **internal**: the noise on the observer's neurons;
-- **detector**: the noise of the detectors, at the threshold SNR;
+- **detector**: the noise of the detectors, at the threshold;
 - **sampling**: the place of the triangle on the detectors, and of the retina on the display, moves the mean of D.
 
 By the law of total variance, Var D = E[Var(D | place)] + Var(E[D | place]); the first term is the sum of internal
 and detector noise, which are independent. So the three are shares of one variance, with the sum 1, and follow from
-the trials that gave the threshold: they are the mean over the three differences, each with its own variance. A
-sensor that never reaches its threshold does not without detector noise either: its shares are those without it.
+the trials that gave the threshold: they are the mean over the three differences, each with its own variance.
+Where a threshold is never reached, the shares are those of the strongest signal: without detector noise, or for a
+camera that counts photons, at the contrast that saturates its pixels.
 
 Shares say what makes answers uncertain, not what makes the signal small: the transfer of optics and display lowers
 the mean of D, and so raises all three.
@@ -25,6 +26,9 @@ import numpy as np
 
 from sensor_sim.thresholds.predict import Phases
 from todframes.base._typing import FloatArray
+
+WITHOUT_NOISE, SATURATING = "without detector noise", "at the contrast that saturates the pixels"
+"""The strongest signal of a sensor with an SNR, and that of a camera that counts photons."""
 
 LEADING_SHARE = 0.5
 """Share from which one of the three causes is named as the only limit."""
@@ -50,31 +54,35 @@ class Limits(NamedTuple):
 NAMES = ("the observer's internal noise", "detector noise", "sampling")
 
 
-def decision_shares(phases: Sequence[Phases], internal: FloatArray, snr: float | None) -> Shares:
+def decision_shares(phases: Sequence[Phases], internal: FloatArray, detector: Sequence[FloatArray]) -> Shares:
     """Return the shares of the variance of the score differences that decide.
 
     Parameters
     ----------
     phases : sequence of Phases
-        Trials of each orientation.
+        Trials of each orientation, of a triangle of contrast 1.
     internal : ndarray, shape (4, 4)
-        Covariance of the internal noise on the scores.
-    snr : float or None
-        Threshold; None if it is never reached.
+        Covariance of the internal noise on the scores, over the square of the triangle's contrast.
+    detector : sequence of ndarray, shape (4, 4)
+        That of the detectors' noise, for each orientation.
     """
-    per_detector_noise = 0.0 if snr is None else 1.0 / snr**2
     shares = []
-    for part in phases:
+    for part, of_detectors in zip(phases, detector, strict=True):
         others = np.delete(np.eye(4)[part.correct] - np.eye(4), part.correct, axis=0)
         by_internal = np.einsum("ik,kl,il->i", others, internal, others)
-        by_detector = np.einsum("ik,kl,il->i", others, part.noise.mean(axis=0), others) * per_detector_noise
+        by_detector = np.einsum("ik,kl,il->i", others, of_detectors, others)
         by_sampling = (part.signal.reshape(-1, 4) @ others.T).var(axis=0)
         of_each = np.stack([by_internal, by_detector, by_sampling])
         shares.append((of_each / np.maximum(of_each.sum(axis=0), np.finfo(float).tiny)).mean(axis=1))
     return Shares(*np.mean(shares, axis=0).tolist())
 
 
-def what_limits(sizes_detectors: Sequence[float], shares: Sequence[Shares], reached: Sequence[bool]) -> Limits:
+def what_limits(
+    sizes_detectors: Sequence[float],
+    shares: Sequence[Shares],
+    reached: Sequence[bool],
+    strongest: str = WITHOUT_NOISE,
+) -> Limits:
     """Return what limits a curve in one sentence, with the mean shares of the sizes that reach their threshold.
 
     Parameters
@@ -84,6 +92,8 @@ def what_limits(sizes_detectors: Sequence[float], shares: Sequence[Shares], reac
         At each size.
     reached : sequence of bool
         Whether the size has a threshold. If none has, the means are over all sizes.
+    strongest : str
+        The strongest signal, which the sizes without a threshold had, in words.
     """
     chosen = [share for share, has_threshold in zip(shares, reached, strict=True) if has_threshold] or list(shares)
     mean = Shares(*np.mean(chosen, axis=0).tolist())
@@ -91,7 +101,7 @@ def what_limits(sizes_detectors: Sequence[float], shares: Sequence[Shares], reac
     rest = [f"{name} {100.0 * share:.0f} %" for share, name in others if share > 0.0] or ["nothing else does"]
     verb = "limits" if most >= LEADING_SHARE else "weighs most"
     at = [f"{size:g}" for size, has_threshold in zip(sizes_detectors, reached, strict=True) if not has_threshold]
-    tail = f"; no threshold at {', '.join(at)} detectors, even without detector noise" if at else ""
+    tail = f"; no threshold at {', '.join(at)} detectors, even {strongest}" if at else ""
     sentence = (
         f"{first} {verb}: {100.0 * most:.0f} % of what makes answers vary at threshold ({', '.join(rest)}){tail}."
     )

@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.explorer.limits import Limits, Shares, what_limits
+from sensor_sim.explorer.limits import SATURATING, WITHOUT_NOISE, Limits, Shares, what_limits
 from sensor_sim.thresholds.predict import Level, PredictedThreshold
 from todframes.base.errors import TodframesError
 from todframes.base.user_code import search_last, searched_last
@@ -58,6 +58,8 @@ class LiveCurve:
         Time since the curve was asked for.
     is_last : bool
         Whether no better curve follows.
+    counts_photons : bool
+        Whether the thresholds are those of a camera that counts photons: contrasts at the light of its scene.
     """
 
     thresholds: tuple[PredictedThreshold, ...]
@@ -65,12 +67,14 @@ class LiveCurve:
     tolerance: float
     seconds: float
     is_last: bool
+    counts_photons: bool = False
 
     @property
     def limits(self) -> Limits:
         """Mean shares of the causes that limit the curve, and a sentence."""
         reached = [one.threshold is not None for one in self.thresholds]
-        return what_limits([one.size_detectors for one in self.thresholds], self.shares, reached)
+        strongest = SATURATING if self.counts_photons else WITHOUT_NOISE
+        return what_limits([one.size_detectors for one in self.thresholds], self.shares, reached, strongest)
 
 
 class LiveCurves:
@@ -120,7 +124,8 @@ class LiveCurves:
             Raw proportion correct at threshold.
         level : {"snr", "contrast"}
             Quantity whose threshold is computed: the SNR, or the contrast of a large triangle on the display
-            without detector noise.
+            without detector noise. For a camera that counts photons, "snr" stands for the contrast of the scene
+            with all noise.
         tolerances : (float, float)
             Relative errors to reach, of the estimate and of the refined thresholds.
         is_wanted : function of no arguments
@@ -160,7 +165,8 @@ class LiveCurves:
                     thresholds, shares = (
                         tuple(getattr(one, name) for one in in_order) for name in ("threshold", "shares")
                     )
-                    yield LiveCurve(thresholds, shares, tolerances[is_last], seconds, is_last)
+                    with_photons = sensor.photons is not None and level == "snr"
+                    yield LiveCurve(thresholds, shares, tolerances[is_last], seconds, is_last, with_photons)
                     next_s = time.perf_counter() - started + BETWEEN_S
                 if is_last:
                     return

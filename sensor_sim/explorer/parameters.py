@@ -1,12 +1,23 @@
-"""The parameters that the page shows: labels, units, and the ranges of their sliders."""
+"""The parameters that the page shows, made from the settings of a sensor: labels, units, and ranges of sliders.
+
+Each key of a SENSOR.toml has a field; the page shows those of the keys that its sensor has. A new setting needs no
+line here: its label and unit follow from its name, its slider from its unit and from the values that it takes.
+"""
 
 from __future__ import annotations
 
-from typing import Literal
+import math
+from collections.abc import Iterator
+from dataclasses import fields
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import msgspec
 
-Kind = Literal["number", "integer", "choice"]
+from sensor_sim.chain.measured import MeasuredMtf, MeasuredPsf
+from sensor_sim.chain.sensor import EXPLAINED, LARGEST, NOISE_MODELS, TABLES
+
+Kind = Literal["number", "integer", "choice", "switch", "file"]
 
 
 class PageField(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
@@ -19,9 +30,11 @@ class PageField(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     group, label, help : str
     unit : str
         Empty for a pure number.
-    kind : {"number", "integer", "choice"}
+    kind : {"number", "integer", "choice", "switch", "file"}
+        The name of a file can be read, but not changed.
     min, max : float or None
-        Ends of the slider, which hold the values of real sensors; the field takes whatever SENSOR.toml does.
+        Ends of the slider, which hold the values of real sensors; the field takes whatever SENSOR.toml does. None:
+        there is no slider.
     step : float or None
         Step of the slider; on a logarithmic one, of the common logarithm.
     scale : {"linear", "log"}
@@ -44,111 +57,179 @@ class PageField(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     optional: bool = False
 
 
+class Unit(NamedTuple):
+    """A unit: its name on the page, and the ends of sliders.
+
+    `above_0` are those of values that are above 0, on a logarithmic slider; `most` and `step` those of values that
+    may be 0.
+    """
+
+    name: str
+    above_0: tuple[float, float] | None = None
+    most: float | None = None
+    step: float | None = None
+
+
+UNITS = {
+    "photons_per_lux_s_um2": Unit("/(lx·s·µm²)", (100.0, 1e5)),
+    "dn_per_electron": Unit("DN/e⁻", (1e-3, 10.0)),
+    "electrons_per_s": Unit("e⁻/s", None, 1000.0, 1.0),
+    "electrons": Unit("e⁻", (1e3, 1e6), 50.0, 0.1),
+    "percent": Unit("%", None, 5.0, 0.01),
+    "cd_m2": Unit("cd/m²", (0.01, 1e5)),
+    "waves": Unit("waves", None, 2.0, 0.01),
+    "mrad": Unit("mrad", (0.005, 5.0), 0.5, 0.001),
+    "deg": Unit("deg", (0.1, 10.0), 10.0, 0.01),
+    "mm": Unit("mm", (2.0, 500.0)),
+    "um": Unit("µm", (1.0, 50.0)),
+    "mk": Unit("mK", (1.0, 500.0)),
+    "ms": Unit("ms", (0.01, 1000.0)),
+    "px": Unit("display px", None, 10.0, 0.05),
+    "lx": Unit("lx", (0.1, 1e5)),
+}
+"""Units by the end of a name; the longest one that fits counts."""
+
 LOG_STEP = 0.005
 """Step of logarithmic sliders: 1.2 %."""
 
+LINEAR_STEP = 0.01
 
-def _log(key: str, group: str, label: str, unit: str, low: float, high: float, help_text: str) -> PageField:
-    return PageField(
-        key=key, group=group, label=label, unit=unit, min=low, max=high, step=LOG_STEP, scale="log", help=help_text
+SLIDERS: dict[str, tuple[float, float]] = {
+    "optics.wavelength_um": (0.4, 14.0),
+    "optics.f_number": (0.5, 32.0),
+    "noise.fixed_pattern_ratio": (0.0, 2.0),
+    "noise.frames_integrated": (1, 64),
+    "noise.bits": (4, 16),
+    "display.pixels_per_detector": (1, 16),
+    "display.pixel_pitch_mm": (0.005, 1.0),
+    "display.viewing_distance_mm": (20.0, 3000.0),
+    "display.background_luminance_cd_m2": (1.0, 1000.0),
+    "display.gain": (0.01, 10.0),
+    "observer.internal_noise": (0.01, 5.0),
+    "observer.efficiency": (0.01, 10.0),
+    "observer.luminance_cd_m2": (0.02, 300.0),
+}
+"""Ends of sliders that do not follow from the unit."""
+
+LABELS = {
+    "optics.f_number": "f-number",
+    "optics.mtf": "Measured MTF",
+    "optics.psf": "Measured PSF",
+    "optics.obscuration_ratio": "Obscuration",
+    "scene.photons_per_lux_s_um2": "Photons of a lux",
+    "optics.mtf_includes_detector": "MTF includes detector",
+    "detector.width_mrad": "Active width",
+    "detector.width_um": "Active width",
+    "noise.fixed_pattern_ratio": "Fixed pattern",
+    "electronics.blur_sigma_px": "Blur",
+    "optics.blur_sigma_mrad": "Blur",
+    "motion.jitter_sigma_mrad": "Jitter",
+    "display.blur_sigma_px": "Spot",
+    "display.background_luminance_cd_m2": "Background",
+}
+"""Labels that do not follow from the name."""
+
+CAPITALS = ("netd", "dsnu", "prnu", "psf", "mtf")
+
+NO_FIELD = {"optics.measured_units", "noise.couple_netd"}
+"""Settings without a field of this kind: one follows from others, and one is the page's own switch."""
+
+OBSERVER_FIELDS = {
+    "internal_noise": "Full width of the noise on each neuron; 0.5 in the paper.",
+    "efficiency": "Squared ratio of this person's d′ to that of the average person of ModelFest.",
+    "luminance_cd_m2": "Luminance of the background, to which the eye is adapted.",
+}
+"""Settings of observers that move on the page, those by which people differ and the light; others keep their
+values."""
+
+
+def sensor_fields() -> tuple[PageField, ...]:
+    """Return a field for each key of a SENSOR.toml, in the order of its tables."""
+    found: dict[str, PageField] = {}
+    for table, kind in TABLES.items():
+        for settings in (kind, *(NOISE_MODELS.values() if table == "noise" else ())):
+            for name, hint in _settings(settings):
+                key = f"{table}.{name}"
+                if key not in NO_FIELD and key not in found:
+                    text = EXPLAINED[key]
+                    found[key] = _field(key, hint, text[:1].upper() + text[1:] + ".")
+    return tuple(found.values())
+
+
+def observer_fields(settings_type: type) -> tuple[PageField, ...]:
+    """Return a field for each setting of an observer that moves on the page."""
+    if settings_type is NoneType:
+        return ()
+    known = _settings(settings_type)
+    return tuple(
+        _field(f"observer.{name}", hint, OBSERVER_FIELDS[name]) for name, hint in known if name in OBSERVER_FIELDS
     )
 
 
-PARAMETERS = (
-    _log("optics.aperture_mm", "Optics", "Aperture", "mm", 2.0, 500.0, "Diameter of the circular aperture."),
-    _log("optics.wavelength_um", "Optics", "Wavelength", "µm", 0.4, 14.0, "Wavelength of the diffraction."),
-    PageField(
-        key="optics.blur_sigma_mrad",
-        group="Optics",
-        label="Blur",
-        unit="mrad",
-        min=0.0,
-        max=0.5,
-        step=0.001,
-        help="Standard deviation of a Gaussian blur on top of the diffraction.",
-    ),
-    _log("detector.pitch_mrad", "Detector", "Pitch", "mrad", 0.005, 5.0, "From one detector to the next."),
-    _log("detector.width_mrad", "Detector", "Active width", "mrad", 0.005, 5.0, "Pitch × √(fill factor)."),
-    PageField(
-        key="noise.distribution",
-        group="Noise",
-        label="Distribution",
-        kind="choice",
-        choices=("uniform", "gaussian"),
-        help="Distribution of the noise of a sample; that of the paper is uniform.",
-    ),
-    msgspec.structs.replace(
-        _log("noise.netd_mk", "Noise", "NETD", "mK", 1.0, 500.0, "Of one frame; without it there is no ΔT."),
-        optional=True,
-    ),
-    PageField(
-        key="noise.fixed_pattern_ratio",
-        group="Noise",
-        label="Fixed pattern",
-        min=0.0,
-        max=2.0,
-        step=0.01,
-        help="Static divided by dynamic standard deviation.",
-    ),
-    PageField(
-        key="noise.frames_integrated",
-        group="Noise",
-        label="Frames integrated",
-        kind="integer",
-        min=1,
-        max=64,
-        step=1,
-        help="Frames that the observer's eye averages.",
-    ),
-    PageField(
-        key="electronics.blur_sigma_px",
-        group="Electronics",
-        label="Blur",
-        unit="display px",
-        min=0.0,
-        max=10.0,
-        step=0.05,
-        help="Standard deviation of the electronics' Gaussian blur.",
-    ),
-    PageField(
-        key="display.pixels_per_detector",
-        group="Display",
-        label="Pixels per detector",
-        kind="integer",
-        min=1,
-        max=16,
-        step=1,
-        help="Display pixels along each side of a detector.",
-    ),
-    _log("display.pixel_pitch_mm", "Display", "Pixel pitch", "mm", 0.005, 1.0, "From one pixel to the next."),
-    _log("display.viewing_distance_mm", "Display", "Viewing distance", "mm", 20.0, 3000.0, "Eye to display."),
-    PageField(
-        key="display.blur_sigma_px",
-        group="Display",
-        label="Spot",
-        unit="display px",
-        min=0.0,
-        max=10.0,
-        step=0.05,
-        help="Standard deviation of the display's Gaussian spot.",
-    ),
-    _log(
-        "display.background_luminance_cd_m2",
-        "Display",
-        "Background",
-        "cd/m²",
-        1.0,
-        1000.0,
-        "Luminance of no signal. Thresholds do not depend on it.",
-    ),
-    _log("display.gain", "Display", "Gain", "", 0.01, 10.0, "Display contrast of a large triangle."),
-    _log(
-        "observer.internal_noise",
-        "Observer",
-        "Internal noise",
-        "",
-        0.01,
-        5.0,
-        "Full width of the noise on each neuron; 0.5 in the paper.",
-    ),
-)
+def _settings(kind: type) -> Iterator[tuple[str, Any]]:
+    """Yield the names and annotations of the settings of a dataclass."""
+    hints = get_type_hints(kind, include_extras=True)
+    for one in fields(kind):
+        yield one.name, hints[one.name]
+
+
+def _field(key: str, hint: Any, text: str) -> PageField:
+    """Return the field of a setting with this annotation."""
+    table, _, name = key.partition(".")
+    limits = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, msgspec.Meta)]
+    kinds = _kinds(hint)
+    ending = next((one for one in UNITS if name == one or name.endswith(f"_{one}")), "")
+    unit = UNITS.get(ending, Unit(""))
+    words = name.removesuffix(ending).strip("_").removesuffix("_sigma") or name
+    label = LABELS.get(key) or _sentence(words)
+    common: dict[str, Any] = {
+        "key": key,
+        "group": table.capitalize(),
+        "label": label,
+        "help": text,
+        "optional": NoneType in kinds,
+    }
+    if MeasuredMtf in kinds or MeasuredPsf in kinds:
+        return PageField(**common, kind="file")
+    if bool in kinds:
+        return PageField(**common, kind="switch")
+    if int not in kinds and float not in kinds:
+        return PageField(**common, kind="choice", choices=tuple(one for one in kinds if isinstance(one, str)))
+    is_whole = float not in kinds
+    least = max((one.ge for one in limits if one.ge is not None), default=-LARGEST)
+    most = min((one.le for one in limits if one.le is not None), default=LARGEST)
+    slider = _slider(key, unit, float(least), float(most), is_whole=is_whole)
+    return PageField(**common, unit=unit.name, kind="integer" if is_whole else "number", **slider)
+
+
+def _kinds(hint: Any) -> tuple[Any, ...]:
+    """Return the types, or the texts, that an annotation names."""
+    if get_origin(hint) is Annotated:
+        return _kinds(get_args(hint)[0])
+    if get_origin(hint) is UnionType:
+        return tuple(kind for one in get_args(hint) for kind in _kinds(one))
+    return get_args(hint) if get_origin(hint) is Literal else (hint,)
+
+
+def _slider(key: str, unit: Unit, least: float, most: float, *, is_whole: bool) -> dict[str, Any]:
+    """Return ends, step and scale of a slider for values in a range; nothing if no ends are known."""
+    is_above_0 = least > 0.0
+    if key in SLIDERS:
+        low, high = SLIDERS[key]
+        is_log = low > 0.0 and not is_whole
+    elif is_above_0 and unit.above_0 is not None:
+        (low, high), is_log = unit.above_0, True
+    elif not is_above_0 and unit.most is not None:
+        low, high, is_log = 0.0, unit.most, False
+    elif math.isfinite(most) and most <= 100.0 and least > -LARGEST:
+        low, high, is_log = max(least, LINEAR_STEP) if is_above_0 else least, most, False
+    else:
+        return {}
+    step = LOG_STEP if is_log else 1.0 if is_whole else unit.step or LINEAR_STEP
+    return {"min": low, "max": high, "step": step, "scale": "log" if is_log else "linear"}
+
+
+def _sentence(words: str) -> str:
+    """Return the words of a name with a capital letter at the beginning, and abbreviations in capitals."""
+    found = [one.upper() if one in CAPITALS else one for one in words.split("_")]
+    return " ".join([found[0][:1].upper() + found[0][1:], *found[1:]])

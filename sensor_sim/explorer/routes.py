@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import re
 import shlex
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, closing
-from dataclasses import asdict
+from dataclasses import asdict, is_dataclass
 from importlib.resources import files
+from pickle import PicklingError
 from typing import Annotated, Any
 
 import msgspec
@@ -20,17 +22,19 @@ from starlette.applications import Starlette
 
 from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sampling import field_detectors
-from sensor_sim.chain.sensor import SCHEMA, TABLES, Sensor, sensor_from, sensor_settings, sensor_toml
+from sensor_sim.chain.sensor import SCHEMA, Sensor, sensor_from, sensor_settings, sensor_toml
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.explorer.live import LiveCurve, LiveCurves
-from sensor_sim.explorer.parameters import PARAMETERS
+from sensor_sim.explorer.parameters import PageField, observer_fields, sensor_fields
 from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, mtf_plot
+from sensor_sim.explorer.scaled import unit_of
 from sensor_sim.mtf_report import sensor_mtf
+from sensor_sim.thresholds.curve_plan import not_linear
 from sensor_sim.thresholds.predict import Level, PredictedThreshold
 from todframes import __version__
 from todframes.base.errors import SettingsError
-from todframes.base.reading import from_table, parse_toml, toml_literal
-from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.base.reading import check_keys, from_table, parse_toml, toml_literal
+from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import FitSettings
 from todframes.stimulus import ORIENTATIONS, Stimulus
 from todframes.web.pages import EmptyRequest, call, page, stream
@@ -49,6 +53,9 @@ CHIP_PITCH_UM = {"cooled_mwir.toml": 15.0, "uncooled_lwir.toml": 12.0, "visible.
 
 USUAL_CHIP_PITCH_UM = 15.0
 
+USUAL_SIZE_MRAD = 3.0
+"""Size of a triangle at the eye, for which it is tried whether an observer is linear."""
+
 MOST_CLIENTS = 64
 """Number of pages whose latest request is remembered."""
 
@@ -62,30 +69,10 @@ Size = Annotated[float, Meta(gt=0.0)]
 Sizes = Annotated[list[Size], Meta(min_length=1, max_length=12)]
 
 
-def shown(sensor: Sensor) -> Sensor:
-    """Return a sensor that the page can show.
-
-    Raises
-    ------
-    SettingsError
-        If it has keys for which the page has no field, as a camera that counts photons does.
-    """
-    known = {one.key for one in PARAMETERS}
-    for table in TABLES:
-        for name in sensor_settings(sensor).get(table, {}):
-            if f"{table}.{name}" not in known:
-                raise SettingsError(f"{table}.{name}: the page has no field for it; take curve or sweep")
-    return sensor
-
-
 class SensorAsked(msgspec.Struct):
     """A request about a sensor, given as the tables of SENSOR.toml."""
 
     sensor: Tables
-
-    def made(self) -> Sensor:
-        """Return the sensor; see `sensor_from` for the errors."""
-        return shown(sensor_from({"schema": SCHEMA, **self.sensor}, "SENSOR.toml"))
 
 
 class CurveAsked(SensorAsked):
@@ -106,13 +93,13 @@ class TrialAsked(SensorAsked):
     """A request about one trial."""
 
     size_detectors: Size
-    snr: Annotated[float, Meta(gt=0.0, le=1e12)]
+    level: Annotated[float, Meta(gt=0.0, le=1e12)]
     seed: Annotated[int, Meta(ge=0)]
 
     def trial(self) -> SimulatedTrial:
         """Return the trial; its orientation comes from the seed."""
         chance = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(ORIENTATION_STREAM,)))
-        return SimulatedTrial((0, 0, 0), self.size_detectors, self.snr, ORIENTATIONS[chance.integers(4)])
+        return SimulatedTrial((0, 0, 0), self.size_detectors, self.level, ORIENTATIONS[chance.integers(4)])
 
 
 class TomlAsked(SensorAsked):
@@ -157,8 +144,19 @@ class Latest:
 class Explorer:
     """The calls of the page that compute curves, with the processes that serve them while the server runs."""
 
-    def __init__(self, sensor: Sensor) -> None:
-        self.sensor = sensor
+    def __init__(
+        self,
+        sensor: Sensor,
+        observer: str | Observer = "pyramid",
+        *,
+        p_correct: float = FitSettings().p_correct,
+    ) -> None:
+        self.sensor, self.p_correct = sensor, p_correct
+        self._observer, settings = described(observer)
+        self._observer_name = str(settings["observer"])
+        optics = sensor.optics
+        # The files that a request may name: the server has read them, and reads no others.
+        self._measured = {name: one for name, one in (("mtf", optics.mtf), ("psf", optics.psf)) if one is not None}
         self._latest = Latest()
         # One thread, as `LiveCurves` computes one curve at a time. A request ends the one before it of the same
         # page; one of another page it waits for.
@@ -176,30 +174,124 @@ class Explorer:
         calls = [
             call("/api/start", EmptyRequest, lambda _: self.start()),
             stream("/api/curve", CurveAsked, self.curve, self._thread),
-            call("/api/mtf", SensorAsked, transfer),
-            call("/api/stages", TrialAsked, trial_pictures),
+            call("/api/mtf", SensorAsked, lambda asked: transfer(self.made(asked))),
+            call("/api/stages", TrialAsked, lambda asked: trial_pictures(asked, self.made(asked))),
             call("/api/orientation", TrialAsked, lambda asked: {"orientation": asked.trial().orientation.value}),
-            call("/api/toml", TomlAsked, written),
+            call("/api/toml", TomlAsked, self.written),
             call("/api/parse", TextAsked, read),
             call("/api/plot", PlotAsked, curve_plot),
-            call("/api/mtf-plot", MtfPlotAsked, lambda asked: mtf_plot(sensor_mtf(asked.made()), asked.format)),
+            call(
+                "/api/mtf-plot", MtfPlotAsked, lambda asked: mtf_plot(sensor_mtf(self.made(asked)), asked.format)
+            ),
         ]
         return page(files("sensor_sim.explorer") / "static", calls, self.running)
 
     def start(self) -> dict[str, Any]:
         """Return the data with which the page begins."""
+        of_observer = self._observer_fields()
         return {
             "version": __version__,
             "sensor": sensor_settings(self.sensor),
-            "observer": {"internal_noise": PyramidSettings().internal_noise},
-            "p_correct": FitSettings().p_correct,
+            "measured": self._fingerprint(),
+            "observer": {one.key.partition(".")[2]: self._setting(one) for one in of_observer},
+            "observer_name": self._observer_name,
+            "p_correct": self.p_correct,
             "chip_pitch_um": USUAL_CHIP_PITCH_UM,
-            "fields": PARAMETERS,
+            "fields": (*sensor_fields(), *of_observer),
             "presets": [
                 {"sensor": sensor_settings(one), "chip_pitch_um": CHIP_PITCH_UM.get(file, USUAL_CHIP_PITCH_UM)}
                 for file, one in presets().items()
             ],
         }
+
+    def check(self) -> None:
+        """Check that curves can be computed with the observer.
+
+        Raises
+        ------
+        SettingsError
+            If it is not linear, or cannot be sent to the processes that compute.
+        """
+        if self._observer.readout(Stimulus(USUAL_SIZE_MRAD)) is None:
+            raise not_linear()
+        try:
+            unit_of(self._observer)
+        except (PicklingError, AttributeError, TypeError) as error:
+            raise SettingsError(
+                f"observer: {self._observer_name} cannot be sent to the processes that compute ({error})"
+            ) from None
+
+    def made(self, asked: SensorAsked) -> Sensor:
+        """Return the sensor of a request; see `sensor_from` for the errors."""
+        return sensor_from({"schema": SCHEMA, **asked.sensor}, "SENSOR.toml", measured=self._measured)
+
+    def observed_by(self, changes: Tables) -> Observer:
+        """Return the observer with some settings changed.
+
+        Raises
+        ------
+        SettingsError
+            If there is no such setting, or a value is refused.
+        """
+        settings = getattr(self._observer, "settings", None)
+        known = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else {}
+        check_keys(changes, known, "[observer]")
+        if not changes:
+            return self._observer
+        observer: Observer = type(self._observer)(from_table(known | changes, type(settings), "[observer]"))
+        return observer
+
+    def written(self, asked: TomlAsked) -> dict[str, Any]:
+        """Return the text of the SENSOR.toml, a name for the file, and the command that computes the same curve.
+
+        The command is None while the sizes are not known. `beside` are the names of files that belong to it.
+        """
+        sensor = self.made(asked)
+        name = re.sub(r"[^\w-]+", "_", sensor.name).strip("_")[:60] or "sensor"
+        file, beside = (
+            f"{name}.toml",
+            [one.file for one in (sensor.optics.mtf, sensor.optics.psf) if one is not None],
+        )
+        found = {"file": file, "text": sensor_toml(sensor), "beside": beside, "command": None}
+        if asked.sizes_detectors is None:
+            return found
+        sizes = ",".join(f"{size!r}".removesuffix(".0") for size in asked.sizes_detectors)
+        curve = ["sensor-sim curve", shlex.quote(file), "--size-detectors", sizes, *self._options(asked.observer)]
+        if asked.p_correct != FitSettings().p_correct:
+            curve.append(f"--p-correct {asked.p_correct!r}")
+        return found | {"command": " ".join(curve)}
+
+    def _options(self, changes: Tables) -> Iterator[str]:
+        """Yield the options of a command that make the observer with some settings changed."""
+        settings = getattr(self.observed_by(changes), "settings", None)
+        if self._observer_name != "pyramid":
+            yield f"--observer {shlex.quote(self._observer_name)}"
+        if settings is None:
+            return
+        usual = asdict(type(settings)())
+        for key, value in asdict(settings).items():
+            if value != usual[key] and value is not None:
+                yield f"--set {shlex.quote(f'{key}={toml_literal(value)}')}"
+
+    def _observer_fields(self) -> tuple[PageField, ...]:
+        """Return the fields of the observer's settings that move on the page."""
+        settings = getattr(self._observer, "settings", None)
+        # A standard deviation of the noise stands in place of its full width.
+        is_given_by_sd = getattr(settings, "internal_noise_sd", None) is not None
+        return tuple(
+            one
+            for one in observer_fields(type(settings))
+            if isinstance(self._setting(one), float | int)
+            and not (is_given_by_sd and one.key == "observer.internal_noise")
+        )
+
+    def _setting(self, one: PageField) -> object:
+        """Return the value of a setting of the observer."""
+        return getattr(getattr(self._observer, "settings", None), one.key.partition(".")[2])
+
+    def _fingerprint(self) -> str:
+        """Return a text that tells measured files of the same name apart; empty if there are none."""
+        return hashlib.sha256(repr(self._measured).encode()).hexdigest()[:16] if self._measured else ""
 
     def curve(self, asked: CurveAsked, is_connected: Callable[[], bool]) -> Iterator[dict[str, Any]]:
         """Return the lines of the answer for a curve, one for each `LiveCurve`; none if a newer request is known.
@@ -210,10 +302,15 @@ class Explorer:
             If a setting is invalid; others may only be found when the lines are computed.
         """
         self._latest.note(asked.client, asked.sequence)
-        sensor, observer = asked.made(), PyramidObserver(_settings(asked.observer))
+        sensor, observer = self.made(asked), self.observed_by(asked.observer)
         sizes, p_correct = asked.sizes_detectors, FitSettings(p_correct=asked.p_correct).p_correct
         if sizes is not None and len(set(sizes)) < len(sizes):
             raise SettingsError("sizes_detectors: found a value twice, expected each once")
+
+        # A camera that counts photons has one level: contrast, with all noise.
+        counts_photons = sensor.photons is not None
+        level: Level = "contrast" if counts_photons else asked.level
+        computed: Level = "snr" if counts_photons else asked.level
 
         def is_wanted() -> bool:
             return is_connected() and self._latest.is_newest(asked.client, asked.sequence)
@@ -221,14 +318,14 @@ class Explorer:
         def lines() -> Iterator[dict[str, Any]]:
             wanted = sizes or self._sizes_of(sensor, observer, p_correct, is_wanted)
             for curve in self._live.curves(
-                sensor, observer, wanted, p_correct=p_correct, level=asked.level, is_wanted=is_wanted
+                sensor, observer, wanted, p_correct=p_correct, level=computed, is_wanted=is_wanted
             ):
-                yield _line(asked.sequence, sensor, asked.level, curve)
+                yield _line(asked.sequence, sensor, level, curve)
 
         return lines()
 
     def _sizes_of(
-        self, sensor: Sensor, observer: PyramidObserver, p_correct: float, is_wanted: Callable[[], bool]
+        self, sensor: Sensor, observer: Observer, p_correct: float, is_wanted: Callable[[], bool]
     ) -> Sequence[float]:
         """Return sizes from the smallest one that surely has a threshold; if none has, the smallest sizes.
 
@@ -258,7 +355,7 @@ def _is_surely_seen(found: PredictedThreshold) -> bool:
     return found.numerical_error <= LARGEST_ERROR * found.threshold
 
 
-def _computed_sizes(sensor: Sensor, observer: PyramidObserver) -> Iterator[float]:
+def _computed_sizes(sensor: Sensor, observer: Observer) -> Iterator[float]:
     """Yield the sizes of the ladder that are not too large for the sensor's field and the observer's retina."""
     for size in LADDER_DETECTORS:
         try:
@@ -316,13 +413,9 @@ def _threshold(sensor: Sensor, level: Level, found: PredictedThreshold) -> dict[
     }
 
 
-def _settings(observer: Tables) -> PyramidSettings:
-    return from_table(observer, PyramidSettings, "[observer]")
-
-
-def transfer(asked: SensorAsked) -> dict[str, Any]:
+def transfer(sensor: Sensor) -> dict[str, Any]:
     """Return the transfer before and after sampling, as `sensor-sim mtf` computes it."""
-    found = sensor_mtf(asked.made())
+    found = sensor_mtf(sensor)
     return {
         "frequency_cyc_per_mrad": found.frequency_cyc_per_mrad,
         "presample": [round(value, 6) for value in found.mtf["pre_sample"]],
@@ -332,17 +425,16 @@ def transfer(asked: SensorAsked) -> dict[str, Any]:
     }
 
 
-def trial_pictures(asked: TrialAsked) -> dict[str, Any]:
+def trial_pictures(asked: TrialAsked, sensor: Sensor) -> dict[str, Any]:
     """Return one trial at each stage as pictures of 8-bit grey; the orientation is not among them.
 
     Raises
     ------
     SettingsError
-        If the sensor is invalid, or a picture would have more than `MOST_PICTURE_PIXELS`.
+        If a picture would have more than `MOST_PICTURE_PIXELS`.
     """
     from sensor_sim.pictures import BLACK, FINE_PIXELS_PER_DETECTOR, STAGE_TITLES, WHITE, trial_stages
 
-    sensor = asked.made()
     per_detector = max(FINE_PIXELS_PER_DETECTOR, sensor.display.pixels_per_detector)
     side = field_detectors(sensor, asked.size_detectors) * per_detector
     if side**2 > MOST_PICTURE_PIXELS:
@@ -368,25 +460,6 @@ def trial_pictures(asked: TrialAsked) -> dict[str, Any]:
     return {"stages": pictures}
 
 
-def written(asked: TomlAsked) -> dict[str, Any]:
-    """Return the text of the SENSOR.toml, a name for the file, and the command that computes the same curve.
-
-    The command is None while the sizes are not known.
-    """
-    sensor = asked.made()
-    name = re.sub(r"[^\w-]+", "_", sensor.name).strip("_")[:60] or "sensor"
-    file = f"{name}.toml"
-    if asked.sizes_detectors is None:
-        return {"file": file, "text": sensor_toml(sensor), "command": None}
-    sizes = ",".join(f"{size!r}".removesuffix(".0") for size in asked.sizes_detectors)
-    settings = asdict(_settings(asked.observer))
-    others = [f"--set {key}={toml_literal(settings[key])}" for key in asked.observer if settings[key] is not None]
-    curve = ["sensor-sim curve", shlex.quote(file), "--size-detectors", sizes, *others]
-    if asked.p_correct != FitSettings().p_correct:
-        curve.append(f"--p-correct {asked.p_correct!r}")
-    return {"file": file, "text": sensor_toml(sensor), "command": " ".join(curve)}
-
-
 def read(asked: TextAsked) -> dict[str, Any]:
     """Return the tables of a SENSOR.toml; see `load_sensor` for the errors."""
-    return {"sensor": sensor_settings(shown(sensor_from(parse_toml(asked.text, asked.name), asked.name)))}
+    return {"sensor": sensor_settings(sensor_from(parse_toml(asked.text, asked.name), asked.name))}

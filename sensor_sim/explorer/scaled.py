@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sensor_sim.thresholds.curve_plan import is_symmetric, not_linear
 from sensor_sim.thresholds.sharing import Kept
 from todframes.base._typing import FloatArray
+from todframes.observers.csf import CsfObserver
 from todframes.observers.interface import Observer, OmittedWeights, Readout, TruncatedObserver
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver
@@ -28,7 +29,7 @@ class Unit(NamedTuple):
 
 
 def unit_of(observer: Observer) -> Unit:
-    """Return the observer with internal noise of standard deviation 1, and its own standard deviation as a factor.
+    """Return the observer with a usual internal noise, and the ratio of its own standard deviation to that.
 
     Observers whose weights may depend on the noise stay as they are, with the factor 1.
     """
@@ -36,6 +37,9 @@ def unit_of(observer: Observer) -> Unit:
         settings = cast("PyramidObserver", observer).settings
         of_unit_noise: Any = type(observer)(replace(settings, internal_noise=0.0, internal_noise_sd=1.0))
         return Unit(pickle.dumps(of_unit_noise), settings.noise_sd)
+    if type(observer) is CsfObserver and observer.settings.template == "matched":
+        average = CsfObserver(replace(observer.settings, efficiency=1.0))
+        return Unit(pickle.dumps(average), observer.settings.noise_sd / average.settings.noise_sd)
     return Unit(pickle.dumps(observer), 1.0)
 
 

@@ -1,8 +1,8 @@
 """Thresholds of one sensor after the other; parts that earlier sensors have in common with a later one are kept.
 The key of a part holds everything on which the part depends: samples have optics and detector, weights have
 display and observer, trials have both. Only the ratio of internal noise to gain matters, and only in the step from
-trials to answers. Background and NETD do not change a threshold SNR. A threshold contrast is that on the display,
-so the gain does not change it either.
+trials to answers; so do light and noise of a camera that counts photons. Background and NETD do not change a
+threshold SNR. A threshold contrast is that on the display, so the gain does not change it either.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 
+from sensor_sim.chain.photons import ContrastVariance, contrast_variance, largest_contrast
 from sensor_sim.chain.sampling import field_detectors
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.explorer.estimate import (
@@ -34,12 +35,14 @@ from sensor_sim.explorer.scaled import ScaledObserver, Unit, scaled
 from sensor_sim.sweeps.work import as_computed
 from sensor_sim.thresholds.curve_plan import CurvePlan, plan_curve
 from sensor_sim.thresholds.predict import (
+    PLACES,
     FoldedChain,
     Level,
     Phases,
     PooledThreshold,
     PredictedThreshold,
     Reference,
+    covariance_at,
     find_threshold,
     predict_threshold,
 )
@@ -78,7 +81,8 @@ class Request(NamedTuple):
     tolerances : (float, float)
         Relative errors to reach, of estimates and of refined thresholds.
     level : {"snr", "contrast"}
-        Quantity whose threshold is asked for.
+        Quantity whose threshold is asked for; with detector noise "snr", also where it is the contrast of a camera
+        that counts photons.
     """
 
     number: int
@@ -118,8 +122,8 @@ class ThresholdEngine:
             self._kept["samplers"], _Checked(0, check), self._kept["refined weights"], self._kept["trials"]
         )
         self._known: OrderedDict[Hashable, tuple[PredictedThreshold, Shares]] = OrderedDict()
-        self._near: dict[tuple[Level, float], tuple[float, float]] = {}
-        self._references: dict[tuple[Level, float], Reference] = {}
+        self._near: dict[_Kind, tuple[float, float]] = {}
+        self._references: dict[_Kind, Reference] = {}
 
     def answers(self, request: Request) -> Iterator[CurvePoint]:
         """Yield estimates of all sizes and then refined thresholds, the easiest first.
@@ -135,6 +139,8 @@ class ThresholdEngine:
         for _, size in request.sizes:
             field_detectors(request.sensor, size)  # checks it
         sensor = as_computed(request.sensor)
+        if request.level == "contrast":
+            sensor = replace(sensor, photons=None, scene=None)  # there is no detector noise
         pickled, noise_sd = request.observer
         scale = noise_sd / (sensor.display.gain if request.level == "snr" else 1.0)
         sensor = replace(sensor, display=replace(sensor.display, gain=1.0))
@@ -142,7 +148,7 @@ class ThresholdEngine:
         rough, fine = request.tolerances
         todo: list[tuple[float, int, _Task, Hashable, _OnLattices]] = []
         for index, size in request.sizes:
-            task = _Task(sensor, observer, size, request.p_correct, request.level)
+            task = _Task(sensor, observer, size, request.p_correct, request.level, _light(sensor))
             key: Hashable = (sensor, pickled, scale, size, request.p_correct, request.level, fine)
             if key in self._known:
                 yield CurvePoint(index, *self._known[key], is_refined=True)
@@ -168,16 +174,16 @@ class ThresholdEngine:
         found = on_few = self._on_lattices(task, FEW_PLACES)
         threshold = error = None
         if on_few.found.status == "ok":
-            threshold, error = corrected(on_few.found, self._references.get((task.level, task.size)))
+            threshold, error = corrected(on_few.found, self._references.get(task.kind))
             if error > FAR_TOO_LARGE * tolerance * threshold:
                 found = self._on_lattices(task, MORE_PLACES)
                 threshold, error = corrected(found.found, None) if found.found.status == "ok" else (None, None)
         n_phases = sum(part.signal[..., 0].size for part in found.phases)
         of_size = PredictedThreshold(found.found.status, threshold, error, task.size, n_phases)
-        return of_size, _shares(found, task.level, threshold), on_few
+        return of_size, _shares(found, task, threshold), on_few
 
     def _on_lattices(self, task: _Task, places: int) -> _OnLattices:
-        sensor, observer, size, p_correct, level = task
+        sensor, observer, size, p_correct, level, light = task
         judge = cast("Observer", observer)
         stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
         grid = judge.grid(stimulus)
@@ -195,26 +201,30 @@ class ThresholdEngine:
                 name=(observer.name, stimulus),
                 pitch_mrad=grid.pitch_mrad,
                 images=partial(observer.weights, stimulus, half_width),
+                counts_photons=light is not None,
             )
 
-        phases = self._kept["trials"].get((sensor, observer.name, size, places), make)
-        near, slope = self._near.get((level, size), (None, math.nan))
+        seen = replace(sensor, photons=None, scene=None)  # light and noise come in after the trials
+        phases = self._kept["trials"].get((seen, light is not None, observer.name, size, places), make)
+        near, slope = self._near.get(task.kind, (None, math.nan))
         found = find_threshold(
             phases,
             noise.noise_covariance,
             p_correct,
             n_replicates=LATTICES,
             level=level,
+            variance=None if light is None else light.variance,
+            most=math.inf if light is None else light.largest_contrast,
             near=near,
             slope=slope,
             tolerance=QUICK_ORTHANT_TOLERANCE,
         )
         if found.status == "ok":
-            self._near[level, size] = found.threshold, found.slope
+            self._near[task.kind] = found.threshold, found.slope
         return _OnLattices(found, phases, noise.noise_covariance)
 
     def _refined(self, task: _Task, tolerance: float, on_few: _OnLattices) -> tuple[PredictedThreshold, Shares]:
-        sensor, observer, size, p_correct, level = task
+        sensor, observer, size, p_correct, level, light = task
         is_known = on_few.found.status == "ok"
         unit, near, slope = 1.0, None, math.nan
         if level == "contrast" and is_known:
@@ -242,14 +252,15 @@ class ThresholdEngine:
             level=level,
             near=near,
             slope=slope,
+            most_places=PLACES[-1 if light is None else -2],
             check=self._check,
         )
         if found.threshold is not None and found.numerical_error is not None:
             threshold, error = unit * found.threshold, unit * found.numerical_error
             found = replace(found, threshold=threshold, numerical_error=error)
             if is_known:
-                self._references[level, size] = Reference.of(on_few.found, threshold, error)
-        return found, _shares(on_few, level, found.threshold)
+                self._references[task.kind] = Reference.of(on_few.found, threshold, error)
+        return found, _shares(on_few, task, found.threshold)
 
 
 class _OnLattices(NamedTuple):
@@ -260,12 +271,35 @@ class _OnLattices(NamedTuple):
     internal: FloatArray
 
 
-def _shares(found: _OnLattices, level: Level, threshold: float | None) -> Shares:
-    if level == "snr":
-        return decision_shares(found.phases, found.internal, threshold)
-    # A contrast that is never enough has no internal noise that matters at the largest one.
-    internal = np.zeros((4, 4)) if threshold is None else found.internal / threshold**2
-    return decision_shares(found.phases, internal, None)
+def _shares(found: _OnLattices, task: _Task, threshold: float | None) -> Shares:
+    """Return the shares at a threshold, or without one at the strongest signal."""
+    internal, nothing = found.internal, [np.zeros((4, 4))] * len(found.phases)
+    if task.light is not None:
+        contrast, variance = threshold or task.light.largest_contrast, task.light.variance
+        noise = [covariance_at("contrast", contrast, nothing[0], part, variance) for part in found.phases]
+        return decision_shares(found.phases, internal / contrast**2, [one.mean(axis=(0, 1)) for one in noise])
+    if task.level == "contrast":
+        # A contrast that is never enough has no internal noise that matters at the largest one.
+        return decision_shares(found.phases, nothing[0] if threshold is None else internal / threshold**2, nothing)
+    if threshold is None:
+        return decision_shares(found.phases, internal, nothing)
+    return decision_shares(
+        found.phases, internal, [part.noise.mean(axis=0) / threshold**2 for part in found.phases]
+    )
+
+
+class _Light(NamedTuple):
+    """Noise of a camera that counts photons, as contrast, and the contrast at which its pixels saturate."""
+
+    variance: ContrastVariance
+    largest_contrast: float
+
+
+def _light(sensor: Sensor) -> _Light | None:
+    """Return the noise of the photons that a camera counts; None if it counts none."""
+    if sensor.photons is None:
+        return None
+    return _Light(contrast_variance(sensor), largest_contrast(sensor))
 
 
 class _Task(NamedTuple):
@@ -274,6 +308,15 @@ class _Task(NamedTuple):
     size: float
     p_correct: float
     level: Level
+    light: _Light | None
+
+    @property
+    def kind(self) -> _Kind:
+        """Return what tasks have in common whose thresholds may be near each other."""
+        return self.level, self.light is not None, self.size
+
+
+_Kind = tuple[Level, bool, float]
 
 
 class _Checked(Kept[T], Generic[T]):

@@ -493,6 +493,7 @@ def find_threshold(
     n_replicates: int,
     level: Level = "snr",
     variance: ContrastVariance | None = None,
+    most: float = math.inf,
     near: float | None = None,
     slope: float = math.nan,
     tolerance: float = ORTHANT_TOLERANCE,
@@ -512,6 +513,8 @@ def find_threshold(
     level : {"snr", "contrast"}
     variance : ContrastVariance, optional
         Variance of a sample of a camera that counts photons; the level is then the contrast.
+    most : float
+        Largest level that the sensor can show; a threshold beyond it is never reached.
     near, slope : float
         A threshold that may be near, to begin with, and the slope dP / d ln level there.
     tolerance : float
@@ -525,6 +528,8 @@ def find_threshold(
         return _each_proportion(phases, covariance, n_replicates, tolerance=tolerance, check=check)
 
     status, threshold = crossing(lambda value: float(of_each(value).mean()), p_correct, near=near, slope=slope)
+    if threshold is not None and threshold > most:
+        status, threshold = "never_reached", None
     if threshold is None:
         return PooledThreshold(status, math.nan, np.full(n_replicates, math.nan), math.nan)
     low, high = (of_each(threshold * math.exp(way * STEP / 2.0)) for way in (-1.0, 1.0))
@@ -559,6 +564,7 @@ def predict_threshold(
     level: Level = "snr",
     near: float | None = None,
     slope: float = math.nan,
+    most_places: int = PLACES[-1],
     check: Callable[[], None] = lambda: None,
 ) -> PredictedThreshold:
     """Compute a threshold, with more and more places until its error falls below the tolerance.
@@ -579,6 +585,8 @@ def predict_threshold(
         Quantity whose threshold is computed.
     near, slope : float
         A threshold that may be near, and the slope dP / d ln level there; by default those that the plan found.
+    most_places : int
+        Number of places along each axis of a detector with which the refinement ends, whatever the error is.
     check : function of no arguments
         Called every few milliseconds; it may raise an exception.
 
@@ -598,6 +606,7 @@ def predict_threshold(
         level=level,
         near=near,
         slope=slope,
+        most_places=most_places,
         check=check,
     )[0]
 
@@ -723,18 +732,21 @@ def _predicted(
     level: Level = "snr",
     near: float | None = None,
     slope: float = math.nan,
+    most_places: int = PLACES[-1],
     check: Callable[[], None] = lambda: None,
     known: _AtKnownLight | None = None,
 ) -> tuple[PredictedThreshold, dict[int, PooledThreshold], float]:
     """Return a threshold, what each number of places gives, and the bound on what the plan leaves out."""
     pixels = chain.sensor.display.pixels_per_detector
-    ladder = [n for n in PLACES if math.gcd(n, pixels) == 1 and n >= chain.plan.fewest_places]
+    ladder = [n for n in PLACES if math.gcd(n, pixels) == 1 and chain.plan.fewest_places <= n <= most_places]
     on_places: dict[int, PooledThreshold] = {}
     if near is None and (level == "snr" or chain.variance is not None):
         near, slope = chain.plan.near_level, chain.plan.slope
         if known is not None:
             near = known.near(chain)
     bound = chain.plan.bound
+    # A triangle of more contrast saturates the pixels, and looks the same.
+    most = math.inf if chain.variance is None else largest_contrast(chain.sensor)
     for places in ladder:
         parts = chain.replicates(places, seed)
         phases = pooled(parts)
@@ -746,15 +758,17 @@ def _predicted(
             n_replicates=REPLICATES,
             level=level,
             variance=chain.variance,
+            most=most,
             near=near,
             slope=slope,
             check=check,
         )
-        status = found.status
-        if chain.variance is not None and found.threshold > largest_contrast(chain.sensor):
-            status = "never_reached"  # a triangle of more contrast saturates the pixels, and looks the same
-        if status != "ok":
-            return PredictedThreshold(status, size_detectors=chain.size_detectors, n_phases=n_phases), {}, bound
+        if found.status != "ok":
+            return (
+                PredictedThreshold(found.status, size_detectors=chain.size_detectors, n_phases=n_phases),
+                {},
+                bound,
+            )
         near, slope = found.threshold, found.slope
         threshold = found.threshold
         if known is not None:

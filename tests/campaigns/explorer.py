@@ -10,6 +10,7 @@ from __future__ import annotations
 import random
 import shutil
 import sys
+import tempfile
 import tomllib
 from collections import Counter
 from collections.abc import Callable
@@ -20,6 +21,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from browser import serving, wait_until, watched
+
+from sensor_sim import new_sensor
 
 if TYPE_CHECKING:
     from playwright.sync_api import Download, Page, Route
@@ -90,6 +93,7 @@ JUDGE = """() => {
   if (claimed) {
     const { sensor, observer } = body;
     for (const field of document.querySelectorAll("#controls [id^=field-]:not(p, span, label, [type=checkbox])")) {
+      if (field.closest("[hidden]")) continue;
       const [table, name] = field.id.slice("field-".length).split("-");
       const value = name ? { ...sensor, observer }[table][name] : body[table];
       const wanted = table === "sizes_detectors" ? lines[0].thresholds.map((one) => one.size_detectors) : value;
@@ -174,14 +178,16 @@ class Walk:
         return self.chance.choice(moves)()
 
     def _slide(self) -> str:
-        slider = self.page.locator("#controls input[type=range]").nth(self.chance.randrange(SLIDERS))
+        slider = self.page.locator("#controls input[type=range]:visible")
+        slider = slider.nth(self.chance.randrange(slider.count()))
         key = self.chance.choice(["ArrowLeft", "ArrowRight"])
         for _ in range(self.chance.choice([1, 1, 2, 5])):
             slider.press(key)
         return f"slider {slider.get_attribute('aria-labelledby')} {key}"
 
     def _type(self) -> str:
-        name, values = self.chance.choice(TYPED)
+        shown = [one for one in TYPED if self.page.locator(f"#field-{one[0]}").is_visible()]
+        name, values = self.chance.choice(shown)
         value, how = self.chance.choice(values), self.chance.choice(["Tab", "Enter", None])
         field = self.page.locator(f"#field-{name}")
         field.fill(value)
@@ -192,7 +198,7 @@ class Walk:
     def _click(self) -> str:
         what = self.chance.choice(CLICKED)
         target = self.page.locator(what).first
-        if target.count() and target.is_enabled():
+        if target.count() and target.is_visible() and target.is_enabled():
             target.click()
         if self.chance.random() < 0.15:
             names = self.page.locator("#presets option").all_inner_texts()[1:]
@@ -204,6 +210,7 @@ class Walk:
         """Save; return how the file differs from the controls. The page may refuse what is impossible."""
         fields: dict[str, str] = self.page.evaluate(
             "Object.fromEntries([...document.querySelectorAll('#controls [id^=field-]:not(p, span, label)')]"
+            ".filter((one) => !one.closest('[hidden]'))"
             ".map((one) => [one.id.slice('field-'.length).replace('-', '.'), one.value]))"
         )
         downloads: list[Download] = []
@@ -237,7 +244,6 @@ class Walk:
         return faults
 
 
-SLIDERS = 18
 TYPED = (
     ("optics-aperture_mm", ("", "180", "1,5e2", "red", "-3", "0.5", "220")),
     ("sizes_detectors", ("", "4, 6", "3 5 8", "two", "300", "2, 2, 4")),
@@ -245,6 +251,10 @@ TYPED = (
     ("detector-width_mrad", ("0.9", "0.0681", "0.05", "")),
     ("noise-frames_integrated", ("1", "6", "1.5", "7")),
     ("p_correct", ("0.7", "0.2", "0.75")),
+    ("optics-f_number", ("1.4", "2.8", "0", "")),
+    ("scene-luminance_cd_m2", ("0.1", "30", "1e9", "")),
+    ("noise-exposure_ms", ("2", "20", "x")),
+    ("noise-full_well_electrons", ("5000", "", "10")),
 )
 CLICKED = (
     "#undo", "#undo", "#redo", "#reset", "#pin", "#pins .remove", "#field-keep_fill_factor", "#field-couple_netd",
@@ -252,6 +262,21 @@ CLICKED = (
     "label:has([name=unit][value=mrad])", "label:has([name=unit][value=detectors])",
     "label:has([name=abscissa][value=size])",
 )  # fmt: skip
+
+
+def camera(folder: Path, seed: int) -> Path:
+    """Return the camera of a seed: in turn one with an SNR, one that counts photons, and one with a measured MTF."""
+    kind = seed % 3
+    if kind == 0:
+        return CAMERA
+    made = folder / "camera.toml"
+    text = new_sensor(preset="emva_basler", focal_length_mm=25, f_number=2.8, pitch_um=3.45)
+    if kind == 2:
+        text = text.replace("[optics]\n", '[optics]\nmtf = "mtf.csv"\n').replace("blur_sigma_mrad", "# blur")
+        table = "frequency_cyc_per_mm,mtf\n0,1\n50,0.8\n100,0.55\n200,0.25\n300,0.1\n400,0.02\n"
+        (folder / "mtf.csv").write_text(table, encoding="utf-8")
+    made.write_text(text, encoding="utf-8")
+    return made
 
 
 def campaign(n: int, *, seed: int) -> Tally:
@@ -262,7 +287,11 @@ def campaign(n: int, *, seed: int) -> Tally:
     faults: list[str] = []
     n_saved = 0
     chromium_path = next(path for name in ("chromium", "google-chrome") if (path := shutil.which(name)))
-    with sync_playwright() as play, serving("sensor_sim", "explore", CAMERA, "--no-browser") as server:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        sync_playwright() as play,
+        serving("sensor_sim", "explore", camera(Path(folder), seed), "--no-browser") as server,
+    ):
         chromium = play.chromium.launch(executable_path=chromium_path, args=["--no-sandbox"])
         with watched(chromium, server.url, expected_console=REFUSED, script=RECORD) as page:
             page.set_default_timeout(60_000)

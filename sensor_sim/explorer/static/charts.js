@@ -82,6 +82,12 @@ export const STRENGTHS = {
   delta_t_mk: { header: "ΔT (mK)", axis: "Threshold ΔT (mK)", error: "delta_t_error_mk", level: "snr" },
   contrast: { header: "Contrast", axis: "Threshold contrast, no detector noise", error: "contrast_error", level: "contrast" },
 };
+
+/** Return the title of a threshold's axis; with `hasLight`, contrasts are those of a camera that counts photons. */
+export function axisOf({ strength, hasLight }) {
+  return strength === "contrast" && hasLight ? "Threshold contrast" : STRENGTHS[strength].axis;
+}
+
 export const SIZES = { detectors: "size_detectors", mrad: "size_mrad" };
 export const ABSCISSAE = {
   inverse: { detectors: "1 / size (1 / detectors)", mrad: "1 / size (1 / mrad)" },
@@ -155,7 +161,7 @@ export class CurveChart {
       bands,
       axes: [
         axis(ABSCISSAE[view.abscissa][view.unit], linearTicks, "bottom"),
-        axis(STRENGTHS[view.strength].axis, logTicks, "left"),
+        axis(axisOf(view), logTicks, "left"),
       ],
       scales: {
         x: { time: false, range: (_, low, high) => (high > 0 ? [0, 1.04 * high] : [0, 1]) },

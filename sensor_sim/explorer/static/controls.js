@@ -2,12 +2,15 @@
 
 import { element } from "./elements.js";
 import { parsed } from "./numbers.js";
-import { valueOf } from "./state.js";
+import { has, hasFocalLength, hasWidth, valueOf } from "./state.js";
 
 /** Pause in typing after which a number is taken, so that 150 is not first 1 and then 15. */
 const PAUSE_MS = 350;
 
-/** What the page itself asks for besides the parameters of the server; `names` are those that errors give it, too. */
+/**
+ * What the page itself asks for besides the parameters of the server; `names` are those that errors give it, too.
+ * `isShown` returns whether a state has a use for it.
+ */
 export const TEST_FIELDS = [
   {
     key: "sizes_detectors",
@@ -41,6 +44,7 @@ export const TEST_FIELDS = [
     min: 1,
     max: 50,
     step: 0.005,
+    isShown: (state) => !hasFocalLength(state),
     help: "For the f-number alone; no threshold depends on it.",
   },
   {
@@ -50,6 +54,7 @@ export const TEST_FIELDS = [
     unit: "",
     kind: "switch",
     optional: true,
+    isShown: hasWidth,
     help: "Pitch and width move together.",
   },
   {
@@ -59,10 +64,14 @@ export const TEST_FIELDS = [
     unit: "",
     kind: "switch",
     optional: true,
+    isShown: (state) => has(state, "noise.netd_mk"),
     help: "The NETD follows the aperture and the area of a detector. Off: it stays.",
   },
 ];
 const MOST_SIZES = 12;
+
+/** Return whether a state has a use for a field: of a sensor's keys it has those that its file has. */
+export const isShown = (field, state) => (field.isShown ? field.isShown(state) : has(state, field.key));
 
 /** The slider of a field: whole positions from 0 on, and the values at them. A logarithmic one has steps in log10. */
 class Scale {
@@ -105,13 +114,14 @@ class Field {
     this.#unread = unread;
     const id = `field-${field.key.replaceAll(".", "-")}`;
     this.#error = element("p", { className: "error", id: `${id}-error`, hidden: true });
-    this.input = { choice: () => this.#choice(), switch: () => this.#switch() }[field.kind]?.() ?? this.#text();
+    const special = { choice: () => this.#choice(), switch: () => this.#switch(), file: () => element("output") };
+    this.input = special[field.kind]?.() ?? this.#text();
     this.input.id = id;
     const label = element("label", { htmlFor: id, id: `${id}-label` }, field.label);
     if (field.unit) label.append(" ", element("span", { className: "unit" }, field.unit));
     label.title = field.help;
     const help = element("span", { id: `${id}-help`, className: "hidden-visually" }, field.help);
-    const slider = ["number", "integer"].includes(field.kind) ? [this.#range(label.id)] : [];
+    const slider = ["number", "integer"].includes(field.kind) && field.min !== null ? [this.#range(label.id)] : [];
     this.row = element("div", { className: `field of-${field.kind}` }, label, ...slider, this.input, this.#error, help);
     this.input.setAttribute("aria-describedby", `${this.#error.id} ${help.id}`);
   }
@@ -185,7 +195,7 @@ class Field {
   /** Show a value, except in a number field that is being edited and has this value already. */
   show(value) {
     if (this.#field.kind === "switch") {
-      this.input.checked = value !== null;
+      this.input.checked = value !== null && value !== false;
       return;
     }
     this.#showText(value);
@@ -204,12 +214,17 @@ class Field {
   }
 
   #has(value) {
-    if (this.#field.kind === "choice") return this.input.value === value;
+    if (["choice", "file"].includes(this.#field.kind)) return this.input.value === value;
     try {
       return isSame(this.#read(this.input.value), value);
     } catch {
       return false;
     }
+  }
+
+  /** Show the field, or hide it if a state has no use for it. */
+  showIf(state) {
+    this.row.hidden = !isShown(this.#field, state);
   }
 
   /** Show the line of an error, or with null none. */
@@ -234,6 +249,7 @@ function readSizes(text) {
 export class Controls {
   #fields = new Map();
   #notes = new Map();
+  #groups = [];
 
   /**
    * @param {HTMLFormElement} form
@@ -249,16 +265,21 @@ export class Controls {
       members.forEach((field, index) => this.#fields.set(field.key, made[index]));
       const note = element("p", { className: "note" });
       this.#notes.set(group, note);
-      form.append(element("fieldset", {}, element("legend", {}, group), ...made.map((field) => field.row), note));
+      const rows = made.map((field) => field.row);
+      const set = element("fieldset", {}, element("legend", {}, group), ...rows, note);
+      this.#groups.push({ set, rows });
+      form.append(set);
     }
   }
 
-  /** Show the values of a state; after another one, those that differ. */
+  /** Show the fields that a state has a use for, with its values; after another one, those that differ. */
   show(state, before = null) {
     for (const [key, field] of this.#fields) {
+      field.showIf(state);
       const value = valueOf(state, key) ?? null;
       if (before === null || !isSame(value, valueOf(before, key) ?? null)) field.show(value);
     }
+    for (const { set, rows } of this.#groups) set.hidden = rows.every((row) => row.hidden);
   }
 
   /** Show a note below a group. */

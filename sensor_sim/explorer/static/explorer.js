@@ -1,14 +1,14 @@
 // The explorer: parameters on one side, the curve, the MTFs and a trial of the sensor on the other.
 
-import { CurveChart, MtfChart, shownFrequency, SIZES, STRENGTHS } from "./charts.js";
-import { Controls, TEST_FIELDS } from "./controls.js";
+import { axisOf, CurveChart, MtfChart, shownFrequency, SIZES, STRENGTHS } from "./charts.js";
+import { Controls, isShown, TEST_FIELDS } from "./controls.js";
 import { byId, element, fillTable } from "./elements.js";
 import { LiveCurve, Newest } from "./live.js";
 import { percentAtMost, plain, withError } from "./numbers.js";
 import { csvOf, download, downloadPlot, plotOf } from "./files.js";
 import { MOST_PINS, showPins, withPin } from "./pins.js";
 import { post, Watch } from "./server.js";
-import { fromHash, History, moved, opticsInWords, Session, toHash, valueOf, withSensor, withValue } from "./state.js";
+import { countsPhotons, fromHash, History, moved, opticsInWords, Session, toHash, valueOf, withSensor, withValue } from "./state.js";
 import { Trial } from "./trial.js";
 
 /** Time for which a curve may be that of an earlier state before it is greyed. */
@@ -50,9 +50,9 @@ class Explorer {
 
   constructor(start) {
     this.#fields = [...start.fields, ...TEST_FIELDS];
-    const { sensor, observer, p_correct, chip_pitch_um } = start;
+    const { sensor, observer, p_correct, chip_pitch_um, measured } = start;
     const switches = { keep_fill_factor: null, couple_netd: null };
-    this.#first = { sensor, observer, sizes_detectors: null, p_correct, chip_pitch_um, ...switches };
+    this.#first = withSensor({ observer, p_correct, chip_pitch_um, measured, ...switches }, sensor);
     this.#history = new History(this.#first);
     this.#controls = new Controls(byId("controls"), this.#fields, {
       change: (...change) => this.#move(...change),
@@ -95,13 +95,13 @@ class Explorer {
     on("pin", "click", () => this.#pin());
     on("csv", "click", () => this.#drawn && download("tod_curve.csv", csvOf(this.#pins, this.#drawn)));
     for (const format of ["png", "svg"]) {
-      on(format, "click", () => this.#drawn && this.#plot("/api/plot", plotOf(this.#pins, this.#drawn, this.#shown, format)));
+      on(format, "click", () => this.#drawn && this.#plot("/api/plot", plotOf(this.#comparable, this.#drawn, this.#shown, format)));
       on(`mtf-${format}`, "click", () => this.#mtfSensor && this.#plot("/api/mtf-plot", { sensor: this.#mtfSensor, format }));
     }
     for (const input of document.querySelectorAll(".axes input")) {
       input.addEventListener("change", () => {
         this.#view = { ...this.#view, [input.name]: input.value };
-        if (this.#level !== this.#now.level) this.#enter(this.#now.state);
+        if (this.#levelOf(this.#now.state) !== this.#now.level) this.#enter(this.#now.state);
         this.#drawCurve();
         this.#keep();
       });
@@ -167,14 +167,19 @@ class Explorer {
     this.#enter(this.#now.state, new Map([...this.#now.unread, [key, line]]));
   }
 
-  /** The level of the chosen quantity, which is no part of the sensor: no step of undo changes it. */
-  get #level() {
-    return STRENGTHS[this.#view.strength].level;
+  /** Return the chosen quantity, or the usual one of a sensor that does not have it; no step of undo changes it. */
+  #strengthOf({ sensor }) {
+    const { strength } = this.#view;
+    return isOffered(strength, sensor) ? strength : countsPhotons(sensor) ? "contrast" : "snr";
+  }
+
+  #levelOf(state) {
+    return STRENGTHS[this.#strengthOf(state)].level;
   }
 
   /** Make a state the one that the page shows, and ask for its curve. */
   #enter(state, unread = this.#now.unread) {
-    this.#now = { id: this.#now.id + 1, state, unread, level: this.#level, curve: null, error: null };
+    this.#now = { id: this.#now.id + 1, state, unread, level: this.#levelOf(state), curve: null, error: null };
     if (!unread.size) this.#live.ask(this.#now);
     this.#keep();
     this.#tell("");
@@ -262,7 +267,8 @@ class Explorer {
     const lines = new Map([...this.#now.unread].filter(([, line]) => line !== null));
     if (error) {
       const name = error.key ?? /^\w+(?=: )/.exec(error.message)?.[0];
-      const key = this.#fields.find((field) => field.key === name || field.names?.includes(name))?.key;
+      const isOf = (field) => field.key === name || field.names?.includes(name);
+      const key = this.#fields.find((field) => isOf(field) && isShown(field, this.#now.state))?.key;
       // The field says of what it is; the line of a file also names the table and the key.
       const line = error.message.replace(/^.*?\w+: (?=found )/, "");
       if (key === undefined) return { line: error.message, lines };
@@ -285,21 +291,20 @@ class Explorer {
   #drawCurve() {
     if (this.#drawn === null) return;
     const { curve, state } = this.#drawn;
-    const hasTemperature = state.sensor.noise.netd_mk !== null;
-    const isOffered = (name) => name !== "delta_t_mk" || hasTemperature;
-    const chosen = isOffered(this.#view.strength) ? this.#view.strength : "snr";
+    const hasLight = countsPhotons(state.sensor);
+    const chosen = this.#strengthOf(state);
     // Until the curve of another level is there, this one stays as it is.
     const strength = STRENGTHS[chosen].level === curve.level ? chosen : curve.level;
-    const view = (this.#shown = { ...this.#view, strength });
+    const view = (this.#shown = { ...this.#view, strength, hasLight });
     for (const input of document.querySelectorAll(".axes input")) {
       input.checked = input.value === { ...view, strength: chosen }[input.name];
-      if (input.value !== "delta_t_mk") continue;
-      input.disabled = !hasTemperature;
-      input.parentElement.title = hasTemperature ? "" : "Temperatures need the NETD.";
+      if (input.name !== "strength") continue;
+      input.disabled = !isOffered(input.value, state.sensor);
+      input.parentElement.title = titleOf(input.value, hasLight, input.disabled);
     }
-    this.#curveChart.draw(curve.thresholds, this.#pins, view);
+    this.#curveChart.draw(curve.thresholds, this.#comparable, view);
     Object.assign(byId("curve").dataset, { stage: curve.stage, sequence: curve.sequence });
-    this.#showNumbers(Object.keys(STRENGTHS).filter((name) => isOffered(name) && STRENGTHS[name].level === curve.level));
+    this.#showNumbers(Object.keys(STRENGTHS).filter((name) => isOffered(name, state.sensor) && STRENGTHS[name].level === curve.level));
     const without = (status, text) => {
       const missing = curve.thresholds.filter((one) => one.status === status);
       return missing.length && `${text}: ${missing.map((one) => plain(one[SIZES[view.unit]])).join(", ")} ${view.unit}`;
@@ -340,7 +345,8 @@ class Explorer {
     const shown = thresholds.map(
       (one) => `${plain(one.size_detectors)} detectors: ${plain(one[level]) || MISSING[one.status]}`,
     );
-    return `${STRENGTHS[level].axis} at ${shown.join("; ")}.`;
+    const axis = axisOf({ strength: level, hasLight: countsPhotons(this.#drawn.state.sensor) });
+    return `${axis} at ${shown.join("; ")}.`;
   }
 
   /** Show that the server is gone, or with null that it is there again; nothing else says so. */
@@ -380,6 +386,12 @@ class Explorer {
     if (this.#drawn !== null && this.#pins.length < MOST_PINS) this.#setPins(withPin(this.#pins, this.#drawn));
   }
 
+  /** The pins; those of another kind of sensor have no thresholds that can be compared with the drawn ones. */
+  get #comparable() {
+    const isAlike = (pin) => countsPhotons(pin.state.sensor) === countsPhotons(this.#drawn.state.sensor);
+    return this.#pins.map((pin) => (isAlike(pin) ? pin : { ...pin, thresholds: [] }));
+  }
+
   #setPins(pins) {
     this.#pins = pins;
     this.#keep();
@@ -388,8 +400,8 @@ class Explorer {
 
   #showPins(view) {
     byId("pin").disabled = this.#pins.length >= MOST_PINS;
-    showPins(this.#pins, this.#drawn, this.#fields, view, (pin) => {
-      this.#setPins(this.#pins.filter((other) => other !== pin));
+    showPins(this.#comparable, this.#drawn, this.#fields, view, ({ number }) => {
+      this.#setPins(this.#pins.filter((other) => other.number !== number));
       byId("pin").focus();
     });
   }
@@ -420,8 +432,9 @@ class Explorer {
   async #save() {
     if (!this.#isWhole()) return;
     try {
-      const { text, file } = await post("/api/toml", this.#now.state);
+      const { text, file, beside } = await post("/api/toml", this.#now.state);
       download(file, text);
+      if (beside.length) this.#tell(`${file} saved. Copy ${beside.join(" and ")} beside it: the file names it.`);
     } catch (error) {
       this.#fail(error);
     }
@@ -464,8 +477,8 @@ class Explorer {
     if (location.hash.length < 2) return "";
     try {
       return this.#take(fromHash(location.hash, this.#fields, this.#first));
-    } catch {
-      return "The link is damaged: it holds no sensor. The sensor stays as it is.";
+    } catch (error) {
+      return error.message;
     }
   }
 
@@ -501,6 +514,19 @@ class Explorer {
   #announce(text) {
     byId("announcement").textContent = text;
   }
+}
+
+/** Return whether a quantity is that of a sensor's thresholds. */
+function isOffered(strength, sensor) {
+  if (countsPhotons(sensor)) return strength === "contrast";
+  return strength !== "delta_t_mk" || sensor.noise.netd_mk !== null;
+}
+
+/** Return what the choice of a quantity says about it. */
+function titleOf(strength, hasLight, isDisabled) {
+  if (hasLight) return isDisabled ? "The thresholds of a camera that counts photons are contrasts." : "At the light of the scene";
+  if (strength === "contrast") return "On the display, without detector noise";
+  return isDisabled ? "Temperatures need the NETD." : "";
 }
 
 function relativeErrors({ level, thresholds }) {

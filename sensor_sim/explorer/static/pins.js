@@ -41,7 +41,7 @@ export function difference(state, now, fields) {
   );
   const texts = differing.map(({ key, label, group, unit }) => {
     const value = valueOf(state, key);
-    const text = value === null ? "none" : Array.isArray(value) ? value.join(", ") : value;
+    const text = (value ?? null) === null ? "none" : Array.isArray(value) ? value.join(", ") : value;
     return `${group.toLowerCase()}: ${label.toLowerCase()} ${text} ${unit ?? ""}`.trim();
   });
   const name = state.sensor.name === now.sensor.name ? [] : [state.sensor.name];

@@ -8,7 +8,8 @@ import { plain } from "./numbers.js";
  * @property {object} observer
  * @property {number[]|null} sizes_detectors Null: those that suit the sensor, which the server chooses.
  * @property {number} p_correct
- * @property {number} chip_pitch_um Pitch of the detectors on the chip, for the f-number.
+ * @property {number} chip_pitch_um Pitch of the detectors on the chip, for the f-number of a sensor without focal length.
+ * @property {string} measured Fingerprint of the measured files that the server has read; empty if there are none.
  * @property {number|null} keep_fill_factor Width divided by pitch, which is kept when one of them moves; or null.
  * @property {number|null} couple_netd NETD × (aperture × width)², which is kept when one of them moves; or null.
  */
@@ -40,11 +41,28 @@ export function withValue(state, key, value) {
   return change(state, place(key));
 }
 
-const APERTURE = "optics.aperture_mm";
-const PITCH = "detector.pitch_mrad";
-const WIDTH = "detector.width_mrad";
+/** Keys of a detector's pitch and width: as angles, or on the chip. */
+const PITCHES = ["detector.pitch_mrad", "detector.pitch_um"];
+const WIDTHS = ["detector.width_mrad", "detector.width_um"];
 const NETD = "noise.netd_mk";
+/** What a sensor has besides fields: the kind of its noise, and whether its NETD follows the light. */
+const OTHER_KEYS = ["noise.model", "noise.couple_netd"];
 const DIGITS = 4;
+
+/** Return whether a state's sensor has a key; its value may be null where SENSOR.toml may do without one. */
+export const has = (state, key) => valueOf(state, key) !== undefined;
+
+/** Return whether a sensor counts photons: its thresholds are contrasts at the light of its scene. */
+export const countsPhotons = (sensor) => sensor.noise?.model !== undefined;
+
+/** Return whether a value is there: neither missing nor null. */
+const isGiven = (state, key) => (valueOf(state, key) ?? null) !== null;
+
+/** Return whether pitch and width of the detectors are both given, so that they can move together. */
+export const hasWidth = (state) => WIDTHS.some((key) => isGiven(state, key));
+
+/** Return whether the optics have a focal length, from which the f-number follows. */
+export const hasFocalLength = (state) => isGiven(state, "optics.focal_length_mm");
 
 /**
  * Return the state after a field has moved, with the values that follow it. A switch moves to true or false.
@@ -54,43 +72,64 @@ const DIGITS = 4;
  */
 export function moved(state, key, value) {
   if (key === "keep_fill_factor") return { ...state, [key]: value ? fill(state) : null };
-  if (key === "couple_netd") return { ...state, [key]: value ? netdConstant(state) : null };
+  if (key === "couple_netd") {
+    const switched = { ...state, [key]: value ? netdConstant(state) : null };
+    return has(state, "noise.couple_netd") ? withValue(switched, "noise.couple_netd", value) : switched;
+  }
   let next = withValue(state, key, value);
   const kept = next.keep_fill_factor;
-  if (kept !== null && key === PITCH) next = withValue(next, WIDTH, Math.min(value, rounded(value * kept)));
-  if (kept !== null && key === WIDTH) next = withValue(next, PITCH, Math.max(value, rounded(value / kept)));
+  if (kept !== null && PITCHES.includes(key)) {
+    next = withValue(next, widthKey(next), Math.min(value, rounded(value * kept)));
+  }
+  if (kept !== null && WIDTHS.includes(key) && value !== null) {
+    next = withValue(next, pitchKey(next), Math.max(value, rounded(value / kept)));
+  }
   if (next.couple_netd === null) return next;
   if (key === NETD) return { ...next, couple_netd: netdConstant(next) };
-  if (valueOf(next, NETD) === null || key.startsWith("noise.")) return next;
-  const netd = rounded(next.couple_netd / (valueOf(next, APERTURE) * valueOf(next, WIDTH)) ** 2);
+  if (!isGiven(next, NETD) || key.startsWith("noise.")) return next;
+  const netd = rounded(next.couple_netd / gathered(next) ** 2);
   return netd > 0 && Number.isFinite(netd) ? withValue(next, NETD, netd) : next;
 }
 
-/** Return a state with another sensor, for which the server chooses sizes; its switches stay where they are. */
+/**
+ * Return a state with another sensor, for which the server chooses sizes. Its switches stay where they are, if the
+ * sensor has what they move; the NETD is coupled if the file of the sensor says so.
+ */
 export function withSensor(state, sensor) {
   const next = { ...state, sensor, sizes_detectors: null };
+  const isCoupled = sensor.noise?.couple_netd ?? state.couple_netd !== null;
   return {
     ...next,
-    keep_fill_factor: state.keep_fill_factor === null ? null : fill(next),
-    couple_netd: state.couple_netd === null ? null : netdConstant(next),
+    keep_fill_factor: state.keep_fill_factor === null || !hasWidth(next) ? null : fill(next),
+    couple_netd: isCoupled && has(next, NETD) ? netdConstant(next) : null,
   };
 }
 
 const rounded = (value) => Number(value.toPrecision(DIGITS));
 
-const fill = (state) => valueOf(state, WIDTH) / valueOf(state, PITCH);
+const pitchKey = (state) => PITCHES.find((key) => isGiven(state, key));
 
-function netdConstant(state) {
-  return (valueOf(state, NETD) ?? 0) * (valueOf(state, APERTURE) * valueOf(state, WIDTH)) ** 2;
+const widthKey = (state) => WIDTHS.find((key) => isGiven(state, key));
+
+const fill = (state) => valueOf(state, widthKey(state)) / valueOf(state, pitchKey(state));
+
+/** Return aperture × angular width of a detector, in mm · mrad: the square is the light that it gathers. */
+function gathered({ sensor: { optics, detector } }) {
+  const aperture_mm = optics.f_number ? optics.focal_length_mm / optics.f_number : optics.aperture_mm;
+  return aperture_mm * (detector.width_mrad ?? (detector.width_um ?? detector.pitch_um) / optics.focal_length_mm);
 }
 
-/** Return f-number, focal length and λF/d of a state, in words. */
-export function opticsInWords({ sensor, chip_pitch_um: pitch_um }) {
+const netdConstant = (state) => (valueOf(state, NETD) ?? 0) * gathered(state) ** 2;
+
+/** Return f-number, focal length and λF/d of a state, in words; of lengths on the chip also the pitch as an angle. */
+export function opticsInWords({ sensor, chip_pitch_um }) {
   const { optics, detector } = sensor;
-  const focal_mm = pitch_um / detector.pitch_mrad;
-  const fNumber = focal_mm / optics.aperture_mm;
+  const pitch_um = detector.pitch_um ?? (optics.focal_length_mm ? detector.pitch_mrad * optics.focal_length_mm : chip_pitch_um);
+  const focal_mm = optics.focal_length_mm ?? pitch_um / detector.pitch_mrad;
+  const fNumber = optics.f_number ?? focal_mm / optics.aperture_mm;
   const ratio = (optics.wavelength_um * fNumber) / pitch_um;
-  return `f/${plain(rounded2(fNumber))}, focal length ${plain(rounded2(focal_mm))} mm, λF/d ${plain(rounded2(ratio))}`;
+  const angle = detector.pitch_um ? `pitch ${plain(rounded2(pitch_um / focal_mm))} mrad, ` : "";
+  return `${angle}f/${plain(rounded2(fNumber))}, focal length ${plain(rounded2(focal_mm))} mm, λF/d ${plain(rounded2(ratio))}`;
 }
 
 const rounded2 = (value) => Number(value.toPrecision(value >= 100 ? 3 : 2));
@@ -160,18 +199,30 @@ export function toHash(state, view) {
 }
 
 /**
- * Return the state and axes of a link. Only what `fields` know is taken, over the values of `first`.
+ * Return the state and axes of a link. Only what `fields` know is taken; what is no key of the sensor and missing is
+ * that of `first`.
  *
- * @throws {Error} If it is not the hash of a state.
+ * @throws {Error} If it is not the hash of a state, or of a sensor whose measured files this server has not read.
  */
 export function fromHash(hash, fields, first) {
-  const binary = atob(hash.replace(/^#/, "").replaceAll("-", "+").replaceAll("_", "/"));
-  const found = JSON.parse(new TextDecoder().decode(Uint8Array.from(binary, (letter) => letter.charCodeAt(0))));
-  if (typeof found?.sensor !== "object" || found.sensor === null) throw new Error("no sensor");
-  let state = first;
-  for (const { key } of fields) {
+  let found = null;
+  try {
+    const binary = atob(hash.replace(/^#/, "").replaceAll("-", "+").replaceAll("_", "/"));
+    found = JSON.parse(new TextDecoder().decode(Uint8Array.from(binary, (letter) => letter.charCodeAt(0))));
+  } catch {
+    // It is no JSON in base64url.
+  }
+  if (typeof found?.sensor !== "object" || found.sensor === null) {
+    throw new Error("The link is damaged: it holds no sensor. The sensor stays as it is.");
+  }
+  let state = { ...first, sensor: { name: first.sensor.name } };
+  for (const key of [...fields.map((field) => field.key), ...OTHER_KEYS]) {
     const value = valueOf(found, key);
     if (isPlain(value)) state = withValue(state, key, value);
+  }
+  const isMeasured = has(state, "optics.mtf") || has(state, "optics.psf");
+  if (isMeasured && found.measured !== first.measured) {
+    throw new Error("The link is of a sensor with a measured file that this server has not read. The sensor stays as it is.");
   }
   if (typeof found.sensor.name === "string") state = withValue(state, "sensor.name", found.sensor.name);
   return { state, view: found.view ?? {} };
@@ -179,7 +230,7 @@ export function fromHash(hash, fields, first) {
 
 function isPlain(value) {
   if (Array.isArray(value)) return value.every((one) => typeof one === "number");
-  return value === null || ["number", "string"].includes(typeof value);
+  return value === null || ["number", "string", "boolean"].includes(typeof value);
 }
 
 /** What a reload of the tab brings back: state, axes and pinned curves, unless the address has another link since. */

@@ -4,6 +4,7 @@ import { byId, element, fillTable } from "./elements.js";
 import { Newest } from "./live.js";
 import { fromTo, parsed, plain } from "./numbers.js";
 import { post } from "./server.js";
+import { countsPhotons } from "./state.js";
 
 /** Stage that is shown before the answer: the display's picture, which is all that an observer has. */
 const SHOWN = "g_display";
@@ -16,18 +17,18 @@ export class Trial {
   #stages = [];
   #isRevealed = false;
   #asked = null;
-  #isSnrChosen = false;
+  #isLevelChosen = false;
   #requests = new Newest((body) => this.#fetch(body));
 
   constructor() {
     byId("trial-form").addEventListener("submit", (event) => event.preventDefault());
     byId("trial-size").addEventListener("change", () => this.#draw());
-    byId("trial-snr").addEventListener("change", () => {
-      this.#isSnrChosen = true;
+    byId("trial-level").addEventListener("change", () => {
+      this.#isLevelChosen = true;
       this.#draw();
     });
     byId("at-threshold").addEventListener("click", () => {
-      this.#isSnrChosen = false;
+      this.#isLevelChosen = false;
       this.#draw();
     });
     byId("next-trial").addEventListener("click", () => {
@@ -41,8 +42,12 @@ export class Trial {
 
   /** Draw a trial of a state, whose thresholds are known. */
   show(state, thresholds) {
+    const before = this.#state;
     this.#state = state;
     this.#thresholds = thresholds;
+    byId("trial-level-name").textContent = this.#level === "snr" ? "SNR" : "Contrast";
+    // A number that was chosen for the other quantity means nothing.
+    if (before && countsPhotons(before.sensor) !== countsPhotons(state.sensor)) this.#isLevelChosen = false;
     const sizes = state.sizes_detectors;
     if (byId("trial-size").value === "") byId("trial-size").value = sizes[Math.floor(sizes.length / 2)];
     this.#draw();
@@ -51,21 +56,26 @@ export class Trial {
   #draw() {
     if (this.#state === null) return;
     const size = parsed(byId("trial-size").value);
-    if (!this.#isSnrChosen) byId("trial-snr").value = String(this.#thresholdNear(size));
-    const snr = parsed(byId("trial-snr").value);
-    if (!(size > 0 && snr > 0)) {
-      this.#fail(new Error("Expected a size and an SNR above 0."));
+    if (!this.#isLevelChosen) byId("trial-level").value = String(this.#thresholdNear(size));
+    const level = parsed(byId("trial-level").value);
+    if (!(size > 0 && level > 0)) {
+      this.#fail(new Error(`Expected a size and ${this.#level === "snr" ? "an SNR" : "a contrast"} above 0.`));
       return;
     }
-    const { sensor, observer } = this.#state;
-    this.#requests.ask({ sensor, observer, size_detectors: size, snr, seed: this.#seed });
+    this.#requests.ask({ sensor: this.#state.sensor, size_detectors: size, level, seed: this.#seed });
   }
 
-  /** Return the threshold SNR of the size that is nearest among those of the curve; 5 if none has one. */
+  /** The quantity that is the strength of a triangle. */
+  get #level() {
+    return countsPhotons(this.#state.sensor) ? "contrast" : "snr";
+  }
+
+  /** Return the threshold of the size that is nearest among those of the curve; 5 if none has one. */
   #thresholdNear(size) {
-    const known = this.#thresholds.filter((one) => one.snr !== null);
+    const level = this.#level;
+    const known = this.#thresholds.filter((one) => one[level] !== null);
     known.sort((a, b) => Math.abs(Math.log(a.size_detectors / size)) - Math.abs(Math.log(b.size_detectors / size)));
-    return known.length ? Number(known[0].snr.toPrecision(3)) : 5;
+    return known.length ? Number(known[0][level].toPrecision(3)) : 5;
   }
 
   async #fetch(body) {
