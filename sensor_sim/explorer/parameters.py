@@ -134,6 +134,12 @@ CAPITALS = ("netd", "dsnu", "prnu", "psf", "mtf")
 NO_FIELD = {"optics.measured_units", "noise.couple_netd"}
 """Settings without a field of this kind: one follows from others, and one is the page's own switch."""
 
+NEEDED = {
+    *("optics.f_number", "optics.focal_length_mm", "optics.psf_pitch_um", "optics.psf_pitch_mrad"),
+    *("detector.pitch_um", "scene.luminance_cd_m2", "scene.illuminance_lx", "scene.reflectance"),
+}
+"""Keys that a SENSOR.toml may do without, but not one that has them: it would lack what they give."""
+
 OBSERVER_FIELDS = {
     "internal_noise": "Full width of the noise on each neuron; 0.5 in the paper.",
     "efficiency": "Squared ratio of this person's d′ to that of the average person of ModelFest.",
@@ -187,7 +193,7 @@ def _field(key: str, hint: Any, text: str) -> PageField:
         "group": table.capitalize(),
         "label": label,
         "help": text,
-        "optional": NoneType in kinds,
+        "optional": NoneType in kinds and key not in NEEDED,
     }
     if MeasuredMtf in kinds or MeasuredPsf in kinds:
         return PageField(**common, kind="file")

@@ -8,6 +8,7 @@ readers of screens and the saved file are compared with the request whose state 
 from __future__ import annotations
 
 import random
+import re
 import shutil
 import sys
 import tempfile
@@ -228,7 +229,11 @@ class Walk:
             self.page.wait_for_timeout(10)
         self.page.remove_listener("download", note)
         if not downloads:
-            return [] if "expected" in message else [f"nothing was saved, and the page says {message!r}"]
+            return (
+                []
+                if re.search("expected|is missing", message)
+                else [f"nothing was saved, and the page says {message!r}"]
+            )
         tables: dict[str, Any] = tomllib.loads(downloads[0].path().read_text(encoding="utf-8"))
         faults = []
         for key, text in fields.items():
@@ -265,7 +270,7 @@ CLICKED = (
 
 
 def camera(folder: Path, seed: int) -> Path:
-    """Return the camera of a seed: in turn one with an SNR, one that counts photons, and one with a measured MTF."""
+    """Return the camera of a seed, in turn: with an SNR, counting photons, and so behind a measured MTF."""
     kind = seed % 3
     if kind == 0:
         return CAMERA

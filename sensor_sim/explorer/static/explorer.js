@@ -266,12 +266,12 @@ class Explorer {
     const { curve, error } = this.#now;
     const lines = new Map([...this.#now.unread].filter(([, line]) => line !== null));
     if (error) {
-      const name = error.key ?? /^\w+(?=: )/.exec(error.message)?.[0];
+      const name = error.key ?? /^[\w.]+(?=: )/.exec(error.message)?.[0];
       const isOf = (field) => field.key === name || field.names?.includes(name);
       const key = this.#fields.find((field) => isOf(field) && isShown(field, this.#now.state))?.key;
       // The field says of what it is; the line of a file also names the table and the key.
-      const line = error.message.replace(/^.*?\w+: (?=found )/, "");
-      if (key === undefined) return { line: error.message, lines };
+      const line = error.message.replace(/^.*?\w+: (?=found )/, "").replace(/^[\w.]+: /, "");
+      if (key === undefined) return { line: `Not possible. ${error.message}`, lines };
       lines.set(key, line[0].toUpperCase() + line.slice(1));
     }
     if (lines.size) return { line: "Not possible. The curve is that of the last possible sensor.", lines };
