@@ -57,7 +57,7 @@ class PageField(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     optional: bool = False
 
 
-class Unit(NamedTuple):
+class SliderUnit(NamedTuple):
     """A unit: its name on the page, and the ends of sliders.
 
     `above_0` are those of values that are above 0, on a logarithmic slider; `most` and `step` those of values that
@@ -71,21 +71,21 @@ class Unit(NamedTuple):
 
 
 UNITS = {
-    "photons_per_lux_s_um2": Unit("/(lx·s·µm²)", (100.0, 1e5)),
-    "dn_per_electron": Unit("DN/e⁻", (1e-3, 10.0)),
-    "electrons_per_s": Unit("e⁻/s", None, 1000.0, 1.0),
-    "electrons": Unit("e⁻", (1e3, 1e6), 50.0, 0.1),
-    "percent": Unit("%", None, 5.0, 0.01),
-    "cd_m2": Unit("cd/m²", (0.01, 1e5)),
-    "waves": Unit("waves", None, 2.0, 0.01),
-    "mrad": Unit("mrad", (0.005, 5.0), 0.5, 0.001),
-    "deg": Unit("deg", (0.1, 10.0), 10.0, 0.01),
-    "mm": Unit("mm", (2.0, 500.0)),
-    "um": Unit("µm", (1.0, 50.0)),
-    "mk": Unit("mK", (1.0, 500.0)),
-    "ms": Unit("ms", (0.01, 1000.0)),
-    "px": Unit("display px", None, 10.0, 0.05),
-    "lx": Unit("lx", (0.1, 1e5)),
+    "photons_per_lux_s_um2": SliderUnit("/(lx·s·µm²)", (100.0, 1e5)),
+    "dn_per_electron": SliderUnit("DN/e⁻", (1e-3, 10.0)),
+    "electrons_per_s": SliderUnit("e⁻/s", None, 1000.0, 1.0),
+    "electrons": SliderUnit("e⁻", (1e3, 1e6), 50.0, 0.1),
+    "percent": SliderUnit("%", None, 5.0, 0.01),
+    "cd_m2": SliderUnit("cd/m²", (0.01, 1e5)),
+    "waves": SliderUnit("waves", None, 2.0, 0.01),
+    "mrad": SliderUnit("mrad", (0.005, 5.0), 0.5, 0.001),
+    "deg": SliderUnit("deg", (0.1, 10.0), 10.0, 0.01),
+    "mm": SliderUnit("mm", (2.0, 500.0)),
+    "um": SliderUnit("µm", (1.0, 50.0)),
+    "mk": SliderUnit("mK", (1.0, 500.0)),
+    "ms": SliderUnit("ms", (0.01, 1000.0)),
+    "px": SliderUnit("display px", None, 10.0, 0.05),
+    "lx": SliderUnit("lx", (0.1, 1e5)),
 }
 """Units by the end of a name; the longest one that fits counts."""
 
@@ -185,7 +185,7 @@ def _field(key: str, hint: Any, text: str) -> PageField:
     limits = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, msgspec.Meta)]
     kinds = _kinds(hint)
     ending = next((one for one in UNITS if name == one or name.endswith(f"_{one}")), "")
-    unit = UNITS.get(ending, Unit(""))
+    unit = UNITS.get(ending, SliderUnit(""))
     words = name.removesuffix(ending).strip("_").removesuffix("_sigma") or name
     label = LABELS.get(key) or _sentence(words)
     common: dict[str, Any] = {
@@ -217,7 +217,7 @@ def _kinds(hint: Any) -> tuple[Any, ...]:
     return get_args(hint) if get_origin(hint) is Literal else (hint,)
 
 
-def _slider(key: str, unit: Unit, least: float, most: float, *, is_whole: bool) -> dict[str, Any]:
+def _slider(key: str, unit: SliderUnit, least: float, most: float, *, is_whole: bool) -> dict[str, Any]:
     """Return ends, step and scale of a slider for values in a range; nothing if no ends are known."""
     is_above_0 = least > 0.0
     if key in SLIDERS:
