@@ -33,6 +33,7 @@ from todframes.cli.options import (
     make_observer,
     numbers,
     observer_options,
+    options,
     plan_option,
     quiet_option,
     result_options,
@@ -45,6 +46,12 @@ sensor_argument = click.argument("sensor", type=click.Path(path_type=Path), meta
 
 sizes_option = click.option(
     "--size-detectors", "sizes", required=True, metavar="S[,S…]", help="Sizes √(area) in detector pitches."
+)
+
+aim_options = options(
+    click.option("--target", metavar="NAME|FILE", help="Give the range of this target, as for `todframes range`."),
+    click.option("--atmosphere", metavar="NAME|FILE", help="Air to the target."),
+    click.option("--k", type=float, metavar="K", help="The target is seen if a triangle of size / K is."),
 )
 
 
@@ -230,9 +237,7 @@ def curve(*, sensor: Path, sizes: str, luminances: str | None, out: str | None, 
 @click.option("--maximise", metavar="COLUMN[,…]", help="Columns to be high for it.")
 @click.option("--acuity-snr", type=float, metavar="R", help="Give the smallest size visible at this SNR.")
 @click.option("--acuity-delta-t-mk", type=float, metavar="T", help="Give the smallest size visible at this ΔT.")
-@click.option("--target", metavar="NAME|FILE", help="Give the range of this target, as for `todframes range`.")
-@click.option("--atmosphere", metavar="NAME|FILE", help="Air to the target.")
-@click.option("--k", type=float, metavar="K", help="The target is seen if a triangle of size / K is.")
+@aim_options
 @observer_options
 @tolerance_option(2e-3, "Relative error of the thresholds to reach.")
 @plan_option
@@ -344,6 +349,7 @@ def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
 
 @cli.command()
 @sensor_argument
+@aim_options
 @observer_options
 @launch_options
 def explore(*, sensor: Path, no_browser: bool, **asked: Any) -> None:

@@ -23,9 +23,10 @@ from types import NoneType
 from typing import Any, get_type_hints
 from xml.etree import ElementTree
 
+import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
@@ -38,17 +39,23 @@ from sensor_sim.explorer.limits import Shares
 from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import SLIDERS, observer_fields, sensor_fields
 from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves, mtf_plot
+from sensor_sim.explorer.ranges import ThresholdSent, range_answer, range_from, weibull_slope
 from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
 from sensor_sim.explorer.scaled import unit_of
 from sensor_sim.explorer.threshold_engine import Request, ThresholdEngine
 from sensor_sim.pictures import trial_stages
 from sensor_sim.sweeps.designs import numeric_keys
+from sensor_sim.sweeps.ranges import Aim
 from sensor_sim.thresholds.predict import PredictedThreshold
-from todframes.base.errors import SettingsError
+from todframes.base.errors import DataError, SettingsError
+from todframes.calls.acquisition_range import acquisition_range
 from todframes.cli.console import run
+from todframes.field.atmosphere import find_atmosphere
+from todframes.field.target import find_target
 from todframes.observers.csf import CsfObserver, CsfSettings
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.psychometrics.weibull import weibull
 from todframes.stimulus import ORIENTATIONS
 from todframes.web import server
 from todframes.web.pages import error_of
@@ -58,6 +65,14 @@ SAMPLES = Path(__file__).parent.parent / "sample_frames"
 CAMERA = SAMPLES / "star_like.toml"
 SENSOR = ss.load_sensor(CAMERA)
 TABLES_SENT = sensor_settings(SENSOR)
+EXPLORER = Explorer(SENSOR)
+SMALL = replace(
+    ss.load_sensor(SAMPLES / "staring_camera.toml"),
+    display=replace(
+        ss.load_sensor(SAMPLES / "staring_camera.toml").display, pixels_per_detector=2, blur_sigma_px=0.5
+    ),
+)
+"""A camera whose triangles are a few retina samples wide, which takes the least time."""
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
@@ -216,7 +231,7 @@ def test_a_plot_has_the_values_the_bands_and_crosses_where_nothing_is_reached():
 NAMES = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow])  # on a machine that others use
 @given(name=NAMES, netd_mk=st.none() | st.floats(1e-12, 1e12), aperture_mm=st.floats(1e-12, 1e12))
 def test_the_file_of_a_sensor_gives_the_same_sensor(name, netd_mk, aperture_mm):
     sensor = replace(
@@ -227,7 +242,7 @@ def test_the_file_of_a_sensor_gives_the_same_sensor(name, netd_mk, aperture_mm):
     )
     text = sensor_toml(sensor)
     assert routes.read(TextAsked(text)) == {"sensor": sensor_settings(sensor)}
-    assert Explorer(sensor).made(SensorAsked(sensor_settings(sensor))) == sensor
+    assert EXPLORER.made(SensorAsked(sensor_settings(sensor))) == sensor
 
 
 @pytest.mark.parametrize(
@@ -305,6 +320,116 @@ def test_a_broken_file_gives_the_line_that_the_command_gives(tmp_path):
         with pytest.raises(SettingsError, match=r"^mine\.toml: ") as by_page:
             routes.read(TextAsked(text, "mine.toml"))
         assert str(by_command.value) == str(tmp_path / str(by_page.value))
+
+
+def explored(sensor: ss.Sensor, sizes: tuple[float, ...], n_points: int = routes.RANGE_POINTS) -> LiveCurve:
+    """Return the refined curve of the page, without its processes."""
+    engine, unit = ThresholdEngine(lambda: None), unit_of(PyramidObserver())
+    asked = Request(1, sensor, unit, tuple(enumerate(sizes)), 0.75, (0.03, 0.02), "snr", n_points)
+    found = {one.index: one for one in engine.answers(asked)}
+    points = [found[place] for place in range(len(sizes))]
+    columns = [tuple(getattr(one, name) for one in points) for name in ("threshold", "shares", "slope")]
+    return LiveCurve(columns[0], columns[1], 0.02, 0.0, True, columns[2])
+
+
+def sent(sensor: ss.Sensor, curve: LiveCurve) -> list[ThresholdSent]:
+    """Return the thresholds of a curve as the page sends them back."""
+    level = sensor.level
+    rows = msgspec.json.decode(msgspec.json.encode(routes._line(1, sensor, level, curve)))["thresholds"]
+    names = ("size_detectors", "status", "points", "slope")
+    return [
+        msgspec.convert(
+            {name: row[name] for name in names} | {"threshold": row[level], "error": row[f"{level}_error"]},
+            ThresholdSent,
+        )
+        for row in rows
+    ]
+
+
+def test_the_range_is_that_of_the_curves_result():
+    """Of a refined curve, as `todframes range` gives it for the result of the copied command."""
+    sizes, camera = (4.0, 6.0, 9.0), replace(SMALL, noise=replace(SMALL.noise, netd_mk=30.0))
+    result = ss.curve(camera, size_detectors=sizes, tolerance=0.02, examples=False)
+    in_the_middle = result.thresholds[1].delta_t_mk / 1000.0
+    target = replace(find_target("nato"), k={"identification": 30.0}, delta_t_k=in_the_middle)
+    aim = Aim(target, find_atmosphere("lwir_23km"))
+    found = range_from(aim, camera, sent(camera, explored(camera, sizes)), 0.75)
+    expected = acquisition_range(result, target=aim.target, atmosphere=aim.atmosphere)
+    answer = range_answer(found)
+    statuses = [(one.probability, one.status) for one in found.acquired.ranges]
+    assert statuses == [(0.5, "beyond_curve"), (0.75, "ok"), (0.9, "never_reached")]
+    for one, other in zip(found.acquired.ranges, expected.acquired.ranges, strict=True):
+        assert one.status == other.status
+        assert one.at_least_km == other.at_least_km
+        assert (one.range_km or 0.0) == pytest.approx(other.range_km or 0.0, rel=1e-4)  # the same places
+    (_, middle, _), (_, of_result, _) = found.acquired.ranges, expected.acquired.ranges
+    assert middle.range_ci95_km == pytest.approx(of_result.range_ci95_km, rel=1e-4)
+    assert answer["ranges"][1]["words"] in found.sentences()[0] and "95 % interval" in found.sentences()[0]
+    (shown,) = answer["curves"]
+    assert len(shown["probability"]) == len(shown["low"]) == len(shown["is_bound"]) == len(shown["range_km"])
+    # Of an estimate, the slope at the threshold stands for the points.
+    quick = range_answer(range_from(aim, camera, sent(camera, explored(camera, sizes, n_points=0)), 0.75))
+    near = np.interp(0.6, shown["probability"][::-1], shown["range_km"][::-1])
+    found_km = np.interp(0.6, quick["curves"][0]["probability"][::-1], quick["curves"][0]["range_km"][::-1])
+    assert found_km == pytest.approx(near, rel=0.03)
+
+
+def test_the_slope_of_a_weibull_function_gives_its_beta():
+    alpha, beta, step = 1.7, 2.3, 1e-6
+    for level in (1.2, 1.7, 2.4):
+        low, p, high = (
+            float(weibull(level * np.exp(by), alpha=alpha, beta=beta, guess_rate=0.25, lapse_rate=0.0))
+            for by in (-step, 0.0, step)
+        )
+        assert weibull_slope((high - low) / (2.0 * step), p) == pytest.approx(beta, rel=1e-6)
+
+
+def test_a_range_that_is_missing_has_its_reason_in_words():
+    camera = replace(SMALL, noise=replace(SMALL.noise, netd_mk=30.0))
+    known = [
+        ThresholdSent(size, "ok", snr, 0.01 * snr, slope=0.5) for size, snr in ((6.0, 1.0), (5.0, 1.5), (4.0, 3.0))
+    ]
+    never = ThresholdSent(3.0, "never_reached")
+    aim = Aim(replace(find_target("nato"), k={"seen": 8.0}), find_atmosphere("lwir_23km"))
+    found = range_answer(range_from(aim, camera, [*known, never], 0.75))
+    assert re.match(
+        r"at least [\d.]+ km and at most [\d.]+ km; it is farther than the curve", found["ranges"][1]["words"]
+    )
+    faint = aim._replace(target=replace(aim.target, delta_t_k=1e-3))
+    found = range_answer(range_from(faint, camera, [*known, never], 0.75))
+    assert found["ranges"][1]["words"] == "no range; the contrast stays below all thresholds, however near"
+    with pytest.raises(DataError, match="found thresholds at 1 sizes or frequencies, expected two or more"):
+        range_from(aim, camera, [known[0], never], 0.75)
+    with pytest.raises(DataError, match=r"found thresholds in snr, expected .*; netd_mk in the table \[noise\]"):
+        range_from(aim, replace(camera, noise=replace(camera.noise, netd_mk=None)), known, 0.75)
+
+
+def test_a_pitch_on_the_chip_is_an_angle_of_the_range():
+    aim = Aim(replace(find_target("nato"), k={"seen": 8.0}), find_atmosphere("lwir_23km"))
+    known = [ThresholdSent(size, "ok", snr, 0.01 * snr, slope=0.5) for size, snr in ((6.0, 1.0), (4.0, 3.0))]
+    in_angles = replace(THERMAL, detector=replace(THERMAL.detector, pitch_um=None, width_um=None))
+    of_chip, of_angle = (range_from(aim, one, known, 0.75).acquired.ranges[0] for one in (THERMAL, in_angles))
+    assert of_chip.at_least_km == pytest.approx(of_angle.at_least_km, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--k", "8"], "--k: is given but not used without --target"),
+        (["--target", "nato"], "--atmosphere: is missing, expected it beside --target"),
+        (["--target", "nato", "--atmosphere", "lwir_23km"], "k: is missing, and star-like is a TOD"),
+        (["--target", "r46", "--atmosphere", "visible_23km"], "target: found a contrast, expected a temperature"),
+        (
+            ["--target", "nato", "--k", "8", "--atmosphere", "visible_23km"],
+            "atmosphere: found a band of 0.4 to 0.7",
+        ),
+        (["--target", "natto", "--atmosphere", "lwir_23km"], "target: found 'natto'"),
+    ],
+)
+def test_a_target_that_cannot_be_used_is_one_line(capsys, options, message):
+    assert run(cli, ["explore", str(CAMERA), "--no-browser", *options]) == 2
+    (line,) = lines(capsys)
+    assert line.startswith(f"error: {message}"), line
 
 
 def nested(depth: int) -> Any:

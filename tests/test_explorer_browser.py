@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import pytest
 from browser import OpenPage, Server, serving, wait_until
 
+from sensor_sim import new_sensor
 from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.cli import cli
 from todframes.cli.console import run
@@ -63,6 +64,7 @@ IMPOSSIBLE = (
     ("sizes_detectors", "4, 300", "Found 300, expected at most 255"),
     ("sizes_detectors", "100", "mrad at the eye, expected at most"),
 )
+VISIBLE = "visible camera, 3.45 µm, f/4"
 STAGES = ["a_input", "b_optics", "c_detector_response", "d_samples", "e_noise", "f_hold", "g_display"]
 
 
@@ -820,6 +822,61 @@ def test_a_reader_of_screens_has_names_tables_and_results(explore) -> None:
     announced = page.locator("#announcement")
     assert announced.get_attribute("aria-live") == "polite"
     assert re.search(r"Threshold SNR at 4 detectors: .*; 8 detectors: \d", announced.text_content() or "")
+
+
+def test_a_camera_that_counts_photons_has_its_own_sliders_and_its_range(open_page, tmp_path: Path) -> None:
+    """From a file with a measured MTF: fields, levels, range, saved file and phone."""
+    text = new_sensor(preset="emva_basler", focal_length_mm=25, f_number=2.8, pitch_um=3.45)
+    text = text.replace("[optics]\n", '[optics]\nmtf = "mtf.csv"\n').replace("blur_sigma_mrad", "# blur")
+    (tmp_path / "camera.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "mtf.csv").write_text("frequency_cyc_per_mm,mtf\n0,1\n100,0.6\n200,0.3\n400,0.02\n")
+    options = ("--target", "r46", "--atmosphere", "visible_23km", "--observer", "csf", "--no-browser")
+    with serving("sensor_sim", "explore", tmp_path / "camera.toml", *options) as server:
+        page = open_page(server.url, expected_console=REFUSED)
+        page.set_default_timeout(SECONDS)
+        page.wait_for_selector("#range[data-stage=refined]")
+        assert page.locator(field_of("optics.mtf")).inner_text() == "mtf.csv"
+        shown = [
+            one.get_attribute("id")
+            for one in page.locator("#controls .field [id^=field-]").all()
+            if one.is_visible()
+        ]
+        assert {"field-noise-bits", "field-scene-luminance_cd_m2", "field-observer-efficiency"} <= set(shown)
+        assert not {"field-noise-netd_mk", "field-optics-blur_sigma_mrad", "field-optics-defocus_waves"} & set(
+            shown
+        )
+        assert page.locator("input[name=strength]:enabled").evaluate_all(
+            "(all) => all.map((one) => one.value)"
+        ) == ["contrast"]
+        before, sentence = table(page, "#range-table"), page.locator("#range-sentences").inner_text()
+        assert before[1]["P(correct)"] == "0.75" and before[1]["Range"] in sentence
+        assert page.locator("#range-announcement").text_content() in sentence
+        sizes = value_of(page, "sizes_detectors")
+        painted(page, lambda: type_value(page, "scene.luminance_cd_m2", "0.5"), "refined")
+        wait_until(page, f"document.querySelector('#range-sentences').innerText !== {json.dumps(sentence)}")
+        assert value_of(page, "sizes_detectors") == sizes
+        type_value(page, "noise.full_well_electrons", "1")
+        page.locator(f"{field_of('noise.full_well_electrons')}-error").wait_for(state="visible")
+        assert line(page).startswith("Not possible")
+        painted(page, lambda: page.click("#undo"), "refined")
+        of_file = saved(page)
+        assert (of_file["optics"]["mtf"], of_file["scene"]["luminance_cd_m2"]) == ("mtf.csv", 0.5)
+        assert "mtf.csv beside it" in page.locator("#message").inner_text()
+        with page.expect_download() as download:
+            page.click("#range-svg")
+        assert download.value.suggested_filename == "probability.svg"
+        for width in WIDTHS:
+            page.set_viewport_size({"width": width, "height": 844})
+            page.wait_for_timeout(50)
+            assert page.evaluate("document.documentElement.scrollWidth") == width
+            assert page.locator("#range-chart").bounding_box()["width"] > 300
+        # A sensor without NETD or photons has no range, and the page says why.
+        painted(page, lambda: page.locator("#presets").select_option(label=VISIBLE), "refined")
+        page.wait_for_selector("#range[data-stage=refused]")
+        assert page.locator("#range-error").inner_text().startswith("No range. It follows from thresholds in ΔT")
+        painted(page, lambda: page.click("#undo"))
+        page.wait_for_selector("#range[data-stage=estimated], #range[data-stage=refined]")
+        assert page.locator("#range-error").is_hidden()
 
 
 def test_the_first_page_is_small(explore) -> None:

@@ -199,19 +199,12 @@ def _aim(
     SettingsError
         If one of them is missing or invalid, or NETD is not known.
     """
-    if target is None:
-        for name, value in ((argument.atmosphere, atmosphere), (argument.k, k)):
-            if value is not None:
-                raise SettingsError(f"{name}: is given but not used without {argument.target}")
+    from sensor_sim.sweeps.ranges import chosen_aim
+
+    aim = chosen_aim(target, atmosphere, k)
+    if aim is None:
         return None
-    if atmosphere is None:
-        raise SettingsError(f"{argument.atmosphere}: is missing, expected it beside {argument.target}")
     if not has_netd:
         raise SettingsError(f"{argument.target}: needs noise.netd_mk of the sensor")
-    from sensor_sim.sweeps.ranges import Aim
-    from todframes.field.atmosphere import chosen_atmosphere
-    from todframes.field.target import chosen_target
-
-    aim = Aim(chosen_target(target, k=k), chosen_atmosphere(atmosphere))
     aim.check(p_correct)
     return aim

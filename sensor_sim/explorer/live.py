@@ -58,6 +58,8 @@ class LiveCurve:
         Time since the curve was asked for.
     is_last : bool
         Whether no better curve follows.
+    slopes : tuple of float
+        dP / d ln level at each threshold, NaN without one.
     counts_photons : bool
         Whether the thresholds are those of a camera that counts photons: contrasts at the light of its scene.
     """
@@ -67,6 +69,7 @@ class LiveCurve:
     tolerance: float
     seconds: float
     is_last: bool
+    slopes: tuple[float, ...] = ()
     counts_photons: bool = False
 
     @property
@@ -106,6 +109,7 @@ class LiveCurves:
         p_correct: float = 0.75,
         level: Level = "snr",
         tolerances: tuple[float, float] = TOLERANCES,
+        n_points: int = 0,
         is_wanted: Callable[[], bool],
     ) -> Generator[LiveCurve, None, None]:
         """Yield an estimate, and then curves with more and more refined sizes; stop as soon as the curve is no
@@ -128,6 +132,8 @@ class LiveCurves:
             with all noise.
         tolerances : (float, float)
             Relative errors to reach, of the estimate and of the refined thresholds.
+        n_points : int
+            Number of points of the psychometric function of each refined threshold.
         is_wanted : function of no arguments
             Asked every few milliseconds; when it returns False the computation ends without a further curve.
 
@@ -151,7 +157,7 @@ class LiveCurves:
             sizes = [float(size) for size in sizes_detectors]
             unit = unit_of(observer)
             requests = [
-                Request(self._number, sensor, unit, part, p_correct, tolerances, level)
+                Request(self._number, sensor, unit, part, p_correct, tolerances, level, n_points)
                 for part in divided(sizes, len(self._workers))
             ]
             found: dict[int, Any] = {}
@@ -162,11 +168,13 @@ class LiveCurves:
                 seconds = time.perf_counter() - started
                 if is_last or (len(found) == len(sizes) and seconds >= next_s):
                     in_order = [found[index] for index in range(len(sizes))]
-                    thresholds, shares = (
-                        tuple(getattr(one, name) for one in in_order) for name in ("threshold", "shares")
+                    thresholds, shares, slopes = (
+                        tuple(getattr(one, name) for one in in_order) for name in ("threshold", "shares", "slope")
                     )
                     with_photons = sensor.photons is not None and level == "snr"
-                    yield LiveCurve(thresholds, shares, tolerances[is_last], seconds, is_last, with_photons)
+                    yield LiveCurve(
+                        thresholds, shares, tolerances[is_last], seconds, is_last, slopes, with_photons
+                    )
                     next_s = time.perf_counter() - started + BETWEEN_S
                 if is_last:
                     return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import math
 import re
 import shlex
 from collections import OrderedDict
@@ -26,16 +27,19 @@ from sensor_sim.chain.sensor import SCHEMA, Sensor, sensor_from, sensor_settings
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import PageField, observer_fields, sensor_fields
-from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, mtf_plot
+from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, file_of, mtf_plot
+from sensor_sim.explorer.ranges import Thresholds, check_aim, range_answer, range_from
 from sensor_sim.explorer.scaled import unit_of
 from sensor_sim.mtf_report import sensor_mtf
+from sensor_sim.sweeps.ranges import Aim
 from sensor_sim.thresholds.curve_plan import not_linear
 from sensor_sim.thresholds.predict import Level, PredictedThreshold
 from todframes import __version__
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys, from_table, parse_toml, toml_literal
 from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import FitSettings
+from todframes.report.range_report import RangeResult
 from todframes.stimulus import ORIENTATIONS, Stimulus
 from todframes.web.pages import EmptyRequest, call, page, stream
 
@@ -55,6 +59,9 @@ USUAL_CHIP_PITCH_UM = 15.0
 
 USUAL_SIZE_MRAD = 3.0
 """Size of a triangle at the eye, for which it is tried whether an observer is linear."""
+
+RANGE_POINTS = 7
+"""Points of the psychometric function of each size, as many as those of a curve, from which a range follows."""
 
 MOST_CLIENTS = 64
 """Number of pages whose latest request is remembered."""
@@ -116,6 +123,19 @@ class MtfPlotAsked(SensorAsked):
     format: Format
 
 
+class RangeAsked(SensorAsked):
+    """A request for the range of a sensor, whose thresholds the page has got."""
+
+    thresholds: Thresholds
+    p_correct: float = 0.75
+
+
+class RangePlotAsked(RangeAsked, kw_only=True):
+    """A request for the plot of probability against range as a file."""
+
+    format: Format
+
+
 class TextAsked(msgspec.Struct):
     """A request about the text of a SENSOR.toml; `name` is that of the file."""
 
@@ -150,8 +170,9 @@ class Explorer:
         observer: str | Observer = "pyramid",
         *,
         p_correct: float = FitSettings().p_correct,
+        aim: Aim | None = None,
     ) -> None:
-        self.sensor, self.p_correct = sensor, p_correct
+        self.sensor, self.p_correct, self._aim = sensor, p_correct, aim
         self._observer, settings = described(observer)
         self._observer_name = str(settings["observer"])
         optics = sensor.optics
@@ -180,6 +201,8 @@ class Explorer:
             call("/api/toml", TomlAsked, self.written),
             call("/api/parse", TextAsked, read),
             call("/api/plot", PlotAsked, curve_plot),
+            call("/api/range", RangeAsked, lambda asked: range_answer(self.range_of(asked))),
+            call("/api/range-plot", RangePlotAsked, self.range_plot),
             call(
                 "/api/mtf-plot", MtfPlotAsked, lambda asked: mtf_plot(sensor_mtf(self.made(asked)), asked.format)
             ),
@@ -197,6 +220,7 @@ class Explorer:
             "observer_name": self._observer_name,
             "p_correct": self.p_correct,
             "chip_pitch_um": USUAL_CHIP_PITCH_UM,
+            "has_range": self._aim is not None,
             "fields": (*sensor_fields(), *of_observer),
             "presets": [
                 {"sensor": sensor_settings(one), "chip_pitch_um": CHIP_PITCH_UM.get(file, USUAL_CHIP_PITCH_UM)}
@@ -205,13 +229,15 @@ class Explorer:
         }
 
     def check(self) -> None:
-        """Check that curves can be computed with the observer.
+        """Check that curves can be computed with the observer, and ranges for the target.
 
         Raises
         ------
         SettingsError
-            If it is not linear, or cannot be sent to the processes that compute.
+            If the observer is not linear, or cannot be sent to the processes that compute; or as `check_aim` does.
         """
+        if self._aim is not None:
+            check_aim(self._aim, self.sensor, self.p_correct)
         if self._observer.readout(Stimulus(USUAL_SIZE_MRAD)) is None:
             raise not_linear()
         try:
@@ -260,6 +286,16 @@ class Explorer:
         if asked.p_correct != FitSettings().p_correct:
             curve.append(f"--p-correct {asked.p_correct!r}")
         return found | {"command": " ".join(curve)}
+
+    def range_of(self, asked: RangeAsked) -> RangeResult:
+        """Return the range of a sensor from the thresholds of its curve; see `range_from` for the errors."""
+        if self._aim is None:
+            raise SettingsError(f"{argument.target}: is missing; the explorer was started without it")
+        return range_from(self._aim, self.made(asked), asked.thresholds, asked.p_correct)
+
+    def range_plot(self, asked: RangePlotAsked) -> dict[str, str]:
+        """Return the file of a plot of probability against range; see `file_of`."""
+        return file_of(self.range_of(asked).probability_figure(), asked.format)
 
     def _options(self, changes: Tables) -> Iterator[str]:
         """Yield the options of a command that make the observer with some settings changed."""
@@ -318,7 +354,13 @@ class Explorer:
         def lines() -> Iterator[dict[str, Any]]:
             wanted = sizes or self._sizes_of(sensor, observer, p_correct, is_wanted)
             for curve in self._live.curves(
-                sensor, observer, wanted, p_correct=p_correct, level=computed, is_wanted=is_wanted
+                sensor,
+                observer,
+                wanted,
+                p_correct=p_correct,
+                level=computed,
+                n_points=0 if self._aim is None else RANGE_POINTS,
+                is_wanted=is_wanted,
             ):
                 yield _line(asked.sequence, sensor, level, curve)
 
@@ -328,6 +370,9 @@ class Explorer:
         self, sensor: Sensor, observer: Observer, p_correct: float, is_wanted: Callable[[], bool]
     ) -> Sequence[float]:
         """Return sizes from the smallest one that surely has a threshold; if none has, the smallest sizes.
+
+        With a target, they begin with the largest one that has none, and the middle of the two: the range often
+        lies where the curve ends.
 
         Raises
         ------
@@ -344,8 +389,12 @@ class Explorer:
             if estimate is None:
                 break  # no longer wanted
             for place, threshold in enumerate(estimate.thresholds, start):
-                if _is_surely_seen(threshold):
+                if not _is_surely_seen(threshold):
+                    continue
+                if self._aim is None or place == 0:
                     return known[place : place + SIZES_CHOSEN]
+                unseen = known[place - 1]
+                return [unseen, (unseen + known[place]) / 2.0, *known[place : place + SIZES_CHOSEN - 2]]
         return known[:SIZES_CHOSEN]
 
 
@@ -379,6 +428,7 @@ def presets() -> dict[str, Sensor]:
 
 
 def _line(sequence: int, sensor: Sensor, level: Level, curve: LiveCurve) -> dict[str, Any]:
+    slopes = curve.slopes or (math.nan,) * len(curve.thresholds)
     return {
         "sequence": sequence,
         "level": level,
@@ -386,7 +436,10 @@ def _line(sequence: int, sensor: Sensor, level: Level, curve: LiveCurve) -> dict
         "is_last": curve.is_last,
         "tolerance": curve.tolerance,
         "seconds": round(curve.seconds, 4),
-        "thresholds": [_threshold(sensor, level, one) for one in curve.thresholds],
+        "thresholds": [
+            _threshold(sensor, level, one) | {"slope": slope, "points": one.points}
+            for one, slope in zip(curve.thresholds, slopes, strict=True)
+        ],
         "limits": curve.limits._asdict(),
     }
 

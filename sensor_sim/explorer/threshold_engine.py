@@ -83,6 +83,8 @@ class Request(NamedTuple):
     level : {"snr", "contrast"}
         Quantity whose threshold is asked for; with detector noise "snr", also where it is the contrast of a camera
         that counts photons.
+    n_points : int
+        Number of points of the psychometric function of each refined threshold.
     """
 
     number: int
@@ -92,15 +94,17 @@ class Request(NamedTuple):
     p_correct: float
     tolerances: tuple[float, float]
     level: Level = "snr"
+    n_points: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class CurvePoint:
-    """A threshold at the place `index` of the curve."""
+    """A threshold at the place `index` of the curve, and the slope dP / d ln level there, NaN without one."""
 
     index: int
     threshold: PredictedThreshold
     shares: Shares
+    slope: float
     is_refined: bool
 
 
@@ -121,7 +125,7 @@ class ThresholdEngine:
         self._refined_shared = Shared(
             self._kept["samplers"], _Checked(0, check), self._kept["refined weights"], self._kept["trials"]
         )
-        self._known: OrderedDict[Hashable, tuple[PredictedThreshold, Shares]] = OrderedDict()
+        self._known: OrderedDict[Hashable, tuple[PredictedThreshold, Shares, float]] = OrderedDict()
         self._near: dict[_Kind, tuple[float, float]] = {}
         self._references: dict[_Kind, Reference] = {}
 
@@ -148,20 +152,31 @@ class ThresholdEngine:
         rough, fine = request.tolerances
         todo: list[tuple[float, int, _Task, Hashable, _OnLattices]] = []
         for index, size in request.sizes:
-            task = _Task(sensor, observer, size, request.p_correct, request.level, _light(sensor))
-            key: Hashable = (sensor, pickled, scale, size, request.p_correct, request.level, fine)
+            task = _Task(
+                sensor, observer, size, request.p_correct, request.level, _light(sensor), request.n_points
+            )
+            key: Hashable = (
+                sensor,
+                pickled,
+                scale,
+                size,
+                request.p_correct,
+                request.level,
+                fine,
+                request.n_points,
+            )
             if key in self._known:
                 yield CurvePoint(index, *self._known[key], is_refined=True)
                 continue
             self._check()
             found, shares, on_few = self._estimated(task, rough)
-            yield CurvePoint(index, found, shares, is_refined=False)
+            yield CurvePoint(index, found, shares, on_few.found.slope, is_refined=False)
             difficulty = (
                 found.numerical_error / found.threshold if found.threshold and found.numerical_error else 0.0
             )
             todo.append((difficulty, index, task, key, on_few))
         for _, index, task, name, on_few in sorted(todo, key=lambda one: one[0]):
-            self._known[name] = self._refined(task, fine, on_few)
+            self._known[name] = (*self._refined(task, fine, on_few), on_few.found.slope)
             if len(self._known) > THRESHOLDS_KEPT:
                 self._known.popitem(last=False)
             yield CurvePoint(index, *self._known[name], is_refined=True)
@@ -183,7 +198,7 @@ class ThresholdEngine:
         return of_size, _shares(found, task, threshold), on_few
 
     def _on_lattices(self, task: _Task, places: int) -> _OnLattices:
-        sensor, observer, size, p_correct, level, light = task
+        sensor, observer, size, p_correct, level, light, _ = task
         judge = cast("Observer", observer)
         stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
         grid = judge.grid(stimulus)
@@ -224,7 +239,7 @@ class ThresholdEngine:
         return _OnLattices(found, phases, noise.noise_covariance)
 
     def _refined(self, task: _Task, tolerance: float, on_few: _OnLattices) -> tuple[PredictedThreshold, Shares]:
-        sensor, observer, size, p_correct, level, light = task
+        sensor, observer, size, p_correct, level, light, n_points = task
         is_known = on_few.found.status == "ok"
         unit, near, slope = 1.0, None, math.nan
         if level == "contrast" and is_known:
@@ -248,7 +263,7 @@ class ThresholdEngine:
             chain,
             p_correct=p_correct,
             tolerance=tolerance,
-            n_points=0,
+            n_points=n_points,
             level=level,
             near=near,
             slope=slope,
@@ -257,7 +272,8 @@ class ThresholdEngine:
         )
         if found.threshold is not None and found.numerical_error is not None:
             threshold, error = unit * found.threshold, unit * found.numerical_error
-            found = replace(found, threshold=threshold, numerical_error=error)
+            points = tuple((unit * value, p) for value, p in found.points)
+            found = replace(found, threshold=threshold, numerical_error=error, points=points)
             if is_known:
                 self._references[task.kind] = Reference.of(on_few.found, threshold, error)
         return found, _shares(on_few, task, found.threshold)
@@ -309,6 +325,7 @@ class _Task(NamedTuple):
     p_correct: float
     level: Level
     light: _Light | None
+    n_points: int
 
     @property
     def kind(self) -> _Kind:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError
+from todframes.base.errors import DataError, SettingsError, argument
 from todframes.field.acquisition import first_range
-from todframes.field.atmosphere import Atmosphere
-from todframes.field.target import Target
+from todframes.field.atmosphere import Atmosphere, chosen_atmosphere
+from todframes.field.target import Quantity, Target, chosen_target
 from todframes.field.threshold_curve import ThresholdCurve
 
 NAME = "the sweep"
@@ -36,9 +38,10 @@ class Aim(NamedTuple):
     target: Target
     atmosphere: Atmosphere
 
-    def check(self, p_correct: float) -> None:
-        """Raise SettingsError if target or air cannot be used with a TOD in K."""
-        first_range(_curve(np.array([2.0, 1.0]), np.array([1.0, 2.0]), None, p_correct), *self)
+    def check(self, p_correct: float, *, quantity: Quantity = "delta_t_k", name: str = NAME) -> None:
+        """Raise SettingsError if target or air cannot be used with a TOD in a quantity."""
+        curve = _curve(np.array([2.0, 1.0]), np.array([1.0, 2.0]), None, p_correct)
+        first_range(replace(curve, quantity=quantity, name=name), *self)
 
     def range_of(
         self, size_mrad: FloatArray, delta_t_k: FloatArray, status: Sequence[str], p_correct: float
@@ -54,6 +57,26 @@ class Aim(NamedTuple):
             return DesignRange("too_few_sizes")
         values = (math.nan if one is None else one for one in (found.range_km, found.at_least_km))
         return DesignRange(found.status, *values)
+
+
+def chosen_aim(
+    target: Target | Path | str | None, atmosphere: Atmosphere | Path | str | None, k: float | None
+) -> Aim | None:
+    """Return the target and the air of these names or files; None if there is no target.
+
+    Raises
+    ------
+    SettingsError
+        If one of them is missing or invalid.
+    """
+    if target is None:
+        for name, value in ((argument.atmosphere, atmosphere), (argument.k, k)):
+            if value is not None:
+                raise SettingsError(f"{name}: is given but not used without {argument.target}")
+        return None
+    if atmosphere is None:
+        raise SettingsError(f"{argument.atmosphere}: is missing, expected it beside {argument.target}")
+    return Aim(chosen_target(target, k=k), chosen_atmosphere(atmosphere))
 
 
 def _curve(

@@ -1,10 +1,12 @@
 """Latency of the explorer's curves without the browser: for each parameter, the first and the refined answer.
 
-    python tests/benchmarks/live_curves.py [MOVES] [--accuracy SENSORS]
+    python tests/benchmarks/live_curves.py [MOVES] [--accuracy SENSORS | --range | --optics]
 
 A parameter moves as under a finger: each step a little further, 20 % to each side and back. Computing is the CPU
 time of the slower of two processes; waiting is the time until the answer is there, in which other work of the
-machine counts. With `--accuracy`, first answers for sensors at random are held against refined ones.
+machine counts. With `--accuracy`, first answers for sensors at random are held against refined ones. With
+`--range`, the CPU time of an update with a target is compared with that without; with `--optics`, that of a
+measured MTF and of photons with that of the closed form.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import argparse
 import math
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,10 +26,28 @@ keep_libraries_to_one_thread()  # before NumPy is imported, here and in the proc
 
 import numpy as np  # noqa: E402
 
-from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor, SensorDisplay, load_sensor  # noqa: E402
+from sensor_sim.chain.measured import MeasuredMtf  # noqa: E402
+from sensor_sim.chain.sensor import (  # noqa: E402
+    Detector,
+    Noise,
+    Optics,
+    PhotonNoise,
+    Scene,
+    Sensor,
+    SensorDisplay,
+    load_sensor,
+)
+from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, optics_mtf  # noqa: E402
 from sensor_sim.explorer.live import LiveCurves, divided  # noqa: E402
+from sensor_sim.explorer.ranges import ThresholdSent, range_answer, range_from  # noqa: E402
+from sensor_sim.explorer.routes import RANGE_POINTS  # noqa: E402
 from sensor_sim.explorer.scaled import unit_of  # noqa: E402
 from sensor_sim.explorer.threshold_engine import Request, ThresholdEngine  # noqa: E402
+from sensor_sim.sweeps.ranges import Aim  # noqa: E402
+from sensor_sim.thresholds.predict import PredictedThreshold  # noqa: E402
+from todframes.base.errors import DataError  # noqa: E402
+from todframes.field.atmosphere import find_atmosphere  # noqa: E402
+from todframes.field.target import find_target  # noqa: E402
 from todframes.observers.pyramid import PyramidObserver  # noqa: E402
 
 SIZES = (2.0, 3.0, 4.0, 6.0, 8.0)
@@ -164,6 +185,100 @@ def latency(n_moves: int) -> None:
         live.close()
 
 
+def spent(request: Request, engine: ThresholdEngine) -> tuple[float, float, list[Any]]:
+    """Return the CPU times of the estimates and of all answers to a request, and the last answers by size."""
+    started, found = time.process_time(), {}
+    first = math.nan
+    for number, answer in enumerate(engine.answers(request), 1):
+        found[answer.index] = answer
+        if number == len(request.sizes):
+            first = time.process_time() - started
+    return first, time.process_time() - started, [found[place] for place in sorted(found)]
+
+
+def with_range(n_moves: int) -> None:
+    """Print the CPU time of an update with a target, over that without; moves of the two alternate."""
+    aim = Aim(replace(find_target("nato"), k={"seen": 8.0}), find_atmosphere("lwir_23km"))
+    print(f"{'':16} estimate ms  refined ms    with points: estimate  refined    range ms")
+    for name, sensor in SENSORS.items():
+        sensor = replace(sensor, noise=replace(sensor.noise, netd_mk=30.0))
+        engines = ThresholdEngine(lambda: None), ThresholdEngine(lambda: None)
+        times, ranges = [], []
+        sizes = tuple(enumerate(SIZES[2:]))
+        for place, factor in enumerate(factors(n_moves)):
+            moved = _moved("optics", "aperture_mm")(sensor, factor)[0]
+            unit, of_move = unit_of(PyramidObserver()), {}
+            for which in (0, 1) if place % 2 else (1, 0):
+                request = Request(1, moved, unit, sizes, 0.75, TOLERANCES, "snr", which * RANGE_POINTS)
+                of_move[which] = spent(request, engines[which])
+            times.append([*of_move[0][:2], *of_move[1][:2]])
+            sent = [_sent(one.threshold, one.slope) for one in of_move[1][2]]
+            started = time.process_time()
+            with suppress(DataError):
+                range_answer(range_from(aim, moved, sent, 0.75))
+            ranges.append(time.process_time() - started)
+        without_first, without, first, refined = np.median(np.array(times)[1:], axis=0) * 1e3
+        print(
+            f"{name:16} {without_first:11.0f} {without:11.0f} {first / without_first:22.2f} ×"
+            f"{refined / without:8.2f} × {np.median(ranges) * 1e3:11.1f}",
+            flush=True,
+        )
+
+
+def _sent(found: PredictedThreshold, slope: float) -> ThresholdSent:
+    return ThresholdSent(
+        found.size_detectors,
+        found.status,
+        found.threshold,
+        found.numerical_error,
+        list(found.points),
+        slope if slope > 0.0 else None,
+    )
+
+
+def of_optics(n_moves: int) -> None:
+    """Print the CPU time of an update with a measured MTF, and with photons, over that of the closed form."""
+    print(f"{'':16} estimate ms  refined ms    measured MTF: estimate  refined    photons: estimate  refined s")
+    for name, sensor in SENSORS.items():
+        engines = [ThresholdEngine(lambda: None) for _ in range(3)]
+        sizes, times = tuple(enumerate(SIZES)), []
+        for factor in factors(n_moves):
+            moved = _moved("optics", "aperture_mm")(sensor, factor)[0]
+            variants = (moved, _as_measured(moved), _with_photons(moved))
+            requests = [Request(1, one, unit_of(PyramidObserver()), sizes, 0.75, TOLERANCES) for one in variants]
+            of_move = [spent(*one)[:2] for one in zip(requests, engines, strict=True)]
+            times.append([value for pair in of_move for value in pair])
+        first, refined, *others = np.median(np.array(times)[1:], axis=0)
+        print(
+            f"{name:16} {first * 1e3:11.0f} {refined * 1e3:11.0f} {others[0] / first:23.2f} ×"
+            f"{others[1] / refined:8.2f} × {others[2] / first:18.2f} × {others[3]:9.2f}",
+            flush=True,
+        )
+
+
+def _as_measured(sensor: Sensor) -> Sensor:
+    """Return a sensor whose optics are a table of 200 frequencies of their own MTF."""
+    optics = sensor.optics
+    frequency = np.linspace(0.0, band_limit_cyc_per_mrad(optics), 200)
+    values = tuple(np.clip(optics_mtf(frequency, optics=optics), 0.0, 1.0).tolist())
+    table = MeasuredMtf(
+        file="mtf.csv",
+        unit="cyc_per_mrad",
+        frequency=tuple(frequency.tolist()),
+        tangential=values,
+        sagittal=values,
+    )
+    return replace(sensor, optics=replace(optics, blur_sigma_mrad=0.0, mtf=table))
+
+
+def _with_photons(sensor: Sensor) -> Sensor:
+    """Return a sensor that counts the photons of a dim scene, with the same angles."""
+    optics = replace(sensor.optics, focal_length_mm=2.0 * sensor.optics.aperture_mm)
+    photons = PhotonNoise(quantum_efficiency=0.6, dark_noise_electrons=5.0, exposure_ms=5.0, prnu_percent=0.5)
+    scene = Scene(luminance_cd_m2=0.5, photons_per_lux_s_um2=4090.0)
+    return replace(sensor, optics=optics, photons=photons, scene=scene)
+
+
 def random_sensor(rng: np.random.Generator) -> tuple[Sensor, float]:
     """Draw a sensor about one of the three, and internal noise."""
 
@@ -223,8 +338,14 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("moves", nargs="?", type=int, default=40)
     parser.add_argument("--accuracy", type=int, default=0, metavar="SENSORS")
+    parser.add_argument("--range", action="store_true")
+    parser.add_argument("--optics", action="store_true")
     chosen = parser.parse_args()
     if chosen.accuracy:
         accuracy(chosen.accuracy)
+    elif chosen.range:
+        with_range(chosen.moves)
+    elif chosen.optics:
+        of_optics(chosen.moves)
     else:
         latency(chosen.moves)

@@ -85,6 +85,11 @@ class RangeResult(Saving):
         """Whether the range is that of a TOD with k."""
         return self.acquired.road == "tod"
 
+    @property
+    def probability_axis(self) -> str:
+        """Name of the probability."""
+        return "P(correct)" if self.is_tod else "probability"
+
     def table(self) -> Table:
         """Return the ranges, a row for each task and probability."""
         records = [_record(one) for one in self.acquired.ranges]
@@ -103,7 +108,7 @@ class RangeResult(Saving):
             ),
             Column(key="status", rank=1),
         ]
-        table = Table.of(f"Range: {self._about()}", "ranges.csv", columns, records)
+        table = Table.of(f"Range: {self.about()}", "ranges.csv", columns, records)
         return table.without_empty_columns("range_km", "range_ci95_km")
 
     def probability_table(self) -> Table:
@@ -185,7 +190,8 @@ class RangeResult(Saving):
         )
         return f"What limits {one.task}: {gains.limit}. In range, {100 * GAIN:.0f} % more {parts}."
 
-    def _about(self) -> str:
+    def about(self) -> str:
+        """Return target and air in words."""
         target, air = self.acquired.target, self.acquired.atmosphere
         signal = f"ΔT {target.signal:g} K" if target.quantity == "delta_t_k" else f"contrast {target.signal:g}"
         return f"{target.title or 'target'}, {target.size_m:g} m, {signal}; {air.title or 'air'}"
@@ -269,15 +275,15 @@ class RangeResult(Saving):
         """
         return drawn(self._draw_crossing, ax)
 
+    def probability_figure(self) -> ReportFigure:
+        """Return the figure of the probability of each task against range."""
+        note = "Bands: 95 %, from the errors of the curve. " * (self.acquired.curve.ln_sd is not None)
+        note += "Dotted: the curve ends there, and the probability is a bound."
+        return ReportFigure("Probability against range", note, self._draw_probability, "probability.png")
+
     def _pictures(self) -> list[ReportFigure]:
         """List the figures, the most important first."""
-        found = []
-        if self.acquired.curves:
-            note = "Bands: 95 %, from the errors of the curve. " * (self.acquired.curve.ln_sd is not None)
-            note += "Dotted: the curve ends there, and the probability is a bound."
-            found.append(
-                ReportFigure("Probability against range", note, self._draw_probability, "probability.png")
-            )
+        found = [self.probability_figure()] if self.acquired.curves else []
         note = (
             "Falling: the contrast that arrives. Rising: the threshold of the detail that each task needs, within "
             "the curve's ends. A task can be done up to their crossing."
@@ -301,7 +307,7 @@ class RangeResult(Saving):
         settings = records_table("Target and air", "settings.csv", values)
         content: Json = {
             "title": "Range in the field",
-            "about": self._about(),
+            "about": self.about(),
             "warnings": [one.message for one in self.warnings],
             "verdict": self.sentences(),
             "figures": figure_items(self._pictures()),
@@ -343,7 +349,7 @@ class RangeResult(Saving):
             axes.plot(one.range_km, on_curve, color=colour, label=label_text(one.task))
         for level in self.acquired.probabilities:
             axes.axhline(level, color=INK, alpha=0.4, ls="--", lw=0.8)
-        axes.set(ylim=(0.0, 1.02), xlabel="range (km)", ylabel="P(correct)" if self.is_tod else "probability")
+        axes.set(ylim=(0.0, 1.02), xlabel="range (km)", ylabel=self.probability_axis)
         axes.set_xlim(left=0.0)
         add_legend(axes)
 
@@ -414,12 +420,17 @@ def _rows(one: TaskCurve) -> Iterator[tuple[float, float, tuple[float, float] | 
         yield range_km, p, ends, words[float(one.bound[place])], one.limit[place]
 
 
+def range_words(one: TaskRange) -> str:
+    """Return a range with its interval, or its bounds and why there is none, in words."""
+    if one.range_km is not None:
+        interval = "" if one.range_ci95_km is None else f" (95 % interval {interval_phrase(one.range_ci95_km)})"
+        return f"{plain(one.range_km)} km{interval}"
+    ends = [f"at least {plain(one.at_least_km)} km"] if one.at_least_km is not None else []
+    ends += [f"at most {plain(one.at_most_km)} km"] if one.at_most_km is not None else []
+    return f"{' and '.join(ends) or 'no range'}; {NO_RANGE[one.status]}"
+
+
 def _sentence(one: TaskRange, is_tod: bool) -> str:
     level = f"{100 * one.probability:g} %" if math.isfinite(one.probability) else "the criterion"
     level = f"{level} correct" if is_tod and math.isfinite(one.probability) else level
-    if one.range_km is not None:
-        interval = "" if one.range_ci95_km is None else f" (95 % interval {interval_phrase(one.range_ci95_km)})"
-        return f"At {level}, {one.task}: {plain(one.range_km)} km{interval}."
-    ends = [f"at least {plain(one.at_least_km)} km"] if one.at_least_km is not None else []
-    ends += [f"at most {plain(one.at_most_km)} km"] if one.at_most_km is not None else []
-    return f"At {level}, {one.task}: {' and '.join(ends) or 'no range'}; {NO_RANGE[one.status]}."
+    return f"At {level}, {one.task}: {range_words(one)}."

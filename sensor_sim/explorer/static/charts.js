@@ -201,6 +201,76 @@ export class CurveChart {
   }
 }
 
+/** Colours of tasks, by their names in the style sheet. */
+const TASK_COLOURS = ["--accent", "--pin-1", "--pin-2", "--pin-3", "--pin-4", "--pin-5", "--pin-6"];
+
+/** Probability of tasks against range, dotted where it is a bound, with 95 % bands. */
+export class RangeChart {
+  #chart;
+  #found = null;
+
+  constructor(host) {
+    this.#chart = new Chart(host);
+  }
+
+  /** @param {object} found Answer of `/api/range`. */
+  draw(found) {
+    const curves = found.curves.slice(0, TASK_COLOURS.length);
+    this.#found = { ...found, curves };
+    const data = [curves[0]?.range_km ?? []];
+    for (const { probability, low, high, is_bound } of curves) {
+      const nothing = probability.map(() => null);
+      data.push(probability.map((one, at) => (is_bound[at] ? null : one)), probability, low ?? nothing, high ?? nothing);
+    }
+    this.#chart.draw(JSON.stringify([found.axis, curves.map((one) => one.task)]), () => this.#options(), data);
+  }
+
+  #options() {
+    const series = [{}];
+    const bands = [];
+    this.#found.curves.forEach((_, index) => {
+      const stroke = colour(TASK_COLOURS[index]);
+      const points = { show: false };
+      const at = series.length;
+      series.push({ stroke, width: 2.2, points }, { stroke, width: 1.2, dash: [2, 4], points });
+      for (const _end of ["low", "high"]) series.push({ stroke: "transparent", width: 0, points });
+      bands.push({ series: [at + 3, at + 2], fill: `${stroke}3d` });
+    });
+    const title = this.#found.axis;
+    return {
+      ...COMMON,
+      series,
+      bands,
+      axes: [
+        axis("Range (km)", linearTicks, "bottom"),
+        axis(title[0].toUpperCase() + title.slice(1), linearTicks, "left"),
+      ],
+      scales: {
+        x: { time: false, range: (_, low, high) => [0, high > 0 ? high : 1] },
+        y: { range: () => [0, 1] },
+      },
+      hooks: { drawClear: [(plot) => this.#drawLevels(plot)] },
+    };
+  }
+
+  /** Draw a line at each probability of which the table has the range. */
+  #drawLevels(plot) {
+    const { ctx, bbox } = plot;
+    ctx.save();
+    ctx.strokeStyle = colour("--muted");
+    ctx.lineWidth = devicePixelRatio;
+    ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
+    ctx.beginPath();
+    for (const probability of this.#found.probabilities) {
+      const y = Math.round(plot.valToPos(probability, "y", true)) + 0.5;
+      ctx.moveTo(bbox.left, y);
+      ctx.lineTo(bbox.left + bbox.width, y);
+    }
+    ctx.stroke();
+    ctx.restore();
+  }
+}
+
 /** Return round ends of a logarithmic axis, so that it stands still while a curve moves a little. */
 function logRange(low, high) {
   if (!(low > 0)) return [1, 10];

@@ -7,6 +7,7 @@ import { LiveCurve, Newest } from "./live.js";
 import { percentAtMost, plain, withError } from "./numbers.js";
 import { csvOf, download, downloadPlot, plotOf } from "./files.js";
 import { MOST_PINS, showPins, withPin } from "./pins.js";
+import { RangeView } from "./range.js";
 import { post, Watch } from "./server.js";
 import { countsPhotons, fromHash, History, moved, opticsInWords, Session, toHash, valueOf, withSensor, withValue } from "./state.js";
 import { Trial } from "./trial.js";
@@ -37,6 +38,8 @@ class Explorer {
   #curveChart = new CurveChart(byId("curve-chart"));
   #mtfChart = new MtfChart(byId("mtf-chart"));
   #trial = new Trial();
+  /** The second plot, if the command has named a target. */
+  #range = null;
   #mtfSensor = null;
   /** The axes of what is drawn. */
   #shown = null;
@@ -50,6 +53,7 @@ class Explorer {
 
   constructor(start) {
     this.#fields = [...start.fields, ...TEST_FIELDS];
+    if (start.has_range) this.#range = new RangeView();
     const { sensor, observer, p_correct, chip_pitch_um, measured } = start;
     const switches = { keep_fill_factor: null, couple_netd: null };
     this.#first = withSensor({ observer, p_correct, chip_pitch_um, measured, ...switches }, sensor);
@@ -96,6 +100,7 @@ class Explorer {
     on("csv", "click", () => this.#drawn && download("tod_curve.csv", csvOf(this.#pins, this.#drawn)));
     for (const format of ["png", "svg"]) {
       on(format, "click", () => this.#drawn && this.#plot("/api/plot", plotOf(this.#comparable, this.#drawn, this.#shown, format)));
+      on(`range-${format}`, "click", () => this.#range?.body && this.#plot("/api/range-plot", { ...this.#range.body, format }));
       on(`mtf-${format}`, "click", () => this.#mtfSensor && this.#plot("/api/mtf-plot", { sensor: this.#mtfSensor, format }));
     }
     for (const input of document.querySelectorAll(".axes input")) {
@@ -215,6 +220,7 @@ class Explorer {
     this.#drawn = record;
     this.#drawCurve();
     this.#showLimits(curve.limits);
+    this.#range?.show(record);
     clearTimeout(this.#timers.stale);
     delete this.#timers.stale;
     byId("curve").classList.remove("stale");
