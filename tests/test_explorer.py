@@ -531,7 +531,12 @@ class FakeCurves:
         self.levels: list[str] = []
 
     def curves(
-        self, *sensor_observer_sizes: Any, p_correct: float, level: str, is_wanted: Callable[[], bool]
+        self,
+        *sensor_observer_sizes: Any,
+        p_correct: float,
+        level: str,
+        n_points: int,
+        is_wanted: Callable[[], bool],
     ) -> Iterator[LiveCurve]:
         assert level in ("snr", "contrast")
         self.levels.append(level)

@@ -16,7 +16,7 @@ from todframes.base.errors import SettingsError, argument
 from todframes.calls.acquisition_range import acquisition_range
 from todframes.psychometrics.threshold_search import ComputedThreshold, Status
 from todframes.report.data import Fit, FitPoint
-from todframes.report.range_report import RangeResult, range_words
+from todframes.report.range_report import RangeResult, about, probability_axis, range_words
 from todframes.report.result import Result
 
 Value = Annotated[float, Meta(gt=0.0, le=1e12)]
@@ -99,8 +99,8 @@ def range_answer(found: RangeResult) -> dict[str, Any]:
     """Return what the page shows of a range: curves, ranges in words, and what they rest on."""
     acquired = found.acquired
     return {
-        "title": found.about(),
-        "axis": found.probability_axis,
+        "title": about(acquired),
+        "axis": probability_axis(acquired),
         "criterion": "k" if found.is_tod else "N50",
         "probabilities": list(acquired.probabilities),
         "curves": [

@@ -39,7 +39,7 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys, from_table, parse_toml, toml_literal
 from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import FitSettings
-from todframes.report.range_report import RangeResult
+from todframes.report.range_report import RangeResult, probability_figure
 from todframes.stimulus import ORIENTATIONS, Stimulus
 from todframes.web.pages import EmptyRequest, call, page, stream
 
@@ -295,7 +295,7 @@ class Explorer:
 
     def range_plot(self, asked: RangePlotAsked) -> dict[str, str]:
         """Return the file of a plot of probability against range; see `file_of`."""
-        return file_of(self.range_of(asked).probability_figure(), asked.format)
+        return file_of(probability_figure(self.range_of(asked).acquired), asked.format)
 
     def _options(self, changes: Tables) -> Iterator[str]:
         """Yield the options of a command that make the observer with some settings changed."""

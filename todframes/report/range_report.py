@@ -85,11 +85,6 @@ class RangeResult(Saving):
         """Whether the range is that of a TOD with k."""
         return self.acquired.road == "tod"
 
-    @property
-    def probability_axis(self) -> str:
-        """Name of the probability."""
-        return "P(correct)" if self.is_tod else "probability"
-
     def table(self) -> Table:
         """Return the ranges, a row for each task and probability."""
         records = [_record(one) for one in self.acquired.ranges]
@@ -108,7 +103,7 @@ class RangeResult(Saving):
             ),
             Column(key="status", rank=1),
         ]
-        table = Table.of(f"Range: {self.about()}", "ranges.csv", columns, records)
+        table = Table.of(f"Range: {about(self.acquired)}", "ranges.csv", columns, records)
         return table.without_empty_columns("range_km", "range_ci95_km")
 
     def probability_table(self) -> Table:
@@ -190,12 +185,6 @@ class RangeResult(Saving):
         )
         return f"What limits {one.task}: {gains.limit}. In range, {100 * GAIN:.0f} % more {parts}."
 
-    def about(self) -> str:
-        """Return target and air in words."""
-        target, air = self.acquired.target, self.acquired.atmosphere
-        signal = f"ΔT {target.signal:g} K" if target.quantity == "delta_t_k" else f"contrast {target.signal:g}"
-        return f"{target.title or 'target'}, {target.size_m:g} m, {signal}; {air.title or 'air'}"
-
     def _criteria(self) -> str:
         cycles = self.acquired.target.cycles
         tasks = self.acquired.criteria.items()
@@ -259,7 +248,7 @@ class RangeResult(Saving):
         -------
         matplotlib Axes
         """
-        return drawn(self._draw_probability, ax)
+        return drawn(partial(draw_probability, acquired=self.acquired), ax)
 
     def plot_crossing(self, ax: Axes | None = None) -> Axes:
         """Draw the contrast that arrives and the threshold of each task against range; they cross at its range.
@@ -275,15 +264,9 @@ class RangeResult(Saving):
         """
         return drawn(self._draw_crossing, ax)
 
-    def probability_figure(self) -> ReportFigure:
-        """Return the figure of the probability of each task against range."""
-        note = "Bands: 95 %, from the errors of the curve. " * (self.acquired.curve.ln_sd is not None)
-        note += "Dotted: the curve ends there, and the probability is a bound."
-        return ReportFigure("Probability against range", note, self._draw_probability, "probability.png")
-
     def _pictures(self) -> list[ReportFigure]:
         """List the figures, the most important first."""
-        found = [self.probability_figure()] if self.acquired.curves else []
+        found = [probability_figure(self.acquired)] if self.acquired.curves else []
         note = (
             "Falling: the contrast that arrives. Rising: the threshold of the detail that each task needs, within "
             "the curve's ends. A task can be done up to their crossing."
@@ -307,7 +290,7 @@ class RangeResult(Saving):
         settings = records_table("Target and air", "settings.csv", values)
         content: Json = {
             "title": "Range in the field",
-            "about": self.about(),
+            "about": about(self.acquired),
             "warnings": [one.message for one in self.warnings],
             "verdict": self.sentences(),
             "figures": figure_items(self._pictures()),
@@ -338,21 +321,6 @@ class RangeResult(Saving):
             "result.json": self.to_json(),
         }
 
-    def _draw_probability(self, axes: Axes) -> None:
-        curves = self.acquired.curves[:MOST_CURVES]
-        for number, one in enumerate(curves):
-            colour = curve_style(number, len(curves)).colour
-            if one.low is not None and one.high is not None:
-                axes.fill_between(one.range_km, one.low, one.high, color=colour, alpha=0.2, lw=0.0)
-            on_curve = np.where(one.bound == 0.0, one.probability, np.nan)
-            axes.plot(one.range_km, one.probability, ":", color=colour)
-            axes.plot(one.range_km, on_curve, color=colour, label=label_text(one.task))
-        for level in self.acquired.probabilities:
-            axes.axhline(level, color=INK, alpha=0.4, ls="--", lw=0.8)
-        axes.set(ylim=(0.0, 1.02), xlabel="range (km)", ylabel=self.probability_axis)
-        axes.set_xlim(left=0.0)
-        add_legend(axes)
-
     def _draw_crossing(self, axes: Axes) -> None:
         acquired = self.acquired
         curve, target = acquired.curve, acquired.target
@@ -380,6 +348,43 @@ class RangeResult(Saving):
         axes.set_ylim(low, high)
         plain_ticks(axes.yaxis, [low, high])
         add_legend(axes)
+
+
+def about(acquired: Acquisition) -> str:
+    """Return target and air in words."""
+    target, air = acquired.target, acquired.atmosphere
+    signal = f"ΔT {target.signal:g} K" if target.quantity == "delta_t_k" else f"contrast {target.signal:g}"
+    return f"{target.title or 'target'}, {target.size_m:g} m, {signal}; {air.title or 'air'}"
+
+
+def probability_axis(acquired: Acquisition) -> str:
+    """Return the name of the probability."""
+    return "P(correct)" if acquired.road == "tod" else "probability"
+
+
+def probability_figure(acquired: Acquisition) -> ReportFigure:
+    """Return the figure of the probability of each task against range."""
+    note = "Bands: 95 %, from the errors of the curve. " * (acquired.curve.ln_sd is not None)
+    note += "Dotted: the curve ends there, and the probability is a bound."
+    draw = partial(draw_probability, acquired=acquired)
+    return ReportFigure("Probability against range", note, draw, "probability.png")
+
+
+def draw_probability(axes: Axes, *, acquired: Acquisition) -> None:
+    """Draw the probability of each task against range, with its band."""
+    curves = acquired.curves[:MOST_CURVES]
+    for number, one in enumerate(curves):
+        colour = curve_style(number, len(curves)).colour
+        if one.low is not None and one.high is not None:
+            axes.fill_between(one.range_km, one.low, one.high, color=colour, alpha=0.2, lw=0.0)
+        on_curve = np.where(one.bound == 0.0, one.probability, np.nan)
+        axes.plot(one.range_km, one.probability, ":", color=colour)
+        axes.plot(one.range_km, on_curve, color=colour, label=label_text(one.task))
+    for level in acquired.probabilities:
+        axes.axhline(level, color=INK, alpha=0.4, ls="--", lw=0.8)
+    axes.set(ylim=(0.0, 1.02), xlabel="range (km)", ylabel=probability_axis(acquired))
+    axes.set_xlim(left=0.0)
+    add_legend(axes)
 
 
 def _draw_against_k(axes: Axes, found: list[tuple[float, float | None, Any]], criteria: dict[str, float]) -> None:
