@@ -419,6 +419,7 @@ def cameras() -> dict[str, ss.Sensor]:
     text = ss.new_sensor(preset="emva_basler", **asked)
     in_lux = re.sub("(?m)^luminance_cd_m2 = .*", "illuminance_lx = 300.0\nreflectance = 0.5", text)
     in_motion = ss.new_sensor(thermal=True, netd_mk=50, **asked) + "[motion]\nsmear_mrad = 0.1\n"
+    in_motion = re.sub("(?m)^fixed_pattern_ratio = .*", "fixed_pattern_ratio = 0.3", in_motion)
     by_psf = MeasuredPsf(file="psf.tif", shape=(3, 3), data=np.full(9, 1 / 9).tobytes())
     made = [sensor_from(tomllib.loads(one), "") for one in (text, in_lux, in_motion)]
     optics = Optics(wavelength_um=0.55, aperture_mm=8.0, focal_length_mm=25.0, psf=by_psf, psf_pitch_um=1.0)

@@ -75,6 +75,7 @@ UNITS = {
     "dn_per_electron": SliderUnit("DN/e⁻", (1e-3, 10.0)),
     "electrons_per_s": SliderUnit("e⁻/s", None, 1000.0, 1.0),
     "electrons": SliderUnit("e⁻", (1e3, 1e6), 50.0, 0.1),
+    "ratio": SliderUnit("", None, 2.0, 0.01),
     "percent": SliderUnit("%", None, 5.0, 0.01),
     "cd_m2": SliderUnit("cd/m²", (0.01, 1e5)),
     "waves": SliderUnit("waves", None, 2.0, 0.01),
@@ -97,7 +98,6 @@ LINEAR_STEP = 0.01
 SLIDERS: dict[str, tuple[float, float]] = {
     "optics.wavelength_um": (0.4, 14.0),
     "optics.f_number": (0.5, 32.0),
-    "noise.fixed_pattern_ratio": (0.0, 2.0),
     "noise.frames_integrated": (1, 64),
     "noise.bits": (4, 16),
     "display.pixels_per_detector": (1, 16),
@@ -115,12 +115,10 @@ LABELS = {
     "optics.f_number": "f-number",
     "optics.mtf": "Measured MTF",
     "optics.psf": "Measured PSF",
-    "optics.obscuration_ratio": "Obscuration",
     "scene.photons_per_lux_s_um2": "Photons of a lux",
     "optics.mtf_includes_detector": "MTF includes detector",
     "detector.width_mrad": "Active width",
     "detector.width_um": "Active width",
-    "noise.fixed_pattern_ratio": "Fixed pattern",
     "electronics.blur_sigma_px": "Blur",
     "optics.blur_sigma_mrad": "Blur",
     "motion.jitter_sigma_mrad": "Jitter",
@@ -226,7 +224,7 @@ def _slider(key: str, unit: SliderUnit, least: float, most: float, *, is_whole: 
     elif is_above_0 and unit.above_0 is not None:
         (low, high), is_log = unit.above_0, True
     elif not is_above_0 and unit.most is not None:
-        low, high, is_log = 0.0, unit.most, False
+        low, high, is_log = 0.0, min(unit.most, most), False
     elif math.isfinite(most) and most <= 100.0 and least > -LARGEST:
         low, high, is_log = max(least, LINEAR_STEP) if is_above_0 else least, most, False
     else:

@@ -205,12 +205,14 @@ class ThresholdEngine:
         half_width = seen_samples(sensor, judge, size, grid)
         noise = observer.noise(stimulus, half_width)
 
+        plan = quick_plan(sensor, judge, size, symmetric=noise.is_symmetric, shared=self._shared)
+
         def make() -> list[Phases]:
             return lattice_phases(
                 sensor,
                 judge,
                 size,
-                quick_plan(sensor, judge, size, symmetric=noise.is_symmetric, shared=self._shared),
+                plan,
                 places=places,
                 jitter=observer.position_jitter_samples * grid.pitch_mrad / sensor.display.detector_pitch_mrad,
                 name=(observer.name, stimulus),
@@ -220,7 +222,8 @@ class ThresholdEngine:
             )
 
         seen = replace(sensor, photons=None, scene=None)  # light and noise come in after the trials
-        phases = self._kept["trials"].get((seen, light is not None, observer.name, size, places), make)
+        key = (seen, light is not None, plan.orientations, observer.name, size, places)
+        phases = self._kept["trials"].get(key, make)
         near, slope = self._near.get(task.kind, (None, math.nan))
         found = find_threshold(
             phases,
