@@ -444,7 +444,8 @@ def test_every_number_of_a_sensor_can_be_varied(name: str, tmp_path: Path) -> No
     """By `vary` and as a column of a file of designs; and thresholds are computed anew for all but a few."""
     camera = cameras()[name]
     base = Base(camera, None, False)
-    usual = {"detector.width_um": 3.0, "scene.photons_per_lux_s_um2": 4000.0, "detector.fill_factor": 0.5}
+    usual = {"detector.width_um": 3.0, "detector.pitch_mrad": 0.08, "detector.fill_factor": 0.5}
+    usual["scene.photons_per_lux_s_um2"] = 4000.0
     without_effect = {"display.background_luminance_cd_m2"}
     if camera.photons is None:  # a threshold in SNR does not depend on the noise
         without_effect |= {f"noise.{name}" for name in ("netd_mk", "fixed_pattern_ratio", "frames_integrated")}
