@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import fields
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -210,7 +210,7 @@ def _kinds(hint: Any) -> tuple[Any, ...]:
     """Return the types, or the texts, that an annotation names."""
     if get_origin(hint) is Annotated:
         return _kinds(get_args(hint)[0])
-    if get_origin(hint) is UnionType:
+    if get_origin(hint) in (UnionType, Union):
         return tuple(kind for one in get_args(hint) for kind in _kinds(one))
     return get_args(hint) if get_origin(hint) is Literal else (hint,)
 

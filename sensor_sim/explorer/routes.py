@@ -312,13 +312,16 @@ class Explorer:
     def _observer_fields(self) -> tuple[PageField, ...]:
         """Return the fields of the observer's settings that move on the page."""
         settings = getattr(self._observer, "settings", None)
-        # A standard deviation of the noise stands in place of its full width.
-        is_given_by_sd = getattr(settings, "internal_noise_sd", None) is not None
+        without_effect = {
+            # A standard deviation of the noise stands in place of its full width.
+            "observer.internal_noise": getattr(settings, "internal_noise_sd", None) is not None,
+            # A pyramid without an eye sees the same in any light.
+            "observer.luminance_cd_m2": getattr(settings, "eye_mtf", "") == "none",
+        }
         return tuple(
             one
             for one in observer_fields(type(settings))
-            if isinstance(self._setting(one), float | int)
-            and not (is_given_by_sd and one.key == "observer.internal_noise")
+            if isinstance(self._setting(one), float | int) and not without_effect.get(one.key, False)
         )
 
     def _setting(self, one: PageField) -> object:
