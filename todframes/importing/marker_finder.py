@@ -466,10 +466,12 @@ class MarkerEdges:
         Black beside a white module is less black, and white beside the grey of the page less white, so that the
         middle of the slope is not where the edge is. How much follows from the width of the blur, which the
         steepest part of the slopes shows, from the pattern of the markers, `bits`, (n, 7, 7), and from the shift
-        itself: an edge that is not where it was looked for is nearer to what lies on one of its sides.
+        itself: an edge that is not where it was looked for is nearer to what lies on one of its sides. Linear
+        interpolation blurs as well, most in the middle between pixels.
         """
         there = np.isfinite(edges.shifts_px).reshape(len(bits), -1).all(axis=1)
-        profiles, length_px = _profiles(grey, edges.start.to_px(self._places_mm[there]))
+        places_px = edges.start.to_px(self._places_mm[there])
+        profiles, length_px = _profiles(grey, places_px)
         black, white = _levels(profiles)
         outside_px = np.clip(edges.start.to_px(self._outside_mm[there]), 0.5, np.array(grey.shape[::-1]) - 1.5)
         page = _sampled(grey, outside_px).reshape(len(profiles), 4, PIECES, POINTS).mean(axis=3)[..., None]
@@ -481,8 +483,10 @@ class MarkerEdges:
         inside = turned[..., at.astype(int)].reshape(len(profiles), 4, PIECES, POINTS).mean(axis=3)[..., None]
         middle = PROFILE_STEPS
         rise = (profiles[..., middle + 1] - profiles[..., middle - 1])[..., None] / (white - black)
-        blur_px = float(np.median(np.interp(-rise[..., 0], -_rises(), BLURS) * length_px))
-        blur = np.clip(blur_px / length_px, BLURS[0], BLURS[-1])[..., None]
+        interpolated_px2 = _interpolation_px2(places_px).reshape(*length_px.shape, POINTS, -1).mean(axis=-2)
+        blur_px2 = (np.interp(-rise[..., 0], -_rises(), BLURS) * length_px) ** 2 - interpolated_px2[..., middle]
+        blur_px2 = np.maximum(float(np.median(blur_px2)) + interpolated_px2, 0.0)
+        blur = np.clip(np.sqrt(blur_px2) / length_px[..., None], BLURS[0], BLURS[-1])
         places = np.linspace(-PROFILE_REACH, PROFILE_REACH, 2 * PROFILE_STEPS + 1)
         shifts = edges.shifts_px.astype(np.float64).reshape(len(bits), 4, PIECES)
         measured = shifts[there] / length_px
@@ -517,6 +521,13 @@ def _profiles(grey: NDArray[np.float32], places_px: FloatArray) -> tuple[FloatAr
     profiles = _sampled(grey, places_px).reshape(*shape, -1).mean(axis=3)
     across = np.linalg.norm(places_px[..., -1, :] - places_px[..., 0, :], axis=-1)
     return profiles, across.reshape(shape).mean(axis=3) / (2.0 * PROFILE_REACH)
+
+
+def _interpolation_px2(places_px: FloatArray) -> FloatArray:
+    """Return the variance, along profiles of places, (…, place, 2), of the weights of linear interpolation."""
+    part = places_px - np.floor(places_px)
+    along = places_px[..., [-1], :] - places_px[..., [0], :]
+    return np.asarray((part * (1.0 - part) * along**2).sum(axis=-1) / (along**2).sum(axis=-1))
 
 
 def _levels(profiles: FloatArray) -> tuple[FloatArray, FloatArray]:
