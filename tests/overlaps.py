@@ -1,9 +1,13 @@
-"""Overlaps of the intervals of two axes, by comparing every pair of them."""
+"""Overlaps of the intervals of two axes, by comparing every pair of them, and weights on detectors from them."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
+import sensor_sim as ss
+from sensor_sim.chain.reconstruction import display_position_px
+from todframes.observers.interface import Readout
 
 
 def shares_of_samples(
@@ -17,3 +21,22 @@ def shares_of_samples(
     pixels = (np.arange(n_pixels)[None, :] - 0.5) * pitch_mrad
     common = np.minimum(samples + sample_mrad, pixels + pitch_mrad) - np.maximum(samples, pixels)
     return np.asarray(np.clip(common, 0.0, None) / sample_mrad)
+
+
+def weights_at(sensor: ss.Sensor, readout: Readout, field: int, x: float, y: float) -> np.ndarray:
+    """Weights of the scores on the detectors, (4, field²), with the retina's middle at a place; nothing blurs."""
+    shown, grid = sensor.display, readout.grid
+    pixel = shown.pixel_pitch_mrad
+    rows, columns = (
+        shares_of_samples(
+            grid.side,
+            grid.pitch_mrad,
+            middle_mrad=display_position_px(at, n_detectors=field, display=shown) * pixel,
+            pitch_mrad=pixel,
+            n_pixels=field * shown.pixels_per_detector,
+        )
+        for at in (y, x)
+    )
+    on_display = rows.T @ readout.deviations @ columns
+    pixels = shown.pixels_per_detector
+    return on_display.reshape(4, field, pixels, field, pixels).sum(axis=(2, 4)).reshape(4, -1)

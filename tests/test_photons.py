@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from overlaps import shares_of_samples
+from overlaps import weights_at
 
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim import cli
 from sensor_sim.chain.photons import PhotonCamera, background_electrons, contrast_variance, photopic_efficiency
-from sensor_sim.chain.reconstruction import display_position_px
 from sensor_sim.chain.sensor import sensor_settings, sensor_toml
 from sensor_sim.chain.simulation import Simulator, plan_trials
 from sensor_sim.thresholds.curve_plan import full_plan
@@ -23,7 +22,6 @@ from sensor_sim.thresholds.predict import FoldedChain
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.observers.decision import answer_probabilities
-from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import resample
 from todframes.psychometrics.fit import FitSettings, fit_trials
@@ -134,25 +132,6 @@ def test_saturation_and_rounding(tmp_path):
     assert seen.std() == pytest.approx(behind, rel=4 / math.sqrt(2 * 4096))
     number = (1.0 + seen) * background_electrons(sensor) + sensor.photons.dark_electrons
     assert np.abs(number * 0.4 - np.rint(number * 0.4)).max() < 1e-9
-
-
-def weights_at(sensor: ss.Sensor, readout: Readout, field: int, x: float, y: float) -> np.ndarray:
-    """Weights of the scores on the detectors, (4, field²), with the retina's middle at a place; nothing blurs."""
-    shown, grid = sensor.display, readout.grid
-    pixel = shown.pixel_pitch_mrad
-    rows, columns = (
-        shares_of_samples(
-            grid.side,
-            grid.pitch_mrad,
-            middle_mrad=display_position_px(at, n_detectors=field, display=shown) * pixel,
-            pitch_mrad=pixel,
-            n_pixels=field * shown.pixels_per_detector,
-        )
-        for at in (y, x)
-    )
-    on_display = rows.T @ readout.deviations @ columns
-    pixels = shown.pixels_per_detector
-    return on_display.reshape(4, field, pixels, field, pixels).sum(axis=(2, 4)).reshape(4, -1)
 
 
 def drawn_scores(sensor: ss.Sensor, signal: np.ndarray, weights: np.ndarray, n: int, rng) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from sensor_sim.chain.detector_noise import noise_parts
+from sensor_sim.chain.detector_noise import sample_parts
 from sensor_sim.chain.photons import contrast_variance
 from sensor_sim.chain.scenery import Scenery
 from sensor_sim.chain.sensor import Sensor
@@ -50,16 +50,19 @@ class Written:
 def white_luminance_cd_m2(sensor: Sensor, levels: Sequence[float]) -> float:
     """Return the luminance of PNG code value 1: above that of the brightest triangle in the strongest noise.
 
-    Uniform noise reaches to √3 standard deviations of either of its parts and no blur adds to that; Gaussian noise
-    and that of photons are given four.
+    Uniform noise reaches to √3 standard deviations of either of its parts, and no blur adds to that. Gaussian
+    noise, that of photons and that of lines are given four.
     """
     if sensor.photons is not None:
         contrast, variance = max(levels), contrast_variance(sensor)
         noise = variance.white + variance.row + variance.column + contrast * variance.per_signal
         signal = contrast + 4.0 * math.sqrt(noise + contrast**2 * variance.per_squared_signal)
         return sensor.display.background_luminance_cd_m2 * (1.0 + sensor.display.gain * signal)
-    parts = noise_parts(sensor.noise, total_sd=1.0 / min(levels))
-    reach = math.sqrt(3.0) * sum(parts) if sensor.noise.distribution == "uniform" else 4.0 / min(levels)
+    own_noise, own_pattern, *lines = sample_parts(sensor.noise, total_sd=1.0 / min(levels))
+    is_uniform = sensor.noise.distribution == "uniform"
+    reach = (
+        math.sqrt(3.0) * (own_noise + own_pattern) + 4.0 * math.hypot(*lines) if is_uniform else 4.0 / min(levels)
+    )
     return sensor.display.background_luminance_cd_m2 * (1.0 + sensor.display.gain * (1.0 + reach))
 
 

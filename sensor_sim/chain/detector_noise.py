@@ -22,6 +22,46 @@ from todframes.base.errors import SettingsError
 UNIFORM_EXCESS_KURTOSIS = -1.2
 
 
+class SampleParts(NamedTuple):
+    """Standard deviations of the independent parts of one displayed sample; their squares add up to the total's.
+
+    What a detector has by itself, new in each frame or fixed, and what all of its row, or of its column, have in
+    common. Lines are Gaussian.
+    """
+
+    own_noise: float
+    own_pattern: float
+    row_noise: float
+    row_pattern: float
+    column_noise: float
+    column_pattern: float
+
+
+class LineShares(NamedTuple):
+    """Shares of the variance of a displayed sample that rows, and columns, have in common."""
+
+    row: float = 0.0
+    column: float = 0.0
+
+
+NO_LINES = LineShares()
+
+
+class UnitPattern(NamedTuple):
+    """The fixed pattern of a sensor in units of its parts' standard deviations.
+
+    Attributes
+    ----------
+    own : ndarray, shape (n, n)
+    rows : ndarray, shape (n, 1)
+    columns : ndarray, shape (1, n)
+    """
+
+    own: FloatArray
+    rows: FloatArray
+    columns: FloatArray
+
+
 class NoiseParts(NamedTuple):
     """Standard deviations of the noise parts in one displayed sample; their squares add up to the total's."""
 
@@ -48,6 +88,35 @@ def noise_parts(noise: Noise, *, total_sd: float) -> NoiseParts:
     return NoiseParts(
         dynamic=single_frame / math.sqrt(noise.frames_integrated),
         fixed_pattern=noise.fixed_pattern_ratio * single_frame,
+    )
+
+
+def sample_parts(noise: Noise, *, total_sd: float) -> SampleParts:
+    """Return all independent parts of a displayed sample's total standard deviation (1/SNR).
+
+    Of the parts of three-dimensional noise these are tvh, vh, tv, v, th and h (D'Agostino & Webb 1991).
+    """
+    parts = noise_parts(noise, total_sd=total_sd)
+    single_frame = k_factor(noise) * total_sd
+    lines = noise.row_noise_ratio**2 + noise.column_noise_ratio**2
+    line_patterns = (noise.row_pattern_ratio**2 + noise.column_pattern_ratio**2) * single_frame**2
+    return SampleParts(
+        own_noise=parts.dynamic * math.sqrt(max(1.0 - lines, 0.0)),
+        own_pattern=math.sqrt(max(parts.fixed_pattern**2 - line_patterns, 0.0))
+        if line_patterns
+        else parts.fixed_pattern,
+        row_noise=parts.dynamic * noise.row_noise_ratio,
+        row_pattern=single_frame * noise.row_pattern_ratio,
+        column_noise=parts.dynamic * noise.column_noise_ratio,
+        column_pattern=single_frame * noise.column_pattern_ratio,
+    )
+
+
+def line_shares(noise: Noise) -> LineShares:
+    """Return the shares of rows and columns in the variance of a displayed sample."""
+    parts = sample_parts(noise, total_sd=1.0)
+    return LineShares(
+        row=parts.row_noise**2 + parts.row_pattern**2, column=parts.column_noise**2 + parts.column_pattern**2
     )
 
 
@@ -94,11 +163,15 @@ def _netd_mk(noise: Noise) -> float:
 
 
 def excess_kurtosis(noise: Noise) -> float:
-    """Return the excess kurtosis of a displayed sample: the parts' own, weighted by their squared variances."""
-    if noise.distribution == "gaussian":
+    """Return the excess kurtosis of what detectors have by themselves in a displayed sample.
+
+    It is that of the noise and of the pattern, weighted by their squared variances.
+    """
+    parts = sample_parts(noise, total_sd=1.0)
+    own = parts.own_noise**2 + parts.own_pattern**2
+    if noise.distribution == "gaussian" or own == 0.0:
         return 0.0
-    parts = noise_parts(noise, total_sd=1.0)
-    return UNIFORM_EXCESS_KURTOSIS * (parts.dynamic**4 + parts.fixed_pattern**4)
+    return UNIFORM_EXCESS_KURTOSIS * (parts.own_noise**4 + parts.own_pattern**4) / own**2
 
 
 def draw(
@@ -114,19 +187,19 @@ def draw(
     return rng.uniform(-half_width, half_width, shape)
 
 
-def unit_fixed_pattern(shape: tuple[int, int], *, noise: Noise, seed: int | np.random.SeedSequence) -> FloatArray:
-    """Draw the sensor's fixed pattern, of standard deviation 1 over all sensors.
+def unit_fixed_pattern(shape: tuple[int, int], *, noise: Noise, seed: int | np.random.SeedSequence) -> UnitPattern:
+    """Draw the sensor's fixed pattern, each part of standard deviation 1 over all sensors.
 
     It is drawn once per sensor: the same seed and shape give the same pattern, whatever frames are made of it.
-
-    Returns
-    -------
-    ndarray, shape `shape`
     """
-    return draw(shape, sd=1.0, distribution=noise.distribution, rng=np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    own = draw(shape, sd=1.0, distribution=noise.distribution, rng=rng)
+    return UnitPattern(own, rng.standard_normal((shape[0], 1)), rng.standard_normal((1, shape[1])))
 
 
-def displayed_noise(pattern: FloatArray, *, total_sd: float, noise: Noise, rng: np.random.Generator) -> FloatArray:
+def displayed_noise(
+    pattern: UnitPattern, *, total_sd: float, noise: Noise, rng: np.random.Generator
+) -> FloatArray:
     """Draw the noise of one displayed image: a new dynamic part and the sensor's fixed pattern.
 
     The dynamic part is one draw of the named distribution with the standard deviation that integration
@@ -134,7 +207,7 @@ def displayed_noise(pattern: FloatArray, *, total_sd: float, noise: Noise, rng: 
 
     Parameters
     ----------
-    pattern : ndarray, shape (n, n)
+    pattern : UnitPattern
         Result of `unit_fixed_pattern`.
     total_sd : float
         Total standard deviation, 1/SNR, >= 0.
@@ -145,6 +218,14 @@ def displayed_noise(pattern: FloatArray, *, total_sd: float, noise: Noise, rng: 
     -------
     ndarray, shape (n, n), in units of a large triangle's signal
     """
-    parts = noise_parts(noise, total_sd=total_sd)
-    dynamic = draw(pattern.shape, sd=parts.dynamic, distribution=noise.distribution, rng=rng)
-    return dynamic + parts.fixed_pattern * pattern
+    parts = sample_parts(noise, total_sd=total_sd)
+    found = draw(pattern.own.shape, sd=parts.own_noise, distribution=noise.distribution, rng=rng)
+    found += parts.own_pattern * pattern.own
+    for sd, fixed_sd, lines in (
+        (parts.row_noise, parts.row_pattern, pattern.rows),
+        (parts.column_noise, parts.column_pattern, pattern.columns),
+    ):
+        if sd > 0.0:
+            found += sd * rng.standard_normal(lines.shape)
+        found += fixed_sd * lines
+    return found

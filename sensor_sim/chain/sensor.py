@@ -26,6 +26,9 @@ MAX_PIXELS = 1000
 MAX_DEFOCUS_WAVES = 20.0
 """Largest defocus; beyond it the transfer oscillates faster than its table."""
 
+SAME_RATIO = 1e-5
+"""Relative difference by which parts of a noise may be larger than all of it: files have six digits."""
+
 Distribution = Literal["uniform", "gaussian"]
 Positive = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)]
 NotNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
@@ -218,7 +221,7 @@ class Detector:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:
-    """Detector noise of zero mean, independent from detector to detector.
+    """Detector noise of zero mean: of each detector by itself, and of what rows and columns have in common.
 
     If the file has no such table, the noise is the uniform one of the paper, new in each frame, with one frame
     integrated.
@@ -232,6 +235,11 @@ class Noise:
         Static divided by dynamic standard deviation, >= 0.
     frames_integrated : int
         Frames that the observer's eye averages, >= 1.
+    row_noise_ratio, column_noise_ratio : float
+        Standard deviation of what all detectors of a row or column have in common, new in each frame, divided by
+        the dynamic standard deviation, of which it is a part: the sum of their squares is at most 1.
+    row_pattern_ratio, column_pattern_ratio : float
+        The same, fixed: parts of the fixed pattern, divided by the dynamic standard deviation.
     couple_netd : bool
         Whether the NETD follows f-number² / area of a detector where a sweep varies them.
 
@@ -245,10 +253,25 @@ class Noise:
     netd_mk: Annotated[float | None, Meta(ge=1.0 / LARGEST, le=LARGEST)] = None
     fixed_pattern_ratio: NotNegative = 0.0
     frames_integrated: Annotated[int, Meta(ge=1)] = 1
+    row_noise_ratio: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    column_noise_ratio: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    row_pattern_ratio: NotNegative = 0.0
+    column_pattern_ratio: NotNegative = 0.0
     couple_netd: bool = False
 
     def __post_init__(self) -> None:
         check_values(self)
+        for kind, whole, of_what in (
+            ("noise", 1.0, "1, the dynamic noise that they are parts of"),
+            ("pattern", self.fixed_pattern_ratio, "fixed_pattern_ratio, of which they are parts"),
+        ):
+            names = [f"{line}_{kind}_ratio" for line in ("row", "column")]
+            lines = math.hypot(*(getattr(self, name) for name in names))
+            if lines > whole * (1.0 + SAME_RATIO):
+                raise SettingsError(
+                    f"{', '.join(names)}: found {lines:.6g} as the root of the sum of their squares, expected at "
+                    f"most {of_what}"
+                )
         if self.couple_netd and self.netd_mk is None:
             raise SettingsError("couple_netd: needs netd_mk, which is missing")
 
@@ -699,6 +722,10 @@ _NOTHING = {
     "defocus_waves": 0.0,
     "mtf_includes_detector": False,
     "couple_netd": False,
+    "row_noise_ratio": 0.0,
+    "column_noise_ratio": 0.0,
+    "row_pattern_ratio": 0.0,
+    "column_pattern_ratio": 0.0,
 }
 """Values of keys that change nothing, so that they are left out."""
 
@@ -742,6 +769,10 @@ EXPLAINED = {
     "noise.netd_mk": "noise-equivalent temperature difference of one frame",
     "noise.fixed_pattern_ratio": "static over dynamic standard deviation",
     "noise.frames_integrated": "frames that the eye averages",
+    "noise.row_noise_ratio": "what a row has in common, new in each frame, over the dynamic deviation",
+    "noise.column_noise_ratio": "the same of columns",
+    "noise.row_pattern_ratio": "what a row has in common in all frames, over the dynamic deviation",
+    "noise.column_pattern_ratio": "the same of columns",
     "noise.couple_netd": "the NETD follows f-number² / area of a detector where a sweep varies them",
     "noise.quantum_efficiency": "electrons for each photon on the area of a pixel",
     "noise.system_gain_dn_per_electron": "K: digital numbers for each electron",

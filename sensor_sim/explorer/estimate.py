@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from sensor_sim.chain.sampling import TriangleSampler, field_detectors, smallest_field
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.chain.transfer import blur_mrad, looks_the_same_when_turned
-from sensor_sim.thresholds.curve_plan import CurvePlan, centre_offset
+from sensor_sim.chain.transfer import blur_mrad
+from sensor_sim.thresholds.curve_plan import CurvePlan, centre_offset, is_alike_when_turned, lines_of
 from sensor_sim.thresholds.folding import Folding, is_unblurred
 from sensor_sim.thresholds.predict import (
     KRONECKER_STEPS_4D,
@@ -106,7 +106,6 @@ def quick_plan(
     """Return a plan that leaves out, without a test, what most plans leave out: the far field and double
     precision."""
     field = quick_field(sensor, size_detectors)
-    is_circular = looks_the_same_when_turned(sensor.optics, sensor.motion)
     sampler = shared.samplers.get(
         ("quick", sensor.optics, sensor.motion, sensor.detector, size_detectors, field),
         lambda: TriangleSampler(
@@ -123,9 +122,10 @@ def quick_plan(
         field=field,
         sampler=sampler,
         dtype=np.float32,
-        orientations=ORIENTATIONS[:1] if symmetric and is_circular else ORIENTATIONS,
+        orientations=ORIENTATIONS[:1] if symmetric and is_alike_when_turned(sensor) else ORIENTATIONS,
         three_templates=True,
         merge_pixels=is_unblurred(sensor),
+        lines=lines_of(sensor),
         shared=shared,
     )
 

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, NamedTuple
 import msgspec
 import numpy as np
 
-from sensor_sim.chain.detector_noise import delta_t_mk
+from sensor_sim.chain.detector_noise import NO_LINES, delta_t_mk, line_shares
 from sensor_sim.chain.sensor import Noise, Sensor
 from sensor_sim.sweeps.designs import Base, Changes, Designs
 from sensor_sim.thresholds.curve_plan import plan_curve
@@ -293,10 +293,12 @@ def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> SweepPla
 def as_computed(sensor: Sensor) -> Sensor:
     """Return a sensor with the same thresholds, with defaults for all settings that do not change these.
 
-    Thresholds in SNR do not depend on the noise; those of photons do.
+    Thresholds in SNR do not depend on the noise but for the shares of rows and columns; those of photons do.
     """
     display = replace(sensor.display, background_luminance_cd_m2=1.0)
-    return replace(sensor, noise=Noise(), display=display, name="")
+    has_lines = line_shares(sensor.noise) != NO_LINES
+    noise = replace(sensor.noise, netd_mk=None, couple_netd=False) if has_lines else Noise()
+    return replace(sensor, noise=noise, display=display, name="")
 
 
 def _order(unique: Sequence[tuple[Sensor, Changes]]) -> list[int]:

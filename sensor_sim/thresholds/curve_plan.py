@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from sensor_sim.chain.detector_noise import NO_LINES, LineShares, line_shares
 from sensor_sim.chain.photons import contrast_variance
 from sensor_sim.chain.sampling import TriangleSampler, field_detectors, field_sampler, smallest_field
 from sensor_sim.chain.sensor import Sensor
@@ -70,6 +71,9 @@ class CurvePlan:
         Whether display pixels that must be alike count as one.
     external_noise : bool
         Whether there is detector noise.
+    lines : LineShares
+        Shares of its variance that rows and columns have in common; none for cameras that count photons, whose
+        variances are apart.
     fewest_places : int
         Places along each axis of a detector to begin with.
     steps : tuple of Step
@@ -92,6 +96,7 @@ class CurvePlan:
     three_templates: bool = False
     merge_pixels: bool = False
     external_noise: bool = True
+    lines: LineShares = NO_LINES
     fewest_places: int = 1
     steps: tuple[Step, ...] = ()
     repetition_bound: float = 0.0
@@ -151,7 +156,14 @@ class CurvePlan:
 
     def noise(self, weights: FloatArray) -> FloatArray:
         """Compute the covariance of the scores, (..., 4, 4), under detector noise of standard deviation 1."""
-        return noise_covariance(weights) if self.external_noise else np.zeros((*weights.shape[:-1], 4))
+        if not self.external_noise:
+            return np.zeros((*weights.shape[:-1], 4))
+        own = noise_covariance(weights)
+        if self.lines == NO_LINES:
+            return own
+        rows, columns = line_covariance(weights)
+        row, column = self.lines
+        return (1.0 - row - column) * own + row * rows + column * columns
 
 
 def plan_curve(
@@ -234,10 +246,22 @@ def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared:
             (sensor.optics, sensor.motion, sensor.detector, size_detectors),
             lambda: field_sampler(sensor, size_detectors),
         ),
+        lines=lines_of(sensor),
         fewest_places=FULL_PLACES,
         steps=(Step("everything", True, f"as {argument.plan} full asks; the field is {detectors} detectors"),),
         shared=shared,
     )
+
+
+def lines_of(sensor: Sensor) -> LineShares:
+    """Return the shares of rows and columns for a plan; none for cameras that count photons."""
+    return line_shares(sensor.noise) if sensor.photons is None else NO_LINES
+
+
+def is_alike_when_turned(sensor: Sensor) -> bool:
+    """Return whether optics, motion and noise of a sensor are the same along rows and columns."""
+    variance = lines_of(sensor) if sensor.photons is None else contrast_variance(sensor)
+    return variance.row == variance.column and looks_the_same_when_turned(sensor.optics, sensor.motion)
 
 
 def linear_readout(sensor: Sensor, observer: Observer, size_detectors: float) -> Readout:
@@ -541,13 +565,15 @@ class _CurvePlanner:
     def _identities(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
         """Leave out the parts that change nothing. Returns the plan and its steps."""
         steps = []
-        if is_symmetric(self.readout) and looks_the_same_when_turned(self.sensor.optics, self.sensor.motion):
+        if is_symmetric(self.readout) and is_alike_when_turned(self.sensor):
             # Square detectors and a symmetric observer look the same to all orientations.
             plan = replace(plan, orientations=ORIENTATIONS[:1])
             saved = 3.0 * self.unit_s
             steps.append(Step("orientations", False, "one stands for all four, which are its turns", 0.0, saved))
         else:
-            steps.append(Step("orientations", True, "all four: the observer or the optics are not symmetric"))
+            steps.append(
+                Step("orientations", True, "all four: the observer, the optics or the noise are not symmetric")
+            )
         plan = replace(plan, three_templates=True)
         why = "the four score deviations add up to zero"
         steps.append(Step("fourth template", False, why, 0.0, self.unit_s / 4.0))

@@ -281,7 +281,7 @@ class FoldedChain:
         if (places, seed) not in self._drawn:
             started = time.perf_counter()
             key = (self.plan.sampler.key, self.folding.key, self.sensor.display.gain, self.orientations)
-            is_noisy = (self.plan.external_noise, self.variance is not None)
+            is_noisy = (self.plan.external_noise, self.plan.lines, self.variance is not None)
             self._drawn[places, seed] = self.plan.shared.trials.get(
                 (*key, *is_noisy, places, seed), lambda: self._made_replicates(places, seed)
             )

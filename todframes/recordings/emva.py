@@ -28,6 +28,7 @@ from todframes.recordings.noise3d import (
     added,
     checked_region,
     combinations,
+    estimate,
 )
 from todframes.recordings.recording import Recording, RecordingWarning
 
@@ -65,6 +66,14 @@ MISFIT_PROBABILITY = 0.01
 LARGEST_GAIN_ERROR = 0.02
 """Relative standard error of a widened gain, above which there is a warning. The three public reference sets have
 0.007, 0.003 and, for a camera with an offset at faint light, 0.03."""
+
+LINES = {
+    "row_noise_electrons": "tv",
+    "column_noise_electrons": "th",
+    "row_pattern_electrons": "v",
+    "column_pattern_electrons": "h",
+}
+"""Keys of a SENSOR.toml for what rows and columns have in common, and the parts of the noise that they are."""
 
 MIXED_SIGNAL = 0.02
 """Least step between frames of a stack, relative to the signal, by which two exposures are mixed. Lamps flicker by
@@ -134,6 +143,15 @@ class StackNoise:
     squares: Mapping[str, float]
     degrees: Mapping[str, int]
     shape: tuple[int, int]
+
+    def lines_dn(self) -> dict[str, float]:
+        """Return standard deviations of what the pixels of a row or column have in common, by SENSOR.toml's keys.
+
+        They are those of the analysis of variance; those whose 95 % interval begins at 0 are left out.
+        """
+        weights = combinations(self.n_frames, *self.shape)
+        found = {key: estimate(weights[part], self.squares, self.degrees) for key, part in LINES.items()}
+        return {key: one.sd for key, one in found.items() if one.ci95[0] > 0.0}
 
 
 class TransferPoint(NamedTuple):
@@ -224,14 +242,19 @@ class EmvaNoise:
         def value(one: Estimate | None) -> float | None:
             return None if one is None else one.value
 
-        current = value(self.dark_current)
+        current, gain = value(self.dark_current), self.system_gain.value
+        lines = {key: sd / gain for key, sd in self.dark.lines_dn().items()}
+        of_noise, of_pattern = (
+            math.hypot(*(one for key, one in lines.items() if kind in key)) for kind in ("noise", "pattern")
+        )
         return EmvaCamera(
-            system_gain_dn_per_electron=self.system_gain.value,
-            dark_noise_electrons=self.dark_noise.value,
+            system_gain_dn_per_electron=gain,
+            dark_noise_electrons=math.sqrt(max(self.dark_noise.value**2 - of_noise**2, 0.0)),
             quantum_efficiency=value(self.quantum_efficiency),
             dark_current_electrons_per_s=None if current is None else max(current, 0.0),
-            dsnu_electrons=self.dsnu.value,
+            dsnu_electrons=math.sqrt(max(self.dsnu.value**2 - of_pattern**2, 0.0)),
             prnu_percent=self.prnu.value,
+            **lines,
             full_well_electrons=value(self.saturation_electrons),
             bits=self.bits,
             exposure_ms=self.exposure_ms,

@@ -94,6 +94,9 @@ class EmvaCamera:
     dark_current_electrons_per_s : float or None
         From the means of dark frames; 0 where noise has made it negative.
     dsnu_electrons, prnu_percent, full_well_electrons : float or None
+    row_noise_electrons, column_noise_electrons, row_pattern_electrons, column_pattern_electrons : float or None
+        What the pixels of a row or column have in common in the dark, in a frame or in all: no parts of the dark
+        noise and of the DSNU stated here. Results of EMVA 1288 do not have them.
     bits : int or None
         Bits of a pixel.
     exposure_ms : float or None
@@ -106,6 +109,10 @@ class EmvaCamera:
     dark_current_electrons_per_s: float | None = None
     dsnu_electrons: float | None = None
     prnu_percent: float | None = None
+    row_noise_electrons: float | None = None
+    column_noise_electrons: float | None = None
+    row_pattern_electrons: float | None = None
+    column_pattern_electrons: float | None = None
     full_well_electrons: float | None = None
     bits: int | None = None
     exposure_ms: float | None = None
@@ -119,6 +126,10 @@ class EmvaCamera:
             "dark_current_electrons_per_s",
             "dsnu_electrons",
             "prnu_percent",
+            "row_noise_electrons",
+            "column_noise_electrons",
+            "row_pattern_electrons",
+            "column_pattern_electrons",
             "full_well_electrons",
             "bits",
             "exposure_ms",

@@ -172,6 +172,16 @@ class Noise3D:
         upper = math.exp(math.hypot(_log_ratio(fixed.sd, high), down)) * ratio
         return NoisePart(ratio, (lower, upper), ratio**2)
 
+    def _line_ratios(self, *names: tuple[str, str], whole: float) -> dict[str, float]:
+        """Return parts that rows and columns have in common over the dynamic noise, by keys of a SENSOR.toml.
+
+        Those whose interval begins at 0 are left out. Together they are no more than the whole.
+        """
+        dynamic, _ = self._both()
+        found = {key: self.parts[part].sd / dynamic.sd for key, part in names if self.parts[part].ci95[0] > 0.0}
+        scale = min(1.0, whole / math.hypot(*found.values())) if found else 1.0
+        return {key: float(f"{scale * ratio:.6g}") for key, ratio in found.items()}
+
     def _both(self) -> tuple[NoisePart, NoisePart]:
         """Return the dynamic noise, which is not zero, and the fixed pattern; DataError if they are not known."""
         if self.dynamic is None or self.fixed is None:
@@ -209,11 +219,14 @@ class Noise3D:
         """
         dynamic, _ = self._both()
         per_unit = 1000.0 if self.unit == "celsius" else mk_per_unit
+        fixed_ratio = float(f"{self.fixed_pattern_ratio.sd:.6g}")
         noise = {
             "distribution": "gaussian",
             "netd_mk": None if per_unit is None else float(f"{dynamic.sd * per_unit:.6g}"),
-            "fixed_pattern_ratio": float(f"{self.fixed_pattern_ratio.sd:.6g}"),
+            "fixed_pattern_ratio": fixed_ratio,
             "frames_integrated": self.frames_integrated,
+            **self._line_ratios(("row_noise_ratio", "tv"), ("column_noise_ratio", "th"), whole=1.0),
+            **self._line_ratios(("row_pattern_ratio", "v"), ("column_pattern_ratio", "h"), whole=fixed_ratio),
         }
         hint = for_reader(f"netd_mk is not known: give {argument.mk_per_count}")
         return toml_text({"noise": noise}, comment=hint if per_unit is None else "")

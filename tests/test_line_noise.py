@@ -1,0 +1,228 @@
+"""What the detectors of a row or column have in common: parts, thresholds against brute force, and measurement."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sensor_sim as ss
+import todframes as tod
+from sensor_sim.chain.detector_noise import (
+    displayed_noise,
+    excess_kurtosis,
+    line_shares,
+    noise_parts,
+    sample_parts,
+    unit_fixed_pattern,
+)
+from sensor_sim.chain.sensor import Noise, sensor_from, sensor_tables
+from sensor_sim.chain.simulation import Simulator, plan_trials
+from sensor_sim.thresholds.curve_plan import full_plan, line_covariance, plan_curve
+from todframes.base.errors import SettingsError
+from todframes.observers.decision import answer_probabilities
+from todframes.observers.pyramid import PyramidObserver
+from todframes.observers.retina import resample
+from todframes.stimulus import Stimulus
+
+LINES = Noise(
+    distribution="gaussian",
+    netd_mk=20.0,
+    fixed_pattern_ratio=0.5,
+    frames_integrated=3,
+    row_noise_ratio=0.4,
+    row_pattern_ratio=0.3,
+    column_pattern_ratio=0.35,
+)
+STAR = Path(__file__).parent.parent / "sample_frames" / "star_like.toml"
+
+
+def test_parts_add_up_to_the_sample_as_it_is_without_lines() -> None:
+    rng = np.random.default_rng(4)
+    for rows, columns, of_rows, of_columns in [(0.0, 0.0, 0.0, 0.0), *(0.7 * rng.random((50, 4))).tolist()]:
+        fixed, frames = 3.0 * float(rng.random()), int(rng.integers(1, 100))
+        noise = Noise(
+            fixed_pattern_ratio=fixed,
+            frames_integrated=frames,
+            row_noise_ratio=rows,
+            column_noise_ratio=columns,
+            row_pattern_ratio=fixed * of_rows,
+            column_pattern_ratio=fixed * of_columns,
+        )
+        parts, (dynamic, static) = sample_parts(noise, total_sd=0.3), noise_parts(noise, total_sd=0.3)
+        assert math.hypot(*parts) == pytest.approx(0.3, rel=1e-9)
+        assert math.hypot(parts.own_noise, parts.row_noise, parts.column_noise) == pytest.approx(dynamic, rel=1e-9)
+        of_lines = line_shares(noise).row + line_shares(noise).column
+        assert of_lines == pytest.approx(1.0 - (parts.own_noise**2 + parts.own_pattern**2) / 0.09, abs=1e-9)
+        without = Noise(fixed_pattern_ratio=fixed, frames_integrated=frames)
+        assert noise_parts(without, total_sd=0.3) == (dynamic, static)
+
+
+def test_drawn_lines_have_the_covariance_of_their_parts() -> None:
+    rng, n = np.random.default_rng(1), 1500
+    images = np.array(
+        [
+            displayed_noise(unit_fixed_pattern((12, 12), noise=LINES, seed=k), total_sd=2.0, noise=LINES, rng=rng)
+            for k in range(n)
+        ]
+    )
+    shares = line_shares(LINES)
+    # A variance from k values is known to √(2/k): 18,000 means of rows or columns, 1.1 %; their parts are larger.
+    own = 1.0 - shares.row - shares.column
+    assert images.mean(axis=2).var() == pytest.approx(4 * (shares.row + (own + shares.column) / 12), rel=0.05)
+    assert images.mean(axis=1).var() == pytest.approx(4 * (shares.column + (own + shares.row) / 12), rel=0.05)
+    assert images.var() == pytest.approx(4.0, rel=0.05)
+    # Two frames of one sensor share its pattern alone.
+    pattern = unit_fixed_pattern((40, 40), noise=LINES, seed=1)
+    one, other = (displayed_noise(pattern, total_sd=1.0, noise=LINES, rng=rng) for _ in range(2))
+    fixed = noise_parts(LINES, total_sd=1.0).fixed_pattern
+    assert np.cov(one.ravel(), other.ravel())[0, 1] == pytest.approx(fixed**2, rel=0.3)
+
+
+def test_lines_are_gaussian_whatever_a_detector_by_itself_is() -> None:
+    lines = replace(LINES, distribution="uniform")
+    parts = sample_parts(lines, total_sd=1.0)
+    own = parts.own_noise**2 + parts.own_pattern**2
+    assert excess_kurtosis(lines) == pytest.approx(-1.2 * (parts.own_noise**4 + parts.own_pattern**4) / own**2)
+    assert excess_kurtosis(LINES) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (
+            {"row_noise_ratio": 0.8, "column_noise_ratio": 0.7},
+            "row_noise_ratio, column_noise_ratio: found 1.06301 ",
+        ),
+        ({"row_noise_ratio": 1.2}, "row_noise_ratio: found 1.2, expected a number from 0 to 1"),
+        ({"row_pattern_ratio": 0.6}, "column_pattern_ratio: found 0.694622 .*at most fixed_pattern_ratio"),
+        ({"column_pattern_ratio": -0.1}, "column_pattern_ratio: found -0.1"),
+    ],
+)
+def test_lines_that_are_more_than_the_noise_are_refused(change, problem) -> None:
+    with pytest.raises(SettingsError, match=problem):
+        replace(LINES, **change)
+
+
+def test_a_file_keeps_lines_and_says_nothing_of_none() -> None:
+    sensor = replace(ss.load_sensor(STAR), noise=LINES)
+    tables = sensor_tables(sensor)
+    assert tables["noise"]["row_pattern_ratio"] == 0.3 and "column_noise_ratio" not in tables["noise"]
+    again = sensor_from({"schema": 1, "name": sensor.name, **tables}, "sensor")
+    assert again == sensor
+
+
+def thermal(noise: Noise) -> ss.Sensor:
+    star = ss.load_sensor(STAR)
+    return replace(star, noise=noise)
+
+
+def dense_covariance(field: int, own: float, row: float, column: float) -> np.ndarray:
+    """Covariance of all samples of a field with each other, (field², field²), by the places of each pair."""
+    rows, columns = (one.ravel() for one in np.indices((field, field)))
+    same_row, same_column = rows[:, None] == rows, columns[:, None] == columns
+    return own * (same_row & same_column) + row * same_row + column * same_column
+
+
+def test_noise_of_scores_is_that_of_all_pairs_of_detectors() -> None:
+    weights = np.random.default_rng(2).normal(size=(3, 4, 81))
+    noise = replace(LINES, row_noise_ratio=0.8, column_pattern_ratio=0.2)
+    plan = full_plan(thermal(noise), PyramidObserver(), 6.0)
+    # The paper's formulas by hand: 3 frames, a fixed pattern of 0.5, and the ratios of rows and columns.
+    total = 1.0 / 3.0 + 0.25
+    row, column = (0.64 / 3.0 + 0.09) / total, 0.04 / total
+    brute = weights @ dense_covariance(9, 1.0 - row - column, row, column) @ weights.swapaxes(1, 2)
+    np.testing.assert_allclose(plan.noise(weights), brute, rtol=1e-12, atol=1e-12)
+    for found, shares in zip(line_covariance(weights), ((0, 1, 0), (0, 0, 1)), strict=True):
+        brute = weights @ dense_covariance(9, *shares) @ weights.swapaxes(1, 2)
+        np.testing.assert_allclose(found, brute, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.weekly
+def test_simulated_frames_have_the_computed_threshold() -> None:
+    """2,000 frames, simulated and read out one by one, displaced on the retina as `score` does."""
+    sensor, size, observer = thermal(Noise(row_noise_ratio=0.9)), 6.0, PyramidObserver()
+    (fit,) = ss.curve(sensor, size_detectors=[size], examples=False).fits
+    readout = observer.readout(Stimulus(size * sensor.display.detector_pitch_mrad))
+    pixel, rng = sensor.display.pixel_pitch_mrad, np.random.default_rng(2)
+    planned = plan_trials([size], [fit.threshold * 2.0**n for n in (-1.0, -0.4, 0.0, 0.4, 1.0)], 400)
+    scores = []
+    for frame in Simulator(sensor, size, seed=1).frames(planned):
+        jitter = rng.uniform(-0.5, 0.5, 2) * readout.grid.pitch_mrad / pixel
+        contrast = frame.luminance_cd_m2 / sensor.display.background_luminance_cd_m2 - 1.0
+        place = {"x_px": frame.x_px + jitter[0], "y_px": frame.y_px + jitter[1], "pixel_pitch_mrad": pixel}
+        scores.append(readout.score_deviations(resample(contrast, readout.grid, **place)))
+    answers = answer_probabilities(np.array(scores), readout.noise_covariance)
+    correct = np.array([trial.orientation.quarter_turns for trial in planned])
+    p_correct = answers[np.arange(len(planned)), correct].reshape(5, 400)
+    # In place of a fit: the frames' P at each level against the curve's, four standard errors.
+    at_level = np.interp(
+        np.log([trial.level for trial in planned[::400]]),
+        [math.log(point.level) for point in fit.points],
+        [point.p_correct for point in fit.points],
+    )
+    errors = p_correct.std(axis=1) / math.sqrt(400)
+    assert (np.abs(p_correct.mean(axis=1) - at_level) < 4.0 * errors).all()
+    # Noise that is independent from detector to detector gives another curve.
+    (other,) = ss.curve(thermal(Noise()), size_detectors=[size], examples=False).fits
+    assert abs(math.log(other.threshold / fit.threshold)) > 0.1
+
+
+def test_alike_rows_and_columns_need_one_orientation_and_others_all_four() -> None:
+    for noise, n in (
+        (Noise(), 1),
+        (Noise(row_noise_ratio=0.6), 4),
+        (Noise(row_noise_ratio=0.6, column_noise_ratio=0.6), 1),
+    ):
+        plan = plan_curve(thermal(noise), PyramidObserver(), 6.0, tolerance=0.02)
+        assert len(plan.orientations) == n
+
+
+@pytest.mark.slow
+def test_a_sweep_over_rows_has_the_thresholds_of_each() -> None:
+    sensor = thermal(Noise(netd_mk=20.0))
+    swept = ss.sweep(sensor, size_detectors=[6], vary={"noise.row_noise_ratio": [0.0, 0.8]}, tolerance=0.05)
+    thresholds = [row["threshold_snr"] for row in swept.records()]
+    for ratio, threshold in zip((0.0, 0.8), thresholds, strict=True):
+        changed = replace(sensor, noise=Noise(netd_mk=20.0, row_noise_ratio=ratio))
+        (fit,) = ss.curve(changed, size_detectors=[6], tolerance=0.05, examples=False).fits
+        assert threshold == fit.threshold
+    assert thresholds[0] != thresholds[1]
+
+
+def test_measured_lines_come_back_from_the_file() -> None:
+    rng = np.random.default_rng(5)
+    frames = 1000.0 + rng.normal(0, 1.0, (1, 60, 1)) + rng.normal(0, 1.5, (60, 60))
+    frames = frames + rng.normal(0, 0.8, (40, 60, 1)) + rng.normal(0, 2.0, (40, 60, 60))
+    found = tod.noise(frames, mk_per_count=10.0)
+    noise = sensor_from(
+        sensor_tables(ss.load_sensor(STAR)) | {"schema": 1} | tomllib.loads(found.sensor_toml()), "x"
+    )
+    dynamic = math.hypot(0.8, 2.0)
+    # 40 · 59 values give the rows of frames to 1.5 %, 60 rows their pattern to 9 %.
+    assert noise.noise.row_noise_ratio == pytest.approx(0.8 / dynamic, rel=0.06)
+    assert noise.noise.row_pattern_ratio == pytest.approx(1.0 / dynamic, rel=0.3)
+    assert noise.noise.column_noise_ratio == noise.noise.column_pattern_ratio == 0.0
+
+
+def test_lines_of_an_emva_measurement_are_parts_of_their_own() -> None:
+    rng, shape, gain = np.random.default_rng(7), (40, 64, 64), 0.5
+
+    def film(electrons: float, pattern: np.ndarray) -> np.ndarray:
+        seen = rng.poisson(electrons, shape) + pattern + rng.normal(0, 6.0, shape)
+        seen = seen + rng.normal(0, 3.0, (shape[0], shape[1], 1))
+        return np.rint(100 + gain * seen).astype(np.uint16)
+
+    pattern = rng.normal(0, 4.0, shape[1:]) + rng.normal(0, 3.0, (1, shape[2]))
+    result = tod.emva_noise(bright=[film(2000.0, pattern)], dark=[film(0.0, pattern)], bits=12)
+    noise = tomllib.loads(result.sensor_toml())["noise"]
+    assert noise["row_noise_electrons"] == pytest.approx(3.0, rel=0.1)
+    assert noise["dark_noise_electrons"] == pytest.approx(6.0, rel=0.05)
+    assert noise["column_pattern_electrons"] == pytest.approx(3.0, rel=0.35)
+    assert noise["dsnu_electrons"] == pytest.approx(4.0, rel=0.1)
+    assert "column_noise_electrons" not in noise and "row_pattern_electrons" not in noise
