@@ -124,6 +124,7 @@ def test_import_leaves_the_page_out_and_finds_the_triangles(folder, recording, t
     with (tmp_path / "dataset" / "manifest.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {row["page"] for row in rows} == {"1", "2"} and done.n_clips == 2
+    assert "3 of the page to measure the camera" in done.notes[0] and not done.warnings
     frames = np.load(recording)
     np.save(tmp_path / "rest.npy", frames[3:])
     tod.import_recordings(
@@ -132,6 +133,11 @@ def test_import_leaves_the_page_out_and_finds_the_triangles(folder, recording, t
     with (tmp_path / "rest" / "manifest.csv").open(newline="") as file:
         rest = list(csv.DictReader(file))
     # Other frames solve the lens, so places may differ by their error, some 0.01 px.
+    np.save(tmp_path / "page.npy", frames[:3])
+    with pytest.raises(
+        DataError, match="found the page to measure the camera alone, expected pages with triangles"
+    ):
+        tod.import_recordings(tmp_path / "page.npy", chart=folder, out=tmp_path / "none")
     for row, other in zip(rows, rest, strict=True):
         assert (row["orientation"], row["contrast"], row["sha256"]) == tuple(
             other[name] for name in ("orientation", "contrast", "sha256")

@@ -104,20 +104,29 @@ def background_electrons(sensor: Sensor) -> float:
     SettingsError
         If the light has no luminance at the wavelength, or the full well lies below the scene.
     """
-    photons, optics = _photons_of(sensor), sensor.optics
-    assert optics.focal_length_mm is not None  # checked by `Sensor`
-    pitch_um = sensor.detector.pitch_mrad * optics.focal_length_mm
-    of_light = photons_per_lux_s_um2(sensor) * image_illuminance_lx(sensor) * pitch_um**2
-    electrons = photons.quantum_efficiency * of_light * photons.exposure_ms / 1000.0
+    photons, scene = _photons_of(sensor), sensor.scene
+    assert scene is not None  # every sensor with photons has one
+    electrons = scene.background_electrons
+    if electrons is None:
+        electrons = _electrons_of_light(sensor)
     if electrons + photons.dark_electrons >= photons.saturation_electrons:
-        assert sensor.scene is not None
+        light = "" if scene.background_electrons else f" of {scene.background_cd_m2:.4g} cd/m²"
         raise SettingsError(
             f"noise.full_well_electrons: a pixel saturates at {photons.saturation_electrons:.4g} electrons, and "
-            f"the background of {sensor.scene.background_cd_m2:.4g} cd/m² gives {electrons:.4g} with "
+            f"the background{light} gives {electrons:.4g} with "
             f"{photons.dark_electrons:.4g} of the dark current; expected fewer: a shorter exposure, a larger "
             "f-number or less light"
         )
     return electrons
+
+
+def _electrons_of_light(sensor: Sensor) -> float:
+    """Return the electrons of the background by lens, light and quantum efficiency."""
+    photons, optics = _photons_of(sensor), sensor.optics
+    assert optics.focal_length_mm is not None and photons.quantum_efficiency is not None  # checked by `Sensor`
+    pitch_um = sensor.detector.pitch_mrad * optics.focal_length_mm
+    of_light = photons_per_lux_s_um2(sensor) * image_illuminance_lx(sensor) * pitch_um**2
+    return float(photons.quantum_efficiency * of_light * photons.exposure_ms / 1000.0)
 
 
 def largest_contrast(sensor: Sensor) -> float:

@@ -282,8 +282,9 @@ class PhotonNoise:
 
     Attributes
     ----------
-    quantum_efficiency : float
-        Electrons for each photon that falls on the area of a pixel, its insensitive part included.
+    quantum_efficiency : float or None
+        Electrons for each photon that falls on the area of a pixel, its insensitive part included. None: the scene
+        has its electrons.
     system_gain_dn_per_electron : float or None
         Digital numbers for each electron, > 0. None: nothing is rounded.
     dark_noise_electrons : float
@@ -309,7 +310,7 @@ class PhotonNoise:
         If a value is out of its range.
     """
 
-    quantum_efficiency: Share
+    quantum_efficiency: Annotated[float | None, Meta(ge=1e-6, le=1.0)] = None
     system_gain_dn_per_electron: OptionalPositive = None
     dark_noise_electrons: NotNegative
     dark_current_electrons_per_s: NotNegative = 0.0
@@ -358,6 +359,9 @@ class Scene:
     photons_per_lux_s_um2 : float or None
         Photons that a lux brings to a µm² in a second. None: those of monochromatic light of the optics'
         wavelength.
+    background_electrons : float or None
+        Electrons that the background frees in a pixel in an exposure, as measured, > 0: lens, light and quantum
+        efficiency then play no part. The luminance is needed only to compute others.
 
     Raises
     ------
@@ -369,6 +373,7 @@ class Scene:
     illuminance_lx: OptionalPositive = None
     reflectance: Annotated[float | None, Meta(ge=1e-6, le=1.0)] = None
     photons_per_lux_s_um2: OptionalPositive = None
+    background_electrons: OptionalPositive = None
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -377,20 +382,32 @@ class Scene:
             raise SettingsError(
                 "found luminance_cd_m2 and also illuminance_lx or reflectance, expected one of the two ways"
             )
-        if self.luminance_cd_m2 is None and None in by_light:
+        if self.luminance_cd_m2 is None and None in by_light and self.background_electrons is None:
             raise SettingsError("luminance_cd_m2 is missing; expected it, or illuminance_lx and reflectance")
 
     @property
     def background_cd_m2(self) -> float:
-        """Luminance of the background."""
+        """Luminance of the background; SettingsError if the scene has its electrons alone."""
         if self.luminance_cd_m2 is not None:
             return self.luminance_cd_m2
-        assert self.illuminance_lx is not None and self.reflectance is not None  # checked
+        if self.illuminance_lx is None or self.reflectance is None:
+            raise SettingsError(
+                "scene.luminance_cd_m2 is missing: background_electrons alone do not say how bright it is"
+            )
         return float(self.illuminance_lx * self.reflectance / math.pi)
 
     def at(self, luminance_cd_m2: float) -> Scene:
-        """Return the scene at another luminance."""
-        return replace(self, luminance_cd_m2=luminance_cd_m2, illuminance_lx=None, reflectance=None)
+        """Return the scene at another luminance, with electrons in proportion; SettingsError if it has none."""
+        electrons = self.background_electrons
+        if electrons is not None:
+            electrons *= luminance_cd_m2 / self.background_cd_m2
+        return replace(
+            self,
+            luminance_cd_m2=luminance_cd_m2,
+            illuminance_lx=None,
+            reflectance=None,
+            background_electrons=electrons,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -513,8 +530,12 @@ class Sensor:
             return
         if self.scene is None:
             raise SettingsError('table [scene] is missing: [noise] with model = "photon" needs its light')
+        if self.scene.background_electrons is not None:
+            return
         if self.optics.focal_length_mm is None:
             raise SettingsError("optics.focal_length_mm is missing: light falls on a pixel by f-number and area")
+        if self.photons.quantum_efficiency is None:
+            raise SettingsError("noise.quantum_efficiency is missing: it turns photons into electrons")
 
     @property
     def level(self) -> str:
@@ -687,7 +708,10 @@ def _followers(part: object) -> tuple[str, ...]:
     if isinstance(part, Detector):
         return ("pitch_mrad", "width_mrad") if part.pitch_um is not None else ("pitch_um", "width_um")
     if isinstance(part, Scene):
-        return ("illuminance_lx", "reflectance") if part.luminance_cd_m2 is not None else ("luminance_cd_m2",)
+        if part.luminance_cd_m2 is None and part.illuminance_lx is None:
+            return ("luminance_cd_m2", "illuminance_lx", "reflectance", "photons_per_lux_s_um2")
+        of_light = ("illuminance_lx", "reflectance") if part.luminance_cd_m2 is not None else ("luminance_cd_m2",)
+        return of_light if part.background_electrons is None else (*of_light, "photons_per_lux_s_um2")
     return ()
 
 
@@ -764,6 +788,7 @@ EXPLAINED = {
     "scene.illuminance_lx": "of a matt background",
     "scene.reflectance": "share of the light that this background reflects",
     "scene.photons_per_lux_s_um2": "photons of a lux; without it, those of monochromatic light of the wavelength",
+    "scene.background_electrons": "measured, of the background in a pixel and exposure, in place of lens and QE",
     "noise.model": "noise of a camera that counts photons, in the words of EMVA 1288",
     "noise.distribution": "uniform or gaussian",
     "noise.netd_mk": "noise-equivalent temperature difference of one frame",

@@ -652,7 +652,7 @@ def predict_each(
     """
     known: _AtKnownLight | None = None
     computed: dict[int, AtLight] = {}
-    by_light = sorted(range(len(scenes)), key=lambda place: scenes[place].background_cd_m2)
+    by_light = [0] if len(scenes) == 1 else sorted(range(len(scenes)), key=lambda n: scenes[n].background_cd_m2)
     middle = len(scenes) // 2
     for place in [*by_light[middle:], *by_light[:middle]]:
         chain = chain_at(scenes[place]) if known is None else known.chain.at(scenes[place])

@@ -31,6 +31,7 @@ def emva_noise(
     photons: Sequence[float] = (),
     bits: int | None = None,
     region: tuple[int, int, int, int] | None = None,
+    chart: PathLike | None = None,
     max_frame_mb: int = 256,
     progress: Progress | None = None,
 ) -> EmvaResult:
@@ -54,6 +55,9 @@ def emva_noise(
         Bits of a pixel. Default: from the descriptor, or the type of the values.
     region : (int, int, int, int), optional
         Left column, top row, width and height in pixels. Default: the whole frame.
+    chart : path, optional
+        `chart.toml` of a chart made with `camera_page=True`: `bright` is one film of it, and the patches of that
+        page's wedge are the bright stacks. `dark` is one film with the lens covered.
     max_frame_mb : int
         Largest size of a frame in 2**20 bytes, as in `noise`.
     progress : function of an int, optional
@@ -107,6 +111,11 @@ def emva_noise(
         if not all(opened):
             missing = "dark" if opened[0] else "bright"
             raise SettingsError(f"noise: found no {missing} stack, expected one or more")
+        if chart is not None:
+            return _of_chart(
+                Path(chart), *opened, exposure_ms=exposure_ms, photons=photons, bits=bits, region=region,
+                started=started, progress=progress,
+            )  # fmt: skip
         exposures = _of_each(exposure_ms, len(bright), argument.exposure_ms)
         lights = _of_each(photons, len(bright), argument.photons)
         if len(dark) not in (1, len(bright)):
@@ -124,6 +133,43 @@ def emva_noise(
         name = str(opened[0][0].path)
     measured = measure_emva(of_bright, of_dark, bits=bits, region=region, progress=progress)
     return EmvaResult(measured=measured, source=name, started=started)
+
+
+def _of_chart(
+    chart: Path,
+    bright: Sequence[Recording],
+    dark: Sequence[Recording],
+    *,
+    exposure_ms: Sequence[float],
+    photons: Sequence[float],
+    bits: int | None,
+    region: tuple[int, int, int, int] | None,
+    started: float,
+    progress: Progress | None,
+) -> EmvaResult:
+    """Return the noise of a camera by the film of a chart's wedge, and a film with the lens covered."""
+    from todframes.importing.camera_page import view_of_camera_page
+    from todframes.recordings.emva import Stack, measure_emva
+    from todframes.report.emva_report import EmvaResult
+
+    given = {argument.region: region, argument.photons: photons or None}
+    for name in (one for one, value in given.items() if value is not None):
+        raise SettingsError(f"{name}: is given with {argument.chart}, whose patches are measured, expected none")
+    for what, stacks in (("bright", bright), ("dark", dark)):
+        if len(stacks) != 1:
+            raise SettingsError(
+                f"noise: found {len(stacks)} {what} recordings with {argument.chart}, expected one"
+            )
+    exposure = _of_each(exposure_ms, 1, argument.exposure_ms)[0]
+    view = view_of_camera_page(bright[0], chart, needs_edges=True, progress=progress)
+    patches, covered = view.stacks(dark[0])
+    measured = measure_emva(
+        [Stack(recording=one, exposure_ms=exposure, is_levelled=True) for one in patches],
+        [Stack(recording=covered, exposure_ms=exposure)],
+        bits=bits,
+    )
+    measured = measured.with_background(str(patches[0].path), view.patches[0].level if view.is_luminance else None)
+    return EmvaResult(measured=measured, source=str(bright[0].path), started=started)
 
 
 def _opened(stack: PathLike | NDArray[Any], name: str, max_frame_mb: int) -> Recording:

@@ -109,6 +109,7 @@ def mtf(
 
         if boxes:
             raise SettingsError(f"{argument.boxes}: is given with {argument.chart}, expected one of them")
-        shows, _, edges = view_of_camera_page(found[0], Path(chart), needs_edges=True, progress=progress)
+        view = view_of_camera_page(found[0], Path(chart), needs_edges=True, progress=progress)
+        shows, edges = view.recording, view.edges
     measured = measure_mtf(shows, boxes=boxes, edges=edges, display=shown, progress=progress)
     return measured_result(measured, in_utf8(str(shows.path)), is_light=shown is not None, started=started)

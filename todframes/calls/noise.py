@@ -109,8 +109,8 @@ def noise(
     if chart is not None:
         from todframes.importing.camera_page import view_of_camera_page
 
-        shows, of_chart, _ = view_of_camera_page(found[0], Path(chart), progress=progress)
-        levels += of_chart
+        view = view_of_camera_page(found[0], Path(chart), progress=progress)
+        shows, levels = view.recording, [*levels, *view.patches]
         region = region or max((one.region for one in levels), key=lambda place: place[2] * place[3])
     measured = measure_noise(shows, region=region, patches=levels, progress=progress)
     if mk_per_count is None:

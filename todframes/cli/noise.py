@@ -124,7 +124,6 @@ def noise(
         of_emva={"--exposure-ms": exposure_ms, "--photons": photons, "--bits": bits},
         of_others={
             "--patch": patches or None,
-            "--chart": chart,
             "--signal": signal,
             "--mk-per-count": mk_per_count,
             "--frames-per-second": frames_per_second,
@@ -145,6 +144,7 @@ def noise(
                     photons=() if photons is None else numbers(photons, "--photons"),
                     bits=bits,
                     region=where,
+                    chart=chart,
                     max_frame_mb=max_frame_mb,
                     progress=advance,
                 )

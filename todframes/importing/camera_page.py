@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -51,11 +52,40 @@ class CameraView(NamedTuple):
         Upright rectangles within the patches, with luminance in cd/m² or reflectance as their levels.
     edges : list of PlacedEdge
         Slanted edges; none for a page of triangles.
+    is_luminance : bool
+        Whether the levels are luminances.
     """
 
     recording: Recording
     patches: list[FramePatch]
     edges: list[PlacedEdge]
+    is_luminance: bool
+
+    def stacks(self, dark: Recording) -> tuple[list[Recording], Recording]:
+        """Return the frames of each patch, all of one size, in memory; and those of a dark film at the first one.
+
+        Raises
+        ------
+        DataError
+            If a frame cannot be read, the dark film has frames of another size, or the films have colours.
+        """
+        if dark.shape != self.recording.shape:
+            (rows, columns), (of_film, across) = dark.shape, self.recording.shape
+            raise DataError(
+                f"{dark.path}: has {columns} x {rows} pixels, expected {across} x {of_film} as the film"
+            )
+        regions = np.array([one.region for one in self.patches])
+        width, height = regions[:, 2:].min(axis=0).tolist()
+        starts = (regions[:, :2] + (regions[:, 2:] - (width, height)) // 2).tolist()
+        of_patches = [
+            _cut(self.recording, [(left, top, width, height) for left, top in starts]),
+            _cut(dark, [(*starts[0], width, height)]),
+        ]
+        bright = [
+            replace(one, path=Path(f"{self.recording.path}: patch {number}"))
+            for number, one in enumerate(of_patches[0], 1)
+        ]
+        return bright, of_patches[1][0]
 
 
 def view_of_camera_page(
@@ -136,7 +166,8 @@ class _SeenFilm:
         patches = self.chart.pages[page].patches
         if not patches:
             raise DataError(f"{path}: page {page} has no patches; name parts of the frame with {argument.patches}")
-        return CameraView(self.recording, _patches(patches, seen.geometry), [])
+        is_luminance = self.chart.screen is not None
+        return CameraView(self.recording, _patches(patches, seen.geometry), [], is_luminance)
 
     def clip(self, progress: Callable[[int], None] | None) -> tuple[Page, list[int], list[SeenEdges]] | None:
         """Return the page of the longest clip of a page with edges, with the numbers and the edges of its frames.
@@ -214,7 +245,7 @@ class _SeenFilm:
         shown = replace(
             self.recording, n_frames=len(kept), warnings=warnings, read=lambda: _only(self.recording, kept)
         )
-        return CameraView(shown, _patches(page.patches, geometry), placed)
+        return CameraView(shown, _patches(page.patches, geometry), placed, self.chart.screen is not None)
 
 
 def _only(recording: Recording, numbers: frozenset[int]) -> Iterator[RecordedFrame]:
@@ -222,6 +253,18 @@ def _only(recording: Recording, numbers: frozenset[int]) -> Iterator[RecordedFra
     for number, frame in enumerate(islice(recording.frames(), max(numbers) + 1)):
         if number in numbers:
             yield frame
+
+
+def _cut(recording: Recording, regions: Sequence[Region]) -> list[Recording]:
+    """Return the parts of a recording's frames as recordings in memory."""
+    parts: list[list[RecordedFrame]] = [[] for _ in regions]
+    for frame in recording.frames():
+        for part, (left, top, width, height) in zip(parts, regions, strict=True):
+            part.append(frame._replace(values=frame.values[top : top + height, left : left + width].copy()))
+    return [
+        replace(recording, shape=(height, width), n_frames=len(part), read=partial(iter, part))
+        for part, (_, _, width, height) in zip(parts, regions, strict=True)
+    ]
 
 
 def _moved_px(measured: Sequence[MeasuredEdges]) -> list[float]:

@@ -95,8 +95,9 @@ class RecordingReport:
 
     `n_without_markers` are frames in which the four markers were not found, `n_transition` those with markers of
     two pages or with a share of another page, `n_other_page` those with the chart's key but a page that it does
-    not have, `n_rolled` those turned too far. `n_doubled` are equal to the frame before, bit by bit, and kept.
-    `n_off_frame` and `n_cut` count triangles that do not lie on the frame, and windows that its border cuts.
+    not have, `n_rolled` those turned too far, `n_camera_page` those of a page without triangles. `n_doubled` are
+    equal to the frame before, bit by bit, and kept. `n_off_frame` and `n_cut` count triangles that do not lie on
+    the frame, and windows that its border cuts.
     `page_duration_s` is the mean time from a page to the next by the times of the frames, None if not regular.
     `place_error_px` is the standard error of the triangles' places, `size_error` that of their sizes, relative,
     and `lens` the lens that they were placed through; None for one that bends nothing. `lens_unsolved` states that
@@ -109,6 +110,7 @@ class RecordingReport:
     n_transition: int = 0
     n_other_page: int = 0
     n_rolled: int = 0
+    n_camera_page: int = 0
     n_doubled: int = 0
     n_off_frame: int = 0
     n_cut: int = 0
@@ -193,7 +195,9 @@ class ChartSource:
             yield clip, frame
         report.n_transition += sum(clip.n_transition for clip in clips)
         self._settle(finder.pieces, recording.shape, measured, seen, report)
-        report.clips = [asdict(clip) | measured[clip.number - self._n_runs - 1].medians for clip in clips]
+        shown = [clip for clip in clips if self.chart.pages[clip.page].triangles]
+        report.n_camera_page = sum(clip.n_frames for clip in clips) - sum(clip.n_frames for clip in shown)
+        report.clips = [asdict(clip) | measured[clip.number - self._n_runs - 1].medians for clip in shown]
         if recording.frames_per_second is not None:
             starts = [
                 (one.page, one.start_s)
@@ -201,7 +205,7 @@ class ChartSource:
                 if one.start_s is not None and self.chart.pages[one.page].triangles
             ]
             report.page_duration_s = page_duration_s(starts, 1.0 / recording.frames_per_second)
-        self.clips += clips
+        self.clips += shown
         self._n_runs += len(measured)
 
     def _looked(
@@ -429,6 +433,8 @@ class ChartSource:
             return None
         names = ", ".join(report.path for report in self.reports[:3]) + (", …" if len(self.reports) > 3 else "")
         n_frames = sum(report.n_frames for report in self.reports)
+        if sum(report.n_camera_page for report in self.reports):
+            return f"{names}: found the page to measure the camera alone, expected pages with triangles"
         keys = sum((Counter(report.other_keys) for report in self.reports), Counter[int]())
         most = max(report.most_markers for report in self.reports)
         if keys:
@@ -478,6 +484,7 @@ class ChartSource:
         clips, where = report.clips, f"{report.path}: "
         if not clips:
             why = "no marker of the chart was found" if not report.other_keys else "it shows another chart"
+            why = "it shows the page to measure the camera alone" if report.n_camera_page else why
             yield RecordingWarning("unused_recording", f"{where}{why}, so the recording is not in the dataset")
             return
 
@@ -587,6 +594,8 @@ class ChartSource:
             yield (
                 f"{report.path}: {report.n_frames} frames, clips: {len(report.clips)}; left out: "
                 f"{report.n_transition} frames of transitions, {report.n_without_markers} without the four markers"
+                + f", {report.n_camera_page} of the page to measure the camera"
+                * bool(report.n_camera_page)
             )
             yield (
                 f"{report.path}: {float(str(first['scale_px_per_mm'])):.4g} px per mm of the chart, residual "

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -97,12 +97,14 @@ class Estimate(NamedTuple):
 class Stack:
     """Frames of one exposure and light.
 
-    `exposure_ms` and `photons`, the mean number of a pixel, are None if they are not known.
+    `exposure_ms` and `photons`, the mean number of a pixel, are None if they are not known. With `is_levelled`, a
+    plane is taken from the mean image: light that falls off evenly, as behind a lens, is no nonuniformity.
     """
 
     recording: Recording
     exposure_ms: float | None = None
     photons: float | None = None
+    is_levelled: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -210,6 +212,10 @@ class EmvaNoise:
     exposure_ms : float or None
         That of the spatial measurement.
     warnings : tuple of RecordingWarning
+    background_electrons : Estimate or None
+        Electrons of the background of a filmed chart in a pixel; None without one.
+    background_cd_m2 : float or None
+        Its luminance, if the chart states it.
     """
 
     system_gain: Estimate
@@ -235,6 +241,15 @@ class EmvaNoise:
     bits: int | None
     exposure_ms: float | None
     warnings: tuple[RecordingWarning, ...]
+    background_electrons: Estimate | None = None
+    background_cd_m2: float | None = None
+
+    def with_background(self, name: str, luminance_cd_m2: float | None) -> EmvaNoise:
+        """Return the measurement with the electrons of a background, which a bright stack of this name shows."""
+        signal = next(one.signal for one in self.points if one.bright.name == name)
+        low, high = self.inverse_gain.ci95 or (math.nan, math.nan)
+        electrons = Estimate(signal * self.inverse_gain.value, (signal * low, signal * high))
+        return replace(self, background_electrons=electrons, background_cd_m2=luminance_cd_m2)
 
     def camera(self) -> EmvaCamera:
         """Return the figures that a model of the camera needs."""
@@ -420,6 +435,8 @@ def _measured(
             f"{recording.path}: found {n} frame{'' if n == 1 else 's'} of this exposure, expected 2 or more: one "
             "cannot separate temporal noise from fixed pattern"
         )
+    if stack.is_levelled:
+        sums.level()
     squares, degrees = sums.mean_squares()
     t, v, h = sums.n, height, width
     of = {name: squares[name] * degrees[name] for name in squares}

@@ -447,6 +447,12 @@ class FrameSums:
         self._squares += difference
         self.n += 1
 
+    def level(self) -> None:
+        """Take a plane, fitted by least squares, from the mean image; its mean and the noise over time stay."""
+        image, places = self.mean_image(), np.indices(self.reference.shape, np.float64)
+        for one in places - places.mean(axis=(1, 2), keepdims=True):
+            self.reference = self.reference - one * float((one * image).sum() / (one**2).sum())
+
     def mean_image(self) -> FloatArray:
         """Return the mean of each pixel."""
         return self.reference + self._sum / self.n

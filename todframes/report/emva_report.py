@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from todframes.base._typing import Json
+from todframes.base.errors import argument, for_reader
 from todframes.base.reading import toml_text
 from todframes.recordings.emva import EmvaNoise, Estimate, StackNoise
 from todframes.recordings.emva_xml import emva_xml
@@ -36,6 +37,7 @@ FIGURES = (
     ("saturation_electrons", "saturation", "e⁻", 1.0),
     ("saturation_photons", "saturation", "photons", 1.0),
     ("sensitivity_threshold", "least detectable signal", "photons", 1.0),
+    ("background_electrons", "background of the chart", "e⁻", 1.0),
 )
 """Attributes of `EmvaNoise` with their names, units, and factors to these units."""
 
@@ -159,12 +161,28 @@ class EmvaResult(Saving):
         return texts
 
     def sensor_toml(self) -> str:
-        """Return the table `[noise]` of a SENSOR.toml for this camera, with the model `photon`."""
-        table = self.measured.camera().noise_table()
-        hints = [] if "quantum_efficiency" in table else ["quantum_efficiency is not known: give photons"]
+        """Return the table `[noise]` of a SENSOR.toml for this camera, with the model `photon`.
+
+        With the film of a chart it has the table `[scene]` too, with the electrons of the background.
+        """
+        table, background = self.measured.camera().noise_table(), self.measured.background_electrons
+        needs_photons = "quantum_efficiency" not in table and background is None
+        hints = ["quantum_efficiency is not known: give photons"] if needs_photons else []
+        hints += (
+            []
+            if "exposure_ms" in table
+            else [for_reader(f"exposure_ms is not known: give {argument.exposure_ms}")]
+        )
         if not self.measured.is_saturation_reached and "full_well_electrons" in table:
             hints.append("full_well_electrons is the end of the scale: no stack was saturated")
-        return toml_text({"noise": table}, comment="\n".join(hints))
+        tables: Json = {"noise": table}
+        if background is not None:
+            luminance = self.measured.background_cd_m2
+            tables["scene"] = {
+                "luminance_cd_m2": luminance,
+                "background_electrons": float(f"{background.value:.6g}"),
+            }
+        return toml_text(tables, comment="\n".join(hints))
 
     def xml(self) -> bytes:
         """Return a result file of EMVA 1288."""
