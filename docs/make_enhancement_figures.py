@@ -35,6 +35,7 @@ from todframes.frames.files import FrameFile
 HERE = Path(__file__).parent
 SAMPLES = Path("sample_frames/enhancement")
 SHOWN = ("median", "gaussian:sigma=2", "wiener:sigma=0.7")
+RESPONSES = ("median", "clahe", "gaussian:sigma=2")
 NEAR_THRESHOLD = ("frames/s2.5_d12_up_0.png", "frames/s4.0_d9_right_0.png", "frames/s6.5_d7_down_0.png")
 """Frames about where three of four answers are right without an algorithm."""
 
@@ -108,6 +109,8 @@ def main(folder: Path) -> None:
     with tempfile.TemporaryDirectory() as out:
         result = compare(SHOWN, "-o", out)
         shutil.copyfile(Path(out) / "compare.png", folder / "enhancement" / "compare.png")
+        compare(RESPONSES, "--allow-clipping", "--quiet", "-o", out)
+        shutil.copyfile(Path(out) / "contrast_response.png", folder / "enhancement" / "contrast_response.png")
         of_frames = [name for name in enhancement_names() if not find_enhancement(name).declaration.clip]
         compare(of_frames, "--allow-clipping", "--quiet", "-o", out)
         every = json.loads((Path(out) / "result.json").read_text(encoding="utf-8"))["algorithms"]

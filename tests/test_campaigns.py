@@ -110,6 +110,20 @@ def test_the_explorer() -> None:
     assert "49 states" in campaign("explorer", "48")
 
 
+def test_coverage_of_ratios_over_backgrounds() -> None:
+    """Forty comparisons of a kind: a share of 93 to 97 % within chance."""
+    script = RUN.with_name("backgrounds.py")
+    process = subprocess.run(
+        [sys.executable, script, "40", "--only", "8 scenes, effects differ"],
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    assert (process.returncode, process.stderr) == (0, ""), process.stdout
+    assert "of 40 cover" in process.stdout
+
+
 def test_coverage_of_intervals() -> None:
     """Two people are too few for a share of 93 to 98 %, which the status tells."""
     script = RUN.with_name("coverage.py")

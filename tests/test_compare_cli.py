@@ -138,6 +138,7 @@ def test_json_and_files(todframes, dataset: Path, here: Path) -> None:
 def check_files(folder: Path, algorithms: list[dict]) -> None:
     """A result folder has all files, and in the tables what the JSON says."""
     names = {"result.json", "report.html", "compare.csv", "scores.csv", "compare.png"}
+    names |= {"contrast_response.csv", "contrast_response.png"}
     assert {file.name for file in folder.iterdir()} - {"scores.parquet"} == names
     rows = list(csv.DictReader(io.StringIO((folder / "compare.csv").read_text(encoding="utf-8"))))
     assert [(row["algorithm"], row["size_mrad"]) for row in rows[:5]] == [

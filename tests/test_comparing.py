@@ -12,16 +12,19 @@ from skimage.metrics import peak_signal_noise_ratio
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement.algorithm import find_enhancement
 from todframes.enhancement.compare import compare_dataset, compare_observers
+from todframes.enhancement.contrast_gain import MEASURED_TRIALS, measured_trials, strongest_levels
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame, EnhancedImage
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame
+from todframes.frames.trials import FrameReference, Trial, Trials
 from todframes.jobs.engine import open_engine
 from todframes.observers.csf import CsfObserver
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
-from todframes.report.data import Algorithm, ComparedObserver, Ratio
+from todframes.report.advice import not_proportional
+from todframes.report.data import Algorithm, ComparedObserver, Ratio, algorithms
 from todframes.report.summary import comparisons
 from todframes.scoring.score import score_dataset
 from todframes.scoring.work import Run
@@ -44,6 +47,10 @@ def again(image):
 
 def gain(image, by=2.0, middle=0.5):
     return (middle + by * (image.astype(np.float64) - middle))
+
+def root(image):
+    contrast = np.maximum(2.0 * image.astype(np.float64) - 1.0, 0.0)
+    return 0.5 * (1.0 + 0.3 * np.sqrt(contrast))
 
 def brighter(image, by=1.25):
     return by * image
@@ -701,3 +708,60 @@ def test_disagreements_come_first() -> None:
     assert [line.split(": ")[:2] for line in lines[2:]] == [
         [who, name] for who in ("pyramid", "csf") for name in ("blur", "sharpen", "same")
     ]
+
+
+# Scenes, and responses that are not proportional
+
+
+def on_scenes(make_dataset, n_scenes: int, name: str = "dataset", **more):
+    """A dataset whose repeats of each triangle are on different scenes, of which nothing is seen."""
+    made = make_dataset(name, suffix=".png", contrasts=(0.02, 0.05, 0.1, 0.2), repeats=4, **more)
+    for number, row in enumerate(made.rows):
+        row["scene"] = f"scene {number % n_scenes}" if n_scenes else ""
+    made.save()
+    return made.path
+
+
+def test_scenes_change_intervals_alone(make_dataset) -> None:
+    """Scores, fits and ratios are those of the same frames without a column of scenes."""
+    plain, four, one = (
+        compare(on_scenes(make_dataset, n, f"made{n}"), "own_enhancements:gain:by=1.2") for n in (0, 4, 1)
+    )
+    assert [each[1].n_backgrounds for each in (plain, four, one)] == [None, 4, 1]
+    assert plain[1].compared == one[1].compared  # nothing is known of other scenes
+    assert plain[1].scored.fits[0].fit == four[1].scored.fits[0].fit
+    ratio, of_four = plain[1].compared[0].ratio, four[1].compared[0].ratio
+    assert (of_four.ratio, of_four.ratio_ci95 == ratio.ratio_ci95) == (ratio.ratio, False)
+
+
+SPECS_OF_GAIN = ("own_enhancements:gain:by=2", "own_enhancements:root")
+
+
+def test_displayed_contrast_before_and_after(make_dataset) -> None:
+    """A gain has the same gain at all levels; a root of contrast has c^(1/2) / c on the triangle."""
+    data = on_scenes(make_dataset, 0, sizes_mrad=(4.0,), side_px=96)
+    results = compare(data, *SPECS_OF_GAIN)
+    _, twice, root = results
+    (levels,) = twice.responses
+    assert [one.level for one in levels] == [0.02, 0.05, 0.1, 0.2]
+    assert [one.gain for one in levels] == pytest.approx([2.0] * 4, rel=1e-3)  # 16 bits
+    assert levels[0].n_trials == 16
+    (levels,) = root.responses
+    # Pixels that the edge crosses have less contrast before, and more gain: some 2 % of the area.
+    assert [one.gain for one in levels] == pytest.approx([0.3 / math.sqrt(one.level) for one in levels], rel=0.04)
+    (none, of_gain, of_root) = algorithms(load_dataset(data), results)
+    assert (none.contrast_responses, len(of_gain.contrast_responses)) == ((), 1)
+    (warning,) = not_proportional([none, of_gain, of_root])
+    assert (warning.code, warning.group["algorithm"]) == ("not_proportional", "own_enhancements:root")
+    assert warning.found > 1.1 * warning.expected
+
+
+def test_trials_that_are_measured() -> None:
+    frames = (FrameReference("f", None, None),)
+    trials = Trials.of(
+        Trial(number, "t", frames, ORIENTATIONS[0], Stimulus(1.0), 0.1 + number // 100, (), 0, 0)
+        for number in range(200)
+    )
+    found = measured_trials(trials, strongest_levels(trials))
+    assert found >= set(range(100, 200))
+    assert len(found) == 100 + MEASURED_TRIALS

@@ -265,6 +265,7 @@ def test_each_warning_has_a_section_and_its_picture() -> None:
     assert {code for code, found in pictures.items() if not found} == {
         "above_contrast_1",
         "levels_to_add",
+        "not_proportional",
         "unverified_frames",
     }
     assert all(found[1] == f"frames_go_wrong/{code}" for code, found in pictures.items() if found)

@@ -10,7 +10,13 @@ import pytest
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings, fit_trials
-from todframes.psychometrics.paired_bootstrap import RatioDraws, holm, ratio_draws, threshold_ratio
+from todframes.psychometrics.paired_bootstrap import (
+    RatioDraws,
+    draw_backgrounds,
+    holm,
+    ratio_draws,
+    threshold_ratio,
+)
 from todframes.psychometrics.weibull import weibull
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import Orientation, Stimulus, coverage
@@ -238,3 +244,69 @@ def test_holm() -> None:
     assert holm([0.01, 0.04, 0.03]).tolist() == pytest.approx([0.03, 0.06, 0.06])
     assert holm([0.6, 0.7]).tolist() == [1.0, 1.0]
     assert holm([]).size == 0
+
+
+# Backgrounds -----------------------------------------------------------------------------------------------------
+
+
+def on_backgrounds(
+    effects: np.ndarray, *, n_trials: int = 4, noise: float = 0.1, groups: int = 1
+) -> tuple[list[RatioDraws], np.ndarray]:
+    """Draws of a comparison whose second way has ln thresholds that differ by an effect of each background."""
+    rng, n = np.random.default_rng(11), len(effects)
+    scene = np.tile(np.repeat(np.arange(n), n_trials), len(LEVELS))
+    level = np.repeat(LEVELS, n * n_trials)
+    drawn = draw_backgrounds(n, SETTINGS.resamples, rng)
+    draws = []
+    for _ in range(groups):
+        strewn = rng.normal(0.0, noise, level.size)
+        series = np.array([p_of(level * np.exp(strewn - k * effects[scene]), 1.0) for k in (0, 1)])
+        fits = [fit_trials(level, one, settings=FitSettings(resamples=0), rng=rng) for one in series]
+        more = {"backgrounds": scene, "drawn_backgrounds": drawn}
+        draws += ratio_draws(level, series, fits, pairs=[(1, 0)], settings=SETTINGS, rng=rng, **more)
+    return draws, scene
+
+
+def test_help_on_three_backgrounds_of_eight_is_not_better() -> None:
+    few = threshold_ratio(on_backgrounds(np.repeat([math.log(0.7), 0.0], [3, 5]))[0])
+    all_alike = threshold_ratio(on_backgrounds(np.full(8, math.log(0.87)))[0])
+    assert few.ratio == pytest.approx(all_alike.ratio, rel=0.03)
+    assert few.p_value > 0.05 > all_alike.p_value
+    assert few.ratio_ci95[1] > 1.0 > all_alike.ratio_ci95[1]
+
+
+def test_the_width_over_backgrounds_is_students() -> None:
+    """Without trial noise the interval is that of the mean of eight effects: t(7) · s / √8."""
+    effects = np.array([-0.05, -0.03, -0.02, 0.0, 0.0, 0.02, 0.03, 0.05]) - 0.1
+    found = threshold_ratio(on_backgrounds(effects, n_trials=2, noise=0.0)[0])
+    width = math.log(found.ratio_ci95[1] / found.ratio_ci95[0])
+    # 400 resamples place an end of an interval to 8 % of its half width; the curve is linear to some per cent.
+    assert width == pytest.approx(2.0 * 2.365 * effects.std(ddof=1) / math.sqrt(8.0), rel=0.2)
+    assert math.log(found.ratio) == pytest.approx(-0.1, abs=0.005)
+
+
+def test_more_groups_on_the_same_backgrounds_are_no_surer() -> None:
+    effects = np.random.default_rng(3).normal(-0.1, 0.1, 8)
+    one, three = (threshold_ratio(on_backgrounds(effects, noise=0.0, groups=n)[0]) for n in (1, 3))
+    assert three.ratio_ci95 == pytest.approx(one.ratio_ci95, rel=1e-9)
+
+
+def test_backgrounds_that_a_level_lacks_keep_its_mean() -> None:
+    """The weakest level is on the first of two backgrounds only, which is not always drawn."""
+    rng, level = np.random.default_rng(0), np.repeat(LEVELS, 4)
+    scene = np.where(np.arange(level.size) % 2 == 0, 0, 1)
+    scene[:4] = 0
+    p = p_of(level, 1.0)
+    fit = fit_trials(level, p, settings=FitSettings(resamples=0), rng=rng)
+    drawn = draw_backgrounds(2, 50, rng)
+    assert drawn is not None
+    settings = FitSettings(resamples=50)
+    (found,) = ratio_draws(
+        level, np.array([p, p]), [fit, fit], pairs=[(1, 0)], settings=settings, rng=rng, backgrounds=scene,
+        drawn_backgrounds=drawn,
+    )  # fmt: skip
+    assert not found.ln_ratios.any()
+
+
+def test_one_background_is_no_sample() -> None:
+    assert draw_backgrounds(1, 100, np.random.default_rng(0)) is None

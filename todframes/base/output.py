@@ -55,7 +55,8 @@ FILES_OF_COMMAND = {
         *("report.html", "scores.csv", "scores.parquet"),
         *("psychometric.png", "tod_curve.png", "field_map.png"),
     },
-    "compare": {"report.html", "scores.csv", "scores.parquet", "compare.csv", "compare.png"},
+    "compare": {"report.html", "scores.csv", "scores.parquet", "compare.csv", "compare.png"}
+    | {"contrast_response.csv", "contrast_response.png"},
     "calibrate": {
         *("report.html", "internal_noise.csv", "calibration.csv"),
         *("calibration.png", "calibration.svg", "observer.toml"),

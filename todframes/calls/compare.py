@@ -28,7 +28,7 @@ from todframes.frames.dataset import Dataset, Gaze
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import CurveName, FitSettings
-from todframes.report.advice import levels_to_add
+from todframes.report.advice import levels_to_add, not_proportional
 from todframes.report.data import (
     ComparedObserver,
     algorithms,
@@ -176,7 +176,12 @@ def compare(
         plan=tuple(plan_object(reference.plan, 1.0)),
         skipped=tuple(one._asdict() for one in reference.skipped),
         dataset=record,
-        warnings=each_once(*placed_wrong(reference), *shown_wrong, *levels_to_add(thresholds_of(compared))),
+        warnings=each_once(
+            *placed_wrong(reference),
+            *shown_wrong,
+            *levels_to_add(thresholds_of(compared)),
+            *not_proportional(compared),
+        ),
         negative_luminance_pixels=reference.n_negative,
         from_store=run.n_from_store,
         **more,

@@ -36,7 +36,10 @@ from todframes.cli.options import (
     "repeatable.",
 )
 @click.option(
-    "-o", "--out", metavar="OUT", help="Folder for result.json, report.html, compare.csv, scores.csv, compare.png."
+    "-o",
+    "--out",
+    metavar="OUT",
+    help="Folder for result.json, report.html, compare.csv, scores.csv, contrast_response.csv and pictures.",
 )
 @click.option(
     "--white", type=float, default=1.0, show_default=True, help="Code value that algorithms take as white."

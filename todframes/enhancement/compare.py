@@ -15,10 +15,18 @@ from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from todframes.base.errors import SettingsError
 from todframes.enhancement.algorithm import REFERENCE, Enhancement, find_enhancement
-from todframes.enhancement.contrast_gain import contrast_gains, strongest_levels, triangle_contrasts
+from todframes.enhancement.contrast_gain import (
+    LevelContrast,
+    contrast_gains,
+    contrast_responses,
+    measured_trials,
+    strongest_levels,
+    triangle_contrasts,
+)
 from todframes.enhancement.enhanced_frame import (
     AlgorithmDisplay,
     FrameMeasurements,
@@ -31,7 +39,14 @@ from todframes.frames.position import check_places
 from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer, Readout
 from todframes.psychometrics.fit import MAX_RESAMPLES, CurveName, FitSettings
-from todframes.psychometrics.paired_bootstrap import RatioDraws, ThresholdRatio, holm, ratio_draws, threshold_ratio
+from todframes.psychometrics.paired_bootstrap import (
+    RatioDraws,
+    ThresholdRatio,
+    draw_backgrounds,
+    holm,
+    ratio_draws,
+    threshold_ratio,
+)
 from todframes.scoring.error_budget import PlanName
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.score import (
@@ -91,7 +106,9 @@ class AlgorithmResult:
     """The scores of an algorithm and their comparison with those of the reference.
 
     `compared` has one item for each group, in the order of `scored.fits`; for several groups `overall` is their
-    geometric mean. Both are empty for the reference itself. `psnr_db` and `ssim` compare the displayed luminance
+    geometric mean. Both are empty for the reference itself, and so is `responses`: for each group, the displayed
+    contrast of the triangle level by level. `n_backgrounds` is the number of scenes that intervals and verdicts
+    count as drawn from many; None if the dataset names none. `psnr_db` and `ssim` compare the displayed luminance
     with the frames without noise, over all frames that have one; None if there are none. `n_clipped` is the number
     of values beyond the display's range. `cpu_s` is the algorithm's own processor time over all frames in seconds.
     """
@@ -100,6 +117,8 @@ class AlgorithmResult:
     scored: ScoredDataset
     compared: tuple[Compared, ...]
     overall: Compared | None
+    responses: tuple[tuple[LevelContrast, ...], ...]
+    n_backgrounds: int | None
     psnr_db: float | None
     ssim: float | None
     n_clipped: int
@@ -209,6 +228,7 @@ def compare_observers(
         for observer in observers
     ]
     strongest = strongest_levels(whole)
+    measured = measured_trials(whole, strongest)
     of_observer = [_ResultColumns(whole, len(algorithms)) for _ in observers]
 
     def collect(row: int, found: _SeenTrial) -> None:
@@ -218,12 +238,12 @@ def compare_observers(
     skipped += see_trials(
         Scoring(dataset, plans[0], decisions, seed),
         whole,
-        _Show(reader, strongest, tuple(plans[1:])),
+        _Show(reader, measured, tuple(plans[1:])),
         kind=_SeenTrial,
         collect=collect,
         skip_bad_frames=skip_bad_frames,
         run=run or Run(),
-        depends_on=([(one.spec, one.function) for one in algorithms], screen, strongest, _parts(plans[1:])),
+        depends_on=([(one.spec, one.function) for one in algorithms], screen, sorted(measured), _parts(plans[1:])),
         with_references=True,
         with_levels=True,
     )
@@ -264,9 +284,12 @@ def _results(
 ) -> tuple[AlgorithmResult, ...]:
     """Fit and compare the scores of one observer."""
     scored = [replace(fit(one), skipped=tuple(skipped)) for one in seen]
-    gains = contrast_gains(seen[0].trials, columns.contrasts[columns.is_seen], strongest)
+    contrasts = columns.contrasts[columns.is_seen]
+    gains = contrast_gains(seen[0].trials, contrasts, strongest)
+    responses = contrast_responses(seen[0].trials, contrasts)
+    backgrounds = _backgrounds(seen[0].trials)
     plain = [_amplified(fit, seen[0], of_algorithm, fit_settings) for of_algorithm in gains[1:] if expected]
-    compared = _compared(scored, plain, gains, seed, fit_settings)
+    compared = _compared(scored, plain, gains, seed, fit_settings, backgrounds)
     black, white = screen.luminance_range
     results = []
     for k, (algorithm, own) in enumerate(zip(algorithms, compared, strict=True)):
@@ -277,6 +300,8 @@ def _results(
                 scored=scored[k],
                 compared=tuple(one for one in own if one.group is not None),
                 overall=next((one for one in own if one.group is None), None),
+                responses=tuple(responses[k].get(fit.group, ()) for fit in scored[k].fits) if k else (),
+                n_backgrounds=None if backgrounds is None else int(backgrounds.max()) + 1,
                 psnr_db=psnr_db(_mean(measured.squared_errors), data_range=white - black),
                 ssim=_mean(measured.ssims),
                 n_clipped=measured.n_clipped,
@@ -289,7 +314,7 @@ def _results(
 class _SeenTrial(NamedTuple):
     """The observer's scores of a trial after each algorithm, and the measurements of each of its frames.
 
-    `contrasts` are the displayed contrasts of the triangle; NaN if the trial is not of its group's highest level.
+    `contrasts` are the displayed contrasts of the triangle; NaN if they are not measured in this trial.
     `others` are the scores of further observers.
     """
 
@@ -304,7 +329,7 @@ class _Show:
     """Function that shows a trial to the observer, and those of further plans, after each algorithm."""
 
     reader: TrialReader
-    strongest: Mapping[tuple[float | str, ...], float]
+    measured: frozenset[int]
     further: tuple[ScorePlan, ...] = ()
 
     def __call__(self, scoring: Scoring, trial: Trial, readout: Readout | None) -> _SeenTrial:
@@ -330,7 +355,7 @@ class _Show:
             for of_observer, one in zip(scorings, viewings, strict=True)
         )
         contrasts = [math.nan] * len(found)
-        if trial.level == self.strongest[trial.group]:
+        if trial.number in self.measured:
             centre = viewing.observer.centre
             contrasts = triangle_contrasts([one.shown for one in found], trial, grid=viewing.grid, centre=centre)
         return _SeenTrial(seen, tuple(one.measured for one in found), tuple(contrasts), tuple(others))
@@ -389,17 +414,28 @@ def _amplified(
     return fit(seen.amplified(gain), fit_settings=replace(fit_settings, resamples=0))
 
 
+def _backgrounds(trials: Trials) -> NDArray[np.intp] | None:
+    """Return the number of each trial's scene, by name; None if the dataset names none."""
+    names = ["" if view is None else view.scene for view in trials.views]
+    if not any(names):
+        return None
+    _, numbers = np.unique(np.array(names)[trials.view_codes], return_inverse=True)
+    return np.asarray(numbers, np.intp)
+
+
 def _compared(
     scored: Sequence[ScoredDataset],
     plain: Sequence[ScoredDataset],
     gains: Sequence[Mapping[tuple[float | str, ...], float]],
     seed: int,
     fit_settings: FitSettings,
+    backgrounds: NDArray[np.intp] | None,
 ) -> list[list[Compared]]:
     """Compare each algorithm with the reference: once a group, and once over all groups if there are several.
 
     `plain` are the reference's trials after a plain gain of contrast, as large as that of each other algorithm;
-    there are none if answers were drawn.
+    there are none if answers were drawn. `backgrounds` is the number of each trial's scene: the same scenes are
+    drawn in all groups.
     """
     trials, groups = scored[0].trials, [fit.group for fit in scored[0].fits]
     several = len(groups) > 1
@@ -413,12 +449,26 @@ def _compared(
     others = range(1, len(scored))
     pairs = [(k, 0) for k in others] + [(k, k + len(plain)) for k in others if plain]
 
+    drawn = None
+    if backgrounds is not None:
+        stream = np.random.SeedSequence(seed, spawn_key=(RATIO_STREAMS, len(groups)))
+        drawn = draw_backgrounds(int(backgrounds.max()) + 1, resamples, np.random.default_rng(stream))
+
     def draw(number: int) -> list[RatioDraws]:
         these = of_group[number]
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(RATIO_STREAMS, number)))
         fits = [one.fits[number].fit for one in (*scored, *plain)]
         p_correct = np.array([one.p_correct[these] for one in (*scored, *plain)])
-        return ratio_draws(level[these], p_correct, fits, pairs=pairs, settings=settings, rng=rng)
+        return ratio_draws(
+            level[these],
+            p_correct,
+            fits,
+            pairs=pairs,
+            settings=settings,
+            rng=rng,
+            backgrounds=None if backgrounds is None else backgrounds[these],
+            drawn_backgrounds=drawn,
+        )
 
     draws = list(zip(*(draw(number) for number in range(len(groups))), strict=True))
     ratios = [

@@ -8,11 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.frames.trials import Trial
+from todframes.frames.trials import Trial, Trials, indices_by
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Shown, retina_image
 from todframes.stimulus import Centre, Orientation, Stimulus, coverage
@@ -23,7 +25,25 @@ RING_SIZES = (1.3, 2.0)
 LEAST_GAIN = 1e-6
 """Smallest gain that counts as one: below it the contrast after the algorithm is rounding."""
 
+MEASURED_TRIALS = 24
+"""Largest number of trials of a level below the highest whose contrast is measured: evenly spread."""
+
 GroupValues = tuple[float | str, ...]
+
+
+class LevelContrast(NamedTuple):
+    """Displayed contrast of the triangle at a level, before and after an algorithm: means over `n_trials` trials.
+
+    `gain` is their quotient and `gain_error` its standard error; None where the contrast before is not positive,
+    or with a single trial.
+    """
+
+    level: float
+    before: float
+    after: float
+    gain: float | None
+    gain_error: float | None
+    n_trials: int
 
 
 def strongest_levels(trials: Sequence[Trial]) -> dict[GroupValues, float]:
@@ -32,6 +52,21 @@ def strongest_levels(trials: Sequence[Trial]) -> dict[GroupValues, float]:
     for trial in trials:
         strongest[trial.group] = max(trial.level, strongest.get(trial.group, 0.0))
     return strongest
+
+
+def measured_trials(trials: Trials, strongest: Mapping[GroupValues, float]) -> frozenset[int]:
+    """Return the numbers of the trials whose contrast is measured: all of the highest levels, some of others."""
+    _, level_codes = np.unique(trials.levels, return_inverse=True)
+    cells = trials.group_codes.astype(np.int64) * (level_codes.max(initial=0) + 1) + level_codes
+    found: set[int] = set()
+    for rows in indices_by(cells):
+        first = trials[rows[0]]
+        if first.level != strongest[first.group] and len(rows) > MEASURED_TRIALS:
+            evenly = np.linspace(0, len(rows) - 1, MEASURED_TRIALS).astype(np.intp)
+            found.update(trials.numbers[rows[evenly]].tolist())
+        else:
+            found.update(trials.numbers[rows].tolist())
+    return frozenset(found)
 
 
 def triangle_contrasts(shown: Sequence[Shown], trial: Trial, *, grid: RetinaGrid, centre: Centre) -> list[float]:
@@ -97,3 +132,46 @@ def contrast_gains(
             if before > 0.0 and after > LEAST_GAIN * before and math.isfinite(after / before):
                 own[group] = float(after / before)
     return gains
+
+
+def contrast_responses(
+    trials: Trials, contrasts: FloatArray
+) -> list[dict[GroupValues, tuple[LevelContrast, ...]]]:
+    """Return the displayed contrast of each algorithm against that of the first, level by level.
+
+    Parameters
+    ----------
+    trials : Trials
+    contrasts : ndarray, shape (trial, algorithm)
+        As for `contrast_gains`; NaN where nothing was measured.
+
+    Returns
+    -------
+    list of dict
+        The levels of each group, ascending, for each algorithm.
+    """
+    found: list[dict[GroupValues, tuple[LevelContrast, ...]]] = [{} for _ in range(contrasts.shape[1])]
+    measured: NDArray[np.bool_] = np.all(np.isfinite(contrasts), axis=1)
+    levels = trials.levels
+    for of_group in indices_by(trials.group_codes):
+        rows = of_group[measured[of_group]]
+        if not len(rows):
+            continue
+        group = trials.groups[trials.group_codes[rows[0]]]
+        of_levels = [rows[levels[rows] == level] for level in np.unique(levels[rows])]
+        for own, after in zip(found, contrasts.T, strict=True):
+            own[group] = tuple(
+                _level_contrast(float(levels[these[0]]), contrasts[these, 0], after[these]) for these in of_levels
+            )
+    return found
+
+
+def _level_contrast(level: float, before: FloatArray, after: FloatArray) -> LevelContrast:
+    """Compute the means, and the standard error of their quotient from the trials' distances from it."""
+    n, mean_before, mean_after = len(before), float(before.mean()), float(after.mean())
+    if not mean_before > 0.0:
+        return LevelContrast(level, mean_before, mean_after, None, None, n)
+    gain = mean_after / mean_before
+    distance = after - gain * before
+    error = None if n < 2 else math.sqrt(float(distance @ distance) / (n * (n - 1))) / mean_before
+    return LevelContrast(level, mean_before, mean_after, gain, error, n)

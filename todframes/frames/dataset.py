@@ -98,6 +98,7 @@ WarningCode = Literal[
     "mirrored",
     "mixed_frame_sizes",
     "mixed_sizes",
+    "not_proportional",
     "orientation_mismatch",
     "polarity_mismatch",
     "position_offset",

@@ -2,6 +2,10 @@
 
 Two ways of showing a frame share the frame's noise, the triangle's place and the observer's own noise. These move
 both thresholds in the same way. Answers to one trial are therefore always drawn together.
+
+Trials on the same background share more: an algorithm may help on it and not on another. Backgrounds are then a
+random effect: they are drawn with all of their trials, the same ones in all groups. Trials are not drawn again
+within them: the spread of the backgrounds' means has that noise in it already, and would have it twice.
 """
 
 from __future__ import annotations
@@ -11,7 +15,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.psychometrics.bootstrap import (
@@ -60,6 +64,30 @@ class ThresholdRatio(NamedTuple):
     is_lower: bool
 
 
+class BackgroundDraws(NamedTuple):
+    """Draws of backgrounds in repeated experiments.
+
+    `weights`, (resample, background), are the numbers of times that each is drawn. `widening`, (resample,), are
+    factors that make normal deviates those of Student's t, with a degree of freedom less than there are
+    backgrounds: of eight, the spread is known to 27 % only.
+    """
+
+    weights: FloatArray
+    widening: FloatArray
+
+
+def draw_backgrounds(n_backgrounds: int, resamples: int, rng: np.random.Generator) -> BackgroundDraws | None:
+    """Draw all backgrounds but one with replacement: so many have the variance of the mean of all.
+
+    None for one background: how others differ from it is not known.
+    """
+    if n_backgrounds < 2:
+        return None
+    freedom = n_backgrounds - 1
+    weights = rng.multinomial(freedom, np.full(n_backgrounds, 1.0 / n_backgrounds), size=resamples)
+    return BackgroundDraws(weights.astype(np.float64), np.sqrt(freedom / rng.chisquare(freedom, resamples)))
+
+
 def ratio_draws(
     level: FloatArray,
     p_correct: FloatArray,
@@ -68,11 +96,13 @@ def ratio_draws(
     pairs: Sequence[tuple[int, int]],
     settings: FitSettings,
     rng: np.random.Generator,
+    backgrounds: NDArray[np.integer] | None = None,
+    drawn_backgrounds: BackgroundDraws | None = None,
 ) -> list[RatioDraws]:
     """Compare the thresholds of pairs of series of answers to the same trials.
 
     In each repeated experiment the trials of a level are drawn with replacement, the same ones for all series, and
-    curves are fitted to all.
+    curves are fitted to all. If the trials' backgrounds are given, these are drawn in place of trials.
 
     Parameters
     ----------
@@ -83,6 +113,10 @@ def ratio_draws(
         Fit of each series to these trials, all with the same curve.
     pairs : sequence of (int, int)
         Series whose threshold is divided, and series that it is divided by; both count from 0.
+    backgrounds : ndarray of int, shape (trial,), optional
+        Background of each trial, an index into the columns of `drawn_backgrounds.weights`.
+    drawn_backgrounds : BackgroundDraws, optional
+        As many repeated experiments as `settings.resamples`.
 
     Returns
     -------
@@ -95,7 +129,12 @@ def ratio_draws(
     by_level = np.split(p_correct[:, np.argsort(place, kind="stable")], np.cumsum(n_trials)[:-1], axis=1)
     curves = np.array([_fitted(fit, distinct) for fit in fits])
     are_probabilities = bool(np.any((p_correct > 0) & (p_correct < 1)))
-    if are_probabilities:
+    if backgrounds is not None and drawn_backgrounds is not None:
+        rest = 0.0 if are_probabilities else CURVE_TRIALS
+        drawn = _with_backgrounds(p_correct, curves, place, backgrounds, drawn_backgrounds.weights, rest)
+        widening = drawn_backgrounds.widening
+        tolerance = PROBABILITY_TOLERANCE if are_probabilities else ANSWER_TOLERANCE
+    elif are_probabilities:
         drawn = _redrawn_probabilities(by_level, curves, settings.resamples, rng)
         widening, tolerance = _students_widening(len(level), settings.resamples, rng), PROBABILITY_TOLERANCE
     else:
@@ -161,6 +200,34 @@ def holm(p_values: ArrayLike) -> FloatArray:
     corrected = np.empty_like(p)
     corrected[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(p.size, 0, -1)), 1.0)
     return corrected
+
+
+def _with_backgrounds(
+    p_correct: FloatArray,
+    curves: FloatArray,
+    place: NDArray[np.intp],
+    backgrounds: NDArray[np.integer],
+    weights: FloatArray,
+    curve_trials: float,
+) -> FloatArray:
+    """Compute the mean answers of repeated experiments with drawn backgrounds, (series, experiment, level).
+
+    `place` is the level of each trial. A level without a trial on any drawn background keeps the mean of all of
+    its trials. Each level has `curve_trials` more, of the fitted curve, or levels without errors would not vary.
+    """
+    n_levels, n_backgrounds = curves.shape[1], weights.shape[1]
+    cell = place * n_backgrounds + backgrounds
+    n_cells = n_levels * n_backgrounds
+    counts = np.bincount(cell, minlength=n_cells).reshape(n_levels, n_backgrounds).T
+    of_all = counts.sum(axis=0)
+    n_drawn = weights @ counts
+    drawn = np.empty((len(p_correct), len(weights), n_levels))
+    for series, answers in enumerate(p_correct):
+        sums = np.bincount(cell, answers, minlength=n_cells).reshape(n_levels, n_backgrounds).T
+        means = np.broadcast_to(sums.sum(axis=0) / of_all, n_drawn.shape)
+        means = np.divide(weights @ sums, n_drawn, out=means.copy(), where=n_drawn > 0.0)
+        drawn[series] = (of_all * means + curve_trials * curves[series]) / (of_all + curve_trials)
+    return np.clip(drawn, 0.0, 1.0)
 
 
 def _redrawn_probabilities(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from todframes.report.data import Fit, ResultWarning
+from todframes.report.data import Algorithm, ContrastPoint, Fit, ResultWarning
 from todframes.report.wording import listed, plain
 
 FEWEST_LEVELS_SHOWN = 3
@@ -22,6 +22,9 @@ USUAL_SLOPE = 2.0
 
 SAME_LEVEL = 1.15
 """Largest ratio of a level to add and one shown that counts as the same level."""
+
+SAME_GAIN, SURE_GAIN = 0.1, 3.0
+"""Relative difference of two contrast gains that counts as none, and standard errors beyond which it is sure."""
 
 HELPS_FROM = 0.5
 """Proportion correct from which stronger levels will help; below it something else may be wrong."""
@@ -65,6 +68,44 @@ def levels_to_add(fits: Sequence[Fit]) -> tuple[ResultWarning, ...]:
                 ResultWarning(code="levels_to_add", group=fit.group, message=message, found=shown, expected=levels)
             )
     return tuple(found)
+
+
+def not_proportional(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:
+    """Return a warning where an algorithm's gain of contrast is another at threshold than at the highest level.
+
+    A comparison with a plain gain, which has the gain of the highest level, then compares with a wrong one.
+    """
+    found = []
+    for one in algorithms:
+        for fit, response, ratio in zip(one.fits, one.contrast_responses, one.ratios, strict=False):
+            points = [point for point in response.points if point.gain is not None and point.gain > 0.0]
+            if ratio.beyond_gain is None or fit.threshold is None or len(points) < 2:
+                continue
+            near = min(points, key=lambda point, at=fit.threshold: abs(math.log(point.level / at)))  # type: ignore[misc]
+            top = points[-1]
+            if near.gain is None or top.gain is None or not _gains_differ(near, top):
+                continue
+            message = (
+                f"its gain of contrast is {plain(near.gain, 3)} ± {plain(near.gain_standard_error, 1)} near the "
+                f"threshold, at {near.level:.3g}, and {plain(top.gain, 3)} at the highest level: beyond_gain, "
+                "which takes the latter, does not hold; look at contrast before and after"
+            )
+            group = {"algorithm": one.name} | fit.group
+            found.append(
+                ResultWarning(
+                    code="not_proportional", group=group, message=message, found=near.gain, expected=top.gain
+                )
+            )
+    return tuple(found)
+
+
+def _gains_differ(one: ContrastPoint, other: ContrastPoint) -> bool:
+    """Return whether two gains differ by more than is usual, and more than their errors allow."""
+    assert one.gain is not None
+    assert other.gain is not None
+    difference = abs(one.gain - other.gain)
+    error = math.hypot(one.gain_standard_error or 0.0, other.gain_standard_error or 0.0)
+    return difference > SAME_GAIN * other.gain and difference > SURE_GAIN * error
 
 
 def _open_reason(fit: Fit) -> str:

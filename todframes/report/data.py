@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from todframes.display.display import Display
     from todframes.enhancement.algorithm import Enhancement
     from todframes.enhancement.compare import AlgorithmResult, Compared
+    from todframes.enhancement.contrast_gain import LevelContrast
     from todframes.frames.dataset import Dataset, Experiment
     from todframes.psychometrics.fit import PsychometricFit
     from todframes.psychometrics.threshold_search import ComputedThreshold
@@ -236,8 +237,33 @@ class Ratio(Struct, frozen=True, kw_only=True):
     beyond_gain_ci95: Interval | None = None
 
 
+class ContrastPoint(Struct, frozen=True, kw_only=True):
+    """Displayed contrast of the triangle at a level, before and after an algorithm: means over `n_trials` trials.
+
+    `gain` is their quotient, and `gain_standard_error` its standard error over the trials.
+    """
+
+    level: Positive
+    before: float
+    after: float
+    gain: float | None = None
+    gain_standard_error: float | None = None
+    n_trials: int = 0
+
+
+class ContrastResponse(Struct, frozen=True, kw_only=True):
+    """Displayed contrast after an algorithm against that before it, level by level, in one group."""
+
+    group: Group = {}
+    points: tuple[ContrastPoint, ...] = ()
+
+
 class Algorithm(Struct, frozen=True, kw_only=True):
-    """An algorithm of `compare`; the reference has no ratios."""
+    """An algorithm of `compare`; the reference has no ratios.
+
+    `contrast_responses` has one item for each group. `n_scenes` is the number of scenes that the interval takes as
+    drawn from many; None if the dataset names none.
+    """
 
     name: str
     spec: str | None = None
@@ -250,6 +276,8 @@ class Algorithm(Struct, frozen=True, kw_only=True):
     ratios: tuple[Ratio, ...] = ()
     overall: Ratio | None = None
     verdict: str | None = None
+    contrast_responses: tuple[ContrastResponse, ...] = ()
+    n_scenes: int | None = None
     psnr_db: float | None = None
     psnr_change_db: float | None = None
     ssim: float | None = None
@@ -306,6 +334,13 @@ def algorithms(dataset: Dataset, results: Sequence[AlgorithmResult]) -> tuple[Al
                 ratios=ratios,
                 overall=overall,
                 verdict=verdict,
+                contrast_responses=tuple(
+                    ContrastResponse(
+                        group=group_of(dataset, fit.group), points=tuple(map(_contrast_point, of_group))
+                    )
+                    for fit, of_group in zip(one.scored.fits, one.responses, strict=bool(one.responses))
+                ),
+                n_scenes=one.n_backgrounds,
                 psnr_db=one.psnr_db,
                 ssim=one.ssim,
                 **changes,
@@ -315,6 +350,13 @@ def algorithms(dataset: Dataset, results: Sequence[AlgorithmResult]) -> tuple[Al
             )
         )
     return tuple(found)
+
+
+def _contrast_point(found: LevelContrast) -> ContrastPoint:
+    level, before, after, gain, error, n_trials = found
+    return ContrastPoint(
+        level=level, before=before, after=after, gain=gain, gain_standard_error=error, n_trials=n_trials
+    )
 
 
 def _ratio(dataset: Dataset, compared: Compared) -> Ratio:

@@ -140,6 +140,13 @@ def pictures(result: ResultData) -> list[ReportFigure]:
         )
         draw = partial(draw_ratios, algorithms=result.algorithms)
         found.append(ReportFigure("Thresholds with and without", note, draw, "compare.png"))
+    if any(one.contrast_responses for one in result.algorithms):
+        note = (
+            "Displayed contrast of the triangle after each algorithm against that before it, a line for each "
+            "group; bars: two standard errors. A plain gain is parallel to the grey line, which changes nothing."
+        )
+        draw = partial(draw_responses, algorithms=result.algorithms)
+        found.append(ReportFigure("Contrast before and after", note, draw, "contrast_response.png"))
     everything = result.thresholds
     alone = bool(result.fits)
     if has_tod_curve(everything):
@@ -486,6 +493,30 @@ def draw_ratios(axes: Axes, algorithms: Sequence[Algorithm]) -> None:
     axes.set_xticks(range(len(labels)), [label_text(label) for label in labels], rotation=rotation)
     axes.tick_params(axis="x", length=0)
     axes.grid(False, axis="x")
+    plain_ticks(axes.yaxis, axes.get_ylim())
+    add_legend(axes)
+
+
+def draw_responses(axes: Axes, algorithms: Sequence[Algorithm]) -> None:
+    """Draw the displayed contrast of the triangle after each algorithm against that before it, on log axes."""
+    others = [one for one in algorithms if one.contrast_responses][:MOST_IN_LEGEND]
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    ends: list[float] = []
+    for number, one in enumerate(others):
+        line_style = curve_style(number, len(others))
+        style: Json = {"color": line_style.colour, "marker": line_style.marker, "ms": 4}
+        axes.plot([], [], label=label_text(one.name), **style)
+        for response in one.contrast_responses[:MOST_CURVES]:
+            points = [point for point in response.points if point.before > 0.0 and point.after > 0.0]
+            before, after = ([within(getattr(point, key)) for point in points] for key in ("before", "after"))
+            errors = [2.0 * (point.gain_standard_error or 0.0) * point.before for point in points]
+            axes.errorbar(before, after, yerr=errors, lw=1.0, elinewidth=0.8, **style)
+            ends += before
+    if ends:
+        axes.plot([min(ends), max(ends)], [min(ends), max(ends)], color=INK, alpha=0.4, lw=0.8, zorder=0)
+    axes.set(xlabel="displayed contrast before", ylabel="displayed contrast after")
+    plain_ticks(axes.xaxis, axes.get_xlim())
     plain_ticks(axes.yaxis, axes.get_ylim())
     add_legend(axes)
 

@@ -117,6 +117,8 @@ def _tables(result: ResultData) -> list[Json]:
         measures = tables.measures(result.algorithms)
         found += [table_item(tables.ratios(result)), table_item(measures.without_details())]
         found += [table_item(replace(measures, title="Details of the algorithms"), folded=True)]
+        responses = tables.contrast_responses(result.algorithms)
+        found += [table_item(responses, folded=True)] if responses is not None else []
     elif result.thresholds:
         found.append(table_item(tables.thresholds(result).without_details()))
     found += [table_item(answers)] if answers is not None else []

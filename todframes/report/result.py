@@ -220,13 +220,14 @@ class Result(ResultData, Saving, frozen=True, kw_only=True, dict=True):
         Long tables come in parts, each made when it is asked for.
         """
         from todframes.report.figures import pictures
-        from todframes.report.tables import ratios
+        from todframes.report.tables import contrast_responses, ratios
 
-        trials = self.trials
+        trials, responses = self.trials, contrast_responses(self.algorithms)
         return {
             **(_calibration_files(self) if self.persons else {}),
             **({} if trials is None else _score_files(trials)),
             **({"compare.csv": ratios(self).csv().encode()} if self.algorithms else {}),
+            **({} if responses is None else {"contrast_response.csv": responses.csv().encode()}),
             **{one.file: one.png() for one in pictures(self) if one.file},
             "report.html": self.to_html().encode(),
             "result.json": self.to_json(),

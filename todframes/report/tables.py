@@ -246,6 +246,42 @@ def measures(algorithms: Sequence[Algorithm]) -> Table:
     )
 
 
+def contrast_responses(algorithms: Sequence[Algorithm]) -> Table | None:
+    """Make the table of displayed contrasts before and after each algorithm; None if there are none.
+
+    Its CSV is `contrast_response.csv`.
+    """
+    records: list[Record] = [
+        {
+            "algorithm": one.name,
+            **_group_record(response.group),
+            "level": point.level,
+            "before": point.before,
+            "after": point.after,
+            "gain": point.gain,
+            "gain_standard_error": point.gain_standard_error,
+            "n_trials": point.n_trials,
+        }
+        for one in algorithms
+        for response in one.contrast_responses
+        for point in response.points
+    ]
+    if not records:
+        return None
+    first = next(one for one in algorithms if one.contrast_responses)
+    columns = [
+        ALGORITHM,
+        *_group_columns(list(first.contrast_responses[0].group)),
+        Column(key="level", header=level_heading(first.fits[0].level)),
+        Column(key="before", header="contrast before", digits=3),
+        Column(key="after", header="contrast after", digits=3),
+        Column(key="gain", digits=3),
+        Column(key="gain_standard_error", header="standard error", sign="± ", digits=2),
+        Column(key="n_trials", header="trials"),
+    ]
+    return Table.of("Contrast before and after", "contrast_response.csv", columns, records)
+
+
 def enhancements(found: Sequence[Record]) -> Table:
     """Make the table of registered algorithms, with a row for each parameter below its algorithm."""
     records: list[Record] = []

@@ -1,0 +1,150 @@
+"""How often the interval of a threshold ratio covers the true one where backgrounds differ; minutes.
+
+python tests/campaigns/backgrounds.py 300                  # six kinds of comparison, 300 of each
+python tests/campaigns/backgrounds.py 1000 --only "8 scenes"
+
+No image is made. Each background has its own threshold and its own effect of the algorithm, both log-normal, and
+each trial its own noise, which both ways of showing it share. The true ratio is that of the thresholds of the mean
+curves over 20,000 backgrounds. docs/enhancement.md has the figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.psychometrics.fit import FitSettings, fit_trials
+from todframes.psychometrics.observer_curve import d_prime_of, observer_curve
+from todframes.psychometrics.paired_bootstrap import (
+    ThresholdRatio,
+    draw_backgrounds,
+    ratio_draws,
+    threshold_ratio,
+)
+
+Array = NDArray[np.float64]
+
+LEVELS = np.geomspace(0.4, 2.5, 7)
+
+
+class Kind(NamedTuple):
+    """A kind of comparison.
+
+    `spread` and `ratio_spread` are the standard deviations over backgrounds of ln threshold and of ln ratio,
+    `noise` that of a trial's ln level. With `sampled`, answers of 0 and 1 are drawn.
+    """
+
+    name: str
+    scenes: int
+    trials: int
+    spread: float
+    ratio_spread: float
+    noise: float
+    groups: int = 1
+    sampled: bool = False
+
+
+KINDS = (
+    Kind("8 scenes, effects differ", 8, 4, 0.3, 0.15, 0.2),
+    Kind("8 scenes, the same effect", 8, 4, 0.3, 0.0, 0.2),
+    Kind("8 scenes, alike in all", 8, 4, 0.0, 0.0, 0.3),
+    Kind("4 scenes, effects differ", 4, 8, 0.3, 0.15, 0.2),
+    Kind("20 scenes, effects differ much", 20, 4, 0.4, 0.4, 0.2),
+    Kind("8 scenes, three groups together", 8, 4, 0.3, 0.15, 0.2, groups=3),
+    Kind("8 scenes, answers drawn", 8, 8, 0.3, 0.15, 0.0, sampled=True),
+)
+
+TRUE_RATIO = 0.9
+
+
+def p_correct(level: Array, ln_threshold: Array) -> Array:
+    """Compute the proportion correct of an observer with this ln threshold at 75 %."""
+    alpha = 1.0 / d_prime_of(0.75)
+    return observer_curve(level * np.exp(-ln_threshold), alpha=alpha, beta=1.0, max_d_prime=None)
+
+
+def true_ratio(kind: Kind, rng: np.random.Generator) -> float:
+    """Compute the ratio of the thresholds of the mean curves over very many backgrounds."""
+    n, fine = 20_000, np.geomspace(0.2, 5.0, 200)
+    own, effect = rng.normal(0.0, kind.spread, n), rng.normal(math.log(TRUE_RATIO), kind.ratio_spread, n)
+    noise = rng.normal(0.0, kind.noise, n)
+    found = []
+    for ln_threshold in (own, own + effect):
+        curve = np.array([p_correct(np.full(n, x), ln_threshold + noise).mean() for x in fine])
+        found.append(float(np.interp(0.75, curve, np.log(fine))))
+    return math.exp(found[1] - found[0])
+
+
+def comparison(kind: Kind, rng: np.random.Generator, *, resamples: int = 1000) -> ThresholdRatio:
+    """Simulate a comparison and return its ratio and interval."""
+    scene = np.tile(np.repeat(np.arange(kind.scenes), kind.trials), len(LEVELS))
+    level = np.repeat(LEVELS, kind.scenes * kind.trials)
+    own = rng.normal(0.0, kind.spread, kind.scenes)
+    effect = rng.normal(math.log(TRUE_RATIO), kind.ratio_spread, kind.scenes)
+    settings, drawn = FitSettings(resamples=resamples), draw_backgrounds(kind.scenes, resamples, rng)
+    draws = []
+    for _ in range(kind.groups):
+        noise = rng.normal(0.0, kind.noise, level.size)
+        series = np.array([p_correct(level, own[scene] + noise + k * effect[scene]) for k in (0, 1)])
+        if kind.sampled:
+            series = (rng.random(level.size) < series).astype(np.float64)
+        curve = "weibull" if kind.sampled else "observer"
+        quick = FitSettings(resamples=0)
+        fits = [fit_trials(level, one, curve=curve, settings=quick, rng=rng) for one in series]
+        draws += ratio_draws(
+            level,
+            series,
+            fits,
+            pairs=[(1, 0)],
+            settings=settings,
+            rng=rng,
+            backgrounds=scene,
+            drawn_backgrounds=drawn,
+        )
+    return threshold_ratio(draws)
+
+
+def covered(kind: Kind, n: int, *, seed: int = 1, resamples: int = 1000) -> tuple[int, int, float]:
+    """Return how many of n intervals cover the true ratio, how many p-values are below 5 %, and the mean width."""
+    true = true_ratio(kind, np.random.default_rng(0))
+    holds, small, widths = 0, 0, []
+    for number in range(n):
+        found = comparison(kind, np.random.default_rng([seed, number]), resamples=resamples)
+        low, high = found.ratio_ci95 or (None, None)
+        low, high = low or 0.0, math.inf if high is None else high
+        holds += low <= true <= high
+        small += found.p_value < 0.05
+        widths.append(math.log(high / low) if low and math.isfinite(high) else math.inf)
+    return holds, small, float(np.median(widths))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the coverage of each kind; exit status 1 if one is outside 93 to 97 % beyond chance."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("n", nargs="?", type=int, default=300)
+    parser.add_argument("--only", default="", help="part of the name of a kind")
+    parser.add_argument("--seed", type=int, default=1)
+    asked = parser.parse_args(arguments)
+    status = 0
+    for kind in KINDS:
+        if asked.only not in kind.name:
+            continue
+        holds, small, width = covered(kind, asked.n, seed=asked.seed)
+        share, error = holds / asked.n, math.sqrt(0.95 * 0.05 / asked.n)
+        is_good = 0.93 - 2.0 * error <= share <= 0.97 + 2.0 * error
+        status |= not is_good
+        print(
+            f"{kind.name:34} {100 * share:5.1f} % ± {100 * error:.1f} of {asked.n} cover, "
+            f"{100 * small / asked.n:.0f} % differ from 1, width {100 * width:.1f} %{'' if is_good else '  !'}",
+            flush=True,
+        )
+    return status
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
