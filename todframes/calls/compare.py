@@ -19,6 +19,7 @@ from todframes.calls.shared import (
     in_memory,
     inspected,
     is_skip,
+    knowing_background,
     loaded,
     located,
     opened_run,
@@ -137,6 +138,9 @@ def compare(
     data = replace(loaded(dataset), gaze=gaze)
     screen = AlgorithmDisplay(data.display, white, allow_clipping)
     data, more, placed_wrong = located(data, judge, locate, on_error, progress)
+    known = [knowing_background(*one, data) for one in zip(judges, each_settings, strict=True)]
+    judges, each_settings = zip(*known, strict=True)
+    judge, settings = judges[0], each_settings[0]
     with opened_run(workers, cluster, store, progress) as run:
         results, *others = compare_observers(
             data,

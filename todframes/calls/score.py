@@ -19,6 +19,7 @@ from todframes.calls.shared import (
     in_memory,
     inspected,
     is_skip,
+    knowing_background,
     loaded,
     located,
     opened_run,
@@ -133,6 +134,7 @@ def score(
     judge, settings = described(observer)
     fit = fit or FitSettings()
     data, more, placed_wrong = located(replace(loaded(dataset), gaze=gaze), judge, locate, on_error, progress)
+    judge, settings = knowing_background(judge, settings, data)
     with opened_run(workers, cluster, store, progress) as run:
         scored = score_dataset(
             data,

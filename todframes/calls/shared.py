@@ -118,6 +118,17 @@ def located(
     return data, {"located": located}, warnings
 
 
+def knowing_background(judge: Observer, settings: Json, data: Dataset) -> tuple[Observer, Json]:
+    """Return an observer and its settings with the spectrum of the frames, if these ask for it."""
+    if settings.get("external_noise_spectrum") != "frames":
+        return judge, settings
+    from todframes.scoring import background_spectrum
+
+    judge = background_spectrum.knowing_background(judge, data, data.trials)
+    known: Any = judge
+    return judge, settings | {"external_noise_spectrum": known.settings.external_noise_spectrum}
+
+
 def inspected(
     data: Dataset, trials: Sequence[Trial], centre: Centre = "centroid"
 ) -> tuple[DatasetRecord, tuple[ResultWarning, ...]]:

@@ -48,6 +48,9 @@ triangles of 0.5 to 30 mrad."""
 SOLVER_TOLERANCE, MOST_ITERATIONS = 1e-10, 2000
 """Residual of the ideal templates, relative to the matched ones, and the largest number of steps to reach it."""
 
+FRAMES = "frames"
+"""Setting of a spectrum that is to be measured in the frames of a dataset."""
+
 LARGEST_SIDE = 4097
 """Largest side of the retina grid; filtering it takes 0.6 GB."""
 
@@ -128,6 +131,9 @@ class CsfSettings:
         ideal template is best: of white noise, its standard deviation times the width of a sample in degrees.
     external_noise_exponent : float
         Its density falls as frequency to this power: 0 white, 2 an amplitude of 1/f.
+    external_noise_spectrum : tuple of (float, float), or "frames"
+        Frequencies in cycles/degree, ascending, and spectral densities in squared contrast × squared degrees, in
+        place of the two settings above; or that of the frames, which `score` and `compare` measure.
     efficiency : float
         Squared ratio of a person's d′ to that of ModelFest's average person: contrast thresholds are divided by
         its root.
@@ -146,10 +152,12 @@ class CsfSettings:
     template: Literal["matched", "ideal"] = "matched"
     external_noise_deg: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
     external_noise_exponent: Annotated[float, Meta(ge=0.0, le=4.0)] = 0.0
+    external_noise_spectrum: tuple[tuple[float, float], ...] | Literal["frames"] = ()
     efficiency: Annotated[float, Meta(ge=1e-6, le=1e6)] = 1.0
 
     def __post_init__(self) -> None:
         check_values(self)
+        _check_spectrum(self.external_noise_spectrum)
         if self.retina_pitch_mrad > LARGEST_PITCH_MRAD:
             nyquist = MRAD_PER_DEG / (2.0 * self.retina_pitch_mrad)
             raise SettingsError(
@@ -307,6 +315,13 @@ class CsfObserver(ObserverWithSettings):
             Cycles/degree, broadcast against each other. Frequency 0 has the density of the lowest other one.
         """
         settings, frequency = self.settings, np.hypot(frequency_x, frequency_y)
+        if settings.external_noise_spectrum == FRAMES:
+            raise SettingsError(
+                "external_noise_spectrum: found frames where there are no frames, expected pairs of frequency and "
+                "density"
+            )
+        if settings.external_noise_spectrum:
+            return _interpolated(frequency, np.array(settings.external_noise_spectrum))
         lowest = float(frequency[frequency > 0.0].min())
         decay = np.maximum(frequency, lowest) ** -settings.external_noise_exponent
         return np.asarray(settings.external_noise_deg**2 * decay)
@@ -378,6 +393,29 @@ class CsfObserver(ObserverWithSettings):
         """Answer with the largest score, ties at random."""
         scores = self.literal_scores(contrast, stimulus, rng)
         return ORIENTATIONS[int(rng.choice(np.flatnonzero(scores == scores.max())))]
+
+
+def _check_spectrum(spectrum: object) -> None:
+    """Raise SettingsError unless a spectrum is "frames" or has ascending frequencies and densities above 0."""
+    if spectrum in (FRAMES, ()):
+        return
+    try:
+        frequency, density = np.array(spectrum, dtype=np.float64).T
+        is_good = bool(np.isfinite([frequency, density]).all() and (density > 0.0).all() and frequency[0] > 0.0)
+        is_good = is_good and bool((np.diff(frequency) > 0.0).all())
+    except (TypeError, ValueError):
+        is_good = False
+    if not is_good:
+        raise SettingsError(
+            "external_noise_spectrum: expected frames, or pairs of a frequency and a density above 0, frequencies "
+            "ascending"
+        )
+
+
+def _interpolated(frequency: FloatArray, spectrum: FloatArray) -> FloatArray:
+    """Interpolate a spectrum, (n, 2), on log axes; beyond its ends it is flat."""
+    known, density = np.log(spectrum).T
+    return np.asarray(np.exp(np.interp(np.log(np.maximum(frequency, spectrum[0, 0])), known, density)))
 
 
 def _padded(side: int) -> int:

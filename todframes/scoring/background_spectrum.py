@@ -1,0 +1,146 @@
+"""Spectrum of what lies behind the triangles of a dataset: scenes and noise, as displayed.
+
+An observer that prewhitens weighs frequencies by it. It is a mean of periodograms about the triangles: contrast
+times a Hann window, in which a hole with a smooth edge leaves the triangle out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, FrameError
+from todframes.frames.contrast import read_contrast
+from todframes.frames.dataset import Dataset
+from todframes.frames.position import centroid_position, size_in_px
+from todframes.frames.surround import TrianglePlace
+from todframes.frames.trials import Trial, Trials
+from todframes.observers.csf import FRAMES, MRAD_PER_DEG
+from todframes.observers.interface import Observer
+from todframes.stimulus import Centre
+
+HOLE_SIZES = (1.3, 2.0)
+"""Radii within which nothing, and beyond which all of the window counts, in sizes of the triangle: its corners lie
+at 0.88."""
+
+LARGEST_WINDOW_PX = 512
+"""Largest side of the window about the triangle."""
+
+MOST_TRIALS = 64
+"""Largest number of trials whose frames are measured, evenly spread over those of the weaker half of levels."""
+
+BANDS_PER_OCTAVE = 3
+
+LEAST_SHARE = 0.05
+"""Share of the window's weight that the hole has to leave."""
+
+
+def knowing_background(observer: Observer, dataset: Dataset, trials: Trials) -> Observer:
+    """Return the observer with the spectrum of the frames, if its settings ask for it.
+
+    Raises
+    ------
+    DataError
+        If no frame can be read, or frames end too near to the triangle.
+    """
+    settings: Any = getattr(observer, "settings", None)
+    if getattr(settings, "external_noise_spectrum", None) != FRAMES or settings.template != "ideal":
+        return observer
+    spectrum = background_spectrum(dataset, trials, observer.centre)
+    return type(observer)(replace(settings, external_noise_spectrum=spectrum))
+
+
+def background_spectrum(dataset: Dataset, trials: Trials, centre: Centre) -> tuple[tuple[float, float], ...]:
+    """Measure the spectral density behind the triangles.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    trials : Trials
+    centre : {"centroid", "bounding_box"}
+        Point of the triangle that lies at the frame's centre where the manifest has no position.
+
+    Returns
+    -------
+    tuple of (float, float)
+        Frequencies in cycles/degree, ascending, and the mean density over all directions, in squared contrast ×
+        squared degrees, as displayed: pixels are held over their area.
+
+    Raises
+    ------
+    DataError
+        If no frame can be read, or frames end too near to the triangle.
+    """
+    weak = trials.select(trials.levels <= np.median(trials.levels))
+    chosen = weak.select(np.unique(np.linspace(0, len(weak) - 1, MOST_TRIALS).astype(np.intp)))
+    sums: dict[int, FloatArray] = {}
+    problem: FrameError | DataError | None = None
+    for trial in chosen:
+        try:
+            frequency, density = _periodogram(dataset, trial, centre)
+        except (FrameError, DataError) as error:  # scoring reports frames that cannot be read
+            problem = problem or error
+            continue
+        bands = np.round(BANDS_PER_OCTAVE * np.log2(frequency)).astype(np.intp)
+        for band in np.unique(bands).tolist():
+            within = bands == band
+            total = sums.setdefault(band, np.zeros(3))
+            total += density[within].sum(), np.log(frequency[within]).sum(), np.count_nonzero(within)
+    if not sums:
+        raise problem or DataError(f"{dataset.path}: found no trial, expected some to measure the background in")
+    floor = 1e-12 * max(total / n for total, _, n in sums.values())
+    return tuple(
+        (math.exp(ln_frequency / n), max(float(total / n), floor, 1e-300))
+        for _, (total, ln_frequency, n) in sorted(sums.items())
+    )
+
+
+def _periodogram(dataset: Dataset, trial: Trial, centre: Centre) -> tuple[FloatArray, FloatArray]:
+    """Compute radial frequencies in cycles/degree and the density at each, of the mean of a trial's frames.
+
+    Those that the window does not resolve, and those beyond the Nyquist frequency of the axes, are left out.
+    """
+    contrast, x, y = _contrast(dataset, trial, centre)
+    pitch_deg = dataset.display.pitch_mrad / MRAD_PER_DEG
+    height, width = contrast.shape
+    across, down = np.arange(width), np.arange(height)
+    window = np.outer(np.hanning(height + 2)[1:-1], np.hanning(width + 2)[1:-1])
+    whole = float(np.square(window).sum())
+    distance = np.hypot(across - x, down[:, None] - y) / size_in_px(trial, dataset.display.pitch_mrad)
+    inner, outer = HOLE_SIZES
+    window *= (1.0 - np.cos(np.pi * np.clip((distance - inner) / (outer - inner), 0.0, 1.0))) / 2.0
+    weight = float(np.square(window).sum())
+    if weight < LEAST_SHARE * whole:
+        raise DataError(
+            f"{trial.frames[0].path}: found {width} × {height} pixels, in which the triangle of "
+            f"{trial.stimulus.size_mrad:g} mrad leaves no background to measure; expected "
+            f"{math.ceil(2.5 * outer * size_in_px(trial, dataset.display.pitch_mrad))} or more along each side"
+        )
+    windowed = window * (contrast - (window * contrast).sum() / window.sum())
+    density = np.abs(np.fft.rfft2(windowed)) ** 2 * (pitch_deg**2 / weight)
+    fx, fy = np.fft.rfftfreq(width, pitch_deg), np.fft.fftfreq(height, pitch_deg)[:, None]
+    density *= (np.sinc(fx * pitch_deg) * np.sinc(fy * pitch_deg)) ** 2  # pixels are held over their area
+    frequency = np.hypot(fx, fy)
+    resolved = 1.5 / (min(height, width) * pitch_deg)
+    kept = (frequency >= resolved) & (frequency <= 0.5 / pitch_deg)
+    return frequency[kept], density[kept]
+
+
+def _contrast(dataset: Dataset, trial: Trial, centre: Centre) -> tuple[FloatArray, float, float]:
+    """Read the mean contrast of a trial's frames about the triangle, and the triangle's place in it."""
+    images: list[FloatArray] = []
+    for frame in trial.frames:
+        with dataset.open(frame) as file:
+            pitch = dataset.display.pitch_mrad
+            x, y = centroid_position(trial, file.header, centre, pitch)
+            half = LARGEST_WINDOW_PX // 2
+            rows, columns = ((round(at) - half, round(at) + half) for at in (y, x))
+            triangle = TrianglePlace(x, y, size_in_px(trial, pitch))
+            patch = read_contrast(file, dataset.display, frame, rows, columns, triangle=triangle)
+            images.append(np.concatenate([band.values for band in patch.bands()]))
+            at = x - patch.column, y - patch.row
+    return np.asarray(sum(images) / len(images)), *at
