@@ -11,13 +11,13 @@ from skimage.metrics import peak_signal_noise_ratio
 
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement.algorithm import find_enhancement
-from todframes.enhancement.compare import compare_dataset, compare_observers
+from todframes.enhancement.compare import compare_dataset, compare_observers, scene_numbers
 from todframes.enhancement.contrast_gain import MEASURED_TRIALS, measured_trials, strongest_levels
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame, EnhancedImage
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame
-from todframes.frames.trials import FrameReference, Trial, Trials
+from todframes.frames.trials import FrameReference, SceneView, Trial, Trials
 from todframes.jobs.engine import open_engine
 from todframes.observers.csf import CsfObserver
 from todframes.observers.interface import Readout
@@ -765,3 +765,17 @@ def test_trials_that_are_measured() -> None:
     found = measured_trials(trials, strongest_levels(trials))
     assert found >= set(range(100, 200))
     assert len(found) == 100 + MEASURED_TRIALS
+
+
+def test_scenes_by_name() -> None:
+    frames = (FrameReference("f", None, None),)
+    names = ["b", "a", "b", "a"]
+    trials = Trials.of(
+        Trial(
+            number, "t", frames, ORIENTATIONS[0], Stimulus(1.0), 0.1, (), 0, 0, view=SceneView(name, str(number))
+        )
+        for number, name in enumerate(names)
+    )
+    assert scene_numbers(trials).tolist() == [1, 0, 1, 0]  # views of one scene are one scene
+    plain = Trials.of(trial._replace(view=None) for trial in trials)
+    assert scene_numbers(plain) is None

@@ -74,6 +74,9 @@ Verdict = Literal["better", "worse", "no difference shown", "mixed"]
 SIGNIFICANCE = 0.05
 """Corrected p-value below which a difference of thresholds is reported."""
 
+MOST_BACKGROUNDS = 200
+"""Largest number of backgrounds that are drawn one by one; more are drawn in so many sets, of 160 MB at most."""
+
 RESAMPLES_PER_COMPARISON = 80
 """Resamples for each ratio: the smallest p-value, 2 / resamples, is half of 5 % even after Holm's correction."""
 
@@ -287,7 +290,7 @@ def _results(
     contrasts = columns.contrasts[columns.is_seen]
     gains = contrast_gains(seen[0].trials, contrasts, strongest)
     responses = contrast_responses(seen[0].trials, contrasts)
-    backgrounds = _backgrounds(seen[0].trials)
+    backgrounds = scene_numbers(seen[0].trials)
     plain = [_amplified(fit, seen[0], of_algorithm, fit_settings) for of_algorithm in gains[1:] if expected]
     compared = _compared(scored, plain, gains, seed, fit_settings, backgrounds)
     black, white = screen.luminance_range
@@ -414,8 +417,8 @@ def _amplified(
     return fit(seen.amplified(gain), fit_settings=replace(fit_settings, resamples=0))
 
 
-def _backgrounds(trials: Trials) -> NDArray[np.intp] | None:
-    """Return the number of each trial's scene, by name; None if the dataset names none."""
+def scene_numbers(trials: Trials) -> NDArray[np.intp] | None:
+    """Return the number of each trial's scene, in the order of their names; None if the dataset names none."""
     names = ["" if view is None else view.scene for view in trials.views]
     if not any(names):
         return None
@@ -452,6 +455,7 @@ def _compared(
     drawn = None
     if backgrounds is not None:
         stream = np.random.SeedSequence(seed, spawn_key=(RATIO_STREAMS, len(groups)))
+        backgrounds = backgrounds % MOST_BACKGROUNDS
         drawn = draw_backgrounds(int(backgrounds.max()) + 1, resamples, np.random.default_rng(stream))
 
     def draw(number: int) -> list[RatioDraws]:
