@@ -74,6 +74,21 @@ def cli() -> None:
 @click.option(
     "--trials", type=click.IntRange(1), default=40, show_default=True, help="Frames of each size and level."
 )
+@click.option(
+    "--motion",
+    "motion_mrad_per_s",
+    type=float,
+    metavar="MRAD_PER_S",
+    help="Make each trial a clip of single frames in which the triangle moves this fast, in a random direction.",
+)
+@click.option(
+    "--warm-up",
+    "warm_up_frames",
+    type=click.IntRange(0),
+    default=0,
+    metavar="N",
+    help="Frames of the clip before each trial, which are not judged.  [default: none]",
+)
 @seed_option
 @click.option("-o", "--out", required=True, metavar="DATASET", help="Folder to make, new or empty.")
 @click.option("--format", "frame_format", type=click.Choice(["exr", "png"]), default="exr", show_default=True)

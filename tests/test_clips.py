@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,17 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from todframes.base.errors import DataError, SettingsError
+import sensor_sim as ss
+import todframes as tod
+from sensor_sim.chain.simulation import Filming, Simulator, plan_trials
+from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement.algorithm import algorithm, enhancement_names, find_enhancement
 from todframes.frames.dataset import load_dataset
+from todframes.frames.files import FrameFile, frame_sha256, write_frame
+from todframes.frames.memory import memory_dataset
 from todframes.frames.trials import Trials
+from todframes.jobs import run as run_module
+from todframes.observers.pyramid import PyramidObserver
 
 CLIP_NAMES = [name for name in enhancement_names() if find_enhancement(name).declaration.clip]
 COLUMNS = ("frame", "orientation", "size_mrad", "contrast", "x_px", "y_px", "trial", "clip", "time_s", "judged")
@@ -275,3 +283,245 @@ def test_without_structure_nothing_is_moved() -> None:
     frames = np.full((3, 24, 24), 0.5, np.float32)
     after, _ = find_enhancement("registered_mean:before=2").run_clip(frames, np.array([2]), None)
     assert np.array_equal(after[0], frames[0])
+
+
+# What they do to thresholds
+
+DISPLAY = tod.Display(
+    eotf="linear", white_luminance_cd_m2=100.0, background_luminance_cd_m2=50.0, pixel_pitch_mrad=0.3
+)
+SIDE_PX, SIZE_PX = 32, 8.0
+EXACT = tod.FitSettings(resamples=40)
+
+
+def triangle(orientation: str, x_px: float, side_px: int = SIDE_PX) -> np.ndarray:
+    place = {"x_px": x_px, "y_px": (side_px - 1) / 2}
+    return tod.coverage((side_px, side_px), size_px=SIZE_PX, orientation=tod.Orientation(orientation), **place)
+
+
+def clip_dataset(clips: list[tuple[str, float, list[np.ndarray]]], n_judged: int, places=None):
+    """A dataset in memory of clips (orientation, level, contrasts of the frames) whose last frames are judged."""
+    n = len(clips[0][2])
+    each = [(one, k) for one in range(len(clips)) for k in range(n)]
+    middle = (SIDE_PX - 1) / 2 if places is None else None
+    return memory_dataset(
+        [0.5 * (1.0 + clips[one][2][k]) for one, k in each],
+        display=DISPLAY,
+        orientation=[clips[one][0] for one, _ in each],
+        level=[clips[one][1] for one, _ in each],
+        size_mrad=SIZE_PX * 0.3,
+        position=[(middle, middle) if places is None else places[k] for _, k in each],
+        trial=[one for one, _ in each],
+        clip=[str(one) for one, _ in each],
+        time_s=[k / 50.0 for _, k in each],
+        judged=[k >= n - n_judged for _, k in each],
+    )
+
+
+@pytest.mark.parametrize("noise", ["dynamic", "fixed"])
+def test_a_mean_of_n_frames_lowers_thresholds_in_dynamic_noise_by_root_n(noise: str) -> None:
+    """Independent frames f of Gaussian noise: u·f with u = (1, …, 1)/√n is √n times their mean, a·f the last one.
+
+    The reflection that swaps u and a turns f into frames as independent, whose mean and last frame have changed
+    places. With both as trials, the noise of all means is that of all last frames, divided by √n: nothing is left
+    to chance. Levels are in steps of √2, so that with n = 4 there is one at twice each.
+    """
+    n, sd, levels = 4, 0.15, 0.08 * 2.0 ** (np.arange(-7, 8) / 2)
+    rng = np.random.default_rng(5)
+    swap = np.full(n, 1.0 / np.sqrt(n)) - np.eye(n)[-1]
+    reflect = np.eye(n) - 2.0 * np.outer(swap, swap) / (swap @ swap)
+    clips = []
+    for _ in range(6 if noise == "dynamic" else 1):
+        frames = rng.standard_normal((n, SIDE_PX, SIDE_PX))
+        if noise == "fixed":
+            frames[:] = frames[0]
+        for of_trial in (frames, np.tensordot(reflect, frames, 1) if noise == "dynamic" else frames[::-1]):
+            for turn in tod.ORIENTATIONS:  # so that a pattern of noise alone answers one of four rightly
+                shape = triangle(turn, (SIDE_PX - 1) / 2)
+                clips += [(turn, c, [c * shape + sd * one for one in of_trial]) for c in levels]
+    observer = PyramidObserver(internal_noise=1e-3, position_jitter_samples=0.0)
+    none, mean = tod.compare(
+        clip_dataset(clips, 1), [f"temporal_mean:before={n - 1}"], observer=observer, fit=EXACT, examples=False
+    ).algorithms
+    ratio = none.fits[0].threshold / mean.fits[0].threshold
+    if noise == "fixed":
+        assert ratio == pytest.approx(1.0, abs=1e-4)  # 32-bit values
+    else:
+        assert ratio == pytest.approx(np.sqrt(n), rel=0.01)
+
+
+@pytest.mark.parametrize("gaze", ["tracked", pytest.param("fixed", marks=pytest.mark.slow)])
+def test_a_recursive_filter_smears_what_moves(gaze: str) -> None:
+    """Against frames that are filtered, shifted and averaged here: the way is a whole number of pixels a frame."""
+    weight, n, n_judged, step_px, side_px = 0.3, 12, 5, 2, 72
+    places = [(40.0 + step_px * (k - (n - 1)), (side_px - 1) / 2) for k in range(n)]
+    levels, clips, stills = np.geomspace(0.02, 2.0, 8), [], {"none": [], "recursive": []}
+    shown = [(turn, float(c)) for c in levels for turn in tod.ORIENTATIONS]
+    for turn, c in shown:
+        frames = [c * triangle(turn, x, side_px) for x, _ in places]
+        clips.append((turn, c, frames))
+        state, after = frames[0], []
+        for frame in frames:
+            state = (1.0 - weight) * state + weight * frame
+            after.append(state)
+        for name, series in (("none", frames), ("recursive", after)):
+            judged = series[-n_judged:]
+            if gaze == "tracked":  # shifted to the place of the middle one
+                judged = [np.roll(one, step_px * (n_judged // 2 - k), axis=1) for k, one in enumerate(judged)]
+            stills[name].append(0.5 * (1.0 + np.mean(judged, axis=0)))
+    observer = PyramidObserver(position_jitter_samples=0.0)
+    found = tod.compare(
+        clip_dataset(clips, n_judged, places),
+        [f"recursive:weight={weight},before={n - n_judged}"],
+        observer=observer,
+        gaze=gaze,
+        fit=EXACT,
+        examples=False,
+    )
+    thresholds = [one.fits[0].threshold for one in found.algorithms]
+    turns, contrasts = zip(*shown, strict=True)
+    for threshold, frames in zip(thresholds, stills.values(), strict=True):
+        literal = tod.score_frames(
+            frames,
+            display=DISPLAY,
+            orientation=turns,
+            level=contrasts,
+            size_mrad=SIZE_PX * 0.3,
+            position=places[n - 1 - n_judged // 2],
+            observer=observer,
+            plan="full",
+            fit=EXACT,
+            examples=False,
+        ).fits[0]
+        assert literal.status == "ok"
+        assert threshold == pytest.approx(literal.threshold, rel=0.01)
+    assert thresholds[1] > 1.2 * thresholds[0]
+
+
+# Clips on a disk, simulated
+
+SENSOR = ss.load_sensor("sample_frames/star_like.toml")
+SENSOR = replace(SENSOR, display=replace(SENSOR.display, pixels_per_detector=2, blur_sigma_px=0.7))
+
+
+def simulated(out: Path, **settings: object) -> Path:
+    chosen = {"size_detectors": [4.0], "snr": [0.5, 2.0, 8.0], "trials": 4} | settings
+    ss.simulate(SENSOR, out=out, **chosen)
+    return out
+
+
+def test_a_simulated_clip_moves_and_has_the_noise_of_its_frames() -> None:
+    """Six frames in 100 ms: their mean has the noise of the displayed sample, and the fixed pattern stays."""
+    noise = replace(SENSOR.noise, fixed_pattern_ratio=0.4, frames_integrated=6)
+    display = replace(SENSOR.display, pixels_per_detector=1, blur_sigma_px=0.0)
+    sensor = replace(SENSOR, noise=noise, display=display)
+    filming = Filming(motion_mrad_per_s=5.0, warm_up_frames=2)
+    simulator = Simulator(sensor, 4.0, seed=3, filming=filming)
+    trials, level = plan_trials([4.0], [1e-6], 30), 1e-6  # noise alone
+    clips = [simulator.clip(trial) for trial in trials]
+    for clip in clips:
+        places = np.array([(frame.x_px, frame.y_px) for frame in clip])
+        steps = np.hypot(*np.diff(places, axis=0).T)
+        # A pixel is a detector here.
+        assert np.allclose(steps, 5.0 * 0.1 / 6 / sensor.detector.pitch_mrad, rtol=1e-9)
+        middle = places[2:].mean(axis=0) - (simulator.field - 1) / 2
+        assert np.abs(middle).max() <= 0.5
+    signal = np.array([[frame.luminance_cd_m2 for frame in clip] for clip in clips])
+    signal = (signal / sensor.display.background_luminance_cd_m2 - 1.0) / sensor.display.gain * level
+    mean = signal[:, 2:].mean(axis=1)
+    pattern = mean.mean(axis=0)
+    # k = 1.7496 (Hogervorst et al. 2001, below eq. 4): the pattern has 0.4 k, a frame k of dynamic noise. Some 700
+    # detectors in 30 trials of 8 frames: relative standard errors of 1/√(2 n), 0.2 % for the frames. That of the
+    # pattern's 700 is 2.7 %, so its own values are compared, which the seed gives.
+    k = 1.0 / np.hypot(1.0 / np.sqrt(6.0), 0.4)
+    assert np.sqrt(signal.var(axis=(0, 1), ddof=1).mean()) == pytest.approx(k, rel=0.01)
+    assert np.sqrt(mean.var(axis=0, ddof=1).mean()) == pytest.approx(k / np.sqrt(6.0), rel=0.03)
+    assert np.allclose(pattern, 0.4 * k * simulator.pattern, rtol=0.0, atol=6.0 * k / np.sqrt(6 * 30))
+
+
+def test_a_simulated_clip_is_a_dataset(tmp_path: Path) -> None:
+    data = load_dataset(simulated(tmp_path / "data", motion_mrad_per_s=1.0, warm_up_frames=3))
+    assert not data.bad_rows
+    assert (len(data.trials), data.trials.n_frames, data.n_frames) == (12, 12 * 6, 12 * 9)
+    for trial in data.trials.with_warm_up(4):
+        assert len(trial.warm_up) == 3
+        times = [frame.time_s for frame in (*trial.warm_up, *trial.frames)]
+        assert np.allclose(np.diff(times), 0.1 / 6, rtol=0.0, atol=2e-6)  # six decimals
+    result = tod.validate(data)
+    assert (result.skipped, result.warnings) == ((), ())
+    lost = data.frame_path(next(iter(data.trials.unjudged_frames())))
+    lost.write_bytes(lost.read_bytes()[:-100])
+    (problem,) = tod.validate(data).skipped
+    assert lost.name in problem["frame"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"motion_mrad_per_s": -1.0}, "motion_mrad_per_s: found -1, expected 0 to"),
+        ({"motion_mrad_per_s": float("nan")}, "motion_mrad_per_s: found nan, expected 0 to"),
+        ({"motion_mrad_per_s": 5000.0}, "motion_mrad_per_s: moves the triangle by .* detectors from its mean"),
+        ({"warm_up_frames": -1}, "warm_up_frames: found -1, expected a whole number"),
+    ],
+)
+def test_bad_motions(tmp_path: Path, settings: dict[str, float], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        simulated(tmp_path / "data", **settings)
+    assert not (tmp_path / "data").exists()
+
+
+def test_too_few_frames_before_a_trial(tmp_path: Path) -> None:
+    """One line; and with skip, such trials are left out for all algorithms."""
+    path = simulated(tmp_path / "data", warm_up_frames=2)
+    with pytest.raises(FrameError, match=r"takes 16 frames before trial 's0_n0_up_0', and clip .* has 2") as found:
+        tod.compare(path, ["recursive"], fit=EXACT)
+    assert "\n" not in str(found.value)
+    text = (path / "manifest.csv").read_text().splitlines()
+    at = text[0].split(",").index("judged")
+    first = next(number for number, line in enumerate(text) if ",s0_n0_up_0," in line)
+    fields = text[first].split(",")
+    fields[at], fields[at - 3] = "1", "early"
+    (path / "manifest.csv").write_text("\n".join([*text[:first], ",".join(fields), *text[first + 1 :], ""]))
+    settings = {"white": 200.0, "fit": EXACT, "examples": False}
+    result = tod.compare(path, ["temporal_mean:before=2"], on_error="skip", **settings)
+    assert [one["frame"] for one in result.skipped] == [fields[0]]
+    assert [sum(fit.n_trials for fit in one.fits) for one in result.algorithms] == [12, 12]
+    no_clip = memory_dataset([np.ones((9, 9))], orientation="up", level=1.0, size_mrad=0.6, display=DISPLAY)
+    with pytest.raises(FrameError, match="the manifest names no clip of it; expected the columns clip and time_s"):
+        tod.compare(no_clip, ["temporal_mean"], fit=EXACT)
+
+
+@pytest.mark.slow
+def test_kept_results_depend_on_the_frames_before(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(run_module, "LOOKED_AT_S", 0.0)
+    monkeypatch.setattr(run_module, "WORTH_S", 0.0)
+    path = simulated(tmp_path / "data", warm_up_frames=2, motion_mrad_per_s=0.5)
+    settings = {"white": 200.0, "fit": EXACT, "examples": False, "store": tmp_path / "store"}
+
+    def compared(spec: str = "temporal_mean:before=2", **more: object) -> tuple[int, float]:
+        found = tod.compare(path, [spec], **(settings | more))
+        return found.from_store, found.algorithms[1].fits[0].threshold
+
+    compared()  # the first batch decides on the store
+    threshold = compared()[1]
+    assert compared("temporal_mean:before=1")[0] == 0
+    assert compared(gaze="fixed")[0] == 0
+    assert compared() == (12, threshold)
+    changed = path / "frames" / "s0_n1_right_1_001.exr"
+    with FrameFile(changed) as file:
+        write_frame(changed, 1.5 * file.read().values)
+    text, digest = (path / "manifest.csv").read_text(), frame_sha256(changed)
+    (path / "manifest.csv").write_text(re.sub(rf"({changed.name}.*,)[0-9a-f]+", rf"\g<1>{digest}", text))
+    assert compared()[0] == 11  # all trials but the one that it comes before
+
+
+@pytest.mark.slow
+def test_workers_and_an_own_clip_algorithm(tmp_path: Path) -> None:
+    path = simulated(tmp_path / "data", warm_up_frames=4, motion_mrad_per_s=0.5)
+    specs = ["recursive:before=4", "temporal_mean:before=2", "shift_and_add:before=1", "gaussian"]
+    alone, two = (
+        tod.compare(path, specs, white=200.0, fit=EXACT, workers=workers).algorithms for workers in (1, 2)
+    )
+    for one, other in zip(alone, two, strict=True):
+        assert one.fits[0].threshold == other.fits[0].threshold
+        assert one.verdict == other.verdict

@@ -106,6 +106,8 @@ def test_a_film_becomes_a_dataset(tmp_path: Path, chart: Path, pages: list[np.nd
     data = tod.load_dataset(done.path)
     assert not data.bad_rows
     assert [len(trial.frames) for trial in data.trials] == [3] * 6
+    # Two trials of a clip follow each other in one window: the second has the frames of the first before it.
+    assert [len(trial.warm_up) for trial in data.trials.with_warm_up(4)] == [0, 3] * 3
 
 
 def test_a_mirrored_turned_film_has_the_orientations_of_its_frames(tmp_path: Path, chart: Path) -> None:

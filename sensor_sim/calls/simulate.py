@@ -25,6 +25,8 @@ def simulate(
     contrast: Sequence[float] = (),
     out: Path | str,
     trials: int = 40,
+    motion_mrad_per_s: float | None = None,
+    warm_up_frames: int = 0,
     rng: Rng = 1,
     frame_format: FrameFormat = "exr",
     allow_clipping: bool = False,
@@ -56,6 +58,12 @@ def simulate(
         Folder to make, new or empty.
     trials : int
         Frames of each size and level.
+    motion_mrad_per_s : float, optional
+        Make each trial a clip of as many frames as the eye integrates in 100 ms (`frames_integrated`), each with
+        the noise of a single frame, in which the triangle moves this fast in the scene, in a random direction.
+        Default: a trial is one frame, their mean.
+    warm_up_frames : int
+        Frames of the same clip before each trial, which are not judged; above 0, trials are clips too.
     rng : int, SeedSequence or Generator
         Seed of all random draws.
     frame_format : {"exr", "png"}
@@ -86,7 +94,7 @@ def simulate(
     tell : function of a text, optional
         Called with a remark if an earlier call has finished some of the frames.
     progress : function of an int, optional
-        Called with the number of frames that were just done.
+        Called with the number of trials that were just done.
 
     Returns
     -------
@@ -113,7 +121,7 @@ def simulate(
     """
     seed = seed_of(rng)
     from sensor_sim.chain.dataset import write_dataset
-    from sensor_sim.chain.simulation import plan_trials
+    from sensor_sim.chain.simulation import Filming, plan_trials
     from todframes.base.output import Going, new_folder, store_path
     from todframes.jobs.engine import open_engine
     from todframes.jobs.store import Store
@@ -125,6 +133,9 @@ def simulate(
         expected = getattr(argument, sensor.level)
         raise SettingsError(f"{sensor.level}: the sensor {why}; expected levels as {expected} and no others")
     sizes = [float(one) for one in size_detectors]
+    filming = None
+    if motion_mrad_per_s is not None or warm_up_frames:
+        filming = Filming(0.0 if motion_mrad_per_s is None else float(motion_mrad_per_s), warm_up_frames).checked()
     planned = plan_trials(sizes, [float(one) for one in levels], trials, sensor.level)
     scenery = None
     if background is not None:
@@ -133,6 +144,11 @@ def simulate(
 
         if stages:
             raise SettingsError(f"{argument.stages}: found it with {argument.background}, expected one of the two")
+        if filming is not None:
+            raise SettingsError(
+                f"{argument.motion_mrad_per_s}, {argument.warm_up_frames}: found clips with {argument.background}, "
+                "expected one of the two"
+            )
         notes: list[str] = []
         scenery = Scenery.opened(
             sensor,
@@ -166,6 +182,7 @@ def simulate(
             frame_format=frame_format,
             allow_clipping=allow_clipping,
             scenery=scenery,
+            filming=filming,
             engine=engine,
             store=store,
             progress=progress,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -16,7 +16,14 @@ from sensor_sim.chain.detector_noise import sample_parts
 from sensor_sim.chain.photons import contrast_variance
 from sensor_sim.chain.scenery import Scenery
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.chain.simulation import SimulatedFrame, SimulatedTrial, Simulator
+from sensor_sim.chain.simulation import (
+    Filming,
+    SimulatedFrame,
+    SimulatedTrial,
+    Simulator,
+    of_single_frames,
+    single_frame_level,
+)
 from todframes import __version__
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError, SettingsError
@@ -89,6 +96,8 @@ class SimulationWork:
         Luminance of code value 1.
     scenery : Scenery or None
         Scenes behind the triangles.
+    filming : Filming or None
+        The frames of clips; None: each trial is one frame.
     """
 
     folder: Path
@@ -97,29 +106,49 @@ class SimulationWork:
     frame_format: FrameFormat
     white_cd_m2: float
     scenery: Scenery | None = None
+    filming: Filming | None = None
     items_at_once = 1
 
     def function(self) -> Callable[[list[SimulatedTrial]], WrittenFrames]:
         """Return the function that writes the frames of some trials."""
-        simulator_of = lru_cache(maxsize=4)(partial(Simulator, self.sensor, seed=self.seed, scenery=self.scenery))
+        simulator_of = lru_cache(maxsize=4)(
+            partial(Simulator, self.sensor, seed=self.seed, scenery=self.scenery, filming=self.filming)
+        )
 
         def write(trials: list[SimulatedTrial]) -> WrittenFrames:
             rows, clipped, n_pixels = [], 0, 0
-            frames = simulator_of(trials[0].size_detectors).frames(trials)
+            simulator = simulator_of(trials[0].size_detectors)
+            frames: Iterator[tuple[SimulatedTrial, int | None, SimulatedFrame]]
+            if self.filming is None:
+                frames = (
+                    (trial, None, frame) for trial, frame in zip(trials, simulator.frames(trials), strict=True)
+                )
+            else:
+                frames = ((trial, n, frame) for trial in trials for n, frame in enumerate(simulator.clip(trial)))
             with held(self.folder) as folder:
-                for trial, frame in zip(trials, frames, strict=True):
+                for trial, number, frame in frames:
                     code = frame.luminance_cd_m2 / self.white_cd_m2
                     if self.frame_format == "png":
                         clipped += int(np.count_nonzero((code < 0.0) | (code > 1.0)))
                         n_pixels += code.size
                         code = np.clip(code, 0.0, 1.0)
-                    rows.append(self._written(folder, trial, frame, code))
+                    rows.append(self._written(folder, trial, number, frame, code))
             return WrittenFrames(rows, clipped, n_pixels)
 
         return write
 
-    def _written(self, folder: Path, trial: SimulatedTrial, frame: SimulatedFrame, code: FloatArray) -> list[str]:
-        name = "frames/s{}_n{}_{}_{}.{}".format(*trial.key[:2], trial.orientation, trial.key[2], self.frame_format)
+    def _written(
+        self, folder: Path, trial: SimulatedTrial, number: int | None, frame: SimulatedFrame, code: FloatArray
+    ) -> list[str]:
+        """Write a frame, of a clip if it has a number there; return its row of the manifest."""
+        name_of_trial = "s{}_n{}_{}_{}".format(*trial.key[:2], trial.orientation, trial.key[2])
+        of_clip = []
+        if number is not None:
+            assert self.filming is not None
+            is_judged = number >= self.filming.warm_up_frames
+            time_s = self.filming.times_s(self.sensor)[number]
+            of_clip = [name_of_trial if is_judged else "", name_of_trial, f"{time_s:.6f}", str(int(is_judged))]
+        name = f"frames/{name_of_trial}{'' if number is None else f'_{number:03d}'}.{self.frame_format}"
         write_frame(folder / name, code, attributes=provenance(self.sensor, self.seed, trial))
         size_mrad = trial.size_detectors * self.sensor.display.detector_pitch_mrad
         numbers = [repr(size_mrad), repr(trial.size_detectors), repr(trial.level)]
@@ -127,7 +156,7 @@ class SimulationWork:
         scene: tuple[str, ...] = ()
         if self.scenery is not None and trial.background is not None:
             scene = self.scenery.view(trial.size_detectors, trial.background, trial.turn)
-        return [name, trial.orientation.value, *numbers, *place, *scene, frame_sha256(folder / name)]
+        return [name, trial.orientation.value, *numbers, *place, *of_clip, *scene, frame_sha256(folder / name)]
 
     def lost(self, item: list[SimulatedTrial]) -> DataError:
         """Return the error about trials whose process died with them."""
@@ -138,7 +167,8 @@ class SimulationWork:
     def key(self, item: list[SimulatedTrial], *, is_done: bool) -> bytes:  # noqa: ARG002
         """Return the key of frames: it stands for the sensor, the trials and the format."""
         trials = [tuple(trial) for trial in item]
-        return fingerprint(self.sensor, self.seed, self.frame_format, self.white_cd_m2, self.scenery, trials)
+        filmed = self.scenery, self.filming
+        return fingerprint(self.sensor, self.seed, self.frame_format, self.white_cd_m2, filmed, trials)
 
     def stamp(self, item: list[SimulatedTrial]) -> None:
         """Return None: no file is read."""
@@ -169,6 +199,7 @@ def write_dataset(
     frame_format: FrameFormat = "exr",
     allow_clipping: bool = False,
     scenery: Scenery | None = None,
+    filming: Filming | None = None,
     engine: Engine | None = None,
     store: Store | None = None,
     progress: Callable[[int], None] | None = None,
@@ -184,6 +215,8 @@ def write_dataset(
         Whether more than 1 % of the pixels of a PNG dataset may be clipped.
     scenery : Scenery, optional
         Scenes behind the triangles. Default: an even background.
+    filming : Filming, optional
+        Write each trial as a clip of frames. Default: as one frame.
     engine : Engine, optional
         Default: this thread. The bytes written do not depend on it.
     store : Store, optional
@@ -197,7 +230,10 @@ def write_dataset(
         If a frame cannot be written.
     """
     (folder / "frames").mkdir(exist_ok=store is not None)
-    white = white_luminance_cd_m2(sensor, [trial.level for trial in trials]) if frame_format == "png" else 1.0
+    levels, displayed = {trial.level for trial in trials}, sensor
+    if filming is not None:
+        levels, displayed = {single_frame_level(sensor, level) for level in levels}, of_single_frames(sensor)
+    white = white_luminance_cd_m2(displayed, sorted(levels)) if frame_format == "png" else 1.0
     if frame_format == "png" and scenery is not None:
         gain = sensor.display.gain if sensor.photons is not None else 1.0
         white += sensor.display.background_luminance_cd_m2 * gain * scenery.largest_contrast()
@@ -207,15 +243,16 @@ def write_dataset(
             tasks.append([])
         tasks[-1].append(trial)
     for size in {task[0].size_detectors for task in tasks}:
-        Simulator(sensor, size, seed=seed, scenery=scenery)  # refuses a size before anything is drawn
-    work = SimulationWork(folder.resolve(), sensor, seed, frame_format, white, scenery)
+        # Refuses a size before anything is drawn.
+        Simulator(sensor, size, seed=seed, scenery=scenery, filming=filming)
+    work = SimulationWork(folder.resolve(), sensor, seed, frame_format, white, scenery, filming)
     done: list[WrittenFrames | None] = [None] * len(tasks)
     for number, found in run_stored(work, tasks, engine=engine or LocalEngine(), store=store):
         if isinstance(found, Lost):
             raise found.error
         done[number] = found
         if progress is not None:
-            progress(len(found.rows))
+            progress(len(tasks[number]))
     written = [one for one in done if one is not None]
     n_pixels = sum(one.n_pixels for one in written)
     share = sum(one.n_clipped for one in written) / n_pixels if n_pixels else 0.0
@@ -228,6 +265,7 @@ def write_dataset(
     if store is not None:
         remove_others(folder, {row[0] for row in rows})
     columns = ["frame", "orientation", "size_mrad", "size_detectors", sensor.level, "x_px", "y_px"]
+    columns += [] if filming is None else ["trial", "clip", "time_s", "judged"]
     columns += [*(SCENE_COLUMNS if scenery is not None else ()), "sha256"]
     manifest = csv_text([columns, *rows], as_it_is=True)
     (folder / "manifest.csv").write_text(manifest, encoding="utf-8")

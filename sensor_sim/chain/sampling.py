@@ -318,15 +318,16 @@ def smallest_field(size_detectors: float) -> int:
     return math.ceil(4.0 / 3.0 * HEIGHT_PER_SIZE * size_detectors + 1.0)
 
 
-def field_sampler(sensor: Sensor, size_detectors: float) -> TriangleSampler:
-    """Return a sampler of the size `field_detectors`; the scene repeats after two fields, almost unseen.
+def field_sampler(sensor: Sensor, size_detectors: float, field: int | None = None) -> TriangleSampler:
+    """Return a sampler of a field, by default of the size `field_detectors`; the scene repeats after two fields,
+    almost unseen.
 
     Raises
     ------
     SettingsError
         If `TriangleSampler` refuses the optics or the field.
     """
-    field = field_detectors(sensor, size_detectors)
+    field = field_detectors(sensor, size_detectors) if field is None else field
     return TriangleSampler(
         optics=sensor.optics,
         detector=sensor.detector,

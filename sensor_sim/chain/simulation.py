@@ -1,23 +1,25 @@
-"""Simulation of trials as they are displayed.
+"""Simulation of trials as they are displayed: a frame that stands for the eye's mean, or a clip of frames.
 
 Hogervorst et al. 2001, sections 3 and 5.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from sensor_sim.chain.detector_noise import displayed_noise, unit_fixed_pattern
+from sensor_sim.chain.detector_noise import displayed_noise, k_factor, unit_fixed_pattern
 from sensor_sim.chain.photons import PhotonCamera
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal, luminance_cd_m2
-from sensor_sim.chain.sampling import field_detectors, field_sampler
+from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, field_detectors, field_sampler
 from sensor_sim.chain.sensor import Sensor
 from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 if TYPE_CHECKING:
@@ -31,6 +33,69 @@ MOST_SCENES_HELD = 64
 
 LARGEST_SIDE_PX = 11_585
 """Largest side of square frames of two bytes a pixel that `todframes` reads: they take 256 MB."""
+
+
+INTEGRATION_TIME_S = 0.1
+"""Time over which the eye averages the integrated frames of a sensor."""
+
+FASTEST_MRAD_PER_S, MOST_WARM_UP_FRAMES = 1e6, 10_000
+"""Largest motion and number of frames of warm-up of a clip."""
+
+
+class Filming(NamedTuple):
+    """The frames of a clip: the triangle's motion in the scene, and the frames that come before the trial.
+
+    A trial has as many frames as the eye integrates, evenly in `INTEGRATION_TIME_S`.
+    """
+
+    motion_mrad_per_s: float = 0.0
+    warm_up_frames: int = 0
+
+    def checked(self) -> Filming:
+        """Return itself; raise SettingsError if a value is out of range."""
+        if not 0.0 <= self.motion_mrad_per_s <= FASTEST_MRAD_PER_S:
+            raise SettingsError(
+                f"{argument.motion_mrad_per_s}: found {self.motion_mrad_per_s:g}, expected 0 to "
+                f"{FASTEST_MRAD_PER_S:g} mrad/s"
+            )
+        if not 0 <= self.warm_up_frames <= MOST_WARM_UP_FRAMES:
+            raise SettingsError(
+                f"{argument.warm_up_frames}: found {self.warm_up_frames!r}, expected a whole number from 0 to "
+                f"{MOST_WARM_UP_FRAMES}"
+            )
+        return self
+
+    def times_s(self, sensor: Sensor) -> FloatArray:
+        """Return the time of each frame, the first at 0."""
+        n_judged = frames_integrated(sensor)
+        return np.asarray(
+            np.arange(self.warm_up_frames + n_judged, dtype=np.float64) * INTEGRATION_TIME_S / n_judged
+        )
+
+    def travel_detectors(self, sensor: Sensor) -> FloatArray:
+        """Return the triangle's way in each frame from its mean place in the trial, in detectors."""
+        times_s = self.times_s(sensor)
+        from_middle = times_s - times_s[self.warm_up_frames :].mean()
+        return np.asarray(from_middle * self.motion_mrad_per_s / sensor.detector.pitch_mrad)
+
+
+def frames_integrated(sensor: Sensor) -> int:
+    """Return the number of frames that the eye averages."""
+    return sensor.noise.frames_integrated if sensor.photons is None else sensor.photons.frames_integrated
+
+
+def of_single_frames(sensor: Sensor) -> Sensor:
+    """Return a sensor whose displayed sample is one frame, not the mean of those that the eye integrates."""
+    if sensor.photons is not None:
+        return replace(sensor, photons=replace(sensor.photons, frames_integrated=1))
+    return replace(sensor, noise=replace(sensor.noise, frames_integrated=1))
+
+
+def single_frame_level(sensor: Sensor, level: float) -> float:
+    """Return the level of the single frames whose mean has a given level; only an SNR differs."""
+    if sensor.photons is not None:
+        return level
+    return level * k_factor(of_single_frames(sensor).noise) / k_factor(sensor.noise)
 
 
 class SimulatedTrial(NamedTuple):
@@ -112,21 +177,41 @@ class Simulator:
     seed : int
     scenery : Scenery or None
         Scenes behind the triangles; None: an even background.
+    filming : Filming or None
+        The frames of clips; None: a trial is one frame, as the eye averages it.
 
     Raises
     ------
     SettingsError
-        If the optics pass too little or too much for the field, or its frame has more pixels than may be read.
+        If the optics pass too little or too much for the field, its frame has more pixels than may be read, or the
+        triangle moves too far.
     """
 
     def __init__(
-        self, sensor: Sensor, size_detectors: float, *, seed: int, scenery: Scenery | None = None
+        self,
+        sensor: Sensor,
+        size_detectors: float,
+        *,
+        seed: int,
+        scenery: Scenery | None = None,
+        filming: Filming | None = None,
     ) -> None:
         self.sensor = sensor
         self.size_detectors, self.scenery = size_detectors, scenery
         self._scene = lru_cache(maxsize=MOST_SCENES_HELD)(self._scene_signal)
         self.seed = seed
+        self.filming = filming
         self.field = field_detectors(sensor, size_detectors)
+        if filming is not None:
+            farthest = float(np.abs(filming.travel_detectors(sensor)).max())
+            if self.field + 2.0 * farthest > MAX_FIELD_DETECTORS:
+                most = (MAX_FIELD_DETECTORS - self.field) / 2.0
+                raise SettingsError(
+                    f"{argument.motion_mrad_per_s}: moves the triangle by {farthest:.4g} detectors from its mean "
+                    f"place, expected at most {most:g} for {size_detectors:g} detectors; take a slower motion or "
+                    "fewer frames before the trial"
+                )
+            self.field += 2 * math.ceil(farthest)
         per_detector = sensor.display.pixels_per_detector
         side = self.field * per_detector
         if side > LARGEST_SIDE_PX:
@@ -134,10 +219,14 @@ class Simulator:
                 f"pixels_per_detector: found {per_detector}, for a triangle of {size_detectors:g} detectors a "
                 f"frame of {side} × {side} pixels, expected at most {LARGEST_SIDE_PX} × {LARGEST_SIDE_PX}"
             )
-        self.sampler = field_sampler(sensor, size_detectors)
+        self.sampler = field_sampler(sensor, size_detectors, self.field)
         self.matrix = axis_matrix(self.field, display=sensor.display, electronics=sensor.electronics)
         pattern_seed = np.random.SeedSequence(seed, spawn_key=(PATTERN_STREAM,))
-        self.camera = PhotonCamera(sensor, self.field, seed=pattern_seed) if sensor.photons is not None else None
+        displayed = sensor if filming is None else of_single_frames(sensor)
+        self.camera = (
+            PhotonCamera(displayed, self.field, seed=pattern_seed) if sensor.photons is not None else None
+        )
+        self.noise = displayed.noise
         self.pattern = unit_fixed_pattern((self.field,) * 2, noise=sensor.noise, seed=pattern_seed)
 
     def frames(self, trials: Sequence[SimulatedTrial]) -> Iterator[SimulatedFrame]:
@@ -148,15 +237,45 @@ class Simulator:
             luminance = luminance_cd_m2(display_signal(samples, self.matrix), display=display)
             yield SimulatedFrame(luminance, x_px, y_px)
 
+    def clip(self, trial: SimulatedTrial) -> list[SimulatedFrame]:
+        """Return the frames of a trial's clip as displayed: those of warm-up, then those of the trial.
+
+        The triangle moves evenly in a random direction. Its mean place in the trial is that of a single frame.
+        """
+        assert self.filming is not None
+        display, rng = self.sensor.display, self._rng(trial)
+        middle = rng.uniform(-0.5, 0.5, 2)
+        angle = rng.uniform(0.0, 2.0 * math.pi)
+        travel = self.filming.travel_detectors(self.sensor)
+        places = middle + travel[:, None] * (math.cos(angle), math.sin(angle))
+        level, found = single_frame_level(self.sensor, trial.level), []
+        for x, y in places.tolist():
+            (sample,) = self.sampler.samples(x, y, orientation=trial.orientation)
+            if self.camera is not None:
+                sample *= level
+            self._add_noise(sample, level, rng)
+            x_px, y_px = (display_position_px(at, n_detectors=self.field, display=display) for at in (x, y))
+            luminance = luminance_cd_m2(display_signal(sample, self.matrix), display=display)
+            found.append(SimulatedFrame(luminance, x_px, y_px))
+        return found
+
+    def _rng(self, trial: SimulatedTrial) -> np.random.Generator:
+        """Return the random stream of a trial."""
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(TRIAL_STREAMS, *trial.key)))
+
+    def _add_noise(self, sample: FloatArray, level: float, rng: np.random.Generator) -> None:
+        """Add the noise to samples: signals, or contrasts for a camera that counts photons."""
+        if self.camera is not None:
+            sample[:] = self.camera.contrast(sample, rng)
+        else:
+            sample += displayed_noise(self.pattern, total_sd=1.0 / level, noise=self.noise, rng=rng)
+
     def samples(self, trials: Sequence[SimulatedTrial], *, noise: bool = True) -> tuple[FloatArray, FloatArray]:
         """Return the triangles' random places on the detectors, (trial, 2), and samples, (trial, field, field).
 
         Samples are in units of a large triangle's signal; for a camera that counts photons they are contrasts.
         """
-        rngs = [
-            np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(TRIAL_STREAMS, *trial.key)))
-            for trial in trials
-        ]
+        rngs = [self._rng(trial) for trial in trials]
         places = np.array([rng.uniform(-0.5, 0.5, 2) for rng in rngs])
         if self.scenery is not None:
             places = np.array([self._scene(one.background, one.turn)[0] for one in trials])
@@ -170,13 +289,8 @@ class Simulator:
                 sample *= trial.level
             if self.scenery is not None:
                 sample += self._scene(trial.background, trial.turn)[1]
-            if self.camera is not None:
-                if noise:
-                    sample[:] = self.camera.contrast(sample, rng)
-            elif noise:
-                sample += displayed_noise(
-                    self.pattern, total_sd=1.0 / trial.level, noise=self.sensor.noise, rng=rng
-                )
+            if noise:
+                self._add_noise(sample, trial.level, rng)
         return places, samples
 
     def _scene_signal(self, background: int, turn: str) -> tuple[tuple[float, float], FloatArray]:

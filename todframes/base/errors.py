@@ -22,11 +22,13 @@ _FLAGS = {
     "luminance_cd_m2": "--luminance",
     "dither": "--no-dither",
     "time_limit_s": "--time-limit",
+    "motion_mrad_per_s": "--motion",
     "patches": "--patch",
     "pattern": "--from",
     "rng": "--seed",
     "search_time_s": "--search-time",
     "value_range": "--range",
+    "warm_up_frames": "--warm-up",
 }
 """Options of the command line whose names are not those of the arguments."""
 _is_command: ContextVar[bool] = ContextVar("is_command", default=False)

@@ -31,7 +31,10 @@ def validate(*, dataset: Location, add_sha256: bool, max_frame_mb: int, strict: 
     from todframes.report.wording import count
 
     data = tod.load_dataset(dataset, max_frame_mb=max_frame_mb)
-    n_missing = sum(frame.sha256 is None for trial in data.trials for frame in trial.frames) if add_sha256 else 0
+    n_missing = 0
+    if add_sha256:
+        n_missing = sum(frame.sha256 is None for trial in data.trials for frame in trial.frames)
+        n_missing += sum(frame.sha256 is None for frame in data.trials.unjudged_frames())
     problems = ProblemLines()
     with progress("checking", len(data.trials)) as advance:
         result = tod.validate(data, add_sha256=add_sha256, problem=problems.add, progress=advance)
@@ -43,10 +46,12 @@ def validate(*, dataset: Location, add_sha256: bool, max_frame_mb: int, strict: 
     if problems.count:
         raise DataError(f"{dataset}: {count(problems.count, 'problem')} found")
     if not as_json:
-        n_frames = data.trials.n_frames
+        n_frames = data.n_frames
         warnings = len(result.warnings)
         verdict = f"all readable; {count(warnings, 'warning')}" if warnings else "all good"
-        echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, {verdict}")
+        n_others = data.trials.n_unjudged_frames
+        others = f" and {count(n_others, 'other')} in their clips" if n_others else ""
+        echo(f"{dataset}: {n_frames - n_others} frames in {len(data.trials)} trials{others}, {verdict}")
         if add_sha256:
             echo(
                 f"{dataset / 'manifest.csv'}: sha256 of {n_missing} frames added; {n_frames - n_missing} had one, "

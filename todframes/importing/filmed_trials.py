@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from todframes.importing.clips import Clip, ClipFrame, Integration, Placed, Rectangle
 from todframes.importing.spool import Spool
-from todframes.importing.windows import RecordedWindow, WrittenWindow, narrowed, suffix
+from todframes.importing.windows import MARGIN_PX, RecordedWindow, WrittenWindow, narrowed, suffix
 from todframes.recordings.recording import CodeRange
 from todframes.stimulus import Orientation
 
@@ -73,15 +75,18 @@ class Corrections:
 class ImportedTrial:
     """Frames of one triangle that the observer integrates, with its places in the windows.
 
-    `window` and `start_px` are the window and the triangle's place in the first frame. `written` are the windows
-    of its frames as written, once the trial is over.
+    `window` and `start_px` are the window and the triangle's place in the first frame, `last_window` is that of
+    the last one. `written` are the windows of its frames as written, once the trial is over. `run` is the name of
+    the run of frames without a gap, of one triangle in one window, that the trial is from.
     """
 
     name: str
     clip: int
+    run: str
     stimulus: TriangleDescription
     orientation: Orientation
     window: Rectangle
+    last_window: Rectangle
     start_px: tuple[float, float]
     frames: list[str] = field(default_factory=list)
     sources: list[str] = field(default_factory=list)
@@ -115,6 +120,11 @@ def _followed(trial: ImportedTrial, placed: Placed) -> Rectangle:
     right, down = round(placed.x_px - trial.start_px[0]), round(placed.y_px - trial.start_px[1])
     top, bottom, left, far = trial.window
     return top + down, bottom + down, left + right, far + right
+
+
+def _is_near(window: Rectangle, other: Rectangle) -> bool:
+    """Return whether two windows differ by a pixel at most, as for a triangle that lies between two pixels."""
+    return max(abs(one - two) for one, two in zip(window, other, strict=True)) < MARGIN_PX
 
 
 def merged_sizes(sizes: Sequence[float]) -> list[float]:
@@ -169,6 +179,8 @@ class TrialDivision:
         self._steady = steady
         # By triangle; None for one that was lost before the end of the present trial.
         self._open: dict[int, ImportedTrial | None] = {}
+        # By triangle; the whole trial that ended with the frame before.
+        self._before: dict[int, ImportedTrial] = {}
 
     def windows(
         self, frames: Iterable[tuple[Clip, ClipFrame]], scale: CodeRange, frame_s: float | None
@@ -180,11 +192,13 @@ class TrialDivision:
         for now, frame in frames:
             if clip is not now:
                 self._end(clip, integration.is_whole)
+                self._before = {}
                 integration.begin_clip()
                 clip, number = now, 0
             elif self._open and (end := integration.ends_before(frame.time_s)) is not None:
                 self._end(clip, end.is_whole)
                 clip.n_gaps += end.is_gap
+                self._before = {} if end.is_gap else self._before
             is_first = not any(self._open.values())
             number += is_first
             integration.add(frame.time_s, first=is_first)
@@ -202,12 +216,20 @@ class TrialDivision:
         if placed is None:
             return None
         which = f"_{index + 1}" if len(frame.triangles) > 1 else ""
+        before = self._before.get(index)
+        window = placed.window
+        if before is not None and _is_near(before.last_window, window):
+            run, window = before.run, before.last_window
+        else:
+            run = f"clip_{clip.number:04d}{which}" + (f"_from_trial_{number:02d}" if number > 1 else "")
         return ImportedTrial(
             name=f"clip_{clip.number:04d}/trial_{number:02d}{which}",
             clip=clip.number,
+            run=run,
             stimulus=self._described(frame.page, index),
             orientation=placed.orientation,
-            window=placed.window,
+            window=window,
+            last_window=window,
             start_px=(placed.x_px or 0.0, placed.y_px or 0.0),
         )
 
@@ -225,6 +247,7 @@ class TrialDivision:
             self._discard(index)
             return
         name = f"frames/{trial.name}_{len(trial.frames)}{suffix(scale, values.dtype)}"
+        trial.last_window = window
         trial.frames.append(name)
         trial.sources.append(frame.source)
         trial.times_s.append(frame.time_s)
@@ -236,10 +259,12 @@ class TrialDivision:
 
     def _end(self, clip: Clip | None, is_whole: bool) -> None:
         """End the present trials; keep them if they are whole."""
+        self._before = {}
         for index, trial in self._open.items():
             if trial is not None and clip is not None and is_whole:
                 trial.written = [self.written.pop(name) for name in trial.frames]
                 self.trials.append(trial)
+                self._before[index] = trial
                 clip.n_trials += 1
             else:
                 self._discard(index)
@@ -267,7 +292,14 @@ class TrialDivision:
     ) -> Iterator[dict[str, object]]:
         """Yield the rows of the manifest, given corrections and columns of each clip."""
         sizes_px = merged_sizes([float(np.mean(trial.sizes_px)) for trial in self.corrected(corrections)])
+        last_s: dict[str, float] = {}
         for trial, size_px in zip(self.corrected(corrections), sizes_px, strict=True):
+            # Times that are not known, or that a camera writes to the second, make no clip.
+            times_s = [last_s.get(trial.run, -math.inf)] + [
+                math.nan if one is None else round(one, 6) for one in trial.times_s
+            ]
+            has_clip = all(one < other for one, other in pairwise(times_s))
+            last_s[trial.run] = times_s[-1] if has_clip else math.inf
             size_mrad = size_px * pitch_mrad
             x, y = (f"{at:.4f}" for at in np.mean(trial.places_px, axis=0)) if trial.places_px else ("", "")
             of_frames = zip(trial.frames, trial.sources, trial.times_s, trial.written, strict=True)
@@ -282,6 +314,7 @@ class TrialDivision:
                     "y_px": y,
                     "trial": trial.name,
                     "sha256": written.sha256,
+                    "clip": trial.run if has_clip else "",
                     "time_s": "" if time_s is None else f"{time_s:.6f}",
                     "source": source,
                 }
