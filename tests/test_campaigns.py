@@ -81,6 +81,13 @@ def test_triangles_on_scenes(part: str, n: int, end: str) -> None:
     assert end in process.stdout
 
 
+def test_clips() -> None:
+    process = subprocess.run(
+        [sys.executable, RUN.with_name("clips.py"), "12"], capture_output=True, text=True, check=False
+    )
+    assert (process.returncode, process.stdout.splitlines()[-1]) == (0, "12 cases, 0 faults"), process.stdout
+
+
 def test_servers() -> None:
     assert "3 cases, 0 faults" in campaign("servers", "--only", "moved on the same")
 

@@ -18,6 +18,8 @@ import todframes as tod
 from sensor_sim.chain.simulation import Filming, Simulator, plan_trials
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement.algorithm import algorithm, enhancement_names, find_enhancement
+from todframes.enhancement.compare import compare_dataset
+from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, frame_sha256, write_frame
 from todframes.frames.memory import memory_dataset
@@ -525,3 +527,31 @@ def test_workers_and_an_own_clip_algorithm(tmp_path: Path) -> None:
     for one, other in zip(alone, two, strict=True):
         assert one.fits[0].threshold == other.fits[0].threshold
         assert one.verdict == other.verdict
+
+
+def test_brightening_of_a_clip_is_not_its_noise() -> None:
+    """A background that is a number follows what the algorithm does to brightness, not the noise of a border."""
+
+    @algorithm(clip=True, warm_up_frames=1)
+    def brighter(frames, *, judged):
+        return 1.5 * frames[judged]
+
+    rng, shape = np.random.default_rng(2), triangle("up", (SIDE_PX - 1) / 2)
+    clips = [
+        ("up", c, [c * shape + 0.5 * rng.standard_normal(shape.shape) for _ in range(3)]) for c in (0.1, 0.3, 1.0)
+    ]
+    data = clip_dataset(clips, 2)
+    algorithms = [find_enhancement(one) for one in ("none", brighter, "temporal_mean:before=1")]
+    reader, observer = TrialReader(algorithms, AlgorithmDisplay(DISPLAY)), PyramidObserver()
+    for trial in data.trials.with_warm_up(1):
+        plain, bright, mean = reader(data, trial, observer, observer.grid(trial.stimulus))
+        for one, other in zip(plain.patches, bright.patches, strict=True):
+            assert np.allclose(one.values, other.values, rtol=0.0, atol=1e-5)  # 32-bit values
+        assert mean.background_luminance_cd_m2 == pytest.approx(50.0, rel=1e-6)
+
+
+def test_a_gap_before_a_trial(tmp_path: Path) -> None:
+    rows = [row(n, judged=int(n == 5)) for n in (0, 1, 2, 3, 5)]
+    data = load_dataset(manifest(tmp_path, rows))
+    with pytest.raises(FrameError, match=r"5\.exr: comes 0\.2 s after the frame before it .* expected 0\.1 s"):
+        compare_dataset(data, PyramidObserver(), [find_enhancement("temporal_mean:before=3")])

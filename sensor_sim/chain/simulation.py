@@ -34,7 +34,6 @@ MOST_SCENES_HELD = 64
 LARGEST_SIDE_PX = 11_585
 """Largest side of square frames of two bytes a pixel that `todframes` reads: they take 256 MB."""
 
-
 INTEGRATION_TIME_S = 0.1
 """Time over which the eye averages the integrated frames of a sensor."""
 

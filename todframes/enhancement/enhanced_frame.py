@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
@@ -87,7 +87,8 @@ class EnhancedImage:
 
     `values` are code values, shape (rows, columns, channels), or luminance in cd/m², (rows, columns). There are
     `magnification` pixels for one of the frame along each axis. `n_clipped` is the number of values beyond the
-    display's range; `cpu_s` is the algorithm's own processor time in seconds.
+    display's range; `cpu_s` is the algorithm's own processor time in seconds. `brightening` is the factor by which
+    an algorithm of clips changes the border's luminance; None: that of this picture.
     """
 
     screen: AlgorithmDisplay
@@ -95,6 +96,7 @@ class EnhancedImage:
     magnification: float = 1.0
     n_clipped: int = 0
     cpu_s: float = 0.0
+    brightening: float | None = None
 
     def luminance(self) -> FloatArray:
         """Compute the luminance in cd/m², shape (rows, columns)."""
@@ -294,10 +296,15 @@ class DecodedFrame:
         """Compute the factor by which an algorithm changes the border's luminance, and so a given background."""
         if picture is self.original:
             return 1.0
-        before = self._border_luminance
-        if not before > 0.0:
-            raise DataError(f"the frame's border has a luminance of {before:g} cd/m², expected > 0")
-        return picture.border_luminance() / before
+        if picture.brightening is not None:
+            return picture.brightening
+        return picture.border_luminance() / _positive_border(self._border_luminance)
+
+
+def _positive_border(luminance_cd_m2: float) -> float:
+    if not luminance_cd_m2 > 0.0:
+        raise DataError(f"the frame's border has a luminance of {luminance_cd_m2:g} cd/m², expected > 0")
+    return luminance_cd_m2
 
 
 def _luminance(display: Display, values: NDArray[np.floating]) -> FloatArray:
@@ -486,17 +493,34 @@ class TrialReader:
                     np.broadcast_to(one if one.ndim == 3 else one[..., None], (*one.shape[:2], 3))
                     for one in images
                 ]
-            indices = np.arange(algorithm.warm_up_frames, len(images))
             path = dataset.frame_path(trial.frames[0])
             try:
-                after, cpu_s = algorithm.run_clip(np.stack(images), indices, frame_rate_hz)
-                found[algorithm.spec] = [
-                    one.shown(image, cpu_s / len(judged), algorithm)
-                    for image, one in zip(after, judged, strict=True)
-                ]
+                found[algorithm.spec] = self._after_clip(np.stack(images), judged, algorithm, frame_rate_hz)
             except DataError as error:
                 raise FrameError(path, error.marked) from None
         return found
+
+    def _after_clip(
+        self, images: Image, judged: list[DecodedFrame], algorithm: Enhancement, frame_rate_hz: float | None
+    ) -> list[EnhancedImage]:
+        """Return the pictures of the judged frames, the last ones, after an algorithm of clips.
+
+        Noise differs from frame to frame, so the border of one before and after an algorithm does not say how much
+        brighter that makes it. A clip in which each frame is the mean of all does.
+        """
+        indices = np.arange(len(images) - len(judged), len(images))
+        after, cpu_s = algorithm.run_clip(images, indices, frame_rate_hz)
+        brightening: list[float | None] = [None] * len(judged)
+        rule = self.screen.display.background_luminance_cd_m2
+        if rule == "column" or not isinstance(rule, str):
+            mean = images.mean(axis=0)
+            still, _ = algorithm.run_clip(np.stack([mean] * len(images)), indices, frame_rate_hz)
+            before = _positive_border(judged[0].shown(mean, 0.0, algorithm).border_luminance())
+            brightening = [judged[0].shown(one, 0.0, algorithm).border_luminance() / before for one in still]
+        return [
+            replace(one.shown(image, cpu_s / len(judged), algorithm), brightening=factor)
+            for one, image, factor in zip(judged, after, brightening, strict=True)
+        ]
 
     def _measured(self, dataset: Dataset, frame: FrameReference, picture: EnhancedImage) -> FrameMeasurements:
         path = dataset.reference_path(frame)
@@ -517,11 +541,24 @@ class TrialReader:
             raise FrameError(path, error.marked) from None
 
 
+LONGEST_INTERVAL = 1.5
+"""Interval between frames of a clip, in the median of those taken together, from which frames are missing."""
+
+
 def check_warm_up_there(dataset: Dataset, trial: Trial, algorithms: Sequence[Enhancement]) -> None:
-    """Raise FrameError if a trial has fewer frames of warm-up than an algorithm needs."""
+    """Raise FrameError if a trial has fewer frames of warm-up than an algorithm needs, or one is missing."""
     needy = max(algorithms, key=lambda one: one.warm_up_frames)
     needed, found, clip = needy.warm_up_frames, len(trial.warm_up), trial.frames[0].clip
     if found >= needed:
+        references = (*trial.warm_up[found - needed :], *trial.frames)
+        intervals_s = np.diff([frame.time_s for frame in references if frame.time_s is not None])
+        if len(intervals_s) and intervals_s.max() > LONGEST_INTERVAL * (usual_s := float(np.median(intervals_s))):
+            after = references[int(np.argmax(intervals_s)) + 1]
+            raise FrameError(
+                dataset.frame_path(after),
+                f"comes {intervals_s.max():.4g} s after the frame before it in clip {clip!r}, expected "
+                f"{usual_s:.4g} s as between the others that {needy.spec} takes: frames are missing",
+            )
         return
     if clip is None:
         why = "the manifest names no clip of it; expected the columns clip and time_s"
