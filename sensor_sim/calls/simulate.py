@@ -146,7 +146,7 @@ def simulate(
             raise SettingsError(f"{argument.stages}: found it with {argument.background}, expected one of the two")
         if filming is not None:
             raise SettingsError(
-                f"{argument.motion_mrad_per_s}, {argument.warm_up_frames}: found clips with {argument.background}, "
+                f"{argument.motion_mrad_per_s}, {argument.warm_up_frames}: found with {argument.background}, "
                 "expected one of the two"
             )
         notes: list[str] = []
