@@ -438,7 +438,7 @@ def test_a_simulated_clip_moves_and_has_the_noise_of_its_frames() -> None:
     k = 1.0 / np.hypot(1.0 / np.sqrt(6.0), 0.4)
     assert np.sqrt(signal.var(axis=(0, 1), ddof=1).mean()) == pytest.approx(k, rel=0.01)
     assert np.sqrt(mean.var(axis=0, ddof=1).mean()) == pytest.approx(k / np.sqrt(6.0), rel=0.03)
-    assert np.allclose(pattern, 0.4 * k * simulator.pattern, rtol=0.0, atol=6.0 * k / np.sqrt(6 * 30))
+    assert np.allclose(pattern, 0.4 * k * simulator.pattern.own, rtol=0.0, atol=6.0 * k / np.sqrt(6 * 30))
 
 
 def test_a_simulated_clip_is_a_dataset(tmp_path: Path) -> None:
