@@ -1,4 +1,4 @@
-"""Computation of exact detector samples of triangles.
+"""Computation of exact detector samples of triangles and of four bars.
 
 A sample is the scene after the optics, averaged over the detector's active area; a uniform scene of 1 gives 1.
 A diffraction-limited transfer function ends at its cut-off, so the samples are a finite sum: closed-form
@@ -6,7 +6,7 @@ spectrum × pre-sample MTF at the multiples of 1/period, folded onto the detecto
 and nothing is cut, and a new place of the triangle is one phase factor per frequency.
 
 That sum is the scene repeated with the period. The far tails of the neighbours are an error for a single
-triangle, which falls with the cube of the period.
+pattern, which falls with the cube of the period.
 `sensor_sim.thresholds.curve_plan` measures what it does to P(correct), which is part of the error of a threshold.
 
 The samples of one period, times pitch², sum to the triangle's area **at every place** if the detectors are
@@ -24,6 +24,7 @@ import copy
 import math
 from collections.abc import Hashable
 from functools import partial
+from typing import NotRequired, Self, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,6 +40,7 @@ from sensor_sim.chain.transfer import (
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_positive
+from todframes.four_bars import FourBars
 from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, spectrum
 
 MAX_FREQUENCIES = 2**22
@@ -57,24 +59,33 @@ FIELD_SIZES, FIELD_MARGIN_DETECTORS, MAX_FIELD_DETECTORS = 4.0, 4, 1024
 """Side of a trial's field in sizes of the triangle, detectors added to it, and largest side in detectors."""
 
 
-class TriangleSampler:
-    """Detector samples of triangles of one size, at any place and orientation.
+class SamplerChain(TypedDict):
+    """Chain before a sampler, by the names of `PatternSampler`."""
 
-    The spectrum is computed once, for the upright triangle. Where detectors, optics and motion look the same after
-    a quarter turn, the other orientations are turned samples, bit for bit. Otherwise the optics are turned back
-    under the upright triangle, whose samples are then turned.
+    optics: Optics | None
+    detector: Detector
+    period_detectors: NotRequired[int | None]
+    motion: NotRequired[Motion | None]
+
+
+class PatternSampler:
+    """Detector samples of one pattern, at any place and orientation; a subclass says which.
+
+    The spectrum is computed once, for the upright pattern, which is its own mirror image from left to right. Where
+    detectors, optics and motion look the same after a quarter turn, the other orientations are turned samples, bit
+    for bit. Otherwise the optics are turned back under the upright pattern, whose samples are then turned.
 
     If the sum would take more than `MAX_FREQUENCIES` terms, the optics are sharp against the detector: they
-    are left out, and the samples are the exact area of the triangle on each detector. `neglected_bound` bounds
+    are left out, and the samples are the exact area of the pattern on each detector. `neglected_bound` bounds
     the change.
 
     Parameters
     ----------
+    pattern : hashable
+        All that tells the pattern from others of its class.
     optics : Optics or None
         Optics, or None to leave them out.
     detector : Detector
-    size_detectors : float
-        √(area) of the triangle, > 0.
     field_detectors : int
         Detectors along each side of the square field.
     period_detectors : int or None
@@ -92,29 +103,23 @@ class TriangleSampler:
     Raises
     ------
     SettingsError
-        If a value is out of range, the triangle, displaced by half a detector, reaches beyond the field,
-        or the optics pass less than one cycle per period.
+        If the period is less than the field, or the optics pass less than one cycle per period.
     """
 
     def __init__(
         self,
+        pattern: Hashable,
         *,
         optics: Optics | None,
         detector: Detector,
-        size_detectors: float,
         field_detectors: int,
         period_detectors: int | None = None,
         motion: Motion | None = None,
     ) -> None:
         period = field_detectors if period_detectors is None else period_detectors
-        check_positive("size_detectors", size_detectors)
-        smallest = smallest_field(size_detectors)
-        if field_detectors < smallest:
-            needed = f"at least {smallest} for a triangle of size {size_detectors:g} detectors"
-            raise SettingsError(f"field_detectors: found {field_detectors}, expected {needed}")
         if period < field_detectors:
             raise SettingsError(f"period_detectors: found {period}, expected at least {field_detectors}")
-        self._size = size_detectors
+        self._pattern = pattern
         self._field = self._whole_field = field_detectors
         self.period = period
         self._optics, self._detector, self._motion = optics, detector, motion
@@ -144,7 +149,16 @@ class TriangleSampler:
     @property
     def key(self) -> Hashable:
         """Everything that the samples depend on."""
-        return self._optics, self._detector, self._motion, self._size, self._whole_field, self._field, self.period
+        seen_by = self._optics, self._detector, self._motion
+        return (*seen_by, self._pattern, self._whole_field, self._field, self.period)
+
+    def _spectrum(self, frequency_x: FloatArray, frequency_y: FloatArray) -> ComplexArray:
+        """Compute the Fourier transform of the upright pattern, at frequencies in cycles per detector."""
+        raise NotImplementedError
+
+    def _covered_area(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Compute the mean of each active area over an upright pattern: (places, field, field)."""
+        raise NotImplementedError
 
     @property
     def nbytes(self) -> int:
@@ -154,7 +168,7 @@ class TriangleSampler:
     def _prepare_spectrum(self, optics: Optics, detector: Detector, last: float) -> None:
         """Compute the spectrum up to `last` cycles per period: [folded x][replica in y, folded y][replica in x].
 
-        Real samples need folded x frequencies from 0 to half of the period only. The upright triangle is its own
+        Real samples need folded x frequencies from 0 to half of the period only. The upright pattern is its own
         mirror image, and its spectrum at −f is conjugate to that at f, so a quarter of the plane is computed.
         """
         self._is_circular = looks_the_same_when_turned(optics, self._motion)
@@ -170,7 +184,7 @@ class TriangleSampler:
                 transfer = pre_sample_mtf(
                     fx / pitch, fy / pitch, optics=optics, detector=detector, motion=self._motion
                 ).real
-            quarter[k_y, k_x] = transfer * spectrum(fx, fy, size=self._size, orientation=Orientation.UP)
+            quarter[k_y, k_x] = transfer * self._spectrum(fx, fy)
         n_y = math.floor((last + half) / period)
         self._folded_x = np.arange(half + 1)
         self._folded_y = np.fft.ifftshift(np.arange(period) - half)
@@ -183,7 +197,7 @@ class TriangleSampler:
         self._frequencies = k_x / period, k_y / period
 
     def _seen(self, quarter_turns: int) -> ComplexArray:
-        """Return the spectrum of the upright triangle behind optics that are turned back by some quarter turns."""
+        """Return the spectrum of the upright pattern behind optics that are turned back by some quarter turns."""
         unfolded: ComplexArray = self._unfolded
         if self._is_circular:
             return unfolded
@@ -196,7 +210,7 @@ class TriangleSampler:
             self._turned[quarter_turns] = np.asarray(unfolded * transfer, dtype=np.complex128)
         return self._turned[quarter_turns]
 
-    def within(self, field_detectors: int) -> TriangleSampler:
+    def within(self, field_detectors: int) -> Self:
         """Return a sampler of a smaller field with the same middle; its samples are the same.
 
         Raises
@@ -212,7 +226,7 @@ class TriangleSampler:
         return narrow
 
     def samples(self, x_detectors: ArrayLike, y_detectors: ArrayLike, *, orientation: Orientation) -> FloatArray:
-        """Compute the samples of triangles whose centroids are at these places.
+        """Compute the samples of patterns at these places.
 
         Parameters
         ----------
@@ -234,7 +248,7 @@ class TriangleSampler:
         return np.rot90(upright, -orientation.quarter_turns, axes=(1, 2))
 
     def _band_limited(self, seen: ComplexArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Sum the waves of upright triangles at these places: (places, field, field).
+        """Sum the waves of upright patterns at these places: (places, field, field).
 
         Places are counted from the field's first detector, so that all replicas of a frequency are alike there.
         The field is a part of the period: products of matrices take less time than a fast Fourier transform.
@@ -264,6 +278,38 @@ class TriangleSampler:
             self._waves[field] = on_rows, weight * on_columns
         return self._waves[field]
 
+
+class TriangleSampler(PatternSampler):
+    """Detector samples of triangles of one size, at any place and orientation.
+
+    Parameters
+    ----------
+    size_detectors : float
+        √(area) of the triangle, > 0.
+    field_detectors : int
+        Detectors along each side of the square field.
+    **chain
+        The other parameters of `PatternSampler`.
+
+    Raises
+    ------
+    SettingsError
+        If the size is not a positive number, the triangle, displaced by half a detector, reaches beyond the field,
+        or `PatternSampler` refuses the chain.
+    """
+
+    def __init__(self, *, size_detectors: float, field_detectors: int, **chain: Unpack[SamplerChain]) -> None:
+        check_positive("size_detectors", size_detectors)
+        smallest = smallest_field(size_detectors)
+        if field_detectors < smallest:
+            needed = f"at least {smallest} for a triangle of size {size_detectors:g} detectors"
+            raise SettingsError(f"field_detectors: found {field_detectors}, expected {needed}")
+        self._size = size_detectors
+        super().__init__(size_detectors, field_detectors=field_detectors, **chain)
+
+    def _spectrum(self, frequency_x: FloatArray, frequency_y: FloatArray) -> ComplexArray:
+        return spectrum(frequency_x, frequency_y, size=self._size, orientation=Orientation.UP)
+
     def _covered_area(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Compute the share of each active area that an upright triangle covers, exactly: (places, field, field).
 
@@ -286,10 +332,40 @@ class TriangleSampler:
         return np.asarray(covered / self._width**2)
 
 
-def field_detectors(sensor: Sensor, size_detectors: float) -> int:
-    """Return the number of detectors along each side of a triangle's field: four sizes and a margin.
+class FourBarSampler(PatternSampler):
+    """Detector samples of four bars, upright in the orientations UP and DOWN, at any place.
 
-    The observer looks at about as much of the display.
+    Parameters
+    ----------
+    bars : FourBars
+        Its widths are in detectors.
+    **chain
+        Parameters of `PatternSampler`.
+
+    Raises
+    ------
+    SettingsError
+        If `PatternSampler` refuses the chain.
+    """
+
+    def __init__(self, bars: FourBars, *, field_detectors: int, **chain: Unpack[SamplerChain]) -> None:
+        self._bars = bars
+        super().__init__(bars, field_detectors=field_detectors, **chain)
+
+    def _spectrum(self, frequency_x: FloatArray, frequency_y: FloatArray) -> ComplexArray:
+        return self._bars.spectrum(frequency_x, frequency_y)
+
+    def _covered_area(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        place = np.arange(self._field) - (self._field - 1) / 2.0
+        along_x, _ = self._bars.profiles(place - x[:, None], self._width)
+        _, along_y = self._bars.profiles(place - y[:, None], self._width)
+        return np.asarray(along_y[:, :, None] * along_x[:, None, :])
+
+
+def field_detectors(sensor: Sensor, size_detectors: float, sizes: float = FIELD_SIZES) -> int:
+    """Return the number of detectors along each side of a pattern's field: four sizes and a margin, or `sizes`.
+
+    The observer looks at about four sizes of a triangle.
 
     Raises
     ------
@@ -298,13 +374,11 @@ def field_detectors(sensor: Sensor, size_detectors: float) -> int:
     """
     check_positive("size_detectors", size_detectors)
     blur = 3.0 * blur_mrad(sensor.optics, sensor.motion) / sensor.detector.pitch_mrad
-    field = FIELD_SIZES * size_detectors + 2.0 * blur + FIELD_MARGIN_DETECTORS
+    field = sizes * size_detectors + 2.0 * blur + FIELD_MARGIN_DETECTORS
     if field > MAX_FIELD_DETECTORS:
         room = MAX_FIELD_DETECTORS - FIELD_MARGIN_DETECTORS
-        if (of_blur := room - FIELD_SIZES * size_detectors) <= 0.0:
-            raise SettingsError(
-                f"size_detectors: found {size_detectors:g}, expected at most {room / FIELD_SIZES:g}"
-            )
+        if (of_blur := room - sizes * size_detectors) <= 0.0:
+            raise SettingsError(f"size_detectors: found {size_detectors:g}, expected at most {room / sizes:g}")
         raise SettingsError(
             f"optics.blur_sigma_mrad: found {sensor.optics.blur_sigma_mrad:g}, expected at most "
             f"{of_blur / 6.0 * sensor.detector.pitch_mrad:.4g} with detectors {sensor.detector.pitch_mrad:g} mrad "

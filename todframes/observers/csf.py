@@ -21,7 +21,7 @@ from msgspec import Meta
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
-from todframes.observers.interface import ObserverWithSettings, OmittedWeights, Readout
+from todframes.observers.interface import Detection, ObserverWithSettings, OmittedWeights, Readout
 from todframes.observers.internal_noise import Bands, inner_product, summed_covariance, summed_variance
 from todframes.observers.laplacian_pyramid import framed
 from todframes.observers.light import LEAST_CD_M2, MODELFEST_CD_M2, MOST_CD_M2, sensitivity_ratio
@@ -384,10 +384,26 @@ class CsfObserver(ObserverWithSettings):
         self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator | None = None
     ) -> FloatArray:
         """Compute the four scores by their definition, with noise on every sample if `rng` is given: (4,)."""
-        (seen,) = self.activity(contrast)
-        if rng is not None:
-            seen = seen + rng.normal(0.0, self.settings.noise_sd, seen.shape)
+        seen = self._noisy_activity(contrast, rng)
         return np.array([inner_product(expected, seen) for (expected,) in self.templates(stimulus)])
+
+    def _noisy_activity(self, contrast: FloatArray, rng: np.random.Generator | None) -> FloatArray:
+        (seen,) = self.activity(contrast)
+        return seen if rng is None else seen + rng.normal(0.0, self.settings.noise_sd, seen.shape)
+
+    def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection:
+        """Fold the observer of a pattern, (2n + 1, 2n + 1), onto so many samples beside the middle one."""
+        half = self.grid(Stimulus(width_mrad)).side // 2
+        weights = self.template_of(self.activity(framed(pattern, half)))
+        variance = self.settings.noise_sd**2 * inner_product(*weights, *weights)
+        return Detection(framed(self._fold(weights), half_width), variance)
+
+    def literal_score(
+        self, contrast: FloatArray, pattern: FloatArray, rng: np.random.Generator | None = None
+    ) -> float:
+        """Compute the inner product with a pattern's template, with noise on every sample if `rng` is given."""
+        (weights,) = self.template_of(self.activity(framed(pattern, len(contrast) // 2)))
+        return inner_product(weights, self._noisy_activity(contrast, rng))
 
     def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
         """Answer with the largest score, ties at random."""

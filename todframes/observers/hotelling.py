@@ -94,6 +94,7 @@ class HotellingObserver(PyramidObserver):
 
     settings_type: ClassVar[type[HotellingSettings]] = HotellingSettings
     settings: HotellingSettings
+    detection = None  # type: ignore[assignment] # its neurons are weighted for triangles
 
     def presample_mtf(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
         """Return the transfer of optics and detectors at frequencies in cycles/mrad, broadcast together."""

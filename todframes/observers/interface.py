@@ -320,6 +320,44 @@ class TruncatedObserver(Protocol):
         """Estimate what the readout omits; None if it omits nothing."""
 
 
+class Detection(NamedTuple):
+    """A linear observer of one pattern that is there or not: the score is an inner product with the retina image.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (side, side)
+        Weights of the retina samples; the middle one lies on the pattern's middle.
+    noise_variance : float
+        Variance of the internal noise on the score.
+    """
+
+    weights: FloatArray
+    noise_variance: float
+
+
+@runtime_checkable
+class PatternObserver(Protocol):
+    """Optional protocol of observers that know any pattern beforehand, as they know their triangles."""
+
+    def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection:
+        """Fold the observer of a pattern onto the middle of its retina.
+
+        Parameters
+        ----------
+        pattern : ndarray, shape (2n + 1, 2n + 1)
+            Contrast of the pattern on the retina's middle; beyond it there is nothing.
+        width_mrad : float
+            Visual angle of the pattern: the observer looks at a field as for a triangle of this √area.
+        half_width : int
+            Samples on each side of the retina's middle one that are asked for.
+        """
+
+    def literal_score(
+        self, contrast: FloatArray, pattern: FloatArray, rng: np.random.Generator | None = None
+    ) -> float:
+        """Compute the score of a retina image by its definition, with noise on every neuron if `rng` is given."""
+
+
 PYRAMID_LEVELS = "pyramid levels"
 """Name of what most truncated observers omit."""
 

@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.observers.gabor_pyramid import GaborPyramid, Phases
-from todframes.observers.interface import OmittedWeights
+from todframes.observers.interface import Detection, OmittedWeights
 from todframes.observers.internal_noise import Bands
 from todframes.observers.laplacian_pyramid import framed
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
@@ -164,6 +164,22 @@ class OrientedObserver(PyramidObserver):
 
     def _readout_deviation(self, stimulus: Stimulus, dtype: DTypeLike) -> Bands:
         return tuple(band.astype(dtype) for band in self._template_deviation(stimulus))
+
+    def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection:
+        """Fold the observer of a pattern as `PyramidObserver` does.
+
+        Raises
+        ------
+        SettingsError
+            If its cells are complex: it is not linear.
+        """
+        if self.settings.complex_cells:
+            raise SettingsError("complex_cells: found true, which is not linear; expected false for bars")
+        return super().detection(pattern, width_mrad, half_width)
+
+    def _expected_middle(self, image: FloatArray, side: int, dtype: DTypeLike) -> Bands:
+        expected = self._expected(framed(image, side // 2))
+        return tuple(band.astype(dtype) for band in expected)
 
     def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid, half_width: int | None = None) -> FloatArray:
         weights = [self.settings.band_gain**k * band for k, band in enumerate(bands)]

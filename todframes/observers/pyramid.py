@@ -23,7 +23,7 @@ from numpy.typing import DTypeLike, NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
-from todframes.observers.interface import ObserverWithSettings, OmittedWeights, Readout
+from todframes.observers.interface import Detection, ObserverWithSettings, OmittedWeights, Readout
 from todframes.observers.internal_noise import (
     Bands,
     inner_product,
@@ -31,7 +31,7 @@ from todframes.observers.internal_noise import (
     summed_noise,
     summed_variance,
 )
-from todframes.observers.laplacian_pyramid import BORDER, LaplacianPyramid, even_half
+from todframes.observers.laplacian_pyramid import BORDER, LaplacianPyramid, even_half, framed
 from todframes.observers.retina import RetinaGrid, gaussian_blur, mean_of_turns
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, Stimulus, coverage, vertices
 
@@ -350,9 +350,28 @@ class PyramidObserver(ObserverWithSettings):
         )
         reach = float(np.abs(corners).max()) + 8.0 * settings.template_blur_samples + 2.0 + BORDER
         image = self._upright(stimulus, even_half(min(reach, side // 2)))
-        blurred = gaussian_blur(image - mean_of_turns(image), settings.template_blur_samples)
-        bands = self._pyramid(side).build_middle(blurred.astype(dtype), side // 2)
-        return self._as_activity(bands)
+        return self._expected_middle(image - mean_of_turns(image), side, dtype)
+
+    def _expected_middle(self, image: FloatArray, side: int, dtype: DTypeLike) -> Bands:
+        """Compute the expected activity for the middle of an image, each band where it is not zero."""
+        blurred = gaussian_blur(image, self.settings.template_blur_samples)
+        return self._as_activity(self._pyramid(side).build_middle(blurred.astype(dtype), side // 2))
+
+    def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection:
+        """Fold the observer of a pattern, (2n + 1, 2n + 1), onto so many samples beside the middle one."""
+        grid = self.grid(Stimulus(width_mrad))
+        around = 8.0 * self.settings.template_blur_samples + 2.0 + BORDER
+        half = even_half(min(len(pattern) // 2 + around, grid.side // 2))
+        expected = self._expected_middle(framed(pattern, half), grid.side, np.float64)
+        variance = self.settings.noise_sd**2 * sum(map(inner_product, expected, expected))
+        return Detection(self._fold(expected, grid, half_width), variance)
+
+    def literal_score(
+        self, contrast: FloatArray, pattern: FloatArray, rng: np.random.Generator | None = None
+    ) -> float:
+        """Compute the inner product with a pattern's template, with noise on every neuron if `rng` is given."""
+        activity = self._noisy_activity(contrast, rng)
+        return sum(map(inner_product, self._expected(framed(pattern, len(contrast) // 2)), activity))
 
     def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid, half_width: int | None = None) -> FloatArray:
         """Compute the weights on the retina, or its middle, of weights of neurons: the adjoint of `activity`.
@@ -378,16 +397,20 @@ class PyramidObserver(ObserverWithSettings):
         self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator | None = None
     ) -> FloatArray:
         """Compute the four scores as the paper does, with noise on every neuron if `rng` is given: (4,)."""
-        activity = self.activity(contrast)
-        if rng is not None:
-            half_width = self.settings.noise_sd * math.sqrt(3.0)
-            activity = tuple(band + rng.uniform(-half_width, half_width, band.shape) for band in activity)
+        activity = self._noisy_activity(contrast, rng)
         return np.array(
             [
                 sum(inner_product(expected, band) for expected, band in zip(template, activity, strict=True))
                 for template in self.templates(stimulus)
             ]
         )
+
+    def _noisy_activity(self, contrast: FloatArray, rng: np.random.Generator | None) -> Bands:
+        activity = self.activity(contrast)
+        if rng is None:
+            return activity
+        half_width = self.settings.noise_sd * math.sqrt(3.0)
+        return tuple(band + rng.uniform(-half_width, half_width, band.shape) for band in activity)
 
     def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
         """Answer with the largest score, ties at random."""

@@ -1,0 +1,371 @@
+"""Thresholds of four bars (MRTD, MRC) for the same sensor and model observer as the TOD, without drawing frames.
+
+Two displays show the same place, one with the bars and one without. The observer knows the bars: in each it
+correlates the activity of its neurons with that expected for the bars, and answers the display with the larger
+score. The score is one inner product with the detectors' samples, as those of the triangles are: folding, samples,
+the lattice of places and the noise are the same. P(correct) at a place is then Φ(signal / √(2 variance)).
+
+If the other display shows a uniform square with the mean of the bars, the bars have to be resolved. If it shows
+the background, their mean alone is enough, and the threshold has no limit of resolution.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from statistics import NormalDist
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from sensor_sim.chain.detector_noise import displayed_noise, unit_fixed_pattern
+from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal
+from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, FourBarSampler, field_detectors
+from sensor_sim.chain.sensor import Sensor
+from sensor_sim.thresholds.folding import Folding
+from sensor_sim.thresholds.predict import PLACES, STEP, Lattice
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
+from todframes.base.normal import normal_cdf
+from todframes.four_bars import WIDTHS, Against, FourBars
+from todframes.observers.interface import Observer, PatternObserver, TruncatedObserver
+from todframes.observers.retina import RetinaGrid, resample
+from todframes.psychometrics.replicates import REPLICATES, half_width_95
+from todframes.psychometrics.threshold_search import Status, crossing
+from todframes.stimulus import Orientation, Stimulus
+
+Direction = Literal["upright", "lying"]
+
+ORIENTATION: dict[Direction, Orientation] = {"upright": Orientation.UP, "lying": Orientation.RIGHT}
+"""Orientation of the samples: bars have no apex, so two of the four are all there are."""
+
+PATTERN_FIELD = 2.0
+"""Side of a trial's field in widths of the pattern; with twice that, thresholds change by less than 1e-6."""
+
+HIGHEST_CYC_PER_DETECTOR = 10.0
+"""Highest frequency of bars, in cycles per detector."""
+
+WEIGHTS_AT_ONCE = 2**20
+"""Number of weights on the detectors of several places that are multiplied with samples at once."""
+
+SEARCHED, REFINED = 12, 5
+"""Places along each axis of a detector among which the best is searched, and about it in each refinement."""
+
+REFINEMENTS = 4
+"""Number of refinements, each with half the distance of the one before."""
+
+MOST_EXCHANGES = 10
+"""Largest number of times that a place is exchanged for one that is better at its threshold."""
+
+
+class BarScores(NamedTuple):
+    """Scores of the bars at some places.
+
+    Attributes
+    ----------
+    signal : ndarray, any shape
+        Score that the bars cause, of amplitude 1.
+    noise : ndarray, the same shape
+        Variance of the score under detector noise of standard deviation 1.
+    """
+
+    signal: FloatArray
+    noise: FloatArray
+
+
+class BarThreshold(NamedTuple):
+    """Threshold SNR of the bars; `numerical_error` is the half-width of its 95 % interval. None without one."""
+
+    status: Status
+    snr: float | None = None
+    numerical_error: float | None = None
+
+
+class BarChain:
+    """A sensor and an observer of four bars, folded into weights on the detectors.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    observer : Observer
+        With the members of `PatternObserver`.
+    frequency_cyc_per_mrad : float
+        Frequency of the bars in the scene, > 0.
+    against : {"square", "background"}
+        Display from which the bars are told.
+    direction : {"upright", "lying"}
+
+    Raises
+    ------
+    SettingsError
+        If the observer judges triangles only, the sensor counts photons, or the frequency is out of range.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        observer: Observer,
+        frequency_cyc_per_mrad: float,
+        *,
+        against: Against = "square",
+        direction: Direction = "upright",
+    ) -> None:
+        if not isinstance(observer, PatternObserver):
+            raise SettingsError(
+                f"observer: {type(observer).__name__} judges triangles only, expected one that judges bars, "
+                "such as pyramid or csf"
+            )
+        if sensor.photons is not None:
+            raise SettingsError("sensor: found one that counts photons, expected one whose level is an SNR")
+        if against == "background" and isinstance(observer, TruncatedObserver):
+            # Levels enough for triangles, whose mean says nothing, lack up to 1 % of a threshold of the mean.
+            observer = observer.with_extra_level()
+        assert isinstance(observer, PatternObserver)
+        self.sensor, self.observer, self.direction = sensor, observer, direction
+        pitch = sensor.detector.pitch_mrad
+        _check_frequency(frequency_cyc_per_mrad, pitch)
+        self.bars = FourBars(0.5 / (frequency_cyc_per_mrad * pitch), against)
+        self.field = field_detectors(sensor, self.bars.side, PATTERN_FIELD)
+        self.sampler = self._sampler(self.bars)
+        shown = sensor.display.detector_pitch_mrad
+        width_mrad = self.bars.side * shown
+        try:
+            grid = observer.grid(Stimulus(width_mrad))
+        except SettingsError as error:
+            raise SettingsError(
+                f"frequency_cyc_per_mrad: found {frequency_cyc_per_mrad:g}, too low for the observer: the pattern "
+                f"is displayed {width_mrad:.4g} mrad wide ({error})"
+            ) from None
+        self.whole_retina = grid
+        half = math.ceil(width_mrad / 2.0 / grid.pitch_mrad) + 1
+        upright = FourBars(self.bars.bar_width * shown, against).image(half, grid.pitch_mrad)
+        self.pattern = upright if direction == "upright" else np.ascontiguousarray(upright.T)
+        self.jitter_detectors = observer.position_jitter_samples * grid.pitch_mrad / shown
+        reach = 0.5 + self.jitter_detectors
+        seen = min(math.ceil((self.field / 2.0 + reach) * shown / grid.pitch_mrad), grid.side // 2)
+        weights, self.noise_variance = observer.detection(self.pattern, width_mrad, seen)
+        self.folding = Folding(
+            sensor,
+            RetinaGrid(2 * seen + 1, grid.pitch_mrad),
+            weights[None],
+            n=1,
+            field=self.field,
+            reach_detectors=reach,
+        )
+
+    def _sampler(self, bars: FourBars) -> FourBarSampler:
+        return FourBarSampler(
+            bars,
+            optics=self.sensor.optics,
+            detector=self.sensor.detector,
+            field_detectors=self.field,
+            period_detectors=2 * self.field,
+            motion=self.sensor.motion,
+        )
+
+    def scores(self, x: FloatArray, y: FloatArray, displacement: FloatArray) -> BarScores:
+        """Compute the scores of bars with the retina's middle on a lattice.
+
+        Parameters
+        ----------
+        x, y : ndarray, shapes (columns,) and (rows,)
+            Places of the retina's middle, in detectors from the field's middle.
+        displacement : ndarray, shape (rows · columns, displacements, 2)
+            Displacements of the retina against the bars along x and y, in detectors, row after row.
+
+        Returns
+        -------
+        BarScores
+            Of shape (rows · columns, displacements).
+        """
+        rows = max(WEIGHTS_AT_ONCE // (len(x) * self.field**2), 1)
+        gain = self.sensor.display.gain
+        signal, noise = np.empty(displacement.shape[:2]), np.empty(displacement.shape[:2])
+        for start in range(0, len(y), rows):
+            some = y[start : start + rows]
+            weights = gain * self.folding.weights_by_row(x, some).reshape(-1, self.field**2)
+            part = slice(start * len(x), start * len(x) + len(weights))
+            at = np.stack(np.meshgrid(x, some), axis=-1).reshape(-1, 1, 2) - displacement[part]
+            samples = self.sampler.samples(*at.reshape(-1, 2).T, orientation=ORIENTATION[self.direction])
+            samples = samples.reshape(*at.shape[:2], -1)
+            signal[part] = (samples @ weights[..., None])[..., 0]
+            noise[part] = np.square(weights).sum(axis=-1)[:, None]
+        return BarScores(signal, noise)
+
+    def proportion(self, scores: BarScores, snr: float) -> FloatArray:
+        """Compute P(correct) of each place at an SNR; infinity means no detector noise."""
+        variance = self.noise_variance + scores.noise / snr**2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            deviations = scores.signal / np.sqrt(2.0 * variance)
+        return normal_cdf(np.where(np.isnan(deviations), 0.0, deviations))
+
+    def best(self, p_correct: float) -> BarThreshold:
+        """Compute the threshold where the bars lie best on the detectors, a mean over displacements of the retina.
+
+        The error is the change from the last refinement's neighbour, and from fewer displacements.
+        """
+        nodes = 2 + math.ceil(8.0 * self.jitter_detectors)
+        place = self._best_place(p_correct, nodes)
+        beside = place + 2.0**-REFINEMENTS / SEARCHED / 2.0
+        (status, snr), *others = (
+            self._at_places(self._on_places(at[:1], at[1:], n), p_correct)[:2]
+            for at, n in ((place, nodes + 6), (place, nodes + 4), (beside, nodes + 4))
+        )
+        if snr is None:
+            return BarThreshold(status)
+        return BarThreshold(status, snr, sum(abs(other - snr) for _, other in others if other is not None))
+
+    def _best_place(self, p_correct: float, nodes: int) -> FloatArray:
+        """Return the place on the detectors, (x, y), at which the bars have the lowest threshold."""
+        step = 1.0 / SEARCHED
+        x = y = (np.arange(float(SEARCHED)) + 0.5) * step - 0.5
+        best = np.zeros(2)
+        for _ in range(1 + REFINEMENTS):
+            row, column = divmod(self._at_places(self._on_places(x, y, nodes), p_correct)[2], len(x))
+            best = np.array([x[column], y[row]])
+            step /= 2.0
+            around = (np.arange(float(REFINED)) - REFINED // 2) * step
+            x, y = best[0] + around, best[1] + around
+        return best
+
+    def _on_places(self, x: FloatArray, y: FloatArray, nodes: int) -> tuple[BarScores, FloatArray]:
+        """Return the scores of bars on a lattice of places, and the weights of the retina's displacements.
+
+        The scores have shape (rows · columns, nodes²), the weights (nodes²,).
+        """
+        at, weight = np.polynomial.legendre.leggauss(nodes)
+        along = self.jitter_detectors * at
+        shape = (len(y), nodes, len(x), nodes)
+        displacement = np.empty((*shape, 2))
+        displacement[..., 0], displacement[..., 1] = along, along[:, None, None]
+        scores = self.scores(
+            (x[:, None] + along).ravel(), (y[:, None] + along).ravel(), displacement.reshape(-1, 1, 2)
+        )
+        by_place = (one.reshape(shape).transpose(0, 2, 1, 3).reshape(len(x) * len(y), -1) for one in scores)
+        return BarScores(*by_place), np.outer(weight, weight).ravel() / 4.0
+
+    def _at_places(
+        self, on_places: tuple[BarScores, FloatArray], p_correct: float
+    ) -> tuple[Status, float | None, int]:
+        """Return the lowest threshold of some places, and the number of its place."""
+        scores, weights = on_places
+        status: Status = "never_reached"
+        snr, best = None, int(np.argmax(self.proportion(scores, math.inf) @ weights))
+        for _ in range(MOST_EXCHANGES):
+            of_place = BarScores(scores.signal[best], scores.noise[best])
+
+            def at_level(level: float, one: BarScores = of_place) -> float:
+                return float(self.proportion(one, level) @ weights)
+
+            status, snr = crossing(at_level, p_correct, near=None, slope=math.nan)
+            better = int(np.argmax(self.proportion(scores, math.inf if snr is None else snr) @ weights))
+            if better == best:
+                break
+            best = better
+        return status, snr, best
+
+    def averaged(
+        self,
+        p_correct: float,
+        *,
+        tolerance: float = 2e-3,
+        seed: int = 1,
+        check: Callable[[], None] = lambda: None,
+    ) -> BarThreshold:
+        """Compute the threshold of P(correct) averaged over all places of the bars on the detectors.
+
+        Parameters
+        ----------
+        p_correct : float
+            Proportion correct at threshold, above 0.5.
+        tolerance : float
+            Relative half-width of the 95 % interval that ends the refinement.
+        seed : int
+            Seed of the lattices' shifts.
+        check : function of no arguments
+            Called for each lattice; it may raise an exception.
+        """
+        found = BarThreshold("never_reached")
+        for places in PLACES:
+            if math.gcd(places, self.sensor.display.pixels_per_detector) > 1:
+                continue
+            streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES)
+            parts = []
+            for stream in streams:
+                check()
+                rng = np.random.default_rng(stream)
+                lattice = Lattice.at(
+                    places, shift=rng.random(2), first=rng.random(2), jitter=self.jitter_detectors
+                )
+                parts.append(self.scores(lattice.x, lattice.y, lattice.displacement))
+            scores = BarScores(*(np.stack(one) for one in zip(*parts, strict=True)))
+            found = self._mean_threshold(scores, p_correct)
+            if found.snr is None or (found.numerical_error or 0.0) <= tolerance * found.snr:
+                break
+        return found
+
+    def _mean_threshold(self, scores: BarScores, p_correct: float) -> BarThreshold:
+        def of_each(snr: float) -> FloatArray:
+            return np.asarray(self.proportion(scores, snr).mean(axis=(1, 2)))
+
+        status, snr = crossing(lambda level: float(of_each(level).mean()), p_correct, near=None, slope=math.nan)
+        if snr is None:
+            return BarThreshold(status)
+        low, high = (of_each(snr * math.exp(way * STEP / 2.0)) for way in (-1.0, 1.0))
+        slope = max(float((high - low).mean()) / STEP, 1e-12)
+        return BarThreshold(status, snr, snr * half_width_95((low + high) / 2.0) / slope)
+
+    def literal_answer(self, snr: float, rng: np.random.Generator) -> bool:
+        """Answer one trial as the model is defined, with both displays drawn and noise on every neuron.
+
+        Returns
+        -------
+        bool
+            Whether the answer is correct.
+        """
+        place = rng.uniform(-0.5, 0.5, 2)
+        middle = place + rng.uniform(-1.0, 1.0, 2) * self.jitter_detectors
+        orientation = ORIENTATION[self.direction]
+        difference = self.sampler.samples(*place, orientation=orientation)[0]
+        bars = self._sampler(replace(self.bars, against="background")).samples(*place, orientation=orientation)[0]
+        first, second = (self.literal_score(one, middle, snr, rng) for one in (bars, bars - difference))
+        return first > second
+
+    def literal_score(
+        self, samples: FloatArray, middle: FloatArray, snr: float, rng: np.random.Generator | None = None
+    ) -> float:
+        """Compute the score of detector samples, (field, field), as displayed to a retina with this middle.
+
+        With `rng`, there is noise on every detector and every neuron.
+        """
+        sensor, shape = self.sensor, samples.shape
+        if rng is not None:
+            pattern = unit_fixed_pattern((shape[0], shape[1]), noise=sensor.noise, seed=int(rng.integers(2**63)))
+            samples = samples + displayed_noise(pattern, total_sd=1.0 / snr, noise=sensor.noise, rng=rng)
+        matrix = axis_matrix(self.field, display=sensor.display, electronics=sensor.electronics)
+        x_px, y_px = (display_position_px(at, n_detectors=self.field, display=sensor.display) for at in middle)
+        seen = resample(
+            sensor.display.gain * display_signal(samples, matrix),
+            self.whole_retina,
+            x_px=x_px,
+            y_px=y_px,
+            pixel_pitch_mrad=sensor.display.pixel_pitch_mrad,
+        )
+        return self.observer.literal_score(seen, self.pattern, rng)
+
+
+def d_prime(p_correct: float) -> float:
+    """Return d′ of a proportion correct among two displays: √2 Φ⁻¹(P)."""
+    return math.sqrt(2.0) * NormalDist().inv_cdf(p_correct)
+
+
+def _check_frequency(frequency_cyc_per_mrad: float, pitch_mrad: float) -> None:
+    """Raise SettingsError if the bars do not fit into the largest field, or are no bars."""
+    widest = (MAX_FIELD_DETECTORS / 2.0) / PATTERN_FIELD / WIDTHS
+    lowest, highest = 0.5 / widest / pitch_mrad, HIGHEST_CYC_PER_DETECTOR / pitch_mrad
+    if not lowest <= frequency_cyc_per_mrad <= highest:
+        raise SettingsError(
+            f"frequency_cyc_per_mrad: found {frequency_cyc_per_mrad:g}, expected a number from {lowest:.3g} to "
+            f"{highest:.3g}"
+        )
