@@ -1,5 +1,6 @@
 from .calls.curve import curve as curve
 from .calls.explore import explore as explore
+from .calls.mrtd import mrtd as mrtd
 from .calls.mtf import mtf as mtf
 from .calls.new_sensor import new_sensor as new_sensor
 from .calls.simulate import simulate as simulate
@@ -15,6 +16,9 @@ from .chain.sensor import Scene as Scene
 from .chain.sensor import Sensor as Sensor
 from .chain.sensor import SensorDisplay as SensorDisplay
 from .chain.sensor import load_sensor as load_sensor
+from .mrtd_report import BarsAt as BarsAt
+from .mrtd_report import SensorMrtd as SensorMrtd
+from .mrtd_report import Ttp as Ttp
 from .mtf_report import SensorMtf as SensorMtf
 from .sweeps.result import SweepResult as SweepResult
 from .thresholds.matched import matched_settings as matched_settings

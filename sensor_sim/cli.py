@@ -364,6 +364,97 @@ def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
 
 @cli.command()
 @sensor_argument
+@click.option(
+    "--frequency-nyquist",
+    "frequencies",
+    metavar="F[,F…]",
+    help="Frequencies of the bars in units of Nyquist.  [default: 0.3 to 1.4]",
+)
+@click.option(
+    "--size-detectors",
+    "sizes",
+    metavar="S[,S…]",
+    help="Sizes √(area) of the triangles in detector pitches.  [default: 3,4,5,6,8]",
+)
+@click.option(
+    "--against",
+    type=click.Choice(["square", "background"]),
+    default="square",
+    show_default=True,
+    help="Display without bars: a uniform square of their mean, or nothing.",
+)
+@click.option(
+    "--direction",
+    type=click.Choice(["upright", "lying"]),
+    default="upright",
+    show_default=True,
+    help="Of the bars.",
+)
+@click.option(
+    "--lloyd-snr", type=float, default=2.25, show_default=True, metavar="R", help="SNR in the literature's form."
+)
+@click.option(
+    "--ttp-delta-t-k", type=float, default=2.0, show_default=True, metavar="K", help="ΔT of the target of TTP."
+)
+@click.option(
+    "--ttp-width-deg", type=float, default=15.0, show_default=True, metavar="W", help="Its field at the eye."
+)
+@observer_options
+@tolerance_option(2e-3, "Relative error of the thresholds to reach.")
+@seed_option
+@click.option("-o", "--out", metavar="OUT", help="Folder for mrtd.csv, mrtd.png, result.json and other tables.")
+@json_option
+@quiet_option
+def mrtd(
+    *,
+    sensor: Path,
+    frequencies: str | None,
+    sizes: str | None,
+    out: str | None,
+    as_json: bool,
+    quiet: bool,
+    **asked: Any,
+) -> None:
+    """Compute the thresholds of four bars (MRTD) beside the TOD, with no frame drawn.
+
+    The model observer of the TOD judges them up to Nyquist and beyond: as a mean over the places of the bars on
+    the detectors, and at the best place. Beside it are the literature's form and TTP. `todframes range` reads
+    mrtd.csv.
+    """
+    observer, fit = make_observer(asked, fitted=False)
+    import sensor_sim as ss
+    from sensor_sim.calls.mrtd import FREQUENCIES_NYQUIST, SIZES_DETECTORS
+    from sensor_sim.chain.sensor import load_sensor
+
+    settings = load_sensor(sensor)
+    of_nyquist = FREQUENCIES_NYQUIST if frequencies is None else numbers(frequencies, "--frequency-nyquist")
+    triangles = SIZES_DETECTORS if sizes is None else numbers(sizes, "--size-detectors")
+    with staged(out) as place:
+        with progress("computing", len(of_nyquist) + len(triangles), quiet=quiet) as advance:
+            found = ss.mrtd(
+                settings,
+                frequency_nyquist=of_nyquist,
+                size_detectors=triangles,
+                observer=observer,
+                p_correct=fit.p_correct,
+                progress=advance,
+                **asked,
+            )
+        place.write(found.files)
+    if as_json:
+        click.echo(found.to_json(), nl=False)
+        return
+    print_table(found.table())
+    print_table(found.tod_table())
+    for sentence in found.sentences():
+        echo(*textwrap.wrap(sentence, terminal_width()))
+    echo(time_line())
+    if out is not None:
+        echo(f"written: {out}")
+
+
+@cli.command()
+@sensor_argument
 @aim_options
 @observer_options
 @launch_options

@@ -130,6 +130,7 @@ def test_files_of_other_packages_commands(tmp_path: Path) -> None:
     ss.curve(CAMERA, size_detectors=[4, 6], tolerance=0.1).save(tmp_path / "curve")
     vary = {"optics.aperture_mm": "110:220:3"}
     ss.sweep(CAMERA, size_detectors=[6], vary=vary, tolerance=0.1).save(tmp_path / "sweep")
+    ss.mrtd(CAMERA, frequency_nyquist=[1.2], size_detectors=[6], tolerance=0.1).save(tmp_path / "mrtd")
     for command, name in registered[ENTRY_POINT_GROUP].items():
         module, _, attribute = name.partition(":")
         written = {one.name for one in (tmp_path / command).iterdir()}

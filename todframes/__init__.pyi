@@ -41,6 +41,7 @@ from .observers.csf import CsfObserver as CsfObserver
 from .observers.decision import answer_probabilities as answer_probabilities
 from .observers.hotelling import HotellingObserver as HotellingObserver
 from .observers.hotelling import HotellingSettings as HotellingSettings
+from .observers.interface import Detection as Detection
 from .observers.interface import Observer as Observer
 from .observers.interface import OmittedWeights as OmittedWeights
 from .observers.interface import Readout as Readout

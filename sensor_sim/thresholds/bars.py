@@ -127,17 +127,17 @@ class BarChain:
         _check_frequency(frequency_cyc_per_mrad, pitch)
         self.bars = FourBars(0.5 / (frequency_cyc_per_mrad * pitch), against)
         self.field = field_detectors(sensor, self.bars.side, PATTERN_FIELD)
-        self.sampler = self._sampler(self.bars)
         shown = sensor.display.detector_pitch_mrad
         width_mrad = self.bars.side * shown
         try:
             grid = observer.grid(Stimulus(width_mrad))
-        except SettingsError as error:
+        except SettingsError:
             raise SettingsError(
-                f"frequency_cyc_per_mrad: found {frequency_cyc_per_mrad:g}, too low for the observer: the pattern "
-                f"is displayed {width_mrad:.4g} mrad wide ({error})"
+                f"frequency_cyc_per_mrad: found {frequency_cyc_per_mrad:g}, at which the bars are displayed "
+                f"{width_mrad:.4g} mrad wide, more than the observer looks at; expected a higher frequency"
             ) from None
         self.whole_retina = grid
+        self.sampler = self._sampler(self.bars)
         half = math.ceil(width_mrad / 2.0 / grid.pitch_mrad) + 1
         upright = FourBars(self.bars.bar_width * shown, against).image(half, grid.pitch_mrad)
         self.pattern = upright if direction == "upright" else np.ascontiguousarray(upright.T)

@@ -1,0 +1,123 @@
+"""TTP against published figures and closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from todframes.base.errors import SettingsError
+from todframes.field.ttp import (
+    TtpSettings,
+    at_the_eye,
+    channel,
+    contrast_threshold,
+    cycles_of_contrast,
+    eye_mtf,
+    noise_bandwidth,
+    noise_gain_root_hz,
+    pupil_mm,
+    task_probability,
+)
+
+
+def test_contrast_threshold_is_the_published_one():
+    # whale-ir-model (MITRE), evaluated apart at 34.26 cd/m², 15 degrees, two eyes; printed to four digits.
+    found = contrast_threshold([0.5, 1, 2, 4, 8, 16], luminance_cd_m2=34.26, width_deg=15.0)
+    expected = [0.006855, 0.003738, 0.002357, 0.002070, 0.003201, 0.009000]
+    assert found == pytest.approx(expected, abs=5.1e-7)
+    one = contrast_threshold(4.0, luminance_cd_m2=34.26, width_deg=15.0, settings=TtpSettings(eyes=1))
+    assert one / found[3] == pytest.approx(math.sqrt(2.0))
+
+
+def test_contrast_threshold_at_its_limits():
+    # A wide field and much light: √(2/2) / (540 f exp(−0.3 f) √(1 + 0.06 exp(0.3 f))).
+    f = 7.0
+    closed = 1.0 / (540.0 * f * math.exp(-0.3 * f) * math.sqrt(1.0 + 0.06 * math.exp(0.3 * f)))
+    assert contrast_threshold(f, luminance_cd_m2=1e9, width_deg=1e9) == pytest.approx(closed, rel=1e-6)
+    assert contrast_threshold(1e5, luminance_cd_m2=10.0, width_deg=5.0) == math.inf
+
+
+def test_disagreements_of_public_codes_are_settings():
+    at = {"luminance_cd_m2": 34.26, "width_deg": 15.0}
+    for changes, of_width in (
+        ({}, 15.0 * (1 + 1 / 3) ** 2),
+        ({"width_exponent": 2}, 15.0**2 * (1 + 1 / 3) ** 2),
+        ({"width_frequency_exponent": 1}, 15.0 * (1 + 1 / 3)),
+    ):
+        ratio = contrast_threshold(1.0, settings=TtpSettings(**changes), **at) / contrast_threshold(1.0, **at)
+        assert ratio == pytest.approx((1 + 12 / of_width) / (1 + 12 / (15.0 * (1 + 1 / 3) ** 2)))
+    with pytest.raises(SettingsError, match="eyes: found 3"):
+        TtpSettings(eyes=3)
+    with pytest.raises(SettingsError, match=r"v50_cycles\.detection: found -1\.0"):
+        TtpSettings(v50_cycles={"detection": -1.0})
+    assert TtpSettings().criteria == {"detection": 2.0, "recognition": 7.5, "identification": 13.0}
+    assert TtpSettings(v50_cycles={"identification": 14.8}).criteria == {"identification": 14.8}
+
+
+@pytest.mark.parametrize(("log", "octaves"), [("natural", 1.6), ("decimal", 3.7)])
+def test_channels_are_as_wide_as_the_codes_make_them(log, octaves):
+    settings = TtpSettings(channel_log=log)
+    f = 2.0 ** np.linspace(-4.0, 4.0, 8001)
+    above = np.flatnonzero(channel(3.0 * f, 3.0, settings=settings) >= 0.5)
+    assert math.log2(f[above[-1]] / f[above[0]]) == pytest.approx(octaves, abs=0.05)  # one decimal is printed
+
+
+def test_probability_is_the_published_one():
+    assert task_probability([0.5, 1.0, 2.0, 3.0]) == pytest.approx([0.2612, 0.5, 0.7388, 0.8386], abs=5e-5)
+    assert task_probability([0.0, 1e300]) == pytest.approx([0.0, 1.0], abs=1e-300)
+    rising = task_probability([1.0, 2.0], settings=TtpSettings(exponent="rising"))
+    assert rising == pytest.approx([0.5, 2**1.99 / (1 + 2**1.99)])
+
+
+def test_integral_of_an_exponential_threshold_is_its_closed_form():
+    # ∫ √(C / c e^(bf)) df from 0 to ln(C/c)/b is √(C/c) · 2/b · (1 − √(c/C)).
+    c, b, contrast = 0.01, 0.7, 0.3
+    closed = 2.0 / b * (math.sqrt(contrast / c) - 1.0)
+    f = np.linspace(0.0, 20.0, 7)
+    assert cycles_of_contrast(f, c * np.exp(b * f), contrast) == pytest.approx(closed, rel=1e-12)
+    # Beyond the last frequency that passes anything, and with a threshold that falls before it rises.
+    ends = np.where(f > 15.0, np.inf, c * np.exp(b * f))
+    assert cycles_of_contrast(f, ends, contrast) == pytest.approx(closed, rel=1e-12)
+    both = cycles_of_contrast(np.linspace(-20.0, 20.0, 13), c * np.exp(b * np.abs(np.linspace(-20, 20, 13))), 0.3)
+    assert both == pytest.approx(2.0 * closed, rel=1e-12)
+    assert cycles_of_contrast(f, np.full(7, 0.5), 0.3) == 0.0
+    assert cycles_of_contrast(f, np.full(7, 0.3 / 4.0), 0.3) == pytest.approx(40.0)
+
+
+def test_noise_bandwidth_of_a_channel_is_its_closed_form():
+    # ∫ exp(−4.4 ln²(f′/f)) df′ = f √(π/4.4) exp(1/17.6).
+    f = np.geomspace(1e-3, 1e3, 6001)
+    along_x, along_y = noise_bandwidth(f, np.ones_like(f))
+    assert along_x[3000] == pytest.approx(2.0 * math.sqrt(math.pi / 4.4) * math.exp(1.0 / 17.6), rel=1e-5)
+    assert along_y == pytest.approx(2.0 * (1e3 - 1e-3), rel=1e-5)
+
+
+def test_eye_is_that_of_the_code():
+    # whale-ir-model: the pupil at 20 fL is 2.928 mm; evaluated by hand.
+    assert pupil_mm(20.0 * 3.426) == pytest.approx(-9.011 + 13.23 * math.exp(-math.log10(20.0) / 21.082) - 0.5)
+    assert eye_mtf(0.0, luminance_cd_m2=34.26) == 1.0
+    falls = eye_mtf(np.linspace(0.0, 2.0, 20), luminance_cd_m2=34.26)
+    assert (np.diff(falls) < 0.0).all()
+    low, high = (noise_gain_root_hz(one) for one in (0.01, 1e5))
+    assert low < noise_gain_root_hz(34.26) < high <= math.sqrt(2.0 * 240.0**2 * 3.538)
+    with pytest.raises(SettingsError, match="luminance_cd_m2: found 1e-60, at which the pupil would have"):
+        pupil_mm(1e-60)
+
+
+def test_a_degree_at_the_eye_is_smaller_in_the_scene_of_a_magnifying_display():
+    # 1 cycle/mrad in the scene, magnified 5 times, is 0.2 cycles/mrad: 0.2 · π / 0.18 cycles/deg.
+    assert at_the_eye(1.0, 5.0) == pytest.approx(0.2 * math.pi / 0.18)
+
+
+def test_integral_of_the_eye_alone_is_the_numerical_one():
+    f = np.geomspace(0.02, 60.0, 4000)
+    found = cycles_of_contrast(f, contrast_threshold(f, luminance_cd_m2=34.26, width_deg=15.0), 0.2)
+
+    def integrand(one):
+        root = math.sqrt(0.2 / float(contrast_threshold(one, luminance_cd_m2=34.26, width_deg=15.0)))
+        return root if root > 1.0 else 0.0
+
+    assert found == pytest.approx(quad(integrand, 0.02, 60.0, limit=300, points=[40.0])[0], rel=1e-4)

@@ -1,0 +1,233 @@
+"""Targeting task performance: the eye's contrast threshold, that of a system, and what a target gives of it.
+
+A system shows a target at contrast C. V = size / range · ∫ √(C / CTF_sys(f)) df over the frequencies at which the
+contrast is above the threshold, in cycles, and P = r^E / (1 + r^E) of observers do the task, r = V / V50.
+
+Public codes disagree in some of the constants; each disagreement is a setting of `TtpSettings`.
+
+Barten 2003, Proc. SPIE 5294, 231. Vollmerhausen, Jacobs & Driggers 2004, Opt. Eng. 43, 2806, as far as the codes
+whale-ir-model (MITRE, Apache-2.0) and MORTICIA have it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
+from todframes.base.reading import check_positive, check_values
+from todframes.field.threshold_curve import CYC_PER_MRAD_IN_CYC_PER_DEG
+
+V50_CYCLES = {"detection": 2.0, "recognition": 7.5, "identification": 13.0}
+"""V at which half of the observers do a task, in cycles (whale-ir-model); 14.8 for identification elsewhere."""
+
+FOOTLAMBERT_CD_M2 = 3.426
+"""Luminance of a footlambert."""
+
+WEBER_GAIN, EYE_BANDWIDTH_HZ = 240.0, 3.538
+"""Inverse of the eye's internal contrast noise, and temporal bandwidth of eye and display (whale-ir-model)."""
+
+PHOTON_ROOT_TROLANDS_S, PHOTON_BANDWIDTH_HZ = 4.9, 4.75
+"""Constant of the eye's photon noise, and its bandwidth (whale-ir-model)."""
+
+CHANNEL = 2.2
+"""Constant of the eye's channels: exp(−2.2 ln²(f′ / f)) falls to one half over 1.6 octaves."""
+
+NODES = 400
+"""Nodes of an integral over frequency."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TtpSettings:
+    """Choices where public codes of TTP disagree.
+
+    Attributes
+    ----------
+    width_exponent : 1 or 2
+        Exponent of the field's width w in 1 + 12 / (w (1 + f/3)²); some codes have w². Default 1, as in
+        whale-ir-model and MORTICIA.
+    width_frequency_exponent : 1 or 2
+        Exponent of 1 + f/3 there. Default 2, as in Barten 2003; one formula of MORTICIA has 1.
+    channel_log : {"natural", "decimal"}
+        Logarithm of a channel's frequency. Default natural: the channels are then 1.6 octaves wide, as those that
+        were measured; with the decimal one 3.7.
+    exponent : {"constant", "rising"}
+        E = 1.5, or 1.51 + 0.24 V / V50. Default constant, which has no fitted second term.
+    v50_cycles : mapping of str to float
+        V50 of each task, in cycles.
+    eyes : 1 or 2
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range.
+    """
+
+    width_exponent: Literal[1, 2] = 1
+    width_frequency_exponent: Literal[1, 2] = 2
+    channel_log: Literal["natural", "decimal"] = "natural"
+    exponent: Literal["constant", "rising"] = "constant"
+    v50_cycles: Mapping[str, float] | None = None
+    eyes: Literal[1, 2] = 2
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        for task, value in self.criteria.items():
+            check_positive(f"v50_cycles.{task}", value)
+
+    @property
+    def criteria(self) -> dict[str, float]:
+        """V50 of each task, in cycles."""
+        return dict(V50_CYCLES if self.v50_cycles is None else self.v50_cycles)
+
+
+def contrast_threshold(
+    frequency_cyc_per_deg: ArrayLike,
+    *,
+    luminance_cd_m2: float,
+    width_deg: float,
+    settings: TtpSettings | None = None,
+) -> FloatArray:
+    """Compute the eye's threshold of the contrast of a sine wave (CTF).
+
+    Parameters
+    ----------
+    frequency_cyc_per_deg : array_like, any shape
+        Frequency at the eye, > 0.
+    luminance_cd_m2, width_deg : float
+        Mean luminance, and width of the field; both > 0.
+    settings : TtpSettings, optional
+
+    Returns
+    -------
+    ndarray, the shape of the frequency
+
+    Barten 2003, as whale-ir-model has it.
+    """
+    settings = settings or TtpSettings()
+    f = np.asarray(frequency_cyc_per_deg, dtype=np.float64)
+    width = width_deg**settings.width_exponent * (1.0 + f / 3.0) ** settings.width_frequency_exponent
+    a = 540.0 * (1.0 + 0.7 / luminance_cd_m2) ** -0.2 / (1.0 + 12.0 / width)
+    bf = 0.3 * (1.0 + 100.0 / luminance_cd_m2) ** 0.15 * f
+    # exp(−bf) √(1 + 0.06 exp(bf)), written so that no high frequency overflows.
+    falls = np.exp(-bf / 2.0) * np.sqrt(np.exp(-bf) + 0.06)
+    with np.errstate(divide="ignore"):
+        return np.asarray(math.sqrt(2.0 / settings.eyes) / (a * f * falls))
+
+
+def pupil_mm(luminance_cd_m2: float, *, eyes: int = 2) -> float:
+    """Return the diameter of the pupil at a luminance, as whale-ir-model has it."""
+    footlamberts = luminance_cd_m2 / FOOTLAMBERT_CD_M2
+    diameter = -9.011 + 13.23 * math.exp(-math.log10(footlamberts) / 21.082) - 0.5 * (eyes - 1)
+    if not 1.0 <= diameter <= 9.0:
+        raise SettingsError(
+            f"luminance_cd_m2: found {luminance_cd_m2:g}, at which the pupil would have {diameter:.3g} mm, "
+            "expected 1 to 9 mm"
+        )
+    return diameter
+
+
+def eye_mtf(frequency_cyc_per_mrad: ArrayLike, *, luminance_cd_m2: float, eyes: int = 2) -> FloatArray:
+    """Compute the modulation transfer of the eye at frequencies at the eye: optics, retina and tremor.
+
+    exp(−(f / f₀)^i₀) · exp(−0.375 f^1.21) · exp(−0.4441 f²), with f₀ and i₀ of the pupil (whale-ir-model).
+    """
+    f, pupil = np.asarray(frequency_cyc_per_mrad, dtype=np.float64), pupil_mm(luminance_cd_m2, eyes=eyes)
+    f0 = math.exp(3.663 - 0.04974 * pupil**2 * math.log10(pupil)) / 43.69
+    i0 = (0.7155 + 0.277 / math.sqrt(pupil)) ** 2
+    return np.asarray(np.exp(-((f / f0) ** i0) - 0.375 * f**1.21 - 0.4441 * f**2))
+
+
+def channel(frequency: ArrayLike, middle: float, *, settings: TtpSettings | None = None) -> FloatArray:
+    """Compute the response of the eye's channel at `middle` to frequencies > 0, in the same unit."""
+    log = np.log10 if (settings or TtpSettings()).channel_log == "decimal" else np.log
+    return np.asarray(np.exp(-CHANNEL * log(np.asarray(frequency, dtype=np.float64) / middle) ** 2))
+
+
+def noise_gain_root_hz(luminance_cd_m2: float, *, eyes: int = 2) -> float:
+    """Return α, by which noise on the display raises thresholds: √(n γ² Q / (1 + β² Q_p / (L A))).
+
+    A is the area of the pupil in mm² and L the luminance in footlamberts (whale-ir-model).
+    """
+    area, footlamberts = (
+        math.pi / 4.0 * pupil_mm(luminance_cd_m2, eyes=eyes) ** 2,
+        luminance_cd_m2 / FOOTLAMBERT_CD_M2,
+    )
+    photons = PHOTON_ROOT_TROLANDS_S**2 * PHOTON_BANDWIDTH_HZ / (footlamberts * area)
+    return math.sqrt(eyes * WEBER_GAIN**2 * EYE_BANDWIDTH_HZ / (1.0 + photons))
+
+
+def noise_bandwidth(
+    frequency: ArrayLike, transfer: ArrayLike, *, settings: TtpSettings | None = None
+) -> tuple[FloatArray, float]:
+    """Compute the bandwidths of noise in the eye's channels along x, and along y, where there are none.
+
+    Parameters
+    ----------
+    frequency : array_like, shape (n,)
+        Rising frequencies > 0, from next to nothing to where the transfer ends.
+    transfer : array_like, shape (n,)
+        Transfer of what follows the noise, the eye included.
+
+    Returns
+    -------
+    (ndarray, shape (n,), float)
+        ∫ |transfer · channel|² df for the channel at each frequency, and ∫ |transfer|² df, over both signs of f.
+    """
+    f, square = np.asarray(frequency, dtype=np.float64), np.square(np.asarray(transfer, dtype=np.float64))
+    along_x = [np.trapezoid(square * channel(f, middle, settings=settings) ** 2, f) for middle in f]
+    return 2.0 * np.array(along_x), 2.0 * float(np.trapezoid(square, f))
+
+
+def cycles_of_contrast(frequency: ArrayLike, threshold: ArrayLike, contrast: float) -> float:
+    """Integrate √(contrast / threshold) over the frequencies at which the contrast is above the threshold (TTP).
+
+    Between two frequencies ln(threshold) is linear.
+
+    Parameters
+    ----------
+    frequency : array_like, shape (n,)
+        Rising frequencies, such as cycles/mrad.
+    threshold : array_like, shape (n,)
+        Contrast thresholds of the system, > 0; infinite where it passes nothing.
+    contrast : float
+        Contrast of the target, > 0.
+
+    Returns
+    -------
+    float
+        In the unit of the frequency; times size / range in mrad it is V.
+    """
+    f, height = np.asarray(frequency, dtype=np.float64), np.asarray(threshold, dtype=np.float64)
+    seen = np.isfinite(height)
+    # ln √(contrast / threshold): a straight line in each interval, whose part above 0 counts.
+    ln = 0.5 * np.log(contrast / np.where(seen, height, contrast))
+    left, right, width = ln[:-1], ln[1:], np.where(seen[:-1] & seen[1:], np.diff(f), 0.0)
+    rise = right - left
+    share = np.divide(-left, rise, out=np.zeros_like(rise), where=rise != 0.0)
+    crosses = (left > 0.0) != (right > 0.0)
+    part = np.where(crosses, np.where(left > 0.0, share, 1.0 - share), np.where(left > 0.0, 1.0, 0.0))
+    start, end = np.maximum(left, 0.0), np.maximum(right, 0.0)
+    step = end - start
+    mean = np.where(np.abs(step) > 1e-9, np.expm1(step) / np.where(step == 0.0, 1.0, step), 1.0 + 0.5 * step)
+    return float((width * part * np.exp(start) * mean).sum())
+
+
+def task_probability(ratio: ArrayLike, *, settings: TtpSettings | None = None) -> FloatArray:
+    """Compute the probability to do a task at V / V50 >= 0, of any shape: r^E / (1 + r^E)."""
+    r = np.asarray(ratio, dtype=np.float64)
+    exponent = 1.5 if (settings or TtpSettings()).exponent == "constant" else 1.51 + 0.24 * r
+    with np.errstate(divide="ignore"):
+        return np.asarray(1.0 / (1.0 + np.exp(-np.clip(exponent * np.log(r), -700.0, 700.0))))
+
+
+def at_the_eye(frequency_cyc_per_mrad: ArrayLike, magnification: float) -> FloatArray:
+    """Return frequencies in the scene, in cycles/mrad, as cycles/deg at the eye."""
+    f = np.asarray(frequency_cyc_per_mrad, dtype=np.float64)
+    return np.asarray(f / magnification / CYC_PER_MRAD_IN_CYC_PER_DEG)
