@@ -21,7 +21,7 @@ from todframes.field.ttp import TtpSettings, at_the_eye, contrast_threshold, cyc
 
 CAMERA = Path(__file__).parent.parent / "sample_frames" / "star_like.toml"
 SENSOR = ss.load_sensor(CAMERA)
-FEW = {"frequency_nyquist": [0.8, 1.2, 2.0], "size_detectors": [6.0], "tolerance": 0.02}
+FEW = {"frequency_nyquist": [1.0, 1.2, 2.0], "size_detectors": [6.0], "tolerance": 0.05}
 
 
 @pytest.fixture(scope="module")
@@ -88,8 +88,9 @@ def test_table_is_a_curve_that_range_reads(found, tmp_path):
         assert curve.ln_sd.mean(axis=0) == pytest.approx(ends, rel=0.02)
 
 
+@pytest.mark.slow
 def test_command_prints_what_the_call_returns(found, capsys, tmp_path):
-    arguments = ["mrtd", CAMERA, "--frequency-nyquist", "1.2,0.8,2", "--size-detectors", 6, "--tolerance", 0.02]
+    arguments = ["mrtd", CAMERA, "--frequency-nyquist", "1.2,1,2", "--size-detectors", 6, "--tolerance", 0.05]
     out = tmp_path / "out"
     assert run(cli, [*map(str, arguments), "--json", "-o", str(out), "--quiet"]) == 0
     printed = json.loads(capsys.readouterr().out)
@@ -107,9 +108,10 @@ def test_command_prints_what_the_call_returns(found, capsys, tmp_path):
     }
 
 
+@pytest.mark.slow
 def test_table_fits_eighty_columns(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    arguments = ["mrtd", CAMERA, "--frequency-nyquist", 0.8, "--size-detectors", 6, "--tolerance", 0.02, "--quiet"]
+    arguments = ["mrtd", CAMERA, "--frequency-nyquist", 1.2, "--size-detectors", 8, "--tolerance", 0.1, "--quiet"]
     assert run(cli, [*map(str, arguments)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= 80
@@ -118,7 +120,7 @@ def test_table_fits_eighty_columns(capsys, monkeypatch):
 
 def test_sensor_without_netd_has_thresholds_in_snr():
     sensor = replace(SENSOR, noise=replace(SENSOR.noise, netd_mk=None))
-    found = ss.mrtd(sensor, frequency_nyquist=[0.9], size_detectors=[], tolerance=0.02)
+    found = ss.mrtd(sensor, frequency_nyquist=[1.2], size_detectors=[], tolerance=0.1)
     assert found.ttp is None
     assert found.bars[0].mrtd_mk is None
     assert found.bars[0].threshold_snr > 0.0

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.sweeps.tables import BY_SIZE, CRITERION_UNITS, LEVEL_NAMES, SweepData
+from sensor_sim.sweeps.tables import BY_SIZE, CRITERION_UNITS, LEVEL_NAMES, OF_RANGE, SweepData
 from todframes import __version__
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
@@ -42,6 +43,9 @@ MOST_VECTORS = 400
 MARKS = {IMPOSSIBLE: ("////", "_"), "never_reached": ("xx", "x"), "always_exceeded": ("..", ".")}
 """Hatch of a cell, and marker of a point, without a threshold, by status."""
 
+RANGE_MARKS = {"ok": "", "never_reached": "never_reached", "beyond_curve": "always_exceeded"}
+"""Status of a threshold, by whose mark a range of a status is shown; of others, that of an impossible design."""
+
 LOG_SPAN = 10.0
 """Smallest ratio of the largest to the smallest value on a logarithmic axis."""
 
@@ -55,15 +59,24 @@ def pictures(result: SweepData) -> list[ReportFigure]:
             f"Grey: all designs; coloured: those that no other one beats in all of "
             f"{', '.join(one.column for one in result.objectives)}."
         )
-        title = f"Trade-off at {sizes[0]:g} detectors"
+        title = f"Trade-off at {sizes[0]:g} detectors" if result.depends_on_size else "Trade-off"
         found.append(ReportFigure(title, note, partial(draw_front, result=result, size=0), "front.png"))
+    has_range = result.ranges is not None and np.isfinite(result.column(OF_RANGE, 0)).any()
+    if len(varied(result)) > 1 and has_range:
+        note = "Range over the first two keys that vary. Dotted: beyond the smallest size; crossed: never reached;"
+        note += " hatched once: none for another reason."
+        note += " The longest over the other keys." * (len(keys) > 2)
+        found.append(ReportFigure("Map of range", note, partial(draw_range_map, result=result), "range_map.png"))
     if len(varied(result)) > 1:
-        for size in evenly(range(len(sizes)), MOST_MAPS):
+        seen = np.flatnonzero(np.isfinite(thresholds(result)[0]).any(axis=0)).tolist()
+        for size in evenly(seen, MOST_MAPS):
             note = "Threshold over the first two keys that vary. Hatched once: impossible; crossed: never reached;"
             note += " dotted: always exceeded."
             note += " The lowest over the other keys." * (len(keys) > 2)
             draw = partial(draw_map, result=result, size=size)
-            found.append(ReportFigure(f"Map at {sizes[size]:g} detectors", note, draw, "" if size else "map.png"))
+            found.append(
+                ReportFigure(f"Map at {sizes[size]:g} detectors", note, draw, "" if size != seen[0] else "map.png")
+            )
     elif varied(result):
         note = "A line for each size."
         found.append(
@@ -118,20 +131,36 @@ def draw_curves(axes: Axes, result: SweepData) -> None:
 
 def draw_map(axes: Axes, result: SweepData, size: int) -> None:
     """Draw thresholds at one size over the first two keys that vary: cells of a grid, or points."""
+    shown, heading = thresholds(result)
+    if not np.isfinite(shown[:, size]).any() and len(varied(result)) > 1:
+        raise DataError("plot_map: found no threshold at this size")
+    _draw_cells(axes, result, shown[:, size], [one[size] for one in result.swept.status], heading)
+
+
+def draw_range_map(axes: Axes, result: SweepData) -> None:
+    """Draw the range of the designs over the first two keys that vary, as `draw_map` does; the longest on top."""
+    ranges = result.ranges or ()
+    if not any(np.isfinite(one.range_km) for one in ranges):
+        raise DataError("plot_range_map: found no range, expected a target and an atmosphere, and smaller sizes")
+    status = [RANGE_MARKS.get(one.status, IMPOSSIBLE) for one in ranges]
+    _draw_cells(axes, result, result.column(OF_RANGE, 0), status, "range (km)", best=-1.0)
+
+
+def _draw_cells(
+    axes: Axes, result: SweepData, value: FloatArray, statuses: Sequence[str], heading: str, *, best: float = 1.0
+) -> None:
+    """Draw a value of each design over the first two keys that vary; `best` is −1 if the highest is best."""
     keys = varied(result)
     if len(keys) < 2:
         raise DataError("plot_map: found one key that varies, expected two or more")
-    shown, heading = thresholds(result)
     x, y = result.swept.designs.values[:, keys[:2]].T
-    value = shown[:, size]
     has = np.isfinite(value)
-    if not has.any():
-        raise DataError("plot_map: found no threshold at this size")
-    status = np.array([one[size] for one in result.swept.status], dtype=object)
+    status = np.array(statuses, dtype=object)
     columns, at_x = np.unique(x, return_inverse=True)
     rows, at_y = np.unique(y, return_inverse=True)
     cells = np.full((len(rows), len(columns)), np.inf)
-    np.minimum.at(cells, (at_y[has], at_x[has]), value[has])
+    np.minimum.at(cells, (at_y[has], at_x[has]), best * value[has])
+    cells *= best
     is_grid = len(np.unique(at_y * len(columns) + at_x)) == cells.size
     for name, values in (("x", x), ("y", y)):
         if is_log(values):
@@ -149,7 +178,7 @@ def draw_map(axes: Axes, result: SweepData, size: int) -> None:
         for kind, (hatch, _) in MARKS.items():
             _hatch(axes, edges(columns), edges(rows), np.isnan(cells) & (of_cell == kind), hatch)
     else:
-        order = np.argsort(-value[has])  # the best on top
+        order = np.argsort(-best * value[has])  # the best on top
         drawn = axes.scatter(
             x[has][order], y[has][order], c=value[has][order], s=16.0, linewidths=0.0, **look,
             rasterized=has.sum() > MOST_VECTORS,
@@ -204,7 +233,7 @@ def draw_front(axes: Axes, result: SweepData, size: int) -> None:
         raise DataError("plot_front: found one column, expected two or more to be low or high")
     first, second = (one.column for one in result.objectives[:2])
     x, y = result.column(second, size), result.column(first, size)
-    has = np.isfinite(x) & np.isfinite(y) & np.isfinite(result.swept.threshold[:, size])
+    has = np.isfinite(x) & np.isfinite(y) & result.has_threshold(size)
     is_on = result.on_front[:, size]
     axes.scatter(x[has], y[has], s=9.0, color=INK, alpha=0.25, linewidths=0.0, rasterized=has.sum() > MOST_VECTORS)
     order = np.flatnonzero(is_on)[np.argsort(x[is_on])]

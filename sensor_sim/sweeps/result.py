@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from sensor_sim.sweeps.figures import draw_curves, draw_front, draw_map, page, pictures
+from sensor_sim.sweeps.figures import draw_curves, draw_front, draw_map, draw_range_map, page, pictures
 from sensor_sim.sweeps.tables import SweepData
 from todframes.report.figures import drawn
 from todframes.report.parquet import has_parquet, parquet_parts
@@ -30,6 +30,10 @@ class SweepResult(SweepData, Saving):
     def plot_map(self, size: int = 0, ax: Axes | None = None) -> Axes:
         """Draw the thresholds over the first two varied keys, at one size by its place; returns the axes."""
         return drawn(lambda axes: draw_map(axes, self, size), ax)
+
+    def plot_range_map(self, ax: Axes | None = None) -> Axes:
+        """Draw the range over the first two varied keys; returns the axes."""
+        return drawn(lambda axes: draw_range_map(axes, self), ax)
 
     def plot_front(self, size: int = 0, ax: Axes | None = None) -> Axes:
         """Draw all designs over the first two objectives, and their trade-off front; returns the axes."""

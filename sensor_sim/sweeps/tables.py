@@ -251,13 +251,23 @@ class SweepData:
             return np.array([one.range_km for one in self.ranges or ()])
         return self.swept.designs.values[:, self.swept.designs.keys.index(name)]
 
+    @property
+    def depends_on_size(self) -> bool:
+        """Whether a column of the front has a value for each size; ranges and acuities have one a design."""
+        return any(one.column in BY_SIZE for one in self.objectives)
+
+    def has_threshold(self, size: int) -> NDArray[np.bool_]:
+        """Return which designs are compared at a size, by its place: those with a threshold, there or anywhere."""
+        known = np.isfinite(self.swept.threshold)
+        return np.asarray(known[:, size] if self.depends_on_size else known.any(axis=1))
+
     @cached_property
     def on_front(self) -> NDArray[np.bool_]:
         """Mask of the designs on the trade-off front at each size: (designs, sizes)."""
         columns = []
         for size in range(len(self.swept.size_detectors)):
             costs = np.stack([one.sign * self.column(one.column, size) for one in self.objectives], axis=1)
-            costs[np.isnan(self.swept.threshold[:, size])] = np.nan
+            costs[~self.has_threshold(size)] = np.nan
             columns.append(front(costs))
         return np.stack(columns, axis=1)
 
@@ -355,13 +365,13 @@ class SweepData:
         swept, designs = self.swept, self.swept.designs
         first = self.objectives[0]
         cost = first.sign * self.column(first.column, 0)
-        size = f"{swept.size_detectors[0]:g} detectors"
+        size = f" at {swept.size_detectors[0]:g} detectors" if self.depends_on_size else ""
         if len(self.objectives) > 1:
             rows = np.flatnonzero(self.on_front[:, 0])
-            title = f"Trade-off front at {size}"
+            title = f"Trade-off front{size}"
         else:
-            rows = np.flatnonzero(np.isfinite(cost) & np.isfinite(swept.threshold[:, 0]))
-            title = f"Best designs at {size}"
+            rows = np.flatnonzero(np.isfinite(cost) & self.has_threshold(0))
+            title = f"Best designs{size}"
         rows = rows[np.argsort(cost[rows], kind="stable")]
         if len(rows) > ROWS_SHOWN:
             title += f": the first {ROWS_SHOWN} of {len(rows)}"
@@ -430,7 +440,7 @@ class SweepData:
             why = f"design {first + 1}: {swept.reason[first][0]}"
             found.append(f"{count(impossible, 'design')} cannot be made or computed; the first is {why}.")
         column = self.column(self.objectives[0].column, 0)
-        cost = np.where(known[:, 0], self.objectives[0].sign * column, np.nan)
+        cost = np.where(self.has_threshold(0), self.objectives[0].sign * column, np.nan)
         if np.isfinite(cost).any():
             row = int(np.nanargmin(cost))
             values = zip(swept.designs.keys, swept.designs.values[row].tolist(), strict=True)
@@ -438,9 +448,8 @@ class SweepData:
             end = "Lowest" if self.objectives[0].sign > 0 else "Highest"
             name, unit = self.objectives[0].column, CRITERION_UNITS.get(self.objectives[0].column, "")
             value = f"{plain(float(column[row]))} {unit}".rstrip()
-            found.append(
-                f"{end} {name} at {swept.size_detectors[0]:g} detectors: {value}, design {row + 1} ({of_design})."
-            )
+            size = f" at {swept.size_detectors[0]:g} detectors" if self.depends_on_size else ""
+            found.append(f"{end} {name}{size}: {value}, design {row + 1} ({of_design}).")
         beyond = [one.at_least_km for one in self.ranges or () if math.isfinite(one.at_least_km)]
         if beyond:
             found.append(
