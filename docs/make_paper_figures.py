@@ -27,6 +27,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from scipy.optimize import brentq
 
+from sensor_sim.calls.mrtd import mrtd
 from sensor_sim.chain.detector_noise import (
     delta_t_as_printed_mk,
     delta_t_mk,
@@ -37,6 +38,7 @@ from sensor_sim.chain.detector_noise import (
 from sensor_sim.chain.sensor import Sensor, load_sensor
 from sensor_sim.chain.simulation import Simulator, plan_trials
 from sensor_sim.chain.transfer import diffraction_mtf, pre_sample_mtf
+from sensor_sim.mrtd_report import BarsAt
 from sensor_sim.pictures import trial_stages
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from todframes.observers.decision import answer_probability
@@ -55,6 +57,9 @@ STAR_LIKE = HERE.parent / "sample_frames" / "star_like.toml"
 NOISES = (0.5, 0.25)
 NAKED_EYE_SIZES_MRAD = (0.5, 0.6, 1.0, 1.5, 3.0, 6.0)
 CAMERA_SIZES = (4.0, 5.0, 6.0, 8.0)
+BAR_FREQUENCIES = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4)
+BAR_CURVES = {"mean": "mrtd_mk", "best phase": "best_mrtd_mk", "Lloyd": "lloyd_mrtd_mk"}
+BAR_COLOURS = ("#3b74c4", "#5a9132", "#cc6a2c")
 COMPARED_MRAD = (0.6, 1.0, 3.0)
 COMPARED_DETECTORS = (4.0, 6.0)
 ACUITY_DELTA_T_MK = 1000.0
@@ -120,6 +125,49 @@ def naked_eye_acuity(settings: PyramidSettings) -> ComputedThreshold:
 def threshold_snr(sensor: Sensor, settings: PyramidSettings, size_detectors: float) -> PredictedThreshold:
     """Threshold SNR behind a sensor."""
     return predict_threshold(FoldedChain(sensor, observer(settings), size_detectors))
+
+
+@cache
+def four_bars(sensor: Sensor, settings: PyramidSettings) -> list[BarsAt]:
+    """Thresholds of bars behind a sensor, for frequencies around Nyquist."""
+    return mrtd(sensor, frequency_nyquist=BAR_FREQUENCIES, size_detectors=(), observer=observer(settings)).bars
+
+
+def of_bars(sensor: Sensor, settings: PyramidSettings) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Frequency in units of Nyquist and MRTD in mK by the name of the curve."""
+    found = {}
+    for name, key in BAR_CURVES.items():
+        known = [(one.frequency_nyquist, getattr(one, key)) for one in four_bars(sensor, settings)]
+        known = [pair for pair in known if pair[1] is not None]
+        found[name] = tuple(np.transpose(known))
+    return found
+
+
+def shift_numbers() -> Values:
+    """Figure 7: the factors of the frequency at which bars are as hard as triangles."""
+    sensor, settings = star_like(), with_noise(0.5)
+    curves, rows, factors = of_bars(sensor, settings), [], {name: [] for name in BAR_CURVES}
+    for size in CAMERA_SIZES:
+        warm = float(delta_t_mk(threshold_snr(sensor, settings, size).threshold, noise=sensor.noise))
+        row = [f"{size:g}", f"{1.0 / size:.3f}", f"{warm:.4g}"]
+        for name, (frequency, threshold) in curves.items():
+            if not threshold[0] <= warm <= threshold[-1]:
+                row.append("outside")
+                continue
+            # The logarithm of a threshold is nearly a straight line in frequency.
+            place = float(np.interp(math.log(warm), np.log(threshold), frequency))
+            factors[name].append(1.0 / size / place)
+            row.append(f"{place:.2f}, × {factors[name][-1]:.2f}")
+        rows.append(row)
+    at_nyquist = {name: float(np.interp(1.0, *curves[name])) for name in BAR_CURVES}
+    head = ["size (detectors)", "1/size", "TOD (mK)", *(f"{name}: f / Nyquist, factor" for name in BAR_CURVES)]
+    return {
+        "shift": table(head, rows),
+        "shift_bars": f"{min(factors['mean']):.2f} to {max(factors['mean']):.2f}",
+        "shift_lloyd": f"{min(factors['Lloyd']):.2f} to {max(factors['Lloyd']):.2f}",
+        "mrtd_lloyd_ratio": f"{at_nyquist['Lloyd'] / at_nyquist['mean']:.1f}",
+        "mrtd_phase_ratio": f"{at_nyquist['mean'] / at_nyquist['best phase']:.2f}",
+    }
 
 
 @cache
@@ -764,7 +812,26 @@ def figure_7() -> Figure:
     return figure
 
 
-FIGURES = (figure_1, figure_2, figure_3, figure_4, figure_5, figure_6, figure_7)
+def figure_7_bars() -> Figure:
+    """TOD and four bars of the same observer, with the frequency as it is and multiplied by 0.5."""
+    sensor, settings = star_like(), with_noise(0.5)
+    figure = Figure(figsize=(6.0, 4.6), layout="constrained")
+    axes = figure.subplots()
+    inverse = 1.0 / np.array(CAMERA_SIZES)
+    snr = np.array([threshold_snr(sensor, settings, size).threshold for size in CAMERA_SIZES])
+    axes.plot(inverse, delta_t_mk(snr, noise=sensor.noise), "^-", color="black", lw=2.0, label="TOD")
+    for (name, (frequency, threshold)), colour in zip(of_bars(sensor, settings).items(), BAR_COLOURS, strict=True):
+        axes.plot(frequency, threshold, "-", marker=".", color=colour, lw=1.2, label=f"bars, {name}")
+        axes.plot(0.5 * frequency, threshold, ":", color=colour, lw=1.2, label=f"bars, {name}, frequency × 0.5")
+    axes.axvline(1.0, color="grey", ls="--", lw=0.8)
+    logarithmic(axes, (0.125, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4), (1, 2, 5, 10, 20, 50, 100))
+    axes.set(xlabel="1 / size (detectors⁻¹), or frequency / Nyquist", ylabel="threshold ΔT (mK)", ylim=(1, 200))
+    axes.set_title("simulated staring camera, internal noise 0.5")
+    axes.legend(fontsize="x-small", loc="upper left", ncols=2)
+    return figure
+
+
+FIGURES = (figure_1, figure_2, figure_3, figure_4, figure_5, figure_6, figure_7, figure_7_bars)
 
 
 def filled(text: str, values: Values) -> str:
@@ -785,6 +852,7 @@ def main(folder: Path) -> None:
         camera_numbers,
         weibull_numbers,
         noise_numbers,
+        shift_numbers,
         sensitivity_numbers,
     ):
         values |= (new := numbers())
