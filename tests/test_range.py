@@ -525,6 +525,14 @@ def test_target_and_air_must_be_of_the_curve_s_kind() -> None:
         acquired(exponential(pattern="triangle"), replace(NATO, k={"seen": 3.0}, search_time_s=2.0))
 
 
+def test_a_target_that_is_smaller_than_the_finest_detail_at_any_range() -> None:
+    coarse = ThresholdCurve(
+        pattern="bars", quantity="delta_t_k", per_mrad=np.array([0.02, 0.05]), threshold=np.array([0.05, 0.1])
+    )
+    with pytest.raises(tod.DataError, match=r"target of 0\.01 m is smaller than the curve's"):
+        acquired(coarse, tod.Target(size_m=0.01, delta_t_k=2.0))
+
+
 BAD_TABLES = [
     ("frequency_cyc_per_mrad,mrtd_k\n1,54\n3,400\n", 1, "found 54 K as the lowest threshold.*are they in mK"),
     ("frequency_cyc_per_mrad,mrtd_k\n1000,0.05\n3000,0.4\n", 1, "found a frequency of 3000 per mrad.*in rad"),
@@ -536,7 +544,13 @@ BAD_TABLES = [
         "frequency_cyc_per_mrad,mrtd_k,ci95_low,ci95_high\n1,0.05,0.06,0.07\n2,1,1,1\n",
         *(1, r"found the interval 0\.06 to 0\.07, expected it to hold 0\.05"),
     ),
-    ("frequency_cyc_per_mrad,mrtd_k\n0.0001,0.05\n0.0004,0.1\n", 1, "target of 2.3 m is smaller than the curve's"),
+    (
+        "frequency_cyc_per_mrad,mrtd_k\n0.001,0.05\n0.005,0.1\n",
+        1,
+        r"found 0\.005 per mrad as the highest frequency",
+    ),
+    ("frequency_cyc_per_mrad,mrtd_mk\n1,0.05\n3,0.4\n", 1, "found 5e-05 K as the lowest threshold.*in K, not mK"),
+    ("size_mrad,delta_t_k\n900,0.05\n300,0.1\n", 1, r"as the highest inverse size, expected at least 0\.01"),
     ("frequency_cyc_per_mrad,mrc\n1,0.05\n4,0.1\n", 2, "target: found a temperature difference"),
 ]
 

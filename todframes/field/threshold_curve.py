@@ -26,11 +26,18 @@ CYC_PER_MRAD_IN_CYC_PER_DEG = 0.18 / np.pi
 LARGEST_PER_MRAD = 1000.0
 """Largest frequency or inverse size accepted, in mrad⁻¹; larger ones are a mistake in the input, such as rad⁻¹."""
 
+LEAST_PER_MRAD = 0.01
+"""Least value of the highest frequency or inverse size of a curve: no camera's finest detail has 100 mrad. A smaller
+one is a mistake in the input, such as cycles/rad."""
+
 UNREACHED = 500.0
 """ln(contrast / threshold) of what no contrast reaches: its exponential is finite, and its square too."""
 
 LARGEST_LEAST: dict[Quantity, float] = {"delta_t_k": 10.0, "contrast": 10.0}
 """Largest value of the lowest threshold of a curve; a larger one is a mistake in the input, such as mK for K."""
+
+LEAST_LEAST: dict[Quantity, float] = {"delta_t_k": 1e-4, "contrast": 1e-6}
+"""Least value of the lowest threshold of a curve; a smaller one is a mistake in the input, such as K for mK."""
 
 FREQUENCIES: dict[str, tuple[Pattern, float]] = {
     "frequency_cyc_per_mrad": ("bars", 1.0),
@@ -167,7 +174,23 @@ class ThresholdCurve:
                 f"{self.name}: found {what} of {self.per_mrad[-1]:g} per mrad, expected at most "
                 f"{LARGEST_PER_MRAD:g}; are the angles in rad?"
             )
+        if self.per_mrad[-1] < LEAST_PER_MRAD:
+            what = "frequency" if self.pattern == "bars" else "inverse size"
+            raise DataError(
+                f"{self.name}: found {self.per_mrad[-1]:g} per mrad as the highest {what}, expected at least "
+                f"{LEAST_PER_MRAD:g}; are the angles in µrad, or the frequencies in cycles/rad?"
+            )
         least, most = float(self.threshold.min()), LARGEST_LEAST[self.quantity]
+        if least < LEAST_LEAST[self.quantity]:
+            unit, hint = (
+                (" K", "are they in K, not mK?")
+                if self.quantity == "delta_t_k"
+                else ("", "are they in thousandths?")
+            )
+            raise DataError(
+                f"{self.name}: found {least:g}{unit} as the lowest threshold, expected at least "
+                f"{LEAST_LEAST[self.quantity]:g}{unit}; {hint}"
+            )
         if least > most:
             unit, hint = (" K", "are they in mK?") if self.quantity == "delta_t_k" else ("", "are they in %?")
             raise DataError(
