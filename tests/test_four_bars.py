@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from statistics import NormalDist
 
@@ -215,6 +216,17 @@ def test_scores_and_noise_are_those_of_code_apart(nyquists, against):
         assert scores.signal[0, 0] == pytest.approx(signal, rel=3e-5)
         assert scores.noise[0, 0] == pytest.approx(noise, rel=1e-6)  # OpenCV's kernel of the template has 1e-7
     assert chain.noise_variance == pytest.approx(brute.internal, rel=1e-9)
+
+
+def test_noise_of_lines_is_that_of_code_apart():
+    noise = replace(SENSOR.noise, row_noise_ratio=0.6, column_noise_ratio=0.3)
+    lines = BarChain(replace(SENSOR, noise=noise), PyramidObserver(**COARSE), 0.9 * NYQUIST)
+    scores = lines.scores(np.array([0.2]), np.array([-0.1]), np.zeros((1, 1, 2)))
+    weights = BruteForce(0.9 * NYQUIST, "square", lines.whole_retina.side, lines.field).weights(0.2, -0.1)
+    # What a row has in common meets the sum of its weights.
+    rows, columns = (np.square(weights.sum(axis=axis)).sum() for axis in (1, 0))
+    expected = (1 - 0.36 - 0.09) * np.square(weights).sum() + 0.36 * rows + 0.09 * columns
+    assert scores.noise[0, 0] == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.slow

@@ -23,6 +23,7 @@ from sensor_sim.chain.detector_noise import displayed_noise, unit_fixed_pattern
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal
 from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, FourBarSampler, field_detectors
 from sensor_sim.chain.sensor import Sensor
+from sensor_sim.thresholds.curve_plan import detector_covariance, lines_of
 from sensor_sim.thresholds.folding import Folding
 from sensor_sim.thresholds.predict import PLACES, STEP, Lattice
 from todframes.base._typing import FloatArray
@@ -179,6 +180,7 @@ class BarChain:
         BarScores
             Of shape (rows · columns, displacements).
         """
+        lines = lines_of(self.sensor)
         rows = max(WEIGHTS_AT_ONCE // (len(x) * self.field**2), 1)
         gain = self.sensor.display.gain
         signal, noise = np.empty(displacement.shape[:2]), np.empty(displacement.shape[:2])
@@ -190,7 +192,7 @@ class BarChain:
             samples = self.sampler.samples(*at.reshape(-1, 2).T, orientation=ORIENTATION[self.direction])
             samples = samples.reshape(*at.shape[:2], -1)
             signal[part] = (samples @ weights[..., None])[..., 0]
-            noise[part] = np.square(weights).sum(axis=-1)[:, None]
+            noise[part] = detector_covariance(weights[:, None], lines)[:, 0]
         return BarScores(signal, noise)
 
     def proportion(self, scores: BarScores, snr: float) -> FloatArray:

@@ -158,12 +158,7 @@ class CurvePlan:
         """Compute the covariance of the scores, (..., 4, 4), under detector noise of standard deviation 1."""
         if not self.external_noise:
             return np.zeros((*weights.shape[:-1], 4))
-        own = noise_covariance(weights)
-        if self.lines == NO_LINES:
-            return own
-        rows, columns = line_covariance(weights)
-        row, column = self.lines
-        return (1.0 - row - column) * own + row * rows + column * columns
+        return detector_covariance(weights, self.lines)
 
 
 def plan_curve(
@@ -299,6 +294,15 @@ def line_covariance(weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     side = math.isqrt(weights.shape[-1])
     square = weights.reshape(*weights.shape[:-1], side, side)
     return noise_covariance(square.sum(axis=-1)), noise_covariance(square.sum(axis=-2))
+
+
+def detector_covariance(weights: FloatArray, lines: LineShares) -> FloatArray:
+    """Return the covariance, as above, from detector noise of deviation 1 of which lines share some."""
+    own = noise_covariance(weights)
+    if lines == NO_LINES:
+        return own
+    rows, columns = line_covariance(weights)
+    return np.asarray((1.0 - lines.row - lines.column) * own + lines.row * rows + lines.column * columns)
 
 
 def signal_covariance(weights: FloatArray, samples: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ LARGEST_PER_MRAD = 1000.0
 """Largest frequency or inverse size accepted, in mrad⁻¹; larger ones are a mistake in the input, such as rad⁻¹."""
 
 LEAST_PER_MRAD = 0.01
-"""Least value of the highest frequency or inverse size of a curve: no camera's finest detail has 100 mrad. A smaller
+"""Least value of the highest frequency or inverse size of a curve: no camera shows 100 mrad at best. A smaller
 one is a mistake in the input, such as cycles/rad."""
 
 UNREACHED = 500.0
