@@ -1,9 +1,11 @@
-"""Triangles on scenes: false alarms of good datasets, and backgrounds that nothing can be placed on; minutes.
+"""Triangles on scenes: false alarms, mishaps, and backgrounds that nothing can be placed on; minutes.
 
 python tests/campaigns/backdrops.py clean 100        # good datasets: not one warning
 python tests/campaigns/backdrops.py hostile 200      # damaged and unfit backgrounds: one line, nothing written
+python tests/campaigns/backdrops.py mishaps 6        # the mishaps of tests/mishaps on 6 scenes: which are found
 
-The exit status is 1 if a good dataset has a warning, or a hostile background ends in anything but one line.
+The exit status is 1 if a good dataset has a warning, if a hostile background ends in anything but one line, or if
+a mishap that is found on an even field is not found on scenes, but for those that docs/scenes.md names.
 """
 
 from __future__ import annotations
@@ -14,6 +16,8 @@ import io
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +29,12 @@ from todframes.cli.console import run
 from todframes.cli.main import cli
 
 ROOT = Path(__file__).parents[2]
+sys.path.append(str(ROOT / "tests" / "mishaps"))
+import mishaps  # noqa: E402 - it is beside the tests
+
+NOT_FOUND_ON_SCENES = {"jpeg", "late_frames"}
+"""Mishaps that are found on an even field alone."""
+
 PHOTOGRAPHS = ("astronaut", "brick", "camera", "chelsea", "coffee", "coins", "grass", "gravel", "moon", "rocket")
 CAMERA = ROOT / "sample_frames" / "staring_camera.toml"
 
@@ -151,7 +161,64 @@ def hostile_sets(n: int, seed: int, first: int) -> bool:
     return n_bad == 0
 
 
-PARTS: dict[str, Callable[[int, int, int], bool]] = {"clean": clean_sets, "hostile": hostile_sets}
+@cache
+def texture(number: int) -> NDArray[np.float64]:
+    """Contrast of a scene for a mishap: 1/f, standard deviation 0.25, mean 0 in the circle of the triangle."""
+    side, middle = mishaps.SIDE_PX, mishaps.MIDDLE_PX
+    image = field(np.random.default_rng([9, number]), side, 1.0)
+    image = np.clip(0.25 * (image - image.mean()) / image.std(), -0.8, 1.2)
+    away = np.hypot(*np.meshgrid(np.arange(side) - middle, np.arange(side) - middle))
+    radius = 2.0 / 3.0 * 3.0**0.25 * mishaps.SIZE_MRAD / mishaps.PITCH_MRAD
+    return image - mishaps.blurred(image, mishaps.BLUR_PX)[away <= radius].mean()
+
+
+def on_scenes(recording: mishaps.Recording, n: int) -> mishaps.Recording:
+    """Return a recording with a texture behind its triangles, of which the manifest knows."""
+
+    def scene(number: int) -> int:
+        return (5 * number + number // 8) % n
+
+    def drawn(shot: mishaps.Shot) -> NDArray[np.float64]:
+        return recording.drawn(shot) + texture(scene(shot.number))
+
+    def rows(found: list[dict[str, str]]) -> list[dict[str, str]]:
+        numbers = (int(Path(row["frame"]).stem) for row in found)
+        shown = [{"scene": f"scene {scene(number)}"} for number in numbers]
+        return [row | one for row, one in zip(recording.rows(found), shown, strict=True)]
+
+    return replace(recording, drawn=drawn, rows=rows)
+
+
+def warned(recording: mishaps.Recording) -> set[str]:
+    """Return the codes of the warnings of a recording."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "dataset"
+        recording.write(folder)
+        recording.declare(folder, mishaps.BACKGROUNDS["number"])
+        return {one.code for one in tod.validate(folder).warnings}
+
+
+def mishap_sets(n: int, seed: int, first: int) -> bool:  # noqa: ARG001
+    """Print how each mishap ends on an even field and on scenes; return whether no other is missed than stated."""
+    n_found, missed, alarms = 0, set(), set()
+    for case in mishaps.CASES:
+        even, scenes = warned(case.recording), warned(on_scenes(case.recording, n))
+        print(f"{case.name:24}{', '.join(sorted(even)) or '-':60}{', '.join(sorted(scenes)) or '-'}")
+        if case.control and scenes:
+            alarms.add(case.name)
+        n_found += bool(case.codes & even)
+        if case.codes & even and not case.codes & scenes:
+            missed.add(case.name)
+    print(f"of {n_found} mishaps that are found on an even field, {len(missed)} are not found on scenes: {missed}")
+    print(f"{len(alarms)} false alarms {alarms or ''}")
+    return missed <= NOT_FOUND_ON_SCENES and not alarms
+
+
+PARTS: dict[str, Callable[[int, int, int], bool]] = {
+    "clean": clean_sets,
+    "hostile": hostile_sets,
+    "mishaps": mishap_sets,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
