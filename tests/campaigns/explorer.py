@@ -299,7 +299,7 @@ def campaign(n: int, *, seed: int) -> Tally:
     ):
         chromium = play.chromium.launch(executable_path=chromium_path, args=["--no-sandbox"])
         with watched(chromium, server.url, expected_console=REFUSED, script=RECORD) as page:
-            page.set_default_timeout(60_000)
+            page.set_default_timeout(300_000)
             page.wait_for_selector("#curve[data-stage=refined]")
             page.locator("#curve summary").click()
             walk = Walk(page, seed)
