@@ -27,8 +27,8 @@ from matplotlib.figure import Figure
 
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.enhancement.algorithm import enhancement_names, find_enhancement
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame
+from todframes.enhancement.finding import enhancement_names, find_enhancement
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile
 

@@ -17,9 +17,10 @@ import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.simulation import Filming, Simulator, plan_trials
 from todframes.base.errors import DataError, FrameError, SettingsError
-from todframes.enhancement.algorithm import algorithm, enhancement_names, find_enhancement
+from todframes.enhancement.algorithm import algorithm
 from todframes.enhancement.compare import compare_dataset
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader
+from todframes.enhancement.finding import enhancement_names, find_enhancement
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, frame_sha256, write_frame
 from todframes.frames.memory import memory_dataset

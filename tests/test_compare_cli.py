@@ -16,7 +16,7 @@ import pytest
 import todframes as tod
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.enhancement.algorithm import enhancement_names
+from todframes.enhancement.finding import enhancement_names
 from todframes.frames.files import read_frame, write_frame
 from todframes.stimulus import Orientation, coverage
 

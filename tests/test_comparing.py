@@ -10,10 +10,10 @@ import pytest
 from skimage.metrics import peak_signal_noise_ratio
 
 from todframes.base.errors import DataError, FrameError, SettingsError
-from todframes.enhancement.algorithm import find_enhancement
 from todframes.enhancement.compare import compare_dataset, compare_observers, scene_numbers
 from todframes.enhancement.contrast_gain import MEASURED_TRIALS, measured_trials, strongest_levels
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame, EnhancedImage
+from todframes.enhancement.finding import find_enhancement
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame

@@ -22,7 +22,8 @@ from sensor_sim.cli import cli as sensor_sim
 from todframes import __version__
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.enhancement.algorithm import Declaration, find_enhancement
+from todframes.enhancement.algorithm import Declaration
+from todframes.enhancement.finding import find_enhancement
 from todframes.frames.dataset import WarningCode
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.naked_eye import contrast_threshold

@@ -12,15 +12,9 @@ import pytest
 from scipy import ndimage
 
 from todframes.base.errors import DataError, SettingsError
-from todframes.enhancement import algorithm as enhancement_specs
-from todframes.enhancement.algorithm import (
-    Declaration,
-    algorithm,
-    enhancement_names,
-    find_enhancement,
-    meaning,
-    parameter,
-)
+from todframes.enhancement import finding
+from todframes.enhancement.algorithm import Declaration, algorithm, meaning, parameter
+from todframes.enhancement.finding import enhancement_names, find_enhancement
 
 NAMES = [name for name in enhancement_names() if not find_enhancement(name).declaration.clip]
 BUILT_IN = [
@@ -395,7 +389,7 @@ def register(monkeypatch, **functions) -> None:
 def test_a_registered_function_with_a_declaration(monkeypatch) -> None:
     register(monkeypatch, finer=lambda: finer)
     algorithm = find_enhancement("finer:factor=3")
-    assert enhancement_specs.enhancement_names() == ["finer"]
+    assert finding.enhancement_names() == ["finer"]
     assert (algorithm.declaration.domain, algorithm.magnification) == ("luminance", 3.0)
     assert algorithm.run(picture())[0].shape == (120, 144)
     with pytest.raises(SettingsError, match=r"factor: found 9 \(expected a whole number <= 4\)"):

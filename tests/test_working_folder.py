@@ -11,7 +11,7 @@ import matplotlib as mpl
 import pytest
 
 from todframes.base.user_code import import_named
-from todframes.enhancement.algorithm import ENTRY_POINT_GROUP, find_enhancement
+from todframes.enhancement.finding import ENTRY_POINT_GROUP, find_enhancement
 from todframes.report.figure_style import new_figure, style
 from todframes.report.figures import save_png
 

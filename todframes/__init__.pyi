@@ -23,8 +23,8 @@ from .charts.making import chart as chart
 from .display.display import Display as Display
 from .enhancement.algorithm import Enhancement as Enhancement
 from .enhancement.algorithm import algorithm as algorithm
-from .enhancement.algorithm import find_enhancement as find_enhancement
 from .enhancement.algorithm import parameter as parameter
+from .enhancement.finding import find_enhancement as find_enhancement
 from .field.atmosphere import Atmosphere as Atmosphere
 from .field.target import Target as Target
 from .frames.dataset import Dataset as Dataset

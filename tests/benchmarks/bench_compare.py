@@ -10,8 +10,8 @@ from pathlib import Path
 from bench_scoring import make_dataset
 from timing import Row
 
-from todframes.enhancement.algorithm import find_enhancement
 from todframes.enhancement.compare import compare_dataset
+from todframes.enhancement.finding import find_enhancement
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import read_frame
 from todframes.observers.pyramid import PyramidObserver

@@ -124,9 +124,9 @@ def compare(
     [None, 'no difference shown']
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from todframes.enhancement.algorithm import find_enhancement
     from todframes.enhancement.compare import compare_observers
     from todframes.enhancement.enhanced_frame import AlgorithmDisplay
+    from todframes.enhancement.finding import find_enhancement
     from todframes.report import tables
     from todframes.report.summary import comparison, comparisons
 

@@ -80,7 +80,7 @@ def enhancements(*, as_json: bool) -> None:
     import msgspec
 
     from todframes import __version__
-    from todframes.enhancement.algorithm import enhancement_names, find_enhancement
+    from todframes.enhancement.finding import enhancement_names, find_enhancement
     from todframes.report.data import SCHEMA, enhancement_record
     from todframes.report.tables import enhancements as enhancements_table
 

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import check_keys, check_positive, convert, toml_value
-from todframes.base.user_code import import_named, in_words, registered
+from todframes.base.user_code import in_words
 
 Domain = Literal["code_value", "luminance"]
 
@@ -313,69 +313,7 @@ class Enhancement:
         return found, cpu_s
 
 
-ENTRY_POINT_GROUP = "todframes.enhancements"
-"""Entry-point group in which packages register algorithms."""
-
-
-def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
-    """Return the algorithm with a given name, or one that calls a given function.
-
-    Parameters
-    ----------
-    spec : str or function
-        Either a text: the name of an entry point of the group `todframes.enhancements`, or `module:function`; both
-        may be followed by `:parameter=value,…`. `module:function` runs the module, which may lie in the current
-        folder. Or a function of an image and keyword parameters, or a `functools.partial` of one; its parameters
-        have their default values.
-
-    Returns
-    -------
-    Enhancement
-
-    Raises
-    ------
-    SettingsError
-        If the name is unknown, the module cannot be imported, or a parameter is unknown, missing or out of range.
-    """
-    if not isinstance(spec, str):
-        named = getattr(spec, "func", spec)
-        name = f"{named.__module__}:{getattr(named, '__qualname__', type(named).__name__)}"
-        found = _described(name, name, _function(spec, f"enhance {name!r}"), f"enhance {name!r}")
-        return replace(found, values=_values(found, "", f"enhance {name!r}"))
-    head, _, rest = spec.partition(":")
-    function_name, _, assignments = ("", "", rest) if "=" in rest.partition(":")[0] else rest.partition(":")
-    where = f"enhance {spec!r}"
-    if function_name:
-        function = _function(import_named(head, function_name, where), where)
-    else:
-        function = _registered(head, where)
-    found = _described(f"{head}:{function_name}" if function_name else head, spec, function, where)
-    return replace(found, values=_values(found, assignments, where))
-
-
-def enhancement_names() -> list[str]:
-    """Return the names of the registered algorithms; those of this package come first."""
-    found = registered(ENTRY_POINT_GROUP)
-    return sorted(found, key=lambda name: (not found[name].value.startswith("todframes."), name))
-
-
-def _registered(name: str, where: str) -> Callable[..., Any]:
-    found = registered(ENTRY_POINT_GROUP)
-    if name not in found:
-        check_keys([name], found, f"{where}: expected a registered name or module:function")
-    try:
-        return _function(found[name].load(), where)
-    except (Exception, SystemExit) as error:
-        raise SettingsError(f"{where}: {found[name].value} cannot be loaded ({in_words(error)})") from None
-
-
-def _function(found: Any, where: str) -> Callable[..., Any]:
-    if not callable(found):
-        raise SettingsError(f"{where}: found {type(found).__name__}, expected a function of an image")
-    return found  # type: ignore[no-any-return]
-
-
-def _described(name: str, spec: str, function: Callable[..., Any], where: str) -> Enhancement:
+def described(name: str, spec: str, function: Callable[..., Any], where: str) -> Enhancement:
     """Describe an algorithm by its function's signature; it has no parameter values yet."""
     try:
         signature = list(inspect.signature(function).parameters.values())
@@ -408,7 +346,7 @@ def _described(name: str, spec: str, function: Callable[..., Any], where: str) -
 
 
 def _rebuilt(name: str, spec: str, function: Callable[..., Any], values: Mapping[str, Any]) -> Enhancement:
-    return replace(_described(name, spec, function, spec), values=values)
+    return replace(described(name, spec, function, spec), values=values)
 
 
 def _kind_of(default: object) -> Any:
@@ -418,8 +356,10 @@ def _kind_of(default: object) -> Any:
     return float if isinstance(default, int | float) else Any
 
 
-def _values(algorithm: Enhancement, assignments: str, where: str) -> dict[str, Any]:
-    """Return the values of all parameters: those in `assignments`, `name=value,…`, and defaults for the others."""
+def values_of(
+    algorithm: Enhancement, assignments: str, where: str, given: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Return the values of all parameters: those in `assignments`, `name=value,…`, then `given`, then defaults."""
     known = {one.name: one for one in algorithm.parameters}
     assigned: dict[str, Any] = {}
     for assignment in filter(None, assignments.split(",")):
@@ -438,7 +378,7 @@ def _values(algorithm: Enhancement, assignments: str, where: str) -> dict[str, A
     for name, one in known.items():
         if one.default is inspect.Parameter.empty and name not in assigned:
             raise SettingsError(f"{where}: parameter {name!r} is missing")
-    values = {name: one.default for name, one in known.items()} | assigned
+    values = {name: one.default for name, one in known.items()} | dict(given or {}) | assigned
     magnification = algorithm.declaration.magnification
     if isinstance(magnification, str):
         found = values.get(magnification)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import SettingsError
-from todframes.enhancement.algorithm import REFERENCE, Enhancement, find_enhancement
+from todframes.enhancement.algorithm import REFERENCE, Enhancement
 from todframes.enhancement.contrast_gain import (
     LevelContrast,
     contrast_gains,
@@ -33,6 +33,7 @@ from todframes.enhancement.enhanced_frame import (
     TrialReader,
     check_warm_up_there,
 )
+from todframes.enhancement.finding import find_enhancement
 from todframes.enhancement.image_quality import psnr_db
 from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.position import check_places

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from enum import Enum
 from functools import cache
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, MethodType
 from typing import Any
 
 import numpy as np
@@ -55,6 +55,8 @@ def _parts(value: object) -> Iterator[bytes]:
             yield from _parts(value.item())
         case type() | FunctionType():
             yield f"code {value.__module__}:{value.__qualname__} ".encode() + code_fingerprint(value.__module__)
+        case MethodType():
+            yield from _parts((value.__func__, value.__self__))
         case Mapping():
             yield f"mapping {len(value)} ".encode()
             for key in sorted(value, key=repr):

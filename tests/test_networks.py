@@ -1,0 +1,385 @@
+"""Neural networks in ONNX files: what they must not change, tiles without seams, and files that are refused."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnx
+import pytest
+from networks import ANY, blur, box, convolution, denoiser, finer, halving, identity, node, of_each_channel, save
+from onnx import TensorProto
+from scipy import ndimage
+
+from todframes.base.errors import DataError, SettingsError
+from todframes.enhancement import network, network_probe
+from todframes.enhancement.algorithm import Enhancement
+from todframes.enhancement.finding import find_enhancement
+from todframes.enhancement.network_probe import Found, Request, examine, probe
+from todframes.enhancement.network_runtime import has_onnx_runtime, read_model
+from todframes.enhancement.tiles import in_tiles
+from todframes.jobs.fingerprint import fingerprint
+
+RUNTIMES = [
+    "opencv",
+    pytest.param(
+        "onnxruntime",
+        marks=[pytest.mark.oracle, pytest.mark.skipif(not has_onnx_runtime(), reason="not installed")],
+    ),
+]
+
+OLD_OPENCV = int(cv2.__version__.split(".")[0]) < 5
+"""OpenCV 4 does not report what a network takes, so its channels have to be given."""
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Try networks in this process: another one takes half a second each time."""
+    monkeypatch.setattr(
+        network, "probe", lambda content, request: examine(read_model(content, request.runtime), request)
+    )
+
+
+def found(path: Path, more: str = "", *, channels: int = 1) -> Enhancement:
+    settings = [*([f"channels={channels}"] if OLD_OPENCV else []), *filter(None, [more])]
+    return find_enhancement(":".join([f"onnx:{path}", *filter(None, [",".join(settings)])]))
+
+
+def picture(rows: int = 70, columns: int = 90, channels: int = 0, seed: int = 0) -> np.ndarray:
+    shape = (rows, columns, channels) if channels else (rows, columns)
+    return np.random.default_rng(seed).random(shape, np.float32)
+
+
+# What a network gets, and what comes back
+
+
+@pytest.mark.usefixtures("in_process")
+@pytest.mark.parametrize("runtime", RUNTIMES)
+@pytest.mark.parametrize("values", ["", "black=0,white=255", "black=-1,white=1"])
+@pytest.mark.parametrize(("channels", "layout"), [(1, "nchw"), (3, "nchw"), (1, "nhwc"), (3, "nhwc")])
+def test_identity_changes_no_number(tmp_path: Path, runtime, values: str, channels: int, layout: str) -> None:
+    path = identity(tmp_path / "same.onnx", channels=channels, layout=layout)
+    more = ",".join(filter(None, [f"runtime={runtime}", values, f"layout={layout}" if OLD_OPENCV else ""]))
+    algorithm = found(path, more, channels=channels)
+    assert algorithm.values["layout"] == layout
+    for image in (picture(), picture(channels=3)):
+        # Rounding of 32-bit numbers near 255 / 255, and the weights of luminance sum to 1 within that.
+        assert np.abs(algorithm.run(image)[0] - image).max() <= 1e-6
+
+
+@pytest.mark.usefixtures("in_process")
+@pytest.mark.parametrize("runtime", RUNTIMES)
+def test_box_and_gaussian_are_those_of_the_package(tmp_path: Path, runtime) -> None:
+    image = picture()
+    path = blur(tmp_path / "box.onnx", box(5), mirrored=True)
+    mean = ndimage.uniform_filter(image.astype(np.float64), 5, mode="mirror")
+    assert np.abs(found(path, f"runtime={runtime}").run(image)[0] - mean).max() < 1e-6  # sums of 25 32-bit numbers
+    line = cv2.getGaussianKernel(9, 1.0).astype(np.float32)
+    path = blur(tmp_path / "gaussian.onnx", line @ line.T, mirrored=True)
+    ours = find_enhancement("gaussian:sigma=1").run(image)[0]
+    assert np.abs(found(path, f"runtime={runtime}").run(image)[0] - ours).max() < 1e-6
+
+
+@pytest.mark.usefixtures("in_process")
+def test_a_network_of_one_channel_takes_those_of_a_colour_by_themselves(tmp_path: Path) -> None:
+    image, algorithm = picture(channels=3), found(blur(tmp_path / "box.onnx", box()))
+    each = [algorithm.run(np.ascontiguousarray(image[..., k]))[0] for k in range(3)]
+    assert np.array_equal(algorithm.run(image)[0], np.stack(each, axis=-1))
+
+
+@pytest.mark.usefixtures("in_process")
+def test_grey_comes_back_from_three_channels_as_luminance_and_bgr_is_turned(tmp_path: Path) -> None:
+    gains = np.array([0.5, 1.0, 2.0], np.float32)
+    path = save(
+        tmp_path / "m.onnx", [node("Mul", "x g", "y")], {"g": gains[:, None, None]}, shape=("n", 3, "h", "w")
+    )
+    image = picture()
+    for order, of_channels in (("rgb", gains), ("bgr", gains[::-1])):
+        algorithm = found(path, f"order={order}", channels=3)
+        of_grey = image * float(np.array([0.2126, 0.7152, 0.0722]) @ of_channels)
+        assert np.allclose(algorithm.run(image)[0], of_grey, atol=1e-6)
+        colour = picture(channels=3)
+        assert np.allclose(algorithm.run(colour)[0], colour * of_channels, atol=1e-6)
+
+
+@pytest.mark.usefixtures("in_process")
+@pytest.mark.parametrize("runtime", RUNTIMES)
+def test_scale_is_read_from_the_model(tmp_path: Path, runtime) -> None:
+    algorithm, image = found(finer(tmp_path / "m.onnx", 3), f"runtime={runtime}"), picture()
+    assert algorithm.magnification == 3.0
+    mean = ndimage.uniform_filter(image, 3, mode="constant")
+    assert np.abs(algorithm.run(image)[0] - np.kron(mean, np.ones((3, 3)))).max() < 1e-6
+    with pytest.raises(SettingsError, match="scale: found 2, expected 3 as the model gives"):
+        found(tmp_path / "m.onnx", "scale=2")
+
+
+@pytest.mark.usefixtures("in_process")
+def test_libraries_agree_and_threads_do_not_matter(tmp_path: Path) -> None:
+    path, image = denoiser(tmp_path / "m.onnx", layers=4), picture(200, 240)
+    before = cv2.getNumThreads()
+    results = []
+    try:
+        for threads in (1, 2):
+            cv2.setNumThreads(threads)
+            results.append(found(path).run(image)[0])
+            if has_onnx_runtime():
+                other = found(path, "runtime=onnxruntime").run(image)[0]
+                assert np.abs(other - results[-1]).max() < 1e-5  # sums of 72 32-bit products, three times
+    finally:
+        cv2.setNumThreads(before)
+    assert np.array_equal(*results)
+
+
+# Tiles
+
+
+@pytest.mark.usefixtures("in_process")
+@pytest.mark.parametrize("size", [("h", "w"), (48, 40)])
+@pytest.mark.parametrize(("rows", "columns"), [(130, 170), (70, 48)])
+def test_tiles_have_no_seams(tmp_path: Path, size, rows: int, columns: int) -> None:
+    image = picture(rows, columns)
+    whole = found(denoiser(tmp_path / "whole.onnx", layers=3)).run(image)[0]
+    # Three convolutions of 3 × 3 look 3 pixels far: a quarter of an overlap of 12.
+    path = denoiser(tmp_path / "m.onnx", layers=3, size=size)
+    tile = "" if isinstance(size[0], int) and not OLD_OPENCV else ",tile_px=48"
+    tiled = found(path, f"overlap_px=12{tile}")
+    assert np.abs(tiled.run(image)[0] - whole).max() < 1e-6
+    without = found(path, f"overlap_px=0{tile}")
+    assert np.abs(without.run(image)[0] - whole).max() > 1e-2  # the test would see seams
+
+
+@pytest.mark.parametrize("scale", [1, 2, 3])
+@pytest.mark.parametrize("overlap_px", [0, 1, 5, 8])
+def test_tiles_of_any_overlap_are_one_image(scale: int, overlap_px: int) -> None:
+    image = picture(37, 41, 3)
+    larger = in_tiles(
+        lambda one: np.kron(one, np.ones((scale, scale, 1), np.float32)),
+        image,
+        tile=(16, 19),
+        overlap_px=overlap_px,
+        scale=scale,
+    )
+    assert np.abs(larger - np.kron(image, np.ones((scale, scale, 1)))).max() < 1e-6
+
+
+@pytest.mark.usefixtures("in_process")
+def test_sides_that_a_network_needs_are_found(tmp_path: Path) -> None:
+    path = halving(tmp_path / "m.onnx", 3)
+    algorithm, image = found(path), picture(50, 71)
+    assert algorithm.values["multiple_px"] == 8
+    given = algorithm.run(image)[0]
+    padded = np.pad(image, ((0, 6), (0, 1)), mode="reflect")
+    largest = padded.reshape(7, 8, 9, 8).max(axis=(1, 3))
+    assert np.abs(given - (padded + np.kron(largest, np.ones((8, 8))))[:50, :71]).max() < 1e-6
+    with pytest.raises(SettingsError, match="tile_px: found 100, expected a multiple of 8"):
+        found(path, "tile_px=100")
+
+
+@pytest.mark.usefixtures("in_process")
+def test_a_frame_that_is_smaller_than_the_network_is_mirrored(tmp_path: Path) -> None:
+    path, image = blur(tmp_path / "m.onnx", box(), size=(64, 64)), picture(20, 30)
+    wide = np.pad(image, ((0, 44), (0, 34)), mode="reflect")
+    mean = ndimage.uniform_filter(wide, 3, mode="constant")[:20, :30]
+    assert np.abs(found(path, "tile_px=64").run(image)[0] - mean).max() < 1e-6 or OLD_OPENCV
+
+
+# Settings
+
+
+@pytest.mark.usefixtures("in_process")
+def test_settings_lie_beside_the_model_and_the_command_overrides_them(tmp_path: Path) -> None:
+    path = identity(tmp_path / "same.onnx")
+    (tmp_path / "same.toml").write_text("white = 255\noverlap_px = 8\nchannels = 1\n", encoding="utf-8")
+    values = find_enhancement(f"onnx:{path}:overlap_px=16").values
+    assert (values["white"], values["overlap_px"], values["black"]) == (255.0, 16, 0.0)
+
+
+@pytest.mark.usefixtures("in_process")
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("wite = 255", r"same\.toml: unknown key 'wite'; the nearest valid one is 'white'"),
+        ("white = '255'", r"same\.toml: white: found '255' \(expected a number, got text; write 255 without"),
+        ("channels = 4", r"same\.toml: channels: found 4"),
+        ("white = 0", "black and white: found 0 for both, expected two values"),
+        ("overlap_px = 600", "overlap_px: found 600, expected at most half a tile, 512"),
+        ("white", "same.toml: not valid TOML"),
+        ("layout = 'chw'", "layout: found 'chw'"),
+    ],
+)
+def test_settings_that_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    path = identity(tmp_path / "same.onnx")
+    (tmp_path / "same.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(SettingsError, match=message):
+        found(path)
+
+
+@pytest.mark.usefixtures("in_process")
+def test_a_number_of_channels_that_is_not_the_models(tmp_path: Path) -> None:
+    path = blur(tmp_path / "m.onnx", box(), channels=3)
+    if not OLD_OPENCV:
+        with pytest.raises(SettingsError, match="channels: found 1, expected 3 as the model says"):
+            find_enhancement(f"onnx:{path}:channels=1")
+    weights = {"k": of_each_channel(box(), 3)}
+    free = save(tmp_path / "free.onnx", [convolution("x", "k", "y", 3)], weights, shape=("n", "c", "h", "w"))
+    with pytest.raises(SettingsError, match="channels: the model does not say how many it takes"):
+        find_enhancement(f"onnx:{free}")
+    assert find_enhancement(f"onnx:{free}:channels=3").run(picture())[0].shape == (70, 90)
+
+
+@pytest.mark.usefixtures("in_process")
+def test_results_in_the_store_are_those_of_the_bytes_of_the_model(tmp_path: Path) -> None:
+    first = found(blur(tmp_path / "m.onnx", box()))
+    again = found(tmp_path / "m.onnx")
+    other = found(blur(tmp_path / "m.onnx", 1.001 * box()))
+    assert fingerprint(first.function) == fingerprint(again.function)
+    assert fingerprint(first.function) != fingerprint(other.function)
+
+
+@pytest.mark.usefixtures("in_process")
+def test_a_copy_in_another_process_needs_no_file(tmp_path: Path) -> None:
+    path = denoiser(tmp_path / "m.onnx")
+    algorithm = found(path)
+    expected = algorithm.run(picture())[0]
+    packed = pickle.dumps(algorithm)
+    path.unlink()
+    copy = pickle.loads(packed)
+    assert copy.values == algorithm.values
+    assert np.array_equal(copy.run(picture())[0], expected)
+
+
+# Files that are refused, in one line
+
+
+def _outside(location: str) -> TensorProto:
+    tensor = TensorProto(
+        name="k", data_type=TensorProto.FLOAT, dims=[1, 1, 3, 3], data_location=TensorProto.EXTERNAL
+    )
+    for key, value in (("location", location), ("offset", "0"), ("length", "36")):
+        tensor.external_data.add(key=key, value=value)
+    return tensor
+
+
+def _bad(folder: Path, name: str) -> Path:
+    """Write a file that is no network of a picture that gives a picture."""
+    path, conv = folder / f"{name}.onnx", [convolution("x", "k", "y", 3)]
+    whole = denoiser(folder / "whole.onnx").read_bytes()
+    four: tuple[int | str, ...] = ("n", 4, "h", "w")
+    match name:
+        case "text":
+            path.write_text("not a network\n" * 20, encoding="utf-8")
+        case "empty":
+            path.write_bytes(b"")
+        case "random":
+            path.write_bytes(np.random.default_rng(0).bytes(5000))
+        case "truncated":
+            path.write_bytes(whole[: len(whole) // 2])
+        case "two_inputs":
+            save(path, [node("Add", "x z", "y")], inputs=("x", "z"))
+        case "two_outputs":
+            save(path, [node("Identity", "x", "y"), node("Relu", "x", "z")], outputs=("y", "z"))
+        case "four_channels":
+            save(path, [node("Identity", "x", "y")], shape=four)
+        case "bytes":
+            save(path, [node("Identity", "x", "y")], kind=TensorProto.UINT8)
+        case "vector":
+            save(path, [node("GlobalAveragePool", "x", "m"), node("Flatten", "m", "y")])
+        case "crops":
+            save(path, [convolution("x", "k", "y", 3, pads=0)], {"k": of_each_channel(box(), 1)})
+        case "unknown":
+            save(path, [node("Nonsense", "x", "y")])
+        case "huge":
+            save(path, [node("Identity", "x", "y")], shape=(1, 1, 2**20, 2**20))
+        case "cube":
+            save(path, [node("Identity", "x", "y")], shape=("n", 1, "d", "h", "w"))
+        case "outside":
+            save(path, conv, tensors=[_outside("../secret.bin")])
+        case "root":
+            save(path, conv, tensors=[_outside("/etc/passwd")])
+        case "huge_weights":
+            save(path, conv, tensors=[TensorProto(name="k", data_type=1, dims=[2**20, 2**20, 3, 3])])
+    return path
+
+
+REFUSED = {
+    "text": "OpenCV cannot read it",
+    "empty": "OpenCV cannot read it",
+    "random": "OpenCV cannot read it",
+    "truncated": "OpenCV cannot read it",
+    "two_inputs": "has 2 inputs, expected one: a picture|fails with a picture",
+    "two_outputs": "has 2 outputs, expected one",
+    "four_channels": "takes 4 channels, expected 1 or 3|channels: found 1, expected 4",
+    "bytes": "takes values of CV_8U, expected 32-bit numbers|fails with a picture",
+    "vector": "gives shape .*, expected one picture of 1 or 3 channels",
+    "crops": "expected the same proportions",
+    "unknown": "OpenCV cannot read it",
+    "huge": "takes pictures of 1048576 × 1048576, expected sides of at most 4096",
+    "cube": "takes pictures of shape any × 1 × any × any × any, expected .* 4 sides",
+    "outside": "keeps its weights in another file, expected all in one",
+    "root": "keeps its weights in another file, expected all in one",
+    "huge_weights": "OpenCV cannot read it",
+}
+
+
+@pytest.mark.usefixtures("in_process")
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_file_that_is_refused(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if OLD_OPENCV and name in ("four_channels", "huge", "cube"):
+        pytest.skip("OpenCV 4 does not report what a network takes")
+    monkeypatch.setattr(network, "has_onnx_runtime", lambda: False)
+    path = _bad(tmp_path, name)
+    with pytest.raises((DataError, SettingsError), match=REFUSED[name]) as raised:
+        found(path)
+    assert "\n" not in str(raised.value)
+    assert path.name in str(raised.value)
+
+
+@pytest.mark.usefixtures("in_process")
+def test_nan_and_values_of_the_wrong_kind_are_errors_of_the_frame(tmp_path: Path) -> None:
+    path = save(tmp_path / "m.onnx", [node("Log", "x", "y")])
+    with pytest.raises(DataError, match="gave 6300 values that are NaN or infinite, the first at row 0, column 0"):
+        found(path).run(np.full((70, 90), -1.0, np.float32))
+
+
+@pytest.mark.parametrize(("spec", "message"), [("onnx:", "expected onnx:FILE"), ("onnx::white=2", "no such file")])
+def test_a_network_without_a_file(spec: str, message: str) -> None:
+    with pytest.raises((DataError, SettingsError), match=message):
+        find_enhancement(spec)
+
+
+# The process that tries a network
+
+
+def test_a_network_is_tried_in_another_process(tmp_path: Path) -> None:
+    content = identity(tmp_path / "same.onnx").read_bytes()
+    assert probe(content, Request("opencv", channels=1)) == Found("nchw", 1, None, None, 1, 1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(OLD_OPENCV, reason="OpenCV 4 finds the mistake")
+def test_a_file_that_crashes_the_library_is_one_line(tmp_path: Path) -> None:
+    tensor = TensorProto(name="k", data_type=1, dims=[1, 1, -3, 3], raw_data=bytes(36))
+    path = save(tmp_path / "m.onnx", [convolution("x", "k", "y", 3)], tensors=[tensor])
+    with pytest.raises(
+        DataError, match=r"m\.onnx: OpenCV crashes with it \(signal SIG(ABRT|SEGV)\); it may be damaged"
+    ):
+        find_enhancement(f"onnx:{path}:runtime=opencv")
+
+
+@pytest.mark.slow
+@pytest.mark.oracle
+def test_a_network_that_never_ends_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("onnxruntime")
+    monkeypatch.setattr(network_probe, "TIME_LIMIT_S", 3.0)
+    free = onnx.helper.make_tensor_value_info
+    body = onnx.helper.make_graph(
+        [node("Identity", "go", "on"), node("Identity", "v", "w")],
+        "body",
+        [free("k", TensorProto.INT64, []), free("go", TensorProto.BOOL, []), free("v", TensorProto.FLOAT, None)],
+        [free("on", TensorProto.BOOL, []), free("w", TensorProto.FLOAT, None)],
+    )
+    path = save(tmp_path / "m.onnx", [node("Loop", " go x", "y", body=body)], {"go": np.array(True)}, shape=ANY)
+    with pytest.raises(DataError, match="ONNX Runtime did not finish small pictures within 3 s"):
+        find_enhancement(f"onnx:{path}:runtime=onnxruntime")

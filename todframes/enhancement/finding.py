@@ -1,0 +1,99 @@
+"""Algorithms by their names: those that are registered, functions of a module, and neural networks in files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from todframes.base.errors import SettingsError
+from todframes.base.reading import check_keys
+from todframes.base.user_code import import_named, in_words, registered
+from todframes.enhancement.algorithm import Declaration, Enhancement, described, values_of
+
+NETWORK = "onnx"
+"""Name before that of a file that holds a neural network."""
+
+ENTRY_POINT_GROUP = "todframes.enhancements"
+"""Entry-point group in which packages register algorithms."""
+
+
+def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
+    """Return the algorithm with a given name, or one that calls a given function.
+
+    Parameters
+    ----------
+    spec : str or function
+        Either a text: the name of an entry point of the group `todframes.enhancements`, `module:function`, or
+        `onnx:FILE`; each may be followed by `:parameter=value,…`. `module:function` runs the module, which may lie
+        in the current folder; `onnx:FILE` reads and tries the neural network of a file. Or a function of an image
+        and keyword parameters, or a `functools.partial` of one; its parameters have their default values.
+
+    Returns
+    -------
+    Enhancement
+
+    Raises
+    ------
+    SettingsError
+        If the name is unknown, the module cannot be imported, or a parameter is unknown, missing or out of range.
+    DataError
+        If the file of a network cannot be used.
+    """
+    if not isinstance(spec, str):
+        named = getattr(spec, "func", spec)
+        name = f"{named.__module__}:{getattr(named, '__qualname__', type(named).__name__)}"
+        found = described(name, name, _function(spec, f"enhance {name!r}"), f"enhance {name!r}")
+        return replace(found, values=values_of(found, "", f"enhance {name!r}"))
+    head, _, rest = spec.partition(":")
+    if head == NETWORK:
+        return _network(rest, spec)
+    function_name, _, assignments = ("", "", rest) if "=" in rest.partition(":")[0] else rest.partition(":")
+    where = f"enhance {spec!r}"
+    if function_name:
+        function = _function(import_named(head, function_name, where), where)
+    else:
+        function = _registered(head, where)
+    found = described(f"{head}:{function_name}" if function_name else head, spec, function, where)
+    return replace(found, values=values_of(found, assignments, where))
+
+
+def enhancement_names() -> list[str]:
+    """Return the names of the registered algorithms; those of this package come first."""
+    found = registered(ENTRY_POINT_GROUP)
+    return sorted(found, key=lambda name: (not found[name].value.startswith("todframes."), name))
+
+
+def _registered(name: str, where: str) -> Callable[..., Any]:
+    found = registered(ENTRY_POINT_GROUP)
+    if name not in found:
+        check_keys([name], found, f"{where}: expected a registered name or module:function")
+    try:
+        return _function(found[name].load(), where)
+    except (Exception, SystemExit) as error:
+        raise SettingsError(f"{where}: {found[name].value} cannot be loaded ({in_words(error)})") from None
+
+
+def _function(found: Any, where: str) -> Callable[..., Any]:
+    if not callable(found):
+        raise SettingsError(f"{where}: found {type(found).__name__}, expected a function of an image")
+    return found  # type: ignore[no-any-return]
+
+
+def _network(rest: str, spec: str) -> Enhancement:
+    """Return the algorithm of the neural network in a file: `FILE` or `FILE:parameter=value,…`."""
+    from todframes.enhancement.network import read_network, settings_beside, tried
+
+    before, _, after = rest.rpartition(":")
+    file, assignments = (before, after) if before and "=" in after else (rest, "")
+    path, where = Path(file), f"enhance {spec!r}"
+    if not file:
+        raise SettingsError(f"{where}: expected {NETWORK}:FILE, with the file of a network")
+    network = read_network(path)
+    found = described(path.name, spec, network.enhanced, where)
+    beside = settings_beside(path, {one.name: one.kind for one in found.parameters})
+    # Its magnification is not known before it has been tried.
+    values = values_of(replace(found, declaration=Declaration()), assignments, where, beside)
+    network, values = tried(network, values, path, where)
+    return replace(found, function=network.enhanced, values=values)

@@ -1,0 +1,256 @@
+"""Neural networks in ONNX files as algorithms: `onnx:MODEL.onnx`, with `MODEL.toml` beside it.
+
+A network takes and returns one picture of 1 or 3 channels. Its layout, channels, size and scale are read from the
+model as far as the library reports them, and by running small pictures; settings say the rest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from todframes.base.errors import DataError, SettingsError
+from todframes.base.reading import SETTINGS_SUFFIX, check_keys, convert, read_file, read_toml
+from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
+from todframes.enhancement.algorithm import Image, algorithm, meaning, parameter
+from todframes.enhancement.network_probe import MOST_TILE_PX, Found, Layout, Request, probe
+from todframes.enhancement.network_runtime import (
+    NAMES,
+    Model,
+    Runtime,
+    has_onnx_runtime,
+    read_model,
+    runtime_version,
+)
+from todframes.enhancement.tiles import Picture, in_tiles
+
+MOST_MODEL_MB = 1024
+"""Largest size of a model that is read, in units of 2**20 bytes."""
+
+WHOLE_PX = 1024
+"""Largest side of a frame that a network which takes any size gets whole, if no tile is given."""
+
+MOST_OVERLAP_PX = 64
+"""Overlap of tiles that are large enough, if none is given."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """A neural network in an ONNX file.
+
+    It is pickled with its content: a worker needs no file, and results in the store are those of these bytes.
+
+    Attributes
+    ----------
+    name : str
+        Name of the file.
+    content : bytes
+    version : str
+        Version of the library that runs it.
+    size : (int or None, int or None)
+        Rows and columns of its pictures; None: any.
+    """
+
+    name: str
+    content: bytes = field(repr=False)
+    version: str = ""
+    size: tuple[int | None, int | None] = (None, None)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Network, (self.name, self.content, self.version, self.size)
+
+    @algorithm(writes=False, magnification="scale", library="OpenCV: dnn, or ONNX Runtime")
+    def enhanced(
+        self,
+        image: Image,
+        *,
+        runtime: Annotated[Runtime, meaning("library that runs it")] | None = None,
+        layout: Annotated[Layout, meaning("order of its axes: channels first or last")] | None = None,
+        channels: Annotated[int, parameter(1, 3, what="channels that it takes, 1 or 3")] | None = None,
+        order: Annotated[Literal["rgb", "bgr"], meaning("of three channels")] = "rgb",
+        black: Annotated[float, parameter(-1e6, 1e6, what="value that it takes as black")] = 0.0,
+        white: Annotated[float, parameter(-1e6, 1e6, what="value that it takes as white")] = 1.0,
+        scale: Annotated[float, parameter(0.1, 16.0, what="output pixels for one along each axis")] | None = None,
+        tile_px: Annotated[int, parameter(0, MOST_TILE_PX, unit="px", what="side of tiles; 0: none")]
+        | None = None,
+        overlap_px: Annotated[int, parameter(0, 1024, unit="px", what="overlap of tiles")] | None = None,
+        multiple_px: Annotated[int, parameter(1, 1024, unit="px", what="divisor of all sides")] | None = None,
+    ) -> Image:
+        """Neural network of an ONNX file."""
+        assert runtime and layout and channels and scale and multiple_px  # as `tried` has found them
+        model = self._model(runtime)
+
+        def run(picture: Picture) -> Picture:
+            taken = picture[..., ::-1] if order == "bgr" else picture
+            axes = np.moveaxis(taken, 2, 0) if layout == "nchw" else taken
+            given = model.run(np.ascontiguousarray(black + (white - black) * axes, np.float32)[None])[0]
+            found = (np.moveaxis(given, 0, 2) if layout == "nchw" else given) - np.float32(black)
+            return np.asarray((found[..., ::-1] if order == "bgr" else found) / np.float32(white - black))
+
+        pictures = [image[..., None]] if image.ndim == 2 else [image]
+        if channels == 3:
+            pictures = [np.repeat(one, 3, axis=2) if one.shape[2] == 1 else one for one in pictures]
+        else:
+            pictures = [one[..., k : k + 1] for one in pictures for k in range(one.shape[2])]
+        whole = [_multiple(length, multiple_px) for length in image.shape[:2]]
+        sides = [
+            fixed or (min(tile_px, length) if tile_px else length)
+            for fixed, length in zip(self.size, whole, strict=True)
+        ]
+        found = [
+            _apply(run, one, (sides[0], sides[1]), overlap_px=overlap_px or 0, scale=scale) for one in pictures
+        ]
+        if image.ndim == 3 and channels == 3:
+            return found[0]
+        greys = [one[..., 0] if one.shape[2] == 1 else _grey(one) for one in found]
+        return greys[0] if len(greys) == 1 else np.stack(greys, axis=-1)
+
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 of the file."""
+        return hashlib.sha256(self.content).hexdigest()
+
+    @cached_property
+    def _of_threads(self) -> threading.local:
+        return threading.local()
+
+    def _model(self, runtime: Runtime) -> Model:
+        """Return the network as this thread runs it: OpenCV's runs one picture at a time."""
+        models: dict[str, Model] = vars(self._of_threads)
+        if runtime not in models:
+            if (found := runtime_version(runtime)) != self.version:
+                raise SettingsError(f"{NAMES[runtime]}: found version {found}, expected {self.version}")
+            models[runtime] = read_model(self.content, runtime)
+        return models[runtime]
+
+
+def read_network(path: Path) -> Network:
+    """Return the network in a file, which has not been tried. Raises DataError if the file cannot be read."""
+    return Network(path.name, read_file(path, most_mb=MOST_MODEL_MB))
+
+
+def settings_beside(path: Path, kinds: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of the given names and types in the TOML file beside a network; empty if there is none.
+
+    Raises
+    ------
+    SettingsError
+        If it cannot be read, a key is unknown, or a value is not of its type.
+    """
+    beside = path.with_suffix(SETTINGS_SUFFIX)
+    if not beside.exists():
+        return {}
+    table = read_toml(beside)
+    check_keys(table, kinds, str(beside))
+    return {name: convert(value, kinds[name], f"{beside}: {name}") for name, value in table.items()}
+
+
+def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -> tuple[Network, dict[str, Any]]:
+    """Try a network in another process, and return it with all its settings.
+
+    Parameters
+    ----------
+    network : Network
+    values : mapping
+        The settings of `Network.enhanced` that are given; None: as the model has them.
+    path : Path
+        File of the network, for messages.
+    where : str
+        Text that messages about settings begin with.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read or run, or is no network of one picture that gives one picture.
+    SettingsError
+        If a setting contradicts the model, or has to be given because the model does not say it.
+    """
+    if values["black"] == values["white"]:
+        raise SettingsError(f"{where}: black and white: found {values['black']:g} for both, expected two values")
+    asked = {name: values[name] for name in ("layout", "channels", "multiple_px", "black", "white")}
+    try:
+        runtime, properties = _first_to_run(network.content, asked, values["runtime"])
+    except SettingsError as error:
+        raise SettingsError(f"{where}: {error.marked}") from None
+    except DataError as error:
+        raise DataError(f"{path}: {error.marked}") from None
+    scale = values["scale"]
+    if scale is not None and scale != properties.scale:
+        raise SettingsError(f"{where}: scale: found {scale:g}, expected {properties.scale:g} as the model gives")
+    size = properties.rows, properties.columns
+    multiple = properties.multiple_px
+    tile = values["tile_px"]
+    if tile is None:
+        tile = WHOLE_PX // multiple * multiple
+    if tile % multiple:
+        raise SettingsError(f"{where}: tile_px: found {tile}, expected a multiple of {multiple}")
+    smallest = min(side or tile or MOST_TILE_PX for side in size)
+    overlap = values["overlap_px"]
+    if overlap is None:
+        overlap = min(MOST_OVERLAP_PX, smallest // 4)
+    if overlap > smallest // 2:
+        raise SettingsError(f"{where}: overlap_px: found {overlap}, expected at most half a tile, {smallest // 2}")
+    resolved = dict(values) | {
+        "runtime": runtime,
+        "layout": properties.layout,
+        "channels": properties.channels,
+        "scale": properties.scale,
+        "tile_px": tile,
+        "overlap_px": overlap,
+        "multiple_px": multiple,
+    }
+    return replace(network, version=runtime_version(runtime), size=size), resolved
+
+
+def _first_to_run(content: bytes, asked: Mapping[str, Any], runtime: Runtime | None) -> tuple[Runtime, Found]:
+    """Return the first library that runs a network, or the one that is asked for, and what it has found."""
+    if runtime is not None:
+        runtime_version(runtime)
+        return runtime, probe(content, Request(runtime, **asked))
+    try:
+        return "opencv", probe(content, Request("opencv", **asked))
+    except DataError as error:
+        problem = error.marked
+    if not has_onnx_runtime():
+        raise DataError(f'{problem}; ONNX Runtime may: pip install "todframes[onnx]"')
+    try:
+        return "onnxruntime", probe(content, Request("onnxruntime", **asked))
+    except DataError as error:
+        raise DataError(problem if problem == error.marked else f"{problem}; {error.marked}") from None
+
+
+def _apply(
+    run: Callable[[Picture], Picture], image: Picture, side: tuple[int, int], *, overlap_px: int, scale: float
+) -> Picture:
+    """Apply a function of pictures of one size to an image: in tiles, or mirrored at its ends if it is smaller."""
+    missing = [max(0, needed - length) for needed, length in zip(side, image.shape[:2], strict=True)]
+    if any(missing):
+        image, whole = np.pad(image, [*((0, more) for more in missing), (0, 0)], mode="reflect"), image
+        rows, columns = (round(scale * length) for length in whole.shape[:2])
+        return _apply(run, image, side, overlap_px=overlap_px, scale=scale)[:rows, :columns]
+    if image.shape[:2] == side:
+        return run(image)
+    if scale != round(scale):
+        raise ValueError(f"a frame of {image.shape[0]} × {image.shape[1]} needs tiles, and they a whole scale")
+    return in_tiles(run, image, tile=side, overlap_px=overlap_px, scale=round(scale))
+
+
+def _multiple(length: int, divisor: int) -> int:
+    """Return the smallest multiple of a number that is at least a length."""
+    return -(-length // divisor) * divisor
+
+
+def _grey(picture: Picture) -> Picture:
+    """Return one channel for three.
+
+    By the weights of luminance: this is the luminance of the coloured picture to first order in its colours, and
+    exactly so on a linear display.
+    """
+    return np.asarray(picture @ REC_709_LUMINANCE_WEIGHTS.astype(np.float32))

@@ -1,0 +1,219 @@
+"""Trial of a neural network in a process of its own: a damaged or hostile file may crash it, or never end.
+
+`probe` starts the process, `python -m todframes.enhancement.network_probe`. It reads the model from its standard
+input, runs small pictures through it, and writes what it has found as JSON.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from todframes.base.errors import DataError, SettingsError, TodframesError
+from todframes.enhancement.network_runtime import FLOATS, NAMES, Model, Runtime, read_model, reason
+from todframes.jobs.start import ENVIRONMENT
+
+Layout = Literal["nchw", "nhwc"]
+
+TIME_LIMIT_S = 120.0
+"""Time that reading a model and running the small pictures may take."""
+
+SIDE_PX = 64
+"""Smallest side of the pictures that a network which takes any size is tried with."""
+
+MULTIPLES = (1, 2, 4, 8, 16, 32, 64)
+"""Divisors of the sides that a network may need: one for each time that it halves a picture."""
+
+MOST_TILE_PX = 4096
+"""Largest side of the pictures of a network of fixed size."""
+
+MEMORY_SHARE = 0.5
+"""Share of the machine's memory that the process may use."""
+
+
+class Request(msgspec.Struct, frozen=True):
+    """The settings of a network as far as the user has given them; None: read them from the model."""
+
+    runtime: Runtime
+    layout: Layout | None = None
+    channels: int | None = None
+    multiple_px: int | None = None
+    black: float = 0.0
+    white: float = 1.0
+
+
+class Found(msgspec.Struct, frozen=True, tag=True):
+    """The properties of a network that runs.
+
+    `rows` and `columns` are those of its pictures; None if it takes any size that is a multiple of `multiple_px`.
+    `scale` is the number of output pixels for one input pixel along each axis.
+    """
+
+    layout: Layout
+    channels: int
+    rows: int | None
+    columns: int | None
+    multiple_px: int
+    scale: float
+
+
+class _Failed(msgspec.Struct, frozen=True, tag=True):
+    problem: str
+    is_setting: bool
+
+
+def probe(content: bytes, request: Request) -> Found:
+    """Read a model and run small pictures through it in another process.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read or run, or is no network of one picture that gives one picture.
+    SettingsError
+        If a setting contradicts the model, or has to be given because the model does not say it.
+    """
+    command = [sys.executable, "-m", __name__, msgspec.json.encode(request).decode()]
+    name = NAMES[request.runtime]
+    try:
+        done = subprocess.run(
+            command,
+            input=content,
+            capture_output=True,
+            timeout=TIME_LIMIT_S,
+            env=os.environ | ENVIRONMENT,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise DataError(f"{name} did not finish small pictures within {TIME_LIMIT_S:g} s") from None
+    try:
+        found = msgspec.json.decode(done.stdout, type=Found | _Failed)
+    except msgspec.MsgspecError:
+        raise DataError(f"{name} crashes with it ({_end(done.returncode)}); it may be damaged") from None
+    if isinstance(found, _Failed):
+        raise (SettingsError if found.is_setting else DataError)(found.problem)
+    return found
+
+
+def _end(status: int) -> str:
+    """Return how a process ended."""
+    with suppress(ValueError):
+        return f"signal {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
+    return f"status {status}"
+
+
+def examine(model: Model, request: Request) -> Found:
+    """Find out the layout, channels, size and scale of a network by its inputs and by small pictures.
+
+    Raises
+    ------
+    DataError, SettingsError
+        As `probe` does.
+    """
+    layout, channels, rows, columns = _shape(model, request)
+    if model.n_outputs != 1:
+        raise DataError(f"has {model.n_outputs} outputs, expected one")
+    if rows is not None and columns is not None:
+        return Found(layout, channels, rows, columns, 1, _scale(model, request, layout, channels, rows, columns))
+    problem: DataError | None = None
+    for multiple in MULTIPLES if request.multiple_px is None else (request.multiple_px,):
+        side = multiple * max(1, SIDE_PX // multiple) + (multiple if multiple < SIDE_PX else 0)
+        try:
+            # Unequal sides show a network that cuts off borders or exchanges axes.
+            scale = _scale(model, request, layout, channels, rows or side, columns or side + multiple)
+        except DataError as error:
+            problem = problem or error
+            continue
+        return Found(layout, channels, rows, columns, multiple, scale)
+    assert problem is not None
+    raise problem
+
+
+def _shape(model: Model, request: Request) -> tuple[Layout, int, int | None, int | None]:
+    """Return layout, channels, rows and columns of a network's pictures."""
+    reported = model.inputs
+    if reported is not None and len(reported) != 1:
+        raise DataError(f"has {len(reported)} inputs, expected one: a picture")
+    sides: tuple[int | None, ...] = (None,) * 4
+    if reported is not None and reported[0].kind != "<empty>":
+        ((kind, sides),) = reported
+        if kind not in FLOATS.values():
+            raise DataError(f"takes values of {kind}, expected 32-bit numbers")
+        if len(sides) != 4 or sides[0] not in (1, None):
+            shape = " × ".join("any" if side is None else str(side) for side in sides)
+            raise DataError(f"takes pictures of shape {shape}, expected one picture with its channels: 4 sides")
+    layout: Layout = request.layout or ("nhwc" if sides[3] in (1, 3) and sides[1] not in (1, 3) else "nchw")
+    channels, rows, columns = (sides[1], *sides[2:]) if layout == "nchw" else (sides[3], *sides[1:3])
+    asked = request.channels
+    if channels is None and asked is None:
+        raise SettingsError("channels: the model does not say how many it takes; give channels as 1 or 3")
+    if asked is not None and channels not in (asked, None):
+        raise SettingsError(f"channels: found {asked}, expected {channels} as the model says")
+    channels = channels or asked
+    if channels not in (1, 3):
+        raise DataError(f"takes {channels} channels, expected 1 or 3")
+    for side in (rows, columns):
+        if side is not None and side > MOST_TILE_PX:
+            raise DataError(f"takes pictures of {rows} × {columns}, expected sides of at most {MOST_TILE_PX}")
+    return layout, channels, rows, columns
+
+
+def _scale(model: Model, request: Request, layout: Layout, channels: int, rows: int, columns: int) -> float:
+    """Run a picture and return the number of output pixels for one input pixel along each axis."""
+    ramp = np.linspace(0.25, 0.75, rows * columns).reshape(1, 1, rows, columns)
+    values = request.black + (request.white - request.black) * np.repeat(ramp, channels, axis=1)
+    values = values if layout == "nchw" else np.moveaxis(values, 1, 3)
+    try:
+        found = model.run(np.ascontiguousarray(values, np.float32))
+        shape: tuple[int, ...] = found.shape  # OpenCV may give None
+    except MemoryError:
+        raise DataError(f"needs more memory than there is for {rows} × {columns} pixels") from None
+    except Exception as error:
+        raise DataError(f"fails with a picture of {rows} × {columns} ({reason(error)})") from None
+    sides = shape[2:] if layout == "nchw" else shape[1:3]
+    if len(shape) != 4 or shape[0] != 1 or shape[1 if layout == "nchw" else 3] not in (1, 3) or 0 in shape:
+        raise DataError(
+            f"gives shape {shape} for {values.shape}, expected one picture of 1 or 3 channels in the same layout"
+        )
+    if sides[0] * columns != sides[1] * rows:
+        raise DataError(
+            f"gives {sides[0]} × {sides[1]} pixels for {rows} × {columns}, expected the same proportions"
+        )
+    return sides[0] / rows
+
+
+def main() -> None:
+    """Read a model from standard input and write what it is to standard output, as JSON."""
+    answer = os.dup(1)
+    os.dup2(2, 1)  # libraries may print
+    _limit_memory()
+    request = msgspec.json.decode(sys.argv[1], type=Request)
+    found: Found | _Failed
+    try:
+        found = examine(read_model(sys.stdin.buffer.read(), request.runtime), request)
+    except TodframesError as error:
+        found = _Failed(error.marked, isinstance(error, SettingsError))
+    except MemoryError:
+        found = _Failed("needs more memory than there is", is_setting=False)
+    os.write(answer, msgspec.json.encode(found))
+    os._exit(0)  # nothing of the library runs any more
+
+
+def _limit_memory() -> None:
+    """Keep this process to a share of the memory, and from writing its own to a file if it crashes."""
+    with suppress(ImportError, ValueError, OSError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        most = int(MEMORY_SHARE * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+
+
+if __name__ == "__main__":
+    main()
