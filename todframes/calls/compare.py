@@ -94,8 +94,8 @@ def compare(
         As in `score`; several, also named as "pyramid,csf", each give a verdict on the same frames. The first is
         that of `algorithms`, the others of `observers`, and `verdict` begins with where they disagree.
     enhance : iterable of str or function
-        Algorithms: "name" of a registered one or "module:function", optionally followed by ":parameter=value,…";
-        or functions of an image and keyword parameters.
+        Algorithms: "name" of a registered one, "module:function" or "onnx:file", optionally followed by
+        ":parameter=value,…"; or functions of an image and keyword parameters.
     white : float
         Code value of white for the algorithms.
     allow_clipping : bool

@@ -32,8 +32,8 @@ from todframes.cli.options import (
     multiple=True,
     required=True,
     metavar="SPEC",
-    help="Algorithm: NAME, MODULE:FUNCTION (whose code is run), or either with :PARAMETER=VALUE,… behind; "
-    "repeatable.",
+    help="Algorithm: NAME, MODULE:FUNCTION (whose code is run), or onnx:FILE (a network, which is run), each "
+    "also with :PARAMETER=VALUE,… behind; repeatable.",
 )
 @click.option(
     "-o",

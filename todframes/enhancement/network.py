@@ -20,7 +20,7 @@ from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import SETTINGS_SUFFIX, check_keys, convert, read_file, read_toml
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.enhancement.algorithm import Image, algorithm, meaning, parameter
-from todframes.enhancement.network_probe import MOST_TILE_PX, Found, Layout, Request, probe
+from todframes.enhancement.network_probe import MOST_TILE_PX, Found, Layout, ProbeRequest, probe
 from todframes.enhancement.network_runtime import (
     NAMES,
     Model,
@@ -213,15 +213,15 @@ def _first_to_run(content: bytes, asked: Mapping[str, Any], runtime: Runtime | N
     """Return the first library that runs a network, or the one that is asked for, and what it has found."""
     if runtime is not None:
         runtime_version(runtime)
-        return runtime, probe(content, Request(runtime, **asked))
+        return runtime, probe(content, ProbeRequest(runtime, **asked))
     try:
-        return "opencv", probe(content, Request("opencv", **asked))
+        return "opencv", probe(content, ProbeRequest("opencv", **asked))
     except DataError as error:
         problem = error.marked
     if not has_onnx_runtime():
         raise DataError(f'{problem}; ONNX Runtime may: pip install "todframes[onnx]"')
     try:
-        return "onnxruntime", probe(content, Request("onnxruntime", **asked))
+        return "onnxruntime", probe(content, ProbeRequest("onnxruntime", **asked))
     except DataError as error:
         raise DataError(problem if problem == error.marked else f"{problem}; {error.marked}") from None
 

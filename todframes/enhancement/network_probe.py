@@ -38,7 +38,7 @@ MEMORY_SHARE = 0.5
 """Share of the machine's memory that the process may use."""
 
 
-class Request(msgspec.Struct, frozen=True):
+class ProbeRequest(msgspec.Struct, frozen=True):
     """The settings of a network as far as the user has given them; None: read them from the model."""
 
     runtime: Runtime
@@ -69,7 +69,7 @@ class _Failed(msgspec.Struct, frozen=True, tag=True):
     is_setting: bool
 
 
-def probe(content: bytes, request: Request) -> Found:
+def probe(content: bytes, request: ProbeRequest) -> Found:
     """Read a model and run small pictures through it in another process.
 
     Raises
@@ -108,7 +108,7 @@ def _end(status: int) -> str:
     return f"status {status}"
 
 
-def examine(model: Model, request: Request) -> Found:
+def examine(model: Model, request: ProbeRequest) -> Found:
     """Find out the layout, channels, size and scale of a network by its inputs and by small pictures.
 
     Raises
@@ -135,7 +135,7 @@ def examine(model: Model, request: Request) -> Found:
     raise problem
 
 
-def _shape(model: Model, request: Request) -> tuple[Layout, int, int | None, int | None]:
+def _shape(model: Model, request: ProbeRequest) -> tuple[Layout, int, int | None, int | None]:
     """Return layout, channels, rows and columns of a network's pictures."""
     reported = model.inputs
     if reported is not None and len(reported) != 1:
@@ -164,7 +164,7 @@ def _shape(model: Model, request: Request) -> tuple[Layout, int, int | None, int
     return layout, channels, rows, columns
 
 
-def _scale(model: Model, request: Request, layout: Layout, channels: int, rows: int, columns: int) -> float:
+def _scale(model: Model, request: ProbeRequest, layout: Layout, channels: int, rows: int, columns: int) -> float:
     """Run a picture and return the number of output pixels for one input pixel along each axis."""
     ramp = np.linspace(0.25, 0.75, rows * columns).reshape(1, 1, rows, columns)
     values = request.black + (request.white - request.black) * np.repeat(ramp, channels, axis=1)
@@ -193,7 +193,7 @@ def main() -> None:
     answer = os.dup(1)
     os.dup2(2, 1)  # libraries may print
     _limit_memory()
-    request = msgspec.json.decode(sys.argv[1], type=Request)
+    request = msgspec.json.decode(sys.argv[1], type=ProbeRequest)
     found: Found | _Failed
     try:
         found = examine(read_model(sys.stdin.buffer.read(), request.runtime), request)

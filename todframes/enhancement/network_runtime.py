@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -112,9 +112,11 @@ def _by_opencv(content: bytes) -> Model:
         try:
             net = cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8))
             names = net.getUnconnectedOutLayersNames()
-            inputs = _reported(net.dump())
         except (cv2.error, SystemError, UnicodeDecodeError) as error:
             raise DataError(f"OpenCV cannot read it ({reason(error)})") from None
+        inputs = None
+        with suppress(cv2.error, UnicodeDecodeError):  # of OpenCV 4, which needs a picture first
+            inputs = _reported(net.dump())
 
     def run(values: NDArray[np.float32]) -> NDArray[np.float32]:
         with _quiet():
