@@ -1,0 +1,99 @@
+"""The campaign of damaged and hostile neural networks: each ends in an algorithm or in one clear line.
+
+Small networks are mutated and given to `onnx:FILE`, which tries them in a process of its own. One that is accepted
+filters a frame, in another process, as a worker of a comparison does.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from mutations import fill_range, flip_bits, insert_bytes, truncate
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import networks
+
+LIMIT_S = 60.0
+"""Longest time of a case; the time of a trial is limited to less."""
+
+ONE = """
+import sys
+import numpy as np
+from todframes.base.errors import TodframesError
+from todframes.enhancement import network_probe
+from todframes.enhancement.finding import find_enhancement
+
+network_probe.TIME_LIMIT_S = 20.0
+try:
+    network = find_enhancement(sys.argv[1])
+    print("accepted", flush=True)
+    network.run(np.full((40, 50), 0.5, np.float32))
+except TodframesError as error:
+    message = str(error)
+    assert message.isprintable(), repr(message)
+    print("refused", message)
+"""
+
+
+def other_number(content: bytes, rng: np.random.Generator, _: object) -> bytes:
+    """Replace one byte by the end of a range: most are lengths, dimensions or types."""
+    place = int(rng.integers(len(content)))
+    return content[:place] + bytes([int(rng.choice([0, 1, 2, 127, 128, 255]))]) + content[place + 1 :]
+
+
+MUTATIONS = (flip_bits, truncate, fill_range, insert_bytes, other_number)
+
+
+def samples(folder: Path) -> list[Path]:
+    """Write the networks that are mutated."""
+    return [
+        networks.denoiser(folder / "denoiser.onnx"),
+        networks.finer(folder / "finer.onnx"),
+        networks.blur(folder / "box.onnx", networks.box(), channels=3, size=(48, 64)),
+        networks.halving(folder / "halving.onnx"),
+    ]
+
+
+def campaign(n: int, *, seed: int, first: int = 0) -> tuple[int, list[str]]:
+    """Mutate networks; return the number of cases, and a line for each fault.
+
+    A process that ends with a signal after its network was accepted is counted apart: the trial has shown small
+    pictures only, and what a hostile model does with a frame is not known. A traceback, a message of several lines
+    and a signal before that are faults.
+    """
+    found, counts = [], dict.fromkeys(("accepted", "refused", "died after it was accepted"), 0)
+    with tempfile.TemporaryDirectory() as name:
+        wholes = [path.read_bytes() for path in samples(Path(name))]
+        path = Path(name) / "damaged.onnx"
+        for number in range(first, first + n):
+            rng = np.random.default_rng((seed, number))
+            mutate = MUTATIONS[number % len(MUTATIONS)]
+            path.write_bytes(mutate(wholes[number // len(MUTATIONS) % len(wholes)], rng, wholes))
+            case = f"{number}, {mutate.__name__}"
+            try:
+                done = subprocess.run(
+                    [sys.executable, "-c", ONE, f"onnx:{path}:runtime=opencv"],
+                    capture_output=True,
+                    timeout=LIMIT_S,
+                    check=False,
+                )
+            except subprocess.TimeoutExpired:
+                found.append(f"{case}: took more than {LIMIT_S:g} s")
+                continue
+            lines = done.stdout.decode(errors="replace").splitlines()
+            if done.returncode < 0 and lines[:1] == ["accepted"]:
+                counts["died after it was accepted"] += 1
+            elif done.returncode:
+                end = signal.Signals(-done.returncode).name if done.returncode < 0 else done.returncode
+                last = (done.stderr.decode(errors="replace").splitlines() or [""])[-1]
+                found.append(f"{case}: ended with {end}: {last}")
+            else:
+                counts[lines[-1].partition(" ")[0]] += 1
+    print(", ".join(f"{value} {key}" for key, value in counts.items()))
+    return n, found
