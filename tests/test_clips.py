@@ -556,3 +556,14 @@ def test_a_gap_before_a_trial(tmp_path: Path) -> None:
     data = load_dataset(manifest(tmp_path, rows))
     with pytest.raises(FrameError, match=r"5\.exr: comes 0\.2 s after the frame before it .* expected 0\.1 s"):
         compare_dataset(data, PyramidObserver(), [find_enhancement("temporal_mean:before=3")])
+
+
+@pytest.mark.slow
+def test_documented_smear_is_what_the_filter_does(capsys) -> None:
+    page = (Path(__file__).parent.parent / "docs" / "enhancement.md").read_text(encoding="utf-8")
+    code, text = (
+        re.search(rf"^```{kind} smear\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)[1]
+        for kind in ("python", "text")
+    )
+    exec(compile(code, "enhancement.md", "exec"), {})
+    assert capsys.readouterr().out == text
