@@ -319,6 +319,39 @@ def test_range_of_a_design() -> None:
         Aim(DAYLIGHT, BEER).check(0.75)
 
 
+# Figures of dstl's RET (Apache-2.0), its own functions run apart at commit 21902f8: `ret/sensing/sensor.py`,
+# `_calculate_confidence_probability` and `TemperatureAcquire1dSensor._get_atmospheric_transmission`.
+
+
+@pytest.mark.parametrize(
+    ("line_pairs", "time_s", "n50", "probability"),
+    [
+        (3.0, 10.0, 3.0, 0.3851048626634916),
+        (5.0, 4.0, 3.0, 0.5656381614026981),
+        (2.0, 20.0, 4.0, 0.050569356466332545),
+        (9.6, 30.0, 6.4, 0.8200230063460117),
+    ],
+)
+def test_probabilities_are_those_of_ret(line_pairs, time_s, n50, probability) -> None:
+    assert float(with_search(transfer_probability(line_pairs / n50), time_s)) == pytest.approx(
+        probability, rel=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("km", "humidity", "visibility_km", "celsius", "transmission"),
+    [
+        (10.0, 0.76, 23.0, 21.0, 0.012370861170107585),
+        (5.0, 0.5, 5.0, 10.0, 0.1572256612559987),
+        (2.0, 0.9, 2.0, 30.0, 0.08577958040533847),
+        (1.0, 0.3, 8.0, -5.0, 0.8157770416525273),
+    ],
+)
+def test_humid_air_is_that_of_ret(km, humidity, visibility_km, celsius, transmission) -> None:
+    air = tod.Atmosphere(visibility_km=visibility_km, relative_humidity=humidity, air_temperature_c=celsius)
+    assert math.exp(-float(air.optical_depth(km))) == pytest.approx(transmission, rel=1e-12)
+
+
 @pytest.mark.slow
 def test_a_sweep_has_the_ranges_of_its_curves() -> None:
     camera = Path(__file__).parent.parent / "sample_frames" / "staring_camera.toml"

@@ -8,6 +8,7 @@ extinction_per_km = 0.2
 # or table = "air.csv"                              columns range_km, and transmission or extinction_per_km
 # or visibility_km = 23.0                           daylight; sky_to_ground_ratio = 3.0
 # or visibility_km, relative_humidity and air_temperature_c, for thermal bands
+# or modtran_height_m = 75.0, visibility_km = 23.0 or 5.0, and band_um = [3.0, 5.0]: tables of pyBSM
 """
 
 from __future__ import annotations
@@ -256,7 +257,30 @@ def find_atmosphere(name: str | Path, *, where: str = "atmosphere") -> Atmospher
         table = {key: value for key, value in table.items() if key != "table"} | rows
     if isinstance(table.get("extinction_per_km"), list):
         table = _as_transmission(table, place)
+    if "modtran_height_m" in table:
+        table = _from_modtran(table, place)
     return from_table(texts | table, Atmosphere, place)
+
+
+def _from_modtran(table: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return a table of transmissions from the tables of pyBSM, by height, visibility and band."""
+    from todframes.field.modtran import modtran_table
+
+    names = {"modtran_height_m": float, "visibility_km": float, "band_um": tuple[float, float]}
+    missing = [name for name in names if name not in table]
+    if missing:
+        raise SettingsError(f"{where}: {missing[0]}: is missing, expected it beside modtran_height_m")
+    height, visibility, band = (convert(table[name], kind, f"{where}: {name}") for name, kind in names.items())
+    try:
+        ranges, transmissions = modtran_table(
+            band_um=band,  # type: ignore[arg-type]
+            visibility_km=visibility,  # type: ignore[arg-type]
+            height_m=height,  # type: ignore[arg-type]
+        )
+    except SettingsError as error:
+        raise SettingsError(f"{where}: {error}") from None
+    others = {key: value for key, value in table.items() if key not in ("modtran_height_m", "visibility_km")}
+    return others | {"range_km": ranges, "transmission": transmissions}
 
 
 def _as_transmission(table: dict[str, Any], where: str) -> dict[str, Any]:
