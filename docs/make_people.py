@@ -1,8 +1,9 @@
-"""Makes people.md and its pictures: python docs/make_people.py [FOLDER].
+"""Makes people.md, its pictures, and the settings `modelfest`: python docs/make_people.py [FOLDER].
 
 Needs an environment with the extra `people`, whose package stimupy draws the stimuli of ModelFest and of the edges
 in noise. Pictures go to FOLDER/people, the page to FOLDER/people.md; by default that is the folder of this script.
-Seeds are fixed. What stands in people.md between <!-- =NAME --> and <!-- / --> is written anew.
+The settings of the pyramid that ModelFest gives go to todframes/observers/settings, or to FOLDER. Seeds are fixed.
+What stands in people.md between <!-- =NAME --> and <!-- / --> is written anew.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
@@ -21,7 +22,9 @@ os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 import numpy as np
 from matplotlib.figure import Figure
 
+from todframes.base.reading import toml_literal
 from todframes.observers.csf import CsfObserver
+from todframes.observers.interface import SETTINGS_FOLDER
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver
 from todframes.studies.people.rings import landolt_ring, people_acuity
@@ -29,7 +32,13 @@ from todframes.studies.people.tasks import activity_of, detection_d_prime, ident
 
 HERE = Path(__file__).parent
 MRAD_PER_DEG = np.radians(1.0) * 1000.0
-COLOURS = {"pyramid": "#444444", "oriented": "#d55e00", "csf": "#0072b2", "csf, ideal": "#56b4e9"}
+COLOURS = {
+    "pyramid": "#444444",
+    "pyramid, modelfest": "#009e73",
+    "oriented": "#d55e00",
+    "csf": "#0072b2",
+    "csf, ideal": "#56b4e9",
+}
 
 D_PRIME_84, D_PRIME_75 = 1.4064, 0.9539
 """√2 Φ⁻¹ of 0.84 and 0.75."""
@@ -88,12 +97,19 @@ def rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def modelfest() -> dict[str, dict[int, float]]:
-    """Sensitivity of each observer less that of people, in dB, by stimulus."""
+class Detected(NamedTuple):
+    """A stimulus of ModelFest with a largest contrast of 1, and people's sensitivity to it in dB."""
+
+    number: int
+    contrast: np.ndarray
+    people_db: float
+
+
+def modelfest_stimuli() -> list[Detected]:
+    """Draw the 43 stimuli, in the order of their numbers."""
     from stimupy.papers import modelfest as papers
 
-    observers = {"pyramid": PyramidObserver(), "oriented": OrientedObserver(), "csf": CsfObserver()}
-    found: dict[str, dict[int, float]] = {name: {} for name in observers}
+    found = []
     for name in dir(papers):
         if not (name[0].isupper() and name[-1].isdigit() and name != "PPD2"):
             continue
@@ -103,13 +119,82 @@ def modelfest() -> dict[str, dict[int, float]]:
         contrast = 2.0 * drawn["img"] - 1.0
         contrast /= np.abs(contrast).max()
         people = np.nanmean([drawn["experimental_data"][f"thresholds{run}"] for run in (1, 2, 3, 4)])
+        found.append(Detected(number, contrast, 20.0 * float(people)))
+    return sorted(found)
+
+
+class BandNoise(NamedTuple):
+    """Internal noise of each band, with its relative standard error, and the errors of the fit in dB."""
+
+    values: tuple[float, ...]
+    errors: tuple[float, ...]
+    rms_db: float
+    rms_left_out_db: float
+
+
+def fit_band_noise(stimuli: Sequence[Detected]) -> BandNoise:
+    """Fit the noise of each band of the pyramid with an eye to the sensitivity of people.
+
+    The squared d′ of a stimulus is the sum over bands of its energy over the noise's variance. The last error is
+    that of stimuli that were left out of the fit, one at a time.
+    """
+    from scipy.optimize import least_squares
+
+    observer = PyramidObserver(eye_mtf="watson2013")
+    energy = np.array(
+        [
+            [np.vdot(band, band) for band in activity_of(observer, one.contrast, MODELFEST_PITCH_MRAD)]
+            for one in stimuli
+        ]
+    )
+    people = np.array([one.people_db for one in stimuli])
+
+    def left(ln_noise: np.ndarray, rows: Any = slice(None)) -> np.ndarray:
+        variance = observer.settings.noise_sd**2 * np.exp(2.0 * ln_noise)
+        return db(np.sqrt(energy[rows] @ (1.0 / variance)) / D_PRIME_84) - people[rows]
+
+    start = np.zeros(energy.shape[1])
+    found = least_squares(left, start)
+    each = range(len(stimuli))
+    left_out = [left(least_squares(left, start, args=(np.delete(each, n),)).x, [n])[0] for n in each]
+    variance = 2.0 * found.cost / (len(stimuli) - len(start))
+    errors = np.sqrt(variance * np.diagonal(np.linalg.inv(found.jac.T @ found.jac)))
+    values = tuple(float(f"{one:.4g}") for one in np.exp(found.x))
+    return BandNoise(values, tuple(errors.tolist()), rms(found.fun), rms(left_out))
+
+
+def settings_text(noise: BandNoise) -> str:
+    """Write the settings of the pyramid with an eye as TOML."""
+    errors = ", ".join(f"{100.0 * one:.0f}" for one in noise.errors)
+    return (
+        "# The pyramid with the optics of an eye, and the internal noise of each band that the 43 stimuli of\n"
+        "# ModelFest give: docs/make_people.py fits it to the sensitivity of 16 people at 30 cd/m².\n"
+        f"# Errors of the fit: {noise.rms_db:.2f} dB (root mean square), and {noise.rms_left_out_db:.2f} dB for a "
+        "stimulus that was left out.\n"
+        f"# Standard errors of the noises, the finest band first: {errors} %.\n"
+        'eye_mtf = "watson2013"\n'
+        "# Over internal_noise = 0.5; the last is that of all coarser bands.\n"
+        f"band_noise = {toml_literal(noise.values)}\n"
+    )
+
+
+def modelfest(stimuli: Sequence[Detected], with_eye: PyramidObserver) -> dict[str, dict[int, float]]:
+    """Sensitivity of each observer less that of people, in dB, by stimulus."""
+    observers = {
+        "pyramid": PyramidObserver(),
+        "pyramid, modelfest": with_eye,
+        "oriented": OrientedObserver(),
+        "csf": CsfObserver(),
+    }
+    found: dict[str, dict[int, float]] = {name: {} for name in observers}
+    for one in stimuli:
         for who, observer in observers.items():
-            d_prime = detection_d_prime(observer, activity_of(observer, contrast, MODELFEST_PITCH_MRAD))
-            found[who][number] = float(db(d_prime / D_PRIME_84) - 20.0 * people)
+            d_prime = detection_d_prime(observer, activity_of(observer, one.contrast, MODELFEST_PITCH_MRAD))
+            found[who][one.number] = float(db(d_prime / D_PRIME_84) - one.people_db)
     return found
 
 
-def edges_in_noise() -> dict[str, dict[tuple[str, str], float]]:
+def edges_in_noise(with_eye: PyramidObserver) -> dict[str, dict[tuple[str, str], float]]:
     """Threshold of each observer over that of people, in dB, by noise and edge."""
     import pandas as pd
 
@@ -134,7 +219,8 @@ def edges_in_noise() -> dict[str, dict[tuple[str, str], float]]:
     found: dict[str, dict[tuple[str, str], float]] = {}
     # `oriented` takes an hour for the draws; its neurons are about as sensitive as those of `pyramid`.
     of_csf = {"retina_pitch_mrad": 0.2, "luminance_cd_m2": EDGE_CD_M2}
-    plain = {"csf": CsfObserver(**of_csf), "pyramid": PyramidObserver()}
+    at_light = PyramidObserver(with_eye.settings, luminance_cd_m2=EDGE_CD_M2)
+    plain = {"csf": CsfObserver(**of_csf), "pyramid": PyramidObserver(), "pyramid, modelfest": at_light}
     for who, observer in [*plain.items(), ("csf, ideal", None)]:
         found[who] = {}
         for noise in NOISES:
@@ -162,11 +248,12 @@ def density(draws: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     return f[1] * np.arange(len(mean)), mean
 
 
-def rings() -> dict[str, list[float]]:
+def rings(with_eye: PyramidObserver) -> dict[str, list[float]]:
     """Threshold of each observer over the contrast at which people identify the same ring."""
     found = {}
     for who, observer in {
         "pyramid": PyramidObserver(),
+        "pyramid, modelfest": with_eye,
         "oriented": OrientedObserver(),
         "csf": CsfObserver(),
     }.items():
@@ -269,8 +356,12 @@ def figures(detected: Any, noisy: Any, ringed: Any) -> dict[str, Figure]:
 def main(folder: Path) -> None:
     """Compute everything and write it."""
     warnings.simplefilter("ignore")
-    ringed, detected = rings(), modelfest()
-    noisy = edges_in_noise()
+    stimuli = modelfest_stimuli()
+    noise = fit_band_noise(stimuli)
+    (SETTINGS_FOLDER if folder == HERE else folder).joinpath("modelfest.toml").write_text(settings_text(noise))
+    with_eye = PyramidObserver(eye_mtf="watson2013", band_noise=noise.values)
+    ringed, detected = rings(with_eye), modelfest(stimuli, with_eye)
+    noisy = edges_in_noise(with_eye)
     (folder / "people").mkdir(parents=True, exist_ok=True)
     for name, figure in figures(detected, noisy, ringed).items():
         figure.savefig(folder / "people" / f"{name}.png", dpi=110, metadata={"Software": None})

@@ -55,6 +55,13 @@ VARIANTS = [
         },
     ),
 ]
+EYE = {"eye_mtf": "watson2013", "band_noise": (13.0, 1.0, 0.3, 0.2, 0.1), "pupil_mm": 5.0}
+VARIANTS += [(name, EYE) for name in ("pyramid", "informative", "oriented")]
+VARIANTS += [
+    ("pyramid", EYE | {"include_residual": True, "kernel_a": 0.4}),
+    ("informative", EYE | {"sample_pitch_mrad": 0.7, "sample_noise_sd": 0.2}),
+    ("csf", {"retina_pitch_mrad": 0.2, "luminance_cd_m2": 3.0, "age_years": 70.0}),
+]
 NOT_LINEAR = [("oriented", {"complex_cells": True})]
 
 

@@ -82,9 +82,10 @@ def curve(
     from sensor_sim.thresholds.curve_plan import plan_curve
     from sensor_sim.thresholds.predict import AtLight, FoldedChain, predict_each, predict_threshold
 
-    judge, settings = described(observer)
-    FitSettings(p_correct=p_correct)  # checks it
     sensor = sensor_of(sensor)
+    background = sensor.display.background_luminance_cd_m2
+    judge, settings = described(observer, lambda: background)
+    FitSettings(p_correct=p_correct)  # checks it
     sizes = _each_once(size_detectors, "size_detectors")
     luminances = _each_once(luminance_cd_m2, "luminance_cd_m2")
     scenes = _scenes(sensor, luminances)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError, argument
 from todframes.base.seeds import Rng, seed_of
-from todframes.observers.interface import Observer, described
+from todframes.observers.interface import Observer, adapted, described
 from todframes.scoring.error_budget import PlanName
 
 if TYPE_CHECKING:
@@ -126,7 +126,8 @@ def sweep(
     judge, settings = described(observer)
     sensor = sensor_of(sensor)
     sizes = [float(size) for size in size_detectors]
-    check_sweep(sensor, judge, sizes, p_correct=p_correct, tolerance=tolerance)
+    seen = adapted(judge, lambda: sensor.display.background_luminance_cd_m2)
+    check_sweep(sensor, seen, sizes, p_correct=p_correct, tolerance=tolerance)
     observers = Variants.of(judge)
     designs = make_designs(
         Base(sensor, observers.settings, keep_fill_factor), vary=vary, design=design, sample=sample, seed=seed

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -83,7 +83,7 @@ def numeric_keys(sensor: Sensor, observer_settings: type) -> dict[str, bool]:
 
 def _kinds(hint: Any) -> tuple[Any, ...]:
     """Return the type that an annotation names, or those of its union."""
-    return get_args(hint) if get_origin(hint) in (UnionType, Literal) else (hint,)
+    return get_args(hint) if get_origin(hint) in (UnionType, Union, Literal) else (hint,)
 
 
 def parse_range(text: str, where: str) -> Range:

@@ -27,7 +27,7 @@ from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost
-from todframes.observers.interface import Observer
+from todframes.observers.interface import BACKGROUND, Observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
 from todframes.scoring.error_budget import PlanName
@@ -41,6 +41,9 @@ ALIKE_TOGETHER = 8
 
 OBSERVERS_KEPT = 4
 """Number of observers that are kept, each with its readouts, while sensors change."""
+
+LUMINANCE = "luminance_cd_m2"
+"""Setting of an observer that may be the background of the display."""
 
 
 class Chain(NamedTuple):
@@ -278,6 +281,8 @@ def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> SweepPla
             sensors.append(None)
             reasons[row] = str(error)
             continue
+        if getattr(base.observer_settings, LUMINANCE, None) == BACKGROUND and LUMINANCE not in dict(changes):
+            changes += ((LUMINANCE, sensor.display.background_luminance_cd_m2),)
         sensors.append(sensor)
         of_design[row] = numbers.setdefault((as_computed(sensor), changes), len(numbers))
     order = _order(list(numbers))

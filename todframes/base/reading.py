@@ -349,16 +349,22 @@ def _unmet(value: Any, hint: Any) -> str | None:
     parts = get_args(kind) or (kind,)
     if get_origin(kind) is Literal:
         return None if value in parts else f"one of {', '.join(map(str, parts))}"
+    if get_origin(kind) is tuple and meta is not None:
+        unmet = next((unmet for one in value if (unmet := _unmet(one, parts[0]))), None)
+        return f"at most {meta.max_length} values, each {unmet}" if unmet or len(value) > meta.max_length else None
+    choices = [choice for part in parts if get_origin(part) is Literal for choice in get_args(part)]
     if (value is None and NoneType in parts) or not {int, float} & set(parts) or get_origin(kind) is tuple:
+        return None
+    if isinstance(value, str) and value in choices:
         return None
     number, noun = (Integral, "a whole number") if int in parts else (Real, "a number")
     low, high = (None, None) if meta is None else (meta.ge, meta.le)
     is_number = isinstance(value, number) and not isinstance(value, bool)
     if is_number and (low is None or value >= low) and (high is None or value <= high):
         return None
-    if low is None:
-        return noun
-    return f"{noun} >= {low:g}" if high is None else f"{noun} from {low:g} to {high:g}"
+    if low is not None:
+        noun += f" >= {low:g}" if high is None else f" from {low:g} to {high:g}"
+    return " or ".join([noun, *choices])
 
 
 def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -34,6 +35,7 @@ from todframes.report.data import (
 from todframes.report.result import Result
 
 if TYPE_CHECKING:
+    from todframes.experiment.answers import Session
     from todframes.experiment.person import Free, GroupCurve, PersonFit
 
 
@@ -101,7 +103,6 @@ def calibrate(
 
     if isinstance(dataset, str | Path) and (Path(dataset) / DESCRIPTION_NAME).exists():
         raise SettingsError(f"dataset: {dataset} holds answers, expected calibrate(dataset, answers)")
-    judge, settings = described(observer)
     fit = fit or FitSettings()
     for name in free:
         if name not in ("lapse", "blur"):
@@ -112,6 +113,7 @@ def calibrate(
         if subject not in known:
             raise DataError(f"{answers}: found no subject {subject!r}, expected one of {', '.join(sorted(known))}")
     sessions = [one for one in sessions if not subjects or one.subject in subjects]
+    judge, settings = described(observer, lambda: _background_of(sessions))
     data = loaded(dataset)
     with opened_run(workers, None, None, progress) as run:
         found = calibrate_persons(
@@ -148,6 +150,17 @@ def calibrate(
         skipped=tuple(one._asdict() for one in found.skipped),
         warnings=tuple(ResultWarning(**one._asdict()) for one in found.warnings()),
     )
+
+
+def _background_of(sessions: Sequence[Session]) -> float:
+    """Return the luminance of the monitors' background in cd/m²: the mean over sessions."""
+    found = [one.monitor.background_luminance_cd_m2 for one in sessions]
+    if None in found:
+        raise SettingsError(
+            "luminance_cd_m2: found background, which is not known: no photometer was read in the experiment; "
+            "expected a number"
+        )
+    return math.fsum(one for one in found if one is not None) / len(found)
 
 
 def _person_result(data: Dataset, person: PersonFit, is_efficiency: bool, n_fitted: int) -> PersonResult:

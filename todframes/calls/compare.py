@@ -15,6 +15,7 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
     OnError,
     Progress,
+    background_of,
     each_once,
     in_memory,
     inspected,
@@ -131,11 +132,13 @@ def compare(
     from todframes.report.summary import comparison, comparisons
 
     asked = observer.split(",") if isinstance(observer, str) else observer
-    judges, each_settings = zip(*map(described, asked if isinstance(asked, Sequence) else [asked]), strict=True)
-    judge, settings = judges[0], each_settings[0]
     fit = fit or FitSettings()
     found = [find_enhancement(one) for one in enhance]
     data = replace(loaded(dataset), gaze=gaze)
+    several = asked if isinstance(asked, Sequence) else [asked]
+    each = [described(one, lambda: background_of(data)) for one in several]
+    judges, each_settings = zip(*each, strict=True)
+    judge, settings = judges[0], each_settings[0]
     screen = AlgorithmDisplay(data.display, white, allow_clipping)
     data, more, placed_wrong = located(data, judge, locate, on_error, progress)
     known = [knowing_background(*one, data) for one in zip(judges, each_settings, strict=True)]

@@ -15,6 +15,7 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
     OnError,
     Progress,
+    background_of,
     each_once,
     in_memory,
     inspected,
@@ -131,9 +132,10 @@ def score(
     started, seed = time.perf_counter(), seed_of(rng)
     from todframes.scoring.score import score_dataset
 
-    judge, settings = described(observer)
+    data = replace(loaded(dataset), gaze=gaze)
+    judge, settings = described(observer, lambda: background_of(data))
     fit = fit or FitSettings()
-    data, more, placed_wrong = located(replace(loaded(dataset), gaze=gaze), judge, locate, on_error, progress)
+    data, more, placed_wrong = located(data, judge, locate, on_error, progress)
     judge, settings = knowing_background(judge, settings, data)
     with opened_run(workers, cluster, store, progress) as run:
         scored = score_dataset(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -62,6 +63,17 @@ def opened_run(
 def loaded(dataset: Location | str | Dataset) -> Dataset:
     """Return a dataset, read from its folder or URL unless it is one."""
     return dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
+
+
+def background_of(data: Dataset) -> float:
+    """Return the luminance of a dataset's background in cd/m²: the mean over its groups where frames show it."""
+    rule = data.display.background_luminance_cd_m2
+    if not isinstance(rule, str):
+        return float(rule)
+    found = [one.background_luminance_cd_m2 for one in inspect(data, data.trials)]
+    if not found:
+        raise SettingsError("luminance_cd_m2: found background, which no frame shows; expected a number")
+    return math.fsum(found) / len(found)
 
 
 def in_memory(frames: Iterable[ArrayLike], display: Display | str, **shown: Any) -> Dataset:

@@ -85,7 +85,10 @@ observer_option = click.option(
 )
 
 observer_settings_option = click.option(
-    "--observer-settings", type=click.Path(path_type=Path), help="TOML file with settings."
+    "--observer-settings",
+    type=click.Path(path_type=Path),
+    metavar="FILE|NAME",
+    help="TOML file with settings, or a name of this package: modelfest is an eye for --observer pyramid.",
 )
 
 observer_options = options(
@@ -242,13 +245,13 @@ def make_observers(asked: dict[str, Any], *, fitted: bool = True) -> tuple[list[
 
     from todframes.base.reading import check_keys, from_table, read_toml
     from todframes.cli.console import prints_go_to_stderr
-    from todframes.observers.interface import find_observer
+    from todframes.observers.interface import find_observer, settings_file
     from todframes.psychometrics.fit import FitSettings
 
     where, table = "settings", {}
     names, path = asked.pop("observer").split(","), asked.pop("observer_settings")
     if path is not None:
-        where, table = str(path), read_toml(path)
+        where, table = str(path), read_toml(settings_file(path))
     table |= _set(asked, "internal_noise", "p_correct")
     if {"internal_noise", "internal_noise_sd"} <= table.keys():
         raise SettingsError(f"{where}: found internal_noise and internal_noise_sd, expected one of them")

@@ -21,14 +21,24 @@ from msgspec import Meta
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
-from todframes.observers.interface import Detection, ObserverWithSettings, OmittedWeights, Readout
+from todframes.observers.eye import MRAD_PER_DEG, pupil_of
+from todframes.observers.interface import (
+    MODELFEST_CD_M2,
+    REFERENCE_AGE_YEARS,
+    Age,
+    Detection,
+    Luminance,
+    ObserverWithSettings,
+    OmittedWeights,
+    Pupil,
+    Readout,
+    known_luminance,
+)
 from todframes.observers.internal_noise import Bands, inner_product, summed_covariance, summed_variance
 from todframes.observers.laplacian_pyramid import framed
-from todframes.observers.light import LEAST_CD_M2, MODELFEST_CD_M2, MOST_CD_M2, sensitivity_ratio
+from todframes.observers.light import sensitivity_ratio
 from todframes.observers.retina import RetinaGrid, mean_of_turns
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
-
-MRAD_PER_DEG = math.radians(1000.0)
 
 GAIN_PER_DEG = 509.37
 """Sensitivity of the linear observer: at a threshold of ModelFest the filtered contrast, seen through the
@@ -120,9 +130,13 @@ class CsfSettings:
     aperture_sd_deg : float
         Standard deviation of the Gaussian aperture within which contrast is seen, in degrees; it is centred on the
         grid's middle. 0.35 is that of a linear observer for ModelFest, whose stimuli people fixated.
-    luminance_cd_m2 : float
-        Luminance of the background, to which the eye is adapted, from 0.02 to 300. The filter is that of
-        ModelFest, 30 cd/m², times the ratio of people's sensitivity in the two lights.
+    luminance_cd_m2 : float or "background"
+        Luminance of the background, to which the eye is adapted, from 0.02 to 300; or that of the display. The
+        filter is that of ModelFest, 30 cd/m², times the ratio of people's sensitivity in the two lights.
+    age_years : float
+        Age of the eye, from 20 to 83, of which its pupil depends; all else is as in young eyes.
+    pupil_mm : float or None
+        Diameter of the pupil, instead of the one that follows from light and age.
     template : {"matched", "ideal"}
         Expected activity itself, the best template for the internal noise alone; or the best one for internal and
         external noise together, which prewhitens.
@@ -148,7 +162,9 @@ class CsfSettings:
     retina_pitch_mrad: Annotated[float, Meta(ge=1e-3, le=1e6)] = 0.1
     position_jitter_samples: Annotated[float, Meta(ge=0.0, le=1e3)] = 0.0
     aperture_sd_deg: Annotated[float, Meta(ge=0.05, le=10.0)] = 0.35
-    luminance_cd_m2: Annotated[float, Meta(ge=LEAST_CD_M2, le=MOST_CD_M2)] = MODELFEST_CD_M2
+    luminance_cd_m2: Luminance = MODELFEST_CD_M2
+    age_years: Age = REFERENCE_AGE_YEARS
+    pupil_mm: Pupil = None
     template: Literal["matched", "ideal"] = "matched"
     external_noise_deg: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
     external_noise_exponent: Annotated[float, Meta(ge=0.0, le=4.0)] = 0.0
@@ -264,9 +280,15 @@ class CsfObserver(ObserverWithSettings):
         """Compute the filter of what is in front of the eye, at frequencies in cycles/degree."""
         frequency = np.hypot(x, y)
         transfer = np.asarray(contrast_sensitivity(frequency) * oblique_effect(x, y))
-        if self.settings.luminance_cd_m2 == MODELFEST_CD_M2:
+        settings = self.settings
+        is_natural = settings.pupil_mm is None and settings.age_years == REFERENCE_AGE_YEARS
+        if is_natural and settings.luminance_cd_m2 == MODELFEST_CD_M2:
             return transfer
-        return transfer * sensitivity_ratio(frequency, luminance_cd_m2=self.settings.luminance_cd_m2)
+        return transfer * sensitivity_ratio(
+            frequency,
+            luminance_cd_m2=known_luminance(settings),
+            pupil_mm=None if is_natural else pupil_of(settings),
+        )
 
     def _frequencies(self, side: int) -> tuple[FloatArray, FloatArray]:
         """Return the frequencies of a real transform along x and y, in cycles/degree, that broadcast together."""

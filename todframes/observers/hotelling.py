@@ -24,7 +24,12 @@ from todframes.base.errors import SettingsError
 from todframes.observers.interface import OmittedWeights
 from todframes.observers.internal_noise import Bands
 from todframes.observers.pyramid import LARGEST_SIZE_SAMPLES, PyramidObserver, PyramidSettings
-from todframes.observers.retina import RetinaGrid
+from todframes.observers.retina import (
+    RetinaGrid,
+    mirror_filtered,
+    mirror_filtered_adjoint,
+    mirrored_frequencies,
+)
 from todframes.stimulus import Stimulus
 
 DisplayAngle = Annotated[float, Meta(ge=0.0, le=1e6)]
@@ -118,7 +123,7 @@ class HotellingObserver(PyramidObserver):
     def displayed(self, image: FloatArray) -> FloatArray:
         """Compute the expected retina image, (side, side), of an image of this shape in front of the sensor."""
         frequencies = self._frequencies(image)
-        return _filter(image, self.presample_mtf(*frequencies) * self.postsample_mtf(*frequencies))
+        return mirror_filtered(image, self.presample_mtf(*frequencies) * self.postsample_mtf(*frequencies))
 
     def informative_neurons(self, stimulus: Stimulus) -> tuple[NDArray[np.bool_], ...]:
         """Return which neurons of each band are used, in the bands' shapes."""
@@ -206,7 +211,7 @@ class HotellingObserver(PyramidObserver):
 
         def covariance(weights: FloatArray) -> FloatArray:
             on_retina = self._fold(bands(weights), grid)
-            noise = self.activity(_filter(_filter_adjoint(on_retina, transfer), transfer))
+            noise = self.activity(mirror_filtered(mirror_filtered_adjoint(on_retina, transfer), transfer))
             return internal * weights + external * flat(tuple(map(np.multiply, noise, used)))
 
         d = flat(difference)
@@ -221,9 +226,7 @@ class HotellingObserver(PyramidObserver):
 
     def _frequencies(self, image: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the frequencies along x and y, in cycles/mrad, of the cosines that mirrored borders leave."""
-        side = image.shape[0]
-        frequency = np.arange(side) / (2.0 * (side - 1) * self.settings.retina_pitch_mrad)
-        return frequency, frequency[:, None]
+        return mirrored_frequencies(image.shape[0], self.settings.retina_pitch_mrad)
 
 
 def _gaussian(frequency: FloatArray, sigma: float) -> FloatArray:
@@ -232,18 +235,3 @@ def _gaussian(frequency: FloatArray, sigma: float) -> FloatArray:
 
 def _box(frequency_x: FloatArray, frequency_y: FloatArray, width: float) -> FloatArray:
     return np.asarray(np.sinc(width * frequency_x) * np.sinc(width * frequency_y))
-
-
-def _filter(image: FloatArray, transfer: FloatArray) -> FloatArray:
-    """Apply a filter of this transfer, real and even, to the image mirrored about its outermost samples."""
-    from scipy.fft import dctn, idctn
-
-    return np.asarray(idctn(dctn(image, type=1) * transfer, type=1))
-
-
-def _filter_adjoint(image: FloatArray, transfer: FloatArray) -> FloatArray:
-    """Apply the adjoint of `_filter`, symmetric under weights of one half on the outermost samples."""
-    half = np.ones(image.shape[0])
-    half[[0, -1]] = 0.5
-    border = np.outer(half, half)
-    return border * _filter(image / border, transfer)

@@ -13,13 +13,15 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Protocol, cast, runtime_checkable
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
+from msgspec import Meta
 
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError
-from todframes.base.reading import check_keys
+from todframes.base.reading import SETTINGS_SUFFIX, check_keys, shipped_file
 from todframes.base.user_code import import_named, registered
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.internal_noise import edgeworth_correction, inner_product
@@ -28,6 +30,24 @@ from todframes.stimulus import Centre, Orientation, Stimulus
 
 ENTRY_POINT_GROUP = "todframes.observers"
 SECOND_ORDER = 20.0
+
+SETTINGS_FOLDER = Path(__file__).with_name("settings")
+"""Settings of observers that this package provides."""
+
+MODELFEST_CD_M2 = 30.0
+"""Luminance of the displays of ModelFest."""
+
+LEAST_CD_M2, MOST_CD_M2 = 0.02, 300.0
+"""Range of luminance for which eyes are described."""
+
+REFERENCE_AGE_YEARS = 28.58
+"""Mean age of the people to whom the formula of the pupil's diameter was fitted."""
+
+BACKGROUND = "background"
+
+Luminance = Annotated[float | Literal["background"], Meta(ge=LEAST_CD_M2, le=MOST_CD_M2)]
+Age = Annotated[float, Meta(ge=20.0, le=83.0)]
+Pupil = Annotated[float | None, Meta(ge=1.5, le=8.0)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,13 +418,34 @@ def _imported(name: str) -> type[Observer]:
     return cast("type[Observer]", found)
 
 
-def described(observer: str | Observer) -> tuple[Observer, Json]:
-    """Return an observer, made if only its name is given, and its name and settings as JSON values."""
+def settings_file(name: Path | str) -> Path:
+    """Return the path of a file of settings, or that of the settings of this package with a name.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such file.
+    """
+    path = Path(name)
+    if path.suffix == SETTINGS_SUFFIX or path.exists():
+        return path
+    return shipped_file(str(name), SETTINGS_FOLDER, "--observer-settings")
+
+
+def described(
+    observer: str | Observer, find_background: Callable[[], float] | None = None
+) -> tuple[Observer, Json]:
+    """Return an observer, made if only its name is given, and its name and settings as JSON values.
+
+    With the function that returns the background of a display in cd/m², it is `adapted` to it.
+    """
     if isinstance(observer, str):
         kind, name = find_observer(observer), observer
         observer = kind(kind.settings_type())
     else:
         name = _name(type(observer))
+    if find_background is not None:
+        observer = adapted(observer, find_background)
     settings = getattr(observer, "settings", None)
     values = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else {}
     return observer, {"observer": name, **values}
@@ -416,6 +457,43 @@ def _name(kind: type) -> str:
         if entry.module in sys.modules and entry.load() is kind:
             return entry.name
     return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def known_luminance(settings: Any) -> float:
+    """Return the luminance of settings, in cd/m².
+
+    Raises
+    ------
+    SettingsError
+        If it is that of the background of a display, which `adapted` has not replaced.
+    """
+    if settings.luminance_cd_m2 == BACKGROUND:
+        raise SettingsError("luminance_cd_m2: found background where there is no display, expected a number")
+    return float(settings.luminance_cd_m2)
+
+
+def adapted(observer: Observer, find_background: Callable[[], float]) -> Observer:
+    """Return the observer adapted to the background of a display, if its settings ask for that.
+
+    Parameters
+    ----------
+    observer : Observer
+    find_background : function of no arguments
+        Returns the background in cd/m².
+
+    Raises
+    ------
+    SettingsError
+        If the background is beyond the range of the setting.
+    """
+    settings: Any = getattr(observer, "settings", None)
+    if getattr(settings, "luminance_cd_m2", None) != BACKGROUND:
+        return observer
+    luminance = find_background()
+    try:
+        return type(observer)(replace(settings, luminance_cd_m2=luminance))
+    except SettingsError as error:
+        raise SettingsError(f"the background of the display: {error}") from None
 
 
 class ObserverWithSettings:

@@ -13,15 +13,13 @@ import math
 import numpy as np
 
 from todframes.base._typing import FloatArray
-
-MODELFEST_CD_M2 = 30.0
-"""Luminance of the displays of ModelFest."""
-
-LEAST_CD_M2, MOST_CD_M2 = 0.02, 300.0
-"""Range of luminance for which sensitivity is scaled."""
+from todframes.observers.eye import eye_mtf, pupil_diameter_mm
+from todframes.observers.interface import MODELFEST_CD_M2
 
 
-def sensitivity_ratio(frequency_cyc_per_deg: FloatArray, *, luminance_cd_m2: float) -> FloatArray:
+def sensitivity_ratio(
+    frequency_cyc_per_deg: FloatArray, *, luminance_cd_m2: float, pupil_mm: float | None = None
+) -> FloatArray:
     """Compute the sensitivity to a frequency in this light, over that at 30 cd/m².
 
     Parameters
@@ -30,17 +28,39 @@ def sensitivity_ratio(frequency_cyc_per_deg: FloatArray, *, luminance_cd_m2: flo
         Radial spatial frequency, >= 0.
     luminance_cd_m2 : float
         Background, > 0.
+    pupil_mm : float, optional
+        Diameter of the pupil. Default: that of the people of the formula, in this light.
 
     Returns
     -------
     ndarray, same shape
-        1 at 30 cd/m².
+        1 at 30 cd/m² with a natural pupil.
 
     Ashraf et al. 2024, achromatic sustained channel without flicker; its dependence on the stimulus' area cancels.
+    Another pupil lets in the light of another luminance, through other optics (`eye.eye_mtf`).
     """
-    return _sensitivity(frequency_cyc_per_deg, luminance_cd_m2) / _sensitivity(
+    optics: FloatArray | float = 1.0
+    if pupil_mm is not None:
+        luminance_cd_m2 = _equivalent_luminance(luminance_cd_m2, pupil_mm)
+        natural = eye_mtf(frequency_cyc_per_deg, pupil_mm=pupil_diameter_mm(luminance_cd_m2))
+        own = eye_mtf(frequency_cyc_per_deg, pupil_mm=pupil_mm)
+        # Beyond the limit of diffraction there is nothing to see, however wide the pupil.
+        optics = np.divide(own, natural, out=np.zeros_like(own), where=natural > 0.0)
+    ratio = _sensitivity(frequency_cyc_per_deg, luminance_cd_m2) / _sensitivity(
         frequency_cyc_per_deg, MODELFEST_CD_M2
     )
+    return np.asarray(ratio * optics)
+
+
+def _equivalent_luminance(luminance: float, pupil_mm: float) -> float:
+    """Return the luminance that lights the retina as much through its natural pupil, by iteration.
+
+    A step leaves less than a third of the error, since the area of a pupil falls as L^-0.3 at most.
+    """
+    found = luminance
+    for _ in range(40):
+        found = luminance * (pupil_mm / pupil_diameter_mm(found)) ** 2
+    return found
 
 
 def _sensitivity(frequency: FloatArray, luminance: float) -> FloatArray:

@@ -121,12 +121,12 @@ class OrientedObserver(PyramidObserver):
         Each level has an array (phases, orientations, side of the level, side of the level), finest level first.
         """
         settings = self.settings
-        bands = self._filters(len(contrast)).build(contrast)
+        bands = self._filters(len(contrast)).build(self._through_eye(contrast))
         if settings.complex_cells:
             bands[:-1] = [np.hypot(*band)[None] for band in bands[:-1]]
         if not settings.include_residual:
             bands.pop()
-        return tuple(settings.band_gain**k * band for k, band in enumerate(bands))
+        return tuple(settings.gain_of(k) * band for k, band in enumerate(bands))
 
     def turned(self, bands: Bands, quarter_turns: int) -> Bands:
         """Compute the activity that an image turned clockwise causes, from that of the image."""
@@ -182,11 +182,11 @@ class OrientedObserver(PyramidObserver):
         return tuple(band.astype(dtype) for band in expected)
 
     def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid, half_width: int | None = None) -> FloatArray:
-        weights = [self.settings.band_gain**k * band for k, band in enumerate(bands)]
+        weights = [self.settings.gain_of(k) * band for k, band in enumerate(bands)]
         filters = self._filters(grid.side)
         if not self.settings.include_residual:
             weights.append(np.zeros((grid.side // 2**filters.levels + 1,) * 2))
-        folded = filters.adjoint(weights)
+        folded = self._before_eye(filters.adjoint(weights))
         return folded if half_width is None else framed(folded, half_width)
 
     def _filters(self, side: int) -> GaborPyramid:

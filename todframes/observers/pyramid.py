@@ -14,7 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from msgspec import Meta
@@ -23,7 +23,17 @@ from numpy.typing import DTypeLike, NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
-from todframes.observers.interface import Detection, ObserverWithSettings, OmittedWeights, Readout
+from todframes.observers.interface import (
+    MODELFEST_CD_M2,
+    REFERENCE_AGE_YEARS,
+    Age,
+    Detection,
+    Luminance,
+    ObserverWithSettings,
+    OmittedWeights,
+    Pupil,
+    Readout,
+)
 from todframes.observers.internal_noise import (
     Bands,
     inner_product,
@@ -32,13 +42,22 @@ from todframes.observers.internal_noise import (
     summed_variance,
 )
 from todframes.observers.laplacian_pyramid import BORDER, LaplacianPyramid, even_half, framed
-from todframes.observers.retina import RetinaGrid, gaussian_blur, mean_of_turns
+from todframes.observers.retina import (
+    RetinaGrid,
+    gaussian_blur,
+    mean_of_turns,
+    mirror_filtered,
+    mirror_filtered_adjoint,
+    mirrored_frequencies,
+)
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, Stimulus, coverage, vertices
 
 MOST_LEVELS = 11
 """Largest number of levels. A retina image then takes half a GB."""
 
 FEWEST_LEVELS = 4
+
+BandNoise = Annotated[float, Meta(ge=1e-3, le=1e6)]
 
 LEAST_FIELD = 0.6
 """Half the field's half width, in sizes of the triangle."""
@@ -74,6 +93,17 @@ class PyramidSettings:
         Full width of the uniform noise on each neuron.
     internal_noise_sd : float or None
         Its standard deviation, instead of internal_noise / √12.
+    band_noise : tuple of float
+        Internal noise of each band, the finest first, over `internal_noise`; the last is that of all coarser ones.
+        Each neuron then counts by its signal over its noise. Empty: 1 in all bands.
+    eye_mtf : {"none", "watson2013"}
+        Optics in front of the retina: none, or the mean MTF of eyes of Watson 2013.
+    luminance_cd_m2 : float or "background"
+        Luminance of the background, or that of the display, from which the pupil of that eye follows.
+    age_years : float
+        Age of the eye, from 20 to 83, for its pupil.
+    pupil_mm : float or None
+        Diameter of the pupil, instead of the one that follows from light and age.
 
     Raises
     ------
@@ -91,6 +121,11 @@ class PyramidSettings:
     template_blur_samples: Annotated[float, Meta(ge=0.0, le=1e3)] = 1.2
     internal_noise: Annotated[float, Meta(ge=0.0, le=1e12)] = 0.5
     internal_noise_sd: Annotated[float | None, Meta(ge=0.0, le=1e12)] = None
+    band_noise: Annotated[tuple[BandNoise, ...], Meta(max_length=MOST_LEVELS)] = ()
+    eye_mtf: Literal["none", "watson2013"] = "none"
+    luminance_cd_m2: Luminance = MODELFEST_CD_M2
+    age_years: Age = REFERENCE_AGE_YEARS
+    pupil_mm: Pupil = None
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -101,6 +136,18 @@ class PyramidSettings:
         if self.internal_noise_sd is not None:
             return self.internal_noise_sd
         return self.internal_noise / math.sqrt(12.0)
+
+    @property
+    def fewest_levels(self) -> int:
+        """Number of bands for the smallest triangles: all that have a noise of their own, and at least 4."""
+        return max(FEWEST_LEVELS, len(self.band_noise))
+
+    def gain_of(self, band: int) -> float:
+        """Return the gain of a band, by which the noise is the same in all."""
+        gain: float = self.band_gain**band
+        if self.band_noise:
+            gain /= self.band_noise[min(band, len(self.band_noise) - 1)]
+        return gain
 
 
 class PyramidObserver(ObserverWithSettings):
@@ -139,6 +186,7 @@ class PyramidObserver(ObserverWithSettings):
     def _make_caches(self) -> None:
         self.templates = lru_cache(maxsize=4)(self._templates)
         self.readout = lru_cache(maxsize=4)(self._readout)
+        self._eye_transfer = lru_cache(maxsize=2)(self._find_eye_transfer)
         self.with_extra_level = lru_cache(maxsize=1)(self._with_extra_level)
         self.with_fewer_levels = lru_cache(maxsize=4)(self._with_fewer_levels)
 
@@ -169,7 +217,8 @@ class PyramidObserver(ObserverWithSettings):
                 f"size_mrad: found {stimulus.size_mrad:g} mrad at the eye, expected at most {largest:.4g}: take "
                 "smaller triangles or a longer viewing distance"
             )
-        return min(max(FEWEST_LEVELS, math.ceil(math.log2(0.9 * size))) + self._more_levels, MOST_LEVELS)
+        fewest = self.settings.fewest_levels
+        return min(max(fewest, math.ceil(math.log2(0.9 * size))) + self._more_levels, MOST_LEVELS)
 
     def _seen_size_mrad(self, stimulus: Stimulus) -> float:
         """Return the size of a triangle as wide as this one is seen."""
@@ -181,7 +230,9 @@ class PyramidObserver(ObserverWithSettings):
 
     def _with_fewer_levels(self, stimulus: Stimulus) -> Self | None:
         """Return the observer with one band less; None where the triangle would not fit."""
-        if self.settings.levels is not None or self._more_levels or self._levels(stimulus) == FEWEST_LEVELS:
+        if self.settings.levels is not None or self._more_levels:
+            return None
+        if self._levels(stimulus) == self.settings.fewest_levels:
             return None
         variant = type(self)(self.settings, more_levels=-1)
         size = self._seen_size_mrad(stimulus) / self.settings.retina_pitch_mrad
@@ -199,11 +250,11 @@ class PyramidObserver(ObserverWithSettings):
         """
         if self.settings.levels is not None:
             return None
-        octaves = self._levels(stimulus) - FEWEST_LEVELS
+        fewest = self.settings.fewest_levels
+        octaves = self._levels(stimulus) - fewest
         coarse = self._coarser(octaves)
         small, large = (
-            type(self)(replace(coarse, levels=levels)).readout(stimulus)
-            for levels in (FEWEST_LEVELS, FEWEST_LEVELS + 1)
+            type(self)(replace(coarse, levels=levels)).readout(stimulus) for levels in (fewest, fewest + 1)
         )
         margin = (large.grid.side - small.grid.side) // 2
         kept = np.zeros_like(large.deviations)
@@ -221,11 +272,30 @@ class PyramidObserver(ObserverWithSettings):
             retina_pitch_mrad=self.settings.retina_pitch_mrad * 2.0**octaves,
             template_blur_samples=math.sqrt(variance) / 2.0**octaves,
             position_jitter_samples=0.0,
+            band_noise=self.settings.band_noise[octaves:] or self.settings.band_noise[-1:],
         )
 
     def activity(self, contrast: FloatArray) -> Bands:
         """Compute the noise-free activity of all neurons, finest band first, for a retina image (side, side)."""
-        return self._as_activity(self._pyramid(len(contrast)).build(contrast))
+        return self._as_activity(self._pyramid(len(contrast)).build(self._through_eye(contrast)))
+
+    def _through_eye(self, contrast: FloatArray) -> FloatArray:
+        """Blur a retina image by the optics of the eye, if it has any; borders are mirrored as in the bands."""
+        if self.settings.eye_mtf == "none":
+            return contrast
+        return mirror_filtered(contrast, self._eye_transfer(len(contrast)))
+
+    def _before_eye(self, weights: FloatArray) -> FloatArray:
+        """Compute the weights in front of the eye of weights behind it: the adjoint of `_through_eye`."""
+        if self.settings.eye_mtf == "none":
+            return weights
+        return mirror_filtered_adjoint(weights, self._eye_transfer(len(weights)))
+
+    def _find_eye_transfer(self, side: int) -> FloatArray:
+        from todframes.observers.eye import MRAD_PER_DEG, eye_mtf, pupil_of
+
+        x, y = mirrored_frequencies(side, self.settings.retina_pitch_mrad / MRAD_PER_DEG)
+        return eye_mtf(np.hypot(x, y), pupil_mm=pupil_of(self.settings))
 
     def turned(self, bands: Bands, quarter_turns: int) -> Bands:
         """Compute the activity that an image turned clockwise causes, from that of the image.
@@ -345,6 +415,8 @@ class PyramidObserver(ObserverWithSettings):
         60 retina samples or more this takes half the time, or less.
         """
         settings, side = self.settings, self.grid(stimulus).side
+        if settings.eye_mtf != "none":  # what an eye sees of a triangle reaches far
+            return tuple(band.astype(dtype) for band in self._template_deviation(stimulus))
         corners = vertices(
             size=stimulus.size_mrad / settings.retina_pitch_mrad, orientation=Orientation.UP, centre=self.centre
         )
@@ -378,11 +450,13 @@ class PyramidObserver(ObserverWithSettings):
 
         Bands may be given where they are not zero, each in its own square.
         """
-        weights = [self.settings.band_gain**k * band for k, band in enumerate(bands)]
+        weights = [self.settings.gain_of(k) * band for k, band in enumerate(bands)]
         if not self.settings.include_residual:
             weights.append(np.zeros((1, 1), weights[0].dtype))
         half = grid.side // 2
-        return self._pyramid(grid.side).adjoint_middle(weights, half, half if half_width is None else half_width)
+        needed = half if half_width is None or self.settings.eye_mtf != "none" else half_width
+        folded = self._before_eye(self._pyramid(grid.side).adjoint_middle(weights, half, needed))
+        return folded if half_width is None or needed == half_width else framed(folded, half_width)
 
     def _pyramid(self, side: int) -> LaplacianPyramid:
         return LaplacianPyramid((side - 1).bit_length() - 3, self.settings.kernel_a)  # side = 4 · 2^levels + 1
@@ -391,7 +465,7 @@ class PyramidObserver(ObserverWithSettings):
         """Return the bands times their gain, with or without the residual."""
         if not self.settings.include_residual:
             bands.pop()
-        return tuple(self.settings.band_gain**k * band for k, band in enumerate(bands))
+        return tuple(self.settings.gain_of(k) * band for k, band in enumerate(bands))
 
     def literal_scores(
         self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator | None = None

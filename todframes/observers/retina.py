@@ -272,6 +272,34 @@ def gaussian_blur(image: FloatArray, sigma: float) -> FloatArray:
     return blurred
 
 
+def mirrored_frequencies(side: int, pitch: float) -> tuple[FloatArray, FloatArray]:
+    """Return the frequencies along x and y, in cycles per unit of `pitch`, of the cosines of a mirrored image."""
+    frequency = np.arange(side) / (2.0 * (side - 1) * pitch)
+    return frequency, frequency[:, None]
+
+
+def mirror_filtered(image: FloatArray, transfer: FloatArray) -> FloatArray:
+    """Filter an image that is mirrored about its outermost samples.
+
+    Parameters
+    ----------
+    image : ndarray, shape (side, side)
+    transfer : ndarray, shape (side, side)
+        At `mirrored_frequencies`; real and even along both axes.
+    """
+    from scipy.fft import dctn, idctn
+
+    return np.asarray(idctn(dctn(image, type=1) * transfer, type=1))
+
+
+def mirror_filtered_adjoint(image: FloatArray, transfer: FloatArray) -> FloatArray:
+    """Apply the adjoint of `mirror_filtered`, symmetric under weights of one half on the outermost samples."""
+    half = np.ones(image.shape[0])
+    half[[0, -1]] = 0.5
+    border = np.outer(half, half)
+    return border * mirror_filtered(image / border, transfer)
+
+
 def mean_of_turns(image: FloatArray) -> FloatArray:
     """Compute the mean of a square image and its three quarter turns."""
     return np.asarray(sum(np.rot90(image, -k) for k in range(4)) / 4.0)
