@@ -34,6 +34,7 @@ from todframes.observers.oriented import OrientedObserver
 from todframes.psychometrics.likelihood import CHI2_95
 from todframes.psychometrics.noise_fit import AnswerTable, NoiseFit, fit_noise, joined, with_lapses
 from todframes.report.result import read_result
+from todframes.report.summary import verdict
 from todframes.scoring.retina_view import Shown, retina_image
 from todframes.stimulus import Orientation, Stimulus
 
@@ -398,14 +399,14 @@ def test_a_free_blur(two_people) -> None:
 
 
 @pytest.mark.slow
-def test_two_observers_on_the_same_answers(two_people, capsys) -> None:
-    """The people are pyramids: they see small triangles that csf does not, so csf explains them worse."""
-    folder, frames = two_people
+def test_two_observers_on_the_same_answers(two_people, tmp_path: Path, capsys) -> None:
+    """The person is a pyramid: it sees small triangles that csf does not, so csf explains it worse."""
+    (folder, frames), out = two_people, tmp_path / "out"
     arguments = ("calibrate", folder, frames, "--json", "--subject", "a1", "--set", "resamples=0", "--quiet")
-    pyramid, csf = (
-        json.loads(todframes(capsys, *arguments, "--observer", name)[1])["persons"][0]
-        for name in ("pyramid", "csf")
-    )
+    result = json.loads(todframes(capsys, *arguments, "--observer", "pyramid,csf", "-o", out)[1])
+    (pyramid,), (other,) = result["persons"], result["observers"]
+    assert result["settings"]["observer"] == "pyramid" and other["settings"]["observer"] == "csf"
+    (csf,) = other["persons"]
     low, high = csf["efficiency_ci95"]
     assert low < csf["efficiency"] < high
     # The naked eye of csf needs more contrast than the pyramid for all of these triangles.
@@ -414,6 +415,19 @@ def test_two_observers_on_the_same_answers(two_people, capsys) -> None:
     for one in (pyramid, csf):
         assert one["aic"] == pytest.approx(2.0 - 2.0 * one["log_likelihood"], rel=1e-12)
     assert csf["aic"] > pyramid["aic"] + 10.0
+    first, *sentences = verdict(tod.load_result(out))
+    assert re.match(
+        r"pyramid explains the answers of person a1 better: AIC .* for pyramid, .* strong evidence\.", first
+    )
+    assert [one.split(":")[0] for one in sentences] == ["pyramid", "csf"]
+    with (out / "observers.csv").open(encoding="utf-8") as file:
+        rows = {row["observer"]: row for row in csv.DictReader(file)}
+    assert {name: float(row["aic"]) for name, row in rows.items()} == pytest.approx(
+        {"pyramid": pyramid["aic"], "csf": csf["aic"]}
+    )
+    assert float(rows["pyramid"]["aic_difference"]) == 0.0
+    assert tomllib.loads((out / "csf_observer.toml").read_text())["efficiency"] == pytest.approx(csf["efficiency"])
+    assert "internal_noise" in tomllib.loads((out / "observer.toml").read_text())
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from skimage.metrics import peak_signal_noise_ratio
 
+import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement.compare import compare_dataset, compare_observers, scene_numbers
 from todframes.enhancement.contrast_gain import MEASURED_TRIALS, measured_trials, strongest_levels
@@ -700,7 +701,7 @@ def test_disagreements_come_first() -> None:
 
     no = "no difference shown"
     other = ComparedObserver(settings={"observer": "csf"}, algorithms=judged("worse", no, no))
-    lines = comparisons("pyramid", judged(no, "better", no), [other])
+    lines = comparisons({"observer": "pyramid"}, judged(no, "better", no), [other])
     assert lines[:2] == (
         "The observers disagree about sharpen: better for pyramid, no difference shown for csf.",
         "The observers disagree about blur: no difference shown for pyramid, worse for csf.",
@@ -779,3 +780,19 @@ def test_scenes_by_name() -> None:
     assert scene_numbers(trials).tolist() == [1, 0, 1, 0]  # views of one scene are one scene
     plain = Trials.of(trial._replace(view=None) for trial in trials)
     assert scene_numbers(plain) is None
+
+
+def test_levels_to_add_are_those_of_each_observer(make_dataset) -> None:
+    """A triangle of 2 mrad: 75 % at a contrast of 0.08 for the pyramid, and at 0.22, beyond all shown, for csf."""
+    path = make_dataset(contrasts=(0.04, 0.06, 0.09, 0.13)).path
+    csf = CsfObserver(retina_pitch_mrad=0.2)
+    result = tod.compare(
+        path, ["gaussian:sigma=0.5"], observer=[PyramidObserver(), csf], fit=FAST, white=200.0, examples=False
+    )
+    advice = [one for one in result.warnings if one.code == "levels_to_add"]
+    assert [one.group["algorithm"] for one in advice] == ["none", "gaussian"]
+    assert all(one.message.startswith("csf: ") and "add levels near" in one.message for one in advice)
+    alone = tod.compare(path, ["gaussian:sigma=0.5"], observer=csf, fit=FAST, white=200.0, examples=False)
+    assert [f"csf: {one.message}" for one in alone.warnings if one.code == "levels_to_add"] == [
+        one.message for one in advice
+    ]

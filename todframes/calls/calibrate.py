@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,33 +18,37 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
     OnError,
     Progress,
+    described_each,
     is_skip,
     loaded,
+    of_observer,
     opened_run,
 )
 from todframes.frames.dataset import Dataset
-from todframes.observers.interface import Observer, described
+from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.data import (
+    ComparedObserver,
     DatasetRecord,
     Fit,
     Group,
     PersonResult,
     ResultWarning,
     group_of,
+    observer_names,
 )
 from todframes.report.result import Result
 
 if TYPE_CHECKING:
     from todframes.experiment.answers import Session
-    from todframes.experiment.person import Free, GroupCurve, PersonFit
+    from todframes.experiment.person import Calibrated, Free, GroupCurve, PersonFit
 
 
 def calibrate(
     dataset: Location | str | Dataset,
     answers: Path | str,
     *,
-    observer: str | Observer = "pyramid",
+    observer: str | Observer | Sequence[str | Observer] = "pyramid",
     free: Sequence[Free] = (),
     subjects: Sequence[str] = (),
     include_flagged: bool = False,
@@ -61,8 +66,10 @@ def calibrate(
         The dataset that was shown.
     answers : path
         Folder that `todframes experiment` wrote.
-    observer : str or Observer
+    observer : str, Observer, or sequence of them
         A linear observer with a setting `internal_noise` or, as `csf`, `efficiency`, whose value is not used.
+        Several, also named as "pyramid,csf", are fitted to the same answers. The first is that of `persons`, the
+        others of `observers`; the sentences begin with which explains each person better, by AIC.
     free : sequence of {"lapse", "blur"}
         Further parameters to fit: the rate δ of lapses, up to `lapse_rate_max` of `fit`, and the observer's
         `template_blur_samples`, from a quarter to twice its value.
@@ -113,18 +120,21 @@ def calibrate(
         if subject not in known:
             raise DataError(f"{answers}: found no subject {subject!r}, expected one of {', '.join(sorted(known))}")
     sessions = [one for one in sessions if not subjects or one.subject in subjects]
-    judge, settings = described(observer, lambda: _background_of(sessions))
+    judges, each_settings = described_each(observer, lambda: _background_of(sessions))
     data = loaded(dataset)
     with opened_run(workers, None, None, progress) as run:
-        found = calibrate_persons(
-            data,
-            sessions,
-            judge,
-            free=free,
-            fit_settings=fit,
-            seed=seed,
-            skip_bad_frames=is_skip(on_error),
-            run=run,
+        found, *others = (
+            calibrate_persons(
+                data,
+                sessions,
+                judge,
+                free=free,
+                fit_settings=fit,
+                seed=seed,
+                skip_bad_frames=is_skip(on_error),
+                run=run,
+            )
+            for judge in judges
         )
     level = data.experiment.level
     fits = [
@@ -132,11 +142,21 @@ def calibrate(
         for person in found.persons
         for one in person.groups
     ]
-    is_efficiency, n_fitted = has_efficiency(judge), 1 + len(set(free))
-    persons = [_person_result(data, person, is_efficiency, n_fitted) for person in found.persons]
-    pooled = None if found.pooled is None else _person_result(data, found.pooled, is_efficiency, n_fitted)
     fitted = ("efficiency", "internal_noise", "internal_noise_sd", *(["template_blur_samples"] * ("blur" in free)))
-    settings = {name: value for name, value in settings.items() if name not in fitted}
+    settings, *other_settings = (
+        {name: value for name, value in own.items() if name not in fitted} for own in each_settings
+    )
+
+    def person_results(judge: Observer, of_judge: Calibrated) -> tuple[list[PersonResult], PersonResult | None]:
+        make = partial(_person_result, data, is_efficiency=has_efficiency(judge), n_fitted=1 + len(set(free)))
+        return [make(one) for one in of_judge.persons], None if of_judge.pooled is None else make(of_judge.pooled)
+
+    persons, pooled = person_results(judges[0], found)
+    further = []
+    for judge, own_settings, of_judge in zip(judges[1:], other_settings, others, strict=True):
+        by_judge, together = person_results(judge, of_judge)
+        further.append(ComparedObserver(settings=own_settings, persons=tuple(by_judge), pooled=together))
+    names = observer_names(settings, further) if further else [None]
     return Result.made(
         "calibrate",
         started,
@@ -148,7 +168,12 @@ def calibrate(
         equal_noise_p_value=found.equal_noise_p_value,
         dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in found.skipped),
-        warnings=tuple(ResultWarning(**one._asdict()) for one in found.warnings()),
+        observers=tuple(further),
+        warnings=tuple(
+            warning
+            for name, one in zip(names, (found, *others), strict=True)
+            for warning in of_observer(name, (ResultWarning(**each._asdict()) for each in one.warnings()))
+        ),
     )
 
 
@@ -163,7 +188,7 @@ def _background_of(sessions: Sequence[Session]) -> float:
     return math.fsum(one for one in found if one is not None) / len(found)
 
 
-def _person_result(data: Dataset, person: PersonFit, is_efficiency: bool, n_fitted: int) -> PersonResult:
+def _person_result(data: Dataset, person: PersonFit, *, is_efficiency: bool, n_fitted: int) -> PersonResult:
     fit, is_known = person.fit, person.fit.status == "ok"
     noise, efficiency = fit.noise, None
     noise_ci95: tuple[float | None, float | None] = fit.noise_ci95

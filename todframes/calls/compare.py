@@ -16,6 +16,7 @@ from todframes.calls.shared import (
     OnError,
     Progress,
     background_of,
+    described_each,
     each_once,
     in_memory,
     inspected,
@@ -23,17 +24,19 @@ from todframes.calls.shared import (
     knowing_background,
     loaded,
     located,
+    of_observer,
     opened_run,
 )
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset, Gaze
 from todframes.jobs.work import Engine
-from todframes.observers.interface import Observer, described
+from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import CurveName, FitSettings
 from todframes.report.advice import levels_to_add, not_proportional
 from todframes.report.data import (
     ComparedObserver,
     algorithms,
+    observer_names,
     thresholds_of,
 )
 from todframes.report.result import Result
@@ -131,13 +134,10 @@ def compare(
     from todframes.report import tables
     from todframes.report.summary import comparison, comparisons
 
-    asked = observer.split(",") if isinstance(observer, str) else observer
     fit = fit or FitSettings()
     found = [find_enhancement(one) for one in enhance]
     data = replace(loaded(dataset), gaze=gaze)
-    several = asked if isinstance(asked, Sequence) else [asked]
-    each = [described(one, lambda: background_of(data)) for one in several]
-    judges, each_settings = zip(*each, strict=True)
+    judges, each_settings = described_each(observer, lambda: background_of(data))
     judge, settings = judges[0], each_settings[0]
     screen = AlgorithmDisplay(data.display, white, allow_clipping)
     data, more, placed_wrong = located(data, judge, locate, on_error, progress)
@@ -160,9 +160,14 @@ def compare(
         )
     reference, compared = results[0].scored, algorithms(data, results)
     further = tuple(
-        ComparedObserver(settings=of_observer, algorithms=algorithms(data, one))
-        for of_observer, one in zip(each_settings[1:], others, strict=True)
+        ComparedObserver(settings=own, algorithms=algorithms(data, one))
+        for own, one in zip(each_settings[1:], others, strict=True)
     )
+    names = observer_names(settings, further) if further else [None]
+    advice = [
+        of_observer(name, levels_to_add(thresholds_of(of_each)))
+        for name, of_each in zip(names, [compared, *(one.algorithms for one in further)], strict=True)
+    ]
     if examples:
         from todframes.report.examples import compare_examples
 
@@ -179,15 +184,13 @@ def compare(
         algorithms=compared,
         observers=further,
         data_range_cd_m2=peak - black,
-        verdict=comparisons(settings["observer"], compared, further) if further else comparison(compared),
+        verdict=comparisons(settings, compared, further) if further else comparison(compared),
         plan=tuple(plan_object(reference.plan, 1.0)),
         skipped=tuple(one._asdict() for one in reference.skipped),
         dataset=record,
-        warnings=each_once(
-            *placed_wrong(reference),
-            *shown_wrong,
-            *levels_to_add(thresholds_of(compared)),
-            *not_proportional(compared),
+        warnings=(
+            *each_once(*placed_wrong(reference), *shown_wrong, *advice[0], *not_proportional(compared)),
+            *sum(advice[1:], ()),
         ),
         negative_luminance_pixels=reference.n_negative,
         from_store=run.n_from_store,

@@ -8,6 +8,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from msgspec.structs import replace as replace_struct
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import Json
@@ -21,7 +22,7 @@ from todframes.frames.dataset import Dataset, dataset_warnings, load_dataset
 from todframes.frames.trials import Trial
 from todframes.jobs.engine import open_engine
 from todframes.jobs.work import Engine
-from todframes.observers.interface import Observer
+from todframes.observers.interface import Observer, described
 from todframes.report.data import (
     DatasetRecord,
     ResultWarning,
@@ -63,6 +64,25 @@ def opened_run(
 def loaded(dataset: Location | str | Dataset) -> Dataset:
     """Return a dataset, read from its folder or URL unless it is one."""
     return dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
+
+
+def described_each(
+    observer: str | Observer | Sequence[str | Observer], find_background: Callable[[], float]
+) -> tuple[list[Observer], list[Json]]:
+    """Return observers, several also named as "pyramid,csf", and their settings, as `described` does for one."""
+    asked = observer.split(",") if isinstance(observer, str) else observer
+    several = asked if isinstance(asked, Sequence) else [asked]
+    each = [described(one, find_background) for one in several]
+    if not each:
+        raise SettingsError("observer: found none, expected one or several")
+    return [judge for judge, _ in each], [settings for _, settings in each]
+
+
+def of_observer(name: str | None, warnings: Iterable[ResultWarning]) -> tuple[ResultWarning, ...]:
+    """Return warnings that name the observer that they are about; as they are if there is only one (None)."""
+    if name is None:
+        return tuple(warnings)
+    return tuple(replace_struct(one, message=f"{name}: {one.message}") for one in warnings)
 
 
 def background_of(data: Dataset) -> float:

@@ -24,7 +24,7 @@ from todframes.cli.console import (
 from todframes.cli.options import (
     dataset_argument,
     json_option,
-    make_observer,
+    make_observers,
     max_frame_option,
     observer_option,
     observer_settings_option,
@@ -82,10 +82,11 @@ def calibrate(
 ) -> None:
     """Fit the observer's internal noise to the ANSWERS of people to the frames of DATASET.
 
-    ANSWERS is a folder of todframes experiment. Without -o nothing is written.
+    ANSWERS is a folder of todframes experiment. With several observers, --observer pyramid,csf, the first lines
+    say which explains each person better. Without -o nothing is written.
     """
     asked["internal_noise"] = None  # it is fitted
-    observer, fit = make_observer(asked)
+    observers, fit = make_observers(asked)
     import todframes as tod
     from todframes.experiment.answers import read_answers
     from todframes.frames.dataset import load_dataset
@@ -98,8 +99,8 @@ def calibrate(
         len(one.main_rows()) for one in sessions if not asked["subjects"] or one.subject in asked["subjects"]
     )
     with staged(out) as place:
-        with progress("scoring", n_trials, quiet=quiet) as advance:
-            result = tod.calibrate(data, answers, observer=observer, fit=fit, progress=advance, **asked)
+        with progress("scoring", n_trials * len(observers), quiet=quiet) as advance:
+            result = tod.calibrate(data, answers, observer=observers, fit=fit, progress=advance, **asked)
         place.write(result.files)
     if not quiet:
         for one in result.skipped:
@@ -111,8 +112,8 @@ def calibrate(
         click.echo(result.to_json(), nl=False)
         check_strict(result.warnings, strict)
         return
-    print_table(calibration.noise_table(result))
-    print_table(calibration.curves_table(result))
+    for table in calibration.all_tables(result):
+        print_table(table)
     for line in [*verdict(result), *warning_lines(result.warnings)]:
         echo(*textwrap.wrap(visible(line), terminal_width()))
     echo(time_line())

@@ -448,7 +448,8 @@ def described(
         observer = adapted(observer, find_background)
     settings = getattr(observer, "settings", None)
     values = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else {}
-    return observer, {"observer": name, **values}
+    as_json = {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
+    return observer, {"observer": name, **as_json}
 
 
 def _name(kind: type) -> str:

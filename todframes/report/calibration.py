@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import fields
 
 import msgspec
 
 from todframes.base.reading import toml_text
 from todframes.psychometrics.fit import FitSettings
-from todframes.report.data import Fit, PersonResult, Record, ResultData
+from todframes.report.data import ComparedObserver, Fit, PersonResult, Record, ResultData, observer_names
 from todframes.report.table import EXACT, Column, Table
 from todframes.report.wording import (
     column_heading,
@@ -45,6 +46,9 @@ NOISE_COLUMNS = (
     Column(key="status"),
 )
 
+UNDECIDED, STRONG = 2.0, 10.0
+"""Differences of AIC below which the answers do not decide, and from which they are strong evidence."""
+
 MOST_DESCRIBED = 6
 """Largest number of persons that are described one by one; if there are more, the table shows them."""
 
@@ -74,9 +78,15 @@ NOT_OF_OBSERVER = {
 """Settings of a calibration that do not go into the settings of an observer."""
 
 
-def all_persons(result: ResultData) -> tuple[PersonResult, ...]:
+def all_persons(result: ResultData | ComparedObserver) -> tuple[PersonResult, ...]:
     """Return the persons of a result, that of all persons together last."""
     return (*result.persons, *([] if result.pooled is None else [result.pooled]))
+
+
+def all_tables(result: ResultData) -> list[Table]:
+    """Make all tables of a calibration, in their order; those of thresholds are by the first observer."""
+    compared = observers_table(result)
+    return [*([] if compared is None else [compared]), noise_table(result), curves_table(result)]
 
 
 def noise_table(result: ResultData) -> Table:
@@ -100,6 +110,66 @@ def noise_table(result: ResultData) -> Table:
     title = "Efficiency" if is_efficiency else "Internal noise"
     return Table.of(title, "internal_noise.csv", NOISE_COLUMNS, records).without_empty_columns(
         kept, f"{kept}_ci95"
+    )
+
+
+def observers_table(result: ResultData) -> Table | None:
+    """Make the table of observers, a row for each person and observer; None with a single observer."""
+    if not result.observers:
+        return None
+    records: list[Record] = []
+    for persons in zip(*by_observer(result).values(), strict=True):
+        least = min(_aic(one) for one in persons)
+        for name, one in zip(by_observer(result), persons, strict=True):
+            records.append(
+                {
+                    SUBJECT: one.subject or TOGETHER,
+                    "observer": name,
+                    "internal_noise": one.internal_noise,
+                    "efficiency": one.efficiency,
+                    "aic": one.aic,
+                    "aic_difference": _aic(one) - least,
+                    "deviance": one.deviance,
+                    "n_cells": one.n_cells,
+                    "deviance_p_value": one.deviance_p_value,
+                }
+            )
+    columns = (
+        Column(key=SUBJECT, header="person", is_name=True),
+        Column(key="observer", is_name=True),
+        Column(key="internal_noise", header="internal noise", digits=3),
+        Column(key="efficiency", digits=3),
+        Column(key="aic", header="AIC", digits=5),
+        Column(key="aic_difference", header="difference", digits=2),
+        Column(key="deviance", digits=3, rank=2),
+        Column(key="n_cells", header="cells", rank=2),
+        Column(key="deviance_p_value", header="p", digits=2),
+    )
+    return Table.of("Which observer explains the answers better", "observers.csv", columns, records)
+
+
+def by_observer(result: ResultData) -> dict[str, tuple[PersonResult, ...]]:
+    """Return the persons of each observer by its name, that of all persons together last."""
+    names = observer_names(result.settings, result.observers)
+    return dict(zip(names, [all_persons(result), *map(all_persons, result.observers)], strict=True))
+
+
+def _aic(one: PersonResult) -> float:
+    assert one.aic is not None  # older results have one observer
+    return one.aic
+
+
+def _comparison(names: Sequence[str], persons: Sequence[PersonResult]) -> str:
+    """Return a sentence on which observer explains a person better."""
+    (best, name), (second, _), *_ = sorted((_aic(one), name) for one, name in zip(persons, names, strict=True))
+    each = ", ".join(f"{plain(_aic(one), 5)} for {name}" for one, name in zip(persons, names, strict=True))
+    who = "all together" if persons[0].subject is None else f"person {_printable(persons[0].subject)}"
+    if second - best < UNDECIDED:
+        return f"The answers of {who} do not decide between the observers: AIC {each}."
+    evidence = "strong" if second - best >= STRONG else "some"
+    return (
+        f"{name} explains the answers of {who} better: AIC {each}; a difference of {plain(second - best, 2)} is "
+        f"{evidence} evidence."
     )
 
 
@@ -150,10 +220,20 @@ def curves_table(result: ResultData) -> Table:
 
 def sentences(result: ResultData) -> list[str]:
     """Return the findings in words, a sentence for each person; of many persons, for the first."""
-    texts = [_sentence(result, one) for one in result.persons[:MOST_DESCRIBED]]
+    shown = [*result.persons[:MOST_DESCRIBED], *([] if result.pooled is None else [result.pooled])]
+    of_each = by_observer(result)
+    several = [
+        [one for one in persons if one.subject in {other.subject for other in shown}]
+        for persons in of_each.values()
+    ]
+    texts = [_comparison(list(of_each), persons) for persons in zip(*several, strict=True) if len(persons) > 1]
+    for name, persons in zip(of_each, several, strict=True):
+        head = f"{name}: " if len(several) > 1 else ""
+        texts += [head + _sentence(result, one) for one in persons]
     if (more := len(result.persons) - MOST_DESCRIBED) > 0:
-        texts.append(f"{count(more, 'more person')} {'is' if more == 1 else 'are'} in the table.")
-    return texts if result.pooled is None else [*texts, _sentence(result, result.pooled)]
+        text = f"{count(more, 'more person')} {'is' if more == 1 else 'are'} in the table."
+        texts.insert(len(texts) - (result.pooled is not None), text)
+    return texts
 
 
 def _sentence(result: ResultData, one: PersonResult) -> str:
@@ -201,8 +281,20 @@ def with_model_curves(result: ResultData, subject: str | None) -> list[Fit]:
 def settings_files(result: ResultData) -> dict[str, bytes]:
     """Return the files of settings for `todframes score --observer-settings`, by name.
 
-    `observer.toml` is that of the only person, or of all together; with several persons each has another.
+    `observer.toml` is that of the only person, or of all together; with several persons each has another. Those of
+    further observers begin with the observer's name.
     """
+    found = _settings_files(result)
+    for name, one in zip(observer_names(result.settings, result.observers)[1:], result.observers, strict=True):
+        view = msgspec.structs.replace(
+            result, settings=result.settings | one.settings, persons=one.persons, pooled=one.pooled
+        )
+        prefix = re.sub("[^A-Za-z0-9-]+", "-", name).strip("-")
+        found |= {f"{prefix}_{file}": content for file, content in _settings_files(view).items()}
+    return found
+
+
+def _settings_files(result: ResultData) -> dict[str, bytes]:
     common = result.persons[0] if result.pooled is None else result.pooled
     names = {"observer.toml": common}
     for one in result.persons if len(result.persons) > 1 else ():

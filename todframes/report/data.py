@@ -288,15 +288,28 @@ class Algorithm(Struct, frozen=True, kw_only=True):
 
 
 class ComparedObserver(Struct, frozen=True, kw_only=True):
-    """A further observer of `compare`: its name and settings, and its verdicts on the algorithms."""
+    """A further observer of `compare` or `calibrate`: its name and settings, and what a result has of the first.
+
+    These are its verdicts on the algorithms, or the internal noise, or efficiency, of the persons by it.
+    """
 
     settings: Record
-    algorithms: tuple[Algorithm, ...]
+    algorithms: tuple[Algorithm, ...] = ()
+    persons: tuple[PersonResult, ...] = EMPTY
+    pooled: PersonResult | None = NULL
 
     @property
     def name(self) -> str:
         """Return the name of the observer."""
         return str(self.settings.get("observer"))
+
+
+def observer_names(settings: Record, others: Sequence[ComparedObserver]) -> list[str]:
+    """Return the names of a result's observers, numbered if two have the same with other settings."""
+    names = [str(settings.get("observer")), *(one.name for one in others)]
+    if len(set(names)) < len(names):
+        return [f"{name} ({number})" for number, name in enumerate(names, 1)]
+    return names
 
 
 def thresholds_of(algorithms: Sequence[Algorithm]) -> tuple[Fit, ...]:

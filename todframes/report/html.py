@@ -109,7 +109,7 @@ def _tables(result: ResultData) -> list[Json]:
     """List the tables under the figures: those of the terminal, then more, which the reader opens."""
     if result.persons:
         folded = tables.points(result)
-        items = [table_item(calibration.noise_table(result)), table_item(calibration.curves_table(result))]
+        items = [table_item(one) for one in calibration.all_tables(result)]
         return [*items, *([] if folded is None else [table_item(folded, folded=True)])]
     found = []
     answers = tables.answers(result)

@@ -236,10 +236,10 @@ class Result(ResultData, Saving, frozen=True, kw_only=True, dict=True):
 
 def _calibration_files(result: Result) -> dict[str, bytes]:
     """Return the tables of a calibration, its figure as SVG and the observers' settings."""
-    from todframes.report.calibration import curves_table, noise_table, settings_files
+    from todframes.report.calibration import all_tables, settings_files
     from todframes.report.figures import pictures
 
-    tables = {one.file: one.csv().encode() for one in (noise_table(result), curves_table(result))}
+    tables = {one.file: one.csv().encode() for one in all_tables(result)}
     drawn = {one.file.replace(".png", ".svg"): one.svg() for one in pictures(result) if one.file}
     return {**tables, **drawn, **settings_files(result)}
 

@@ -11,8 +11,10 @@ from todframes.report.data import (
     Fit,
     Group,
     Ratio,
+    Record,
     ResultData,
     SceneResult,
+    observer_names,
 )
 from todframes.report.wording import (
     count,
@@ -191,20 +193,18 @@ def comparison(algorithms: Sequence[Algorithm]) -> tuple[str, ...]:
 
 
 def comparisons(
-    first: str, algorithms: Sequence[Algorithm], others: Sequence[ComparedObserver]
+    settings: Record, algorithms: Sequence[Algorithm], others: Sequence[ComparedObserver]
 ) -> tuple[str, ...]:
     """Return a sentence for each algorithm on which observers disagree, then the paragraphs of each observer.
 
     Parameters
     ----------
-    first : str
-        Name of the observer of `algorithms`.
+    settings : mapping
+        Settings of the observer of `algorithms`.
     others : sequence of ComparedObserver
         Further observers, with the same algorithms in the same order.
     """
-    names = [first, *(one.name for one in others)]
-    if len(set(names)) < len(names):  # the same observer with other settings
-        names = [f"{name} ({number})" for number, name in enumerate(names, 1)]
+    names = observer_names(settings, others)
     of_observer = dict(zip(names, [algorithms, *(one.algorithms for one in others)], strict=True))
     disagreements = []
     for number, one in enumerate(algorithms[1:], 1):
