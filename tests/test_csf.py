@@ -9,7 +9,7 @@ from todframes.base.errors import SettingsError
 from todframes.frames.dataset import load_dataset
 from todframes.observers.csf import CsfObserver, contrast_sensitivity, oblique_effect
 from todframes.observers.pyramid import PyramidObserver
-from todframes.scoring.naked_eye import contrast_threshold
+from todframes.scoring.naked_eye import acuity, contrast_threshold
 from todframes.scoring.plan import plan_score
 from todframes.stimulus import Orientation, Stimulus, coverage
 
@@ -61,7 +61,21 @@ def brute_force_threshold(size_mrad: float, *, px_per_deg: int, side_deg: float)
 def test_threshold_of_the_naked_eye_is_that_of_brute_force(size_mrad: float) -> None:
     """1 % is asked for. The retina's step leaves 0.7 %, and 8e5 draws 0.12 % (0.05 % of P, whose slope is 0.4)."""
     expected = brute_force_threshold(size_mrad, px_per_deg=240, side_deg=2.5)
-    assert contrast_threshold(CsfObserver(), size_mrad=size_mrad).threshold == pytest.approx(expected, rel=0.01)
+    found = contrast_threshold(CsfObserver(), size_mrad=size_mrad)
+    assert found.threshold == pytest.approx(expected, rel=0.01)
+    # The stated error, and three standard errors of the draws with pixels of 1/240 degree.
+    assert abs(found.threshold - expected) < found.numerical_error + 0.005 * expected
+    assert 0.0 < found.numerical_error < 0.01 * expected
+
+
+def test_the_stated_error_is_that_of_the_retinas_step() -> None:
+    """Against a retina of an eighth of the pitch; a quarter has a few per cent of the error left."""
+    for size in (0.75, 1.1):
+        found = contrast_threshold(CsfObserver(), size_mrad=size)
+        fine = contrast_threshold(CsfObserver(retina_pitch_mrad=0.0125), size_mrad=size).threshold
+        assert found.numerical_error == pytest.approx(abs(found.threshold - fine), rel=0.15)
+    coarse, usual = (acuity(CsfObserver(retina_pitch_mrad=pitch)) for pitch in (0.2, 0.1))
+    assert abs(coarse.threshold - usual.threshold) < coarse.numerical_error + usual.numerical_error
 
 
 @pytest.mark.slow

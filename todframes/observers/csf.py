@@ -242,6 +242,11 @@ class CsfObserver(ObserverWithSettings):
         """Return the observer with a field twice as wide."""
         return type(self)(self.settings, wider=2.0 * self._wider)
 
+    def with_finer_retina(self) -> CsfObserver:
+        """Return the observer on a retina of a quarter of the pitch, whose step changes next to nothing."""
+        pitch = max(self.settings.retina_pitch_mrad / 4.0, 1e-3)
+        return type(self)(replace(self.settings, retina_pitch_mrad=pitch), wider=self._wider)
+
     def with_fewer_levels(self, _: Stimulus) -> None:
         """Return None: there is no observer with a narrower field."""
 

@@ -378,6 +378,14 @@ class PatternObserver(Protocol):
         """Compute the score of a retina image by its definition, with noise on every neuron if `rng` is given."""
 
 
+@runtime_checkable
+class SteppedObserver(Protocol):
+    """Optional protocol of observers whose retina is the step of a computation, and no part of the model."""
+
+    def with_finer_retina(self) -> Observer:
+        """Return the same observer on a finer retina, to find what the step changes."""
+
+
 PYRAMID_LEVELS = "pyramid levels"
 """Name of what most truncated observers omit."""
 

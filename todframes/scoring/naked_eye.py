@@ -16,7 +16,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_positive
 from todframes.frames.dataset import MOST_PLACES
-from todframes.observers.interface import Observer, Readout
+from todframes.observers.interface import Observer, Readout, SteppedObserver
 from todframes.psychometrics.threshold_search import ComputedThreshold, find_crossing
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus, coverage
 
@@ -28,6 +28,9 @@ FEW_NODES, FEW_NODES_FROM_SAMPLES = (3, 4), 200.0
 
 TOLERANCE = 2e-4
 """Largest relative change of a stable threshold between two numbers of displacements."""
+
+SPAN = 1.1
+"""Ratio of the levels to the threshold between which the slope of P(correct) is taken."""
 
 CONTRAST_RANGE = (1e-12, 1e12)
 """Smallest and largest contrast in the search for a threshold; the largest also limits `contrast` arguments."""
@@ -100,7 +103,13 @@ def contrast_threshold(
         )
 
     size_samples = _size_samples(observer, size_mrad)
-    return _refined(threshold, NODES if size_samples < FEW_NODES_FROM_SAMPLES else FEW_NODES + NODES)
+    found = _refined(threshold, NODES if size_samples < FEW_NODES_FROM_SAMPLES else FEW_NODES + NODES)
+    return _with_step_error(
+        found,
+        observer,
+        lambda judge, level: proportion_correct(judge, size_mrad=size_mrad, contrast=level, places=places),
+        p_correct,
+    )
 
 
 def acuity(
@@ -143,7 +152,35 @@ def acuity(
         )
 
     # Each step of this search computes a new readout and its displacements.
-    return _refined(threshold, NODES[:-2])
+    found = _refined(threshold, NODES[:-2])
+    return _with_step_error(
+        found,
+        observer,
+        lambda judge, size: proportion_correct(judge, size_mrad=size, contrast=contrast, places=places),
+        p_correct,
+    )
+
+
+def _with_step_error(
+    found: ComputedThreshold,
+    observer: Observer,
+    proportion: Callable[[Observer, float], float],
+    p_correct: float,
+) -> ComputedThreshold:
+    """Add the error by the step of the retina, where it is that of a computation, to a threshold's error.
+
+    `proportion` is P(correct) of an observer at a level. On a finer retina it differs from `p_correct` at the
+    threshold; its slope there turns the difference into one of the threshold.
+    """
+    if found.threshold is None or not isinstance(observer, SteppedObserver):
+        return found
+    finer = observer.with_finer_retina()
+    try:
+        below, at, above = (proportion(finer, factor * found.threshold) for factor in (1.0 / SPAN, 1.0, SPAN))
+    except SettingsError:  # the finer retina is too large
+        return replace(found, numerical_error=None)
+    slope = (above - below) / ((SPAN - 1.0 / SPAN) * found.threshold)
+    return replace(found, numerical_error=abs(at - p_correct) / slope + (found.numerical_error or 0.0))
 
 
 def _refined(
