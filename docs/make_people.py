@@ -71,8 +71,8 @@ PEOPLE_EDGES = {
 }
 """Root-mean-square contrast at 75 % correct for each edge, six people pooled (Schmittwilken et al. 2024)."""
 
-DRAWS = 100
-"""Draws of each noise: a standard error of 0.6 dB of the threshold."""
+DRAWS = 400
+"""Draws of each noise: a standard error of 0.3 dB of the threshold."""
 
 RING_CONTRASTS, RING_CD_M2, PX_PER_GAP = (1.0, 0.3, 0.1, 0.05, 0.03), 30.0, 8
 
