@@ -142,7 +142,7 @@ def compare(
     screen = AlgorithmDisplay(data.display, white, allow_clipping)
     data, more, placed_wrong = located(data, judge, locate, on_error, progress)
     known = [knowing_background(*one, data) for one in zip(judges, each_settings, strict=True)]
-    judges, each_settings = zip(*known, strict=True)
+    judges, each_settings = [one for one, _ in known], [own for _, own in known]
     judge, settings = judges[0], each_settings[0]
     with opened_run(workers, cluster, store, progress) as run:
         results, *others = compare_observers(

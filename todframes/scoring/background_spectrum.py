@@ -19,7 +19,8 @@ from todframes.frames.dataset import Dataset
 from todframes.frames.position import centroid_position, size_in_px
 from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import Trial, Trials
-from todframes.observers.csf import FRAMES, MRAD_PER_DEG
+from todframes.observers.csf import FRAMES
+from todframes.observers.eye import MRAD_PER_DEG
 from todframes.observers.interface import Observer
 from todframes.stimulus import Centre
 
