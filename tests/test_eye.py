@@ -109,6 +109,17 @@ def test_an_eye_costs_most_in_small_triangles_and_dim_light() -> None:
         assert small > large > 1.0
 
 
+def test_a_pattern_is_folded_through_the_eye() -> None:
+    """Of any pattern, as the bars of MRTD are: the literal score, and the variance of its noise."""
+    observer, rng = PyramidObserver(band_noise=(3.0, 1.0, 0.5), **EYE), np.random.default_rng(0)
+    pattern, half = rng.normal(size=(21, 21)), observer.grid(Stimulus(3.0)).side // 2
+    image = rng.normal(size=(2 * half + 1,) * 2)
+    found = observer.detection(pattern, 3.0, half)
+    expected = observer.literal_score(image, pattern)
+    # Sums of 1e4 products, as of the triangles' scores.
+    assert float((found.weights * image).sum()) == pytest.approx(expected, abs=1e-10 * max(1.0, abs(expected)))
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -415,8 +415,6 @@ class PyramidObserver(ObserverWithSettings):
         60 retina samples or more this takes half the time, or less.
         """
         settings, side = self.settings, self.grid(stimulus).side
-        if settings.eye_mtf != "none":  # what an eye sees of a triangle reaches far
-            return tuple(band.astype(dtype) for band in self._template_deviation(stimulus))
         corners = vertices(
             size=stimulus.size_mrad / settings.retina_pitch_mrad, orientation=Orientation.UP, centre=self.centre
         )
@@ -426,6 +424,8 @@ class PyramidObserver(ObserverWithSettings):
 
     def _expected_middle(self, image: FloatArray, side: int, dtype: DTypeLike) -> Bands:
         """Compute the expected activity for the middle of an image, each band where it is not zero."""
+        if self.settings.eye_mtf != "none":  # what an eye sees of it reaches far
+            return tuple(band.astype(dtype) for band in self._expected(framed(image, side // 2)))
         blurred = gaussian_blur(image, self.settings.template_blur_samples)
         return self._as_activity(self._pyramid(side).build_middle(blurred.astype(dtype), side // 2))
 
