@@ -16,7 +16,7 @@ from sensor_sim.chain.photons import background_electrons
 from sensor_sim.chain.reconstruction import axis_matrix, display_signal
 from sensor_sim.chain.sampling import field_sampler, sample_image
 from sensor_sim.chain.scenery import Scenery
-from sensor_sim.chain.simulation import SimulatedTrial, Simulator
+from sensor_sim.chain.simulation import Filming, SimulatedTrial, Simulator
 from sensor_sim.cli import cli
 from todframes.cli.console import run
 from todframes.stimulus import ORIENTATIONS, Orientation
@@ -129,7 +129,14 @@ def test_noise_of_photons_follows_the_scene(images: Path, tmp_path: Path) -> Non
     assert ratio == pytest.approx(light[0] / light[1], rel=0.04) and light[0] > 1.2 * light[1]
 
 
-def test_simulated_scenes_have_no_false_warning(images: Path, tmp_path: Path, capsys) -> None:
+@pytest.mark.parametrize(
+    "more",
+    [
+        pytest.param([], id="frames"),
+        pytest.param(["--motion", "0", "--warm-up", "1"], id="clips", marks=pytest.mark.slow),
+    ],
+)
+def test_simulated_scenes_have_no_false_warning(images: Path, tmp_path: Path, capsys, more) -> None:
     asked = [
         "simulate",
         "sample_frames/staring_camera.toml",
@@ -141,7 +148,7 @@ def test_simulated_scenes_have_no_false_warning(images: Path, tmp_path: Path, ca
         "24",
     ]
     out = tmp_path / "out"
-    assert run(cli, [*asked, "--background", str(images), "-o", str(out)]) == 0
+    assert run(cli, [*asked, "--background", str(images), "-o", str(out), *more]) == 0
     assert "note" not in capsys.readouterr().err
     data = tod.load_dataset(out)
     assert {data.trials.views[code].scene for code in data.trials.view_codes} == {"scene_0", "scene_1", "scene_2"}
@@ -165,3 +172,33 @@ def test_what_scenes_cannot_be_is_one_line(images: Path, tmp_path: Path, changes
     with pytest.raises(tod.TodframesError, match=message):
         ss.simulate(replace(CAMERA), out=tmp_path / "out", **asked)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_triangle_moves_over_a_scene_that_stands(images: Path) -> None:
+    """Frames of a clip without noise, each less its own triangle, are one scene."""
+    filming = Filming(motion_mrad_per_s=8.0, warm_up_frames=2)
+    farthest = float(np.abs(filming.travel_detectors(CAMERA)).max())
+    scenery = Scenery.opened(
+        CAMERA,
+        images,
+        [SIZE],
+        pixels_per_detector=2.0,
+        value_range=None,
+        turns=8,
+        seed=3,
+        farthest_detectors=farthest,
+        note=print,
+    )
+    simulator = Simulator(CAMERA, SIZE, seed=1, filming=filming, scenery=scenery)
+    frames = simulator.clip(SimulatedTrial((0, 0, 0), SIZE, NO_NOISE, Orientation.UP, 1, "r90"))
+    display, scenes = CAMERA.display, []
+    for frame in frames:
+        at = [
+            (one + 0.5) / display.pixels_per_detector - simulator.field / 2.0 for one in (frame.x_px, frame.y_px)
+        ]
+        triangle = simulator.sampler.samples(*at, orientation=Orientation.UP)[0]
+        alone = display.background_luminance_cd_m2 * display.gain * display_signal(triangle, simulator.matrix)
+        scenes.append(frame.luminance_cd_m2 - alone)
+    assert len(scenes) > 2 and np.ptp([frame.x_px for frame in frames]) > 0.1
+    # Of noise that is left, 50 cd/m² · 1e-9 times the frames, and of sums in another order.
+    assert np.ptp(scenes, axis=0).max() < 1e-5

@@ -144,11 +144,6 @@ def simulate(
 
         if stages:
             raise SettingsError(f"{argument.stages}: found it with {argument.background}, expected one of the two")
-        if filming is not None:
-            raise SettingsError(
-                f"{argument.motion_mrad_per_s}, {argument.warm_up_frames}: found with {argument.background}, "
-                "expected one of the two"
-            )
         notes: list[str] = []
         scenery = Scenery.opened(
             sensor,
@@ -158,6 +153,7 @@ def simulate(
             value_range=background_range,
             turns=turns,
             seed=seed,
+            farthest_detectors=0.0 if filming is None else float(abs(filming.travel_detectors(sensor)).max()),
             note=notes.append,
         )
         planned = plan_on_scenes(planned, scenery)

@@ -77,11 +77,13 @@ class Scenery:
         value_range: tuple[float, float] | None,
         turns: int,
         seed: int,
+        farthest_detectors: float = 0.0,
         note: Callable[[str], None],
     ) -> Scenery:
         """Decode images and draw a window of each for each size.
 
-        Pictures are taken to be sRGB; with a range, values are proportional to light.
+        Pictures are taken to be sRGB; with a range, values are proportional to light. `farthest_detectors` is how
+        far a triangle moves from the middle of its field.
 
         Raises
         ------
@@ -107,7 +109,8 @@ class Scenery:
         for number, file in enumerate(open_scenes(paths, value_range=value_range, note=note)):
             for image in decoded_images(file, display, frames=1):
                 for k, size in enumerate(sizes_detectors):
-                    side = field_detectors(sensor, size) + 2 * (margin + MARGIN_DETECTORS)
+                    side = field_detectors(sensor, size)
+                    side += 2 * (margin + MARGIN_DETECTORS + math.ceil(farthest_detectors))
                     reach = math.ceil(side * pixels_per_detector / 2.0)
                     layout = Layout(size * pixels_per_detector, reach, 1, 0.0)
                     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(SCENE_STREAM, number, k)))

@@ -239,11 +239,16 @@ class Simulator:
     def clip(self, trial: SimulatedTrial) -> list[SimulatedFrame]:
         """Return the frames of a trial's clip as displayed: those of warm-up, then those of the trial.
 
-        The triangle moves evenly in a random direction. Its mean place in the trial is that of a single frame.
+        The triangle moves evenly in a random direction, over a scene that stands still. Its mean place in the
+        trial is that of a single frame.
         """
         assert self.filming is not None
         display, rng = self.sensor.display, self._rng(trial)
         middle = rng.uniform(-0.5, 0.5, 2)
+        scene = None
+        if self.scenery is not None:
+            place, scene = self._scene(trial.background, trial.turn)
+            middle = np.array(place)
         angle = rng.uniform(0.0, 2.0 * math.pi)
         travel = self.filming.travel_detectors(self.sensor)
         places = middle + travel[:, None] * (math.cos(angle), math.sin(angle))
@@ -252,6 +257,8 @@ class Simulator:
             (sample,) = self.sampler.samples(x, y, orientation=trial.orientation)
             if self.camera is not None:
                 sample *= level
+            if scene is not None:
+                sample += scene
             self._add_noise(sample, level, rng)
             x_px, y_px = (display_position_px(at, n_detectors=self.field, display=display) for at in (x, y))
             luminance = luminance_cd_m2(display_signal(sample, self.matrix), display=display)
