@@ -103,6 +103,14 @@ JUDGE = """() => {
     }
     expect(document.querySelector("#name").value === sensor.name, "the name");
   }
+  const range = document.querySelector("#range");
+  if (!range.hidden && range.dataset.sequence === sequence && isDone) {
+    const rows = [...(document.querySelector("#range-table").tBodies[0]?.rows ?? [])];
+    const words = rows.map((row) => row.cells[3].textContent);
+    const spoken = text("#range-sentences");
+    const isTold = words.some((one) => spoken.includes(one)) || !document.querySelector("#range-error").hidden;
+    expect(isTold, "the range in words is not that of the table");
+  }
   if (/Threshold/.test(said)) {
     expect(claimed === "Refined", "announced before it was there");
     for (const [, size, number] of said.matchAll(/([\\d.]+) detectors: ([\\d.]*\\d)/g)) {
@@ -269,6 +277,10 @@ CLICKED = (
 )  # fmt: skip
 
 
+AIM = ((), ("--target", "r46", "--atmosphere", "visible_23km"), ("--observer", "csf"))
+"""Options of each of the cameras."""
+
+
 def camera(folder: Path, seed: int) -> Path:
     """Return the camera of a seed, in turn: with an SNR, counting photons, and so behind a measured MTF."""
     kind = seed % 3
@@ -295,7 +307,7 @@ def campaign(n: int, *, seed: int) -> Tally:
     with (
         tempfile.TemporaryDirectory() as folder,
         sync_playwright() as play,
-        serving("sensor_sim", "explore", camera(Path(folder), seed), "--no-browser") as server,
+        serving("sensor_sim", "explore", camera(Path(folder), seed), *AIM[seed % 3], "--no-browser") as server,
     ):
         chromium = play.chromium.launch(executable_path=chromium_path, args=["--no-sandbox"])
         with watched(chromium, server.url, expected_console=REFUSED, script=RECORD) as page:

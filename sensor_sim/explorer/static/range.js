@@ -7,10 +7,14 @@ import { plain } from "./numbers.js";
 import { post } from "./server.js";
 import { countsPhotons } from "./state.js";
 
+/** Time for which the range may be that of an earlier curve before it is greyed. */
+const STALE_DELAY_MS = 400;
+
 /** The second plot, with its ranges in words and as a table. */
 export class RangeView {
   #chart = new RangeChart(byId("range-chart"));
   #requests = new Newest((record) => this.#fetch(record));
+  #timer = null;
   /** What the ranges were asked with that are shown; null before the first. */
   body = null;
 
@@ -18,12 +22,21 @@ export class RangeView {
     byId("range").hidden = false;
   }
 
-  /** Show the range of a record whose curve is drawn. */
+  /** Show the range of a record whose curve is drawn; that of an earlier one is greyed after a while. */
   show(record) {
+    this.#timer ??= setTimeout(() => byId("range").classList.add("earlier"), STALE_DELAY_MS);
     this.#requests.ask({ ...record }); // the record's curve may be another one when it is its turn
   }
 
-  async #fetch({ state: { sensor, p_correct }, curve }) {
+  async #fetch({ id, state: { sensor, p_correct }, curve }) {
+    await this.#shown(sensor, p_correct, curve);
+    clearTimeout(this.#timer);
+    this.#timer = null;
+    byId("range").classList.remove("earlier");
+    byId("range").dataset.sequence = id;
+  }
+
+  async #shown(sensor, p_correct, curve) {
     const missing = whyNot(sensor, curve.level);
     if (missing) {
       this.#refuse(missing);
