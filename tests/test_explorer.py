@@ -306,6 +306,19 @@ def test_an_observer_that_cannot_be_explored_is_one_line(capsys, options, messag
     assert line.startswith(f"error: {message}")
 
 
+def test_an_observer_may_be_adapted_to_the_display():
+    """Each time to that of the request: the slider of the background moves the eye too."""
+    seen = Explorer(SENSOR, CsfObserver(luminance_cd_m2="background"))
+    assert "luminance_cd_m2" not in seen.start()["observer"]
+    seen._live = FakeCurves()
+    display = TABLES_SENT["display"] | {"background_luminance_cd_m2": 3.0}
+    list(seen.curve(asked(1, sensor=TABLES_SENT | {"display": display}), lambda: True))
+    assert seen._live.observers[-1].settings.luminance_cd_m2 == 3.0
+    command = seen.written(TomlAsked(TABLES_SENT, [4.0], {"efficiency": 1.0}))["command"]
+    assert 'luminance_cd_m2="background"' in shlex.split(command)
+    seen.check()
+
+
 def test_an_observer_that_no_process_can_get_is_refused():
     class Local(OrientedObserver):
         pass
@@ -531,6 +544,7 @@ class FakeCurves:
     def __init__(self) -> None:
         self.is_wanted: list[Callable[[], bool]] = []
         self.levels: list[str] = []
+        self.observers: list[Any] = []
 
     def curves(
         self,
@@ -542,6 +556,7 @@ class FakeCurves:
     ) -> Iterator[LiveCurve]:
         assert level in ("snr", "contrast") and n_points == 0
         self.levels.append(level)
+        self.observers.append(sensor_observer_sizes[1])
         self.is_wanted.append(is_wanted)
         sizes = sensor_observer_sizes[2]
         reached = PredictedThreshold("ok", 2.0, 0.04, sizes[0], 8)

@@ -37,7 +37,7 @@ from sensor_sim.thresholds.predict import Level, PredictedThreshold
 from todframes import __version__
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys, from_table, parse_toml, toml_literal
-from todframes.observers.interface import Observer, described
+from todframes.observers.interface import Observer, adapted, described
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.range_report import RangeResult, probability_figure
 from todframes.stimulus import ORIENTATIONS, Stimulus
@@ -234,11 +234,13 @@ class Explorer:
         Raises
         ------
         SettingsError
-            If the observer is not linear, or cannot be sent to the processes that compute; or as `check_aim` does.
+            If the observer is not linear, cannot be adapted to the display, or cannot be sent to the processes
+            that compute; or as `check_aim` does.
         """
         if self._aim is not None:
             check_aim(self._aim, self.sensor, self.p_correct)
-        if self._observer.readout(Stimulus(USUAL_SIZE_MRAD)) is None:
+        observer = adapted(self._observer, lambda: self.sensor.display.background_luminance_cd_m2)
+        if observer.readout(Stimulus(USUAL_SIZE_MRAD)) is None:
             raise not_linear()
         try:
             unit_of(self._observer)
@@ -341,7 +343,8 @@ class Explorer:
             If a setting is invalid; others may only be found when the lines are computed.
         """
         self._latest.note(asked.client, asked.sequence)
-        sensor, observer = self.made(asked), self.observed_by(asked.observer)
+        sensor = self.made(asked)
+        observer = adapted(self.observed_by(asked.observer), lambda: sensor.display.background_luminance_cd_m2)
         sizes, p_correct = asked.sizes_detectors, FitSettings(p_correct=asked.p_correct).p_correct
         if sizes is not None and len(set(sizes)) < len(sizes):
             raise SettingsError("sizes_detectors: found a value twice, expected each once")

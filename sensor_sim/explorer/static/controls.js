@@ -165,6 +165,13 @@ class Field {
       clearTimeout(pause);
       read(true);
     });
+    input.addEventListener("blur", () => {
+      try {
+        this.#showText(this.#read(input.value)); // while it was edited, the text stayed as it was typed
+      } catch {
+        // Its line says what is wrong.
+      }
+    });
     return input;
   }
 
