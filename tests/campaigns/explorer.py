@@ -232,7 +232,7 @@ class Walk:
         self.page.click("#save")
         for _ in range(3000):
             message = self.page.locator("#message").text_content() or ""
-            if downloads or message:
+            if downloads or (message and "saved" not in message):
                 break
             self.page.wait_for_timeout(10)
         self.page.remove_listener("download", note)
