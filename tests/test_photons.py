@@ -25,6 +25,7 @@ from todframes.observers.decision import answer_probabilities
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import resample
 from todframes.psychometrics.fit import FitSettings, fit_trials
+from todframes.report.wording import column_heading, group_phrase, group_phrases
 from todframes.stimulus import ORIENTATIONS, Stimulus
 
 CAMERA = """
@@ -234,6 +235,12 @@ def test_curves_at_several_lights_are_those_of_each_light(tmp_path):
         examples=False,
     )
     assert dim.fits[0].threshold / dim.fits[1].threshold == pytest.approx(2.0, rel=0.05)
+
+
+def test_lights_are_named_with_their_unit():
+    assert column_heading("luminance_cd_m2") == "luminance (cd/m²)"
+    assert group_phrase({"luminance_cd_m2": 0.1, "size_detectors": 5.0}) == "0.1 cd/m², 5 detectors"
+    assert group_phrases([{"luminance_cd_m2": 0.1}, {"luminance_cd_m2": 10.0}]) == "0.1 and 10 cd/m²"
 
 
 def test_pixels_that_saturate_show_no_more_contrast(tmp_path):

@@ -38,6 +38,10 @@ def value_text(value: float | str) -> str:
     return f"{value:.15g}" if isinstance(value, float) else str(value)
 
 
+LUMINANCE = "luminance_cd_m2"
+"""Column with the light of a scene."""
+
+
 def unit_of(name: str) -> str:
     """Return the unit in a column of sizes: "mrad" for size_mrad and object_size_mrad; "" for any other column."""
     of, is_size, unit = name.rpartition("size_")
@@ -53,6 +57,8 @@ def column_heading(name: str) -> str:
     """Return a column of groups as a heading: "object size (mrad)", "object x (mrad)"; as it is without a unit."""
     if unit_of(name):
         return f"{quantity(name)} ({unit_of(name)})"
+    if name == LUMINANCE:
+        return "luminance (cd/m²)"
     return f"object {FIELD_AXES[name]} (mrad)" if name in FIELD_AXES else name
 
 
@@ -62,6 +68,8 @@ def phrase(name: str, value: float | str) -> str:
         return f"{value_text(value)} {unit_of(name)}"
     if name in FIELD_AXES and isinstance(value, float):
         return f"{FIELD_AXES[name]} {value_text(value)} mrad"
+    if name == LUMINANCE:
+        return f"{value_text(value)} cd/m²"
     return value_text(value) if name == "algorithm" else f"{name} {value_text(value)}"
 
 
@@ -80,7 +88,8 @@ def group_phrases(groups: Sequence[Mapping[str, float | str]]) -> str:
     names = list(groups[0])
     if len(names) == 1 and all(isinstance(group[names[0]], float) for group in groups):
         values = listed(value_text(group[names[0]]) for group in groups)
-        return f"{values} {unit_of(names[0])}" if unit_of(names[0]) else f"{names[0]} {values}"
+        unit = "cd/m²" if names[0] == LUMINANCE else unit_of(names[0])
+        return f"{values} {unit}" if unit else f"{names[0]} {values}"
     return "; ".join(map(group_phrase, groups))
 
 
