@@ -156,11 +156,3 @@ def test_the_curve_of_the_model_is_that_of_the_film(tmp_path) -> None:
         # Each page has one trial at a place of its own. 1.5 times a 95 % interval is left once in 300.
         error = 1.5 * math.log(high / low) / 2.0 + model.threshold_numerical_error / model.threshold
         assert abs(math.log(model.threshold / film.threshold)) < error < 0.3
-    # Without the noise of the camera the model would see far more.
-    quiet = replace(
-        found.sensor,
-        scene=replace(found.sensor.scene, background_electrons=1e9),
-        photons=replace(found.sensor.photons, full_well_electrons=None, bits=None, prnu_percent=0.0),
-    )
-    (without, _) = ss.curve(quiet, size_detectors=list(found.size_detectors.values()), examples=False).fits
-    assert without.threshold < 0.6 * found.film.fits[0].threshold
