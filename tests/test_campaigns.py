@@ -92,6 +92,10 @@ def test_servers() -> None:
     assert "3 cases, 0 faults" in campaign("servers", "--only", "moved on the same")
 
 
+def test_damaged_networks() -> None:
+    assert "5 cases, 0 faults" in campaign("networks", "5")
+
+
 def test_decoys() -> None:
     assert re.search(
         "1 commands among [0-9]+ decoys, 0 faults", campaign("decoys", "--only", "sweep, two workers")

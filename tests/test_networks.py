@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import pickle
 import re
+import sys
 from pathlib import Path
 
 import cv2
@@ -19,6 +20,7 @@ from todframes.base.errors import DataError, SettingsError
 from todframes.enhancement import network, network_probe
 from todframes.enhancement.algorithm import Enhancement
 from todframes.enhancement.finding import find_enhancement
+from todframes.enhancement.memory_meter import MemoryMeter
 from todframes.enhancement.network_probe import Found, ProbeRequest, examine, probe
 from todframes.enhancement.network_runtime import has_onnx_runtime, read_model
 from todframes.enhancement.tiles import in_tiles
@@ -404,3 +406,27 @@ def test_the_table_of_settings_in_the_docs_has_all() -> None:
     names = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
     parameters = list(inspect.signature(network.Network.enhanced).parameters)
     assert names == parameters[2:]
+
+
+# Cost
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not report it")
+def test_memory_is_what_a_function_takes_at_its_peak() -> None:
+    meter = MemoryMeter()
+    for mb in (64, 16, 64):
+        taken, memory_mb = meter.measured(lambda mb=mb: int(np.ones(mb * 2**17).sum()))
+        assert taken == mb * 2**17
+        assert memory_mb == pytest.approx(mb, abs=2.0)  # the system counts pages of each processor in batches
+    assert meter.measured(lambda: 1) == (1, None)  # three frames are enough
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not report it")
+def test_a_frame_in_which_modules_are_loaded_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    meter = MemoryMeter()
+
+    def load() -> None:
+        monkeypatch.setitem(sys.modules, "loaded_by_a_test", sys)
+
+    assert meter.measured(load) == (None, None)
+    assert meter.measured(lambda: 1)[1] is not None

@@ -10,6 +10,7 @@ python tests/campaigns/run.py planted              # links planted in OUT, and s
 python tests/campaigns/run.py servers              # endless, slow, compressed, cut and moved answers
 python tests/campaigns/run.py decoys               # modules and settings in the working folder
 python tests/campaigns/run.py explorer [N]         # 300 states of the explorer's page, requests held back
+python tests/campaigns/run.py networks [N]         # 500 damaged neural networks
 python tests/campaigns/run.py people [N]           # 5 people of each of 8 kinds sit the experiment in Chromium
 """
 
@@ -25,6 +26,7 @@ import explorer
 import faults
 import kills
 import media
+import networks_damaged
 import planted
 import servers
 import sitters
@@ -34,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a campaign and print what it has found. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = ["mutations", "media", "bombs", "kills", "long-run", "faults"]
-    names += ["decoys", "servers", "planted", "people", "explorer"]
+    names += ["decoys", "servers", "planted", "people", "explorer", "networks"]
     parser.add_argument("campaign", choices=names)
     parser.add_argument(
         "n",
@@ -82,6 +84,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return int(bool(walked.faults))
         case "servers":
             n, found = servers.campaign(only=asked.only)
+        case "networks":
+            n, found = networks_damaged.campaign(asked.n or 500, seed=asked.seed, first=asked.first)
+            print(*found, sep="\n", end="\n" if found else "")
         case "planted":
             n, found = planted.campaign(seed=asked.seed, only=asked.only)
         case _:

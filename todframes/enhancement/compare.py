@@ -114,7 +114,9 @@ class AlgorithmResult:
     contrast of the triangle level by level. `n_backgrounds` is the number of scenes that intervals and verdicts
     count as drawn from many; None if the dataset names none. `psnr_db` and `ssim` compare the displayed luminance
     with the frames without noise, over all frames that have one; None if there are none. `n_clipped` is the number
-    of values beyond the display's range. `cpu_s` is the algorithm's own processor time over all frames in seconds.
+    of values beyond the display's range. `cpu_s` is the algorithm's own processor time over all frames in seconds,
+    `cpu_s_per_frame` that of a frame, and `memory_mb` the most memory that it needed for one; None if it was not
+    measured.
     """
 
     enhancement: Enhancement
@@ -127,6 +129,8 @@ class AlgorithmResult:
     ssim: float | None
     n_clipped: int
     cpu_s: float
+    cpu_s_per_frame: float
+    memory_mb: float | None
 
 
 def compare_dataset(
@@ -310,6 +314,8 @@ def _results(
                 ssim=_mean(measured.ssims),
                 n_clipped=measured.n_clipped,
                 cpu_s=math.fsum(measured.cpu_s),
+                cpu_s_per_frame=_mean(measured.cpu_s) or 0.0,
+                memory_mb=max(measured.memory_mb, default=None),
             )
         )
     return tuple(results)
@@ -370,6 +376,7 @@ class _Measurements:
 
     def __init__(self) -> None:
         self.squared_errors, self.ssims, self.cpu_s = array("d"), array("d"), array("d")
+        self.memory_mb = array("d")
         self.n_clipped = 0
 
     def add(self, one: FrameMeasurements) -> None:
@@ -377,6 +384,8 @@ class _Measurements:
             self.squared_errors.append(one.squared_error)
         if one.ssim is not None:
             self.ssims.append(one.ssim)
+        if one.memory_mb is not None:
+            self.memory_mb.append(one.memory_mb)
         self.cpu_s.append(one.cpu_s)
         self.n_clipped += one.n_clipped
 

@@ -19,6 +19,7 @@ from todframes.base.reading import check_positive
 from todframes.display.display import Display
 from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
 from todframes.enhancement.image_quality import squared_error_and_ssim
+from todframes.enhancement.memory_meter import MemoryMeter
 from todframes.frames.contrast import (
     Background,
     ContrastPatch,
@@ -87,8 +88,9 @@ class EnhancedImage:
 
     `values` are code values, shape (rows, columns, channels), or luminance in cd/m², (rows, columns). There are
     `magnification` pixels for one of the frame along each axis. `n_clipped` is the number of values beyond the
-    display's range; `cpu_s` is the algorithm's own processor time in seconds. `brightening` is the factor by which
-    an algorithm of clips changes the border's luminance; None: that of this picture.
+    display's range; `cpu_s` is the algorithm's own processor time in seconds, and `memory_mb` the memory that it
+    needed, None if it was not measured. `brightening` is the factor by which an algorithm of clips changes the
+    border's luminance; None: that of this picture.
     """
 
     screen: AlgorithmDisplay
@@ -96,6 +98,7 @@ class EnhancedImage:
     magnification: float = 1.0
     n_clipped: int = 0
     cpu_s: float = 0.0
+    memory_mb: float | None = None
     brightening: float | None = None
 
     def luminance(self) -> FloatArray:
@@ -169,8 +172,8 @@ class DecodedFrame:
         black, white = self.screen.luminance_range
         return ((self.original.luminance() - black) / (white - black)).astype(np.float32)
 
-    def after(self, enhancement: Enhancement) -> EnhancedImage:
-        """Return the picture that the display shows after an algorithm.
+    def after(self, enhancement: Enhancement, meter: MemoryMeter | None = None) -> EnhancedImage:
+        """Return the picture that the display shows after an algorithm, whose memory may be measured.
 
         Raises
         ------
@@ -179,13 +182,18 @@ class DecodedFrame:
         """
         if enhancement.is_reference:
             return self.original
-        return self.shown(*enhancement.run(self.input_of(enhancement)), enhancement)
+        image = self.input_of(enhancement)
+        run = partial(enhancement.run, image)
+        (found, cpu_s), memory_mb = (run(), None) if meter is None else meter.measured(run)
+        return self.shown(found, cpu_s, enhancement, memory_mb)
 
     def input_of(self, enhancement: Enhancement) -> Image:
         """Return the image that an algorithm takes: code values, or relative luminance."""
         return self.relative_luminance if enhancement.declaration.domain == "luminance" else self.code_values
 
-    def shown(self, found: Image, cpu_s: float, enhancement: Enhancement) -> EnhancedImage:
+    def shown(
+        self, found: Image, cpu_s: float, enhancement: Enhancement, memory_mb: float | None = None
+    ) -> EnhancedImage:
         """Return the picture that the display shows of what an algorithm returned for this frame.
 
         Raises
@@ -204,7 +212,7 @@ class DecodedFrame:
         else:
             values = found if found.ndim == 3 else found[..., None]
             values = values if self.screen.white == 1.0 else values * self.screen.white
-        return EnhancedImage(self.screen, values, enhancement.magnification, n_clipped, cpu_s)
+        return EnhancedImage(self.screen, values, enhancement.magnification, n_clipped, cpu_s, memory_mb)
 
     def _clipped(self, found: Image, low: float, high: float, enhancement: Enhancement) -> tuple[Image, int]:
         smallest, largest = float(found.min()), float(found.max())
@@ -350,13 +358,15 @@ class FrameMeasurements(NamedTuple):
 
     `squared_error`, in (cd/m²)², and `ssim` compare the displayed luminance with the frame without noise; None if
     there is none with as many pixels. `n_clipped` is the number of values beyond the display's range; `cpu_s` is
-    the algorithm's own processor time in seconds.
+    the algorithm's own processor time in seconds, and `memory_mb` the memory that it needed, None if it was not
+    measured.
     """
 
     squared_error: float | None
     ssim: float | None
     n_clipped: int
     cpu_s: float
+    memory_mb: float | None
 
 
 class EnhancedTrial(NamedTuple):
@@ -385,6 +395,7 @@ class TrialReader:
     def __init__(self, algorithms: Sequence[Enhancement], screen: AlgorithmDisplay) -> None:
         self.algorithms = tuple(algorithms)
         self.screen = screen
+        self._meters = {one.spec: MemoryMeter() for one in self.algorithms}
         self.reference_luminance = lru_cache(maxsize=16)(self._reference_luminance)
 
     def __reduce__(self) -> tuple[type, tuple[tuple[Enhancement, ...], AlgorithmDisplay]]:
@@ -433,7 +444,9 @@ class TrialReader:
             try:
                 for algorithm in self.algorithms:
                     own = after_clip.get(algorithm.spec)
-                    picture = decoded.after(algorithm) if own is None else own[number]
+                    picture = (
+                        decoded.after(algorithm, self._meters[algorithm.spec]) if own is None else own[number]
+                    )
                     part = decoded.crop(picture, place, frame.background_luminance_cd_m2, whole=whole)
                     looked.append((part, self._measured(dataset, frame, picture)))
             except FrameError:
@@ -509,7 +522,8 @@ class TrialReader:
         brighter that makes it. A clip in which each frame is the mean of all does.
         """
         indices = np.arange(len(images) - len(judged), len(images))
-        after, cpu_s = algorithm.run_clip(images, indices, frame_rate_hz)
+        run = partial(algorithm.run_clip, images, indices, frame_rate_hz)
+        (after, cpu_s), memory_mb = self._meters[algorithm.spec].measured(run)
         brightening: list[float | None] = [None] * len(judged)
         rule = self.screen.display.background_luminance_cd_m2
         if rule == "column" or not isinstance(rule, str):
@@ -518,7 +532,7 @@ class TrialReader:
             before = _positive_border(judged[0].shown(mean, 0.0, algorithm).border_luminance())
             brightening = [judged[0].shown(one, 0.0, algorithm).border_luminance() / before for one in still]
         return [
-            replace(one.shown(image, cpu_s / len(judged), algorithm), brightening=factor)
+            replace(one.shown(image, cpu_s / len(judged), algorithm, memory_mb), brightening=factor)
             for one, image, factor in zip(judged, after, brightening, strict=True)
         ]
 
@@ -530,7 +544,7 @@ class TrialReader:
             if picture.values.shape[:2] == reference.shape:
                 black, white = self.screen.luminance_range
                 error, ssim = squared_error_and_ssim(picture.luminance(), reference, data_range=white - black)
-        return FrameMeasurements(error, ssim, picture.n_clipped, picture.cpu_s)
+        return FrameMeasurements(error, ssim, picture.n_clipped, picture.cpu_s, picture.memory_mb)
 
     def _reference_luminance(self, path: Path, max_frame_mb: int) -> FloatArray:
         try:

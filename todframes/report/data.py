@@ -285,6 +285,8 @@ class Algorithm(Struct, frozen=True, kw_only=True):
     disagrees: tuple[str, ...] = ()
     n_clipped: int | None = None
     cpu_s: float | None = None
+    cpu_ms_per_frame: float | None = None
+    memory_mb: float | None = None
 
 
 class ComparedObserver(Struct, frozen=True, kw_only=True):
@@ -360,6 +362,8 @@ def algorithms(dataset: Dataset, results: Sequence[AlgorithmResult]) -> tuple[Al
                 disagrees=() if verdict is None else _disagreeing(changes, verdict),
                 n_clipped=one.n_clipped,
                 cpu_s=round(one.cpu_s, 4),
+                cpu_ms_per_frame=round(1e3 * one.cpu_s_per_frame, 3),
+                memory_mb=None if one.memory_mb is None else round(one.memory_mb, 1),
             )
         )
     return tuple(found)

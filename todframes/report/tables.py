@@ -77,6 +77,8 @@ MEASURE_COLUMNS = (
     Column(key="disagrees", header="measures that disagree", none="", wraps=True),
     Column(key="n_clipped", header="values clipped", is_detail=True),
     Column(key="cpu_s", header="CPU time (s)", digits=3, rank=1),
+    Column(key="cpu_ms_per_frame", header="a frame (ms)", digits=3, rank=2),
+    Column(key="memory_mb", header="memory (MB)", digits=2, none="", rank=1),
 )
 
 ALGORITHM = Column(key="algorithm", is_name=True)
