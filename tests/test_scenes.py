@@ -355,10 +355,10 @@ def moved(rows) -> None:
         row["x_px"] = repr(float(row["x_px"]) + 2.5)
 
 
-def shuffled_levels(rows) -> None:
-    levels = [row["contrast"] for row in rows]
-    for row, level in zip(rows, np.random.default_rng(1).permutation(levels), strict=True):
-        row["contrast"] = str(level)
+def reversed_levels(rows) -> None:
+    levels = sorted({row["contrast"] for row in rows}, key=float)
+    for row in rows:
+        row["contrast"] = levels[-1 - levels.index(row["contrast"])]
 
 
 def some_wrong(rows) -> None:
@@ -383,7 +383,7 @@ def darker(rows) -> None:
         (renamed(up="right", right="down", down="left", left="up"), "turned"),
         (renamed(left="right", right="left"), "mirrored"),
         (some_wrong, "orientation_mismatch"),
-        (shuffled_levels, "contrast_mismatch"),
+        (reversed_levels, "polarity_mismatch"),
         (darker, "polarity_mismatch"),
     ],
 )

@@ -16,7 +16,6 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.locations import Location
 from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import inspect, records
-from todframes.diagnosis.scene_backgrounds import has_scenes
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset, dataset_warnings, load_dataset
 from todframes.frames.trials import Trial
@@ -121,7 +120,7 @@ def located(
         return data, {}, lambda _: ()
     from todframes.diagnosis.locate import locate_triangles, location_warnings
 
-    if has_scenes(data.trials):
+    if data.trials.has_scenes:
         raise SettingsError(
             f"{argument.locate}: the dataset has scenes, in which texture may look like a triangle; expected it "
             "without, as their places are known"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,15 +31,6 @@ from todframes.diagnosis.limits import (
     USABLE_CONTRASTS,
     WHOLE_IN_SIZES,
 )
-from todframes.diagnosis.scene_backgrounds import (
-    SceneParts,
-    has_scenes,
-    numbered_views,
-    scene_names,
-    that_share,
-    view_middles,
-    whole_views,
-)
 from todframes.diagnosis.triangle import (
     AMPLITUDE,
     Images,
@@ -63,6 +54,9 @@ from todframes.frames.position import size_in_px
 from todframes.frames.surround import HOLE_IN_SIZES
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.stimulus import ORIENTATIONS, Centre, Stimulus
+
+if TYPE_CHECKING:
+    from todframes.diagnosis.scene_backgrounds import SceneParts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -248,7 +242,9 @@ def _samples(
 ) -> Sequence[TrialSample]:
     """Measure some of the trials of a group; on scenes, only those that share their background with others."""
     middles: Sequence[tuple[float, float] | None]
-    if has_scenes(trials):
+    if trials.has_scenes:
+        from todframes.diagnosis.scene_backgrounds import that_share, view_middles, whole_views
+
         chosen = trials.select(whole_views(trials, strengths(dataset, trials.levels), most))
         middles = view_middles(chosen)
     else:
@@ -261,7 +257,7 @@ def _samples(
             found.append(measure_trial(dataset, trial, centre, size_px=size_px, middle_px=middle))
         except DataError:
             continue
-    return that_share(found)
+    return that_share(found) if trials.has_scenes else found
 
 
 def _are_windows(samples: Sequence[TrialSample]) -> bool:
@@ -283,7 +279,7 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
     size_px = min(stimulus.size_mrad / pitch, 1e300)
     sizes = np.maximum([size_in_px(sample.trial, pitch) / block_px for sample in samples], LEAST_SIZE)
     of_group = GroupTriangle.of(samples, strength, sizes, max(size_px / block_px, LEAST_SIZE))
-    names = scene_names(samples)
+    names = ["" if sample.trial.view is None else sample.trial.view.scene for sample in samples]
     if of_group.scenes is not None:
         keeps_ring = dataset.display.background_luminance_cd_m2 == "surround"
         samples = of_group.scenes.on_even_field(
@@ -392,7 +388,11 @@ class GroupTriangle(NamedTuple):
     ) -> GroupTriangle:
         """Fit the triangle of some trials, whose sizes are alike."""
         turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
-        view = numbered_views(samples)
+        view = None
+        if any(sample.trial.view is not None for sample in samples):
+            from todframes.diagnosis.scene_backgrounds import SceneParts, numbered_views
+
+            view = numbered_views(samples)
         shown = [sample.even if view is None else sample.seen for sample in samples]
         even = samples[0].trial.stimulus.polarity * np.array(shown)
         known = np.logical_and.reduce([sample.known for sample in samples])

@@ -22,11 +22,6 @@ from todframes.frames.trials import Trials, indices_by
 from todframes.stimulus import HEIGHT_PER_SIZE
 
 
-def has_scenes(trials: Trials) -> bool:
-    """Return whether any of the trials has a scene behind its triangle."""
-    return any(trials.views[code] is not None for code in np.unique(trials.view_codes).tolist())
-
-
 def whole_views(trials: Trials, strength: FloatArray, most: int) -> NDArray[np.intp]:
     """Choose trials so that their backgrounds are known: of views spread over the manifest, up to a few of each.
 
@@ -66,10 +61,8 @@ def view_middles(trials: Trials) -> list[tuple[float, float] | None]:
     return [None if math.isnan(x) else (x, y) for x, y in places.tolist()]
 
 
-def numbered_views(samples: Sequence[TrialSample]) -> NDArray[np.intp] | None:
-    """Return the number, from 0, of the background of each window; None if none has a scene."""
-    if all(sample.trial.view is None for sample in samples):
-        return None
+def numbered_views(samples: Sequence[TrialSample]) -> NDArray[np.intp]:
+    """Return the number, from 0, of the background of each window."""
     keys = [(sample.trial.view, sample.trial.place) for sample in samples]
     numbers = {key: number for number, key in enumerate(dict.fromkeys(keys))}
     return np.array([numbers[key] for key in keys], np.intp)
@@ -78,8 +71,6 @@ def numbered_views(samples: Sequence[TrialSample]) -> NDArray[np.intp] | None:
 def that_share(samples: Sequence[TrialSample]) -> list[TrialSample]:
     """Return the windows whose background is that of others too; none if they are too few for a joint fit."""
     view = numbered_views(samples)
-    if view is None:
-        return list(samples)
     counts = np.bincount(view)
     kept = [sample for sample, number in zip(samples, view.tolist(), strict=True) if counts[number] > 1]
     return kept if len(kept) > int((counts > 1).sum()) + 4 else []
@@ -159,11 +150,6 @@ class SceneParts(NamedTuple):
             return None
         which = np.array([scenes.index(of_view[number]) for number in range(len(self.backgrounds))])
         return np.array([self.backgrounds[which == number].mean(axis=0) for number in range(len(scenes))])
-
-
-def scene_names(samples: Sequence[TrialSample]) -> list[str]:
-    """Return the name of the scene of each window; empty for an even background."""
-    return ["" if one.trial.view is None else one.trial.view.scene for one in samples]
 
 
 def _circle(n: int, radius: float, x: float, y: float) -> FloatArray:

@@ -228,6 +228,11 @@ class Trials(Sequence[Trial]):
         return self._columns.backdrop[self._rows]
 
     @property
+    def has_scenes(self) -> bool:
+        """Whether any of the trials has a scene behind its triangle."""
+        return any(self.views[code] is not None for code in np.unique(self.view_codes).tolist())
+
+    @property
     def places(self) -> NDArray[np.int32]:
         """Number of each trial's place; 0 where it is known."""
         return np.array([one.place or 0 for one in self._columns.backdrops], np.int32)[self.view_codes]
