@@ -90,7 +90,7 @@ def test_the_settings_of_the_package_are_found_by_name(tmp_path, monkeypatch) ->
     assert settings_file("modelfest").is_file()
     assert settings_file("own.toml").name == "own.toml"
     with pytest.raises(
-        SettingsError, match=r"observer_settings: found 'modelfst', expected .* or one of modelfest"
+        SettingsError, match=r"observer settings: found 'modelfst', expected .* or one of modelfest"
     ):
         settings_file("modelfst")
 

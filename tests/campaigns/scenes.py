@@ -52,6 +52,10 @@ include_residual = false
 band_gain = 1.0
 template_blur_samples = 1.2
 internal_noise = 0.5
+band_noise = [2.0, 1.0, 0.5]
+eye_mtf = "watson2013"
+luminance_cd_m2 = "background"
+age_years = 40.0
 resamples = 0
 p_correct = 0.75
 """

@@ -20,7 +20,7 @@ import numpy as np
 from msgspec import Meta
 
 from todframes.base._typing import FloatArray, Json
-from todframes.base.errors import SettingsError, argument
+from todframes.base.errors import SettingsError
 from todframes.base.reading import SETTINGS_SUFFIX, check_keys, shipped_file
 from todframes.base.user_code import import_named, registered
 from todframes.observers.decision import answer_probabilities
@@ -437,7 +437,7 @@ def settings_file(name: Path | str) -> Path:
     path = Path(name)
     if path.suffix == SETTINGS_SUFFIX or path.exists():
         return path
-    return shipped_file(str(name), SETTINGS_FOLDER, f"{argument.observer_settings}")
+    return shipped_file(str(name), SETTINGS_FOLDER, "observer settings")
 
 
 def described(
