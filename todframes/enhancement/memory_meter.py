@@ -26,22 +26,24 @@ class MemoryMeter:
 
     def __init__(self) -> None:
         self._left = FRAMES_MEASURED
+        self._largest_mb: float | None = None
 
     def measured(self, work: Callable[[], T]) -> tuple[T, float | None]:
-        """Return the result of a function, and the memory in MB by which the process grew meanwhile.
+        """Return the result of a function, and the most memory in MB by which the process grew in a call so far.
 
-        It is None after the first frames, if modules were loaded, and where the system does not report it.
+        It is None as long as modules were loaded in all calls, and where the system does not report it.
         """
         before = _beginning() if self._left else None
         if before is None:
-            return work(), None
+            return work(), self._largest_mb
         n_modules = len(sys.modules)
         result = work()
         after = _status_kb("VmHWM")
         if after is None or len(sys.modules) != n_modules:
-            return result, None
+            return result, self._largest_mb
         self._left -= 1
-        return result, max(0, after - before) / 1024.0
+        self._largest_mb = max(self._largest_mb or 0.0, (after - before) / 1024.0)
+        return result, self._largest_mb
 
 
 def _beginning() -> int | None:
