@@ -130,8 +130,9 @@ def brute_force(dataset: Path, *, ideal: bool) -> float:
 
 @pytest.mark.parametrize(
     ("ideal", "tolerance"),
-    [pytest.param(False, 0.01, marks=pytest.mark.slow), pytest.param(True, 0.02, marks=pytest.mark.weekly)],
+    [pytest.param(False, 0.01), pytest.param(True, 0.02, marks=pytest.mark.weekly)],
 )
+@pytest.mark.slow
 def test_thresholds_in_clutter_are_those_of_brute_force(clutter: Path, ideal: bool, tolerance: float) -> None:
     """With the plain template, and with the one for the spectrum that is measured in the frames."""
     changes = {"template": "ideal", "external_noise_spectrum": "frames"} if ideal else {}
