@@ -295,6 +295,15 @@ def test_frames_of_another_chart_among_the_right_ones(
     assert (found["n_frames"], found["n_without_markers"], found["clips"][0]["n_frames"]) == (5, 1, 3)
 
 
+def test_edges_that_determine_no_lens_are_told(tmp_path: Path, chart: Path, pages, monkeypatch) -> None:
+    """Least squares may not converge; then nothing is known of the places' error, and that is said."""
+    monkeypatch.setattr("todframes.importing.chart_source.choose_lens", lambda *_: None)
+    done, rows = imported(saved(tmp_path, film_of([pages[0]] * 3)), chart, integration_time_s="all")
+    assert len(rows) == 3
+    (message,) = [one.message for one in done.warnings if one.code == "residual"]
+    assert "not known how far triangles are placed wrong" in message
+
+
 def test_what_one_curve_cannot_hold_is_told(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
     """A page shown much longer than its turned ones, a film given twice, and one filmed from another distance."""
     shown = next(page for page in CHART.pages if page.triangles[0].orientation == "up")
@@ -500,6 +509,15 @@ def test_frames_with_a_share_of_a_neighbour_are_left_out(n_clean: int) -> None:
         (4, 1, n_clean, 1),
         (5, 2, n_clean + 1, 1),
     ]
+
+
+def test_frames_that_are_left_out_leave_no_gap() -> None:
+    """Noise can raise the share of a neighbour in any frame near the change, also beyond a clean one."""
+    shares = [(1, 0.0)] * 8 + [(1, 0.08), (1, 0.0)] + [(2, 0.0), (2, 0.08)] + [(2, 0.0)] * 8
+    shown = [clip_frame(page, k, share, 3 - page) for k, (page, share) in enumerate(shares)]
+    clean = list(clean_clips(shown, key=3, first_number=1))
+    assert [frame.source for _, frame in clean] == [str(k) for k in range(20) if k not in (8, 9, 10, 11)]
+    assert [clip.n_transition for clip in {id(clip): clip for clip, _ in clean}.values()] == [2, 2]
 
 
 def write(division: TrialDivision, windows: Iterator[RecordedWindow]) -> None:

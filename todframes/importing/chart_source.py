@@ -100,7 +100,8 @@ class RecordingReport:
     the frame, and windows that its border cuts.
     `page_duration_s` is the mean time from a page to the next by the times of the frames, None if not regular.
     `place_error_px` is the standard error of the triangles' places, `size_error` that of their sizes, relative,
-    and `lens` the lens that they were placed through; None for one that bends nothing.
+    and `lens` the lens that they were placed through; None for one that bends nothing. `lens_unsolved` states that
+    the edges of the markers fit none, an ideal one included.
     """
 
     path: str
@@ -119,6 +120,7 @@ class RecordingReport:
     place_error_px: float | None = None
     size_error: float | None = None
     lens: dict[str, object] | None = None
+    lens_unsolved: bool = False
     zoom_from: str | None = None
     misfit_px: float | None = None
     other_keys: dict[int, int] = field(default_factory=dict)
@@ -313,7 +315,9 @@ class ChartSource:
             shape,
         )
         lens = None
-        if choice is not None:
+        if choice is None:
+            report.lens_unsolved = True
+        else:
             lens = choice.fit.lens
             report.place_error_px = max(round(choice.error_px, 6), report.place_error_px or 0.0)
             report.size_error = max(round(choice.size_error, 8), report.size_error or 0.0)
@@ -503,7 +507,13 @@ class ChartSource:
 
         residual, error_px = worst("residual_px"), report.place_error_px or 0.0
         lens = "an ideal lens" if report.lens is None else f"a lens of the {report.lens['model']} model"
-        if residual > MOST_RESIDUAL_PX:
+        if report.lens_unsolved:
+            yield RecordingWarning(
+                "residual",
+                f"{where}the markers' edges determine neither a flat chart nor one behind a lens, so that it is "
+                "not known how far triangles are placed wrong; film the chart larger, sharper and with less noise",
+            )
+        elif residual > MOST_RESIDUAL_PX:
             yield RecordingWarning(
                 "residual",
                 f"{where}triangles may be placed wrong by {max(error_px, residual):.2g} px (rms); the markers' "

@@ -139,7 +139,7 @@ def clean_clips(frames: Iterable[ClipFrame], *, key: int, first_number: int) -> 
         known = [*known, frame.modules][-REFERENCE_FRAMES:]
         n_seen += 1
         if n_seen == REFERENCE_FRAMES:
-            good = _without_other(clip, held[:EDGE_FRAMES], known, before, key)
+            good = _without_other(clip, held[:EDGE_FRAMES], known, before, key, is_end=False)
             yield from _counted(clip, [*good, *held[EDGE_FRAMES:-EDGE_FRAMES]])
             held = held[-EDGE_FRAMES:]
         elif n_seen > REFERENCE_FRAMES:
@@ -152,10 +152,11 @@ def _released(
     clip: Clip, held: list[ClipFrame], known: list[FloatArray], before: int | None, after: int | None, key: int
 ) -> Iterator[tuple[Clip, ClipFrame]]:
     """Yield the last frames of a clip without those that hold a share of the page before or after."""
-    early = _without_other(clip, held[:EDGE_FRAMES], known, before, key)
+    early = _without_other(clip, held[:EDGE_FRAMES], known, before, key, is_end=False)
     rest = [*early, *held[EDGE_FRAMES:]]
     cut = max(len(rest) - EDGE_FRAMES, 0)
-    yield from _counted(clip, [*rest[:cut], *_without_other(clip, rest[cut:], known, after, key)])
+    late = _without_other(clip, rest[cut:], known, after, key, is_end=True)
+    yield from _counted(clip, [*rest[:cut], *late])
 
 
 def _counted(clip: Clip, frames: Iterable[ClipFrame]) -> Iterator[tuple[Clip, ClipFrame]]:
@@ -165,16 +166,23 @@ def _counted(clip: Clip, frames: Iterable[ClipFrame]) -> Iterator[tuple[Clip, Cl
 
 
 def _without_other(
-    clip: Clip, frames: list[ClipFrame], known: list[FloatArray], other: int | None, key: int
+    clip: Clip, frames: list[ClipFrame], known: list[FloatArray], other: int | None, key: int, *, is_end: bool
 ) -> list[ClipFrame]:
-    """Return the frames whose share of another page is not above that of the clip's reference frames."""
+    """Return the frames whose share of another page is not above that of the clip's reference frames.
+
+    The share grows towards the other page: a frame is left out with all that are nearer to it, or noise alone
+    would make a gap in the clip.
+    """
     if other is None or not frames:
         return frames
     ids, other_ids = marker_ids(clip.page, key), marker_ids(other, key)
     shares = np.array([share_of_other(one, ids, other_ids) for one in known])
     middle = float(np.median(shares))
     most = middle + max(MOST_OF_OTHER, SCATTER * float(np.median(np.abs(shares - middle))))
-    good = [frame for frame in frames if share_of_other(frame.modules, ids, other_ids) <= most]
+    bad = [k for k, frame in enumerate(frames) if share_of_other(frame.modules, ids, other_ids) > most]
+    if not bad:
+        return frames
+    good = frames[: bad[0]] if is_end else frames[bad[-1] + 1 :]
     clip.n_transition += len(frames) - len(good)
     return good
 
