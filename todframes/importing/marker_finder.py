@@ -104,8 +104,9 @@ recording is read; and the least share of such edges, without which all count.""
 NO_BETTER = 0.9
 """Residual of the edges relative to that before, above which a lens is not estimated again."""
 
-CORRECTIONS = 3
-"""Steps in which the shift of an edge is found that a profile with its neighbours would show as measured."""
+CORRECTIONS, MOST_CORRECTED = 3, 0.25
+"""Steps in which the shift of an edge is found that a profile with its neighbours would show as measured; and the
+largest shift, in modules, that the profile is modelled for."""
 
 NOTICED_PX = 0.1
 """Residual of the edges from which a lens is looked for while a recording is read."""
@@ -492,7 +493,7 @@ class MarkerEdges:
         measured = shifts[there] / length_px
         shift = np.zeros_like(measured)
         for _ in range(CORRECTIONS):
-            away = places - shift[..., None]
+            away = places - np.clip(shift, -MOST_CORRECTED, MOST_CORRECTED)[..., None]
             modelled = ndtr(away / blur) - (1.0 - white_share) * ndtr((away - 1.0) / blur)
             modelled += inside * ndtr(-(away + 1.0) / blur)
             shift += measured - _shift_per_module(modelled)
