@@ -141,7 +141,7 @@ def sweep(
         raise SettingsError("acuity: found an SNR or a ΔT for a camera that counts photons, expected none")
     has_netd = sensor.noise.netd_mk is not None or "noise.netd_mk" in designs.keys
     criterion = Criterion.of(acuity_snr, acuity_delta_t_mk, has_netd=has_netd)
-    aim = _aim(target, atmosphere, k, has_netd=has_netd, p_correct=p_correct)
+    aim = _aim(target, atmosphere, k, level=sensor.level, has_netd=has_netd, p_correct=p_correct)
     goals = objectives(
         minimise,
         maximise,
@@ -190,6 +190,7 @@ def _aim(
     atmosphere: Atmosphere | Path | str | None,
     k: float | None,
     *,
+    level: str,
     has_netd: bool,
     p_correct: float,
 ) -> Aim | None:
@@ -198,14 +199,14 @@ def _aim(
     Raises
     ------
     SettingsError
-        If one of them is missing or invalid, or NETD is not known.
+        If one of them is missing or invalid, or the thresholds are SNRs and NETD is not known.
     """
     from sensor_sim.sweeps.ranges import chosen_aim
 
     aim = chosen_aim(target, atmosphere, k)
     if aim is None:
         return None
-    if not has_netd:
+    if level == "snr" and not has_netd:
         raise SettingsError(f"{argument.target}: needs noise.netd_mk of the sensor")
-    aim.check(p_correct)
+    aim.check(p_correct, quantity="delta_t_k" if level == "snr" else "contrast")
     return aim

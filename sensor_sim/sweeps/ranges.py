@@ -40,18 +40,23 @@ class Aim(NamedTuple):
 
     def check(self, p_correct: float, *, quantity: Quantity = "delta_t_k", name: str = NAME) -> None:
         """Raise SettingsError if target or air cannot be used with a TOD in a quantity."""
-        curve = _curve(np.array([2.0, 1.0]), np.array([1.0, 2.0]), None, p_correct)
-        first_range(replace(curve, quantity=quantity, name=name), *self)
+        curve = _curve(np.array([2.0, 1.0]), np.array([1.0, 2.0]), None, p_correct, quantity)
+        first_range(replace(curve, name=name), *self)
 
     def range_of(
-        self, size_mrad: FloatArray, delta_t_k: FloatArray, status: Sequence[str], p_correct: float
+        self,
+        size_mrad: FloatArray,
+        threshold: FloatArray,
+        status: Sequence[str],
+        p_correct: float,
+        quantity: Quantity = "delta_t_k",
     ) -> DesignRange:
         """Return the range of a design from its thresholds, NaN where there is none, in any order of sizes."""
-        known = np.flatnonzero(np.isfinite(delta_t_k))
+        known = np.flatnonzero(np.isfinite(threshold))
         known = known[np.argsort(-size_mrad[known])]
         unreached = [1.0 / size_mrad[place] for place, one in enumerate(status) if one == "never_reached"]
         try:
-            curve = _curve(size_mrad[known], delta_t_k[known], unreached, p_correct)
+            curve = _curve(size_mrad[known], threshold[known], unreached, p_correct, quantity)
             found = first_range(curve, *self)
         except DataError:
             return DesignRange("too_few_sizes")
@@ -80,14 +85,18 @@ def chosen_aim(
 
 
 def _curve(
-    size_mrad: FloatArray, delta_t_k: FloatArray, unreached: Sequence[float] | None, p_correct: float
+    size_mrad: FloatArray,
+    threshold: FloatArray,
+    unreached: Sequence[float] | None,
+    p_correct: float,
+    quantity: Quantity,
 ) -> ThresholdCurve:
     finer = [one for one in unreached or () if size_mrad.size and one > 1.0 / size_mrad[-1]]
     return ThresholdCurve(
         pattern="triangle",
-        quantity="delta_t_k",
+        quantity=quantity,
         per_mrad=1.0 / size_mrad,
-        threshold=delta_t_k,
+        threshold=threshold,
         p_correct=p_correct,
         unreached_per_mrad=min(finer, default=None),
         name=NAME,

@@ -20,6 +20,7 @@ from todframes import __version__
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError, argument, for_reader
 from todframes.base.reading import check_keys, check_positive
+from todframes.field.target import Quantity
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
 from todframes.report.data import json_file
 from todframes.report.table import BLOCK, Column, LongRecords, Table
@@ -232,11 +233,13 @@ class SweepData:
         if self.aim is None:
             return None
         swept, sizes, p_correct = self.swept, np.array(self.swept.size_detectors), self.settings["p_correct"]
+        quantity: Quantity = "delta_t_k" if swept.level == "snr" else "contrast"
+        thresholds = swept.delta_t_mk / 1000.0 if swept.level == "snr" else swept.threshold
         return [
             DesignRange(IMPOSSIBLE)
             if math.isnan(pitch)
-            else self.aim.range_of(sizes * pitch, of_design / 1000.0, status, p_correct)
-            for pitch, of_design, status in zip(swept.pitch_mrad, swept.delta_t_mk, swept.status, strict=True)
+            else self.aim.range_of(sizes * pitch, of_design, status, p_correct, quantity)
+            for pitch, of_design, status in zip(swept.pitch_mrad, thresholds, swept.status, strict=True)
         ]
 
     def column(self, name: str, size: int) -> FloatArray:
