@@ -240,9 +240,13 @@ def hostile(tmp_path: Path) -> Path:
         (
             "good.png",
             {"dim": 1.0, "contrast": [0.1, 4.0]},
-            "triangle of contrast 4 goes beyond white of the display, ",
+            r"strongest triangle is not beyond black or white of the display, expected 0\.\d+ times its contrast",
         ),
-        ("good.png", {"polarity": -1, "contrast": [3.0]}, "goes beyond black of the display, expected at most"),
+        (
+            "good.png",
+            {"polarity": -1, "contrast": [3.0]},
+            r"beyond black or white of the display, expected 0\.\d+ times",
+        ),
         ("good.png", {"contrast": []}, "contrast: found no values"),
         ("good.png", {"contrast": [0.1, 0.1]}, "contrast: found a value twice"),
         ("good.png", {"contrast": [1e6]}, "contrast: found 1e.06, expected less than 199"),
@@ -268,6 +272,38 @@ def test_what_cannot_be_done_is_one_line(hostile: Path, background, changes, mes
         tod.scenes(name, out=hostile / "out", **asked)
     assert "\n" not in str(caught.value)
     assert not (hostile / "out").exists()
+
+
+def test_unfit_scenes_are_left_out(hostile: Path) -> None:
+    """Also those that are unfit for one size only, and films of which a frame is; what is left is shown alone."""
+    tod.write_frame(hostile / "narrow.png", textured(side=60))
+    names = ("small", "white", "good", "narrow", "even")
+    asked = {"size_mrad": [3.0, 8.0], "contrast": [0.2], "display": DISPLAY, "trials": 8}
+    made = tod.scenes([hostile / f"{name}.png" for name in names], out=hostile / "out", **asked)
+    assert {row["scene"] for row in rows_of(hostile / "out")} == {"good"} and made.n_scenes == 1
+    assert [Path(note.split(":")[0].removeprefix("left out ")).stem for note in made.notes] == [
+        *("small", "white", "narrow", "even")
+    ]
+    # A triangle that is darker by 0.3 has room where the darkest pixel near it is above 0.7 of the mean.
+    dark = textured(seed=5, low=0.35, high=0.9)
+    dark[::7, ::7] = 0.2
+    tod.write_frame(hostile / "spotted.png", dark)
+    made = tod.scenes(
+        [hostile / "good.png", hostile / "spotted.png"],
+        out=hostile / "darker",
+        **asked | {"polarity": -1, "contrast": [0.3]},
+    )
+    (note,) = made.notes
+    assert "left out" in note and "spotted.png: found no window" in note and made.n_frames == 16
+
+
+def test_counts_without_a_range_are_remarked(tmp_path: Path) -> None:
+    """16-bit counts that fill 2 % of the range would be shown as an even grey."""
+    tod.write_frame(tmp_path / "counts.png", 0.04 + 0.02 * textured(), pixel_type="uint16")
+    asked = {"size_mrad": [4], "contrast": [0.1], "trials": 8, "display": DISPLAY}
+    (note,) = tod.scenes(tmp_path / "counts.png", out=tmp_path / "a", **asked).notes
+    assert re.search(r"spread over 1\.4 % of the range .* \(value_range\)", note)  # 0.02 · (0.9 − 0.2)
+    assert tod.scenes(tmp_path / "counts.png", out=tmp_path / "b", **asked, value_range=(2600, 4000)).notes == ()
 
 
 def test_two_files_of_one_name_are_refused(folder: Path, hostile: Path) -> None:

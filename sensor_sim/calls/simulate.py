@@ -106,7 +106,7 @@ def simulate(
     SettingsError
         If a setting is invalid, or too many pixels would be clipped.
     DataError, FrameError
-        If a background cannot be read, is too small or saturated.
+        If a background cannot be read, or all are too small, even or saturated; some of these are left out.
     OutputError
         If the place cannot be written.
 

@@ -16,14 +16,14 @@ from sensor_sim.chain.reconstruction import display_position_px, display_signal
 from sensor_sim.chain.sampling import field_detectors, sample_image
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.transfer import blur_mrad
-from todframes.backdrops.images import decoded_images, open_scenes
+from todframes.backdrops.images import open_scenes
 from todframes.backdrops.views import (
     TURNS,
     Background,
     Layout,
     PlannedTrial,
     balanced,
-    draw_windows,
+    draw_backgrounds,
     local_luminance,
     plan,
     turned,
@@ -88,7 +88,7 @@ class Scenery:
         Raises
         ------
         DataError, FrameError
-            If an image cannot be read, is too small or saturated.
+            If an image cannot be read, or all are too small, even or saturated; some of these are left out.
         SettingsError
             If a setting is out of range.
         """
@@ -104,17 +104,24 @@ class Scenery:
             background_luminance_cd_m2="column",
             pixel_pitch_mrad=1.0,
         )
-        found: dict[float, tuple[Background, ...]] = dict.fromkeys(sizes_detectors, ())
         margin = math.ceil(3.0 * blur_mrad(sensor.optics, sensor.motion) / sensor.detector.pitch_mrad)
-        for number, file in enumerate(open_scenes(paths, value_range=value_range, note=note)):
-            for image in decoded_images(file, display, frames=1):
-                for k, size in enumerate(sizes_detectors):
-                    side = field_detectors(sensor, size)
-                    side += 2 * (margin + MARGIN_DETECTORS + math.ceil(farthest_detectors))
-                    reach = math.ceil(side * pixels_per_detector / 2.0)
-                    layout = Layout(size * pixels_per_detector, reach, 1, 0.0)
-                    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(SCENE_STREAM, number, k)))
-                    found[size] += tuple(draw_windows(image, layout, 1, rng, names_frame=False))
+        layouts = []
+        for size in sizes_detectors:
+            side = field_detectors(sensor, size)
+            side += 2 * (margin + MARGIN_DETECTORS + math.ceil(farthest_detectors))
+            reach = math.ceil(side * pixels_per_detector / 2.0)
+            layouts.append(Layout(size * pixels_per_detector, reach, 1, 0.0))
+        drawn = draw_backgrounds(
+            open_scenes(paths, value_range=value_range, range_name=argument.background_range, note=note),
+            display,
+            layouts,
+            lambda number, k: np.random.default_rng(
+                np.random.SeedSequence(seed, spawn_key=(SCENE_STREAM, number, k))
+            ),
+            range_name=argument.background_range,
+            note=note,
+        )
+        found = {size: tuple(windows) for size, windows in zip(sizes_detectors, drawn, strict=True)}
         return cls(sensor, found, pixels_per_detector, TURNS[:turns], seed)
 
     def plan(self, size_detectors: float, n_levels: int, trials: int) -> list[PlannedTrial]:

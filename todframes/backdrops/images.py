@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, FrameError, SettingsError
+from todframes.base.errors import DataError, FrameError, SettingsError, argument
 from todframes.base.reading import spelling_hint
 from todframes.display.display import Display
 from todframes.frames.files import PathLike
@@ -48,6 +48,8 @@ class SceneImage(NamedTuple):
     luminance_cd_m2 : ndarray, shape (rows, columns)
     at_end : ndarray of bool, shape (rows, columns)
         Pixels with a channel at black or white, or beyond.
+    used : float
+        Share of the range from black to white that the values of the frame are spread over.
     """
 
     scene: str
@@ -55,12 +57,14 @@ class SceneImage(NamedTuple):
     frame: int
     luminance_cd_m2: FloatArray
     at_end: NDArray[np.bool_]
+    used: float
 
 
 def open_scenes(
     paths: PathLike | Sequence[PathLike],
     *,
     value_range: tuple[float, float] | None = None,
+    range_name: str = argument.value_range,
     max_frame_mb: int = 256,
     note: Callable[[str], None] | None = None,
 ) -> list[SceneFile]:
@@ -72,6 +76,8 @@ def open_scenes(
         Files, folders, and "skimage" or "skimage:camera,brick" for photographs of scikit-image.
     value_range : (float, float), optional
         Recorded values of black and white.
+    range_name : str
+        Name of the argument that has them, for the message of an error.
     max_frame_mb : int
         Largest decoded size of a frame in 2**20 bytes.
     note : function of a text, optional
@@ -103,7 +109,7 @@ def open_scenes(
                 f"{one.path}: found the name {one.path.stem} as of {names[one.path.stem]}, expected a name of its "
                 "own, which the manifest has as scene"
             )
-    return [SceneFile(one.path.stem, one, code_range(one, value_range)) for one in opened]
+    return [SceneFile(one.path.stem, one, code_range(one, value_range, range_name)) for one in opened]
 
 
 def _photographs(name: str) -> list[Path]:
@@ -139,7 +145,7 @@ def _of_folder(folder: Path, max_frame_mb: int, note: Callable[[str], None] | No
         raise DataError(f"{folder}: found {what}, expected images or other recordings")
     if others and note is not None:
         names = ", ".join(others[:3]) + (", …" if len(others) > 3 else "")
-        note(f"{folder}: left out {names}, which are no recordings")
+        note(f"{folder}: left out {names}, no {'recordings' if len(others) > 1 else 'recording'}")
     return found
 
 
@@ -172,7 +178,7 @@ def decoded_images(file: SceneFile, display: Display, *, frames: int) -> Iterato
             code = (np.atleast_3d(recorded.values).astype(np.float64) - low) / (high - low)
             at_end = np.any((code <= 0.0) | (code >= 1.0), axis=2)
             luminance = display.luminance(_shown(np.clip(code, 0.0, 1.0), display))
-            yield SceneImage(file.scene, str(recording.path), number, luminance, at_end)
+            yield SceneImage(file.scene, str(recording.path), number, luminance, at_end, float(np.ptp(code)))
         if wanted and number >= max(wanted):
             return
     if not wanted:

@@ -12,14 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from todframes import __version__
-from todframes.backdrops.images import Encoder, decoded_images, open_scenes
+from todframes.backdrops.images import Encoder, open_scenes
 from todframes.backdrops.views import (
+    CIRCLE_PER_SIZE,
     TURNS,
     Background,
     Layout,
     PlannedTrial,
     balanced,
-    draw_windows,
+    draw_backgrounds,
     local_luminance,
     own_orientation,
     plan,
@@ -45,6 +46,12 @@ LEAST_TRIALS = 40
 PLACE_STEP_SIZES = 2.5
 """Distance of neighbouring places in sizes of the triangle, if none is asked for."""
 
+ROUNDING = 1e-12
+"""Smallest contrast of scenes.csv that is more than rounding."""
+
+DISPLACED = 1.02
+"""Factor of a triangle's luminance that a displacement by half a pixel may make, with a reserve."""
+
 FINER = 4
 """Points along a pixel at which a triangle is blurred."""
 
@@ -61,9 +68,11 @@ class ScenesMade:
     path : Path
         The dataset.
     n_frames, n_scenes : int
-        Frames in the dataset, and images behind them.
+        Frames in the dataset, and scenes behind them.
     trials : int
         Frames of each size and contrast.
+    dimmed : float
+        Factor of the scenes' luminance above black.
     own_orientation : float
         Root mean square, over the backgrounds, of the contrast of the triangle that would answer as the background
         does by itself.
@@ -77,6 +86,7 @@ class ScenesMade:
     n_frames: int
     n_scenes: int
     trials: int
+    dimmed: float
     own_orientation: float
     own_orientation_left: float
     notes: tuple[str, ...]
@@ -156,7 +166,8 @@ def scenes(
     Raises
     ------
     DataError, FrameError
-        If a background cannot be read, is smaller than a frame or saturated, or a triangle on it clips.
+        If a background cannot be read, or all are unfit: smaller than a frame, even, saturated, or such that the
+        display cannot show a triangle on them. If only some are unfit, these are left out, with a note.
     SettingsError
         If a setting is invalid.
     OutputError
@@ -192,16 +203,18 @@ def scenes(
     layouts = [_layout(one, pitch, places, place_step_mrad) for one in sizes]
     notes: list[str] = []
     files = open_scenes(backgrounds, value_range=value_range, max_frame_mb=max_frame_mb, note=notes.append)
-    backgrounds_of: list[list[Background]] = [[] for _ in sizes]
-    for number, file in enumerate(files):
-        streams = [
-            np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(WINDOW_STREAM, number, k)))
-            for k in range(len(sizes))
-        ]
-        for image in decoded_images(file, shown.display, frames=frames):
-            names_frame = image.frame > 0 or frames > 1
-            for layout, stream, found in zip(layouts, streams, backgrounds_of, strict=True):
-                found += draw_windows(image, layout, windows, stream, names_frame=names_frame)
+    backgrounds_of = draw_backgrounds(
+        files,
+        shown.display,
+        layouts,
+        lambda number, k: np.random.default_rng(
+            np.random.SeedSequence(seed, spawn_key=(WINDOW_STREAM, number, k))
+        ),
+        windows=windows,
+        frames=frames,
+        room_for=stage.room_for if stage.may_clip else None,
+        note=notes.append,
+    )
     shown_turns = TURNS[:turns]
     step = balanced(len(backgrounds_of[0]), shown_turns)
     n_trials = math.ceil(LEAST_TRIALS / step) * step if trials is None else trials
@@ -209,6 +222,11 @@ def scenes(
         notes.append(
             f"{n_trials} trials of each size and contrast are no multiple of {step}: the turns of the "
             f"{len(backgrounds_of[0])} backgrounds are not balanced"
+        )
+    elif math.isqrt(places) ** 2 != places and len(shown_turns) > 1:
+        notes.append(
+            f"{places} places fill no square: the triangle has another place in each turn, and the turns are not "
+            "balanced"
         )
     written = _Written()
     with new_folder(str(out)) as folder:
@@ -250,8 +268,9 @@ def scenes(
     return ScenesMade(
         path=Path(out),
         n_frames=len(written.rows),
-        n_scenes=len(files),
+        n_scenes=len({one.scene for one in written.own}),
         trials=n_trials,
+        dimmed=stage.dim,
         own_orientation=before,
         own_orientation_left=left,
         notes=tuple(notes),
@@ -311,6 +330,29 @@ class _Stage(NamedTuple):
                 f"{argument.contrast}: found {max(contrasts):g}, expected less than {white / black - 1.0:.3g}"
             )
         return cls(encoder, largest if dim is None else dim, polarity, blur_px, contrasts)
+
+    @property
+    def may_clip(self) -> bool:
+        """Whether a triangle may be beyond black or white on some scenes."""
+        encoder = self.encoder
+        brightest = self.dimmed(np.array([encoder.white_cd_m2]))[0] * (1.0 + max(self.contrasts))
+        return self.polarity < 0 or brightest > encoder.white_cd_m2 * (1.0 + 1e-9)
+
+    def room_for(self, luminance_cd_m2: FloatArray, layout: Layout) -> float:
+        """Return by which factor the strongest triangle on a window may be stronger until it is beyond black or
+        white, whatever its place and orientation."""
+        scene = self.dimmed(luminance_cd_m2)
+        rows, columns = np.arange(scene.shape[0])[:, None], np.arange(scene.shape[1])
+        reach, room = CIRCLE_PER_SIZE * layout.size_px + 1.0, math.inf
+        for place in range(1, layout.places + 1):
+            x, y = layout.at(place)
+            inside = scene[np.hypot(rows - y, columns - x) <= reach]
+            encoder = self.encoder
+            most = encoder.white_cd_m2 - inside.max() if self.polarity > 0 else inside.min() - encoder.black_cd_m2
+            # A triangle is displaced by half a pixel, which changes the local luminance by a per cent or so.
+            added = DISPLACED * max(self.contrasts) * local_luminance(scene, x, y, layout.size_px)
+            room = min(room, float(most) / added)
+        return room
 
     def dimmed(self, luminance_cd_m2: FloatArray) -> FloatArray:
         """Return the luminance of a scene as the frames show it."""
@@ -378,7 +420,7 @@ class _OwnOrientation(NamedTuple):
             self.window,
             repr(self.size_mrad),
             str(self.n_frames),
-            *(f"{one:.6g}" for one in numbers),
+            *(f"{one if abs(one) > ROUNDING else 0.0:.6g}" for one in numbers),
         ]
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.backdrops.images import SceneImage
+from todframes.backdrops.images import SceneFile, SceneImage, decoded_images
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError
+from todframes.base.errors import DataError, argument, for_reader
+from todframes.display.display import Display
 from todframes.frames.position import candidate_places
 from todframes.frames.trials import SceneView
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Orientation, coverage
@@ -25,6 +26,9 @@ CIRCLE_PER_SIZE = 2.0 / 3.0 * HEIGHT_PER_SIZE
 
 MOST_AT_END = 0.01
 """Largest share of the pixels of a window at black or white; near the places it is a tenth."""
+
+LEAST_USED = 0.05
+"""Share of the range from black to white that the values of a picture are spread over, at least."""
 
 WINDOWS_TRIED = 400
 """Number of places of an image at which a window is tried."""
@@ -116,21 +120,106 @@ class Background:
         return SceneView(self.scene, turn, self.window)
 
 
-def draw_windows(
-    image: SceneImage, layout: Layout, number: int, rng: np.random.Generator, *, names_frame: bool
-) -> Iterator[Background]:
-    """Yield windows of an image at random places where it is neither black nor white, nor without any contrast.
+class UnfitSceneError(DataError):
+    """Error for a scene of which no window can stand behind a triangle: it is too small, even or saturated."""
+
+
+def draw_backgrounds(
+    files: Sequence[SceneFile],
+    display: Display,
+    layouts: Sequence[Layout],
+    rng_of: Callable[[int, int], np.random.Generator],
+    *,
+    windows: int = 1,
+    frames: int = 1,
+    room_for: Callable[[FloatArray, Layout], float] | None = None,
+    range_name: str = argument.value_range,
+    note: Callable[[str], None],
+) -> list[list[Background]]:
+    """Draw windows of each scene for each layout, and leave out scenes that are unfit for one of them.
+
+    Parameters
+    ----------
+    files : sequence of SceneFile
+    display : Display
+        Display that shows the recorded values.
+    layouts : sequence of Layout
+    rng_of : function of (number of the file, number of the layout)
+        Returns the stream of the windows' places.
+    windows, frames : int
+        Windows of each frame, and frames of each film, at most.
+    room_for : function of (luminance of a window, layout), optional
+        Returns by which factor the triangles on a window may be stronger until the display cannot show them.
+        Windows with less than 1 are not taken.
+    range_name : str
+        Name of the argument that has the values of black and white, for a remark.
+    note : function of a text
+        Called with a remark about each scene that is left out, or whose values hardly differ.
+
+    Returns
+    -------
+    list of list of Background
+        Those of each layout, the same scenes in the same order.
 
     Raises
     ------
-    DataError
-        If the image is smaller than a window, or has no such place.
+    FrameError, DataError
+        If a file cannot be decoded.
+    UnfitSceneError
+        If all scenes are unfit: the error of the first.
+    """
+    of_layouts: list[list[Background]] = [[] for _ in layouts]
+    first: UnfitSceneError | None = None
+    for number, file in enumerate(files):
+        streams = [rng_of(number, k) for k in range(len(layouts))]
+        drawn: list[list[Background]] = [[] for _ in layouts]
+        try:
+            for image in decoded_images(file, display, frames=frames):
+                names_frame = image.frame > 0 or frames > 1
+                if 0.0 < image.used < LEAST_USED:
+                    share = (
+                        f"its values are spread over {100.0 * image.used:.2g} % of the range from black to white"
+                    )
+                    remedy = f"of counts or temperatures, give the values of black and white ({range_name})"
+                    note(for_reader(f"{image.path}: {share}; {remedy}"))
+                for layout, stream, found in zip(layouts, streams, drawn, strict=True):
+                    found += draw_windows(
+                        image, layout, windows, stream, names_frame=names_frame, room_for=room_for
+                    )
+        except UnfitSceneError as error:
+            first = first or error
+            note(f"left out {error}")
+            continue
+        for found, more in zip(of_layouts, drawn, strict=True):
+            found += more
+    if first is not None and not of_layouts[0]:
+        raise first
+    return of_layouts
+
+
+def draw_windows(
+    image: SceneImage,
+    layout: Layout,
+    number: int,
+    rng: np.random.Generator,
+    *,
+    names_frame: bool,
+    room_for: Callable[[FloatArray, Layout], float] | None = None,
+) -> Iterator[Background]:
+    """Yield windows of an image at random places where it is neither black nor white, nor without any contrast.
+
+    With `room_for`, as in `draw_backgrounds`, the display can show the triangles on them, too.
+
+    Raises
+    ------
+    UnfitSceneError
+        If the image is smaller than a window, or has too few such places.
     """
     side = layout.side_px
     rows, columns = image.luminance_cd_m2.shape
     for_places = f" for {layout.places} places {layout.step_px:g} pixels apart" if layout.places > 1 else ""
     if min(rows, columns) < side:
-        raise DataError(
+        raise UnfitSceneError(
             f"{image.path}: found {columns} × {rows} pixels, expected at least {side} × {side} for a triangle of "
             f"{layout.size_px:.4g} pixels and what the observer sees around it{for_places}"
         )
@@ -139,6 +228,7 @@ def draw_windows(
     near = math.ceil(layout.size_px)
     begins, ends = layout.reach_px - near, side - layout.reach_px + near
     found: set[tuple[int, int]] = set()
+    most_room: float | None = None
     for _ in range(WINDOWS_TRIED):
         row, column = int(rng.integers(rows - side + 1)), int(rng.integers(columns - side + 1))
         part = image.luminance_cd_m2[row : row + side, column : column + side]
@@ -146,18 +236,28 @@ def draw_windows(
         inner = _sum(sums, row + begins, row + ends, column + begins, column + ends) / (ends - begins) ** 2
         whole = _sum(sums, row, row + side, column, column + side) / side**2
         if is_new and whole <= MOST_AT_END and inner <= MOST_AT_END / 10.0 and part.min() < part.max():
+            room = 1.0 if room_for is None else room_for(part, layout)
+            if room < 1.0:
+                most_room = max(room, most_room or 0.0)
+                continue
             found.add((row, column))
             frame = f"{image.frame}:" if names_frame else ""
             yield Background(image.scene, f"{frame}{row},{column}", part.astype(np.float32).astype(np.float64))
             if len(found) == number:
                 return
     if found:
-        raise DataError(
+        raise UnfitSceneError(
             f"{image.path}: found {len(found)} windows of {side} × {side} pixels apart from each other, with "
             f"contrast and not at black or white, expected {number}"
         )
+    if most_room is not None:
+        raise UnfitSceneError(
+            f"{image.path}: found no window of {side} × {side} pixels on which the strongest triangle is not "
+            f"beyond black or white of the display, expected {most_room:.2g} times its contrast, or another "
+            f"{argument.dim}"
+        )
     share = 100.0 * float(image.at_end.mean())
-    raise DataError(
+    raise UnfitSceneError(
         f"{image.path}: found no window of {side} × {side} pixels with contrast and at most {100 * MOST_AT_END:g} "
         f"% of its pixels at black or white ({share:.3g} % of the image are), expected an image that is not "
         "saturated, or another range of values"

@@ -130,11 +130,21 @@ def scenes(
     if not quiet:
         for note in made.notes:
             say(f"note: {note}")
-    sentences = (
+    sentences = [
         f"{out}: {count(made.n_frames, 'frame')} with {count(made.n_scenes, 'scene')}, {made.trials} of each size "
         "and contrast",
         "Orientation of the backgrounds by themselves: that of a triangle of contrast "
-        f"{made.own_orientation:.2g}; after turning {made.own_orientation_left:.2g} (each in scenes.csv)",
-    )
+        f"{_measured(made.own_orientation)}; after turning {_measured(made.own_orientation_left)} (each in "
+        "scenes.csv)",
+    ]
+    if made.dimmed < 1.0:
+        sentences.insert(1, f"Scenes are dimmed to {100.0 * made.dimmed:.3g} % of their luminance.")
     for sentence in sentences:
         echo(*textwrap.wrap(sentence, terminal_width()))
+
+
+def _measured(contrast: float) -> str:
+    """Return a contrast with two digits; 0 for what is rounding."""
+    from todframes.backdrops.making import ROUNDING
+
+    return f"{contrast:.2g}" if contrast > ROUNDING else "0"

@@ -108,8 +108,12 @@ class CodeRange:
     high: float
 
 
-def code_range(recording: Recording, asked: tuple[float, float] | None) -> CodeRange:
+def code_range(
+    recording: Recording, asked: tuple[float, float] | None, name: str = argument.value_range
+) -> CodeRange:
     """Return the range of a recording: the one asked for, or black and white of the recording.
+
+    `name` is that of the argument that asks for it.
 
     Raises
     ------
@@ -121,9 +125,8 @@ def code_range(recording: Recording, asked: tuple[float, float] | None) -> CodeR
     if recording.full_scale is None:
         what = {"celsius": "temperatures", "counts": "counts"}.get(recording.unit, "values")
         raise SettingsError(
-            f"{recording.path}: has {what} without a black and a white, expected {argument.value_range} "
-            "LOW:HIGH, the values "
-            "that the display shows black and white"
+            f"{recording.path}: has {what} without a black and a white, expected {name} LOW:HIGH, the "
+            "values that the display shows black and white"
         )
     return CodeRange(recording.zero, recording.full_scale)
 
