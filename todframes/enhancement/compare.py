@@ -17,6 +17,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.enhancement.algorithm import REFERENCE, Enhancement
 from todframes.enhancement.contrast_gain import (
@@ -69,6 +70,7 @@ from todframes.scoring.seen_trials import (
     trial_viewing,
 )
 from todframes.scoring.work import Run, see_trials
+from todframes.stimulus import ORIENTATIONS
 
 Verdict = Literal["better", "worse", "no difference shown", "mixed"]
 
@@ -262,7 +264,6 @@ def compare_observers(
             columns,
             partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected),
             skipped=skipped,
-            strongest=strongest,
             expected=expected,
             seed=seed,
             fit_settings=fit_settings,
@@ -284,7 +285,6 @@ def _results(
     fit: Callable[..., ScoredDataset],
     *,
     skipped: Sequence[Skipped],
-    strongest: Mapping[tuple[float | str, ...], float],
     expected: bool,
     seed: int,
     fit_settings: FitSettings,
@@ -293,8 +293,8 @@ def _results(
     """Fit and compare the scores of one observer."""
     scored = [replace(fit(one), skipped=tuple(skipped)) for one in seen]
     contrasts = columns.contrasts[columns.is_seen]
-    gains = contrast_gains(seen[0].trials, contrasts, strongest)
     responses = contrast_responses(seen[0].trials, contrasts)
+    gains = contrast_gains(responses)
     backgrounds = scene_numbers(seen[0].trials)
     plain = [_amplified(fit, seen[0], of_algorithm, fit_settings) for of_algorithm in gains[1:] if expected]
     compared = _compared(scored, plain, gains, seed, fit_settings, backgrounds)
@@ -324,13 +324,13 @@ def _results(
 class _SeenTrial(NamedTuple):
     """The observer's scores of a trial after each algorithm, and the measurements of each of its frames.
 
-    `contrasts` are the displayed contrasts of the triangle; NaN if they are not measured in this trial.
+    `contrasts`, (algorithm, 4), are those of `triangle_contrasts`; NaN if they are not measured in this trial.
     `others` are the scores of further observers.
     """
 
     seen: tuple[SeenTrial, ...]
     measured: tuple[tuple[FrameMeasurements, ...], ...]
-    contrasts: tuple[float, ...]
+    contrasts: FloatArray
     others: tuple[tuple[SeenTrial, ...], ...] = ()
 
 
@@ -364,11 +364,11 @@ class _Show:
             tuple(see(of_observer, trial, one, ways, started))
             for of_observer, one in zip(scorings, viewings, strict=True)
         )
-        contrasts = [math.nan] * len(found)
+        contrasts = np.full((len(found), len(ORIENTATIONS)), np.nan)
         if trial.number in self.measured:
             centre = viewing.observer.centre
             contrasts = triangle_contrasts([one.shown for one in found], trial, grid=viewing.grid, centre=centre)
-        return _SeenTrial(seen, tuple(one.measured for one in found), tuple(contrasts), tuple(others))
+        return _SeenTrial(seen, tuple(one.measured for one in found), contrasts, tuple(others))
 
 
 class _Measurements:
@@ -399,7 +399,7 @@ class _ResultColumns:
     def __init__(self, trials: Trials, n_algorithms: int) -> None:
         self._seen = [SeenColumns(trials) for _ in range(n_algorithms)]
         self.measured = [_Measurements() for _ in range(n_algorithms)]
-        self.contrasts = np.full((len(trials), n_algorithms), np.nan)
+        self.contrasts = np.full((len(trials), n_algorithms, len(ORIENTATIONS)), np.nan)
         self.is_seen = np.zeros(len(trials), bool)
 
     def put(self, row: int, found: _SeenTrial) -> None:

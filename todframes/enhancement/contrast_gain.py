@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
+from todframes.enhancement.contrast_on_scenes import contrasts_on_scenes, views_to_measure
 from todframes.frames.trials import Trial, Trials, indices_by
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Shown, retina_image
-from todframes.stimulus import Centre, Orientation, Stimulus, coverage
+from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
 
 RING_SIZES = (1.3, 2.0)
 """Inner and outer end of the ring that the triangle's contrast is measured against, in sizes of the triangle."""
@@ -55,7 +56,14 @@ def strongest_levels(trials: Sequence[Trial]) -> dict[GroupValues, float]:
 
 
 def measured_trials(trials: Trials, strongest: Mapping[GroupValues, float]) -> frozenset[int]:
-    """Return the numbers of the trials whose contrast is measured: all of the highest levels, some of others."""
+    """Return the numbers of the trials whose contrast is measured: all of the highest levels, some of others.
+
+    On scenes that trials share, these are all trials of some views.
+    """
+    shared = [(members, views_to_measure(trials.select(members))) for members in indices_by(trials.group_codes)]
+    chosen = [members[rows] for members, rows in shared if rows is not None]
+    if chosen and len(chosen) == len(shared):
+        return frozenset(trials.numbers[np.concatenate(chosen)].tolist())
     _, level_codes = np.unique(trials.levels, return_inverse=True)
     cells = trials.group_codes.astype(np.int64) * (level_codes.max(initial=0) + 1) + level_codes
     found: set[int] = set()
@@ -69,8 +77,10 @@ def measured_trials(trials: Trials, strongest: Mapping[GroupValues, float]) -> f
     return frozenset(found)
 
 
-def triangle_contrasts(shown: Sequence[Shown], trial: Trial, *, grid: RetinaGrid, centre: Centre) -> list[float]:
+def triangle_contrasts(shown: Sequence[Shown], trial: Trial, *, grid: RetinaGrid, centre: Centre) -> FloatArray:
     """Measure the contrast of the triangle as displayed: its mean minus that of a ring around it.
+
+    On scenes, those that triangles of the other orientations would have are measured as well.
 
     Parameters
     ----------
@@ -82,41 +92,66 @@ def triangle_contrasts(shown: Sequence[Shown], trial: Trial, *, grid: RetinaGrid
         Grid that the frames are averaged on, whose middle is the triangle's centre.
     centre : {"centroid", "bounding_box"}
         Point of the triangle that lies in the middle of the grid.
+
+    Returns
+    -------
+    ndarray, shape (algorithm, 4)
+        In the orientation of the trial, and a quarter, a half and three quarters of a turn from it, clockwise.
+        NaN in the latter three without a scene.
     """
-    weights = _weights(trial.stimulus, trial.orientation, grid, centre)
-    return [float((weights * retina_image(one, grid)).sum()) for one in shown]
+    found = np.full((len(shown), len(ORIENTATIONS)), np.nan)
+    images = [retina_image(one, grid) for one in shown]
+    for turn in range(1 if trial.view is None else len(ORIENTATIONS)):
+        orientation = ORIENTATIONS[(trial.orientation.quarter_turns + turn) % len(ORIENTATIONS)]
+        weights = _weights(trial.stimulus, orientation, grid, centre)
+        found[:, turn] = [float((weights * image).sum()) for image in images]
+    return found
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def _weights(stimulus: Stimulus, orientation: Orientation, grid: RetinaGrid, centre: Centre) -> FloatArray:
     """Return the weights of a triangle's mean minus that of the ring around it: (side, side)."""
+    size_px = stimulus.size_mrad / grid.pitch_mrad
+    return stimulus.polarity * _ring_weights(grid.side, size_px, orientation, centre)
+
+
+def _ring_weights(side: int, size_px: float, orientation: Orientation, centre: Centre) -> FloatArray:
     inside, hole, whole = (
         coverage(
-            (grid.side, grid.side),
-            size_px=factor * stimulus.size_mrad / grid.pitch_mrad,
-            x_px=grid.side // 2,
-            y_px=grid.side // 2,
+            (side, side),
+            size_px=factor * size_px,
+            x_px=side // 2,
+            y_px=side // 2,
             orientation=orientation,
             centre=centre,
         )
         for factor in (1.0, *RING_SIZES)
     )
     ring = whole - hole
-    return np.asarray(stimulus.polarity * (inside / inside.sum() - ring / ring.sum()))
+    return np.asarray(inside / inside.sum() - ring / ring.sum())
+
+
+@cache
+def sharp_share() -> float:
+    """Return the contrast that a sharp triangle has as one of the opposite orientation, over its own."""
+    side, size_px = 181, 40.0
+    middle = side // 2
+    shown = coverage((side, side), size_px=size_px, x_px=middle, y_px=middle, orientation=ORIENTATIONS[0])
+    own, opposite = (
+        float((_ring_weights(side, size_px, one, "centroid") * shown).sum()) for one in ORIENTATIONS[::2]
+    )
+    return opposite / own
 
 
 def contrast_gains(
-    trials: Sequence[Trial], contrasts: FloatArray, strongest: Mapping[GroupValues, float]
+    responses: Sequence[Mapping[GroupValues, Sequence[LevelContrast]]],
 ) -> list[dict[GroupValues, float]]:
-    """Return the contrast gain of each algorithm in each group, against the first algorithm.
+    """Return the contrast gain of each algorithm in each group, against the first algorithm: at the highest level.
 
     Parameters
     ----------
-    trials : sequence of Trial
-    contrasts : ndarray, shape (trial, algorithm)
-        Displayed contrast of the triangle, as by `triangle_contrasts`; only trials of the highest levels count.
-    strongest : mapping
-        The highest level of each group.
+    responses : sequence of mapping
+        Those of `contrast_responses`.
 
     Returns
     -------
@@ -124,14 +159,14 @@ def contrast_gains(
         Gains by group for each algorithm; without the groups where the contrast is not positive before or
         after.
     """
-    gains: list[dict[GroupValues, float]] = [{} for _ in range(contrasts.shape[1])]
-    for group, level in strongest.items():
-        these = [trial.group == group and trial.level == level for trial in trials]
-        before, *_ = total = contrasts[these].sum(axis=0)
-        for own, after in zip(gains, total, strict=True):
-            if before > 0.0 and after > LEAST_GAIN * before and math.isfinite(after / before):
-                own[group] = float(after / before)
-    return gains
+    return [
+        {
+            group: levels[-1].gain
+            for group, levels in own.items()
+            if levels[-1].gain is not None and LEAST_GAIN < levels[-1].gain < math.inf
+        }
+        for own in responses
+    ]
 
 
 def contrast_responses(
@@ -139,11 +174,13 @@ def contrast_responses(
 ) -> list[dict[GroupValues, tuple[LevelContrast, ...]]]:
     """Return the displayed contrast of each algorithm against that of the first, level by level.
 
+    On scenes that trials share, it is that of the triangles alone.
+
     Parameters
     ----------
     trials : Trials
-    contrasts : ndarray, shape (trial, algorithm)
-        As for `contrast_gains`; NaN where nothing was measured.
+    contrasts : ndarray, shape (trial, algorithm, 4)
+        Displayed contrasts as by `triangle_contrasts`; NaN where nothing was measured.
 
     Returns
     -------
@@ -151,19 +188,32 @@ def contrast_responses(
         The levels of each group, ascending, for each algorithm.
     """
     found: list[dict[GroupValues, tuple[LevelContrast, ...]]] = [{} for _ in range(contrasts.shape[1])]
-    measured: NDArray[np.bool_] = np.all(np.isfinite(contrasts), axis=1)
+    measured: NDArray[np.bool_] = np.all(np.isfinite(contrasts[..., 0]), axis=1)
     levels = trials.levels
     for of_group in indices_by(trials.group_codes):
         rows = of_group[measured[of_group]]
         if not len(rows):
             continue
         group = trials.groups[trials.group_codes[rows[0]]]
+        alone = contrasts_on_scenes(trials.select(rows), contrasts[rows], sharp_share=sharp_share())
+        if alone is not None:
+            for own, after, error in zip(found, alone.contrast.T, alone.gain_error.T, strict=True):
+                columns = (alone.level, alone.contrast[:, 0], after, error, alone.n_trials)
+                own[group] = tuple(_on_scenes(*one) for one in zip(*map(np.ndarray.tolist, columns), strict=True))
+            continue
         of_levels = [rows[levels[rows] == level] for level in np.unique(levels[rows])]
-        for own, after in zip(found, contrasts.T, strict=True):
+        for own, after in zip(found, contrasts[..., 0].T, strict=True):
             own[group] = tuple(
-                _level_contrast(float(levels[these[0]]), contrasts[these, 0], after[these]) for these in of_levels
+                _level_contrast(float(levels[these[0]]), contrasts[these, 0, 0], after[these])
+                for these in of_levels
             )
     return found
+
+
+def _on_scenes(level: float, before: float, after: float, error: float, n_trials: int) -> LevelContrast:
+    if not before > 0.0:
+        return LevelContrast(level, before, after, None, None, n_trials)
+    return LevelContrast(level, before, after, after / before, error if math.isfinite(error) else None, n_trials)
 
 
 def _level_contrast(level: float, before: FloatArray, after: FloatArray) -> LevelContrast:
