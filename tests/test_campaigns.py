@@ -132,7 +132,7 @@ def test_coverage_of_ratios_over_backgrounds() -> None:
         check=False,
     )
     assert (process.returncode, process.stderr) == (0, ""), process.stdout
-    assert "of 40 cover" in process.stdout
+    assert "of 40 ratios cover" in process.stdout
 
 
 def test_coverage_of_intervals() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from todframes.psychometrics.paired_bootstrap import (
     holm,
     ratio_draws,
     threshold_ratio,
+    with_backgrounds_as_drawn,
 )
 from todframes.psychometrics.weibull import weibull
 from todframes.scoring.naked_eye import contrast_threshold
@@ -283,6 +285,30 @@ def test_the_width_over_backgrounds_is_students() -> None:
     # 400 resamples place an end of an interval to 8 % of its half width; the curve is linear to some per cent.
     assert width == pytest.approx(2.0 * 2.365 * effects.std(ddof=1) / math.sqrt(8.0), rel=0.2)
     assert math.log(found.ratio) == pytest.approx(-0.1, abs=0.005)
+
+
+def test_the_interval_of_a_threshold_over_backgrounds_is_students() -> None:
+    """Eight backgrounds without trial noise: t(7) · s / √8, whatever the number of trials on each."""
+    apart, rng = np.array([-0.05, -0.03, -0.02, 0.0, 0.0, 0.02, 0.03, 0.05]), np.random.default_rng(5)
+    drawn, found = draw_backgrounds(8, SETTINGS.resamples, rng), []
+    for n_trials in (2, 6):
+        scene = np.tile(np.repeat(np.arange(8), n_trials), len(LEVELS))
+        level = np.repeat(LEVELS, 8 * n_trials)
+        p = p_of(level * np.exp(apart[scene]), 1.0)
+        fit = fit_trials(level, p, settings=SETTINGS, rng=rng)
+        of_scenes = with_backgrounds_as_drawn(
+            level, p, fit, settings=SETTINGS, backgrounds=scene, drawn_backgrounds=drawn
+        )
+        assert replace(of_scenes, threshold_ci95=None) == replace(fit, threshold_ci95=None)
+        low, high = of_scenes.threshold_ci95
+        # 400 resamples place an end of an interval to 8 % of its half width.
+        assert math.log(high / low) == pytest.approx(2.0 * 2.365 * apart.std(ddof=1) / math.sqrt(8.0), rel=0.2)
+        found.append((low, high))
+    assert found[0] == pytest.approx(found[1], rel=1e-3)
+    missing = replace(fit, threshold=None, threshold_ci95=None)
+    assert missing == with_backgrounds_as_drawn(
+        level, p, missing, settings=SETTINGS, backgrounds=scene, drawn_backgrounds=drawn
+    )
 
 
 def test_more_groups_on_the_same_backgrounds_are_no_surer() -> None:

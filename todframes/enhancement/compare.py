@@ -47,6 +47,7 @@ from todframes.psychometrics.paired_bootstrap import (
     draw_backgrounds,
     holm,
     ratio_draws,
+    sets_of_backgrounds,
     threshold_ratio,
 )
 from todframes.scoring.error_budget import PlanName
@@ -76,9 +77,6 @@ Verdict = Literal["better", "worse", "no difference shown", "mixed"]
 
 SIGNIFICANCE = 0.05
 """Corrected p-value below which a difference of thresholds is reported."""
-
-MOST_BACKGROUNDS = 200
-"""Largest number of backgrounds that are drawn one by one; more are drawn in so many sets, of 160 MB at most."""
 
 RESAMPLES_PER_COMPARISON = 80
 """Resamples for each ratio: the smallest p-value, 2 / resamples, is half of 5 % even after Holm's correction."""
@@ -295,7 +293,7 @@ def _results(
     contrasts = columns.contrasts[columns.is_seen]
     responses = contrast_responses(seen[0].trials, contrasts)
     gains = contrast_gains(responses)
-    backgrounds = scene_numbers(seen[0].trials)
+    backgrounds = seen[0].trials.scene_numbers
     plain = [_amplified(fit, seen[0], of_algorithm, fit_settings) for of_algorithm in gains[1:] if expected]
     compared = _compared(scored, plain, gains, seed, fit_settings, backgrounds)
     black, white = screen.luminance_range
@@ -427,15 +425,6 @@ def _amplified(
     return fit(seen.amplified(gain), fit_settings=replace(fit_settings, resamples=0))
 
 
-def scene_numbers(trials: Trials) -> NDArray[np.intp] | None:
-    """Return the number of each trial's scene, in the order of their names; None if the dataset names none."""
-    names = ["" if view is None else view.scene for view in trials.views]
-    if not any(names):
-        return None
-    _, numbers = np.unique(np.array(names)[trials.view_codes], return_inverse=True)
-    return np.asarray(numbers, np.intp)
-
-
 def _compared(
     scored: Sequence[ScoredDataset],
     plain: Sequence[ScoredDataset],
@@ -465,7 +454,7 @@ def _compared(
     drawn = None
     if backgrounds is not None:
         stream = np.random.SeedSequence(seed, spawn_key=(RATIO_STREAMS, len(groups)))
-        backgrounds = backgrounds % MOST_BACKGROUNDS
+        backgrounds = sets_of_backgrounds(backgrounds)
         drawn = draw_backgrounds(int(backgrounds.max()) + 1, resamples, np.random.default_rng(stream))
 
     def draw(number: int) -> list[RatioDraws]:

@@ -233,6 +233,15 @@ class Trials(Sequence[Trial]):
         return any(self.views[code] is not None for code in np.unique(self.view_codes).tolist())
 
     @property
+    def scene_numbers(self) -> NDArray[np.intp] | None:
+        """Number of each trial's scene, in the order of their names; None if no trial has one."""
+        names = ["" if view is None else view.scene for view in self.views]
+        if not any(names):
+            return None
+        _, numbers = np.unique(np.array(names)[self.view_codes], return_inverse=True)
+        return np.asarray(numbers, np.intp)
+
+    @property
     def places(self) -> NDArray[np.int32]:
         """Number of each trial's place; 0 where it is known."""
         return np.array([one.place or 0 for one in self._columns.backdrops], np.int32)[self.view_codes]

@@ -5,13 +5,15 @@ both thresholds in the same way. Answers to one trial are therefore always drawn
 
 Trials on the same background share more: an algorithm may help on it and not on another. Backgrounds are then a
 random effect: they are drawn with all of their trials, the same ones in all groups. Trials are not drawn again
-within them: the spread of the backgrounds' means has that noise in it already, and would have it twice.
+within them: the spread of the backgrounds' means has that noise in it already, and would have it twice. The
+interval of a single threshold takes backgrounds in the same way.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,10 +29,19 @@ from todframes.psychometrics.bootstrap import (
     batches,
     resampled_means,
 )
-from todframes.psychometrics.fit import EXTRAPOLATION_FACTOR, FitSettings, PsychometricFit, curve_model
+from todframes.psychometrics.fit import (
+    EXTRAPOLATION_FACTOR,
+    CurveName,
+    FitSettings,
+    PsychometricFit,
+    curve_model,
+)
 from todframes.psychometrics.likelihood import CurveModel
 from todframes.psychometrics.observer_curve import observer_curve
 from todframes.psychometrics.weibull import weibull
+
+MOST_BACKGROUNDS = 200
+"""Largest number of backgrounds that are drawn one by one; more are drawn in so many sets."""
 
 SAME = 0.01
 """Largest |ln ratio| that counts as a ratio of 1: a person does not notice 1 %, and fitted curves are not more
@@ -74,6 +85,11 @@ class BackgroundDraws(NamedTuple):
 
     weights: FloatArray
     widening: FloatArray
+
+
+def sets_of_backgrounds(numbers: NDArray[np.integer]) -> NDArray[np.intp]:
+    """Return the number of the set that each background, by its number, is drawn with: its own up to 200."""
+    return np.asarray(numbers % MOST_BACKGROUNDS, np.intp)
 
 
 def draw_backgrounds(n_backgrounds: int, resamples: int, rng: np.random.Generator) -> BackgroundDraws | None:
@@ -142,12 +158,10 @@ def ratio_draws(
         widening, tolerance = np.ones(settings.resamples), ANSWER_TOLERANCE
     ln_thresholds = []
     for series, (fit, answers) in enumerate(zip(fits, drawn, strict=True)):
-        trials = [of_level[series] for of_level in by_level]
-        means = np.array([of_level.mean() for of_level in trials])
-        observed = Observed(distinct, n_trials, means, trials if are_probabilities else None)
-        model = curve_model(observed, fit.curve, settings).model
-        refits = model.fit_many(answers, tolerance=tolerance)
-        ln_thresholds.append(_within_reach(model, model.ln_threshold(refits)))
+        model, _ = _model(distinct, n_trials, [of_level[series] for of_level in by_level], fit.curve, settings)
+        ln_thresholds.append(
+            _within_reach(model, model.ln_threshold(model.fit_many(answers, tolerance=tolerance)))
+        )
     found = []
     for one, other in pairs:
         fit, reference = fits[one], fits[other]
@@ -161,6 +175,73 @@ def ratio_draws(
         of_points = _quotient(fit.points_threshold, reference.points_threshold) if is_convention else None
         found.append(RatioDraws(ratio, of_points, ln_ratios))
     return found
+
+
+def with_backgrounds_as_drawn(
+    level: FloatArray,
+    p_correct: FloatArray,
+    fit: PsychometricFit,
+    *,
+    settings: FitSettings,
+    backgrounds: NDArray[np.integer],
+    drawn_backgrounds: BackgroundDraws,
+) -> PsychometricFit:
+    """Return a fit whose interval takes the backgrounds as drawn from many.
+
+    Parameters
+    ----------
+    level, p_correct : ndarray, shape (trial,)
+        As for `ratio_draws`, of one series.
+    fit : PsychometricFit
+        Fit to these trials; one without an interval is returned as it is.
+    settings, backgrounds, drawn_backgrounds
+        As for `ratio_draws`.
+    """
+    if fit.threshold is None or fit.threshold_ci95 is None:
+        return fit
+    distinct, place, n_trials = np.unique(level, return_inverse=True, return_counts=True)
+    trials = np.split(p_correct[np.argsort(place, kind="stable")], np.cumsum(n_trials)[:-1])
+    are_probabilities = bool(np.any((p_correct > 0) & (p_correct < 1)))
+    rest = 0.0 if are_probabilities else CURVE_TRIALS
+    curves = _fitted(fit, distinct)[None]
+    (drawn,) = _with_backgrounds(p_correct[None], curves, place, backgrounds, drawn_backgrounds.weights, rest)
+    model, centre = _model(distinct, n_trials, trials, fit.curve, settings)
+    tolerance = PROBABILITY_TOLERANCE if are_probabilities else ANSWER_TOLERANCE
+    found = _within_reach(model, model.ln_threshold(model.fit_many(drawn, tolerance=tolerance)))
+    estimate = math.log(fit.threshold) - centre
+    found = estimate + (found - estimate) * drawn_backgrounds.widening
+    estimates = [estimate]
+    if fit.curve == "weibull" and fit.points_threshold is not None:
+        estimates.append(math.log(fit.points_threshold) - centre)
+    low, high = _limits(found, estimates)
+    reach = math.log(EXTRAPOLATION_FACTOR)
+    interval = (
+        math.exp(centre + low) if low >= model.z[0] - reach else None,
+        math.exp(centre + high) if high <= model.z[-1] + reach else None,
+    )
+    return replace(fit, threshold_ci95=interval)
+
+
+def _model(
+    distinct: FloatArray,
+    n_trials: NDArray[np.integer],
+    trials: list[FloatArray],
+    curve: CurveName,
+    settings: FitSettings,
+) -> tuple[CurveModel, float]:
+    """Return the model of a curve for the trials of each level, and the ln level that it counts from."""
+    means = np.array([of_level.mean() for of_level in trials])
+    are_probabilities = any(bool(np.any((one > 0) & (one < 1))) for one in trials)
+    observed = Observed(distinct, n_trials.astype(np.int64), means, trials if are_probabilities else None)
+    return curve_model(observed, curve, settings)[:2]
+
+
+def _limits(ln_values: FloatArray, estimates: Sequence[float]) -> tuple[float, float]:
+    """Return the ends of the 95 % interval of draws, extended to some estimates."""
+    ranked, n = np.sort(ln_values), len(ln_values)
+    low = float(ranked[max(math.floor(0.025 * (n + 1)) - 1, 0)])
+    high = float(ranked[min(math.ceil(0.975 * (n + 1)) - 1, n - 1)])
+    return min(low, *estimates), max(high, *estimates)
 
 
 def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
@@ -184,9 +265,7 @@ def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
     estimates = [math.log(found) for found in (ratio, points_ratio) if found is not None]
     if any(estimate * (above - below) < 0 for estimate in estimates):
         p_value = 1.0
-    ranked = np.sort(ln_ratios)
-    low = min(float(ranked[max(math.floor(0.025 * (n + 1)) - 1, 0)]), *estimates)
-    high = max(float(ranked[min(math.ceil(0.975 * (n + 1)) - 1, n - 1)]), *estimates)
+    low, high = _limits(ln_ratios, estimates)
     return ThresholdRatio(ratio, (_exp(low), _exp(high)), p_value, below > above)
 
 

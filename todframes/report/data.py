@@ -581,6 +581,8 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
         Checksum of `manifest.csv`; None for frames in memory.
     n_frames : int or None
         Number of frames in the manifest, those left out included.
+    n_scenes : int or None
+        Number of scenes behind the triangles; None if the manifest names none.
     measured : dict
         `stimuli`: what the frames of each group and stimulus show, measured on some of them, as attributes of
         `todframes.diagnosis.inspection.Inspection`. Empty if nothing was measured.
@@ -591,18 +593,21 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
     experiment: Record = {}
     manifest_sha256: str | None = None
     n_frames: int | None = None
+    n_scenes: int | None = None
     measured: Record = {}
 
     @classmethod
     def of(cls, dataset: Dataset, measured: Sequence[Record] = ()) -> DatasetRecord:
         """Return the record of a dataset, with what was measured of each stimulus."""
         as_read_again = msgspec.json.decode(msgspec.json.encode(measured))
+        scenes = dataset.trials.scene_numbers
         return cls(
             path=in_utf8(str(dataset.path)),
             display=_display(dataset.display),
             experiment=_experiment(dataset.experiment),
             manifest_sha256=dataset.manifest_sha256,
             n_frames=dataset.n_frames,
+            n_scenes=None if scenes is None else len(set(scenes.tolist())),
             measured={"stimuli": as_read_again} if measured else {},
         )
 

@@ -8,6 +8,7 @@ from todframes.report.data import (
     NO_DIFFERENCE,
     Algorithm,
     ComparedObserver,
+    DatasetRecord,
     Fit,
     Group,
     Ratio,
@@ -314,15 +315,20 @@ def cautions(result: ResultData) -> list[str]:
         where = f" (at {group_phrases([one['group'] for one in faint])})" if faint and faint[0]["group"] else ""
         rest = f"; the others{where} are too faint and have the position of their group" if faint else ""
         texts.append(f"{text}{rest}.")
-    n_scenes = next((one.n_scenes for one in result.algorithms if one.n_scenes is not None), None)
-    if n_scenes == 1:
-        texts.append(
-            "All trials are on one scene: intervals and verdicts hold for it, and nothing is known of others."
-        )
-    elif n_scenes is not None:
-        texts.append(
-            f"Intervals and verdicts take the {n_scenes} scenes as drawn from many and hold for others like them."
-        )
+    data = result.dataset if isinstance(result.dataset, DatasetRecord) else None
+    places = result.settings.get("places") if data is None else data.experiment.get("places")
+    if places is not None:
+        texts.append(f"The triangle is at one of {places} places, and the observer does not know at which.")
+    if data is not None and data.n_scenes is not None and result.thresholds:
+        what = "Intervals and verdicts" if result.algorithms else "Intervals"
+        if data.n_scenes == 1:
+            texts.append(
+                f"All trials are on one scene: {what.lower()} hold for it, and nothing is known of others."
+            )
+        else:
+            texts.append(
+                f"{what} take the {data.n_scenes} scenes as drawn from many and hold for others like them."
+            )
     apart = [
         100 * abs(fit.points_threshold / fit.threshold - 1)
         for fit in result.thresholds

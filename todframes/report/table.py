@@ -34,6 +34,9 @@ MOST_COLUMNS = 10
 LEAST_TEXT_WIDTH = 16
 """Least width, in letters, to which a column of long texts is wrapped in the terminal."""
 
+LEAST_INTERVAL_WIDTH = 16
+"""Least width, in letters, to which a column of intervals is wrapped in the terminal: those with two ends fit."""
+
 HIDDEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
 """Pattern of characters that HTML does not allow or that change the direction of the text beside them."""
 
@@ -329,6 +332,8 @@ def _widths(column: Column, cells: Iterable[str]) -> tuple[int, int]:
     longest = max(map(cell_len, cells), default=0)
     header = max(map(cell_len, column.heading.split()), default=1)
     least = min(longest, LEAST_TEXT_WIDTH) if column.wraps else longest
+    if column.interval:
+        least = min(longest, LEAST_INTERVAL_WIDTH)
     return max(least, header), max(longest, cell_len(column.heading))
 
 
