@@ -743,6 +743,19 @@ def test_scenes_change_intervals_alone(make_dataset) -> None:
     assert (of_four.ratio, of_four.ratio_ci95 == ratio.ratio_ci95) == (ratio.ratio, False)
 
 
+def test_scenes_that_are_groups_are_each_judged_by_their_trials(make_dataset) -> None:
+    """A group of one scene is as it is without a column of scenes: its interval is that of trials."""
+    found = []
+    for number, n_scenes in enumerate((0, 2)):
+        path = on_scenes(make_dataset, n_scenes, f"made{number}", experiment={"group_by": ["size_mrad", "eye"]})
+        lines = (path / "manifest.csv").read_text(encoding="utf-8").splitlines()
+        marked = [f"{line},{'eye' if k == 0 else k % 2}" for k, line in enumerate(lines)]
+        (path / "manifest.csv").write_text("\n".join(marked) + "\n", encoding="utf-8")
+        found.append(compare(path, "own_enhancements:gain:by=1.2")[1])
+    of_trials, of_scenes = ([one.ratio for one in each.compared] for each in found)
+    assert len(of_trials) == 2 and of_trials == of_scenes
+
+
 SPECS_OF_GAIN = ("own_enhancements:gain:by=2", "own_enhancements:root")
 
 

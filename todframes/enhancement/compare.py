@@ -457,6 +457,11 @@ def _compared(
         backgrounds = sets_of_backgrounds(backgrounds)
         drawn = draw_backgrounds(int(backgrounds.max()) + 1, resamples, np.random.default_rng(stream))
 
+    def of_group_backgrounds(these: NDArray[np.intp]) -> NDArray[np.intp] | None:
+        """Return the backgrounds of a group's trials; None if there is but one, which says nothing of others."""
+        found = None if backgrounds is None else backgrounds[these]
+        return None if found is None or len(np.unique(found)) < 2 else found
+
     def draw(number: int) -> list[RatioDraws]:
         these = of_group[number]
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(RATIO_STREAMS, number)))
@@ -469,7 +474,7 @@ def _compared(
             pairs=pairs,
             settings=settings,
             rng=rng,
-            backgrounds=None if backgrounds is None else backgrounds[these],
+            backgrounds=of_group_backgrounds(these),
             drawn_backgrounds=drawn,
         )
 

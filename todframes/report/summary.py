@@ -321,7 +321,9 @@ def cautions(result: ResultData) -> list[str]:
         texts.append(f"The triangle is at one of {places} places, and the observer does not know at which.")
     if data is not None and data.n_scenes is not None and result.thresholds:
         what = "Intervals and verdicts" if result.algorithms else "Intervals"
-        if data.n_scenes == 1:
+        if "scene" in data.experiment.get("group_by", ()) and data.n_scenes > 1:
+            texts.append(f"{what} of a scene hold for it, and nothing is known of others.")
+        elif data.n_scenes == 1:
             texts.append(
                 f"All trials are on one scene: {what.lower()} hold for it, and nothing is known of others."
             )
