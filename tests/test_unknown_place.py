@@ -19,8 +19,10 @@ from todframes.observers.decision import answer_probabilities
 from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import Observer, joint_noise_covariance
 from todframes.observers.internal_noise import inner_product
+from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver
-from todframes.observers.unknown_place import unknown_place_probabilities
+from todframes.observers.unknown_place import drawn_answers, unknown_place_probabilities
+from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.scoring.retina_view import read_trial, retina_image
 from todframes.scoring.score import score_dataset
@@ -223,10 +225,49 @@ def test_more_places_need_more_contrast(make_dataset: DatasetMaker) -> None:
     assert "any of 4 places" in found.plan[0].why
 
 
+@pytest.mark.parametrize("correlation", [0.0, 0.6])
+def test_answers_are_drawn_as_often_as_they_are_probable(correlation: float) -> None:
+    covariance, n = PyramidObserver().readout(SMALL).full_covariance, 4000
+    along = correlation ** np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
+    joint = np.einsum("mn,jk->mjnk", along, covariance) if correlation else covariance
+    score = some_scores(covariance, 4)[1]
+    found = unknown_place_probabilities(score, joint)
+    rng = np.random.default_rng(6)
+    answers = drawn_answers(np.tile(score, (n, 1, 1)), joint, [rng] * n)
+    error = np.sqrt(found.probability * (1.0 - found.probability) / n + found.standard_error**2)
+    often = np.bincount(answers, minlength=4) / n
+    assert (np.abs(often - found.probability) / error).max() < 3.0
+
+
+def test_drawn_answers_of_a_dataset_with_places(make_dataset: DatasetMaker) -> None:
+    """Of many seeds as many answers are right as is expected, and a trial has the same noise in each way shown."""
+    made = load_dataset(placed(make_dataset).path)
+    observer = CsfObserver(retina_pitch_mrad=0.2)
+    expected = score_dataset(made, observer).p_correct
+    quick = FitSettings(resamples=0)
+    drawn = [
+        score_dataset(made, observer, decisions="sampled", seed=seed, fit_settings=quick) for seed in range(20)
+    ]
+    share = np.mean([one.p_correct for one in drawn], axis=0)
+    assert set(np.unique(drawn[0].p_correct)) <= {0.0, 1.0} and np.isfinite(drawn[0].answers).all()
+    error = np.sqrt(np.maximum(expected * (1.0 - expected), 0.01) / len(drawn))
+    assert (np.abs(share - expected) / error).max() < 3.3  # the worst of eight
+    again = score_dataset(made, observer, decisions="sampled", seed=3, fit_settings=quick)
+    assert np.array_equal(again.answers, drawn[3].answers)
+    result = tod.compare(made, [lambda image: image], observer=observer, decisions="sampled", rng=3, white=100.0)
+    none, same = result.algorithms
+    assert [point.p_correct for point in none.fits[0].points] == [
+        float(again.p_correct[made.trials.levels == level].mean()) for level in (0.05, 0.2)
+    ]
+    assert same.fits[0].points == none.fits[0].points
+
+
 def test_what_cannot_be_done_with_places(make_dataset: DatasetMaker) -> None:
     made = load_dataset(placed(make_dataset).path)
-    with pytest.raises(SettingsError, match="decisions: found 'sampled' with 4 places"):
-        score_dataset(made, PyramidObserver(), decisions="sampled")
+    with pytest.raises(
+        SettingsError, match="observer: it is not linear, and the triangle may be at any of 4 places"
+    ):
+        score_dataset(made, OrientedObserver(complex_cells=True), decisions="sampled")
     off = load_dataset(placed(make_dataset, name="off", step_px="40").path)
     with pytest.raises(FrameError, match=r"a triangle at place 2 reaches from .* off the frame"):
         score_dataset(off, PyramidObserver())

@@ -13,11 +13,12 @@ trials, and the largest is counted.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
@@ -182,18 +183,63 @@ def _rule(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     return node, weight, integral @ to_coefficients
 
 
-def _correlated(score: FloatArray, joint: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute probabilities and standard errors, (n, 4), for scores (n, place, 4) and their joint covariance."""
-    n_places = score.shape[1]
+def drawn_answers(
+    score: ArrayLike, covariance: ArrayLike, rngs: Sequence[np.random.Generator]
+) -> NDArray[np.intp]:
+    """Draw the answer of the largest of the scores of all places, one for each trial.
+
+    Parameters
+    ----------
+    score : array_like, shape (trial, place, 4)
+    covariance : array_like, shape (4, 4) or (place, 4, place, 4)
+        As for `unknown_place_probabilities`.
+    rngs : sequence of Generator
+        The random stream of each trial.
+
+    Returns
+    -------
+    ndarray of int, shape (trial,)
+        Indices into `ORIENTATIONS`.
+
+    Raises
+    ------
+    SettingsError
+        If the matrix is no covariance, or not the same at all places.
+    """
+    scores, joint = np.asarray(score, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+    n_places = scores.shape[1]
+    is_joint = joint.ndim == 4
+    factor = _noise_factor(joint.reshape(4 * n_places, -1)) if is_joint else _root(checked_covariance(joint))
+    answers = np.empty(len(scores), np.intp)
+    for row, rng in enumerate(rngs):
+        noise = rng.standard_normal((1, 4 * n_places) if is_joint else (n_places, 4)) @ factor.T
+        answers[row] = (scores[row].ravel() + noise.ravel()).argmax() % 4
+    return answers
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return a matrix whose product with its transpose is a covariance."""
+    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2.0)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _noise_factor(joint: FloatArray) -> FloatArray:
+    """Return the root of the covariance of the scores of all places, which is checked."""
+    n_places = len(joint) // 4
     blocks = joint.reshape(n_places, 4, n_places, 4)
     own = checked_covariance(np.array([blocks[m, :, m] for m in range(n_places)]))
     scale = max(float(np.abs(own).max()), 1e-300)
     if np.abs(own - own[0]).max() > 1e-6 * scale or np.abs(joint - joint.T).max() > 1e-6 * scale:
         raise SettingsError("covariance: found an asymmetric one or places that differ, expected neither")
-    values, vectors = np.linalg.eigh((joint + joint.T) / 2.0)
-    if values[0] < -1e-2 * scale:
-        raise SettingsError(f"covariance: found an eigenvalue of {values[0]:g}, expected none below 0")
-    factor = vectors * np.sqrt(np.maximum(values, 0.0))
+    least = float(np.linalg.eigvalsh((joint + joint.T) / 2.0)[0])
+    if least < -1e-2 * scale:
+        raise SettingsError(f"covariance: found an eigenvalue of {least:g}, expected none below 0")
+    return _root(joint)
+
+
+def _correlated(score: FloatArray, joint: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute probabilities and standard errors, (n, 4), for scores (n, place, 4) and their joint covariance."""
+    n_places, factor = score.shape[1], _noise_factor(joint)
     counts, rng = np.zeros((len(score), 4)), np.random.default_rng(0)
     for _ in range(DRAWS // _DRAWN_AT_ONCE):
         noise = rng.standard_normal((_DRAWN_AT_ONCE, 4 * n_places)) @ factor.T

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence, Sized
+from collections.abc import Iterator, Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
@@ -18,13 +18,14 @@ from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, Experiment, Skipped
 from todframes.frames.position import candidate_places, check_places
 from todframes.frames.trials import Group, Trials, indices_by
-from todframes.observers.interface import Observer, joint_noise_covariance
+from todframes.observers.interface import Observer, Readout, joint_noise_covariance
 from todframes.psychometrics.fit import CurveName, FitSettings, PsychometricFit, fit_trials
 from todframes.psychometrics.replicates import REPLICATES, half_width_95
 from todframes.scoring.error_budget import PlanName, Step
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.seen_trials import (
     FIT_STREAMS,
+    PLACE_STREAMS,
     Decisions,
     Scoring,
     SeenColumns,
@@ -345,7 +346,7 @@ def fit_groups(
         p_correct[rows] = p_each[number].mean(axis=1)
     answers = probabilities.argmax(axis=1)
     if not expected:
-        answers = seen.answer
+        answers = _drawn_at_places(plan, seen, seed) if has_places else seen.answer
         p_correct = (answers == correct).astype(np.float64)
         p_each, bounds = {0: p_correct[:, None]}, np.zeros(n)
     fits, scenes = [], trials.scene_numbers
@@ -454,19 +455,49 @@ def _of_places(
 
     Both arrays have shape (trial, displacement, 4).
     """
+    scores = seen.place_scores[rows]
+    probability, error = np.empty((2, *scores.shape[:2], 4))
+    for these, readout, joint in _noise_at_places(plan, stimulus, seen, rows):
+        probability[these], error[these] = readout.place_probabilities(scores[these], joint)
+    return probability, error
+
+
+def _drawn_at_places(plan: ScorePlan, seen: SeenTrials, seed: int) -> NDArray[np.intp]:
+    """Draw the answer of each trial whose place is unknown, with the noise of a stream of its own.
+
+    The noise does not depend on how a trial is shown.
+    """
+    from todframes.observers.unknown_place import drawn_answers
+
+    answers = np.empty(len(seen), np.intp)
+    for rows in indices_by(seen.trials.stimulus_codes):
+        stimulus = seen.trials.stimuli[seen.trials.stimulus_codes[rows[0]]]
+        for these, readout, joint in _noise_at_places(plan, stimulus, seen, rows):
+            keys = seen.trials.numbers[rows[these]].tolist()
+            streams = [np.random.SeedSequence(seed, spawn_key=(PLACE_STREAMS, number)) for number in keys]
+            noise = readout.full_covariance if joint is None else joint
+            answers[rows[these]] = drawn_answers(
+                seen.place_scores[rows[these], 0], noise, [np.random.default_rng(one) for one in streams]
+            )
+    return answers
+
+
+def _noise_at_places(
+    plan: ScorePlan, stimulus: Stimulus, seen: SeenTrials, rows: NDArray[np.intp]
+) -> Iterator[tuple[NDArray[np.intp], Readout, FloatArray | None]]:
+    """Yield which of the rows have places equally far apart, the readout, and the joint covariance of the scores.
+
+    The covariance is None if places are independent.
+    """
     observer = plan.observer_of(stimulus)
     readout = observer.readout(stimulus)
     assert readout is not None
-    scores = seen.place_scores[rows]
-    probability, error = np.empty((2, *scores.shape[:2], 4))
     steps = np.unique(seen.trials.place_steps_px[rows], return_inverse=True)
     for number, step_px in enumerate(steps[0].tolist()):
-        these = np.flatnonzero(steps[1] == number)
         step_mrad = step_px * plan.pixel_pitch_mrad
-        grid = candidate_places(0.0, 0.0, place=1, step_px=step_mrad, places=scores.shape[2])
-        joint = joint_noise_covariance(observer, readout, stimulus, grid)
-        probability[these], error[these] = readout.place_probabilities(scores[these], joint)
-    return probability, error
+        grid = candidate_places(0.0, 0.0, place=1, step_px=step_mrad, places=seen.place_scores.shape[2])
+        these = np.flatnonzero(steps[1] == number)
+        yield these, readout, joint_noise_covariance(observer, readout, stimulus, grid)
 
 
 def _numerical_error(

@@ -29,7 +29,7 @@ NO_ANSWER = -1
 """Answer of a trial for which none was drawn."""
 
 # First elements of the spawn keys of random streams: they keep the streams of trials and fits apart.
-TRIAL_STREAMS, FIT_STREAMS, DISPLACEMENT_STREAMS, RATIO_STREAMS = range(4)
+TRIAL_STREAMS, FIT_STREAMS, DISPLACEMENT_STREAMS, RATIO_STREAMS, PLACE_STREAMS = range(5)
 
 KRONECKER_STEPS_2D = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of a two-dimensional low-discrepancy sequence, powers of the root of x³ = x + 1 (Roberts 2018)."""
@@ -46,7 +46,8 @@ class SeenTrial(NamedTuple):
         Noise-free inner products with the templates, and their deviations from their mean, computed without
         cancellation; NaN if the observer is not linear.
     answer : int
-        Answer drawn, an index into `ORIENTATIONS`, or `NO_ANSWER`.
+        Answer drawn, an index into `ORIENTATIONS`, or `NO_ANSWER`. At an unknown place it is drawn from
+        `place_scores` later, for all trials.
     n_negative : int
         Number of display pixels with a luminance below zero.
     background_luminance_cd_m2 : float
@@ -180,12 +181,13 @@ def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> Tr
     Raises
     ------
     SettingsError
-        If the observer is not linear and its answer is not drawn, or answers are drawn and the place is unknown.
+        If the observer is not linear and its answer is not drawn, or the place is unknown.
     """
     places = scoring.dataset.experiment.places
-    if places > 1 and scoring.decisions == "sampled":
+    if places > 1 and readout is None:
         raise SettingsError(
-            f"decisions: found 'sampled' with {places} places at which the triangle may be, expected 'expected'"
+            f"observer: it is not linear, and the triangle may be at any of {places} places: expected a linear "
+            "one, whose scores at different places can be compared"
         )
     if readout is None and scoring.decisions == "expected":
         raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
@@ -229,7 +231,7 @@ def see(
             pairs = [_scores(viewing.readout, retina_image(shown, viewing.grid, place)) for place in places]
             scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
         at_places = _place_scores(viewing, shown)
-        if is_sampled:
+        if is_sampled and not len(viewing.offsets):
             image = retina_image(shown, viewing.grid, places[0])
             viewing.rng.bit_generator.state = state
             answer = viewing.observer.respond(image, trial.stimulus, viewing.rng).quarter_turns
