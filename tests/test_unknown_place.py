@@ -170,6 +170,7 @@ def placed(
     step_px: str = "12",
     x_px: str = "24",
     places: int = 4,
+    contrasts: tuple[float, ...] = (0.05, 0.2),
     **changes: str,
 ):
     """A dataset with triangles at the first of 2 × 2 places, 12 pixels or 3 mrad apart."""
@@ -177,7 +178,7 @@ def placed(
     return make_dataset(
         name,
         sizes_mrad=(2.0,),
-        contrasts=(0.05, 0.2),
+        contrasts=contrasts,
         side_px=49,
         experiment={"places": places},
         row_changes=dict.fromkeys(range(8), row),
@@ -271,6 +272,18 @@ def test_what_cannot_be_done_with_places(make_dataset: DatasetMaker) -> None:
     off = load_dataset(placed(make_dataset, name="off", step_px="40").path)
     with pytest.raises(FrameError, match=r"a triangle at place 2 reaches from .* off the frame"):
         score_dataset(off, PyramidObserver())
+
+
+def test_a_missing_threshold_at_an_unknown_place_is_explained(make_dataset: DatasetMaker) -> None:
+    """By the answers alone: no place is looked for."""
+    made = placed(make_dataset, contrasts=(0.3, 0.5))
+    for row in made.rows:
+        row["orientation"] = {"up": "down", "down": "up", "left": "right", "right": "left"}[row["orientation"]]
+    made.save()
+    result = tod.score(made.path, examples=False)
+    assert result.thresholds[0].status == "never_reached"
+    (hint,) = [one for one in result.warnings if "of the answers" in one.message]
+    assert hint.code == "turned" and "turned by 180" in hint.message
 
 
 def test_naked_eye_at_an_unknown_place() -> None:

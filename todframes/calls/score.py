@@ -155,7 +155,7 @@ def score(
 
         more["examples"] = drawing.examples(data, scored, judge)
     explained = {}
-    if data.experiment.places == 1 and any(one.fit.status != "ok" for one in scored.fits):
+    if any(one.fit.status != "ok" for one in scored.fits):
         from todframes.diagnosis.missing_threshold import explain_missing
 
         missing = explain_missing(data, scored, judge, decisions=decisions, seed=seed)

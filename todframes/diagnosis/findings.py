@@ -24,6 +24,7 @@ from todframes.diagnosis.limits import (
     MOST_CLIPPED,
     MOST_CLIPPED_NOISE,
     MOST_TURN_RAD,
+    OFF_LEVEL,
     OFFSET_MRAD,
     OFFSET_PER_BLUR,
     SCATTER_MRAD,
@@ -233,6 +234,14 @@ def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
             float(one.wrong_level),
             0.0,
             f"in {one.wrong_level} of {one.n_level} frames the triangle's contrast does not follow its level",
+            "check that frames and rows of the manifest belong together, and that gain and exposure are fixed",
+        )
+    elif one.level_scatter is not None and one.level_scatter > OFF_LEVEL:
+        yield Deviation(
+            "contrast_mismatch",
+            one.level_scatter,
+            0.0,
+            f"the displayed contrast scatters by {100.0 * one.level_scatter:.0f} % about that of its level",
             "check that frames and rows of the manifest belong together, and that gain and exposure are fixed",
         )
 

@@ -101,6 +101,8 @@ class Inspection:
         Number of trials that clearly show another orientation than stated, and number that clearly show one.
     wrong_level, n_level : int
         Number of trials whose contrast clearly does not follow their level, and number that show it clearly.
+    level_scatter : float or None
+        On scenes: standard deviation over trials of the contrast for its level, noise removed, over the mean.
     signal : float
         The triangle's contrast in standard errors by the noise alone.
     uneven, uneven_error : float
@@ -148,6 +150,7 @@ class Inspection:
     n_orientation: int = 0
     wrong_level: int = 0
     n_level: int = 0
+    level_scatter: float | None = None
     signal: float = 0.0
     uneven: float = 0.0
     uneven_error: float = 0.0
@@ -483,6 +486,8 @@ def _of_triangle(
     ranked = np.sort(each.likeness, axis=1)
     clear_turn = ranked[:, 3] - ranked[:, 2] > CLEARLY_TURNED * each.likeness_error
     shown = np.array(found.shown)[turns]
+    # Where levels are wrong, so are the backgrounds, and no single trial is clear.
+    level_scatter = None if parts is None else _scatter(each.away[:, :1], each.error[:, :1])
     return measured | {
         "offset_px": tuple((block_px * of_group.offset).tolist()),
         "offset_error_px": tuple((block_px * error[1:3]).tolist()),
@@ -498,6 +503,7 @@ def _of_triangle(
         "n_orientation": int(clear_turn.sum()),
         "wrong_level": int(off_level.sum()),
         "n_level": int(clear_level.sum()),
+        "level_scatter": None if level_scatter is None else level_scatter / amplitude,
     }
 
 

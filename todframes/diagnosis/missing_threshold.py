@@ -84,7 +84,8 @@ def explain_missing(
     For groups whose criterion is not reached at the levels shown, the strongest trials are looked at. Their
     answers show triangles that are mirrored or turned. The fit of the triangle, anywhere on their frames, shows
     place, size and polarity; with these the trials are scored again, though not if the threshold is merely
-    extrapolated. A hint is given only for a change after which most answers are right.
+    extrapolated, or the place is unknown to the observer. A hint is given only for a change after which most
+    answers are right.
 
     Parameters
     ----------
@@ -127,7 +128,7 @@ def explain_missing(
                 after=_orientations(trials, strong + 1),
                 is_inverted=bool(np.median(scored.scores[strong].mean(axis=1)) < 0.0),
             )
-            hints = search.hints(is_scored_again=is_missing)
+            hints = search.hints(is_scored_again=is_missing and dataset.experiment.places == 1)
         if is_missing or hints:
             found.append(Explanation(one.group, table, float(trials.levels[strong].min()), hints))
     return tuple(found)
