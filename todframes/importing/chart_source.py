@@ -505,6 +505,7 @@ class ChartSource:
         def worst(name: str) -> float:
             return max((float(clip[name]) for clip in clips), key=abs)  # type: ignore[arg-type]
 
+        n_unread = report.n_without_markers + report.n_transition
         residual, error_px = worst("residual_px"), report.place_error_px or 0.0
         lens = "an ideal lens" if report.lens is None else f"a lens of the {report.lens['model']} model"
         if report.lens_unsolved:
@@ -574,7 +575,9 @@ class ChartSource:
             (
                 sum(int(str(clip["n_gaps"])) for clip in clips),
                 "dropped_frames",
-                f"gaps of more than {GAP:g} frames; no trial goes across them",
+                f"gaps of more than {GAP:g} frames, where frames are missing"
+                + f" or show no page clearly ({n_unread} of {report.n_frames} do not)" * bool(n_unread)
+                + "; no trial goes across them",
             ),
         ):
             if n_found:
