@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
 from todframes.base.errors import SettingsError
+from todframes.base.seeds import first_uniforms
 from todframes.diagnosis.locate import locate_triangles
 from todframes.frames.dataset import Experiment, load_dataset
 from todframes.frames.files import read_frame, write_frame
@@ -65,6 +68,13 @@ def test_displacements_fill_half_a_sample_either_way(make_dataset) -> None:
     assert np.abs(displacement).max() <= 0.5
     # The largest of 192 uniform draws is below 0.45 once in 10⁸ times.
     assert np.abs(displacement).max() > 0.45
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2**32 - 1, 2**32, 2**53, 2**128, 2**200 + 5])
+def test_numbers_of_many_streams_are_those_of_numpy(seed: int) -> None:
+    for kind, number in product((0, 2), (0, 1, 255, 256, 999_999, 2**31, 2**32 - 1)):
+        numpys = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(kind, number)))
+        assert np.array_equal(first_uniforms(seed, kind, number), numpys.random(2))
 
 
 def test_frames_of_a_trial_are_averaged_in_contrast(make_dataset) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import re
 from collections.abc import Iterable
 
@@ -46,15 +45,16 @@ def csv_text(rows: Iterable[Iterable[object]], *, as_it_is: bool = False) -> str
     Names of files in a manifest have to stay `as_it_is`.
     """
     # The writer quotes what its line ends are made of; a carriage return that is not quoted would begin a row.
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\r\n")
-    lines = []
-    for row in rows:
-        writer.writerow(row if as_it_is else map(_no_formula, row))
-        lines.append(text.getvalue().removesuffix("\r\n"))
-        text.seek(0)
-        text.truncate()
-    return "\n".join([*lines, ""])
+    writer = csv.writer(_Echo(), lineterminator="\r\n")
+    lines = (writer.writerow(row if as_it_is else map(_no_formula, row)) for row in rows)
+    return "\n".join([*(line.removesuffix("\r\n") for line in lines), ""])
+
+
+class _Echo:
+    """File whose `write` returns the text, as `writerow` then does."""
+
+    def write(self, text: str) -> str:
+        return text
 
 
 def _no_formula(value: object) -> object:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import partial
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,8 +16,6 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.diagnosis.whole_frames import block_means
-from todframes.enhancement.compare import AlgorithmResult
-from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader
 from todframes.frames.contrast import read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import centroid_position, size_in_px
@@ -29,6 +28,10 @@ from todframes.report.wording import evenly
 from todframes.scoring.retina_view import Shown, retina_image, view_trial
 from todframes.scoring.score import GroupFit, ScoredDataset
 from todframes.stimulus import Stimulus, vertices
+
+if TYPE_CHECKING:
+    from todframes.enhancement.compare import AlgorithmResult
+    from todframes.enhancement.enhanced_frame import AlgorithmDisplay
 
 MOST_EXAMPLES = 4
 
@@ -186,6 +189,8 @@ def compare_examples(
 
     All pictures of a group have the same white. Raises FrameError if a frame can no longer be used.
     """
+    from todframes.enhancement.enhanced_frame import TrialReader
+
     shown_results = results[:MOST_ALGORITHMS]
     reader = TrialReader([one.enhancement for one in shown_results], screen)
     reference = results[0].scored

@@ -214,14 +214,18 @@ class Table:
         return "".join(self.csv_parts())
 
     def csv_parts(self) -> Iterator[str]:
-        """Yield the CSV in parts of some thousand rows."""
+        """Yield the CSV in parts, the rows of long records in blocks."""
         yield csv_text([[name for column in self.columns for name in column.names]])
-        rows = (
-            [field_text(value) for column in self.columns for value in _ends(column, record)]
-            for record in self.records
-        )
-        while part := list(islice(rows, BLOCK)):
-            yield csv_text(part)
+        if isinstance(self.records, LongRecords):
+            kinds = {one.key: self.records.kinds[one.key] for one in self.columns}
+            for block in self.records.blocks():
+                columns = (_fields(block[key], kind) for key, kind in kinds.items())
+                yield csv_text(zip(*columns, strict=True))
+        else:
+            yield csv_text(
+                [field_text(value) for column in self.columns for value in _ends(column, record)]
+                for record in self.records
+            )
 
     def markdown(self) -> str:
         """Return the shown columns as a table in GitHub's Markdown."""
@@ -345,6 +349,13 @@ def markup(text: str) -> str:
 def _ends(column: Column, record: Mapping[str, Any]) -> tuple[Any, ...]:
     value = record.get(column.key)
     return (value or (None, None)) if column.interval else (value,)
+
+
+def _fields(values: Sequence[Any], kind: type) -> Sequence[object]:
+    """Return the values of a column as CSV fields: what `field_text` gives, numbers still to be written."""
+    if kind is float:
+        return [None if value != value else value for value in values]
+    return values if kind is int else [field_text(value) for value in values]
 
 
 def field_text(value: object) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
+from todframes.base.seeds import first_uniforms, random_stream
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import place_offsets_px
 from todframes.frames.trials import Trial, Trials
@@ -154,16 +155,14 @@ class Scoring:
 class TrialViewing(NamedTuple):
     """The observer, retina grid and displacements for a trial, the same for all ways in which it is shown.
 
-    `displacement_samples`, (d, 2), are the displacements of the retina grid in retina samples; `rng` is the
-    trial's own random stream after they were drawn. `readout` is None if the observer is not linear. `offsets`,
-    (place, 2), are the distances from the triangle to all places at which it may be, in retina samples; there are
-    none if its place is known.
+    `displacement_samples`, (d, 2), are the displacements of the retina grid in retina samples. `readout` is None
+    if the observer is not linear. `offsets`, (place, 2), are the distances from the triangle to all places at
+    which it may be, in retina samples; there are none if its place is known.
     """
 
     observer: Observer
     grid: RetinaGrid
     displacement_samples: FloatArray
-    rng: np.random.Generator
     readout: Readout | None
     offsets: FloatArray
 
@@ -192,12 +191,10 @@ def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> Tr
     if readout is None and scoring.decisions == "expected":
         raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
     observer = scoring.plan.observer_of(trial.stimulus)
-    stream = np.random.SeedSequence(scoring.seed, spawn_key=(TRIAL_STREAMS, trial.number))
-    rng = np.random.Generator(np.random.PCG64(stream))
-    displaced = _displacements(scoring, trial, rng, observer.position_jitter_samples)
+    displaced = _displacements(scoring, trial, observer.position_jitter_samples)
     grid = observer.grid(trial.stimulus) if readout is None else readout.grid
     offsets = np.array(place_offsets_px(trial, places)) * scoring.dataset.display.pitch_mrad / grid.pitch_mrad
-    return TrialViewing(observer, grid, displaced, rng, readout, offsets)
+    return TrialViewing(observer, grid, displaced, readout, offsets)
 
 
 def see(
@@ -218,8 +215,7 @@ def see(
         One for each way.
     """
     reading_s = (time.perf_counter() - started) / len(ways)
-    displaced, is_sampled = viewing.displacement_samples, scoring.decisions == "sampled"
-    state = viewing.rng.bit_generator.state if is_sampled else {}
+    displaced = viewing.displacement_samples
     places: list[tuple[float, float]] = list(map(tuple, displaced.tolist()))
     seen = []
     for shown in ways:
@@ -231,10 +227,11 @@ def see(
             pairs = [_scores(viewing.readout, retina_image(shown, viewing.grid, place)) for place in places]
             scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
         at_places = _place_scores(viewing, shown)
-        if is_sampled and not len(viewing.offsets):
+        if scoring.decisions == "sampled" and not len(viewing.offsets):
             image = retina_image(shown, viewing.grid, places[0])
-            viewing.rng.bit_generator.state = state
-            answer = viewing.observer.respond(image, trial.stimulus, viewing.rng).quarter_turns
+            rng = random_stream(scoring.seed, TRIAL_STREAMS, trial.number)
+            rng.random(2)  # the displacement
+            answer = viewing.observer.respond(image, trial.stimulus, rng).quarter_turns
         seconds = reading_s + time.perf_counter() - started
         background = shown.background_luminance_cd_m2
         seen.append(
@@ -267,9 +264,9 @@ def score_trial(scoring: Scoring, trial: Trial, readout: Readout | None) -> Seen
     return seen
 
 
-def _displacements(scoring: Scoring, trial: Trial, rng: np.random.Generator, jitter: float) -> FloatArray:
+def _displacements(scoring: Scoring, trial: Trial, jitter: float) -> FloatArray:
     if not scoring.displacements:
-        return rng.uniform(-jitter, jitter, (1, 2))
+        return -jitter + 2.0 * jitter * first_uniforms(scoring.seed, TRIAL_STREAMS, trial.number)[None]
     key = (DISPLACEMENT_STREAMS, scoring.displacements, trial.number)
     shifts = np.random.default_rng(np.random.SeedSequence(scoring.seed, spawn_key=key)).random((REPLICATES, 1, 2))
     evenly = (shifts + np.arange(scoring.displacements)[:, None] * KRONECKER_STEPS_2D) % 1.0
