@@ -54,14 +54,20 @@ def edge_image(
     low: float = 0.2,
     high: float = 0.8,
     radius_px: float = math.inf,
+    displaced_px: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:
-    """An edge whose normal points `angle_deg` from the right, downwards; straight or an arc."""
+    """An edge whose normal points `angle_deg` from the right, downwards; straight or an arc.
+
+    It may be displaced along the normal by a function of the place along it, of which 0 is in the middle.
+    """
     angle = math.radians(angle_deg)
     y, x = np.indices(shape) - (np.array(shape) - 1)[:, None, None] / 2.0
     x, y = x - 0.3, y - 0.1
     d, s = x * math.cos(angle) + y * math.sin(angle), y * math.cos(angle) - x * math.sin(angle)
     if math.isfinite(radius_px):
         d = np.hypot(d + radius_px, s) - radius_px
+    if displaced_px is not None:
+        d = d - displaced_px(s)
     # Between points 0.05 apart a cubic spline is exact to 1e-6 for optics of 3 cycles/pixel.
     grid = np.arange(math.floor(d.min()) - 1.0, d.max() + 1.1, 0.05)
     return low + (high - low) * CubicSpline(grid, profile(grid, optics, angle_deg))(d)

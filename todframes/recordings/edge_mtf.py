@@ -14,7 +14,11 @@ the MTF is then a linear function of the pixels, and its covariance follows from
   edge whose transform is a closed form: a Gaussian one with the same MTF50.
 - The modulus of a noisy transform is too large. It is replaced by the value whose mean it would be: Koay & Basser
   2006, "Analytically exact correction scheme for signal extraction from noisy magnitude MR signals", J. Magn.
-  Reson. 179. The band is the exact interval of a modulus under Gaussian noise (noncentral χ²).
+  Reson. 179. The band is the exact interval of a modulus under Gaussian noise (noncentral χ²). Its upper end is no
+  lower than that of the modulus which noise alone exceeds in half of all cases: Cowan et al. 2011,
+  "Power-constrained limits", arXiv:1105.3166. Without this, a small modulus would have a band of no width.
+- Noise that pixels share is known from the products of residuals by lag, up to the largest lags at which they are
+  seen. Its covariance is that of stationary noise whose strength changes with the distance from the edge.
 """
 
 from __future__ import annotations
@@ -72,17 +76,46 @@ DEGREE = 3
 LEAST_STEP = 5.0
 """Least contrast of an edge in units of the noise of a pixel."""
 
-PART_PX = 4.0
+PART_PX = 1.0
 """Length of the parts of an edge whose places are compared with its curve."""
+
+COARSE_PX = 1.0
+"""Interval of the knots of the profile for that."""
 
 ROUGHEST_PX = 0.15
 """Largest standard deviation of the edge from its curve. It lowers the MTF at the Nyquist frequency by 10 %."""
 
+ROUGHNESS_ERRORS = 5.0
+"""Least square of a roughness in units of what noise gives, for independent parts of the edge."""
+
+QUARTILE, LEAST_SIGMA_PX = 0.6745, 0.4
+"""Upper quartile of a Gaussian, and the least width of the one that stands for the edge's slope."""
+
+DEAD_ERRORS, DEAD_CONTRAST, DEAD_NEIGHBOURS = 8.0, 0.05, 3.0
+"""Least residual of a pixel that is left out as dead: in units of the noise, of the contrast, and of the largest
+residual beside it."""
+
 MOST_SATURATED_EDGE = 0.01
 """Largest share of the pixels of a box at an end of the scale."""
 
-LEAST_SHADING, SHADING_ERRORS = 0.01, 4.0
-"""Least change of light across one side of the edge that is fitted, relative to the contrast and to its error."""
+LEAST_SHADING, SHADING_ERRORS, UNEVEN_PX = 0.01, 2.0, 33
+"""Least change of light across one side of the edge that is fitted, relative to the contrast and to its error; and
+the width of means that are uneven light, not noise."""
+
+NOISE_PIXELS = 100
+"""Number of pixels at about the same distance from the edge whose noise is averaged."""
+
+STRUCTURE_ERRORS = 4.0
+"""Least agreement of the halves of an edge about what the splines do not follow, in units of that of chance."""
+
+MOST_SHARED_PX = 16
+"""Largest distance of pixels, in rows and in columns, whose noise may be correlated."""
+
+SHARED_CHANCE = 0.01
+"""Probability that independent noise shows a correlation that is taken for one."""
+
+LEAST_POWER = 0.01
+"""Least power of noise at any frequency, relative to its mean."""
 
 LARGEST_ERROR = 0.25
 """Largest half-width of the interval of MTF50, relative to it."""
@@ -302,6 +335,8 @@ def _fitted_curve(values: FloatArray, where: str) -> _Curve:
         distance, s = curve.distance(x, y)
         rising = np.maximum(slopes[0] * curve.normal[0] + slopes[1] * curve.normal[1], 0.0)
         weight = rising**2 * np.exp(-0.5 * (distance / reach_px) ** 2)
+        if not weight.sum() > 0.0:
+            raise DataError(f"{where}found no edge that follows a smooth curve, expected one that is straight")
         spread_px = math.sqrt(float((weight * distance**2).sum() / weight.sum()))
         reach_px = max(min(0.7 * reach_px, 3.0 * spread_px), 2.0)
         used = weight > 1e-4 * weight.max()
@@ -421,6 +456,7 @@ class _Pixels(NamedTuple):
     x: FloatArray
     y: FloatArray
     values: FloatArray
+    is_alive: NDArray[np.bool_]
     widest_px: float
 
 
@@ -428,6 +464,7 @@ class _Solved(NamedTuple):
     """A profile fitted to pixels for a given curve; arrays hold one number for each pixel that is used."""
 
     used: NDArray[np.bool_]
+    """Whether a pixel of the box is used, (rows, columns)."""
     distance: FloatArray
     along: FloatArray
     profile: _Profile
@@ -435,6 +472,7 @@ class _Solved(NamedTuple):
     factor: tuple[FloatArray, bool]
     weights: FloatArray
     residual: FloatArray
+    widest_px: float
     across: tuple[FloatArray, FloatArray]
     """Changes of light across the edge, on its bright and its dark side."""
     shape: tuple[FloatArray, FloatArray]
@@ -475,7 +513,7 @@ def _fitted(values: FloatArray, curve: _Curve, where: str) -> _Fit:
             f"{where}found an edge with {max(widest_px, 0.0):.1f} pixels beside it, expected at least "
             f"{TAIL_PX / FARTHEST_TAIL:.0f} on both sides"
         )
-    pixels = _Pixels(x, y, values.ravel(), widest_px)
+    pixels = _Pixels(x, y, values.ravel(), np.ones(values.shape, bool), widest_px)
     # First with knots everywhere, as the width of the profile is not known.
     tail_px = uniform_px = min(farthest_px, 1.5 * TAIL_PX)
     is_shaded, shape = False, None
@@ -485,17 +523,22 @@ def _fitted(values: FloatArray, curve: _Curve, where: str) -> _Fit:
         if n_done > 0:
             tail_px = min(max(TAIL_PX, TAIL_RISES * solved.rise_px), farthest_px)
             uniform_px = min(max(UNIFORM_PX, UNIFORM_RISES * solved.rise_px), tail_px)
+        if n_done == 1:
+            pixels = pixels._replace(is_alive=~_dead(solved))
         if n_done == 2:
             is_shaded = _is_shaded(solved)
     solved = _solve(pixels, curve, tail_px, uniform_px, shape, is_shaded=is_shaded, where=where)
     while tail_px < farthest_px and _has_structure(solved):
         tail_px = min(1.4 * tail_px, farthest_px)
         solved = _solve(pixels, curve, tail_px, uniform_px, shape, is_shaded=is_shaded, where=where)
-    _check_smooth(solved, where)
+    coarse = _solve(
+        pixels, curve, tail_px, uniform_px, shape, is_shaded=is_shaded, where=where, least_knots_px=COARSE_PX
+    )
+    _check_smooth(coarse, where)
     columns, residual = solved.columns, solved.residual
     inverse = cho_solve(solved.factor, np.eye(columns.shape[1]))
     leverage = np.minimum(np.einsum("ij,ij->i", columns @ inverse, columns), 0.9)
-    meat = _meat(columns, residual / np.sqrt(1.0 - leverage), solved.used.reshape(values.shape))
+    meat = _noise(solved, leverage).covariance(solved)
     n = len(solved.weights)
     visible = solved.along[np.abs(solved.distance) < 1.0]
     ends = np.linspace(visible.min(), visible.max(), 101)
@@ -521,14 +564,15 @@ def _solve(
     *,
     is_shaded: bool,
     where: str,
+    least_knots_px: float = KNOTS_PX,
 ) -> _Solved:
     """Fit a profile to pixels by least squares, for a given curve and, from an earlier fit, a rough profile."""
     from scipy.linalg import cho_factor, cho_solve
 
     distance, along = curve.distance(pixels.x, pixels.y)
-    used = np.abs(distance) <= pixels.widest_px
+    used = (np.abs(distance) <= pixels.widest_px) & pixels.is_alive.ravel()
     distance, along, values = distance[used], along[used], pixels.values[used]
-    knots_px = _knots_px(distance, uniform_px, curve, where)
+    knots_px = max(_knots_px(distance, uniform_px, curve, where), least_knots_px)
     profile = _Profile(tail_px, uniform_px, knots_px, has_tail=not is_shaded)
     functions = profile.columns(distance)
     of_step = functions[:, _Profile.STEP] if shape is None else np.interp(distance, *shape)
@@ -547,13 +591,26 @@ def _solve(
     contrast = float(weights[_Profile.STEP])
     if not contrast > LEAST_STEP * residual.std():
         raise DataError(
-            f"{where}found no edge: the steepest step is {max(contrast, 0.0):.3g} against noise of "
-            f"{residual.std():.3g}, expected at least {LEAST_STEP:g} times the noise"
+            f"{where}found no edge: along a smooth curve the steepest step is {max(contrast, 0.0):.3g} against "
+            f"noise of {residual.std():.3g}, expected at least {LEAST_STEP:g} times the noise; is it straight "
+            "and alone in the box?"
         )
     grid = np.linspace(-0.999 * profile.end_px, 0.999 * profile.end_px, 401)
     rising = (profile.columns(grid) @ weights - weights[_Profile.DARK]) / contrast
     found = grid, np.clip(rising, 0.0, 1.0)
-    return _Solved(used, distance, along, profile, columns, factor, weights, residual, across, found)
+    return _Solved(
+        used.reshape(pixels.is_alive.shape),
+        distance,
+        along,
+        profile,
+        columns,
+        factor,
+        weights,
+        residual,
+        pixels.widest_px,
+        across,
+        found,
+    )
 
 
 def _improved(curve: _Curve, solved: _Solved) -> _Curve:
@@ -582,17 +639,32 @@ def _knots_px(distance: FloatArray, uniform_px: float, curve: _Curve, where: str
 
 
 def _has_structure(solved: _Solved) -> bool:
-    """Return whether residuals beyond the splines have means, pixel by pixel, that noise would rarely have."""
-    from scipy.special import gammaincc
+    """Return whether residuals beyond the splines have the same means, pixel by pixel, in both halves of the edge.
 
+    Noise that neighbouring pixels share has means as well, but different ones.
+    """
     far = np.abs(solved.distance) >= solved.profile.end_px
-    residual = solved.residual[far]
-    bins = np.floor(solved.distance[far]).astype(np.intp)
+    residual, bins = solved.residual[far], np.floor(solved.distance[far]).astype(np.intp)
+    first = solved.along[far] < np.median(solved.along[far])
     bins -= bins.min()
-    counts, sums = np.bincount(bins), np.bincount(bins, residual)
-    filled = counts > 1
-    chi2 = float((sums[filled] ** 2 / counts[filled]).sum() / residual.var())
-    return bool(gammaincc(filled.sum() / 2, chi2 / 2) < 1e-3)
+    counts = np.array([np.bincount(bins[half], minlength=bins.max() + 1) for half in (first, ~first)])
+    sums = np.array([np.bincount(bins[half], residual[half], bins.max() + 1) for half in (first, ~first)])
+    filled = (counts > 1).all(0)
+    means = sums[:, filled] / counts[:, filled]
+    scale = math.sqrt(float((means[0] @ means[0]) * (means[1] @ means[1])) / max(int(filled.sum()), 1))
+    return bool(means[0] @ means[1] > STRUCTURE_ERRORS * scale)
+
+
+def _dead(solved: _Solved) -> NDArray[np.bool_]:
+    """Return which pixels are far from the fit while all that surround them are not."""
+    from scipy.ndimage import maximum_filter
+
+    residual = np.zeros(solved.used.shape)
+    residual[solved.used] = np.abs(solved.residual)
+    noise_sd = float(np.median(np.abs(solved.residual))) / QUARTILE
+    others = maximum_filter(residual, footprint=[[1, 1, 1], [1, 0, 1], [1, 1, 1]], mode="constant")
+    least = max(DEAD_ERRORS * noise_sd, DEAD_CONTRAST * solved.contrast)
+    return np.asarray((residual > least) & (residual > DEAD_NEIGHBOURS * others))
 
 
 def _is_shaded(solved: _Solved) -> bool:
@@ -600,56 +672,160 @@ def _is_shaded(solved: _Solved) -> bool:
 
     One edge cannot hold a tail and a change of light apart, so that a fit of both loses the levels.
     """
-    for change in solved.across:
-        free = solved.without(change)
-        power = float(free @ free)
-        size, error = abs(float(free @ solved.residual)) / power, math.sqrt(float(solved.residual.var()) / power)
-        if size > LEAST_SHADING * solved.contrast and size > SHADING_ERRORS * error:
-            return True
-    return False
+    from scipy.ndimage import uniform_filter
+
+    free = np.column_stack([solved.without(change) for change in solved.across])
+    explained = free @ np.linalg.lstsq(free, solved.residual, rcond=None)[0]
+    # Noise that neighbours share is what is left without the mean about each pixel: uneven light is none.
+    images = np.zeros((2, *solved.used.shape))
+    images[0, solved.used] = solved.residual - explained
+    images[1] = solved.used
+    total, n = (uniform_filter(one, UNEVEN_PX, mode="constant")[solved.used] for one in images)
+    rest = solved._replace(residual=solved.residual - explained - total / n)
+    variance = _noise(rest).gain * float(rest.residual.var())
+    power = (free**2).sum(0)
+    size, error = np.abs(free.T @ solved.residual) / power, np.sqrt(variance / power)
+    return bool(((size > LEAST_SHADING * solved.contrast) & (size > SHADING_ERRORS * error)).any())
 
 
 def _check_smooth(solved: _Solved, where: str) -> None:
-    """Raise DataError if parts of the edge are displaced from the curve by more than noise would displace them."""
-    inside = np.abs(solved.distance) < solved.profile.end_px
-    along, residual = solved.along[inside], solved.residual[inside]
-    slope = -(solved.profile.slopes(solved.distance[inside]) @ solved.weights)
-    part = np.floor((along - along.min()) / PART_PX).astype(np.intp)
-    power = np.bincount(part, slope**2)
-    # Parts at the ends have few pixels.
-    seen = power > 0.3 * np.median(power)
-    shift = np.bincount(part, slope * residual)[seen] / power[seen]
-    by_noise = solved.residual.var() / power[seen]
-    rough_px = math.sqrt(max(float(np.mean(shift**2 - by_noise)), 0.0))
-    if rough_px > ROUGHEST_PX:
+    """Raise DataError if parts of the edge are displaced from the curve by more than noise would displace them.
+
+    The same filter beside the edge shows what noise does, also noise that neighbouring pixels share. `solved` is a
+    fit with coarse knots: a finer profile follows what distant parts of a wavy edge have in common.
+    """
+    grid, rising = solved.shape
+    highest = np.maximum.accumulate(rising)
+    quarters = [float(grid[np.searchsorted(highest, level)]) for level in (0.25, 0.75)]
+    sigma_px = max((quarters[1] - quarters[0]) / (2 * QUARTILE), LEAST_SIGMA_PX)
+    part = np.floor((solved.along - solved.along.min()) / PART_PX).astype(np.intp)
+
+    def power_at(place_px: float) -> tuple[FloatArray, FloatArray]:
+        """Return the slope of an edge at a distance, and the sum of its squares in each part."""
+        slope = np.exp(-0.5 * ((solved.distance - place_px) / sigma_px) ** 2)
+        slope *= solved.contrast / (sigma_px * math.sqrt(2 * math.pi))
+        return slope, np.asarray(np.bincount(part, slope**2), np.float64)
+
+    least_power = 0.5 * float(np.median(power_at(0.0)[1]))
+
+    def mean_square(place_px: float) -> tuple[float, int]:
+        """Return the mean square of the displacements that residuals at a distance show, and their number."""
+        slope, power = power_at(place_px)
+        # Parts at the ends, and at corners of the box, have few pixels.
+        seen = np.flatnonzero(power > least_power)
+        if len(seen) < 2 * DEGREE + 2:
+            return math.nan, 0
+        shift = np.bincount(part, slope * solved.residual)[seen] / power[seen]
+        shift -= np.polyval(np.polyfit(seen, shift, DEGREE), seen)
+        return float(shift @ shift) / (len(seen) - DEGREE - 1), len(seen)
+
+    found, n_parts = mean_square(0.0)
+    farthest_px = max(solved.widest_px - 2 * sigma_px, solved.widest_px / 2)
+    beside_px = np.append(np.arange(farthest_px - 4 * sigma_px, 4 * sigma_px, -4 * sigma_px), farthest_px)
+    noise = float(np.nanmean([mean_square(side * one)[0] for one in beside_px for side in (1.0, -1.0)]))
+    excess = found - noise
+    if excess > max(ROUGHEST_PX**2, ROUGHNESS_ERRORS * math.sqrt(2.0 / n_parts) * noise):
         raise DataError(
-            f"{where}found an edge that departs from a smooth curve by {rough_px:.2f} pixels, expected at most "
-            f"{ROUGHEST_PX}; is it torn, or is there more than one edge in the box?"
+            f"{where}found an edge that departs from a smooth curve by {math.sqrt(excess):.2f} pixels, expected "
+            f"at most {ROUGHEST_PX}; is it straight and smooth, and alone in the box?"
         )
 
 
-def _meat(columns: FloatArray, residual: FloatArray, used: NDArray[np.bool_]) -> FloatArray:
-    """Return the sum of products of residuals with the columns, also of pixels up to two apart, whose noise an
-    interpolated or compressed picture correlates.
+class _Noise(NamedTuple):
+    """Noise of the pixels of a fit: its standard deviation there, and the power of its correlation by frequency.
 
-    The weights are Bartlett's: Conley 1999, "GMM estimation with cross sectional dependence", J. Econometrics 92.
+    Power is relative to its mean, at the frequencies of a real transform of the box, padded to `padded`.
     """
-    from scipy.sparse import csr_matrix
 
-    rows, width = used.shape
-    reach = 2
-    padded = np.zeros((rows + reach, width + 2 * reach, columns.shape[1]))
-    padded[:rows, reach:-reach][used] = columns * residual[:, np.newaxis]
-    whole = csr_matrix(padded.reshape(-1, columns.shape[1]))
-    n_places = whole.shape[0]
-    total = np.zeros((columns.shape[1], columns.shape[1]))
-    for down in range(reach + 1):
-        for right in range(-reach if down else 0, reach + 1):
-            lag = down * (width + 2 * reach) + right
-            product = (whole[: n_places - lag].T @ whole[lag:]).toarray()
-            weight = (1.0 - down / (reach + 1)) * (1.0 - abs(right) / (reach + 1))
-            total += weight * (product if lag == 0 else product + product.T)
-    return total
+    sd: FloatArray
+    power: FloatArray
+    padded: tuple[int, int]
+
+    def covariance(self, solved: _Solved) -> FloatArray:
+        """Return the covariance of the sums of noise times columns."""
+        terms = _in_frequency(solved, solved.columns * self.sd[:, np.newaxis], self.padded)
+        # The transform of real columns has but half of all frequencies.
+        n = self.padded[1]
+        weight = np.where((np.arange(n // 2 + 1) == 0) | (2 * np.arange(n // 2 + 1) == n), 1.0, 2.0)
+        scaled = (terms * np.sqrt(self.power * weight)[..., np.newaxis]).reshape(-1, terms.shape[2])
+        return np.asarray((scaled.real.T @ scaled.real + scaled.imag.T @ scaled.imag) / math.prod(self.padded))
+
+    @property
+    def gain(self) -> float:
+        """Variance of the mean of many pixels, in units of that of independent noise; at least 1."""
+        return max(float(self.power[0, 0]), 1.0)
+
+
+def _noise(solved: _Solved, leverage: FloatArray | float = 0.0) -> _Noise:
+    """Estimate the noise from the residuals of a fit.
+
+    Its standard deviation depends on the distance from the edge, as it differs with the light; its correlation,
+    which interpolation, compression and sharpening make, is the same everywhere.
+    """
+    from scipy.fft import irfft2, next_fast_len, rfft2
+
+    squares = solved.residual**2 / (1.0 - leverage)
+    sd = np.zeros(len(squares))
+    for group in np.array_split(np.argsort(solved.distance), max(len(squares) // NOISE_PIXELS, 1)):
+        sd[group] = math.sqrt(float(squares[group].mean()))
+    rows, columns = (next_fast_len(one + MOST_SHARED_PX, real=True) for one in solved.used.shape)
+    relative = np.divide(solved.residual, sd, out=np.zeros_like(sd), where=sd > 0.0)
+    both = _in_frequency(solved, np.column_stack([relative, np.ones(len(sd))]), (rows, columns))
+    products, counts = np.moveaxis(irfft2(np.abs(both) ** 2, (rows, columns), axes=(0, 1)), 2, 0)
+    power = rfft2(_correlation(products, np.maximum(np.rint(counts), 1.0))).real
+    # An estimate of correlations by lag may have a negative power at some frequencies.
+    return _Noise(sd, np.maximum(power, LEAST_POWER), (rows, columns))
+
+
+def _in_frequency(solved: _Solved, values: FloatArray, padded: tuple[int, int]) -> ComplexArray:
+    """Return the two-dimensional transforms of values of the pixels that are used, (n_pixels, n)."""
+    from scipy.fft import rfft2
+
+    images = np.zeros((*solved.used.shape, values.shape[1]))
+    images[solved.used] = values
+    return np.asarray(rfft2(images, padded, axes=(0, 1)))
+
+
+def _correlation(products: FloatArray, pairs: FloatArray) -> FloatArray:
+    """Return the correlation of noise by cyclic lag, 0 beyond the lags at which it is seen.
+
+    Parameters
+    ----------
+    products, pairs : ndarray (rows, columns)
+        Sums of products of pixels, and numbers of pairs, by cyclic lag.
+    """
+    from scipy.special import gammaincc
+
+    found = np.zeros_like(products)
+    if not products[0, 0] > 0.0:
+        found[0, 0] = 1.0
+        return found
+    estimate = products / pairs * (pairs[0, 0] / products[0, 0])
+
+    def lags(down: int, right: int) -> tuple[NDArray[np.intp], ...]:
+        """Return all lags up to two."""
+        return np.ix_(np.arange(-down, down + 1), np.arange(-right, right + 1))
+
+    def is_seen(strip: tuple[Any, ...], of_chance: float) -> bool:
+        """Return whether lags have correlations that chance would rarely give (Bartlett's formula)."""
+        chi2 = float((pairs[strip] * estimate[strip] ** 2).sum()) / of_chance
+        return bool(gammaincc(estimate[strip].size / 2, chi2 / 2) < SHARED_CHANCE)
+
+    down = right = 0
+    while True:
+        of_chance = float((estimate[lags(down, right)] ** 2).sum())
+        # Correlations of sharpened noise pass through 0: the second strip may have some where the first has none.
+        rows = [n for n in (down + 1, down + 2) if n <= MOST_SHARED_PX]
+        columns = [n for n in (right + 1, right + 2) if n <= MOST_SHARED_PX]
+        down, right, before = (
+            max((n for n in rows if is_seen((n, np.arange(-right - 1, right + 2)), of_chance)), default=down),
+            max((n for n in columns if is_seen((np.arange(-down - 1, down + 2), n), of_chance)), default=right),
+            (down, right),
+        )
+        if (down, right) == before:
+            break
+    found[lags(down, right)] = estimate[lags(down, right)]
+    return found
 
 
 def _pass_through(solved: _Solved) -> FloatArray:
@@ -725,8 +901,11 @@ def _without_noise(
     few = seen < 29.0
     value = np.where(few, np.interp(seen, mean, true), seen - 0.5 / np.maximum(seen, 1.0))
     lower, upper = value - Z95, value + Z95
-    squares = seen[few] ** 2
-    lower[few], upper[few] = (np.sqrt(np.nan_to_num(chndtrinc(squares, 2.0, p))) for p in (0.975, 0.025))
+    for end, least, p in ((lower, 0.0, 0.975), (upper, 2.0 * math.log(2.0), 0.025)):
+        squares = np.maximum(seen[few] ** 2, least)
+        # Below its quantile without signal, 0 is the end; the inverse gives some tiny number.
+        is_above = squares > -2.0 * math.log(1.0 - p)
+        end[few] = np.where(is_above, np.sqrt(np.nan_to_num(chndtrinc(squares, 2.0, p))), 0.0)
     value, lower, upper = (np.where(known, one * sd, modulus) for one in (value, lower, upper))
     return value, np.minimum(lower, value), np.maximum(upper, value)
 
