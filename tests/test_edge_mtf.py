@@ -18,6 +18,7 @@ from todframes.cli.main import cli
 from todframes.recordings.edge_mtf import FREQUENCY_CYC_PER_PIXEL, NYQUIST, _without_noise, measure_edge
 from todframes.recordings.mtf_table import read_mtf_mapper, read_mtf_table
 from todframes.recordings.slanted_edges import find_edges
+from todframes.report.wording import interval_phrase
 
 REAL = Path(__file__).parent / "recordings" / "slanted_edges"
 TO_NYQUIST = FREQUENCY_CYC_PER_PIXEL[: NYQUIST + 1]
@@ -280,7 +281,12 @@ def test_command_and_call(tmp_path, capsys):
     assert printed["mtf"]["n_frames"] == 2
     assert [one["colour"] for one in printed["mtf"]["edges"]] == ["luma", "red", "green", "blue"]
     files = {one.name for one in out.iterdir()}
-    assert files == {"mtf.csv", "edges.csv", "mtf.png", "edge_sfr_values.txt", "result.json"}
+    assert files == {"mtf.csv", "edges.csv", "mtf.png", "edge_sfr_values.txt", "report.html", "result.json"}
+    page = (out / "report.html").read_text()
+    for key in ("mtf50_cyc_per_pixel", "mtf_at_nyquist", "overshoot"):
+        edge = printed["mtf"]["edges"][0]
+        assert interval_phrase(edge[f"{key}_ci95"], 3) in page
+    assert "MTF50 (cycles/pixel)" in page and page.count("<figure>") == 3
     table = read_mtf_table(out / "mtf.csv", may_exceed_1=True)
     np.testing.assert_array_equal(table.curves["mtf"], called.mtf)
     np.testing.assert_array_equal([table.lower, table.upper], [called.lower, called.upper])

@@ -58,7 +58,7 @@ def interpolated(noise: np.ndarray) -> np.ndarray:
 
 
 def sharpened(image: np.ndarray) -> np.ndarray:
-    return image + 0.8 * (image - gaussian_filter(image, 1.2))
+    return np.asarray(image + 0.8 * (image - gaussian_filter(image, 1.2)))
 
 
 def compressed(image: np.ndarray, quality: int) -> np.ndarray:

@@ -26,7 +26,7 @@ from todframes.cli.options import box, json_option, max_frame_option, quiet_opti
     "-o",
     "--out",
     metavar="OUT",
-    help="Folder for result.json, mtf.csv, edges.csv, mtf.png and a text file as MTF Mapper writes it.",
+    help="Folder for report.html, result.json, mtf.csv, edges.csv, mtf.png and a text file of MTF Mapper's form.",
 )
 @click.option(
     "--box",

@@ -708,22 +708,29 @@ def _check_smooth(solved: _Solved, where: str) -> None:
 
     least_power = 0.5 * float(np.median(power_at(0.0)[1]))
 
-    def mean_square(place_px: float) -> tuple[float, int]:
-        """Return the mean square of the displacements that residuals at a distance show, and their number."""
+    def displacements(place_px: float) -> FloatArray:
+        """Return those that residuals at a distance show, less the polynomial that the curve may follow."""
         slope, power = power_at(place_px)
         # Parts at the ends, and at corners of the box, have few pixels.
         seen = np.flatnonzero(power > least_power)
         if len(seen) < 2 * DEGREE + 2:
-            return math.nan, 0
+            return np.zeros(0)
         shift = np.bincount(part, slope * solved.residual)[seen] / power[seen]
         shift -= np.polyval(np.polyfit(seen, shift, DEGREE), seen)
-        return float(shift @ shift) / (len(seen) - DEGREE - 1), len(seen)
+        return np.asarray(shift / math.sqrt(1.0 - (DEGREE + 1) / len(seen)))
 
-    found, n_parts = mean_square(0.0)
     farthest_px = max(solved.widest_px - 2 * sigma_px, solved.widest_px / 2)
     beside_px = np.append(np.arange(farthest_px - 4 * sigma_px, 4 * sigma_px, -4 * sigma_px), farthest_px)
-    noise = float(np.nanmean([mean_square(side * one)[0] for one in beside_px for side in (1.0, -1.0)]))
-    excess = found - noise
+    beside = [one for place in beside_px for side in (1.0, -1.0) if len(one := displacements(side * place))]
+    found = displacements(0.0)
+    noise = float(np.mean([one @ one / len(one) for one in beside]))
+    # Parts that share noise are fewer: the variance of a mean of squares (Bartlett).
+    lags = range(1, min(MOST_SHARED_PX, len(found) // 4))
+    shared = [
+        np.mean([one[lag:] @ one[:-lag] / len(one) for one in beside if len(one) > lag]) / noise for lag in lags
+    ]
+    n_parts = len(found) / (1.0 + 2.0 * float(np.sum(np.square(shared)))) if noise > 0.0 else math.inf
+    excess = float(found @ found) / len(found) - noise
     if excess > max(ROUGHEST_PX**2, ROUGHNESS_ERRORS * math.sqrt(2.0 / n_parts) * noise):
         raise DataError(
             f"{where}found an edge that departs from a smooth curve by {math.sqrt(excess):.2f} pixels, expected "

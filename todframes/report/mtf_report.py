@@ -6,11 +6,13 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from todframes import __version__
 from todframes.base._typing import FloatArray, Json
 from todframes.recordings.edge_mtf import FREQUENCY_CYC_PER_PIXEL, EdgeMtf, EdgeValue
 from todframes.recordings.mtf_table import (
@@ -25,6 +27,8 @@ from todframes.recordings.recording import RecordingWarning
 from todframes.recordings.slanted_edges import LUMA, RecordingMtf
 from todframes.report.data import ResultWarning
 from todframes.report.figure_style import COLOURS, INK, label_text, style
+from todframes.report.figures import ReportFigure, drawn, save_png
+from todframes.report.html import figure_items, notebook_page, render, table_item
 from todframes.report.mtf_figure import MtfLine, draw_mtf
 from todframes.report.result import Result, Saving
 from todframes.report.table import Column, Table
@@ -48,6 +52,14 @@ LINE_COLOURS = {"red": COLOURS[5], "green": COLOURS[2], "blue": COLOURS[0], "tan
 
 SHOWN_ROWS = 16
 """Number of frequencies in the terminal, about: every eighth of the Nyquist frequency for slanted edges."""
+
+HOW_MEASURED = (
+    "Distances of pixels from the edge make a finely sampled profile, whose derivative has the MTF as its Fourier "
+    "transform (ISO 12233:2023, with a fitted spline in place of bins). Overshoot and undershoot are those of the "
+    "profile in means over a pixel, relative to the contrast."
+)
+
+BOX_KEYS = ("x_px", "y_px", "width_px", "height_px")
 
 MOST_LINES = 12
 """Largest number of edges that the figure shows beside their mean."""
@@ -115,6 +127,15 @@ class MtfResult(Saving):
         return float(np.interp(NYQUIST_CYC_PER_PIXEL, self.frequency, self.mtf))
 
     @property
+    def mtf_at_nyquist_ci95(self) -> tuple[float, float] | None:
+        """95 % interval of `mtf_at_nyquist`; None without a band."""
+        if self.mtf_at_nyquist is None or self.lower is None or self.upper is None:
+            return None
+        ends = (self.lower, self.upper)
+        low, high = (float(np.interp(NYQUIST_CYC_PER_PIXEL, self.frequency, one)) for one in ends)
+        return low, high
+
+    @property
     def warnings(self) -> tuple[ResultWarning, ...]:
         """Properties of the recording or table that make the MTF less certain, each with a code."""
         return tuple(ResultWarning(code=one.code, message=one.message) for one in self.noted)
@@ -142,12 +163,22 @@ class MtfResult(Saving):
         columns = [one for one in columns if one.key in known]
         return Table.of(f"MTF of {self.source}", "mtf.csv", columns, records[::step])
 
-    def edge_table(self) -> Table | None:
-        """Return a row for each edge and colour; None for a table that names no edges."""
+    def edge_table(self, *, has_intervals: bool = False) -> Table | None:
+        """Return a row for each edge and colour; None for a table that names no edges.
+
+        With `has_intervals` all intervals are shown, in place of the boxes.
+        """
         if not self.edges:
             return None
         headers = {"mtf50_cyc_per_pixel": "MTF50", "mtf_at_nyquist": "Nyquist", "angle_deg": "angle (°)"}
         headers |= {"noise_percent": "noise (%)", "bend_px": "bend (px)"}
+        if has_intervals:
+            headers |= {"mtf50_cyc_per_pixel": "MTF50 (cycles/pixel)", "mtf_at_nyquist": "MTF at Nyquist"}
+            headers |= {key: f"{key} (of contrast)" for key in ("overshoot", "undershoot")}
+            headers |= {f"{key}_ci95": "95 % interval" for key in ("mtf_at_nyquist", "overshoot", "undershoot")}
+            not_shown = [*BOX_KEYS, "bend_px", "noise_percent"]
+        else:
+            not_shown = ["mtf_at_nyquist_ci95", "overshoot_ci95", "undershoot_ci95"]
         ranks = {"width_px": 3, "height_px": 3, "noise_percent": 2, "bend_px": 2, "undershoot": 1}
         keys = dict.fromkeys(key for one in self.edges for key in one)
         columns = [
@@ -156,8 +187,7 @@ class MtfResult(Saving):
                 header=headers.get(key, ""),
                 digits=3,
                 interval=key if key.endswith("_ci95") else "",
-                in_file_only=key in ("normal_deg", "dark", "bright")
-                or (key.endswith("_ci95") and key != "mtf50_cyc_per_pixel_ci95"),
+                in_file_only=key in ("normal_deg", "dark", "bright", *not_shown),
                 is_name=key == "edge",
                 rank=ranks.get(key, 0),
             )
@@ -181,7 +211,9 @@ class MtfResult(Saving):
             within = "" if ends is None else f" ({interval_phrase(ends, 3)})"
             found = [f"MTF50 {plain(mtf50, 3)}{within} {unit}."]
         if (nyquist := self.mtf_at_nyquist) is not None:
-            found.append(f"MTF {plain(nyquist, 3)} at the Nyquist frequency, 0.5 cycles/pixel.")
+            at_nyquist = self.mtf_at_nyquist_ci95
+            within = "" if at_nyquist is None else f" ({interval_phrase(at_nyquist, 3)})"
+            found.append(f"MTF {plain(nyquist, 3)}{within} at the Nyquist frequency, 0.5 cycles/pixel.")
         if self.measured is not None:
             n_edges, n = len(self.measured.edges), self.measured.n_frames
             found.append(f"Mean of {n_edges} edge{'s' * (n_edges > 1)} in {n} frame{'s' * (n > 1)}.")
@@ -194,7 +226,7 @@ class MtfResult(Saving):
 
     def to_json(self) -> bytes:
         """Return one JSON object of the same form as the results of other commands, with the key `mtf`."""
-        ends = self.mtf50_ci95
+        ends, at_nyquist = self.mtf50_ci95, self.mtf_at_nyquist_ci95
         found: Json = {
             "source": self.source,
             f"frequency_{self.unit}": self.frequency.tolist(),
@@ -206,6 +238,7 @@ class MtfResult(Saving):
             f"mtf50_{self.unit}_ci95": None if ends is None else list(ends),
             "nyquist_cyc_per_pixel": NYQUIST_CYC_PER_PIXEL if self.unit == "cyc_per_pixel" else None,
             "mtf_at_nyquist": self.mtf_at_nyquist,
+            "mtf_at_nyquist_ci95": None if at_nyquist is None else list(at_nyquist),
             "n_frames": None if self.measured is None else self.measured.n_frames,
             "edges": list(self.edges),
         }
@@ -223,8 +256,6 @@ class MtfResult(Saving):
         -------
         matplotlib Axes
         """
-        from todframes.report.figures import drawn
-
         return drawn(self._draw, ax)
 
     def figure(self) -> Figure:
@@ -242,10 +273,40 @@ class MtfResult(Saving):
             figure.suptitle(label_text(Path(self.source).name), fontsize="medium")
         return figure
 
+    def to_html(self) -> str:
+        """Return one self-contained HTML page, the content of `report.html`."""
+        edges = self.edge_table(has_intervals=True)
+        content: Json = {
+            "title": "MTF of a camera" if self.measured is not None else "MTF from a table",
+            "about": self.source,
+            "warnings": [one.message for one in self.warnings],
+            "verdict": self.sentences(),
+            "figures": figure_items(self._pictures()),
+            "tables_shown": [table_item(self.short_table() if edges is None else edges)],
+            "examples": [],
+            "without": [],
+            "remarks": [] if self.measured is None else [HOW_MEASURED],
+            "details": [table_item(self.table(), folded=True)],
+            "version": __version__,
+            "can_be_made_again": False,
+        }
+        return render(content)
+
+    def _pictures(self) -> list[ReportFigure]:
+        """List the figures, the most important first."""
+        band = "" if self.lower is None else " The band is that of 95 % for the noise of the pixels."
+        found = [ReportFigure("MTF", f"Mean and single curves.{band}", self._draw)]
+        if self.measured is not None:
+            places = partial(_draw_places, measured=self.measured)
+            profiles = partial(_draw_profiles, measured=self.measured)
+            found.append(
+                ReportFigure("Edges", "The box about each edge that was measured, with its number.", places)
+            )
+            found.append(ReportFigure("Edge profiles", "Means along each edge, in its colour.", profiles))
+        return found
+
     def files(self) -> dict[str, bytes]:
         """Return the content of all files by name; one of MTF Mapper's form for frequencies of pixels."""
-        from todframes.report.figures import save_png
-
         edges, figure = self.edge_table(), self.figure()
         with style():
             picture = save_png(figure)
@@ -254,12 +315,11 @@ class MtfResult(Saving):
             **({} if edges is None else {edges.file: edges.csv().encode()}),
             "mtf.png": picture,
             **self._mapper_file(),
+            "report.html": self.to_html().encode(),
             "result.json": self.to_json(),
         }
 
     def _repr_html_(self) -> str:
-        from todframes.report.html import notebook_page
-
         table = self.edge_table() or self.short_table()
         return notebook_page(self.sentences(), table, [(self.figure, "MTF")])
 
