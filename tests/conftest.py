@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import copy
 import csv
 import gc
@@ -20,6 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 import pytest
+from markupsafe import Markup
 
 from todframes.cli.console import keep_libraries_to_one_thread
 
@@ -96,6 +98,18 @@ def _no_waiting_for_disks(monkeypatch: pytest.MonkeyPatch) -> None:
     """No test takes away the power, and one `os.sync` waits for what all programs have written."""
     monkeypatch.setattr(os, "sync", lambda: None, raising=False)
     monkeypatch.setattr(os, "fsync", lambda _: None)
+
+
+@pytest.fixture
+def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures of results are not drawn, which is half of what a short command does; each file and page is written.
+
+    For tests of other things. What figures show is tested in test_html_report.py and beside each command.
+    """
+    png = base64.b64decode(ONE_PIXEL)
+    monkeypatch.setattr("todframes.report.figures.ReportFigure.figure", lambda _: None)
+    monkeypatch.setattr("todframes.report.figures.ReportFigure.png", lambda _: png)
+    monkeypatch.setattr("todframes.report.html.inline_svg", lambda *_, **__: Markup("<svg></svg>"))
 
 
 @dataclass

@@ -254,6 +254,7 @@ def test_every_monte_carlo_has_the_converged_mean(scene, converged):
         assert error < 0.05
 
 
+@pytest.mark.slow
 def test_closed_form_goes_to_the_converged_value(scene, converged):
     for closed_form in scene.estimators(converged)[3:]:
         assert isinstance(closed_form, Quadrature)

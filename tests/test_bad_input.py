@@ -37,6 +37,8 @@ from todframes.psychometrics.counts import read_counts
 from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.score import score_dataset
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 BAD_DATA, BAD_SETTINGS, INTERRUPTED = 1, 2, 130
 BAD = 1
 """Number of the row that is spoilt; the manifest has the header in line 1."""

@@ -153,6 +153,7 @@ def true_mtf(frequency: np.ndarray, angle_deg: float, sigma_px: float) -> np.nda
     return np.exp(-2.0 * (np.pi * frequency * sigma_px) ** 2) * pixel
 
 
+@pytest.mark.slow
 def test_mtf_of_a_film_is_that_of_the_camera(folder, recording) -> None:
     found = tod.mtf(recording, chart=folder)
     assert found.measured.n_frames == 3 and len(found.edges) == 4 and not found.warnings
@@ -192,6 +193,7 @@ def test_a_lens_that_distorts_moves_no_edge_out_of_its_box(folder, tmp_path) -> 
     assert noise.transfer.nonlinearity < 0.003
 
 
+@pytest.mark.slow
 def test_frames_that_move_are_left_out_and_motion_all_the_time_is_refused(folder, recording, tmp_path) -> None:
     frames = np.load(recording)[:3]
     some = np.concatenate([np.roll(frames[:1], 2, axis=2), frames])

@@ -100,6 +100,7 @@ def test_score_writes_what_it_prints(todframes, make_dataset, tmp_path: Path) ->
     assert sorted(path.parent.glob(".*")) == []  # no temporary folder is left
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_no_formula_in_scores(todframes, make_dataset, tmp_path: Path) -> None:
     """A text that a spreadsheet would compute has an apostrophe before it, in rows and above them."""
     dataset = make_dataset(contrasts=(0.1, 0.4), experiment={"group_by": ["@lens", "shift"]})
@@ -115,6 +116,7 @@ def test_no_formula_in_scores(todframes, make_dataset, tmp_path: Path) -> None:
     assert {row["shift"] for row in rows} == {"-1.5"}
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_writing_again_replaces(todframes, make_dataset, tmp_path: Path) -> None:
     path = make_dataset().path
     for seed in ("1", "2"):

@@ -322,6 +322,7 @@ def clip_dataset(clips: list[tuple[str, float, list[np.ndarray]]], n_judged: int
 
 
 @pytest.mark.parametrize("noise", ["dynamic", "fixed"])
+@pytest.mark.slow
 def test_a_mean_of_n_frames_lowers_thresholds_in_dynamic_noise_by_root_n(noise: str) -> None:
     """Independent frames f of Gaussian noise: u·f with u = (1, …, 1)/√n is √n times their mean, a·f the last one.
 
@@ -354,6 +355,7 @@ def test_a_mean_of_n_frames_lowers_thresholds_in_dynamic_noise_by_root_n(noise: 
 
 
 @pytest.mark.parametrize("gaze", ["tracked", pytest.param("fixed", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_recursive_filter_smears_what_moves(gaze: str) -> None:
     """Against frames that are filtered, shifted and averaged here: the way is a whole number of pixels a frame."""
     weight, n, n_judged, step_px, side_px = 0.3, 12, 5, 2, 72

@@ -417,6 +417,7 @@ def test_a_registered_one_that_cannot_be_loaded_is_left_out(todframes, monkeypat
 
 
 @pytest.mark.usefixtures("here")
+@pytest.mark.usefixtures("blank_pictures")
 def test_names_are_not_markup(todframes, make_dataset) -> None:
     """Brackets and dollar signs in a group's name and in a parameter are shown as they are."""
     made = make_dataset(suffix=".png", contrasts=(0.025, 0.05, 0.1, 0.2), experiment={"group_by": ["[bold]$x$"]})
@@ -451,6 +452,7 @@ def test_located_frames_are_compared_where_the_triangle_is(todframes, make_datas
     ]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_table_has_status_gain_and_limits_of_p(todframes, make_dataset, tmp_path: Path) -> None:
     made = make_dataset(suffix=".png", contrasts=(0.05, 0.08, 0.12, 0.2))
     status, out, _ = todframes(

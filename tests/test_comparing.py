@@ -725,6 +725,7 @@ def on_scenes(make_dataset, n_scenes: int, name: str = "dataset", **more):
     return made.path
 
 
+@pytest.mark.slow
 def test_scenes_change_intervals_alone(make_dataset) -> None:
     """Scores, fits and ratios are those of the same frames without a column of scenes."""
     plain, four, one = (

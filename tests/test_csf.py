@@ -58,6 +58,7 @@ def brute_force_threshold(size_mrad: float, *, px_per_deg: int, side_deg: float)
 
 
 @pytest.mark.parametrize("size_mrad", [4.0, pytest.param(1.4, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_threshold_of_the_naked_eye_is_that_of_brute_force(size_mrad: float) -> None:
     """1 % is asked for. The retina's step leaves 0.7 %, and 8e5 draws 0.12 % (0.05 % of P, whose slope is 0.4)."""
     expected = brute_force_threshold(size_mrad, px_per_deg=240, side_deg=2.5)
@@ -68,6 +69,7 @@ def test_threshold_of_the_naked_eye_is_that_of_brute_force(size_mrad: float) -> 
     assert 0.0 < found.numerical_error < 0.01 * expected
 
 
+@pytest.mark.slow
 def test_the_stated_error_is_that_of_the_retinas_step() -> None:
     """Against a retina of an eighth of the pitch; a quarter has a few per cent of the error left."""
     for size in (0.75, 1.1):
@@ -88,6 +90,7 @@ def test_threshold_of_the_naked_eye_is_that_of_fine_brute_force(size_mrad: float
 
 
 @pytest.mark.parametrize("pitch_mrad", [0.05, 0.13, 0.2])
+@pytest.mark.slow
 def test_the_retina_is_a_step_of_the_computation(pitch_mrad: float) -> None:
     """A triangle of 4 mrad has next to nothing beyond 44 cycles/degree, the coarsest grid's limit."""
     expected = contrast_threshold(CsfObserver(retina_pitch_mrad=0.1), size_mrad=4.0).threshold

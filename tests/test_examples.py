@@ -203,6 +203,7 @@ def test_observer_that_shows_nothing() -> None:
 
 
 @pytest.mark.parametrize("decisions", ["expected", "sampled"])
+@pytest.mark.usefixtures("blank_pictures")
 def test_examples_are_in_the_result_that_is_written(make_dataset, tmp_path, capsys, decisions: str) -> None:
     path = make_dataset(contrasts=(0.02, 0.06, 0.18), repeats=2).path
     arguments = ["score", str(path), "--json", "--decisions", decisions]

@@ -361,6 +361,7 @@ def sent(sensor: ss.Sensor, curve: LiveCurve) -> list[ThresholdSent]:
     ]
 
 
+@pytest.mark.slow
 def test_the_range_is_that_of_the_curves_result():
     """Of a refined curve, as `todframes range` gives it for the result of the copied command."""
     sizes, camera = (4.0, 6.0, 9.0), replace(SMALL, noise=replace(SMALL.noise, netd_mk=30.0))

@@ -74,6 +74,7 @@ def test_a_film_of_the_wedge_and_a_dark_one_give_the_figures_of_the_camera(folde
     assert "quantum_efficiency" not in result.sensor_toml()
 
 
+@pytest.mark.slow
 def test_light_that_falls_off_evenly_is_no_nonuniformity(folder) -> None:
     frames = np.load(folder / "film.npy").astype(np.float64)
     fall_off = 1.0 + 0.2 * np.linspace(-1.0, 1.0, frames.shape[2])

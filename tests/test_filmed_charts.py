@@ -414,6 +414,7 @@ def test_a_fisheye_lens_is_found_by_the_residual(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("markers", ["borders", "corners"])
+@pytest.mark.slow
 def test_pages_of_another_chart_are_named_through_a_lens(markers: str, tmp_path: Path) -> None:
     """With markers at the same places, and with markers at others."""
     (tmp_path / "other").mkdir()
@@ -428,6 +429,7 @@ def test_pages_of_another_chart_are_named_through_a_lens(markers: str, tmp_path:
         imported(made._replace(chart=other), made.write(tmp_path / "film.mkv"))
 
 
+@pytest.mark.slow
 def test_a_zoom_is_found_with_the_frame_where_it_begins(tmp_path: Path) -> None:
     chart = make_chart(tmp_path, sizes="4", contrasts="0.3")
     camera = Camera(width=320, height=180, oversampling=3)
@@ -442,6 +444,7 @@ def test_a_zoom_is_found_with_the_frame_where_it_begins(tmp_path: Path) -> None:
     assert re.search(r"frame 14 on: the lens zooms", message)
 
 
+@pytest.mark.slow
 def test_a_chart_that_is_moved_over_the_field_has_its_place_in_columns(tmp_path: Path) -> None:
     chart = make_chart(tmp_path, sizes="4", contrasts="0.3")
     camera = Camera(width=640, height=240, oversampling=2)

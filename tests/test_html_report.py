@@ -761,6 +761,7 @@ def test_file_that_is_not_there(report, tmp_path: Path) -> None:
         assert wanted in err
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_places_that_cannot_be_written(results, report, tmp_path: Path) -> None:
     path = tmp_path / "result.json"
     path.write_bytes(encode(results["fit"]))

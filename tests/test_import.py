@@ -304,6 +304,7 @@ def test_edges_that_determine_no_lens_are_told(tmp_path: Path, chart: Path, page
     assert "not known how far triangles are placed wrong" in message
 
 
+@pytest.mark.slow
 def test_what_one_curve_cannot_hold_is_told(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
     """A page shown much longer than its turned ones, a film given twice, and one filmed from another distance."""
     shown = next(page for page in CHART.pages if page.triangles[0].orientation == "up")

@@ -81,6 +81,7 @@ def left_of_people(*, least_sensitivity: float) -> Left:
     return found
 
 
+@pytest.mark.slow
 def test_thresholds_follow_the_light() -> None:
     """At the light of ModelFest nothing changes; a small triangle loses more than a large one in the dark."""
     plain = {size: contrast_threshold(CsfObserver(), size_mrad=size).threshold for size in (2.0, 6.0)}

@@ -136,6 +136,7 @@ def test_refined_is_the_curve_and_the_estimate_holds(sensor):
 
 
 @pytest.mark.parametrize("gain", [1.0, 5.0])
+@pytest.mark.slow
 def test_contrast_of_dense_sampling_is_that_of_the_naked_eye(gain):
     """Ten detectors a retina sample, one pixel each, no blur; what the display's gain is does not matter."""
     pitch_mrad, size_mrad = 0.1 * OBSERVER.settings.retina_pitch_mrad, 0.4

@@ -325,6 +325,7 @@ def test_faint_triangles_of_a_hand_held_camera_do_not_raise_the_threshold(memory
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.slow
 def test_faint_triangles_that_raise_a_threshold_are_reported() -> None:
     data, _ = held_by_hand(0, noise_sd=0.25)
     result = tod.score(data, locate="each", examples=False, fit=tod.FitSettings(resamples=0))

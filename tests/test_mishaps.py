@@ -59,6 +59,7 @@ def test_there_are_enough_cases_each_with_its_own_name() -> None:
 
 
 @pytest.mark.parametrize("name", ["vignetting_50", "dark_border", "two_levels_beside", "flicker"])
+@pytest.mark.slow
 def test_light_around_the_triangle_leaves_the_threshold(name: str, tmp_path: Path) -> None:
     """With the background taken from around the triangle, and 3 % as for every case."""
     CASE[name].recording.write(tmp_path / name)

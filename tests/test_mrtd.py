@@ -118,6 +118,7 @@ def test_table_fits_eighty_columns(capsys, monkeypatch):
     assert any("Lloyd" in line for line in lines)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_sensor_without_netd_has_thresholds_in_snr():
     sensor = replace(SENSOR, noise=replace(SENSOR.noise, netd_mk=None))
     found = ss.mrtd(sensor, frequency_nyquist=[1.2], size_detectors=[], tolerance=0.1)

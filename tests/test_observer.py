@@ -210,7 +210,7 @@ def test_more_contrast_is_easier(linear_observer: Observer) -> None:
         assert correct[0] < 0.27 and correct[-1] > 0.99
 
 
-N_ANSWERS = 300
+N_ANSWERS = 150
 
 
 def test_answers_are_as_frequent_as_computed(linear_observer: Observer) -> None:

@@ -23,6 +23,7 @@ def complex_observer() -> OrientedObserver:
     return observer(complex_cells=True)
 
 
+@pytest.mark.slow
 def test_how_finely_orientation_and_phase_are_divided_is_no_matter() -> None:
     """Their noise is independent and their energy shared, so neither adds anything once the circle is covered."""
     reference = contrast_threshold(observer(), size_mrad=1.5).threshold
@@ -38,6 +39,7 @@ def test_how_finely_orientation_and_phase_are_divided_is_no_matter() -> None:
 
 
 @pytest.mark.parametrize("size_mrad", [1.0, 3.0])
+@pytest.mark.slow
 def test_noise_means_the_same_as_to_the_papers_observer(size_mrad: float) -> None:
     """Both kinds of neurons keep the energy of what they respond to, so thresholds are the same within a tenth."""
     ratio = (

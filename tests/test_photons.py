@@ -211,6 +211,7 @@ def test_frames_of_photons_have_the_computed_threshold(tmp_path):
     assert abs(math.log(fit.threshold / drawn.threshold)) < interval < 0.15
 
 
+@pytest.mark.slow
 def test_curves_at_several_lights_are_those_of_each_light(tmp_path):
     sensor, observer = camera(tmp_path), PyramidObserver(PyramidSettings())
     lights = [0.1, 1.0, 30.0]

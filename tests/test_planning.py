@@ -339,6 +339,7 @@ def test_refused_tolerances(arguments):
     assert "tolerance" in str(told.exception)
 
 
+@pytest.mark.slow
 def test_explained_scoring():
     told = CliRunner().invoke(cli, ["score", str(NAKED_EYE), "--explain"])
     assert told.exit_code == 0

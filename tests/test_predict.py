@@ -191,6 +191,7 @@ OTHERS = {
     ],
 )
 @pytest.mark.parametrize("snr", [1.5, math.inf])
+@pytest.mark.slow
 def test_proportion_correct_is_the_mean_over_random_phases(settings, snr):
     observer = PyramidObserver(PyramidSettings(**settings))
     chain = FoldedChain(SMOOTHED, observer, 3.0)

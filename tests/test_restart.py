@@ -94,6 +94,7 @@ def spoil_last(path: Path) -> Path:
     return frame
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_run_that_failed_goes_on(todframes, make_dataset, tmp_path: Path, monkeypatch) -> None:
     path = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=8).path
     assert todframes("score", path, "-o", tmp_path / "undisturbed")[0] == 0
@@ -155,6 +156,7 @@ def test_restart_and_keep_store(todframes, make_dataset, tmp_path: Path) -> None
     assert {name: whole[name] for name in whole} == {name: content(out)[name] for name in whole}
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_compare_goes_on(todframes, make_dataset, tmp_path: Path) -> None:
     path = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=4).path
     command = (

@@ -229,6 +229,7 @@ def test_curve_without_netd_has_no_temperatures(sensor_sim, sensor_file):
     assert fit["delta_t_mk"] is None
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_curve_writes_what_it_prints(sensor_sim, sensor_file, tmp_path):
     status, out, errors = sensor_sim(
         *curve(sensor_file, "--size-detectors", "4,6,8", "--json", "-o", tmp_path / "out")
@@ -328,6 +329,7 @@ def test_nothing_is_written_without_out(sensor_sim, sensor_file, tmp_path, monke
 
 
 @pytest.mark.parametrize("command", ["curve", "mtf"])
+@pytest.mark.usefixtures("blank_pictures")
 def test_names_are_not_markup(sensor_sim, sensor_file, tmp_path, command):
     """Of rich on the terminal or of TeX in a plot."""
     name = r"run [/b] [red]run $run_$x^{ \frac λ 50 %"

@@ -355,6 +355,7 @@ def test_output(swept, tmp_path: Path) -> None:
     assert float(rows[2]["size_scene_mrad"]) == pytest.approx(4 * 0.0681)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_parquet_is_the_table(swept, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
     swept.save(tmp_path / "out")

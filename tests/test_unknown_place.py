@@ -240,6 +240,7 @@ def test_answers_are_drawn_as_often_as_they_are_probable(correlation: float) -> 
     assert (np.abs(often - found.probability) / error).max() < 3.0
 
 
+@pytest.mark.slow
 def test_drawn_answers_of_a_dataset_with_places(make_dataset: DatasetMaker) -> None:
     """Of many seeds as many answers are right as is expected, and a trial has the same noise in each way shown."""
     made = load_dataset(placed(make_dataset).path)
