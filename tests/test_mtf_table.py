@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
+import todframes as tod
 from todframes.base.errors import DataError
+from todframes.cli.console import run
+from todframes.cli.main import cli
 from todframes.recordings.mtf_table import read_mtf_mapper, read_mtf_table
+
+F = "frequency_cyc_per_pixel"
 
 
 @pytest.fixture
@@ -46,7 +53,19 @@ def test_tangential_and_sagittal(written):
     assert table.end_mtf == 0.5 and table.stops_early
 
 
-F = "frequency_cyc_per_pixel"
+@pytest.mark.parametrize(
+    ("lines", "code", "message"),
+    [
+        (("0,1", "0.2,1.3", "0.5,0"), "mtf_above_1", "the MTF rises to 1.3, which no lens or detector reaches"),
+        (("0,1", "0.2,0.3"), "mtf_stops_early", "ends at 0.2 cycles/pixel with an MTF of 0.3: .* by 0.095 of its"),
+    ],
+)
+def test_the_command_warns_of_a_table_above_1_and_of_one_that_stops_early(written, capsys, lines, code, message):
+    table = written(f"{F},mtf", *lines)
+    (warning,) = tod.mtf(table).warnings
+    assert warning.code == code and re.search(message, warning.message)
+    assert run(cli, ["mtf", str(table), "--strict"]) == 1
+    assert warning.message in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(

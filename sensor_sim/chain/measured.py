@@ -168,10 +168,9 @@ def read_measured_mtf(file: str, folder: Path) -> MeasuredMtf:
 
     table = read_mtf_table(folder / file)
     if table.stops_early:
-        # Behind an edge, all that is beyond f adds ∫ MTF/(πf) df at most; it falls as 1/f if a detector's does.
         raise SettingsError(
             f"mtf: {file} ends at {table.frequency[-1]:g} with an MTF of {table.end_mtf:.2g}, expected at most "
-            f"{LARGEST_END:g}; what is beyond may change a sample at an edge by {table.end_mtf / math.pi:.2g} of "
+            f"{LARGEST_END:g}; what is beyond may change a sample at an edge by {table.end_cost:.2g} of "
             "the triangle's signal: measure further, or add the frequency at which it is 0"
         )
     curves = table.curves

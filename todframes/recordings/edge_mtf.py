@@ -631,7 +631,7 @@ def _knots_px(distance: FloatArray, uniform_px: float, curve: _Curve, where: str
     if gap_px > WIDEST_GAP_PX:
         angle = abs((math.degrees(math.atan2(curve.normal[1], curve.normal[0])) + 45.0) % 90.0 - 45.0)
         raise DataError(
-            f"{where}found an edge {angle:.2f}° from rows or columns, whose pixels leave a gap of {gap_px:.2g} "
+            f"{where}found an edge {angle:.2f}° from rows or columns, whose pixels leave a gap of {gap_px:.3g} "
             f"pixels in its profile, expected at most {WIDEST_GAP_PX}; turn target or camera by 2° to 10°, or use "
             "a longer edge"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,6 +74,14 @@ class MtfTable:
     def stops_early(self) -> bool:
         """Whether the MTF at the last frequency is above `LARGEST_END`: what follows is not known."""
         return self.end_mtf > LARGEST_END
+
+    @property
+    def end_cost(self) -> float:
+        """Largest change of a sample at an edge, relative to its contrast, by what follows the last frequency f.
+
+        Behind an edge that is ∫ MTF/(πf) df at most; it falls as 1/f if a detector's does.
+        """
+        return self.end_mtf / math.pi
 
 
 def mtf50_of(frequency: FloatArray, mtf: FloatArray) -> float | None:

@@ -518,7 +518,8 @@ def _of_table(table: MtfTable) -> tuple[RecordingWarning, ...]:
             RecordingWarning(
                 "mtf_stops_early",
                 f"the table ends at {table.frequency[-1]:.3g} {UNITS[table.unit]} with an MTF of "
-                f"{table.end_mtf:.2g}: what is above is not known",
+                f"{table.end_mtf:.2g}: what is above is not known, and may change a sample at an edge by "
+                f"{table.end_cost:.2g} of its contrast",
             )
         )
     return tuple(found)
