@@ -180,6 +180,14 @@ def simulate(
     metavar="L[,L…]",
     help="A curve for each of these luminances of the background in cd/m², for a camera that counts photons.",
 )
+@click.option(
+    "--places",
+    type=int,
+    default=1,
+    show_default=True,
+    metavar="M",
+    help="Number of places, far apart, at which the triangle may be; with 1 its place is known.",
+)
 @observer_options
 @tolerance_option(2e-3, "Relative error of the thresholds to reach.")
 @plan_option

@@ -27,6 +27,7 @@ def curve(
     luminance_cd_m2: Sequence[float] = (),
     observer: str | Observer = "pyramid",
     p_correct: float = 0.75,
+    places: int = 1,
     tolerance: float = 2e-3,
     plan: PlanName = "needed",
     rng: Rng = 1,
@@ -48,6 +49,8 @@ def curve(
         Name of a registered observer, "module:Class", or an observer; it must be linear.
     p_correct : float
         Raw proportion correct at threshold.
+    places : int
+        Number of places, far apart, at which the triangle may be; 1: its place is known.
     tolerance : float
         Relative error of the thresholds to reach.
     plan : {"needed", "full"}
@@ -83,6 +86,10 @@ def curve(
     from sensor_sim.thresholds.predict import AtLight, FoldedChain, predict_each, predict_threshold
 
     sensor = sensor_of(sensor)
+    if places != 1:
+        from sensor_sim.thresholds.places import UnknownPlaceChain, check_places, predict_at_unknown_place
+
+        check_places(sensor, places)
     background = sensor.display.background_luminance_cd_m2
     judge, settings = described(observer, lambda: background)
     FitSettings(p_correct=p_correct)  # checks it
@@ -109,7 +116,11 @@ def curve(
             thresholds = predict_each(chain_at, scenes, p_correct=p_correct, tolerance=tolerance, seed=seed)
         else:
             chain = chain_at(None)
-            found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, seed=seed)
+            if places > 1:
+                known, chain = chain, UnknownPlaceChain(sensor, judge, size, places)
+                found = predict_at_unknown_place(chain, known, p_correct=p_correct, tolerance=tolerance, seed=seed)
+            else:
+                found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, seed=seed)
             thresholds = [AtLight(found, chain, chain.plan.bound)]
         for (found, at_light, bound), fits_of_scene in zip(thresholds, of_scenes, strict=True):
             steps = at_light.plan
@@ -147,6 +158,7 @@ def curve(
 
         more["examples"] = threshold_examples(sensor, judge, fits, seed=seed)
     settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance, "plan": plan}
+    settings |= {"places": places} if places > 1 else {}
     return Result.made("curve", started, settings=settings, seed=seed, fits=tuple(fits), **more)
 
 

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -242,6 +242,10 @@ def covariance_at(
     return np.asarray(found + (internal + phases.noise[:, None] * variance.white) / value**2)
 
 
+Decide = Callable[[FloatArray, FloatArray, int], FloatArray]
+"""Function of mean scores (..., 4), their covariance and the correct answer that returns P(correct), (...,)."""
+
+
 class FoldedChain:
     """A sensor and a linear observer folded into weights on the detectors, for triangles of one size.
 
@@ -318,6 +322,10 @@ class FoldedChain:
             counts_photons=self.variance is not None,
         )
 
+    def decide(self, scores: FloatArray, covariance: FloatArray, correct: int) -> FloatArray:
+        """Compute P(correct), (...,), for mean scores (..., 4) and their covariance."""
+        return answer_probability(scores, covariance, correct, tolerance=ORTHANT_TOLERANCE)
+
     def non_gaussian_bound(self, level: float | None = None) -> float:
         """Return a bound on the error in P(correct) from taking all noise as Gaussian.
 
@@ -391,16 +399,14 @@ class FoldedChain:
                 at_levels = [
                     covariance_at("contrast", value, self.noise_covariance, part, self.variance) for value in snrs
                 ]
-                p_correct = answer_probability(
-                    part.signal, np.stack(at_levels), part.correct, tolerance=ORTHANT_TOLERANCE
-                )
+                p_correct = self.decide(part.signal, np.stack(at_levels), part.correct)
                 found.append(p_correct.mean(axis=(1, 2)))
             return np.asarray(np.mean(found, axis=0))
         internal, snr = self.noise_covariance / contrast**2, np.reshape(snrs, (-1, 1, 1, 1, 1))
         of_orientations = []
         for part in phases:
             covariance = internal + part.noise[:, None] / snr**2
-            p_correct = answer_probability(part.signal, covariance, part.correct, tolerance=ORTHANT_TOLERANCE)
+            p_correct = self.decide(part.signal, covariance, part.correct)
             of_orientations.append(p_correct.mean(axis=(1, 2)))
         return np.asarray(np.mean(of_orientations, axis=0))
 
@@ -410,7 +416,7 @@ def _each_proportion(
     covariance: Callable[[Phases], FloatArray],
     n_replicates: int,
     *,
-    tolerance: float = ORTHANT_TOLERANCE,
+    decide: Decide,
     check: Callable[[], None] = lambda: None,
 ) -> FloatArray:
     """Return the mean P(correct) over the trials of each replicate and all orientations: (replicates,).
@@ -422,8 +428,8 @@ def _each_proportion(
     covariance : function of Phases
         Returns the covariance of the scores at some places, as `covariance_at` does.
     n_replicates : int
-    tolerance : float
-        Error of each P(correct).
+    decide : function
+        As `Decide`.
     check : function of no arguments
         Called every few milliseconds; it may raise an exception.
     """
@@ -434,7 +440,7 @@ def _each_proportion(
             check()
             some = slice(start, start + PLACES_AT_ONCE)
             noise = covariance(part.some(some))
-            p_correct[some] = answer_probability(part.signal[some], noise, part.correct, tolerance=tolerance)
+            p_correct[some] = decide(part.signal[some], noise, part.correct)
         of_orientations.append(p_correct.reshape(n_replicates, -1).mean(axis=1))
     return np.asarray(np.mean(of_orientations, axis=0))
 
@@ -485,6 +491,12 @@ class Reference(NamedTuple):
         return cls(found.deviations, math.log(threshold / found.threshold), error / threshold)
 
 
+def references_of(on_places: Mapping[int, PooledThreshold], threshold: float) -> dict[int, Reference]:
+    """Return references from a threshold and what each number of places gave; without what plans omit."""
+    error = half_width_95(on_places[max(on_places)].deviations) * threshold
+    return {places: Reference.of(found, threshold, error) for places, found in on_places.items()}
+
+
 def find_threshold(
     phases: Sequence[Phases],
     internal: FloatArray,
@@ -497,6 +509,7 @@ def find_threshold(
     near: float | None = None,
     slope: float = math.nan,
     tolerance: float = ORTHANT_TOLERANCE,
+    decide: Decide | None = None,
     check: Callable[[], None] = lambda: None,
 ) -> PooledThreshold:
     """Find the threshold of trials, and what it would be with each replicate alone.
@@ -519,13 +532,16 @@ def find_threshold(
         A threshold that may be near, to begin with, and the slope dP / d ln level there.
     tolerance : float
         Error of each P(correct).
+    decide : function, optional
+        Decision in place of that between four scores, which has this tolerance.
     check : function of no arguments
         Called every few milliseconds; it may raise an exception.
     """
+    decision = decide or partial(answer_probability, tolerance=tolerance)
 
     def of_each(value: float) -> FloatArray:
         covariance = partial(covariance_at, level, value, internal, variance=variance)
-        return _each_proportion(phases, covariance, n_replicates, tolerance=tolerance, check=check)
+        return _each_proportion(phases, covariance, n_replicates, decide=decision, check=check)
 
     status, threshold = crossing(lambda value: float(of_each(value).mean()), p_correct, near=near, slope=slope)
     if threshold is not None and threshold > most:
@@ -597,7 +613,7 @@ def predict_threshold(
     """
     if not tolerance > 0:
         raise SettingsError(f"tolerance: found {tolerance!r}, expected a number > 0")
-    return _predicted(
+    return predicted_on_lattices(
         chain,
         p_correct=p_correct,
         tolerance=tolerance,
@@ -657,17 +673,32 @@ def predict_each(
     for place in [*by_light[middle:], *by_light[:middle]]:
         chain = chain_at(scenes[place]) if known is None else known.chain.at(scenes[place])
         wanted = tolerance if known is not None or len(scenes) == 1 else FIRST_SHARE * tolerance
-        found, on_places, bound = _predicted(chain, p_correct=p_correct, tolerance=wanted, seed=seed, known=known)
+        found, on_places, bound = predicted_on_lattices(
+            chain, p_correct=p_correct, tolerance=wanted, seed=seed, known=known
+        )
         computed[place] = AtLight(found, chain, bound)
         if known is None and found.threshold is not None:
-            # What both leave out has no part in the ratio.
-            error = half_width_95(on_places[max(on_places)].deviations) * found.threshold
-            references = {
-                places: Reference.of(of_places, found.threshold, error) for places, of_places in on_places.items()
-            }
+            references = references_of(on_places, found.threshold)
             phases = pooled(chain.replicates(min(on_places), seed))
             known = _AtKnownLight(references, chain, found.threshold, phases)
     return [computed[place] for place in range(len(scenes))]
+
+
+class Known(Protocol):
+    """A threshold that another one is near, and whose lattices correct those of the other one."""
+
+    @property
+    def references(self) -> Mapping[int, Reference]:
+        """What is known for each number of places on a lattice."""
+
+    def near(self, chain: FoldedChain) -> float:
+        """Return a level that the threshold of a chain is near."""
+
+    def bound(self, chain: FoldedChain, threshold: float) -> float:
+        """Return the bound on the change of P(correct) from what the plan of a chain omits."""
+
+    def share(self, deviations: FloatArray, of_reference: FloatArray) -> float:
+        """Return how far a threshold follows the known one from replicate to replicate, in logarithms."""
 
 
 class _AtKnownLight(NamedTuple):
@@ -677,6 +708,9 @@ class _AtKnownLight(NamedTuple):
     chain: FoldedChain
     threshold: float
     phases: Sequence[Phases]
+
+    def share(self, deviations: FloatArray, of_reference: FloatArray) -> float:  # noqa: ARG002
+        return 1.0
 
     def _covariance(self, chain: FoldedChain, level: float) -> FloatArray:
         """Return the mean covariance of the score differences that decide, (3, 3), at a contrast."""
@@ -722,7 +756,7 @@ LEAST_SLOPE = 1e-3
 """Slope of the logarithm of noise against that of contrast at which a search for equal noise ends."""
 
 
-def _predicted(
+def predicted_on_lattices(
     chain: FoldedChain,
     *,
     p_correct: float,
@@ -734,7 +768,7 @@ def _predicted(
     slope: float = math.nan,
     most_places: int = PLACES[-1],
     check: Callable[[], None] = lambda: None,
-    known: _AtKnownLight | None = None,
+    known: Known | None = None,
 ) -> tuple[PredictedThreshold, dict[int, PooledThreshold], float]:
     """Return a threshold, what each number of places gives, and the bound on what the plan leaves out."""
     pixels = chain.sensor.display.pixels_per_detector
@@ -761,6 +795,7 @@ def _predicted(
             most=most,
             near=near,
             slope=slope,
+            decide=chain.decide,
             check=check,
         )
         if found.status != "ok":
@@ -777,10 +812,11 @@ def _predicted(
         on_places[places] = found
         if known is not None and places in known.references:
             reference = known.references[places]
-            by_ratio = half_width_95(found.deviations - reference.deviations)
-            if by_ratio + reference.error + left_out <= tolerance:
-                threshold *= math.exp(reference.correction)
-                error = by_ratio + reference.error
+            share = known.share(found.deviations, reference.deviations)
+            by_ratio = half_width_95(found.deviations - share * reference.deviations)
+            if by_ratio + share * reference.error + left_out <= tolerance:
+                threshold *= math.exp(share * reference.correction)
+                error = by_ratio + share * reference.error
                 break
         # More trials do not reduce the error of the omissions: on a flat curve, the stated error may stay above
         # the tolerance.

@@ -94,34 +94,67 @@ def unknown_place_probabilities(
     return PlaceProbabilities(probability.reshape(shape), error.reshape(shape))
 
 
-def _independent(score: FloatArray, covariance: FloatArray, last_alike: int) -> FloatArray:
-    """Compute the probabilities, (n, 4), for scores (n, place, 4) and a checked covariance (4, 4) of each place.
+def correct_at_unknown_place(
+    score: FloatArray, covariance: FloatArray, correct: int, *, empty_places: int
+) -> FloatArray:
+    """Compute the probability of a correct answer of trials that each have a noise of their own.
 
-    `last_alike` is the number of places that are as the last one.
+    Parameters
+    ----------
+    score : ndarray, shape (..., 4)
+        Mean scores at the triangle's place.
+    covariance : ndarray, shape (..., 4, 4)
+        Covariance of the noise on them, and on those of each other place; it is not checked. Leading axes of both
+        are broadcast.
+    correct : int
+        Index of the correct answer.
+    empty_places : int
+        Number of other places, whose mean scores are 0.
+
+    Returns
+    -------
+    ndarray, shape (...,)
+        Right to 1e-7.
     """
-    deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    shape = np.broadcast_shapes(score.shape[:-1], covariance.shape[:-2])
+    flat = np.broadcast_to(score, (*shape, 4)).reshape(-1, 1, 4)
+    flat = np.concatenate([flat, np.zeros_like(flat)], axis=1)
+    each = np.broadcast_to(covariance, (*shape, 4, 4)).reshape(-1, 4, 4)
+    return _independent(flat, each, empty_places)[:, correct].reshape(shape)
+
+
+def _independent(score: FloatArray, covariance: FloatArray, last_alike: int) -> FloatArray:
+    """Compute the probabilities, (n, 4), for scores (n, place, 4) and a checked covariance of each place.
+
+    The covariance, (4, 4) or (n, 4, 4), is that of all trials, or of each. `last_alike` is the number of places
+    that are as the last one.
+    """
+    each = covariance.reshape(-1, 4, 4)
+    deviation = np.sqrt(np.maximum(np.diagonal(each, axis1=1, axis2=2), 0.0))
     if not deviation.any():
         return _largest(score)
-    if deviation.min() < 0.1 * deviation.max():
+    if (deviation.min(axis=1) < 0.1 * deviation.max(axis=1)).any():
+        least = deviation[(deviation.min(axis=1) / np.maximum(deviation.max(axis=1), 1e-300)).argmin()]
         raise SettingsError(
-            f"covariance: found standard deviations of {deviation.min():g} and {deviation.max():g} of a place's "
+            f"covariance: found standard deviations of {least.min():g} and {least.max():g} of a place's "
             "scores, expected about the same of all four"
         )
     nodes = min(NODES + score.shape[1] + last_alike, MOST_NODES)
     node, weight, above = _rule(nodes)
-    reach = REACH * float(deviation.max())
     probability = np.empty((len(score), 4))
     n_rows = max(_AT_ONCE // (score.shape[1] * nodes), 1)
     for start in range(0, len(score), n_rows):
-        part = score[start : start + n_rows]
+        rows = slice(start, start + n_rows)
+        of_rows = slice(None) if len(each) == 1 else rows
+        part, reach = score[rows], REACH * deviation[of_rows].max(axis=1)[:, None, None]
         largest = part.max(axis=(1, 2))[:, None, None] + reach * node  # (row, 1, node)
-        density = _densities(part, largest, covariance, deviation)  # (row, place, node, 4)
+        density = _densities(part, largest, each[of_rows], deviation[of_rows])  # (row, place, node, 4)
         below = np.clip(1.0 - reach * (density.sum(axis=-1) @ above.T), 0.0, 1.0)
         alike = below[:, -1:] ** (last_alike - 1)
         others = _product_of_others(below) * alike
         others[:, -1] *= last_alike
-        found = reach * np.einsum("rpnk,rpn,n->rk", density, others, weight)
-        probability[start : start + n_rows] = found / found.sum(axis=-1, keepdims=True)
+        found = reach[:, 0] * np.einsum("rpnk,rpn,n->rk", density, others, weight)
+        probability[rows] = found / found.sum(axis=-1, keepdims=True)
     return probability
 
 
@@ -130,30 +163,33 @@ def _densities(
 ) -> FloatArray:
     """Compute the density of each score being t and the three others of its place below t: (row, place, node, 4).
 
-    `largest` holds the values t, (row, 1, node).
+    `largest` holds the values t, (row, 1, node). The covariance is (1 or row, 4, 4).
     """
-    slope = covariance / np.square(deviation)  # [j, k]: change of the mean of score j with score k
-    given = np.array(
-        [
-            (covariance - np.outer(slope[:, k], covariance[k]))[np.ix_(others, others)]
-            for k, others in enumerate(OTHERS)
-        ]
-    )
-    spread = np.sqrt(np.maximum(np.diagonal(given, axis1=1, axis2=2), 0.0))  # (4, 3)
-    spread = np.where(spread > 1e-7 * deviation[:, None], spread, 0.0)
-    product = np.array([spread[:, i] * spread[:, j] for i, j in PAIRS]).T
+    slope = covariance / np.square(deviation)[:, None]  # [row, j, k]: change of the mean of score j with score k
+    left = covariance[:, None] - np.einsum("rjk,rki->rkji", slope, covariance)  # given score k
+    given = np.stack([left[:, k][:, others[:, None], others] for k, others in enumerate(OTHERS)], axis=1)
+    spread = np.sqrt(np.maximum(np.diagonal(given, axis1=2, axis2=3), 0.0))  # (row, 4, 3)
+    spread = np.where(spread > 1e-7 * deviation[..., None], spread, 0.0)
+    product = np.stack([spread[..., i] * spread[..., j] for i, j in PAIRS], axis=-1)
     cosine = np.divide(
-        np.array([given[:, i, j] for i, j in PAIRS]).T, product, out=np.zeros_like(product), where=product > 0.0
+        np.stack([given[..., i, j] for i, j in PAIRS], axis=-1),
+        product,
+        out=np.zeros_like(product),
+        where=product > 0.0,
     )
     distance = largest[..., None] - score[:, :, None, :]  # (row, place, node, 4)
-    following = slope[OTHERS, np.arange(4)[:, None]]
+    following = slope[:, OTHERS, np.arange(4)[:, None]][:, None, None]
     room = largest[..., None, None] - score[:, :, None, OTHERS] - following * distance[..., None]
     limit = np.where(room >= 0.0, np.inf, -np.inf)
-    np.divide(room, spread, out=limit, where=np.broadcast_to(spread > 0.0, room.shape))
-    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-    below = orthants(limit.reshape(-1, 4, 3), angle).reshape(distance.shape)
-    standard = distance / deviation
-    return np.asarray(below * np.exp(-np.square(standard) / 2.0) / (np.sqrt(2.0 * np.pi) * deviation))
+    each = spread[:, None, None]
+    np.divide(room, each, out=limit, where=np.broadcast_to(each > 0.0, room.shape))
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0)).reshape(-1, 3)
+    by_matrix = limit if len(spread) == 1 else np.moveaxis(limit, 0, 2)
+    below = orthants(by_matrix.reshape(-1, len(angle), 3), angle).reshape(by_matrix.shape[:-1])
+    if len(spread) > 1:
+        below = np.moveaxis(below, 2, 0)
+    own = deviation[:, None, None]
+    return np.asarray(below * np.exp(-np.square(distance / own) / 2.0) / (np.sqrt(2.0 * np.pi) * own))
 
 
 def _product_of_others(values: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive
 from todframes.frames.dataset import MOST_PLACES
 from todframes.observers.interface import Observer, Readout, SteppedObserver
@@ -217,7 +217,9 @@ class _Responses(NamedTuple):
 def _responses(observer: Observer, size_mrad: float, nodes: int, places: int = 1) -> _Responses:
     """Compute the scores at contrast 1 for a triangle of each orientation at each node."""
     if not 1 <= places <= MOST_PLACES:
-        raise SettingsError(f"places: found {places!r}, expected a whole number from 1 to {MOST_PLACES}")
+        raise SettingsError(
+            f"{argument.places}: found {places!r}, expected a whole number from 1 to {MOST_PLACES}"
+        )
     _size_samples(observer, size_mrad)
     readout = observer.readout(Stimulus(size_mrad))
     if readout is None:
