@@ -128,7 +128,7 @@ def hostile_sets(n: int, seed: int, first: int) -> bool:
         rng = np.random.default_rng([seed, k])
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            image = field(rng, int(rng.choice([30, 120, 200])), 1.0)
+            image = field(rng, int(rng.choice([30, 160, 240])), 1.0)
             image = rng.choice([1.0, 1.0, 3.0]) * (image - rng.choice([0.0, 0.0, 0.4]))
             path = folder / f"image{rng.choice(['.png', '.exr'])}"
             tod.write_frame(path, np.clip(image, 0.0, 1.0))
@@ -141,11 +141,12 @@ def hostile_sets(n: int, seed: int, first: int) -> bool:
             path.write_bytes(content)
             asked = [
                 "--size-mrad",
-                str(rng.choice([0.1, 1.0, 3.0, 9.0])),
+                str(rng.choice([0.1, 1.0, 2.0, 3.0, 3.0, 9.0])),
                 "--contrast",
                 rng.choice(["0.1", "0.5,9"]),
             ]
-            asked += ["--places", str(rng.choice([1, 9])), "--range", "0:1"] if rng.random() < 0.7 else []
+            asked += ["--places", str(rng.choice([1, 1, 9]))]
+            asked += ["--range", "0:1"] if path.suffix == ".exr" and rng.random() < 0.8 else []
             asked += ["--dim", "1"] if rng.random() < 0.3 else []
             out, errors = folder / "out", io.StringIO()
             with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(io.StringIO()):
