@@ -34,7 +34,7 @@ MOST_COLUMNS = 10
 LEAST_TEXT_WIDTH = 16
 """Least width, in letters, to which a column of long texts is wrapped in the terminal."""
 
-LEAST_INTERVAL_WIDTH = 16
+LEAST_INTERVAL_WIDTH = 18
 """Least width, in letters, to which a column of intervals is wrapped in the terminal: those with two ends fit."""
 
 HIDDEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
