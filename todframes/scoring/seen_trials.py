@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from todframes.frames.position import place_offsets_px
 from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer, Readout
 from todframes.observers.internal_noise import inner_product
-from todframes.observers.retina import RetinaGrid
+from todframes.observers.retina import RetinaGrid, SummedWeights
 from todframes.psychometrics.replicates import REPLICATES
 from todframes.scoring.plan import ScorePlan
 from todframes.scoring.retina_view import Shown, read_trial, retina_image
@@ -217,14 +218,15 @@ def see(
     reading_s = (time.perf_counter() - started) / len(ways)
     displaced = viewing.displacement_samples
     places: list[tuple[float, float]] = list(map(tuple, displaced.tolist()))
+    scores_of = None if viewing.readout is None else _Scores(viewing, viewing.readout)
     seen = []
     for shown in ways:
         started = time.perf_counter()
         answer = NO_ANSWER
-        if viewing.readout is None:
+        if scores_of is None:
             scores = deviations = np.full((len(places), 4), np.nan)
         else:
-            pairs = [_scores(viewing.readout, retina_image(shown, viewing.grid, place)) for place in places]
+            pairs = [scores_of(shown, place) for place in places]
             scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
         at_places = _place_scores(viewing, shown)
         if scoring.decisions == "sampled" and not len(viewing.offsets):
@@ -278,14 +280,56 @@ def _place_scores(viewing: TrialViewing, shown: Shown) -> FloatArray:
     n_displaced, n_places = len(viewing.displacement_samples), len(viewing.offsets)
     scores = np.empty((n_displaced * n_places, 4))
     if viewing.readout is not None and n_places:
+        scores_of = _Scores(viewing, viewing.readout)
         for row, (dx, dy) in enumerate(viewing.reached_samples.tolist()):
-            scores[row], _ = _scores(viewing.readout, retina_image(shown, viewing.grid, (dx, dy)))
+            scores[row], _ = scores_of(shown, (dx, dy))
     return scores.reshape(n_displaced, n_places, 4)
 
 
-def _scores(readout: Readout, contrast: FloatArray) -> tuple[FloatArray, FloatArray]:
-    deviations = readout.score_deviations(contrast)
-    # Without noise or with huge contrast, equal scores may differ by rounding alone.
-    rounding = 1e-13 * readout.norm * math.sqrt(inner_product(contrast, contrast))
-    deviations = np.where(np.abs(deviations) < rounding, 0.0, deviations)
-    return deviations + readout.common_score(contrast), deviations
+class _Scores:
+    """Function of the scores of a trial as shown; what several ways of showing it have in common is found once."""
+
+    def __init__(self, viewing: TrialViewing, readout: Readout) -> None:
+        self._readout, self._grid = readout, viewing.grid
+
+    @cached_property
+    def _products(self) -> Callable[..., Callable[[FloatArray], FloatArray]]:
+        return lru_cache(maxsize=1)(self._readout.summed_weights.on_pixels)
+
+    def __call__(self, shown: Shown, displacement_samples: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+        """Return the scores with a displacement of the retina, and their deviations from their mean, (4,) each."""
+        readout, pitch_mrad = self._readout, shown.pixel_pitch_mrad
+        if not all(
+            patch.to_contrast is None and SummedWeights.pays(self._grid, patch.values.size, pitch_mrad)
+            for patch in shown.patches
+        ):
+            contrast = retina_image(shown, self._grid, displacement_samples)
+            deviations = readout.score_deviations(contrast)
+            deviations = _without_rounding(readout, deviations, math.sqrt(inner_product(contrast, contrast)))
+            return deviations + readout.common_score(contrast), deviations
+        dx, dy = (d * self._grid.pitch_mrad / pitch_mrad for d in displacement_samples)
+        sums, length = np.zeros(5), 0.0
+        for patch, x, y in zip(shown.patches, shown.x_px, shown.y_px, strict=True):
+            n_rows, n_columns = patch.values.shape
+            products = self._products(
+                x_px=x + dx,
+                y_px=y + dy,
+                pixel_pitch_mrad=pitch_mrad,
+                first_row=patch.row,
+                first_column=patch.column,
+                n_rows=n_rows,
+                n_columns=n_columns,
+            )
+            sums += products(patch.values) / len(shown.patches)
+            length += math.sqrt(inner_product(patch.values, patch.values)) / len(shown.patches)
+        # The mean over a sample has at most the mean square, so a pixel counts as the samples that it covers.
+        deviations = _without_rounding(readout, sums[:4], length * pitch_mrad / self._grid.pitch_mrad)
+        return deviations + sums[4], deviations
+
+
+def _without_rounding(readout: Readout, deviations: FloatArray, length: float) -> FloatArray:
+    """Return deviations with 0 for those that are rounding, of a retina image with this Euclidean norm.
+
+    Without noise or with huge contrast, equal scores may differ by rounding alone.
+    """
+    return np.where(np.abs(deviations) < 1e-13 * readout.norm * length, 0.0, deviations)
