@@ -47,14 +47,12 @@ def page(result: ResultData) -> str:
         "title": TITLES[result.command],
         "about": _about(result),
         "warnings": [warning_text(warning.group, warning.message) for warning in result.warnings],
-        "verdict": verdict(result),
+        "verdict": [*verdict(result), *cautions(result)],
         "figures": figure_items(pictures(result)),
         "tables_shown": _tables(result),
         "examples": _examples([one for one in result.examples or () if not _is_whole(one)]),
         "without": _examples([one for one in result.examples or () if _is_whole(one)]),
-        "remarks": [f"Run time {plain(result.run_time_s)} s."] * (result.run_time_s is not None)
-        + remarks(result)
-        + cautions(result),
+        "remarks": [f"Run time {plain(result.run_time_s)} s."] * (result.run_time_s is not None) + remarks(result),
         "details": _details(result),
         "version": result.version,
         "can_be_made_again": True,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from html import escape
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Literal, overload
@@ -33,9 +34,6 @@ MOST_COLUMNS = 10
 
 LEAST_TEXT_WIDTH = 16
 """Least width, in letters, to which a column of long texts is wrapped in the terminal."""
-
-LEAST_INTERVAL_WIDTH = 18
-"""Least width, in letters, to which a column of intervals is wrapped in the terminal: those with two ends fit."""
 
 HIDDEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
 """Pattern of characters that HTML does not allow or that change the direction of the text beside them."""
@@ -300,9 +298,13 @@ class Table:
         while True:
             rows = [list(map(visible, row)) for row in self.rows(shown)]
             cells = zip(*rows, strict=True) if rows else [()] * len(shown)
-            least, most = zip(*map(_widths, shown, cells), strict=True)
-            # Each column has two letters of padding; one letter is between columns and one at each end.
-            room = width - sum(least) - 3 * len(shown) - 1
+            cells = list(cells)
+            for is_narrow in (False, True):
+                least, most = zip(*map(partial(_widths, is_narrow=is_narrow), shown, cells), strict=True)
+                # Each column has two letters of padding; one letter is between columns and one at each end.
+                room = width - sum(least) - 3 * len(shown) - 1
+                if room >= 0:
+                    break
             rank = max(one.rank for one in shown)
             if room >= 0 or not rank:
                 break
@@ -329,15 +331,21 @@ class Table:
         return Group(Text(visible(self.title), style="bold"), table)
 
 
-def _widths(column: Column, cells: Iterable[str]) -> tuple[int, int]:
-    """Return a column's least width, with header and long texts wrapped, and its full width, in letters."""
+def _widths(column: Column, cells: Iterable[str], *, is_narrow: bool) -> tuple[int, int]:
+    """Return a column's least width, with header and long texts wrapped, and its full width, in letters.
+
+    In a narrow table, intervals with an open end are wrapped too.
+    """
     from rich.cells import cell_len
 
+    cells = list(cells)
     longest = max(map(cell_len, cells), default=0)
     header = max(map(cell_len, column.heading.split()), default=1)
     least = min(longest, LEAST_TEXT_WIDTH) if column.wraps else longest
-    if column.interval:
-        least = min(longest, LEAST_INTERVAL_WIDTH)
+    if column.interval and is_narrow:  # "from 0.2, open above"
+        least = max(
+            (min(cell_len(one), LEAST_TEXT_WIDTH) if "," in one else cell_len(one) for one in cells), default=0
+        )
     return max(least, header), max(longest, cell_len(column.heading))
 
 
