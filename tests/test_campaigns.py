@@ -38,6 +38,10 @@ def test_mutated_recordings() -> None:
     assert "40  in all, 0 faults" in campaign("media", "40", "--seed", "3")
 
 
+def test_papers_of_a_camera() -> None:
+    assert "50  in all, 0 faults" in campaign("cameras", "50", "--first", "190")
+
+
 def test_bombs() -> None:
     assert "2 cases, 0 faults" in campaign("bombs", "--only", "ffv1")
 

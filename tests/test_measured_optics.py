@@ -248,6 +248,9 @@ WRONG_TABLES = {
     ),
     "no file": (GOOD, 'mtf = "none.csv"', r"none\.csv"),
     "no table": (GOOD, "mtf_includes_detector = true", "mtf_includes_detector: found true without mtf"),
+    "outside": (GOOD, 'mtf = "../mtf.csv"', "mtf: ../mtf.csv lies outside"),
+    "too fine": ([(0.0, 1.0), (3e8, 0.0)], 'mtf = "mtf.csv"', "mtf.csv passes .* cycles per detector, expected"),
+    "no unit": ([(0.0, 1.0), (1e300, 0.0)], 'mtf = "mtf.csv"', "ends at a frequency of 1e.300, expected 1e-09"),
     "a number": (GOOD, "mtf = 3", "mtf: found 3, expected the name of a file"),
     "psf without pitch": (GOOD, 'psf = "psf.tif"', "psf: expected it with psf_pitch_um or psf_pitch_mrad"),
     "no focal length": (GOOD, 'psf = "psf.tif"\npsf_pitch_um = 1.0', "psf_pitch_um needs it for its angle"),
@@ -260,7 +263,7 @@ WRONG_TABLES = {
 def test_wrong_measured_optics_are_one_clear_line(tmp_path, capsys, rows, optics, message):
     write_table(tmp_path, rows)
     psf = np.zeros((9, 9))
-    psf[3:6, 3:6] = 1.0 / 9.0
+    psf[3:6, 3:6] = np.outer([1, 2, 1], [1, 2, 1]) / 16.0
     write_psf(tmp_path / "psf.tif", psf)
     assert run(cli.cli, ["curve", str(sensor_file(tmp_path, optics)), "--size-detectors", "4"]) in (1, 2)
     out, error = capsys.readouterr()
@@ -269,13 +272,14 @@ def test_wrong_measured_optics_are_one_clear_line(tmp_path, capsys, rows, optics
 
 def psf_with(place: tuple[int, int], total: float = 1.0) -> np.ndarray:
     psf = np.zeros((15, 15))
-    psf[place[0] - 1 : place[0] + 2, place[1] - 1 : place[1] + 2] = total / 9.0
+    psf[place[0] - 1 : place[0] + 2, place[1] - 1 : place[1] + 2] = total * np.outer([1, 2, 1], [1, 2, 1]) / 16.0
     return psf
 
 
 WRONG_PSFS = {
     "not normalised": (psf_with((7, 7), 255.0), r"psf\.tif has the sum 255, expected 1"),
     "off centre": (psf_with((7, 10)), r"centroid 3\.0 samples right of and 0\.0 below its middle"),
+    "too coarse": (np.pad([[1.0]], 7), "passes 1 at half a cycle per sample, expected at most 0.05"),
     "cut off": (np.full((15, 15), 1.0 / 225.0), r"25 % of its light in the outermost samples"),
     "negative": (psf_with((7, 7), 1.0) - 1e-3 * np.eye(15), "expected none below 0"),
 }
@@ -303,6 +307,25 @@ def test_a_threshold_states_what_may_lie_beyond_its_table(tmp_path):
     assert not steps["whole"] and 0.0 < steps["cut"][0]["bound"] <= found["cut"].p_correct_left_out_bound
     error = found["cut"].threshold_numerical_error + found["whole"].threshold_numerical_error
     assert abs(found["cut"].threshold - found["whole"].threshold) < error
+
+
+def test_an_mtf_is_1_at_frequency_0(tmp_path):
+    write_table(tmp_path, [(0.0, 0.992), (10.0, 0.496), (30.0, 0.0)])
+    measured = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"')).optics.mtf
+    assert measured.tangential == pytest.approx((1.0, 0.5, 0.0), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("motion", "message"),
+    [
+        (ss.Motion(smear_mrad=200.0), r"motion\.smear_mrad: found 200, expected at most 39\.\d"),
+        (ss.Motion(jitter_sigma_mrad=50.0), r"motion\.jitter_sigma_mrad: found 50, expected at most 11\.\d"),
+    ],
+)
+def test_a_motion_that_is_too_wide_is_named(motion, message):
+    # 1,020 − 4·4 detectors are left for six deviations: 11.4 mrad, or 39.5 mrad of an even motion.
+    with pytest.raises(SettingsError, match=message):
+        ss.curve(replace(ss.load_sensor(STAR_LIKE), motion=motion), size_detectors=[4], examples=False)
 
 
 def test_sweeps_vary_what_a_file_has(tmp_path):

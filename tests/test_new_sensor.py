@@ -78,6 +78,8 @@ def test_a_preset_names_its_source(tmp_path, preset):
 
 
 def test_what_is_missing_is_named():
+    with pytest.raises(SettingsError, match=r"wavelength_um: found 0\.0"):
+        ss.new_sensor(thermal=True, netd_mk=50, pitch_um=12, f_number=1, focal_length_mm=35, wavelength_um=0.0)
     with pytest.raises(SettingsError, match="f_number is missing: give f_number"):
         ss.new_sensor(thermal=True, netd_mk=50, pitch_um=12, focal_length_mm=35)
     with pytest.raises(SettingsError, match="new: expected one of emva, thermal and preset"):

@@ -270,6 +270,16 @@ WRONG = {
         "reflectance = 0.5",
         "luminance_cd_m2 is missing; expected it, or ill",
     ),
+    "too many frames": (
+        "exposure_ms = 10.0",
+        "exposure_ms = 10.0\nframes_integrated = 1000000000",
+        "frames_integrated: found 1000000000, expected",
+    ),
+    "a wrong unit": (
+        "luminance_cd_m2 = 1.0\n[noise]",
+        "luminance_cd_m2 = 1e12\nphotons_per_lux_s_um2 = 1e9\n[noise]",
+        "gives .* electrons in a pixel, .* expected at most 1e.12 together",
+    ),
     "another model": ('"photon"', '"emva"', "model: found 'emva', expected one of photon"),
     "a key of the other model": ("bits = 12", "netd_mk = 12.0", "unknown key 'netd_mk'; the nearest valid one is"),
     "bits without gain": ("system_gain_dn_per_electron = 0.4", "", "system_gain_dn_per_electron is missing: bits"),

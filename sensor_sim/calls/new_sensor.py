@@ -135,7 +135,7 @@ def new_sensor(
     optics = Optics(
         f_number=values.pop("f_number"),
         focal_length_mm=focal_length_mm,
-        wavelength_um=wavelength_um or (THERMAL_UM if is_thermal else VISIBLE_UM),
+        wavelength_um=(THERMAL_UM if is_thermal else VISIBLE_UM) if wavelength_um is None else wavelength_um,
     )
     detector = Detector(pitch_um=values.pop("pitch_um"))
     parts: dict[str, Any]

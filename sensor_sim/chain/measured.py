@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
+from todframes.base.reading import path_inside, resolved
 
 if TYPE_CHECKING:
     from todframes.recordings.mtf_table import FrequencyUnit
@@ -25,6 +27,9 @@ LEAST_OTF = 1e-6
 """OTF below which a PSF passes nothing."""
 
 MAX_PSF_SIDE = 2048
+
+LARGEST_FREQUENCY = 1e9
+"""Largest end of a table in its unit; beyond it, and below 1/LARGEST_FREQUENCY, it is taken for a mistake."""
 
 BEYOND_ENDS = 2.0
 """Frequency up to which an MTF is continued to bound what its table leaves out, in units of the table's end."""
@@ -133,6 +138,16 @@ class MeasuredPsf:
         step = 1.0 / min(self.shape)
         return float(min(radial[otf > LEAST_OTF].max() + step, math.sqrt(0.5)))
 
+    @property
+    def end_otf(self) -> float:
+        """Largest modulus of the OTF at half a cycle per sample along an axis, where its samples end."""
+        signs = ((-1.0) ** np.arange(n) for n in self.shape)
+        ends = (
+            sign @ along
+            for sign, along in zip(signs, (self.samples.sum(axis=1), self.samples.sum(axis=0)), strict=True)
+        )
+        return float(max(abs(one) for one in ends))
+
     def at(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
         """Return the OTF, complex, at frequencies in cycles per sample on the lattice of x and y axes.
 
@@ -160,20 +175,28 @@ def read_measured_mtf(file: str, folder: Path) -> MeasuredMtf:
     Raises
     ------
     DataError
-        If `todframes.recordings.mtf_table.read_mtf_table` refuses the file.
+        If `todframes.recordings.mtf_table.read_mtf_table` refuses the file, or it lies in another folder.
     SettingsError
-        If the table stops early.
+        If the table stops early, or its frequencies are beyond all cameras.
     """
     from todframes.recordings.mtf_table import DIRECTIONS, LARGEST_END, RADIAL, read_mtf_table
 
-    table = read_mtf_table(folder / file)
+    table = read_mtf_table(Path(path_inside(resolved(folder), file, "mtf:")))
+    if not 1.0 / LARGEST_FREQUENCY <= table.frequency[-1] <= LARGEST_FREQUENCY:
+        raise SettingsError(
+            f"mtf: {file} ends at a frequency of {table.frequency[-1]:g}, expected {1.0 / LARGEST_FREQUENCY:g} to "
+            f"{LARGEST_FREQUENCY:g}"
+        )
     if table.stops_early:
         raise SettingsError(
             f"mtf: {file} ends at {table.frequency[-1]:g} with an MTF of {table.end_mtf:.2g}, expected at most "
             f"{LARGEST_END:g}; what is beyond may change a sample at an edge by {table.end_cost:.2g} of "
             "the triangle's signal: measure further, or add the frequency at which it is 0"
         )
-    curves = table.curves
+    # An MTF is 1 at frequency 0 by definition; a table may have it within its error.
+    curves = {
+        name: values / values[0] if table.frequency[0] == 0.0 else values for name, values in table.curves.items()
+    }
     tangential, sagittal = (
         tuple(np.clip(curves[name if name in curves else RADIAL], 0.0, 1.0).tolist()) for name in DIRECTIONS
     )
@@ -189,14 +212,18 @@ def read_measured_psf(file: str, folder: Path) -> MeasuredPsf:
     Raises
     ------
     DataError, FrameError
-        If the file cannot be read.
+        If the file cannot be read, or lies in another folder.
     SettingsError
-        If the image has colours, negative values, is not normalised, off centre or cut off.
+        If the image has colours, negative values, is not normalised, off centre, cut off or too coarse.
     """
+    from todframes.recordings.mtf_table import LARGEST_END
     from todframes.recordings.opening import open_recordings
 
-    (recording,) = open_recordings(folder / file)
-    values = np.asarray(next(iter(recording.frames())).values, dtype=np.float64)
+    recordings = open_recordings(path_inside(resolved(folder), file, "psf:"))
+    frames = list(islice((frame for one in recordings for frame in one.frames()), 2))
+    if len(frames) != 1:
+        raise SettingsError(f"psf: {file} has {'several images' if frames else 'no image'}, expected one")
+    values = np.asarray(frames[0].values, dtype=np.float64)
     if values.ndim == 3 and values.shape[-1] == 1:
         values = values[..., 0]
     if values.ndim != 2 or not 3 <= max(values.shape) <= MAX_PSF_SIDE:
@@ -220,5 +247,11 @@ def read_measured_psf(file: str, folder: Path) -> MeasuredPsf:
         raise SettingsError(
             f"psf: {file} has {100.0 * (1.0 - inner):.2g} % of its light in the outermost samples, expected at "
             f"most {100.0 * LARGEST_SUM_ERROR:g} %: it is cut off"
+        )
+    if (at_end := found.end_otf) > LARGEST_END:
+        raise SettingsError(
+            f"psf: {file} passes {at_end:.2g} at half a cycle per sample, expected at most {LARGEST_END:g}: its "
+            "samples are too coarse for the point, and what is beyond may change a sample at an edge by "
+            f"{at_end / math.pi:.2g} of the triangle's signal"
         )
     return found

@@ -39,6 +39,12 @@ PHOTOPIC = (
 
 LARGEST_CONTRAST = 1e9
 
+MOST_ELECTRONS = 1e12
+"""Largest number of electrons of the background and the dark current; beyond it a unit is taken for wrong."""
+
+MOST_DRAWN = 1e18
+"""Largest number of electrons that is drawn; a Poisson number must fit into 63 bits."""
+
 
 class ContrastVariance(NamedTuple):
     """Variance of a displayed sample in units of squared contrast.
@@ -102,13 +108,20 @@ def background_electrons(sensor: Sensor) -> float:
     Raises
     ------
     SettingsError
-        If the light has no luminance at the wavelength, or the full well lies below the scene.
+        If the light has no luminance at the wavelength, the electrons are too many, or the full well lies below
+        the scene.
     """
     photons, scene = _photons_of(sensor), sensor.scene
     assert scene is not None  # every sensor with photons has one
     electrons = scene.background_electrons
     if electrons is None:
         electrons = _electrons_of_light(sensor)
+    if not electrons + photons.dark_electrons <= MOST_ELECTRONS:
+        raise SettingsError(
+            f"scene: the background gives {electrons:.4g} electrons in a pixel, and the dark current "
+            f"{photons.dark_electrons:.4g}, expected at most {MOST_ELECTRONS:g} together; are light, exposure_ms "
+            "and pitch in their units?"
+        )
     if electrons + photons.dark_electrons >= photons.saturation_electrons:
         light = "" if scene.background_electrons else f" of {scene.background_cd_m2:.4g} cd/m²"
         raise SettingsError(
@@ -202,8 +215,11 @@ class PhotonCamera:
             Random generator of the trial.
         """
         photons = self.photons
-        frames = list(self._frames(signal, rng))
-        return np.asarray((np.mean(frames, axis=0) - photons.dark_electrons) / self.electrons - 1.0)
+        total = np.zeros_like(signal)
+        for frame in self._frames(signal, rng):
+            total += frame
+        mean = total / photons.frames_integrated
+        return np.asarray((mean - photons.dark_electrons) / self.electrons - 1.0)
 
     def _frames(self, signal: FloatArray, rng: np.random.Generator) -> Iterator[FloatArray]:
         """Yield frames in electrons, as they follow from the converter's numbers.
@@ -212,6 +228,11 @@ class PhotonCamera:
         """
         photons = self.photons
         light = np.maximum(self.electrons * (1.0 + signal) * self.response, 0.0)
+        if not light.max() <= MOST_DRAWN:
+            raise SettingsError(
+                f"contrast: a triangle gives {light.max():.3g} electrons in a pixel, expected at most "
+                f"{MOST_DRAWN:g}"
+            )
         gain = photons.system_gain_dn_per_electron
         for _ in range(photons.frames_integrated):
             electrons = rng.poisson(light + photons.dark_electrons).astype(np.float64)

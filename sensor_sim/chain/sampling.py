@@ -132,11 +132,16 @@ class PatternSampler:
         last = band_limit_cyc_per_mrad(optics) * detector.pitch_mrad * period
         if last < 1.0:
             raise SettingsError(_passes_nothing(optics, last))
-        if 2.0 * last**2 > MAX_FREQUENCIES:
+        if 2.0 * last * last > MAX_FREQUENCIES:
             self.sharp = True
             self.neglected_bound = sharpness_bound(optics, width_mrad=detector.width_mrad)
             if self.neglected_bound > MAX_NEGLECTED:
                 largest = detector.pitch_mrad * math.sqrt(MAX_FREQUENCIES / 2.0) / last
+                if not optics.is_modelled:
+                    raise SettingsError(
+                        f"{_measured(optics)} passes {last / period:.4g} cycles per detector, expected at most "
+                        f"{last / period * largest / detector.pitch_mrad:.4g} to be computed; is its unit right?"
+                    )
                 raise SettingsError(
                     f"detector.pitch_mrad: found {detector.pitch_mrad:g}, too coarse to compute with a width of "
                     f"{detector.width_mrad:g} mrad and optics that pass "
@@ -379,12 +384,39 @@ def field_detectors(sensor: Sensor, size_detectors: float, sizes: float = FIELD_
         room = MAX_FIELD_DETECTORS - FIELD_MARGIN_DETECTORS
         if (of_blur := room - sizes * size_detectors) <= 0.0:
             raise SettingsError(f"size_detectors: found {size_detectors:g}, expected at most {room / sizes:g}")
+        found, of_deviation = _widest_blur(sensor)
         raise SettingsError(
-            f"optics.blur_sigma_mrad: found {sensor.optics.blur_sigma_mrad:g}, expected at most "
-            f"{of_blur / 6.0 * sensor.detector.pitch_mrad:.4g} with detectors {sensor.detector.pitch_mrad:g} mrad "
-            f"apart and a triangle of {size_detectors:g} detectors"
+            f"{found}, expected at most {of_deviation * of_blur / 6.0 * sensor.detector.pitch_mrad:.4g} with "
+            f"detectors {sensor.detector.pitch_mrad:g} mrad apart and a triangle of {size_detectors:g} detectors"
         )
     return math.ceil(field)
+
+
+def _measured(optics: Optics) -> str:
+    """Return the key and the file of measured optics, for a message."""
+    key, file = ("mtf", optics.mtf) if optics.mtf is not None else ("psf", optics.psf)
+    assert file is not None
+    return f"optics.{key}: {file.file}"
+
+
+def _widest_blur(sensor: Sensor) -> tuple[str, float]:
+    """Return the key whose blur is the widest, with its value, and how large this is for a deviation of 1 mrad."""
+    optics, motion = sensor.optics, sensor.motion
+    deviation = blur_mrad(optics, None)
+    found = f"optics.blur_sigma_mrad: found {optics.blur_sigma_mrad:g}"
+    if not optics.is_modelled:
+        found = f"{_measured(optics)} blurs by {deviation:.4g} mrad"
+    elif optics.defocus_waves > 0.0:
+        found = f"optics.defocus_waves: found {optics.defocus_waves:g}, which blurs by {deviation:.4g} mrad"
+    blurs = [(deviation, found, 1.0)]
+    if motion is not None:
+        of_smear = math.sqrt(12.0)
+        smear = f"motion.smear_mrad: found {motion.smear_mrad:g}"
+        blurs.append((motion.smear_mrad / of_smear, smear, of_smear))
+        jitter = f"motion.jitter_sigma_mrad: found {motion.jitter_sigma_mrad:g}"
+        blurs.append((motion.jitter_sigma_mrad, jitter, 1.0))
+    _, text, of_deviation = max(blurs)
+    return text, of_deviation
 
 
 def smallest_field(size_detectors: float) -> int:
@@ -429,6 +461,11 @@ def _upright_place(
 
 def _passes_nothing(optics: Optics, cycles: float) -> str:
     """Return the message that optics pass less than one cycle per period: `cycles`."""
+    if not optics.is_modelled:
+        return (
+            f"{_measured(optics)} passes {cycles:.2g} cycles across the field of a triangle, expected at least 1; "
+            "is its unit right?"
+        )
     if band_limit_cyc_per_mrad(optics) < optics.cut_off_cyc_per_mrad:
         return (
             f"optics.blur_sigma_mrad: found {optics.blur_sigma_mrad:g}, which passes nothing of a triangle to "

@@ -26,6 +26,9 @@ MAX_PIXELS = 1000
 MAX_DEFOCUS_WAVES = 20.0
 """Largest defocus; beyond it the transfer oscillates faster than its table."""
 
+MOST_FRAMES = 10_000
+"""Largest number of frames that the eye averages; frames of the eye's 0.1 s are far fewer."""
+
 SAME_RATIO = 1e-5
 """Relative difference by which parts of a noise may be larger than all of it: files have six digits."""
 
@@ -234,7 +237,7 @@ class Noise:
     fixed_pattern_ratio : float
         Static divided by dynamic standard deviation, >= 0.
     frames_integrated : int
-        Frames that the observer's eye averages, >= 1.
+        Frames that the observer's eye averages, from 1 to 10,000.
     row_noise_ratio, column_noise_ratio : float
         Standard deviation of what all detectors of a row or column have in common, new in each frame, divided by
         the dynamic standard deviation, of which it is a part: the sum of their squares is at most 1.
@@ -252,7 +255,7 @@ class Noise:
     distribution: Distribution = "uniform"
     netd_mk: Annotated[float | None, Meta(ge=1.0 / LARGEST, le=LARGEST)] = None
     fixed_pattern_ratio: NotNegative = 0.0
-    frames_integrated: Annotated[int, Meta(ge=1)] = 1
+    frames_integrated: Annotated[int, Meta(ge=1, le=MOST_FRAMES)] = 1
     row_noise_ratio: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     column_noise_ratio: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     row_pattern_ratio: NotNegative = 0.0
@@ -302,7 +305,7 @@ class PhotonNoise:
     row_pattern_electrons, column_pattern_electrons : float
         The same, fixed: parts that are not in `dsnu_electrons`.
     frames_integrated : int
-        Frames that the observer's eye averages, >= 1.
+        Frames that the observer's eye averages, from 1 to 10,000.
 
     Raises
     ------
@@ -323,7 +326,7 @@ class PhotonNoise:
     column_noise_electrons: NotNegative = 0.0
     row_pattern_electrons: NotNegative = 0.0
     column_pattern_electrons: NotNegative = 0.0
-    frames_integrated: Annotated[int, Meta(ge=1)] = 1
+    frames_integrated: Annotated[int, Meta(ge=1, le=MOST_FRAMES)] = 1
 
     def __post_init__(self) -> None:
         check_values(self)

@@ -2,6 +2,7 @@
 
 python tests/campaigns/run.py mutations [N]        # 10,000 mutated frames and settings files; half an hour
 python tests/campaigns/run.py media [N]            # 4,000 mutated recordings
+python tests/campaigns/run.py cameras [N]          # some 240 hostile papers of a camera by hand, then mutated ones
 python tests/campaigns/run.py bombs                # small files that claim much memory
 python tests/campaigns/run.py kills [N]            # 100 kills of clients, workers and schedulers
 python tests/campaigns/run.py long-run [N]         # 100 kills of one run of 20,000 frames
@@ -20,6 +21,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
+import camera_files
 import damage
 import decoys
 import explorer
@@ -35,7 +37,7 @@ import sitters
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a campaign and print what it has found. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = ["mutations", "media", "bombs", "kills", "long-run", "faults"]
+    names = ["mutations", "media", "cameras", "bombs", "kills", "long-run", "faults"]
     names += ["decoys", "servers", "planted", "people", "explorer", "networks"]
     parser.add_argument("campaign", choices=names)
     parser.add_argument(
@@ -54,9 +56,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             outcomes = damage.run_campaign(asked.n or 10_000, seed=asked.seed, first=asked.first)
             print(damage.table(outcomes))
             return int(any(one.is_fault for one in outcomes))
-        case "media":
+        case "media" | "cameras":
+            script, n = {"media": (media, 4000), "cameras": (camera_files, 1200)}[asked.campaign]
             outcomes = damage.run_campaign(
-                asked.n or 4000, seed=asked.seed, first=asked.first, script=media.__file__
+                asked.n or n, seed=asked.seed, first=asked.first, script=str(script.__file__)
             )
             print(damage.table(outcomes))
             return int(any(one.is_fault for one in outcomes))

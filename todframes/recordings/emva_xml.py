@@ -185,6 +185,8 @@ def read_emva_xml(path: Path) -> EmvaCamera:
         missing = "K" if gain is None else "sigma_d"
         raise DataError(f"{path}: found no sensitivity/{missing}, expected one; are these results of EMVA 1288?")
     efficiency, bits = found["QE"], found["bits"]
+    if bits is not None and bits != round(bits):
+        raise DataError(f"{path}: info/bits: found {bits:g}, expected a whole number")
     camera = EmvaCamera(
         system_gain_dn_per_electron=gain,
         dark_noise_electrons=dark_noise,
