@@ -91,7 +91,7 @@ RANGES = {
     ("detector", "width_mrad = 0.0681"): (POSITIVE, "number from 1e-12 to 1e\\+12"),
     ("noise", "netd_mk = 16.0"): (POSITIVE, "number from 1e-12 to 1e\\+12"),
     ("noise", "fixed_pattern_ratio = 0.4"): (NOT_NEGATIVE, "number from 0 to 1e\\+12"),
-    ("noise", "frames_integrated = 6"): (COUNT, "whole number >= 1"),
+    ("noise", "frames_integrated = 6"): (COUNT, "whole number from 1 to 10000"),
     ("electronics", "blur_sigma_px = 0.0"): (NOT_NEGATIVE_PIXELS, "number from 0 to 1000"),
     ("display", "pixels_per_detector = 6"): ([*COUNT, "1001"], "whole number from 1 to 1000"),
     ("display", "pixel_pitch_mm = 0.25"): (POSITIVE, "number from 1e-12 to 1e\\+12"),
@@ -189,7 +189,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
 
 
 def test_settings_made_in_code_are_checked_too():
-    with pytest.raises(SettingsError, match=r"^frames_integrated: found 2\.5, expected a whole number >= 1$"):
+    with pytest.raises(SettingsError, match=r"^frames_integrated: found 2\.5, expected a whole number from 1 to 10000$"):
         Noise(frames_integrated=2.5)  # type: ignore[arg-type]
 
 
