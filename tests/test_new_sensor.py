@@ -10,7 +10,7 @@ import pytest
 import sensor_sim as ss
 from sensor_sim import cli
 from sensor_sim.chain.sensor import EXPLAINED, NOISE_MODELS, TABLES
-from todframes.base.errors import SettingsError
+from todframes.base.errors import DataError, SettingsError
 from todframes.cli.console import run
 from todframes.recordings.emva_xml import emva_xml
 
@@ -67,6 +67,13 @@ def test_results_of_emva_1288(tmp_path):
     (tmp_path / "dark.xml").write_bytes(emva_xml({"K": 0.4, "sigma_d": 2.5}))
     with pytest.raises(SettingsError, match="quantum_efficiency is missing: the results do not have it"):
         ss.new_sensor(emva=tmp_path / "dark.xml", pitch_um=3.45, **common)
+
+
+@pytest.mark.parametrize("encoding", ["utf-800000", "utf-7"])
+def test_results_in_an_encoding_that_is_not_known_are_refused(tmp_path, encoding):
+    (tmp_path / "camera.xml").write_text(f'<?xml version="1.0" encoding="{encoding}"?><results/>')
+    with pytest.raises(DataError, match=r"camera\.xml: is no XML \(.*encoding"):
+        ss.new_sensor(emva=tmp_path / "camera.xml", pitch_um=3.45, f_number=2.8, focal_length_mm=25.0)
 
 
 @pytest.mark.parametrize("preset", ["emva_basler", "boson"])

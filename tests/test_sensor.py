@@ -189,7 +189,9 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
 
 
 def test_settings_made_in_code_are_checked_too():
-    with pytest.raises(SettingsError, match=r"^frames_integrated: found 2\.5, expected a whole number from 1 to 10000$"):
+    with pytest.raises(
+        SettingsError, match=r"^frames_integrated: found 2\.5, expected a whole number from 1 to 10000$"
+    ):
         Noise(frames_integrated=2.5)  # type: ignore[arg-type]
 
 

@@ -396,6 +396,7 @@ def _results() -> list[Enemy]:
                             '<!DOCTYPE r [<!ENTITY e SYSTEM "file:///etc/passwd">]><results>&e;</results>'),
         "deep": ("camera.xml", "<results>" + "<a>" * 200_000),
         "deep and closed": ("camera.xml", "<results>" + "<a>" * 200_000 + "</a>" * 200_000 + "</results>"),
+        "an encoding that is not known": ("is no XML", good.replace("utf-8", "utf-800000")),
         "empty": ("is no XML", ""),
         "cut": ("is no XML", good[:300]),
         "UTF-16 without its mark": ("is no XML", good.encode("utf-16-be").decode("latin-1")),

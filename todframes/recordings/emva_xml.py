@@ -223,7 +223,7 @@ def _results(path: Path) -> ElementTree.Element:
         raise DataError(f"{path}: has a document type or CDATA, expected plain XML of EMVA 1288 results")
     try:
         root = ElementTree.fromstring(content)
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, LookupError, ValueError) as error:  # the last two: of its encoding
         raise DataError(f"{path}: is no XML ({error}), expected results of EMVA 1288") from None
     if root.tag != "results":
         raise DataError(
