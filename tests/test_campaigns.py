@@ -70,6 +70,19 @@ def test_slanted_edges() -> None:
     assert "1 edges: the band holds 9" in process.stdout
 
 
+@pytest.mark.parametrize(("part", "end"), [("--smooth", "; 0 ought to end otherwise"), ("--torn", "departs': ")])
+def test_smooth_and_torn_edges(part: str, end: str) -> None:
+    process = subprocess.run(
+        [sys.executable, RUN.with_name("slanted.py"), "60", part, "--seed", "4"],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+        check=False,
+    )
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert end in process.stdout
+
+
 @pytest.mark.parametrize(
     ("part", "n", "end"), [("clean", 8, "0 of 8 good datasets have a warning"), ("hostile", 30, "0 faults")]
 )

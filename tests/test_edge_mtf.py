@@ -132,7 +132,7 @@ def wave(height_px, period_px):
     return lambda s: height_px * np.sin(2.0 * np.pi * s / period_px + 0.3)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.02, 0.1])
+@pytest.mark.parametrize("noise", [0.0, 0.1])
 @pytest.mark.parametrize(
     ("displaced_px", "rms_px"),
     [
@@ -203,15 +203,16 @@ def test_a_small_modulus_has_a_band_of_some_width_that_holds_it():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kernel", "least"),
+    "kernel",
     [
-        (np.full((3, 3), 1 / 3), 0.85),
+        np.full((3, 3), 1 / 3),
         # Interpolation of one of two pixels, as in a mosaic of colours.
-        (np.array([[0.0, 0.35, 0.0], [0.35, 0.71, 0.35], [0.0, 0.35, 0.0]]), 0.85),
+        np.array([[0.0, 0.35, 0.0], [0.35, 0.71, 0.35], [0.0, 0.35, 0.0]]),
     ],
+    ids=["smoothed", "interpolated"],
 )
-def test_the_band_knows_of_noise_that_neighbours_share(kernel, least):
-    """Coverage below 0.19 cycles/pixel, where independent noise of the same size would do a third as much."""
+def test_the_band_knows_of_noise_that_neighbours_share(kernel):
+    """Coverage below 0.19 cycles/pixel, where such noise does up to three times as much as independent noise."""
     optics = gaussian(0.6)
     image = edge_image((100, 72), 4.0, optics)
     truth = true_mtf(FREQUENCY_CYC_PER_PIXEL[1:13], optics, 4.0)
@@ -220,8 +221,9 @@ def test_the_band_knows_of_noise_that_neighbours_share(kernel, least):
         noise = convolve(np.random.default_rng([9, number]).normal(0.0, 0.012, image.shape), kernel)
         found = measure_edge(image + noise, whole(image))
         held.append((found.lower[1:13] <= truth) & (truth <= found.upper[1:13]))
-    # Some 24 x 3 independent values: a standard error of 0.026. Without, 0.79 and 0.80 were held.
-    assert np.mean(held) > least
+    # Some 24 x 3 independent values: a standard error of 0.026. With weights that fall with the lag it is 0.81 and
+    # 0.87.
+    assert np.mean(held) > 0.89
 
 
 def test_a_saturated_edge_and_a_box_outside_are_one_line(tmp_path, capsys):
