@@ -255,6 +255,17 @@ def test_temporal_nlm_averages_alike_patches_alone() -> None:
     assert np.abs(alone[0] - clean).max() < 0.02
 
 
+def test_temporal_nlm_takes_values_beyond_black_and_white() -> None:
+    """Linear frames in noise have them: the same clip with its values moved gives the same result, moved."""
+    clip, _, _ = shaking(0.01)
+    nlm = find_enhancement("temporal_nlm:before=4")
+    inside, _ = nlm.run_clip(clip[:5], np.array([4]), None)
+    for offset in (-0.6, 0.9):
+        moved, _ = nlm.run_clip(clip[:5] + np.float32(offset), np.array([4]), None)
+        # Codes are rounded before and after, in both clips; 65,535 of them span at most twice white here.
+        assert np.allclose(moved - offset, inside, rtol=0.0, atol=4 * 2.0 / 65535)
+
+
 def inner(image: np.ndarray, margin: int = 10) -> np.ndarray:
     return image[..., margin:-margin, margin:-margin]
 

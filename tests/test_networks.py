@@ -198,6 +198,15 @@ def test_a_frame_that_is_smaller_than_the_network_is_mirrored(tmp_path: Path) ->
 
 
 @pytest.mark.usefixtures("in_process")
+@pytest.mark.skipif(OLD_OPENCV, reason="OpenCV 4 does not report what a network takes")
+def test_tiles_of_another_size_than_the_models_are_refused(tmp_path: Path) -> None:
+    path = denoiser(tmp_path / "m.onnx", size=(48, 40))
+    with pytest.raises(SettingsError, match="tile_px: found 48, but the model takes pictures of 48 × 40 only"):
+        found(path, "tile_px=48")
+    assert found(denoiser(path, size=(48, 48)), "tile_px=48").values["tile_px"] == 48
+
+
+@pytest.mark.usefixtures("in_process")
 def test_settings_lie_beside_the_model_and_the_command_overrides_them(tmp_path: Path) -> None:
     path = identity(tmp_path / "same.onnx")
     (tmp_path / "same.toml").write_text("white = 255\noverlap_px = 8\nchannels = 1\n", encoding="utf-8")

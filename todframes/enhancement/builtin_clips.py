@@ -100,9 +100,10 @@ def temporal_nlm(
     ] = 21,
 ) -> Image:
     """Non-local means over a frame and those before it, on 16-bit code values."""
-    if frames.min() < 0.0 or frames.max() > 1.0:
-        raise ValueError(f"code values run from {frames.min():g} to {frames.max():g} of white, expected 0 to 1")
-    codes = np.rint(frames * UINT16_WHITE).astype(np.uint16)
+    # Differences of patches do not depend on where the codes begin, so values beyond black and white fit as well.
+    low, high = min(0.0, float(frames.min())), max(1.0, float(frames.max()))
+    scale = UINT16_WHITE / (high - low)
+    codes = np.rint((frames - np.float32(low)) * np.float32(scale)).astype(np.uint16)
     found = []
     for k in judged:
         # OpenCV denoises the frame in the middle and searches all alike, so their order has no effect.
@@ -112,12 +113,12 @@ def temporal_nlm(
             window,
             before // 2,
             before + 1,
-            h=[h * UINT16_WHITE],
+            h=[h * scale],
             templateWindowSize=patch_size,
             searchWindowSize=window_size,
             normType=cv2.NORM_L1,
         )
-        found.append(denoised / np.float32(UINT16_WHITE))
+        found.append(denoised / np.float32(scale) + np.float32(low))
     return np.stack(found)
 
 

@@ -187,6 +187,9 @@ def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -
     size = properties.rows, properties.columns
     multiple = properties.multiple_px
     tile = values["tile_px"]
+    if tile is not None and any(side not in (tile, None) for side in size):
+        taken = " × ".join("any" if side is None else str(side) for side in size)
+        raise SettingsError(f"{where}: tile_px: found {tile}, but the model takes pictures of {taken} only")
     if tile is None:
         tile = WHOLE_PX // multiple * multiple
     if tile % multiple:
