@@ -214,6 +214,21 @@ def test_one_group(todframes, make_dataset) -> None:
     assert todframes("compare", made.path, "--enhance", "gaussian:sigma=3")[1].count("PSNR") == 0
 
 
+def test_cost_without_frames_without_noise_is_shown_when_asked_for(todframes, make_dataset) -> None:
+    arguments = (
+        "compare",
+        str(make_dataset().path),
+        "--enhance",
+        "gaussian",
+        "--white",
+        "100",
+        "--set",
+        "resamples=40",
+    )
+    assert "CPU time" not in todframes(*arguments)[1]
+    assert "CPU time (s)" in todframes(*arguments, "--verbose")[1]
+
+
 def test_two_of_one_name_have_their_parameters_as_names(todframes, make_dataset) -> None:
     _, out, _ = todframes(
         "compare",

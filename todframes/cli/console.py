@@ -168,7 +168,7 @@ def finish(
         print_table(tables.plan(result))
     if result.algorithms:
         print_table(tables.ratios(result, title))
-        if any(one.psnr_db is not None or one.ssim is not None for one in result.algorithms):
+        if verbose or any(one.psnr_db is not None or one.ssim is not None for one in result.algorithms):
             print_table(tables.measures(result.algorithms))
     else:
         print_table(tables.thresholds(result, title))
