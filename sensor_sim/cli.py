@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +17,13 @@ from todframes.cli.console import (
     keep_libraries_to_one_thread,
     long_run,
     opened_engine,
+    print_content,
+    print_end,
     print_table,
     progress,
     run,
     say,
     staged,
-    terminal_width,
-    time_line,
 )
 from todframes.cli.options import (
     json_option,
@@ -318,17 +317,13 @@ def sweep(
             )
         place.write(result.files)
     if as_json:
-        click.echo(result.to_json(), nl=False)
+        print_content(result.to_json())
         return
     print_table(result.best())
     problems = result.problems()
     if problems is not None:
         print_table(problems)
-    for sentence in result.sentences():
-        echo(*textwrap.wrap(sentence, terminal_width()))
-    echo(time_line())
-    if out is not None:
-        echo(f"written: {out}")
+    print_end(result.sentences(), out=out)
 
 
 def _assigned_ranges(ranges: tuple[str, ...]) -> dict[str, str]:
@@ -363,11 +358,10 @@ def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
     with staged(out) as place:
         place.write(transfer.files)
     if as_json:
-        click.echo(transfer.to_json(), nl=False)
+        print_content(transfer.to_json())
         return
     print_table(transfer.table(TABLE_STEP))
-    if out is not None:
-        echo(f"written: {out}")
+    print_end([], out=out, is_timed=False)
 
 
 @cli.command()
@@ -450,15 +444,11 @@ def mrtd(
             )
         place.write(found.files)
     if as_json:
-        click.echo(found.to_json(), nl=False)
+        print_content(found.to_json())
         return
     print_table(found.table())
     print_table(found.tod_table())
-    for sentence in found.sentences():
-        echo(*textwrap.wrap(sentence, terminal_width()))
-    echo(time_line())
-    if out is not None:
-        echo(f"written: {out}")
+    print_end(found.sentences(), out=out)
 
 
 @cli.command()

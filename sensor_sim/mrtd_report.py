@@ -27,8 +27,8 @@ from todframes.field.ttp import (
 )
 from todframes.report.data import Fit, json_file
 from todframes.report.figure_style import COLOURS, INK, add_legend, plain_ticks
-from todframes.report.figures import ReportFigure, drawn
-from todframes.report.result import Saving
+from todframes.report.figures import ReportFigure
+from todframes.report.result import Plotting
 from todframes.report.table import Column, Table
 
 if TYPE_CHECKING:
@@ -94,8 +94,10 @@ class Ttp(msgspec.Struct, frozen=True, kw_only=True):
     settings: Json
 
 
-class SensorMrtd(msgspec.Struct, Saving, frozen=True, kw_only=True):
+class SensorMrtd(msgspec.Struct, Plotting, frozen=True, kw_only=True):
     """Thresholds of four bars, and the TOD beside them; its fields are the keys of the command's JSON.
+
+    `plot` draws MRTD and TOD on one axis, as Figure 7 of the paper does.
 
     Attributes
     ----------
@@ -208,20 +210,6 @@ class SensorMrtd(msgspec.Struct, Saving, frozen=True, kw_only=True):
                 lines.append(f"{one.frequency_cyc_per_mrad!r},{value / 1e3!r}{ends}")
         head = "frequency_cyc_per_mrad,mrtd_k" + ("" if phase == "lloyd" else ",ci95_low,ci95_high")
         return "\n".join([head, *lines, ""])
-
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw MRTD and TOD on one axis, as Figure 7 of the paper does.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Axes to draw into. Default: a new figure.
-
-        Returns
-        -------
-        matplotlib Axes
-        """
-        return drawn(self.draw, ax)
 
     def draw(self, axes: Axes) -> None:
         """Draw into axes in the style that is set; `plot` sets that of all figures."""

@@ -12,9 +12,9 @@ from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, stages
 from todframes import __version__
 from todframes.report.data import json_file
 from todframes.report.figure_style import COLOURS, INK
-from todframes.report.figures import ReportFigure, drawn
+from todframes.report.figures import ReportFigure
 from todframes.report.mtf_figure import MtfLine, draw_mtf
-from todframes.report.result import Saving
+from todframes.report.result import Plotting
 from todframes.report.table import Column, Table
 
 if TYPE_CHECKING:
@@ -48,8 +48,10 @@ LINES = {
 }
 
 
-class SensorMtf(msgspec.Struct, Saving, frozen=True, kw_only=True):
+class SensorMtf(msgspec.Struct, Plotting, frozen=True, kw_only=True):
     """Transfer of every stage of a sensor along x; its fields are the keys of the command's JSON.
+
+    `plot` draws the transfer of all stages up to three times the Nyquist frequency.
 
     Attributes
     ----------
@@ -92,20 +94,6 @@ class SensorMtf(msgspec.Struct, Saving, frozen=True, kw_only=True):
             *(Column(key=name, header=name, decimals=4, rank=ranks.get(name, 0)) for name in self.mtf),
         ]
         return Table.of(title, "mtf.csv", columns, records[::step])
-
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the transfer of all stages up to three times the Nyquist frequency.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Axes to draw into. Default: a new figure.
-
-        Returns
-        -------
-        matplotlib Axes
-        """
-        return drawn(self.draw, ax)
 
     def draw(self, axes: Axes) -> None:
         """Draw into axes in the style that is set; `plot` sets that of all figures."""

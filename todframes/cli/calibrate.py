@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 from typing import Any
 
 import click
 
 from todframes.base.locations import Location
-from todframes.base.safe_text import visible
-from todframes.cli.console import (
-    check_strict,
-    echo,
-    print_table,
-    progress,
-    say,
-    staged,
-    terminal_width,
-    time_line,
-    warning_lines,
-)
+from todframes.cli.console import print_content, print_end, print_table, progress, say, staged
 from todframes.cli.options import (
     dataset_argument,
     json_option,
@@ -106,17 +94,8 @@ def calibrate(
         for one in result.skipped:
             say(f"skipped: {one['error']}")
     if as_json:
-        if not quiet:
-            for line in warning_lines(result.warnings):
-                say(line)
-        click.echo(result.to_json(), nl=False)
-        check_strict(result.warnings, strict)
+        print_content(result.to_json(), result.warnings, quiet=quiet, strict=strict)
         return
     for table in calibration.all_tables(result):
         print_table(table)
-    for line in [*verdict(result), *warning_lines(result.warnings)]:
-        echo(*textwrap.wrap(visible(line), terminal_width()))
-    echo(time_line())
-    if out is not None:
-        echo(f"written: {out}")
-    check_strict(result.warnings, strict)
+    print_end(verdict(result), result.warnings, out=out, strict=strict)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-import textwrap
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from todframes.base.errors import SettingsError
-from todframes.cli.console import echo, print_table, progress, terminal_width
+from todframes.cli.console import echo, print_sentences, print_table, progress
 from todframes.cli.options import numbers, quiet_option, seed_option
 
 if TYPE_CHECKING:
@@ -187,8 +186,7 @@ def chart(
         except SettingsError as error:
             raise SettingsError(_with_options(str(error))) from None
     print_table(_table(made))
-    for sentence in _remarks(made):
-        echo(*textwrap.wrap(sentence, terminal_width()))
+    print_sentences(_remarks(made))
     echo(f"written: {out}")
 
 

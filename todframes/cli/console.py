@@ -158,11 +158,8 @@ def finish(
                 say(f"note: {algorithm.spec}: {algorithm.n_clipped} values were clipped")
         if result.negative_luminance_pixels and not result.algorithms:
             say(f"note: {result.negative_luminance_pixels} of the display pixels read have a luminance below zero")
-        for line in warning_lines(result.warnings) if as_json else ():
-            say(line)
     if as_json:
-        click.echo(result.to_json(), nl=False)
-        check_strict(result.warnings, strict)
+        print_content(result.to_json(), result.warnings, quiet=quiet, strict=strict)
         return
     if explain:
         print_table(tables.plan(result))
@@ -177,19 +174,53 @@ def finish(
             print_table(answers)
     if verbose:
         print_table(tables.thresholds(result, "Details"), details=True)
-    for sentence in [*result.verdict, *cautions(result), *(remarks(result) if verbose else [])]:
-        echo(*textwrap.wrap(visible(sentence), terminal_width()))
-    for line in warning_lines(result.warnings):
-        echo(*textwrap.wrap(visible(line), terminal_width()))
-    echo(time_line())
+    sentences = [*result.verdict, *cautions(result), *(remarks(result) if verbose else [])]
+    print_end(sentences, result.warnings, out=out, strict=strict)
+
+
+def print_content(
+    content: bytes | str, warnings: Sequence[ResultWarning] = (), *, quiet: bool = False, strict: bool = False
+) -> None:
+    """Print what a program reads, JSON or TOML, on standard output, and the warnings on standard error.
+
+    Raises
+    ------
+    DataError
+        If `strict` and there are warnings; everything is shown before.
+    """
+    for line in () if quiet else warning_lines(warnings):
+        say(line)
+    click.echo(content, nl=False)
+    check_strict(warnings, strict)
+
+
+def print_end(
+    sentences: Iterable[str],
+    warnings: Sequence[ResultWarning] = (),
+    *,
+    out: str | None = None,
+    strict: bool = False,
+    is_timed: bool = True,
+) -> None:
+    """Print what follows the tables of a command: sentences, warnings, the time, and the folder that was written.
+
+    Raises
+    ------
+    DataError
+        If `strict` and there are warnings; everything is shown before.
+    """
+    print_sentences([*sentences, *warning_lines(warnings)])
+    if is_timed:
+        echo(f"{time.perf_counter() - signals.STARTED_S:.2f} s")  # the time that people have waited
     if out is not None:
         echo(f"written: {out}")
-    check_strict(result.warnings, strict)
+    check_strict(warnings, strict)
 
 
-def time_line() -> str:
-    """Return the time since the process began: the time that people have waited."""
-    return f"{time.perf_counter() - signals.STARTED_S:.2f} s"
+def print_sentences(sentences: Iterable[str]) -> None:
+    """Print sentences on standard output, each wrapped to the width of the terminal."""
+    for one in sentences:
+        echo(*textwrap.wrap(visible(one), terminal_width()))
 
 
 def warning_lines(warnings: Sequence[ResultWarning]) -> Iterator[str]:

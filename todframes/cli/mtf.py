@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 
 import click
 
-from todframes.cli.console import (
-    check_strict,
-    echo,
-    print_table,
-    progress,
-    say,
-    staged,
-    terminal_width,
-    warning_lines,
-)
+from todframes.cli.console import print_content, print_end, print_table, progress, staged
 from todframes.cli.options import box, json_option, max_frame_option, quiet_option, strict_option
 
 
@@ -87,19 +77,11 @@ def mtf(
                 progress=advance,
             )
         place.write(result.files)
-    warnings = result.warnings
     if as_json:
-        for line in warning_lines(warnings):
-            say(line)
-        click.echo(result.to_json(), nl=False)
-        check_strict(warnings, strict)
+        print_content(result.to_json(), result.warnings, quiet=quiet, strict=strict)
         return
     print_table(result.short_table())
     edges = result.edge_table()
     if edges is not None:
         print_table(edges)
-    for sentence in [*result.sentences(), *warning_lines(warnings)]:
-        echo(*textwrap.wrap(sentence, terminal_width()))
-    if out is not None:
-        echo(f"written: {out}")
-    check_strict(warnings, strict)
+    print_end(result.sentences(), result.warnings, out=out, strict=strict, is_timed=False)

@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from todframes.base.errors import SettingsError
-from todframes.cli.console import (
-    check_strict,
-    echo,
-    print_table,
-    progress,
-    say,
-    staged,
-    terminal_width,
-    warning_lines,
-)
+from todframes.cli.console import print_content, print_end, print_table, progress, staged
 from todframes.cli.options import box, json_option, max_frame_option, numbers, quiet_option, strict_option
 
 if TYPE_CHECKING:
@@ -160,23 +150,14 @@ def noise(
                     max_frame_mb=max_frame_mb,
                     progress=advance,
                 )
-        table = result.sensor_toml() if sensor else None
+        content = result.sensor_toml() if sensor else result.to_json() if as_json else None
         place.write(result.files)
-    warnings = result.warnings
-    if table is not None or as_json:
-        for line in warning_lines(warnings):
-            say(line)
-        click.echo(result.to_json() if table is None else table, nl=False)
-        check_strict(warnings, strict)
+    if content is not None:
+        print_content(content, result.warnings, quiet=quiet, strict=strict)
         return
-    print_table(result.table())
-    for table_of in result.more_tables():
-        print_table(table_of)
-    for sentence in [*result.sentences(), *warning_lines(warnings)]:
-        echo(*textwrap.wrap(sentence, terminal_width()))
-    if out is not None:
-        echo(f"written: {out}")
-    check_strict(warnings, strict)
+    for table in (result.table(), *result.more_tables()):
+        print_table(table)
+    print_end(result.sentences(), result.warnings, out=out, strict=strict, is_timed=False)
 
 
 def _check_used(*, is_emva: bool, of_emva: dict[str, object], of_others: dict[str, object]) -> None:

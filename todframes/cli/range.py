@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 
 import click
 
 from todframes.base.errors import SettingsError
-from todframes.cli.console import (
-    check_strict,
-    echo,
-    print_table,
-    say,
-    staged,
-    terminal_width,
-    time_line,
-    warning_lines,
-)
+from todframes.cli.console import print_content, print_end, print_table, staged
 from todframes.cli.options import json_option, numbers, seed_option, strict_option
 
 
@@ -109,10 +99,7 @@ def range_command(
         )
         place.write(found.files)
     if as_json:
-        for line in warning_lines(found.warnings):
-            say(line)
-        click.echo(found.to_json(), nl=False)
-        check_strict(found.warnings, strict)
+        print_content(found.to_json(), found.warnings, strict=strict)
         return
     print_table(found.table())
     if verbose:
@@ -120,12 +107,7 @@ def range_command(
         table = found.k_table()
         if table is not None:
             print_table(table)
-    for sentence in [*found.sentences(), *warning_lines(found.warnings)]:
-        echo(*textwrap.wrap(sentence, terminal_width()))
-    echo(time_line())
-    if out is not None:
-        echo(f"written: {out}")
-    check_strict(found.warnings, strict)
+    print_end(found.sentences(), found.warnings, out=out, strict=strict)
 
 
 def _cycles(text: str) -> str | dict[str, float]:

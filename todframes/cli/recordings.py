@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 from typing import Any, Literal
 
 import click
 
 from todframes.base.errors import SettingsError
-from todframes.cli.console import MOST_ALIKE, echo, progress, say, terminal_width
+from todframes.cli.console import MOST_ALIKE, print_sentences, progress, say
 from todframes.cli.options import limits, max_frame_option, quiet_option, restart_options
 
 UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
@@ -125,7 +124,7 @@ def import_command(
     sentence = (
         f"{out}: {done.n_frames} frames in {count(done.n_trials, 'trial')} from {count(done.n_clips, 'clip')}"
     )
-    echo(*textwrap.wrap(sentence, terminal_width()))
+    print_sentences([sentence])
 
 
 def seconds(text: str) -> float | Literal["all"]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import textwrap
 from typing import Any
 
 import click
 
-from todframes.cli.console import echo, progress, say, terminal_width
+from todframes.cli.console import print_sentences, progress, say
 from todframes.cli.options import limits, max_frame_option, numbers, quiet_option, seed_option
 
 
@@ -139,8 +138,7 @@ def scenes(
     ]
     if made.dimmed < 1.0:
         sentences.insert(1, f"Scenes are dimmed to {100.0 * made.dimmed:.3g} % of their luminance.")
-    for sentence in sentences:
-        echo(*textwrap.wrap(sentence, terminal_width()))
+    print_sentences(sentences)
 
 
 def _measured(contrast: float) -> str:

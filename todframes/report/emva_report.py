@@ -16,7 +16,7 @@ from todframes.recordings.emva_xml import emva_xml
 from todframes.recordings.noise3d import MOST_SATURATED
 from todframes.report.data import ResultWarning
 from todframes.report.figure_style import COLOURS, INK, PAPER, add_legend, label_text, plain_ticks, style
-from todframes.report.result import Result, Saving
+from todframes.report.result import Plotting, Result
 from todframes.report.table import Column, Table
 from todframes.report.wording import count, interval_phrase, plain
 
@@ -54,8 +54,10 @@ SNR_SPAN = (0.5, 2.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EmvaResult(Saving):
+class EmvaResult(Plotting):
     """The noise of a camera by EMVA 1288, with methods that make text, figures and files of it.
+
+    `plot` draws the signal-to-noise ratio against the ideal one.
 
     Attributes
     ----------
@@ -221,25 +223,9 @@ class EmvaResult(Saving):
             figure = Figure(figsize=(9.6, 4.2), layout="constrained")
             transfer, snr = figure.subplots(1, 2)
             self._draw_transfer(transfer)
-            self._draw_snr(snr)
+            self.draw(snr)
             figure.suptitle(label_text(Path(self.source).name), fontsize="medium")
         return figure
-
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the signal-to-noise ratio against the ideal one.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Axes to draw into. Default: a new figure.
-
-        Returns
-        -------
-        matplotlib Axes
-        """
-        from todframes.report.figures import drawn
-
-        return drawn(self._draw_snr, ax)
 
     def _repr_html_(self) -> str:
         from todframes.report.html import notebook_page
@@ -248,15 +234,12 @@ class EmvaResult(Saving):
 
     def files(self) -> dict[str, bytes]:
         """Return the content of all files by name."""
-        from todframes.report.figures import save_png
+        from todframes.report.figures import figure_png
 
-        figure = self.figure()
-        with style():
-            picture = save_png(figure)
         tables = (self.table(), self.points_table(), self.variance_table())
         return {
             **{one.file: one.csv().encode() for one in tables},
-            "emva.png": picture,
+            "emva.png": figure_png(self.figure()),
             "emva.xml": self.xml(),
             "sensor_noise.toml": self.sensor_toml().encode(),
             "result.json": self.to_json(),
@@ -276,7 +259,8 @@ class EmvaResult(Saving):
         axes.set_ylim(min(0.0, *(one.variance for one in points)) - 0.03 * most, 1.12 * most)
         add_legend(axes)
 
-    def _draw_snr(self, axes: Axes) -> None:
+    def draw(self, axes: Axes) -> None:
+        """Draw into axes in the style that is set; `plot` sets that of all figures."""
         found = self.measured
         efficiency = found.quantum_efficiency
         # Without a quantum efficiency the abscissa is electrons; ideal is the camera that counts all of them.

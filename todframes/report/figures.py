@@ -109,6 +109,12 @@ def save_png(figure: Figure, note: str = "") -> bytes:
     return png_file(figure, dpi=160)
 
 
+def figure_png(figure: Figure) -> bytes:
+    """Return the PNG of a figure that was made in `style`."""
+    with style():
+        return save_png(figure)
+
+
 def _add_note(figure: Figure, note: str) -> None:
     if note:
         figure.supxlabel(textwrap.fill(note, 95), fontsize="x-small", x=0.02, ha="left")

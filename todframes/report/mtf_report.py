@@ -27,10 +27,10 @@ from todframes.recordings.recording import RecordingWarning
 from todframes.recordings.slanted_edges import LUMA, RecordingMtf
 from todframes.report.data import ResultWarning
 from todframes.report.figure_style import COLOURS, INK, label_text, style
-from todframes.report.figures import ReportFigure, drawn, save_png
+from todframes.report.figures import ReportFigure, figure_png
 from todframes.report.html import figure_items, notebook_page, render, table_item
 from todframes.report.mtf_figure import MtfLine, draw_mtf
-from todframes.report.result import Result, Saving
+from todframes.report.result import Plotting, Result
 from todframes.report.table import Column, Table
 from todframes.report.wording import interval_phrase, plain
 
@@ -66,8 +66,8 @@ MOST_LINES = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MtfResult(Saving):
-    """A measured MTF, with methods that make text, figures and files of it.
+class MtfResult(Plotting):
+    """A measured MTF, with methods that make text, figures and files of it. `plot` draws it with its 95 % band.
 
     Attributes
     ----------
@@ -244,20 +244,6 @@ class MtfResult(Saving):
         }
         return Result.made("mtf", self.started, mtf=found, warnings=self.warnings).to_json()
 
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the MTF with its 95 % band.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Axes to draw into. Default: a new figure.
-
-        Returns
-        -------
-        matplotlib Axes
-        """
-        return drawn(self._draw, ax)
-
     def figure(self) -> Figure:
         """Return a figure of the MTF; for a recording also of the edge profiles and of where the edges are."""
         from matplotlib.figure import Figure
@@ -266,7 +252,7 @@ class MtfResult(Saving):
             n = 1 if self.measured is None else 3
             figure = Figure(figsize=(4.8 * n, 3.6) if n > 1 else (5.6, 4.2), layout="constrained")
             axes, *more = np.atleast_1d(figure.subplots(1, n))
-            self._draw(axes)
+            self.draw(axes)
             if self.measured is not None:
                 _draw_profiles(more[0], self.measured)
                 _draw_places(more[1], self.measured)
@@ -295,7 +281,7 @@ class MtfResult(Saving):
     def _pictures(self) -> list[ReportFigure]:
         """List the figures, the most important first."""
         band = "" if self.lower is None else " The band is that of 95 % for the noise of the pixels."
-        found = [ReportFigure("MTF", f"Mean and single curves.{band}", self._draw)]
+        found = [ReportFigure("MTF", f"Mean and single curves.{band}", self.draw)]
         if self.measured is not None:
             places = partial(_draw_places, measured=self.measured)
             profiles = partial(_draw_profiles, measured=self.measured)
@@ -307,13 +293,11 @@ class MtfResult(Saving):
 
     def files(self) -> dict[str, bytes]:
         """Return the content of all files by name; one of MTF Mapper's form for frequencies of pixels."""
-        edges, figure = self.edge_table(), self.figure()
-        with style():
-            picture = save_png(figure)
+        edges = self.edge_table()
         return {
             "mtf.csv": self.table().csv().encode(),
             **({} if edges is None else {edges.file: edges.csv().encode()}),
-            "mtf.png": picture,
+            "mtf.png": figure_png(self.figure()),
             **self._mapper_file(),
             "report.html": self.to_html().encode(),
             "result.json": self.to_json(),
@@ -323,7 +307,8 @@ class MtfResult(Saving):
         table = self.edge_table() or self.short_table()
         return notebook_page(self.sentences(), table, [(self.figure, "MTF")])
 
-    def _draw(self, axes: Axes) -> None:
+    def draw(self, axes: Axes) -> None:
+        """Draw into axes in the style that is set; `plot` sets that of all figures."""
         band = None if self.lower is None or self.upper is None else (self.lower, self.upper)
         is_mean = any(name.startswith("edge") for name in self.others)
         label = "mean" if is_mean else "MTF"

@@ -13,7 +13,7 @@ from todframes.base._typing import FloatArray, Json
 from todframes.recordings.noise3d import PARTS, Noise3D, NoisePart
 from todframes.report.data import ResultWarning
 from todframes.report.figure_style import COLOURS, INK, label_text, style
-from todframes.report.result import Result, Saving
+from todframes.report.result import Plotting, Result
 from todframes.report.table import Column, Table
 from todframes.report.wording import interval_phrase, plain
 
@@ -29,8 +29,10 @@ SHOWN_PERCENTILES = (0.5, 99.5)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NoiseResult(Saving):
+class NoiseResult(Plotting):
     """The noise of a recording, with methods that make text, figures and files of it.
+
+    `plot` draws the parts of the noise with their 95 % intervals.
 
     Attributes
     ----------
@@ -182,29 +184,13 @@ class NoiseResult(Saving):
             n_rows = 1 if temporal_sd is None else 2
             figure = Figure(figsize=(9.6, 3.2 * n_rows), layout="constrained")
             (bars, mean), *more = figure.subplots(n_rows, 2, squeeze=False)
-            self._draw_parts(bars)
+            self.draw(bars)
             _draw_image(mean, self.measured.mean_image, "Mean of each pixel", unit)
             if temporal_sd is not None:
                 self._draw_means(more[0][0])
                 _draw_image(more[0][1], temporal_sd, "SD of each pixel from frame to frame", unit)
             figure.suptitle(label_text(Path(self.recording).name), fontsize="medium")
         return figure
-
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the parts of the noise with their 95 % intervals.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Axes to draw into. Default: a new figure.
-
-        Returns
-        -------
-        matplotlib Axes
-        """
-        from todframes.report.figures import drawn
-
-        return drawn(self._draw_parts, ax)
 
     def _repr_html_(self) -> str:
         from todframes.report.html import notebook_page
@@ -213,17 +199,14 @@ class NoiseResult(Saving):
 
     def files(self) -> dict[str, bytes]:
         """Return the content of all files by name; without a table for a sensor if dynamic noise is not known."""
-        from todframes.report.figures import save_png
+        from todframes.report.figures import figure_png
 
-        figure = self.figure()
-        with style():
-            picture = save_png(figure)
         dynamic = self.measured.dynamic
         known = dynamic is not None and dynamic.variance > 0
         return {
             "noise.csv": self.table().csv().encode(),
             **{one.file: one.csv().encode() for one in self.more_tables()},
-            "noise.png": picture,
+            "noise.png": figure_png(self.figure()),
             **({"sensor_noise.toml": self.sensor_toml().encode()} if known else {}),
             "result.json": self.to_json(),
         }
@@ -256,7 +239,8 @@ class NoiseResult(Saving):
         ratio = self.measured.fixed_pattern_ratio
         return {"ratio": ratio.sd, "ratio_ci95": list(ratio.ci95)}
 
-    def _draw_parts(self, axes: Axes) -> None:
+    def draw(self, axes: Axes) -> None:
+        """Draw into axes in the style that is set; `plot` sets that of all figures."""
         names = list(self.measured.parts)
         parts = [self.measured.parts[name] for name in names]
         heights = [one.sd for one in parts]

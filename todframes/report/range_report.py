@@ -18,7 +18,7 @@ from todframes.report.data import ResultWarning
 from todframes.report.figure_style import INK, add_legend, curve_style, label_text, plain_ticks
 from todframes.report.figures import ReportFigure, drawn
 from todframes.report.html import figure_items, notebook_page, render, table_item
-from todframes.report.result import Result, Saving
+from todframes.report.result import Plotting, Result
 from todframes.report.table import Column, Table
 from todframes.report.tables import records_table
 from todframes.report.wording import interval_phrase, plain
@@ -54,8 +54,10 @@ ABOVE_CONTRAST = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RangeResult(Saving):
+class RangeResult(Plotting):
     """Range of a sensor for a target in the field, with methods that make text, figures and files of it.
+
+    `plot` draws the probability of each task against range, with its 95 % band.
 
     Attributes
     ----------
@@ -236,19 +238,9 @@ class RangeResult(Saving):
         made: Any = Result.made("range", self.started, seed=self.seed, acquisition=found, warnings=self.warnings)
         return bytes(made.to_json())
 
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the probability of each task against range, with its 95 % band.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Axes to draw into. Default: a new figure.
-
-        Returns
-        -------
-        matplotlib Axes
-        """
-        return drawn(partial(draw_probability, acquired=self.acquired), ax)
+    def draw(self, axes: Axes) -> None:
+        """Draw into axes in the style that is set; `plot` sets that of all figures."""
+        draw_probability(axes, acquired=self.acquired)
 
     def plot_crossing(self, ax: Axes | None = None) -> Axes:
         """Draw the contrast that arrives and the threshold of each task against range; they cross at its range.

@@ -25,6 +25,13 @@ if TYPE_CHECKING:
 LIBRARIES = ("numpy", "scipy", "OpenImageIO", "cv2", "skimage")
 
 
+class HasDrawing(Protocol):
+    """Protocol of a result that draws its main figure."""
+
+    def draw(self, axes: Axes) -> None:
+        """Draw into axes in the style that is set."""
+
+
 class HasFiles(Protocol):
     """Protocol of a result that gives the content of its files by name."""
 
@@ -53,6 +60,28 @@ class Saving:
         from todframes.base.output import write_folder
 
         write_folder(folder, self.files())
+
+
+class Plotting(Saving):
+    """Mixin that draws the main figure of a result, and saves its files."""
+
+    __slots__ = ()
+
+    def plot(self: HasDrawing, ax: Axes | None = None) -> Axes:
+        """Draw the main figure, which the text of the class names.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Axes to draw into. Default: a new figure.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        from todframes.report.figures import drawn
+
+        return drawn(self.draw, ax)
 
 
 class Result(ResultData, Saving, frozen=True, kw_only=True, dict=True):
