@@ -147,9 +147,13 @@ def shift_numbers() -> Values:
     """Figure 7: the factors of the frequency at which bars are as hard as triangles."""
     sensor, settings = star_like(), with_noise(0.5)
     curves, rows, factors = of_bars(sensor, settings), [], {name: [] for name in BAR_CURVES}
+    levels = []
     for size in CAMERA_SIZES:
         warm = float(delta_t_mk(threshold_snr(sensor, settings, size).threshold, noise=sensor.noise))
         row = [f"{size:g}", f"{1.0 / size:.3f}", f"{warm:.4g}"]
+        frequencies, lloyd = curves["Lloyd"]
+        if 2.0 / size >= frequencies[0]:
+            levels.append(warm / math.exp(float(np.interp(2.0 / size, frequencies, np.log(lloyd)))))
         for name, (frequency, threshold) in curves.items():
             if not threshold[0] <= warm <= threshold[-1]:
                 row.append("outside")
@@ -164,6 +168,7 @@ def shift_numbers() -> Values:
     return {
         "shift": table(head, rows),
         "shift_bars": f"{min(factors['mean']):.2f} to {max(factors['mean']):.2f}",
+        "shift_lloyd_level": f"{min(levels):.1f} to {max(levels):.1f}",
         "shift_lloyd": f"{min(factors['Lloyd']):.2f} to {max(factors['Lloyd']):.2f}",
         "mrtd_lloyd_ratio": f"{at_nyquist['Lloyd'] / at_nyquist['mean']:.1f}",
         "mrtd_phase_ratio": f"{at_nyquist['mean'] / at_nyquist['best phase']:.2f}",

@@ -86,6 +86,8 @@ def test_table_is_a_curve_that_range_reads(found, tmp_path):
         assert curve.threshold == pytest.approx([getattr(one, expected) / 1000.0 for one in rows])
         ends = [getattr(one, f"{expected}_error") / getattr(one, expected) / 1.96 for one in rows]
         assert curve.ln_sd.mean(axis=0) == pytest.approx(ends, rel=0.02)
+    with pytest.raises(tod.DataError, match=r"command: found 'mrtd', .* in mrtd\.csv, which"):
+        tod.acquisition_range(tmp_path / "out", target="nato", atmosphere="mwir_23km")
 
 
 @pytest.mark.slow

@@ -23,6 +23,7 @@ from todframes.field.target import find_target, target_names
 from todframes.field.threshold_curve import Psychometric, ThresholdCurve
 from todframes.report.data import FitPoint
 from todframes.report.measured_curve import _slope_error
+from todframes.report.range_report import range_words
 
 A_K, B_MRAD, SIGMA_PER_KM = 0.02, 1.0, 0.2
 NATO = tod.Target(size_m=2.3, delta_t_k=2.0)
@@ -219,6 +220,8 @@ def test_no_range_is_extrapolated() -> None:
     assert one.at_least_km == pytest.approx(2.3, rel=1e-12)  # 1 cycle/mrad · 2.3 m / 1 line pair
     ended = acquired(exponential(FREQUENCIES[:2], unreached_per_mrad=1.5)).ranges[0]
     assert ended.at_most_km == pytest.approx(3.45, rel=1e-12)
+    assert range_words(one).endswith("measure smaller triangles or higher frequencies")
+    assert range_words(ended).endswith("measure sizes between")
     coarse = acquired(exponential([5.0, 6.0])).ranges[0]  # at least 2.97 K
     assert (coarse.status, coarse.range_km) == ("never_reached", None)
     near = acquired(exponential([4.0, 12.0]), air=tod.Atmosphere(extinction_per_km=1.0)).ranges[0]

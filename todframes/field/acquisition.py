@@ -31,6 +31,9 @@ Limit = Literal["contrast", "resolution", "air"]
 
 Status = Literal["ok", "beyond_curve", "nearer_than_curve", "beyond_air_table", "never_reached"]
 
+KRange = tuple[float, float | None, tuple[float | None, float | None] | None]
+"""A divisor k of a TOD's sizes, the range with it, and its 95 % interval."""
+
 PROBABILITIES = (0.5, 0.75, 0.9)
 """Probabilities at which ranges are reported."""
 
@@ -386,7 +389,7 @@ class Acquisition:
         largest = np.argmax(np.stack([np.ones(ranges.size), slope, air]), axis=0)
         return tuple(LIMITS[place] for place in largest.tolist())
 
-    def against_k(self) -> list[tuple[float, float | None, tuple[float | None, float | None] | None]]:
+    def against_k(self) -> list[KRange]:
         """Return k, range and 95 % interval for divisors k of a TOD at its own criterion; None off the curve."""
         found = []
         for k in K_SHOWN.tolist():

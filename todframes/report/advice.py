@@ -38,14 +38,27 @@ def above_contrast_1(fits: Sequence[Fit]) -> tuple[ResultWarning, ...]:
             group=fit.group,
             message=(
                 f"the threshold contrast of {plain(fit.threshold)} is above 1, which "
-                "bright triangles may have, but dark ones never. The size is below the acuity, where P(correct) "
-                "rises and falls with the way in which triangles meet the retina's samples: take larger sizes"
+                f"bright triangles may have, but dark ones never. {_why_above(fit, fits)}"
             ),
             found=fit.threshold,
             expected=1.0,
         )
         for fit in fits
         if fit.level == "contrast" and fit.threshold is not None and fit.threshold > 1.0
+    )
+
+
+def _why_above(fit: Fit, fits: Sequence[Fit]) -> str:
+    """Return why a threshold is so high: the size is below the acuity, or beyond what the observer looks at."""
+    size, threshold = fit.group.get("size_mrad"), fit.threshold
+    others = [one for one in fits if one.threshold is not None and one.threshold < (threshold or 0.0)]
+    if isinstance(size, float | int) and any(float(one.group.get("size_mrad", math.inf)) < size for one in others):
+        return (
+            "Smaller sizes are easier: the triangle is wider than what the observer looks at; take smaller sizes"
+        )
+    return (
+        "The size is below the acuity, where P(correct) rises and falls with the way in which triangles meet the "
+        "retina's samples: take larger sizes"
     )
 
 

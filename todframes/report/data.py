@@ -737,7 +737,8 @@ def decode(content: bytes, where: str, kind: type[D]) -> D:
     if result.schema != SCHEMA:
         raise DataError(f"{where}: schema: found {result.schema}, expected {SCHEMA}")
     if result.command not in CONTENT:
-        raise DataError(f"{where}: command: found {result.command!r}, expected one of {', '.join(CONTENT)}")
+        hint = "; its thresholds are in mrtd.csv, which `todframes range` reads" * (result.command == "mrtd")
+        raise DataError(f"{where}: command: found {result.command!r}, expected one of {', '.join(CONTENT)}{hint}")
     if not getattr(result, CONTENT[result.command]):
         raise DataError(f"{where}: {CONTENT[result.command]}: found none, expected at least one")
     _check_fits(result.fits, f"{where}: fits")

@@ -12,7 +12,7 @@ import numpy as np
 
 from todframes import __version__
 from todframes.base._typing import Json
-from todframes.field.acquisition import GAIN, Acquisition, TaskCurve, TaskRange
+from todframes.field.acquisition import GAIN, Acquisition, KRange, TaskCurve, TaskRange
 from todframes.field.threshold_curve import RangeWarning
 from todframes.report.data import ResultWarning
 from todframes.report.figure_style import INK, add_legend, curve_style, label_text, plain_ticks
@@ -126,11 +126,20 @@ class RangeResult(Plotting):
         ]
         return Table.of("Probability against range", "probability.csv", columns, records)
 
+    @property
+    def _k_shown(self) -> list[KRange]:
+        """Ranges against k; none if no k has one, or on the road of cycles."""
+        found = self.acquired.against_k() if self.is_tod else []
+        return found if any(km is not None for _, km, _ in found) else []
+
     def k_table(self) -> Table | None:
-        """Return the range of a TOD at its own criterion for other values of k; None on the road of cycles."""
-        if not self.is_tod:
+        """Return the range of a TOD at its own criterion for other values of k.
+
+        None on the road of cycles, and where the range lies off the curve for each k.
+        """
+        if not self._k_shown:
             return None
-        records = [{"k": k, "range_km": km, "range_ci95_km": ends} for k, km, ends in self.acquired.against_k()]
+        records = [{"k": k, "range_km": km, "range_ci95_km": ends} for k, km, ends in self._k_shown]
         columns = [
             Column(key="k", digits=3),
             Column(key="range_km", header="range (km)"),
@@ -264,8 +273,8 @@ class RangeResult(Plotting):
             "the curve's ends. A task can be done up to their crossing."
         )
         found.append(ReportFigure("Contrast at the aperture", note, self._draw_crossing, "crossing.png"))
-        if self.is_tod:
-            draw = partial(_draw_against_k, found=self.acquired.against_k(), criteria=self.acquired.criteria)
+        if self._k_shown:
+            draw = partial(_draw_against_k, found=self._k_shown, criteria=self.acquired.criteria)
             title = f"Range at {self._criterion()} against k"
             found.append(ReportFigure(title, f"{K_IS_YOURS} Vertical: yours.", draw, "range_against_k.png"))
         return found
@@ -379,7 +388,7 @@ def draw_probability(axes: Axes, *, acquired: Acquisition) -> None:
     add_legend(axes)
 
 
-def _draw_against_k(axes: Axes, found: list[tuple[float, float | None, Any]], criteria: dict[str, float]) -> None:
+def _draw_against_k(axes: Axes, found: list[KRange], criteria: dict[str, float]) -> None:
     known = [(k, km, ends) for k, km, ends in found if km is not None]
     axes.plot([k for k, _, _ in known], [km for _, km, _ in known], color=curve_style(0, 1).colour)
     banded = [(k, *ends) for k, _, ends in known if ends is not None and None not in ends]
@@ -424,7 +433,12 @@ def range_words(one: TaskRange) -> str:
         return f"{plain(one.range_km)} km{interval}"
     ends = [f"at least {plain(one.at_least_km)} km"] if one.at_least_km is not None else []
     ends += [f"at most {plain(one.at_most_km)} km"] if one.at_most_km is not None else []
-    return f"{' and '.join(ends) or 'no range'}; {NO_RANGE[one.status]}"
+    reason = NO_RANGE[one.status]
+    if one.status == "beyond_curve" and one.at_most_km is not None:
+        reason = (
+            "it lies between the curve's last size and the next, which no contrast reaches; measure sizes between"
+        )
+    return f"{' and '.join(ends) or 'no range'}; {reason}"
 
 
 def _sentence(one: TaskRange, is_tod: bool) -> str:
