@@ -1107,6 +1107,8 @@ ASSIGNMENTS = {
     "noise nan": ("internal_noise=nan", ("internal_noise", "nan", "from 0 to")),
     "criterion at guessing": ("p_correct=0.25", ("p_correct", "0.25")),
     "criterion nan": ("p_correct=nan", ("p_correct", "nan")),
+    "of another observer": ("efficiency=0.5", ("efficiency is a setting of csf; pyramid has none",)),
+    "no TOML list": ("band_noise=[.5,.5]", (r"band_noise=\[.5,.5\]", "a list as TOML has it")),
 }
 
 
@@ -1118,6 +1120,11 @@ def asked(**options):
 def test_bad_assignment(assignment, wanted):
     with refused(SettingsError, wanted):
         make_observer(asked(assignments=[assignment]))
+
+
+def test_noise_of_an_observer_that_has_another_measure_of_it():
+    with refused(SettingsError, ("internal_noise is a setting of .*pyramid", "csf has none; .* efficiency")):
+        make_observer(asked(observer="csf", internal_noise=0.3, assignments=[]))
 
 
 @pytest.mark.parametrize(

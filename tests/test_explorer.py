@@ -409,7 +409,7 @@ def test_a_range_that_is_missing_has_its_reason_in_words():
     aim = Aim(replace(find_target("nato"), k={"seen": 8.0}), find_atmosphere("lwir_23km"))
     found = range_answer(range_from(aim, camera, [*known, never], 0.75))
     assert re.match(
-        r"at least [\d.]+ km and at most [\d.]+ km; it is farther than the curve", found["ranges"][1]["words"]
+        r"at least [\d.]+ km and at most [\d.]+ km; it lies between the curve", found["ranges"][1]["words"]
     )
     faint = aim._replace(target=replace(aim.target, delta_t_k=1e-3))
     found = range_answer(range_from(faint, camera, [*known, never], 0.75))

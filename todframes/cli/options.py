@@ -245,7 +245,7 @@ def make_observers(asked: dict[str, Any], *, fitted: bool = True) -> tuple[list[
 
     from todframes.base.reading import check_keys, from_table, read_toml
     from todframes.cli.console import prints_go_to_stderr
-    from todframes.observers.interface import find_observer, settings_file
+    from todframes.observers.interface import find_observer, observers_with, settings_file
     from todframes.psychometrics.fit import FitSettings
 
     where, table = "settings", {}
@@ -259,7 +259,15 @@ def make_observers(asked: dict[str, Any], *, fitted: bool = True) -> tuple[list[
         kinds = [find_observer(name) for name in names]
     of_observers = [[field.name for field in fields(kind.settings_type)] for kind in kinds]
     of_fit = [field.name for field in fields(FitSettings) if fitted or field.name == "p_correct"]
-    check_keys(table, list(dict.fromkeys([*sum(of_observers, []), *of_fit])), where)  # noqa: RUF017 - they are few
+    known = list(dict.fromkeys([*sum(of_observers, []), *of_fit]))  # noqa: RUF017 - they are few
+    for key in table:
+        if key not in known and (others := observers_with(key)):
+            is_noise = key == "internal_noise" and "efficiency" in known
+            instead = "; its noise follows from its efficiency" if is_noise else ""
+            raise SettingsError(
+                f"{where}: {key} is a setting of {', '.join(others)}; {', '.join(names)} has none{instead}"
+            )
+    check_keys(table, known, where)
     observers = [
         kind(from_table({k: v for k, v in table.items() if k in own}, kind.settings_type, where))
         for kind, own in zip(kinds, of_observers, strict=True)
@@ -297,9 +305,12 @@ def assigned(assignments: Sequence[str]) -> dict[str, Any]:
         if not equals or not name.strip():
             raise SettingsError(f"--set: found {assignment!r}, expected NAME=VALUE")
         try:
-            table[name.strip()] = toml_value(text)
+            value = toml_value(text)
         except ValueError:
             raise SettingsError(f"--set: found {assignment!r}, expected one NAME=VALUE") from None
+        if isinstance(value, str) and text.lstrip().startswith("[") and text.count("[") == 1:
+            raise SettingsError(f"--set: found {assignment!r}, expected a list as TOML has it: NAME=[0.5, 0.25]")
+        table[name.strip()] = value
     return table
 
 

@@ -423,6 +423,19 @@ def find_observer(name: str) -> type[Observer]:
         raise SettingsError(f"observer: {name!r} cannot be loaded ({error})") from None
 
 
+def observers_with(setting: str) -> list[str]:
+    """Return the names of the registered observers that have a setting; those that cannot be loaded have none."""
+    found = []
+    for name in registered(ENTRY_POINT_GROUP):
+        try:
+            kind = find_observer(name)
+        except SettingsError:
+            continue
+        if setting in [field.name for field in fields(kind.settings_type)]:
+            found.append(name)
+    return found
+
+
 def _imported(name: str) -> type[Observer]:
     module, _, class_name = name.partition(":")
     found = import_named(module, class_name, f"observer: {name!r}")
