@@ -296,7 +296,7 @@ def test_the_command_names_the_observer_and_its_settings():
         (["--observer", "oriented", "--set", "complex_cells=true"], "observer: it is not linear; no curve"),
         (["--observer", "no_such"], "observer: unknown key 'no_such'"),
         (["--observer", "pyramid,csf"], "observer: found 'pyramid,csf', expected a single one here"),
-        (["--observer", "csf", "--internal-noise", "0.5"], "settings: unknown key 'internal_noise'"),
+        (["--observer", "csf", "--internal-noise", "0.5"], "settings: internal_noise is a setting of "),
         (["--p-correct", "0.2"], "settings: p_correct: found 0.2"),
     ],
 )

@@ -101,8 +101,8 @@ def test_every_command_takes_every_observer(name: str, make_dataset, tmp_path: P
             "retina_pitch_mrad=0.3",
             "retina_pitch_mrad: found 0.3, whose Nyquist frequency is 29.1 cycles/degree",
         ),
-        ("csf", "internal_noise=0.5", "unknown key 'internal_noise'; the nearest valid one is "),
-        ("pyramid", "orientations=8", "unknown key 'orientations'; the nearest valid one is "),
+        ("csf", "internal_noise=0.5", "pyramid; csf has none; its noise follows from its efficiency"),
+        ("pyramid", "orientations=8", "orientations is a setting of oriented; pyramid has none"),
         ("orientd", "orientations=8", "unknown key 'orientd'; the nearest valid one is 'oriented'"),
     ],
 )
@@ -219,7 +219,10 @@ def test_ones_own_observer_can_be_plugged_in(example: list[str], make_dataset, c
     assert ideal < fit["threshold"] < ideal * (1.0 + 2.2 / size_samples)
     # Where it has no setting of a name, that is an error as with any observer.
     assert run(todframes, [*line, "--internal-noise", "0.5"]) == 2
-    assert "unknown key 'internal_noise'; the nearest valid one is" in capsys.readouterr().err
+    assert (
+        "internal_noise is a setting of informative, oriented, pyramid; retina_samples has none"
+        in capsys.readouterr().err
+    )
     dataset = make_dataset(contrasts=(0.03, 0.06, 0.12, 0.24, 0.48), repeats=5).path
     by_decisions = [
         succeed(todframes, capsys, "score", dataset, "--observer", "retina_samples", "--decisions", one, "--json")
