@@ -212,6 +212,16 @@ MARK = """async () => {
 }"""
 
 
+AT_ONCE = """async () => {
+  const stage = document.getElementById("stage");
+  while (!stage.dataset.trial) await new Promise((done) => setTimeout(done));
+  const trial = Number(stage.dataset.trial);
+  window.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
+  return trial;
+}"""
+"""An answer in the moment in which the trial appears: from outside, a busy machine takes longer than 150 ms."""
+
+
 def test_person_who_is_too_fast_looks_away_and_stops(
     make_dataset: Any, open_page: OpenPage, tmp_path: Path
 ) -> None:
@@ -226,8 +236,7 @@ def test_person_who_is_too_fast_looks_away_and_stops(
         is_shown, middle = page.evaluate(MARK)
         assert is_shown is None and middle != CODE  # the mark, before the picture
 
-        assert trial_shown(page) == 1
-        page.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowLeft' }))")
+        assert page.evaluate(AT_ONCE) == 1
         page.wait_for_selector("#feedback:has-text('Too fast')")
         assert trial_shown(page) == 2
         page.evaluate("window.dispatchEvent(new Event('blur'))")
