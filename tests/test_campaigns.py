@@ -20,10 +20,15 @@ pytestmark = [
 ]
 
 
-def campaign(*arguments: str) -> str:
+def campaign(*arguments: str, script: str = "run.py") -> str:
     """Run a campaign to its good end; return what it prints."""
     process = subprocess.run(
-        [sys.executable, RUN, *arguments], capture_output=True, text=True, timeout=600, check=False
+        [sys.executable, RUN.with_name(script), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=600,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+        check=False,
     )
     assert process.returncode == 0, process.stdout + process.stderr
     return process.stdout
@@ -59,50 +64,24 @@ def test_planted_links() -> None:
 
 
 def test_slanted_edges() -> None:
-    process = subprocess.run(
-        [sys.executable, RUN.with_name("slanted.py"), "40", "--only", "gaussian 0.8, 5"],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-        check=False,
-    )
-    assert process.returncode == 0, process.stdout + process.stderr
-    assert "1 edges: the band holds 9" in process.stdout
+    out = campaign("40", "--only", "gaussian 0.8, 5", script="slanted.py")
+    assert "1 edges: the band holds 9" in out
 
 
 @pytest.mark.parametrize(("part", "end"), [("--smooth", "; 0 ought to end otherwise"), ("--torn", "departs': ")])
 def test_smooth_and_torn_edges(part: str, end: str) -> None:
-    process = subprocess.run(
-        [sys.executable, RUN.with_name("slanted.py"), "60", part, "--seed", "4"],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-        check=False,
-    )
-    assert process.returncode == 0, process.stdout + process.stderr
-    assert end in process.stdout
+    assert end in campaign("100", part, "--seed", "4", script="slanted.py")
 
 
 @pytest.mark.parametrize(
     ("part", "n", "end"), [("clean", 8, "0 of 8 good datasets have a warning"), ("hostile", 30, "0 faults")]
 )
 def test_triangles_on_scenes(part: str, n: int, end: str) -> None:
-    process = subprocess.run(
-        [sys.executable, RUN.with_name("backdrops.py"), part, str(n), "--seed", "2"],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-        check=False,
-    )
-    assert process.returncode == 0, process.stdout + process.stderr
-    assert end in process.stdout
+    assert end in campaign(part, str(n), "--seed", "2", script="backdrops.py")
 
 
 def test_clips() -> None:
-    process = subprocess.run(
-        [sys.executable, RUN.with_name("clips.py"), "12"], capture_output=True, text=True, check=False
-    )
-    assert (process.returncode, process.stdout.splitlines()[-1]) == (0, "12 cases, 0 faults"), process.stdout
+    assert campaign("12", script="clips.py").endswith("\n12 cases, 0 faults\n")
 
 
 def test_servers() -> None:
@@ -140,16 +119,7 @@ def test_the_explorer() -> None:
 
 def test_coverage_of_ratios_over_backgrounds() -> None:
     """Forty comparisons of a kind: a share of 93 to 97 % within chance."""
-    script = RUN.with_name("backgrounds.py")
-    process = subprocess.run(
-        [sys.executable, script, "40", "--only", "8 scenes, effects differ"],
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-    assert (process.returncode, process.stderr) == (0, ""), process.stdout
-    assert "of 40 ratios cover" in process.stdout
+    assert "of 40 ratios cover" in campaign("40", "--only", "8 scenes, effects differ", script="backgrounds.py")
 
 
 def test_coverage_of_intervals() -> None:

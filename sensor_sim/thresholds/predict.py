@@ -689,7 +689,7 @@ class Known(Protocol):
 
     @property
     def references(self) -> Mapping[int, Reference]:
-        """What is known for each number of places on a lattice."""
+        """Return what is known for each number of places on a lattice."""
 
     def near(self, chain: FoldedChain) -> float:
         """Return a level that the threshold of a chain is near."""

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from camera_texts import DISPLAY, LENS, PHOTONS, PIXELS
 from test_measured_optics import write_psf
 
 from todframes.recordings.emva_xml import emva_xml
@@ -35,37 +36,6 @@ LONGEST_S = 30.0
 
 HEAD = 'schema = 1\nname = "camera"\n'
 
-DISPLAY = """
-[display]
-pixels_per_detector = 2
-pixel_pitch_mm = 0.25
-viewing_distance_mm = 600.0
-background_luminance_cd_m2 = 50.0
-"""
-
-LENS = "[optics]\nf_number = 2.8\nfocal_length_mm = 25.0\nwavelength_um = 0.555\n"
-
-PIXELS = "[detector]\npitch_um = 3.45\n"
-
-PHOTONS = """
-[scene]
-luminance_cd_m2 = 1.0
-[noise]
-model = "photon"
-quantum_efficiency = 0.6
-system_gain_dn_per_electron = 0.4
-dark_noise_electrons = 2.5
-dark_current_electrons_per_s = 100.0
-dsnu_electrons = 1.0
-prnu_percent = 2.0
-full_well_electrons = 10000.0
-bits = 12
-exposure_ms = 10.0
-row_noise_electrons = 0.5
-column_pattern_electrons = 0.5
-frames_integrated = 2
-"""
-
 TABLE = "frequency_cyc_per_mm,mtf\n" + "".join(
     f"{f},{math.exp(-((f / 120) ** 2)):.4f}\n" for f in range(0, 301, 10)
 )
@@ -73,6 +43,8 @@ TABLE = "frequency_cyc_per_mm,mtf\n" + "".join(
 TWO_DIRECTIONS = "frequency_cyc_per_mm,mtf_tangential,mtf_sagittal\n" + "".join(
     f"{f},{math.exp(-((f / 90) ** 2)):.4f},{math.exp(-((f / 110) ** 2)):.4f}\n" for f in range(0, 301, 20)
 )
+
+LINES = "row_noise_electrons = 0.5\ncolumn_pattern_electrons = 0.5\nframes_integrated = 2\n"
 
 MOTION = "[motion]\nsmear_mrad = 0.1\njitter_sigma_mrad = 0.05\n"
 
@@ -82,13 +54,14 @@ WITH_POINT = LENS + 'psf = "psf.tif"\npsf_pitch_um = 0.8\n' + PIXELS
 THERMAL = '\n[noise]\ndistribution = "gaussian"\nnetd_mk = 50.0\ncouple_netd = true\n'
 
 SENSORS = {
-    "photons": HEAD + MODELLED + PHOTONS + DISPLAY,
-    "measured MTF": HEAD + WITH_TABLE + PHOTONS + DISPLAY,
+    "photons": HEAD + MODELLED + PHOTONS + LINES + DISPLAY,
+    "measured MTF": HEAD + WITH_TABLE + PHOTONS + LINES + DISPLAY,
     "two directions": HEAD + WITH_TABLE.replace("mtf.csv", "two.csv") + THERMAL + DISPLAY,
-    "image of a point": HEAD + WITH_POINT + PHOTONS + DISPLAY,
+    "image of a point": HEAD + WITH_POINT + PHOTONS + LINES + DISPLAY,
     "electrons": HEAD
     + MODELLED
     + PHOTONS.replace("luminance_cd_m2 = 1.0", "background_electrons = 40.0")
+    + LINES
     + DISPLAY,
     "thermal": HEAD + MODELLED + THERMAL + DISPLAY,
 }

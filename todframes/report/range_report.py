@@ -16,7 +16,7 @@ from todframes.field.acquisition import GAIN, Acquisition, KRange, TaskCurve, Ta
 from todframes.field.threshold_curve import RangeWarning
 from todframes.report.data import ResultWarning
 from todframes.report.figure_style import INK, add_legend, curve_style, label_text, plain_ticks
-from todframes.report.figures import ReportFigure, drawn
+from todframes.report.figures import ReportFigure
 from todframes.report.html import figure_items, notebook_page, render, table_item
 from todframes.report.result import Plotting, Result
 from todframes.report.table import Column, Table
@@ -250,20 +250,6 @@ class RangeResult(Plotting):
     def draw(self, axes: Axes) -> None:
         """Draw into axes in the style that is set; `plot` sets that of all figures."""
         draw_probability(axes, acquired=self.acquired)
-
-    def plot_crossing(self, ax: Axes | None = None) -> Axes:
-        """Draw the contrast that arrives and the threshold of each task against range; they cross at its range.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Axes to draw into. Default: a new figure.
-
-        Returns
-        -------
-        matplotlib Axes
-        """
-        return drawn(self._draw_crossing, ax)
 
     def _pictures(self) -> list[ReportFigure]:
         """List the figures, the most important first."""
