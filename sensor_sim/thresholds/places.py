@@ -123,7 +123,7 @@ def predict_at_unknown_place(
 
 
 def check_places(sensor: Sensor, places: int) -> None:
-    """Raise SettingsError if a number of places is out of its range, or the sensor's noise not alike at all."""
+    """Raise SettingsError if a number of places is out of range, or the noise is not the same at all places."""
     if not 1 <= places <= MOST_PLACES:
         raise SettingsError(f"{argument.places}: found {places}, expected a whole number from 1 to {MOST_PLACES}")
     if places == 1:

@@ -814,9 +814,9 @@ def predicted_on_lattices(
             reference = known.references[places]
             share = known.share(found.deviations, reference.deviations)
             by_ratio = half_width_95(found.deviations - share * reference.deviations)
-            if by_ratio + share * reference.error + left_out <= tolerance:
+            if by_ratio + abs(share) * reference.error + left_out <= tolerance:
                 threshold *= math.exp(share * reference.correction)
-                error = by_ratio + share * reference.error
+                error = by_ratio + abs(share) * reference.error
                 break
         # More trials do not reduce the error of the omissions: on a flat curve, the stated error may stay above
         # the tolerance.
