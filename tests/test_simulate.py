@@ -20,7 +20,6 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from sensor_sim import cli
-from sensor_sim.chain import dataset as simulated_dataset
 from sensor_sim.chain.dataset import white_luminance_cd_m2, write_dataset
 from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
 from sensor_sim.chain.simulation import LARGEST_SIDE_PX, SimulatedTrial, Simulator, plan_trials
@@ -29,6 +28,7 @@ from todframes import __version__
 from todframes.base.errors import FrameError, SettingsError
 from todframes.base.signals import SIGNALS
 from todframes.cli.console import run
+from todframes.frames import dataset_files
 from todframes.frames import files as frame_writing
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
@@ -637,7 +637,7 @@ def test_disk_full_at_the_manifest(simulate_command, tmp_path, monkeypatch):
     def no_space(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(simulated_dataset, "csv_text", no_space)
+    monkeypatch.setattr(dataset_files, "csv_text", no_space)
     assert_refused(
         simulate_command(tmp_path / "dataset"), BAD_SETTINGS, str(tmp_path / "dataset"), "No space left on device"
     )

@@ -28,9 +28,9 @@ from todframes import __version__
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.base.output import held, remove_others
-from todframes.base.reading import toml_text
-from todframes.base.safe_text import csv_text, one_line
-from todframes.frames.dataset import SCENE_COLUMNS
+from todframes.base.safe_text import one_line
+from todframes.frames.dataset import SCENE_COLUMNS, Experiment
+from todframes.frames.dataset_files import write_dataset_files
 from todframes.frames.files import frame_sha256, write_frame
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.run import run_stored
@@ -76,7 +76,7 @@ def white_luminance_cd_m2(sensor: Sensor, levels: Sequence[float]) -> float:
 class WrittenFrames(NamedTuple):
     """The rows of the manifest of frames that were written, and their clipped and all pixels if they are PNG."""
 
-    rows: list[list[str]]
+    rows: list[dict[str, str]]
     n_clipped: int
     n_pixels: int
 
@@ -139,24 +139,35 @@ class SimulationWork:
 
     def _written(
         self, folder: Path, trial: SimulatedTrial, number: int | None, frame: SimulatedFrame, code: FloatArray
-    ) -> list[str]:
+    ) -> dict[str, str]:
         """Write a frame, of a clip if it has a number there; return its row of the manifest."""
         name_of_trial = "s{}_n{}_{}_{}".format(*trial.key[:2], trial.orientation, trial.key[2])
-        of_clip = []
+        of_clip: dict[str, str] = {}
         if number is not None:
             assert self.filming is not None
             is_judged = number >= self.filming.warm_up_frames
             time_s = self.filming.times_s(self.sensor)[number]
-            of_clip = [name_of_trial if is_judged else "", name_of_trial, f"{time_s:.6f}", str(int(is_judged))]
+            of_clip = {
+                "trial": name_of_trial if is_judged else "",
+                "clip": name_of_trial,
+                "time_s": f"{time_s:.6f}",
+                "judged": str(int(is_judged)),
+            }
         name = f"frames/{name_of_trial}{'' if number is None else f'_{number:03d}'}.{self.frame_format}"
         write_frame(folder / name, code, attributes=provenance(self.sensor, self.seed, trial))
-        size_mrad = trial.size_detectors * self.sensor.display.detector_pitch_mrad
-        numbers = [repr(size_mrad), repr(trial.size_detectors), repr(trial.level)]
-        place = [f"{frame.x_px:.6f}", f"{frame.y_px:.6f}"]
-        scene: tuple[str, ...] = ()
+        row = {
+            "frame": name,
+            "orientation": trial.orientation.value,
+            "size_mrad": repr(trial.size_detectors * self.sensor.display.detector_pitch_mrad),
+            "size_detectors": repr(trial.size_detectors),
+            self.sensor.level: repr(trial.level),
+            "x_px": f"{frame.x_px:.6f}",
+            "y_px": f"{frame.y_px:.6f}",
+        } | of_clip
         if self.scenery is not None and trial.background is not None:
-            scene = self.scenery.view(trial.size_detectors, trial.background, trial.turn)
-        return [name, trial.orientation.value, *numbers, *place, *of_clip, *scene, frame_sha256(folder / name)]
+            view = self.scenery.view(trial.size_detectors, trial.background, trial.turn)
+            row |= zip(SCENE_COLUMNS, view, strict=True)
+        return row | {"sha256": frame_sha256(folder / name)}
 
     def lost(self, item: list[SimulatedTrial]) -> DataError:
         """Return the error about trials whose process died with them."""
@@ -184,7 +195,7 @@ class SimulationWork:
         """Return the result that `encode` got; None if a frame is missing or has changed."""
         found = msgspec.msgpack.decode(encoded, type=WrittenFrames)
         try:
-            is_there = all(frame_sha256(self.folder / row[0]) == row[-1] for row in found.rows)
+            is_there = all(frame_sha256(self.folder / row["frame"]) == row["sha256"] for row in found.rows)
         except FrameError:
             return None
         return found if is_there else None
@@ -263,14 +274,15 @@ def write_dataset(
         )
     rows = [row for one in written for row in one.rows]
     if store is not None:
-        remove_others(folder, {row[0] for row in rows})
-    columns = ["frame", "orientation", "size_mrad", "size_detectors", sensor.level, "x_px", "y_px"]
-    columns += [] if filming is None else ["trial", "clip", "time_s", "judged"]
-    columns += [*(SCENE_COLUMNS if scenery is not None else ()), "sha256"]
-    manifest = csv_text([columns, *rows], as_it_is=True)
-    (folder / "manifest.csv").write_text(manifest, encoding="utf-8")
-    (folder / "dataset.toml").write_text(_settings(sensor, white, seed), encoding="utf-8")
-    return Written(len(rows), share)
+        remove_others(folder, {row["frame"] for row in rows})
+    n_frames = write_dataset_files(
+        folder,
+        rows,
+        display=_display_table(sensor, white),
+        experiment=Experiment(level=sensor.level, group_by=("size_detectors",)),
+        comment=f"Simulated by sensor-sim {__version__} with seed {seed}; sensor: {one_line(sensor.name)}",
+    )
+    return Written(n_frames, share)
 
 
 def provenance(sensor: Sensor, seed: int, trial: SimulatedTrial) -> dict[str, str]:
@@ -286,20 +298,13 @@ def provenance(sensor: Sensor, seed: int, trial: SimulatedTrial) -> dict[str, st
     }
 
 
-def _settings(sensor: Sensor, white: float, seed: int) -> str:
+def _display_table(sensor: Sensor, white_cd_m2: float) -> dict[str, object]:
     display = sensor.display
-    return toml_text(
-        {
-            "schema": 1,
-            "display": {
-                "eotf": "linear",
-                "white_luminance_cd_m2": white,
-                "black_luminance_cd_m2": 0.0,
-                "pixel_pitch_mm": float(display.pixel_pitch_mm),
-                "viewing_distance_mm": float(display.viewing_distance_mm),
-                "background_luminance_cd_m2": float(display.background_luminance_cd_m2),
-            },
-            "experiment": {"level": sensor.level, "group_by": ["size_detectors"]},
-        },
-        comment=f"Simulated by sensor-sim {__version__} with seed {seed}; sensor: {one_line(sensor.name)}",
-    )
+    return {
+        "eotf": "linear",
+        "white_luminance_cd_m2": white_cd_m2,
+        "black_luminance_cd_m2": 0.0,
+        "pixel_pitch_mm": float(display.pixel_pitch_mm),
+        "viewing_distance_mm": float(display.viewing_distance_mm),
+        "background_luminance_cd_m2": float(display.background_luminance_cd_m2),
+    }

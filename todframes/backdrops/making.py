@@ -30,12 +30,13 @@ from todframes.backdrops.views import (
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.output import new_folder
-from todframes.base.reading import check_positive, toml_text
-from todframes.base.safe_text import csv_text, one_line
+from todframes.base.reading import check_positive
+from todframes.base.safe_text import csv_text, in_utf8, one_line
 from todframes.base.seeds import Rng, seed_of
 from todframes.display.display import Display
 from todframes.display.display_files import DisplayDescription, find_display, table_of_display
-from todframes.frames.dataset import Experiment
+from todframes.frames.dataset import BACKGROUND_COLUMN, PLACE_COLUMNS, SCENE_COLUMNS, Experiment
+from todframes.frames.dataset_files import write_dataset_files
 from todframes.frames.files import MAX_FRAME_MB, PathLike, write_frame
 from todframes.importing.windows import field_reach_px
 from todframes.stimulus import Orientation, coverage
@@ -239,27 +240,15 @@ def scenes(
                 if progress is not None:
                     progress(1)
             written.own += seen.report(size)
-        (folder / "manifest.csv").write_text(
-            csv_text([_columns(polarity, places), *written.rows], as_it_is=True),
-            encoding="utf-8",
-            errors="backslashreplace",
-        )
-        (folder / "scenes.csv").write_text(
-            csv_text([OWN_COLUMNS, *(one.row() for one in written.own)]),
-            encoding="utf-8",
-            errors="backslashreplace",
-        )
-        table = table_of_display(shown.display, folder) | {"background_luminance_cd_m2": "column"}
-        settings: dict[str, object] = {"level": experiment.level, "group_by": list(experiment.group_by)}
-        settings |= {"places": places} if places > 1 else {}
-        (folder / "dataset.toml").write_text(
-            toml_text(
-                {"schema": 1, "display": table, "experiment": settings},
-                comment=f"Triangles on scenes by todframes {__version__} with seed {seed}, scenes dimmed by "
-                f"{stage.dim:.6g}\nDisplay: {one_line(shown.title)}",
-            ),
-            encoding="utf-8",
-            errors="backslashreplace",
+        scenes = csv_text([OWN_COLUMNS, *(one.row() for one in written.own)])
+        (folder / "scenes.csv").write_text(in_utf8(scenes), encoding="utf-8")
+        write_dataset_files(
+            folder,
+            written.rows,
+            display=table_of_display(shown.display, folder) | {BACKGROUND_COLUMN: "column"},
+            experiment=experiment,
+            comment=f"Triangles on scenes by todframes {__version__} with seed {seed}, scenes dimmed by "
+            f"{stage.dim:.6g}\nDisplay: {one_line(shown.title)}",
         )
     before, left = (
         math.sqrt(float(np.mean(np.square([getattr(one, name) for one in written.own]))))
@@ -448,14 +437,8 @@ class _Written:
     """The rows of the manifest and of scenes.csv."""
 
     def __init__(self) -> None:
-        self.rows: list[list[str]] = []
+        self.rows: list[dict[str, str]] = []
         self.own: list[_OwnOrientation] = []
-
-
-def _columns(polarity: int, places: int) -> list[str]:
-    found = ["frame", "orientation", "size_mrad", "contrast", "x_px", "y_px", "background_luminance_cd_m2"]
-    found += ["scene", "scene_turn", "scene_window"]
-    return found + ["place", "place_step_px"] * (places > 1) + ["polarity"] * (polarity < 0)
 
 
 class _SeenViews:
@@ -480,7 +463,7 @@ class _SeenViews:
 
     def write(
         self, folder: Path, size_mrad: float, contrast: float, trial: PlannedTrial, places: int
-    ) -> list[str]:
+    ) -> dict[str, str]:
         """Write a frame; return its row of the manifest."""
         background, (key, view) = self.backgrounds[trial.background], self._key(trial)
         scene, local = self._scene(*key)
@@ -492,17 +475,18 @@ class _SeenViews:
         name = f"frames/s{size_mrad:g}_c{contrast:g}_{trial.orientation}_{trial.number}.png"
         write_frame(folder / name, self.stage.encoder(luminance))
         self.shown[key] += 1
-        row = [
-            name,
-            trial.orientation.value,
-            repr(size_mrad),
-            repr(contrast),
-            f"{view.x_px:.6f}",
-            f"{view.y_px:.6f}",
-        ]
-        row += [f"{local:.8g}", *background.view(trial.turn)]
-        row += [str(view.place), f"{self.layout.step_px:.8g}"] * (places > 1)
-        return row + ["-1"] * (self.stage.polarity < 0)
+        row = {
+            "frame": name,
+            "orientation": trial.orientation.value,
+            "size_mrad": repr(size_mrad),
+            "contrast": repr(contrast),
+            "x_px": f"{view.x_px:.6f}",
+            "y_px": f"{view.y_px:.6f}",
+            BACKGROUND_COLUMN: f"{local:.8g}",
+        } | dict(zip(SCENE_COLUMNS, background.view(trial.turn), strict=True))
+        if places > 1:
+            row |= zip(PLACE_COLUMNS, (str(view.place), f"{self.layout.step_px:.8g}"), strict=True)
+        return row | ({"polarity": "-1"} if self.stage.polarity < 0 else {})
 
     def _key(self, trial: PlannedTrial) -> tuple[tuple[int, str], _View]:
         key = trial.background, trial.turn

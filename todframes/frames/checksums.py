@@ -10,7 +10,7 @@ from pathlib import Path
 
 from todframes.base.errors import DataError, OutputError
 from todframes.base.locations import RemotePath
-from todframes.frames.dataset import Dataset
+from todframes.frames.dataset import MANIFEST_FILE, Dataset
 
 COLUMN = "sha256"
 """Name of the manifest column with the checksums."""
@@ -67,7 +67,7 @@ def _manifest(dataset: Dataset) -> Path:
             f"{dataset.path / 'manifest.csv'}: cannot be written, it is behind a URL; add the checksums to the "
             "manifest of a local copy, and upload that"
         )
-    return Path(os.path.realpath(dataset.path / "manifest.csv"))
+    return Path(os.path.realpath(dataset.path / MANIFEST_FILE))
 
 
 def _filled(text: str, sha256_of: Mapping[str, str]) -> str:

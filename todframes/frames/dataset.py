@@ -44,6 +44,9 @@ from todframes.stimulus import ORIENTATIONS, Stimulus
 SCHEMA = 1
 """Version of the format of `dataset.toml` that this package reads."""
 
+SETTINGS_FILE, MANIFEST_FILE = "dataset.toml", "manifest.csv"
+"""Files that make a folder of frames a dataset."""
+
 BACKGROUND_COLUMN = "background_luminance_cd_m2"
 """Name of the manifest column with each frame's background luminance."""
 
@@ -362,7 +365,7 @@ def load_dataset(path: Location | str, *, max_frame_mb: int = MAX_FRAME_MB) -> D
     check_max_frame_mb(max_frame_mb)
     if isinstance(path, Path) and not os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises for a name that is too long
         raise DataError(f"{path}: not a folder; expected a dataset with dataset.toml and manifest.csv")
-    display, experiment = _read_settings(path / "dataset.toml")
+    display, experiment = _read_settings(path / SETTINGS_FILE)
     manifest = _Manifest(path, display, experiment)
     trials = manifest.trials()
     if not trials and not manifest.bad_rows:
@@ -408,7 +411,7 @@ class _Manifest:
 
     def __init__(self, folder: Location, display: Display, experiment: Experiment) -> None:
         self.folder = resolved(folder)
-        self.path = folder / "manifest.csv"
+        self.path = folder / MANIFEST_FILE
         self.experiment = experiment
         self.needs_background = display.background_luminance_cd_m2 == "column"
         self.bad_rows: list[Skipped] = []

@@ -10,15 +10,13 @@ from typing import NamedTuple
 
 from todframes.base.errors import DataError, OutputError, SettingsError, argument
 from todframes.base.output import output_folder
-from todframes.base.reading import number, toml_text
-from todframes.base.safe_text import csv_text, one_line, visible
+from todframes.base.reading import number
+from todframes.base.safe_text import one_line, visible
 from todframes.display.display import Display
 from todframes.display.display_files import LUT_FILE, find_display, table_of_display
-from todframes.frames.dataset import SCHEMA, Experiment
+from todframes.frames.dataset import MANIFEST_FILE, SETTINGS_FILE, Experiment
+from todframes.frames.dataset_files import write_dataset_files
 from todframes.stimulus import ORIENTATIONS
-
-SETTINGS_FILE, MANIFEST_FILE = "dataset.toml", "manifest.csv"
-"""Files that make a folder of frames a dataset."""
 
 NOT_FROM_NAMES = ("frame", "sha256", "reference_frame")
 """Columns of a manifest that names of files cannot give."""
@@ -97,7 +95,7 @@ def new_dataset(
     if not folder.is_dir():
         raise DataError(f"{folder}: not a folder; expected one with frames")
     group_by = () if level == "size_mrad" else ("size_mrad",)
-    Experiment(level=level, group_by=group_by)  # checks the name
+    experiment = Experiment(level=level, group_by=group_by)
     expression = _expression(pattern, level)
     shown, title = (display, "")
     if isinstance(display, str):
@@ -121,14 +119,8 @@ def new_dataset(
                 f"{folder}: found no file that matches {pattern} ({seen}); expected the path of the frames, "
                 "relative to the dataset"
             )
-        settings = {
-            "schema": SCHEMA,
-            "display": table_of_display(shown, staged),
-            "experiment": {"level": level, "group_by": list(group_by)},
-        }
-        manifest = csv_text([rows[0], *(row.values() for row in rows)], as_it_is=True)
-        (staged / MANIFEST_FILE).write_text(manifest, encoding="utf-8")
-        (staged / SETTINGS_FILE).write_text(toml_text(settings, comment=one_line(title)), encoding="utf-8")
+        table = table_of_display(shown, staged)
+        write_dataset_files(staged, rows, display=table, experiment=experiment, comment=one_line(title))
     return FramesFound(len(rows), tuple(unmatched))
 
 

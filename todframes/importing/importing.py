@@ -17,14 +17,15 @@ import numpy as np
 from todframes import __version__
 from todframes.base.errors import DataError, SettingsError, argument, for_reader
 from todframes.base.output import Going, new_folder, remove_others, store_path
-from todframes.base.reading import check_positive, toml_text
-from todframes.base.safe_text import csv_text, one_line
+from todframes.base.reading import check_positive
+from todframes.base.safe_text import in_utf8, one_line
 from todframes.diagnosis.findings import place_deviations
 from todframes.diagnosis.inspection import inspect
 from todframes.diagnosis.limits import SIZES_ALIKE
 from todframes.display.display import Display
 from todframes.display.display_files import DisplayDescription, find_display, table_of_display
-from todframes.frames.dataset import Dataset, load_dataset
+from todframes.frames.dataset import Dataset, Experiment, load_dataset
+from todframes.frames.dataset_files import write_dataset_files
 from todframes.frames.files import MAX_FRAME_MB
 from todframes.importing.chart_source import ChartSource
 from todframes.importing.clips import TIME_TOLERANCE, Clip, ClipFrame
@@ -240,23 +241,18 @@ def import_recordings(
         for name in division.left_out:
             (folder / name).unlink()
         field_places = source.field_places()
-        group_by = [source.group_by, *(FIELD_PLACE if field_places else ())]
+        group_by = (source.group_by, *(FIELD_PLACE if field_places else ()))
         remove_others(folder, {name for trial in division.trials for name in trial.frames})
         rows = division.rows(
             source.corrections, level=source.level, pitch_mrad=pitch_mrad, field_places=field_places
         )
-        n_frames = _write_manifest(folder / "manifest.csv", rows)
-        _write(
-            folder / "dataset.toml",
-            toml_text(
-                {
-                    "schema": 1,
-                    "display": table_of_display(shown.display, folder),
-                    "experiment": {"level": source.level, "group_by": group_by},
-                },
-                comment=f"Imported by todframes {__version__}; {REPORT_FILE} says what was found\n"
-                f"Display: {one_line(shown.title)}",
-            ),
+        n_frames = write_dataset_files(
+            folder,
+            rows,
+            display=table_of_display(shown.display, folder),
+            experiment=Experiment(level=source.level, group_by=group_by),
+            comment=f"Imported by todframes {__version__}; {REPORT_FILE} says what was found\n"
+            f"Display: {one_line(shown.title)}",
         )
         to_report = (
             *_of_recordings(opened),
@@ -279,7 +275,8 @@ def import_recordings(
             "warnings": [one._asdict() for one in warnings],
             "found": source.report(),
         }
-        _write(folder / REPORT_FILE, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
+        text = json.dumps(report, indent=1, ensure_ascii=False) + "\n"
+        (folder / REPORT_FILE).write_text(in_utf8(text), encoding="utf-8")
     return Imported(
         path=Path(out),
         n_frames=n_frames,
@@ -507,18 +504,3 @@ def _of_windows(division: TrialDivision, *, is_clipped: bool) -> Iterator[Record
             f"{100 * n_beyond / n_values:.2g} % of the values lie beyond black and white {done}; a wider "
             f"{argument.value_range} keeps them",
         )
-
-
-def _write_manifest(path: Path, rows: Iterator[dict[str, object]]) -> int:
-    """Write the rows of the manifest one by one; return their number."""
-    n_rows = 0
-    with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file:
-        for row in rows:
-            lines = [row.values()] if n_rows else [row, row.values()]
-            file.write(csv_text(lines, as_it_is=True))
-            n_rows += 1
-    return n_rows
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8", errors="backslashreplace")  # names may be no UTF-8

@@ -1,0 +1,47 @@
+"""Writing of a dataset: `manifest.csv` and `dataset.toml` beside frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from todframes.base.reading import toml_text
+from todframes.base.safe_text import csv_text, in_utf8
+from todframes.frames.dataset import MANIFEST_FILE, SCHEMA, SETTINGS_FILE, Experiment
+
+
+def write_dataset_files(
+    folder: Path,
+    rows: Iterable[Mapping[str, object]],
+    *,
+    display: Mapping[str, object],
+    experiment: Experiment,
+    comment: str,
+) -> int:
+    """Make a folder of frames a dataset; return the number of rows of its manifest.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset, with the table of luminances that `display` may name.
+    rows : iterable of mapping
+        A row of the manifest for each frame, by column; all have the columns of the first, in its order.
+    display : mapping
+        The table [display]; `table_of_display` returns it.
+    experiment : Experiment
+        The table [experiment].
+    comment : str
+        Lines above the tables.
+    """
+    n_rows = 0
+    with (folder / MANIFEST_FILE).open("w", encoding="utf-8", newline="") as file:
+        for row in rows:
+            lines = [row.values()] if n_rows else [row, row.values()]
+            file.write(in_utf8(csv_text(lines, as_it_is=True)))  # names of recordings may be no UTF-8
+            n_rows += 1
+    of_experiment: dict[str, object] = {"level": experiment.level, "group_by": list(experiment.group_by)}
+    if experiment.places > 1:
+        of_experiment["places"] = experiment.places
+    content = {"schema": SCHEMA, "display": display, "experiment": of_experiment}
+    (folder / SETTINGS_FILE).write_text(in_utf8(toml_text(content, comment=comment)), encoding="utf-8")
+    return n_rows
