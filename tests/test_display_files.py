@@ -12,11 +12,10 @@ import pytest
 
 import todframes as tod
 from todframes.base.errors import SettingsError
-from todframes.base.reading import toml_text
+from todframes.base.reading import shipped_names, toml_text
 from todframes.display.display import Display, LuminanceTable
 from todframes.display.display_files import (
     FOLDER,
-    display_names,
     find_display,
     read_display,
     table_of_display,
@@ -46,7 +45,7 @@ def dataset_with(make_dataset):
     return load
 
 
-@pytest.mark.parametrize("name", display_names())
+@pytest.mark.parametrize("name", shipped_names(FOLDER))
 def test_each_display_of_the_package_says_what_it_is(name: str, dataset_with) -> None:
     found = find_display(name)
     assert found.title
@@ -58,7 +57,7 @@ def test_each_display_of_the_package_says_what_it_is(name: str, dataset_with) ->
 def test_page_lists_all_displays_with_their_pitch() -> None:
     page = (Path(__file__).parent.parent / "docs" / "displays.md").read_text(encoding="utf-8")
     listed = re.findall(r"^\| `(\w+)` \| .*? ([\d.]+) mrad \|", page, re.MULTILINE)
-    assert sorted(name for name, _ in listed) == sorted(display_names())
+    assert sorted(name for name, _ in listed) == sorted(shipped_names(FOLDER))
     for name, pitch in listed:
         assert find_display(name).display.pitch_mrad == pytest.approx(float(pitch), abs=5e-5)  # as rounded
 
@@ -114,11 +113,11 @@ LUT = LuminanceTable(np.array([0.0, 0.1, 1.0]), np.array([0.1, 1 / 3, 97.3]))
 @pytest.mark.parametrize(
     "display",
     [
-        *(find_display(name).display for name in display_names()),
+        *(find_display(name).display for name in shipped_names(FOLDER)),
         Display(eotf="gamma", gamma=2.2, pixel_pitch_mrad=1 / 3, background_luminance_cd_m2=1 / 7),
         Display(eotf="lut", lut=LUT, pixel_pitch_mrad=0.1, background_luminance_cd_m2="border"),
     ],
-    ids=[*display_names(), "gamma", "lut"],
+    ids=[*shipped_names(FOLDER), "gamma", "lut"],
 )
 def test_a_display_is_read_again_as_written(display: Display, make_dataset) -> None:
     made = make_dataset()

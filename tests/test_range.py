@@ -15,11 +15,14 @@ import sensor_sim as ss
 import todframes as tod
 from sensor_sim.sweeps.ranges import Aim
 from todframes.base.output import FILES_OF_COMMAND
+from todframes.base.reading import shipped_names
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.field.acquisition import acquire, cycles_ratio, transfer_probability, with_search
-from todframes.field.atmosphere import atmosphere_names, find_atmosphere
-from todframes.field.target import find_target, target_names
+from todframes.field.atmosphere import FOLDER as AIRS
+from todframes.field.atmosphere import find_atmosphere
+from todframes.field.target import FOLDER as TARGETS
+from todframes.field.target import find_target
 from todframes.field.threshold_curve import Psychometric, ThresholdCurve
 from todframes.report.data import FitPoint
 from todframes.report.measured_curve import _slope_error
@@ -281,7 +284,7 @@ MODTRAN = {
 
 
 def test_airs_of_the_package_are_their_tables() -> None:
-    assert set(atmosphere_names()) == set(MODTRAN)
+    assert set(shipped_names(AIRS)) == set(MODTRAN)
     ranges = np.array([1.0, 5.0, 10.0, 20.0])
     for name, extinction in MODTRAN.items():
         air = find_atmosphere(name)
@@ -291,8 +294,8 @@ def test_airs_of_the_package_are_their_tables() -> None:
 
 
 def test_targets_of_the_package() -> None:
-    assert target_names() == ("nato", "nato_daylight", "person", "r46")
-    for name in target_names():
+    assert shipped_names(TARGETS) == ("nato", "nato_daylight", "person", "r46")
+    for name in shipped_names(TARGETS):
         assert find_target(name).source
     assert dict(find_target("nato").n50_cycles) == {"detection": 1.0, "recognition": 3.0, "identification": 6.0}
     assert dict(replace(NATO, cycles="johnson").n50_cycles)["identification"] == 6.4

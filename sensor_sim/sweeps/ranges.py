@@ -13,7 +13,7 @@ import numpy as np
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.field.acquisition import first_range
-from todframes.field.atmosphere import Atmosphere, chosen_atmosphere
+from todframes.field.atmosphere import Atmosphere, find_atmosphere
 from todframes.field.target import Quantity, Target, chosen_target
 from todframes.field.threshold_curve import ThresholdCurve
 
@@ -81,7 +81,7 @@ def chosen_aim(
         return None
     if atmosphere is None:
         raise SettingsError(f"{argument.atmosphere}: is missing, expected it beside {argument.target}")
-    return Aim(chosen_target(target, k=k), chosen_atmosphere(atmosphere))
+    return Aim(chosen_target(target, k=k), find_atmosphere(atmosphere))
 
 
 def _curve(

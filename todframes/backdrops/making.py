@@ -34,7 +34,7 @@ from todframes.base.reading import check_positive
 from todframes.base.safe_text import csv_text, in_utf8, one_line
 from todframes.base.seeds import Rng, seed_of
 from todframes.display.display import Display
-from todframes.display.display_files import DisplayDescription, find_display, table_of_display
+from todframes.display.display_files import find_display, table_of_display
 from todframes.frames.dataset import BACKGROUND_COLUMN, PLACE_COLUMNS, SCENE_COLUMNS, Experiment
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.frames.files import MAX_FRAME_MB, PathLike, write_frame
@@ -198,7 +198,7 @@ def scenes(
         low, high = value_range
         raise SettingsError(f"{argument.value_range}: found {low:g}:{high:g}, expected LOW:HIGH, the first lower")
     experiment = Experiment(level="contrast", group_by=("size_mrad",), places=places)
-    shown = DisplayDescription(display=display) if isinstance(display, Display) else find_display(display)
+    shown = find_display(display)
     stage = _Stage.of(shown.display, contrasts, polarity, blur_px, dim)
     pitch = shown.display.pitch_mrad
     layouts = [_layout(one, pitch, places, place_step_mrad) for one in sizes]

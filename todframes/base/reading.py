@@ -456,14 +456,18 @@ def shipped_names(folder: Path) -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in folder.glob(f"*{SETTINGS_SUFFIX}")))
 
 
-def shipped_file(name: str, folder: Path, where: str) -> Path:
-    """Return the path of the file of settings in a folder of the package that has a name.
+def settings_path(name: Path | str, folder: Path, where: str) -> Path:
+    """Return the path of a file of settings: the one named, or that of this name in a folder of the package.
 
     Raises
     ------
     SettingsError
-        If there is no such file; the message begins with `where` and names all files.
+        If the name does not end with ".toml", and the folder has no file of it; the message begins with `where`
+        and names all files of the folder.
     """
+    name = str(name)
+    if name.endswith(SETTINGS_SUFFIX):
+        return Path(name)
     names = shipped_names(folder)
     if name not in names:
         raise SettingsError(
@@ -549,6 +553,24 @@ def read_numbers(path: Location, columns: Sequence[str]) -> list[list[float]]:
         check_fields(row, len(header), where)
         found.append([number(row[name], f"{where}: {name}") for name in columns])
     return found
+
+
+@contextmanager
+def table_beside(name: object, folder: Location, where: str) -> Iterator[Location]:
+    """Yield the path of the CSV file that a file of settings names; it is relative to the folder of this file.
+
+    Raises
+    ------
+    SettingsError
+        If the name is no text, the file lies outside of the folder, or the block raises a DataError.
+    """
+    if not isinstance(name, str):
+        raise SettingsError(f"{where}: found {name!r}, expected the name of a CSV file")
+    try:
+        path_inside(resolved(folder), name, where)
+        yield folder / name
+    except DataError as error:
+        raise SettingsError(error.marked) from None
 
 
 def check_columns(header: Iterable[str], needed: Iterable[str], path: Location) -> None:

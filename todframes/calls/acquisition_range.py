@@ -13,7 +13,7 @@ import numpy as np
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
-from todframes.field.atmosphere import Atmosphere, chosen_atmosphere
+from todframes.field.atmosphere import Atmosphere, find_atmosphere
 from todframes.field.target import Target, chosen_target
 from todframes.report.result import Result
 
@@ -96,7 +96,7 @@ def acquisition_range(
     from todframes.report.range_report import RangeResult
 
     aim = chosen_target(target, k=k, cycles=cycles, cycles_per_size=cycles_per_size, search_time_s=search_time_s)
-    air = chosen_atmosphere(atmosphere)
+    air = find_atmosphere(atmosphere)
     curve, warnings = _curve(result, aim, group, magnification)
     _check_used(curve, k=k, cycles=cycles, cycles_per_size=cycles_per_size)
     acquired = acquire(curve, aim, air, rng=np.random.default_rng(seed))

@@ -102,7 +102,7 @@ def mtf(
     if len(found) != 1:
         names = ", ".join(str(one.path) for one in found[:3])
         raise DataError(f"mtf: found {len(found)} recordings ({names} …), expected one")
-    shown = find_display(display).display if isinstance(display, str) else display
+    shown = None if display is None else find_display(display).display
     shows, edges = found[0], list[PlacedEdge]()
     if chart is not None:
         from todframes.importing.camera_page import view_of_camera_page

@@ -100,8 +100,7 @@ def in_memory(frames: Iterable[ArrayLike], display: Display | str, **shown: Any)
     from todframes.display.display_files import find_display
     from todframes.frames.memory import memory_dataset
 
-    found = find_display(display).display if isinstance(display, str) else display
-    return memory_dataset(frames, display=found, **shown)
+    return memory_dataset(frames, display=find_display(display).display, **shown)
 
 
 def located(

@@ -31,8 +31,8 @@ from todframes.base.reading import (
     read_described,
     read_numbers,
     resolved,
-    shipped_file,
-    shipped_names,
+    settings_path,
+    table_beside,
 )
 from todframes.base.safe_text import csv_text
 from todframes.display.display import Display, LuminanceTable
@@ -55,18 +55,15 @@ class DisplayDescription:
     source: str = ""
 
 
-def display_names() -> tuple[str, ...]:
-    """Return the names of the displays that this package provides, in alphabetical order."""
-    return shipped_names(FOLDER)
-
-
-def find_display(name: str, *, where: str = "display", folder: Location | None = None) -> DisplayDescription:
-    """Return the display of this package with a name, or that of a file.
+def find_display(
+    asked: Display | str, *, where: str = "display", folder: Location | None = None
+) -> DisplayDescription:
+    """Return the display of this package with a name, that of a file, or the one given.
 
     Parameters
     ----------
-    name : str
-        A name of `display_names`, or the path of a file that ends with ".toml".
+    asked : Display or str
+        A display, the name of one, or the path of a file that ends with ".toml".
     where : str
         Start of messages about the name: the option, or the file and key.
     folder : Path, RemotePath or None
@@ -78,15 +75,15 @@ def find_display(name: str, *, where: str = "display", folder: Location | None =
     SettingsError
         If there is no such display, or its file cannot be read or has a wrong value.
     """
-    if name.endswith(SETTINGS_SUFFIX):
-        if folder is None:
-            return read_display(Path(name))
-        try:
-            path_inside(resolved(folder), name, f"{where}:")
-        except DataError as error:
-            raise SettingsError(error.marked) from None
-        return read_display(folder / name)
-    return read_display(shipped_file(name, FOLDER, where))
+    if isinstance(asked, Display):
+        return DisplayDescription(display=asked)
+    if folder is None or not asked.endswith(SETTINGS_SUFFIX):
+        return read_display(settings_path(asked, FOLDER, where))
+    try:
+        path_inside(resolved(folder), asked, f"{where}:")
+    except DataError as error:
+        raise SettingsError(error.marked) from None
+    return read_display(folder / asked)
 
 
 def read_display(path: Location) -> DisplayDescription:
@@ -130,8 +127,6 @@ def display_of_table(table: Mapping[str, Any], where: str, folder: Location) -> 
     if "lut" in table:
         if eotf != "lut":
             raise SettingsError(f"{where}: lut: is given but not used with eotf = {eotf!r}")
-        if not isinstance(table["lut"], str):
-            raise SettingsError(f"{where}: lut: found {table['lut']!r}, expected the name of a CSV file")
         table["lut"] = _read_lut(folder, table["lut"], f"{where}: lut")
     return from_table(table, Display, where)
 
@@ -155,13 +150,9 @@ def table_of_display(display: Display, folder: Path) -> dict[str, object]:
     return values
 
 
-def _read_lut(folder: Location, name: str, named: str) -> LuminanceTable:
-    path, columns = folder / name, ("code_value", "luminance_cd_m2")
-    try:
-        path_inside(resolved(folder), name, named)
-        values = read_numbers(path, columns)
-    except DataError as error:
-        raise SettingsError(error.marked) from None
+def _read_lut(folder: Location, name: object, where: str) -> LuminanceTable:
+    with table_beside(name, folder, where) as path:
+        values = read_numbers(path, ("code_value", "luminance_cd_m2"))
     code, luminance = np.array(values, dtype=np.float64).reshape(-1, 2).T
     try:
         return LuminanceTable(code, luminance)

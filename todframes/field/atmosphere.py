@@ -23,20 +23,17 @@ from msgspec import Meta
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, SettingsError
+from todframes.base.errors import SettingsError
 from todframes.base.reading import (
-    SETTINGS_SUFFIX,
     check_columns,
     check_values,
     convert,
     from_table,
-    path_inside,
     read_csv,
     read_described,
     read_numbers,
-    resolved,
-    shipped_file,
-    shipped_names,
+    settings_path,
+    table_beside,
 )
 
 SCHEMA = 1
@@ -229,18 +226,8 @@ def thermal_extinction_per_km(
     return haze + vapour
 
 
-def chosen_atmosphere(atmosphere: Atmosphere | Path | str) -> Atmosphere:
-    """Return an air, or that of a name or file; see `find_atmosphere`."""
-    return atmosphere if isinstance(atmosphere, Atmosphere) else find_atmosphere(atmosphere)
-
-
-def atmosphere_names() -> tuple[str, ...]:
-    """Return the names of the airs that this package provides, in alphabetical order."""
-    return shipped_names(FOLDER)
-
-
-def find_atmosphere(name: str | Path, *, where: str = "atmosphere") -> Atmosphere:
-    """Return the air of this package with a name of `atmosphere_names`, or that of a TOML file.
+def find_atmosphere(asked: Atmosphere | Path | str) -> Atmosphere:
+    """Return the air of this package with a name, that of a TOML file, or the one given.
 
     The table of a file is relative to its folder, and lies in it.
 
@@ -249,11 +236,13 @@ def find_atmosphere(name: str | Path, *, where: str = "atmosphere") -> Atmospher
     SettingsError
         If there is no such air, or its file cannot be read or has a wrong value.
     """
-    path = Path(name) if str(name).endswith(SETTINGS_SUFFIX) else shipped_file(str(name), FOLDER, where)
+    if isinstance(asked, Atmosphere):
+        return asked
+    path = settings_path(asked, FOLDER, "atmosphere")
     table, texts = read_described(path, "atmosphere", SCHEMA)
     place = f"{path}: [atmosphere]"
     if "table" in table:
-        rows = _read_table(path, table["table"], f"{place}: table")
+        rows = _read_table(path.parent, table["table"], f"{place}: table")
         table = {key: value for key, value in table.items() if key != "table"} | rows
     if isinstance(table.get("extinction_per_km"), list):
         table = _as_transmission(table, place)
@@ -293,18 +282,12 @@ def _as_transmission(table: dict[str, Any], where: str) -> dict[str, Any]:
     return table | {"transmission": [math.exp(-extinction * range_km) for extinction, range_km in pairs]}
 
 
-def _read_table(path: Path, name: object, where: str) -> dict[str, Any]:
+def _read_table(folder: Path, name: object, where: str) -> dict[str, Any]:
     """Return `range_km` and the other column of the CSV file that a TOML file names."""
-    if not isinstance(name, str):
-        raise SettingsError(f"{where}: found {name!r}, expected the name of a CSV file")
-    file = path.parent / name
-    try:
-        path_inside(resolved(path.parent), name, where)
+    with table_beside(name, folder, where) as file:
         _, header = next(read_csv(file))
         column = "transmission" if "transmission" in header else "extinction_per_km"
         check_columns(header, ["range_km", column], file)
         rows = read_numbers(file, ["range_km", column])
-    except DataError as error:
-        raise SettingsError(error.marked) from None
     rows = [row for row in rows if row[0] != 0.0]  # no air, no loss
     return {"range_km": [row[0] for row in rows], column: [row[1] for row in rows]}

@@ -22,12 +22,10 @@ from msgspec import Meta
 
 from todframes.base.errors import SettingsError
 from todframes.base.reading import (
-    SETTINGS_SUFFIX,
     check_values,
     from_table,
     read_described,
-    shipped_file,
-    shipped_names,
+    settings_path,
     spelling_hint,
 )
 
@@ -201,23 +199,20 @@ def chosen_target(target: Target | Path | str, **changes: Any) -> Target:
         if isinstance(value := changes.get(name), int | float):
             changes[name] = {unit.format(f"{value:g}"): float(value)}
     changes = {name: value for name, value in changes.items() if value is not None}
-    found = target if isinstance(target, Target) else find_target(target)
+    found = find_target(target)
     return replace(found, **changes) if changes else found
 
 
-def target_names() -> tuple[str, ...]:
-    """Return the names of the targets that this package provides, in alphabetical order."""
-    return shipped_names(FOLDER)
-
-
-def find_target(name: str | Path, *, where: str = "target") -> Target:
-    """Return the target of this package with a name of `target_names`, or that of a TOML file.
+def find_target(asked: Target | Path | str) -> Target:
+    """Return the target of this package with a name, that of a TOML file, or the one given.
 
     Raises
     ------
     SettingsError
         If there is no such target, or its file cannot be read or has a wrong value.
     """
-    path = Path(name) if str(name).endswith(SETTINGS_SUFFIX) else shipped_file(str(name), FOLDER, where)
+    if isinstance(asked, Target):
+        return asked
+    path = settings_path(asked, FOLDER, "target")
     table, texts = read_described(path, "target", SCHEMA)
     return from_table(texts | table, Target, f"{path}: [target]")

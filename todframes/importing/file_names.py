@@ -97,11 +97,9 @@ def new_dataset(
     group_by = () if level == "size_mrad" else ("size_mrad",)
     experiment = Experiment(level=level, group_by=group_by)
     expression = _expression(pattern, level)
-    shown, title = (display, "")
-    if isinstance(display, str):
-        description = find_display(display)
-        shown, title = description.display, f"{display}: {description.title}"
-    assert isinstance(shown, Display)
+    description = find_display(display)
+    shown = description.display
+    title = "" if isinstance(display, Display) else f"{display}: {description.title}"
     for name in (SETTINGS_FILE, MANIFEST_FILE, *([] if shown.lut is None else [LUT_FILE])):
         if (folder / name).exists():
             raise OutputError(f"{folder / name}: is there already; move it away or remove it")

@@ -23,7 +23,7 @@ from todframes.diagnosis.findings import place_deviations
 from todframes.diagnosis.inspection import inspect
 from todframes.diagnosis.limits import SIZES_ALIKE
 from todframes.display.display import Display
-from todframes.display.display_files import DisplayDescription, find_display, table_of_display
+from todframes.display.display_files import find_display, table_of_display
 from todframes.frames.dataset import Dataset, Experiment, load_dataset
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.frames.files import MAX_FRAME_MB
@@ -204,7 +204,7 @@ def import_recordings(
         raise SettingsError(f"chart, schedule: found {found}, expected one, which says what is shown")
     time_s = _checked_time(integration_time_s)
     _check_settings(value_range, ifov_mrad, level, has_schedule=schedule is not None)
-    shown = DisplayDescription(display=display) if isinstance(display, Display) else find_display(display)
+    shown = find_display(display)
     pitch_mrad = shown.display.pitch_mrad
     opened = open_for_import(
         recordings, schedule, level=level, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb

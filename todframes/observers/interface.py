@@ -21,7 +21,7 @@ from msgspec import Meta
 
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError
-from todframes.base.reading import SETTINGS_SUFFIX, check_keys, shipped_file
+from todframes.base.reading import check_keys, settings_path
 from todframes.base.user_code import import_named, registered
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.internal_noise import edgeworth_correction, inner_product
@@ -453,9 +453,7 @@ def settings_file(name: Path | str) -> Path:
         If there is no such file.
     """
     path = Path(name)
-    if path.suffix == SETTINGS_SUFFIX or path.exists():
-        return path
-    return shipped_file(str(name), SETTINGS_FOLDER, "observer settings")
+    return path if path.exists() else settings_path(name, SETTINGS_FOLDER, "observer settings")
 
 
 def described(
