@@ -20,16 +20,17 @@ def save(
     weights: Mapping[str, np.ndarray] | None = None,
     *,
     shape: Sequence[Side] = ANY,
-    inputs: Sequence[str] = ("x",),
+    others: Mapping[str, tuple[int, Sequence[Side]]] | None = None,
     outputs: Sequence[str] = ("y",),
     kind: int = TensorProto.FLOAT,
     tensors: Sequence[TensorProto] = (),
 ) -> Path:
-    """Write a network from x, of a shape, to y."""
-    ports = {name: helper.make_tensor_value_info(name, kind, shape) for name in inputs}
+    """Write a network from x, of a shape, and from other inputs of their types and shapes, to y."""
+    taken = {"x": (kind, shape), **(others or {})}
+    ports = [helper.make_tensor_value_info(name, *one) for name, one in taken.items()]
     ends = [helper.make_tensor_value_info(name, kind, [f"side {k}" for k in range(4)]) for name in outputs]
     constants = [numpy_helper.from_array(np.asarray(value), name) for name, value in (weights or {}).items()]
-    graph = helper.make_graph(list(nodes), "network", list(ports.values()), ends, [*constants, *tensors])
+    graph = helper.make_graph(list(nodes), "network", ports, ends, [*constants, *tensors])
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
     path.write_bytes(model.SerializeToString())
     return path
@@ -103,6 +104,29 @@ def denoiser(path: Path, *, features: int = 8, layers: int = 2, size: Sequence[S
             nodes.append(node("Relu", source, f"r{k}"))
             source = f"r{k}"
     return save(path, [*nodes, node("Sub", f"x {source}", "y")], weights, shape=("n", 1, *size))
+
+
+def less_noise(path: Path, kind: int, shape: Sequence[Side], *, of_picture: Sequence[Side] = ANY) -> Path:
+    """Write a network of a picture x and another input s: y = x − s / 2."""
+    nodes = [
+        node("Cast", "s", "level", to=TensorProto.FLOAT),
+        node("Mul", "level half", "part"),
+        node("Sub", "x part", "y"),
+    ]
+    return save(path, nodes, {"half": np.float32(0.5)}, shape=of_picture, others={"s": (kind, shape)})
+
+
+def weighted(path: Path, weights: Sequence[Sequence[float]], *, layout: str = "nchw") -> Path:
+    """Write a network whose output channels are weighted sums of its input channels."""
+    kernel = np.asarray(weights, np.float32)[..., None, None]
+    if layout == "nchw":
+        return save(path, [convolution("x", "k", "y", 1)], {"k": kernel}, shape=("n", kernel.shape[1], "h", "w"))
+    nodes = [
+        node("Transpose", "x", "first", perm=[0, 3, 1, 2]),
+        convolution("first", "k", "mixed", 1),
+        node("Transpose", "mixed", "y", perm=[0, 2, 3, 1]),
+    ]
+    return save(path, nodes, {"k": kernel}, shape=("n", "h", "w", kernel.shape[1]))
 
 
 def finer(path: Path, factor: int = 2, *, size: Sequence[Side] = ("h", "w")) -> Path:

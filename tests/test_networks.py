@@ -12,7 +12,21 @@ import cv2
 import numpy as np
 import onnx
 import pytest
-from networks import ANY, blur, box, convolution, denoiser, finer, halving, identity, node, of_each_channel, save
+from networks import (
+    ANY,
+    blur,
+    box,
+    convolution,
+    denoiser,
+    finer,
+    halving,
+    identity,
+    less_noise,
+    node,
+    of_each_channel,
+    save,
+    weighted,
+)
 from onnx import TensorProto
 from scipy import ndimage
 
@@ -26,6 +40,7 @@ from todframes.enhancement.network_probe import Found, ProbeRequest, examine, pr
 from todframes.enhancement.network_runtime import has_onnx_runtime, read_model
 from todframes.enhancement.tiles import in_tiles
 from todframes.jobs.fingerprint import fingerprint
+from todframes.report.data import plain_value
 
 RUNTIMES = [
     "opencv",
@@ -203,7 +218,10 @@ def test_tiles_of_another_size_than_the_models_are_refused(tmp_path: Path) -> No
     path = denoiser(tmp_path / "m.onnx", size=(48, 40))
     with pytest.raises(SettingsError, match="tile_px: found 48, but the model takes pictures of 48 × 40 only"):
         found(path, "tile_px=48")
-    assert found(denoiser(path, size=(48, 48)), "tile_px=48").values["tile_px"] == 48
+    assert found(path).values["tile_px"] is None  # no square
+    for given in ("tile_px=48", ""):
+        assert found(denoiser(path, size=(48, 48)), given).values["tile_px"] == 48
+    assert found(denoiser(path, size=(48, "w"))).values["tile_px"] == 1024  # of the side that is free
 
 
 @pytest.mark.usefixtures("in_process")
@@ -268,6 +286,119 @@ def test_a_copy_in_another_process_needs_no_file(tmp_path: Path) -> None:
     assert np.array_equal(copy.run(picture())[0], expected)
 
 
+# A constant input or channel, as a noise level
+
+FLOAT, HALF, INT64 = TensorProto.FLOAT, TensorProto.FLOAT16, TensorProto.INT64
+CONSTANT = {
+    "map": (FLOAT, ANY),
+    "pixel": (FLOAT, (1, 1, 1, 1)),
+    "vector": (FLOAT, ("n",)),
+    "number": (FLOAT, ()),
+    "half": (HALF, ("n", 1)),
+    "step": (INT64, (1,)),
+}
+KNOWS_INPUTS = pytest.mark.skipif(OLD_OPENCV, reason="OpenCV 4 does not report what a network takes")
+
+
+@KNOWS_INPUTS
+@pytest.mark.usefixtures("in_process")
+@pytest.mark.parametrize("runtime", RUNTIMES)
+@pytest.mark.parametrize("name", CONSTANT)
+def test_an_input_that_is_no_picture_has_one_value(tmp_path: Path, runtime, name: str) -> None:
+    path = less_noise(tmp_path / "m.onnx", *CONSTANT[name])
+    image = picture(130, 170)
+    algorithm = find_enhancement(f"onnx:{path}:runtime={runtime},white=255,tile_px=48,inputs.s=51")
+    # 255 x − 51/2, in shares of 255; 1e-6 for 32 bits, and tiles that are faded.
+    assert np.abs(algorithm.run(image)[0] - (image - 0.1)).max() < 1e-6
+
+
+@KNOWS_INPUTS
+@pytest.mark.usefixtures("in_process")
+@pytest.mark.parametrize("runtime", RUNTIMES)
+@pytest.mark.parametrize("layout", ["nchw", "nhwc"])
+def test_a_free_map_has_the_size_of_the_tile(tmp_path: Path, runtime, layout: str) -> None:
+    any_size = ANY if layout == "nchw" else ("n", "h", "w", 1)
+    # Concat does not repeat a map of another size.
+    nodes = [node("Concat", "x s", "both", axis=1 if layout == "nchw" else 3)]
+    axes = [2, 3] if layout == "nchw" else [1, 2]
+    nodes += [node("ReduceMean", "both", "mean", axes=axes), node("Slice", "mean from to axis", "level")]
+    nodes += [node("Sub", "x level", "y")]
+    ends = {"from": [1], "to": [2], "axis": [1 if layout == "nchw" else 3]}
+    weights = {key: np.array(value, np.int64) for key, value in ends.items()}
+    path = save(tmp_path / "m.onnx", nodes, weights, shape=any_size, others={"s": (FLOAT, any_size)})
+    image = picture(70, 101)
+    algorithm = find_enhancement(f"onnx:{path}:runtime={runtime},tile_px=48,inputs.s=0.25")
+    assert np.abs(algorithm.run(image)[0] - (image - 0.25)).max() < 1e-6
+
+
+@KNOWS_INPUTS
+@pytest.mark.usefixtures("in_process")
+@pytest.mark.parametrize("runtime", RUNTIMES)
+@pytest.mark.parametrize("layout", ["nchw", "nhwc"])
+def test_a_constant_channel_lies_behind_those_of_the_picture(tmp_path: Path, runtime, layout: str) -> None:
+    grey = weighted(tmp_path / "grey.onnx", [[1.0, -0.5]], layout=layout)
+    image = picture()
+    found = find_enhancement(f"onnx:{grey}:runtime={runtime},constant_channel=0.2").run(image)[0]
+    assert np.abs(found - (image - 0.1)).max() < 1e-6
+    shares = np.float32([0.1, 0.2, 0.3])
+    colour = weighted(tmp_path / "colour.onnx", np.hstack([np.eye(3), -shares[:, None]]), layout=layout)
+    image = picture(channels=3)
+    for order, expected in (("rgb", shares), ("bgr", shares[::-1])):
+        spec = f"onnx:{colour}:runtime={runtime},constant_channel=0.5,order={order}"
+        assert np.abs(find_enhancement(spec).run(image)[0] - (image - 0.5 * expected)).max() < 1e-6
+
+
+@KNOWS_INPUTS
+@pytest.mark.usefixtures("in_process")
+def test_values_of_inputs_are_a_table_beside_the_model_and_names_with_a_dot_in_the_command(tmp_path: Path) -> None:
+    path = tmp_path / "m.onnx"
+    others = dict.fromkeys(("s", "t"), (FLOAT, ()))
+    save(path, [node("Sub", "x s", "z"), node("Sub", "z t", "y")], others=others)
+    path.with_suffix(".toml").write_text("[inputs]\ns = 0.25\nt = 1\n", encoding="utf-8")
+    image = picture()
+    for more, level in (("", 1.25), (":inputs.s=0.5", 1.5), (":inputs.s=0.5,inputs.t=0", 0.5)):
+        algorithm = find_enhancement(f"onnx:{path}{more}")
+        assert np.abs(algorithm.run(image)[0] - (image - level)).max() < 1e-6
+    assert plain_value(algorithm.values["inputs"]) == {"s": 0.5, "t": 0.0}
+    assert np.array_equal(pickle.loads(pickle.dumps(algorithm)).run(image)[0], algorithm.run(image)[0])
+
+
+@KNOWS_INPUTS
+@pytest.mark.usefixtures("in_process")
+@pytest.mark.parametrize(
+    ("kind", "text", "message"),
+    [
+        ("map", "", r"the model takes x, s; expected a value for each but the picture: inputs\.s=VALUE"),
+        ("map", "[inputs]\nt = 1", "the model takes x, s: unknown key 't'"),
+        ("map", "[inputs]\nx = 1\ns = 1", "found values for all inputs of the model, x, s; expected one without"),
+        ("map", "[inputs]\ns = nan", r"m\.toml: inputs: found {'s': nan} \(expected a number >= "),
+        ("map", "[inputs]\ns = inf", r"m\.toml: inputs: found {'s': inf} \(expected a number <= "),
+        ("map", "[inputs]\ns = 1e300", r"found {'s': 1e\+300} \(expected a number <= "),
+        ("map", "[inputs]\ns = true", r"found {'s': True} \(expected a number, got bool"),
+        ("map", "[inputs.s]\ns = 1", r"found {'s': {'s': 1}} \(expected a number, got a table"),
+        ("map", "inputs = 15", r"m\.toml: inputs: found 15 \(expected a table, got a whole number"),
+        (
+            "map",
+            "constant_channel = 1\n[inputs]\ns = 1",
+            "constant_channel: the model takes 1 in all, expected 2 or 4 channels",
+        ),
+        ("half", "[inputs]\ns = 1e6", r"inputs: s: found 1e\+06, expected a number that float16 can hold"),
+        ("step", "[inputs]\ns = 0.5", "inputs: s: found 0.5, expected a whole number"),
+        ("huge", "[inputs]\ns = 1", "s has shape 1 × 1 × 65536 × 65536, expected at most"),
+        ("bytes", "[inputs]\ns = 1", "s takes values of CV_8U, expected numbers"),
+    ],
+)
+def test_values_of_inputs_that_are_refused(
+    tmp_path: Path, kind: str, text: str, message: str, monkeypatch
+) -> None:
+    monkeypatch.setattr(network, "has_onnx_runtime", lambda: False)
+    further = {"huge": (FLOAT, (1, 1, 2**16, 2**16)), "bytes": (TensorProto.UINT8, ())}
+    path = less_noise(tmp_path / "m.onnx", *(CONSTANT | further)[kind])
+    path.with_suffix(".toml").write_text(text, encoding="utf-8")
+    with pytest.raises((DataError, SettingsError), match=message):
+        find_enhancement(f"onnx:{path}")
+
+
 # Files that are refused, in one line
 
 
@@ -295,7 +426,7 @@ def _bad(folder: Path, name: str) -> Path:
         case "truncated":
             path.write_bytes(whole[: len(whole) // 2])
         case "two_inputs":
-            save(path, [node("Add", "x z", "y")], inputs=("x", "z"))
+            save(path, [node("Add", "x z", "y")], others={"z": (TensorProto.FLOAT, ANY)})
         case "two_outputs":
             save(path, [node("Identity", "x", "y"), node("Relu", "x", "z")], outputs=("y", "z"))
         case "four_channels":
@@ -326,7 +457,7 @@ REFUSED = {
     "empty": "OpenCV cannot read it",
     "random": "OpenCV cannot read it",
     "truncated": "OpenCV cannot read it",
-    "two_inputs": "has 2 inputs, expected one: a picture|fails with a picture",
+    "two_inputs": r"the model takes x, z; expected a value for each but the picture: inputs\.z=VALUE|fails with a",
     "two_outputs": "has 2 outputs, expected one",
     "four_channels": "takes 4 channels, expected 1 or 3|channels: found 1, expected 4",
     "bytes": "takes values of CV_8U, expected 32-bit numbers|fails with a picture",
@@ -361,8 +492,19 @@ def test_nan_and_values_of_the_wrong_kind_are_errors_of_the_frame(tmp_path: Path
         found(path).run(np.full((70, 90), -1.0, np.float32))
 
 
-@pytest.mark.parametrize(("spec", "message"), [("onnx:", "expected onnx:FILE"), ("onnx::white=2", "no such file")])
-def test_a_network_without_a_file(spec: str, message: str) -> None:
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("onnx:", "expected onnx:FILE"),
+        ("onnx::white=2", "no such file"),
+        ("onnx:m.onnx:", "found nothing behind m.onnx:, expected parameter=value"),
+        ("onnx:m.onnx:white", "found white behind m.onnx:, expected parameter=value"),
+        ("onnx:other.onnx:", "other.onnx:: no such file"),
+    ],
+)
+def test_a_network_without_a_file(spec: str, message: str, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    identity(tmp_path / "m.onnx")
     with pytest.raises((DataError, SettingsError), match=message):
         find_enhancement(spec)
 

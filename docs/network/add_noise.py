@@ -18,6 +18,8 @@ def add_noise(dataset: Path, noise_sd: float, seed: int = 1) -> None:
     """Add independent Gaussian noise to all frames of a dataset."""
     rng = np.random.default_rng(seed)
     manifest = dataset / "manifest.csv"
+    if not manifest.exists() or (dataset / "clean").exists():
+        sys.exit(f"{dataset}: expected a dataset without a folder clean")
     with manifest.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     (dataset / "clean").mkdir()

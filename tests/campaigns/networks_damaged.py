@@ -1,7 +1,8 @@
 """The campaign of damaged and hostile neural networks: each ends in an algorithm or in one clear line.
 
 Small networks are mutated and given to `onnx:FILE`, which tries them in a process of its own. One that is accepted
-filters a frame, in another process, as a worker of a comparison does.
+filters a frame, in another process, as a worker of a comparison does. Every sixth case is a whole network of two
+inputs whose settings are mutated or hostile.
 """
 
 from __future__ import annotations
@@ -50,6 +51,26 @@ def other_number(content: bytes, rng: np.random.Generator, _: object) -> bytes:
 MUTATIONS = (flip_bits, truncate, fill_range, insert_bytes, other_number)
 
 
+SETTINGS = b"white = 255\ntile_px = 48\n[inputs]\ns = 0.06\n"
+"""Settings of a network with a noise level, in the form that they are mutated from."""
+
+NAMES = ("s", "x", "t", '""', '"\\u0000"', '"s\\n"', '"' + 300 * "s" + '"', '"s.s"', "inputs", '"\\u202e"')
+VALUES = (
+    *("nan", "-inf", "1e300", "1e-300", "-0.0", "2147483648", "9223372036854775807", "1e9", "true", "'0.1'", "''"),
+    *("[0.1]", "[]", "{}", "{s = 1}", "1979-05-27", '"\\u0007"', 2000 * "[", '"' + 9000 * "s" + '"'),
+)
+
+
+def hostile_settings(rng: np.random.Generator) -> bytes:
+    """Return a text of settings with names and values that no network takes, or some that one does."""
+    if rng.random() < 0.4:
+        return MUTATIONS[int(rng.integers(len(MUTATIONS)))](SETTINGS, rng, [SETTINGS, SETTINGS])
+    n_lines = int(rng.choice([1, 2, 30]))
+    lines = [f"{rng.choice(NAMES) if n_lines < 3 else f's{k}'} = {rng.choice(VALUES)}" for k in range(n_lines)]
+    heads = ["[inputs]", "[inputs.s]", "[[inputs]]", "", f"constant_channel = {rng.choice(VALUES)}\n[inputs]"]
+    return "\n".join([rng.choice(heads), *lines]).encode()
+
+
 def samples(folder: Path) -> list[Path]:
     """Write the networks that are mutated."""
     return [
@@ -70,12 +91,19 @@ def campaign(n: int, *, seed: int, first: int = 0) -> tuple[int, list[str]]:
     found, counts = [], dict.fromkeys(("accepted", "refused", "died after it was accepted"), 0)
     with tempfile.TemporaryDirectory() as name:
         wholes = [path.read_bytes() for path in samples(Path(name))]
+        noise_map = networks.less_noise(Path(name) / "noise.onnx", networks.TensorProto.FLOAT, networks.ANY)
         path = Path(name) / "damaged.onnx"
         for number in range(first, first + n):
             rng = np.random.default_rng((seed, number))
-            mutate = MUTATIONS[number % len(MUTATIONS)]
-            path.write_bytes(mutate(wholes[number // len(MUTATIONS) % len(wholes)], rng, wholes))
-            case = f"{number}, {mutate.__name__}"
+            if number % 6 == 5:
+                path.write_bytes(noise_map.read_bytes())
+                path.with_suffix(".toml").write_bytes(hostile_settings(rng))
+                case = f"{number}, settings"
+            else:
+                mutate = MUTATIONS[number % len(MUTATIONS)]
+                path.write_bytes(mutate(wholes[number // len(MUTATIONS) % len(wholes)], rng, wholes))
+                path.with_suffix(".toml").write_bytes(b"")
+                case = f"{number}, {mutate.__name__}"
             try:
                 done = subprocess.run(
                     [sys.executable, "-c", ONE, f"onnx:{path}:runtime=opencv"],

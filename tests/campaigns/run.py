@@ -11,7 +11,7 @@ python tests/campaigns/run.py planted              # links planted in OUT, and s
 python tests/campaigns/run.py servers              # endless, slow, compressed, cut and moved answers
 python tests/campaigns/run.py decoys               # modules and settings in the working folder
 python tests/campaigns/run.py explorer [N]         # 300 states of the explorer's page, requests held back
-python tests/campaigns/run.py networks [N]         # 500 damaged neural networks
+python tests/campaigns/run.py networks [N]         # 500 damaged neural networks, and hostile settings
 python tests/campaigns/run.py people [N]           # 5 people of each of 8 kinds sit the experiment in Chromium
 """
 

@@ -418,6 +418,7 @@ def convert(value: object, kind: Any, where: str) -> object:
         )
         for kind_of_python, name in (
             ("array", "a list"),
+            ("object", "a table"),
             ("str", "text"),
             ("int", "a whole number"),
             ("float", "a number"),

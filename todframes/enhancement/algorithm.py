@@ -365,18 +365,23 @@ def values_of(
     """Return the values of all parameters: those in `assignments`, `name=value,…`, then `given`, then defaults."""
     known = {one.name: one for one in algorithm.parameters}
     assigned: dict[str, Any] = {}
+    written: set[str] = set()
     for assignment in filter(None, assignments.split(",")):
         name, equals, text = (part.strip() for part in assignment.partition("="))
         if not equals or not name or not text:
             raise SettingsError(f"{where}: found {assignment!r}, expected parameter=value")
-        if name in assigned:
+        if name in written:
             raise SettingsError(f"{where}: found {name} twice, expected it once")
-        if not algorithm.any_parameter:
-            check_keys([name], known, where)
+        written.add(name)
         try:
             value = toml_value(text)
         except ValueError:
             raise SettingsError(f"{where}: found {assignment!r}, expected parameter=value") from None
+        table, dot, key = name.partition(".")
+        if dot and table in known:  # an entry of a table, as TOML writes it: name.key=value
+            name, value = table, dict(assigned.get(table) or (given or {}).get(table) or {}) | {key: value}
+        if not algorithm.any_parameter:
+            check_keys([name], known, where)
         assigned[name] = convert(value, known[name].kind, f"{where}: {name}") if name in known else value
     for name, one in known.items():
         if one.default is inspect.Parameter.empty and name not in assigned:

@@ -90,6 +90,8 @@ def _network(rest: str, spec: str) -> Enhancement:
     path, where = Path(file), f"enhance {spec!r}"
     if not file:
         raise SettingsError(f"{where}: expected {NETWORK}:FILE, with the file of a network")
+    if before and file == rest and not path.exists() and Path(before).exists():
+        raise SettingsError(f"{where}: found {after or 'nothing'} behind {before}:, expected parameter=value")
     network = read_network(path)
     found = described(path.name, spec, network.enhanced, where)
     beside = settings_beside(path, {one.name: one.kind for one in found.parameters})

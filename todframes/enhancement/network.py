@@ -14,15 +14,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import SETTINGS_SUFFIX, check_keys, convert, read_file, read_toml
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.enhancement.algorithm import Image, algorithm, meaning, parameter
-from todframes.enhancement.network_probe import MOST_TILE_PX, Found, Layout, ProbeRequest, probe
+from todframes.enhancement.network_probe import MOST_TILE_PX, Found, ProbeRequest, probe
 from todframes.enhancement.network_runtime import (
     NAMES,
+    Layout,
     Model,
     Runtime,
     has_onnx_runtime,
@@ -39,6 +41,12 @@ WHOLE_PX = 1024
 
 MOST_OVERLAP_PX = 64
 """Overlap of tiles that are large enough, if none is given."""
+
+MOST_CONSTANT = 1e9
+"""Largest magnitude of the value of an input or a channel that is no picture."""
+
+Constant = Annotated[float, msgspec.Meta(ge=-MOST_CONSTANT, le=MOST_CONSTANT)]
+Constants = Annotated[dict[Annotated[str, msgspec.Meta(max_length=200)], Constant], msgspec.Meta(max_length=16)]
 
 
 @dataclass(frozen=True)
@@ -82,6 +90,8 @@ class Network:
         | None = None,
         overlap_px: Annotated[int, parameter(0, 1024, unit="px", what="overlap of tiles")] | None = None,
         multiple_px: Annotated[int, parameter(1, 1024, unit="px", what="divisor of all sides")] | None = None,
+        inputs: Annotated[Constants, meaning("values of its other inputs by their names")] | None = None,
+        constant_channel: Annotated[Constant, meaning("value of one more channel that it takes")] | None = None,
     ) -> Image:
         """Neural network of an ONNX file."""
         assert runtime and layout and channels and scale and multiple_px  # as `tried` has found them
@@ -89,9 +99,9 @@ class Network:
 
         def run(picture: Picture) -> Picture:
             taken = picture[..., ::-1] if order == "bgr" else picture
-            axes = np.moveaxis(taken, 2, 0) if layout == "nchw" else taken
-            given = model.run(np.ascontiguousarray(black + (white - black) * axes, np.float32)[None])[0]
-            found = (np.moveaxis(given, 0, 2) if layout == "nchw" else given) - np.float32(black)
+            given = np.asarray(black + (white - black) * taken, np.float32)
+            (answer,) = model.apply(given, layout, inputs or {}, constant_channel)
+            found = (np.moveaxis(answer, 0, 2) if layout == "nchw" else answer) - np.float32(black)
             return np.asarray((found[..., ::-1] if order == "bgr" else found) / np.float32(white - black))
 
         pictures = [image[..., None]] if image.ndim == 2 else [image]
@@ -174,7 +184,8 @@ def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -
     """
     if values["black"] == values["white"]:
         raise SettingsError(f"{where}: black and white: found {values['black']:g} for both, expected two values")
-    asked = {name: values[name] for name in ("layout", "channels", "multiple_px", "black", "white")}
+    given = ("layout", "channels", "multiple_px", "black", "white", "constant_channel")
+    asked = {name: values[name] for name in given} | {"inputs": values["inputs"] or {}}
     try:
         runtime, properties = _first_to_run(network.content, asked, values["runtime"])
     except SettingsError as error:
@@ -190,9 +201,11 @@ def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -
     if tile is not None and any(side not in (tile, None) for side in size):
         taken = " × ".join("any" if side is None else str(side) for side in size)
         raise SettingsError(f"{where}: tile_px: found {tile}, but the model takes pictures of {taken} only")
-    if tile is None:
+    if None not in size:
+        tile = size[0] if size[0] == size[1] else None
+    elif tile is None:
         tile = WHOLE_PX // multiple * multiple
-    if tile % multiple:
+    if tile and tile % multiple:
         raise SettingsError(f"{where}: tile_px: found {tile}, expected a multiple of {multiple}")
     smallest = min(side or tile or MOST_TILE_PX for side in size)
     overlap = values["overlap_px"]

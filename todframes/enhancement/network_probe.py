@@ -10,17 +10,28 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
-from typing import Literal
+from math import prod
 
 import msgspec
 import numpy as np
 
 from todframes.base.errors import DataError, SettingsError, TodframesError
-from todframes.enhancement.network_runtime import FLOATS, NAMES, Model, Runtime, read_model, reason
+from todframes.base.reading import check_keys
+from todframes.enhancement.network_runtime import (
+    FLOATS,
+    KINDS,
+    NAMES,
+    Input,
+    Layout,
+    Model,
+    Runtime,
+    in_one_line,
+    read_model,
+    reason,
+)
 from todframes.jobs.start import ENVIRONMENT
-
-Layout = Literal["nchw", "nhwc"]
 
 TIME_LIMIT_S = 120.0
 """Time that reading a model and running the small pictures may take."""
@@ -37,6 +48,14 @@ MOST_TILE_PX = 4096
 MEMORY_SHARE = 0.5
 """Share of the machine's memory that the process may use."""
 
+PICTURE_CHANNELS = (1, 3)
+
+CHANNELS = (*PICTURE_CHANNELS, 2, 4)
+"""Numbers of channels that a network may take: those of a picture, and one more of one value."""
+
+EMPTY = "<empty>"
+"""Type of an input of which OpenCV reports nothing but its name."""
+
 
 class ProbeRequest(msgspec.Struct, frozen=True):
     """The settings of a network as far as the user has given them; None: read them from the model."""
@@ -47,6 +66,8 @@ class ProbeRequest(msgspec.Struct, frozen=True):
     multiple_px: int | None = None
     black: float = 0.0
     white: float = 1.0
+    inputs: dict[str, float] = {}
+    constant_channel: float | None = None
 
 
 class Found(msgspec.Struct, frozen=True, tag=True):
@@ -137,40 +158,89 @@ def examine(model: Model, request: ProbeRequest) -> Found:
 
 def _shape(model: Model, request: ProbeRequest) -> tuple[Layout, int, int | None, int | None]:
     """Return layout, channels, rows and columns of a network's pictures."""
-    reported = model.inputs
-    if reported is not None and len(reported) != 1:
-        raise DataError(f"has {len(reported)} inputs, expected one: a picture")
-    sides: tuple[int | None, ...] = (None,) * 4
-    if reported is not None and reported[0].kind != "<empty>":
-        ((kind, sides),) = reported
-        if kind not in FLOATS.values():
-            raise DataError(f"takes values of {kind}, expected 32-bit numbers")
-        if len(sides) != 4 or sides[0] not in (1, None):
-            shape = " × ".join("any" if side is None else str(side) for side in sides)
-            raise DataError(f"takes pictures of shape {shape}, expected one picture with its channels: 4 sides")
-    layout: Layout = request.layout or ("nhwc" if sides[3] in (1, 3) and sides[1] not in (1, 3) else "nchw")
-    channels, rows, columns = (sides[1], *sides[2:]) if layout == "nchw" else (sides[3], *sides[1:3])
-    asked = request.channels
-    if channels is None and asked is None:
+    _check_inputs(model.inputs, request.inputs)
+    kind, sides = model.picture_input(request.inputs)[1:]
+    if kind == EMPTY:
+        sides = (None,) * 4
+    elif kind not in FLOATS.values():
+        raise DataError(f"takes values of {kind}, expected 32-bit numbers")
+    if len(sides) != 4 or sides[0] not in (1, None):
+        raise DataError(
+            f"takes pictures of shape {_shown(sides)}, expected one picture with its channels: 4 sides"
+        )
+    layout: Layout = request.layout or ("nhwc" if sides[3] in CHANNELS and sides[1] not in CHANNELS else "nchw")
+    taken, rows, columns = (sides[1], *sides[2:]) if layout == "nchw" else (sides[3], *sides[1:3])
+    asked, n_constant = request.channels, int(request.constant_channel is not None)
+    if taken is None and asked is None:
         raise SettingsError("channels: the model does not say how many it takes; give channels as 1 or 3")
-    if asked is not None and channels not in (asked, None):
-        raise SettingsError(f"channels: found {asked}, expected {channels} as the model says")
-    channels = channels or asked
-    if channels not in (1, 3):
-        raise DataError(f"takes {channels} channels, expected 1 or 3")
+    channels = asked if taken is None else taken - n_constant
+    if asked is not None and channels != asked:
+        behind = " beside the constant one" if n_constant else ""
+        raise SettingsError(f"channels: found {asked}, expected {channels}{behind} as the model says")
+    if n_constant and channels not in PICTURE_CHANNELS:
+        raise SettingsError(f"constant_channel: the model takes {taken} in all, expected 2 or 4 channels")
+    if channels not in PICTURE_CHANNELS:
+        hint = "; if the last is a noise level, give its value as constant_channel" if taken in CHANNELS else ""
+        raise DataError(f"takes {channels} channels, expected 1 or 3{hint}")
     for side in (rows, columns):
         if side is not None and side > MOST_TILE_PX:
             raise DataError(f"takes pictures of {rows} × {columns}, expected sides of at most {MOST_TILE_PX}")
     return layout, channels, rows, columns
 
 
+def _check_inputs(inputs: tuple[Input, ...] | None, constants: Mapping[str, float]) -> None:
+    """Raise an error unless all inputs of a network but one have constant values that they can take."""
+    if inputs is None:
+        if constants:
+            raise DataError("inputs: this version of OpenCV does not say which inputs the model has")
+        return
+    if not inputs:
+        raise DataError("has no inputs, expected one: a picture")
+    names = in_one_line(", ".join(one.name for one in inputs))
+    check_keys(constants, [one.name for one in inputs], f"inputs: the model takes {names}")
+    others = [one for one in inputs if one.name not in constants]
+    if not others:
+        raise SettingsError(f"inputs: found values for all inputs of the model, {names}; expected one without")
+    if len(others) > 1:
+        further = in_one_line(next((one for one in others[::-1] if not _is_picture(one)), others[-1]).name)
+        raise SettingsError(
+            f"inputs: the model takes {names}; expected a value for each but the picture: inputs.{further}=VALUE, "
+            f"or in its TOML file a table [inputs] with {further} = VALUE"
+        )
+    for one in inputs:
+        if one.name in constants:
+            _check_constant(one, constants[one.name])
+
+
+def _is_picture(one: Input) -> bool:
+    return len(one.shape) == 4 and bool({one.shape[1], one.shape[3]} & {*PICTURE_CHANNELS})
+
+
+def _check_constant(one: Input, value: float) -> None:
+    """Raise an error unless an input can be filled with a value."""
+    name = in_one_line(one.name)
+    if one.kind not in KINDS.values():
+        raise DataError(f"inputs: {name} takes values of {one.kind}, expected numbers")
+    if prod(side or 1 for side in one.shape) > MOST_TILE_PX**2:
+        raise DataError(f"inputs: {name} has shape {_shown(one.shape)}, expected at most {MOST_TILE_PX}² values")
+    if one.kind in ("int32", "int64"):
+        most = int(np.iinfo(one.kind).max)
+        if value != round(value) or abs(value) > most:
+            raise SettingsError(f"inputs: {name}: found {value:g}, expected a whole number of at most {most}")
+    elif abs(value) > float(np.finfo(one.kind).max):
+        raise SettingsError(f"inputs: {name}: found {value:g}, expected a number that {one.kind} can hold")
+
+
+def _shown(shape: tuple[int | None, ...]) -> str:
+    return " × ".join("any" if side is None else str(side) for side in shape)
+
+
 def _scale(model: Model, request: ProbeRequest, layout: Layout, channels: int, rows: int, columns: int) -> float:
     """Run a picture and return the number of output pixels for one input pixel along each axis."""
-    ramp = np.linspace(0.25, 0.75, rows * columns).reshape(1, 1, rows, columns)
-    values = request.black + (request.white - request.black) * np.repeat(ramp, channels, axis=1)
-    values = values if layout == "nchw" else np.moveaxis(values, 1, 3)
+    ramp = np.linspace(0.25, 0.75, rows * columns).reshape(rows, columns, 1)
+    values = request.black + (request.white - request.black) * np.repeat(ramp, channels, axis=2)
     try:
-        found = model.run(np.ascontiguousarray(values, np.float32))
+        found = model.apply(values.astype(np.float32), layout, request.inputs, request.constant_channel)
         shape: tuple[int, ...] = found.shape  # OpenCV may give None
     except MemoryError:
         raise DataError(f"needs more memory than there is for {rows} × {columns} pixels") from None
@@ -179,7 +249,8 @@ def _scale(model: Model, request: ProbeRequest, layout: Layout, channels: int, r
     sides = shape[2:] if layout == "nchw" else shape[1:3]
     if len(shape) != 4 or shape[0] != 1 or shape[1 if layout == "nchw" else 3] not in (1, 3) or 0 in shape:
         raise DataError(
-            f"gives shape {shape} for {values.shape}, expected one picture of 1 or 3 channels in the same layout"
+            f"gives shape {shape} for {rows} × {columns} pixels, expected one picture of 1 or 3 channels in the "
+            "same layout"
         )
     if sides[0] * columns != sides[1] * rows:
         raise DataError(

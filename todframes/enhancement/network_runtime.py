@@ -7,7 +7,7 @@ convolution reads beyond its memory. So nothing may be run whose number of chann
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any, Literal, NamedTuple
 
@@ -18,6 +18,7 @@ from todframes.base.errors import DataError, SettingsError
 from todframes.base.user_code import in_words
 
 Runtime = Literal["opencv", "onnxruntime"]
+Layout = Literal["nchw", "nhwc"]
 
 NAMES: dict[Runtime, str] = {"opencv": "OpenCV", "onnxruntime": "ONNX Runtime"}
 
@@ -28,17 +29,39 @@ ELSEWHERE = re.compile(rb"[\x00\x08]location")
 """Key of a tensor whose values are in another file, behind its length in one byte or in several."""
 
 _GRAPH_INPUTS = re.compile(r"main_graph: \{.*?inputs: \[(.*?)\n\s*\],?\n\s*outputs:", re.DOTALL)
-_INPUT = re.compile(r"// <Input> (\S+?)(?:C1)?(?: \[([^\]]*)\])?$", re.MULTILINE)
-"""Type and shape of an input in the text of `cv2.dnn.Net.dump`, OpenCV 5."""
+_INPUT = re.compile(r'^\s*"(.*)",? // <Input> (\S+?)(?:C1)?(?: \[([^\]]*)\])?$', re.MULTILINE)
+"""Name, type and shape of an input in the text of `cv2.dnn.Net.dump`, OpenCV 5."""
 
 FLOATS = {"CV_32F": "float32", "CV_16F": "float16", "tensor(float)": "float32", "tensor(float16)": "float16"}
 
+KINDS = FLOATS | {
+    "CV_64F": "float64",
+    "CV_32S": "int32",
+    "CV_64S": "int64",
+    "tensor(double)": "float64",
+    "tensor(int32)": "int32",
+    "tensor(int64)": "int64",
+}
+"""NumPy's names of the types that an input may have."""
+
 
 class Input(NamedTuple):
-    """An input of a network: name of its type, and its shape, None for each side that is free."""
+    """An input of a network: name, NumPy's name of its type, and shape, None for each side that is free."""
 
+    name: str
     kind: str
     shape: tuple[int | None, ...]
+
+    def filled(self, value: float, layout: Layout, rows: int, columns: int) -> NDArray[Any]:
+        """Return an array for this input that holds one value.
+
+        A free side is that of a picture of the given rows and columns if the input has four sides, as a picture
+        has. All other free sides are 1.
+        """
+        free = {"nchw": (1, 1, rows, columns), "nhwc": (1, rows, columns, 1)}[layout]
+        sides = free if len(self.shape) == len(free) else (1,) * len(self.shape)
+        shape = [known or side for known, side in zip(self.shape, sides, strict=True)]
+        return np.full(shape, value, self.kind)
 
 
 class Model(NamedTuple):
@@ -50,12 +73,53 @@ class Model(NamedTuple):
         None if the library does not report them.
     n_outputs : int
     run : callable
-        Function of an array of float32 with the shape of the input that returns the first output.
+        Function of the arrays of all inputs by their names that returns the first output. The name of a single
+        input may be empty.
     """
 
     inputs: tuple[Input, ...] | None
     n_outputs: int
-    run: Callable[[NDArray[np.float32]], NDArray[np.float32]]
+    run: Callable[[Mapping[str, NDArray[Any]]], NDArray[np.float32]]
+
+    def picture_input(self, constants: Mapping[str, float]) -> Input:
+        """Return the input that takes the picture: the first that has no constant value."""
+        return next(one for one in self.inputs or [Input("", "float32", (None,) * 4)] if one.name not in constants)
+
+    def apply(
+        self,
+        picture: NDArray[np.float32],
+        layout: Layout,
+        constants: Mapping[str, float],
+        constant_channel: float | None,
+    ) -> NDArray[np.float32]:
+        """Run the network on a picture.
+
+        Parameters
+        ----------
+        picture : ndarray, shape (rows, columns, channels)
+            In the values that the network takes.
+        layout : {"nchw", "nhwc"}
+        constants : mapping
+            Values of its other inputs.
+        constant_channel : float or None
+            Value of a channel that it takes behind those of the picture; None: it takes none.
+
+        Returns
+        -------
+        ndarray
+            The first output, in the same layout.
+        """
+        rows, columns = picture.shape[:2]
+        if constant_channel is not None:
+            picture = np.concatenate([picture, np.full((rows, columns, 1), constant_channel, np.float32)], axis=2)
+        axes = np.moveaxis(picture, 2, 0) if layout == "nchw" else picture
+        arrays: dict[str, NDArray[Any]] = {
+            one.name: one.filled(constants[one.name], layout, rows, columns)
+            for one in self.inputs or ()
+            if one.name in constants
+        }
+        arrays[self.picture_input(constants).name] = np.ascontiguousarray(axes, np.float32)[None]
+        return self.run(arrays)
 
 
 def read_model(content: bytes, runtime: Runtime) -> Model:
@@ -100,7 +164,11 @@ def has_onnx_runtime() -> bool:
 def reason(error: BaseException) -> str:
     """Return the message of a library in one line, without the places in its own code."""
     said = getattr(error, "err", None)
-    text = " ".join(str(said).split()) if said else in_words(error)
+    return in_one_line(" ".join(str(said).split()) if said else in_words(error))
+
+
+def in_one_line(text: str) -> str:
+    """Return a text of a model or a library without letters that cannot be printed, and not too long."""
     text = "".join(one if one.isprintable() else "?" for one in text)
     return text if len(text) <= LONGEST_REASON else f"{text[:LONGEST_REASON]}…"
 
@@ -118,9 +186,11 @@ def _by_opencv(content: bytes) -> Model:
         with suppress(cv2.error, UnicodeDecodeError):  # of OpenCV 4, which needs a picture first
             inputs = _reported(net.dump())
 
-    def run(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def run(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         with _quiet():
-            net.setInput(values)
+            for name, values in arrays.items():
+                values = values.astype(np.float32) if values.dtype == np.float16 else values
+                net.setInput(values, name if len(arrays) > 1 else "")
             return np.asarray(net.forward())
 
     return Model(inputs, len(names), run)
@@ -131,8 +201,10 @@ def _reported(text: str) -> tuple[Input, ...] | None:
     found = _GRAPH_INPUTS.search(text)
     if found is None:
         return None
-    inputs = [(FLOATS.get(kind, kind), shape) for kind, shape in _INPUT.findall(found[1].replace('",', '"'))]
-    return tuple(Input(kind, tuple(_side(one) for one in shape.split(" x "))) for kind, shape in inputs)
+    return tuple(
+        Input(name, KINDS.get(kind, kind), tuple(_side(one) for one in shape.split(" x ") if shape))
+        for name, kind, shape in _INPUT.findall(found[1])
+    )
 
 
 def _side(text: str) -> int | None:
@@ -180,16 +252,16 @@ def _by_onnx_runtime(content: bytes) -> Model:
         raise DataError(f"ONNX Runtime cannot read it ({reason(error)})") from None
     inputs = tuple(
         Input(
-            FLOATS.get(one.type, one.type),
+            one.name,
+            KINDS.get(one.type, one.type),
             tuple(side if isinstance(side, int) and side else None for side in one.shape),
         )
         for one in session.get_inputs()
     )
-    name = session.get_inputs()[0].name if inputs else ""
-    kind = np.float16 if inputs and inputs[0].kind == "float16" else np.float32
+    kinds = {one.name: one.kind for one in inputs}
 
-    def run(values: NDArray[np.float32]) -> NDArray[np.float32]:
-        (found, *_) = session.run(None, {name: values.astype(kind, copy=False)})
-        return np.asarray(found, np.float32)
+    def run(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
+        given = {name: values.astype(kinds[name], copy=False) for name, values in arrays.items()}
+        return np.asarray(session.run(None, given)[0], np.float32)
 
     return Model(inputs, len(session.get_outputs()), run)

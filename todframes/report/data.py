@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -409,6 +409,8 @@ def _disagreeing(changes: dict[str, float | None], verdict: str) -> tuple[str, .
 
 def plain_value(value: object) -> object:
     """Return a parameter's value as a JSON value, or as a text if JSON has no such value."""
+    if isinstance(value, Mapping):
+        return {str(name): plain_value(one) for name, one in value.items()}
     return value if value is None or isinstance(value, bool | int | float | str) else repr(value)
 
 
