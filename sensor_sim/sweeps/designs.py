@@ -15,7 +15,7 @@ import numpy as np
 from sensor_sim.chain.sensor import Detector, Sensor, part_of, used_keys
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.reading import MAX_ROWS, check_fields, check_keys, number, read_csv
+from todframes.base.reading import MAX_ROWS, check_keys, read_table
 
 FILL_FACTOR = "detector.fill_factor"
 """Key for the active share of a detector's area; it sets `detector.width_mrad` from the pitch."""
@@ -223,22 +223,20 @@ def read_designs(path: Path, known: Mapping[str, bool]) -> Designs:
     DataError
         If the file cannot be read, a column is no key, or a value is no number.
     """
-    rows = read_csv(path)
-    _, header = next(rows)
+    header, rows = read_table(path)
     keys = [name for name in header if name != NAME_COLUMN]
     try:
         _check(keys, known)
     except SettingsError as error:
         raise DataError(f"{path}: {error}") from None
     values, names = [], []
-    for where, row in rows:
-        check_fields(row, len(header), where)
-        of_row = [number(row[key], f"{where}: {key}") for key in keys]
+    for row in rows:
+        of_row = row.numbers(keys)
         for key, value in zip(keys, of_row, strict=True):
             if known[key] and value != round(value):
-                raise DataError(f"{where}: {key}: found {row[key]!r}, expected a whole number")
+                raise DataError(f"{row.where}: {key}: found {row.texts[key]!r}, expected a whole number")
         values.append(of_row)
-        names.append(row.get(NAME_COLUMN, ""))
+        names.append(row.texts.get(NAME_COLUMN, ""))
     if not values:
         raise DataError(f"{path}: found no design, expected a row for each")
     return Designs(tuple(keys), np.array(values), tuple(names) if NAME_COLUMN in header else None)

@@ -19,7 +19,7 @@ from functools import cache
 from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType
-from typing import Any, BinaryIO, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, BinaryIO, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -538,6 +538,39 @@ def read_csv(path: Location, *, most_rows: int | None = MAX_ROWS) -> Iterator[tu
         raise DataError(f"{path}, line {reader.line_num}: not valid CSV ({error})") from None
 
 
+class TableRow(NamedTuple):
+    """A row of a CSV file: its place, file and line, and its texts by column."""
+
+    where: str
+    texts: Mapping[str, str]
+
+    def numbers(self, columns: Iterable[str], *, positive: bool = False) -> list[float]:
+        """Return the numbers in some columns; DataError names the column whose text is no finite number, or not
+        above 0 if they have to be `positive`."""
+        return [number(self.texts[name], f"{self.where}: {name}", positive=positive) for name in columns]
+
+
+def read_table(path: Location, needed: Iterable[str] = ()) -> tuple[tuple[str, ...], Iterator[TableRow]]:
+    """Return the columns of a CSV file, and its rows as they are read.
+
+    Raises
+    ------
+    DataError
+        If `read_csv` raises it, or a column is missing; on the way, if a row has more or fewer fields than the
+        header.
+    """
+    rows = read_csv(path)
+    _, header = next(rows)
+    check_columns(header, needed, path)
+
+    def checked() -> Iterator[TableRow]:
+        for where, row in rows:
+            check_fields(row, len(header), where)
+            yield TableRow(where, row)
+
+    return tuple(header), checked()
+
+
 def read_numbers(path: Location, columns: Sequence[str]) -> list[list[float]]:
     """Return the numbers in the named columns of a CSV file, row by row.
 
@@ -546,14 +579,8 @@ def read_numbers(path: Location, columns: Sequence[str]) -> list[list[float]]:
     DataError
         If the file cannot be read, a column is missing, or a value is not a finite number.
     """
-    rows = read_csv(path)
-    _, header = next(rows)
-    check_columns(header, columns, path)
-    found = []
-    for where, row in rows:
-        check_fields(row, len(header), where)
-        found.append([number(row[name], f"{where}: {name}") for name in columns])
-    return found
+    _, rows = read_table(path, columns)
+    return [row.numbers(columns) for row in rows]
 
 
 @contextmanager

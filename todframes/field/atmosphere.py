@@ -29,9 +29,8 @@ from todframes.base.reading import (
     check_values,
     convert,
     from_table,
-    read_csv,
     read_described,
-    read_numbers,
+    read_table,
     settings_path,
     table_beside,
 )
@@ -285,9 +284,9 @@ def _as_transmission(table: dict[str, Any], where: str) -> dict[str, Any]:
 def _read_table(folder: Path, name: object, where: str) -> dict[str, Any]:
     """Return `range_km` and the other column of the CSV file that a TOML file names."""
     with table_beside(name, folder, where) as file:
-        _, header = next(read_csv(file))
+        header, found = read_table(file)
         column = "transmission" if "transmission" in header else "extinction_per_km"
         check_columns(header, ["range_km", column], file)
-        rows = read_numbers(file, ["range_km", column])
+        rows = [row.numbers(["range_km", column]) for row in found]
     rows = [row for row in rows if row[0] != 0.0]  # no air, no loss
     return {"range_km": [row[0] for row in rows], column: [row[1] for row in rows]}

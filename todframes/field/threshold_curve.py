@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
-from todframes.base.reading import check_columns, check_fields, number, read_csv
+from todframes.base.reading import check_columns, read_table
 from todframes.field.target import Quantity
 
 Pattern = Literal["triangle", "bars"]
@@ -251,17 +251,13 @@ def read_curve(path: Path) -> ThresholdCurve:
     DataError
         If the file cannot be read, a column is missing, or a value is not a number > 0.
     """
-    rows = read_csv(path)
-    _, header = next(rows)
+    header, rows = read_table(path)
     place, level = (_one_column(header, known, path) for known in (FREQUENCIES, THRESHOLDS))
     pattern, to_per_mrad = FREQUENCIES[place]
     quantity, factor = THRESHOLDS[level]
     ends = ["ci95_low", "ci95_high"] if {"ci95_low", "ci95_high"} & set(header) else []
     check_columns(header, ends, path)
-    found = []
-    for where, row in rows:
-        check_fields(row, len(header), where)
-        found.append([number(row[name], f"{where}: {name}", positive=True) for name in (place, level, *ends)])
+    found = [row.numbers((place, level, *ends), positive=True) for row in rows]
     values = np.array(found, dtype=np.float64).reshape(-1, 2 + len(ends))
     per_mrad = to_per_mrad / values[:, 0] if pattern == "triangle" else to_per_mrad * values[:, 0]
     order = np.argsort(per_mrad, kind="stable")
@@ -279,8 +275,8 @@ def read_curve(path: Path) -> ThresholdCurve:
     )
 
 
-def _one_column(header: Iterable[str], known: Iterable[str], path: Path) -> str:
-    header, known = list(header), list(known)
+def _one_column(header: Sequence[str], known: Iterable[str], path: Path) -> str:
+    known = list(known)
     found = [name for name in header if name in known]
     if len(found) != 1:
         listed = ", ".join(header) or "none"

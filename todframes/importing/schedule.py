@@ -19,7 +19,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from todframes.base.errors import DataError
-from todframes.base.reading import check_columns, check_fields, number, read_csv, spelling_hint
+from todframes.base.reading import check_columns, number, read_table, spelling_hint
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 SIZE_COLUMNS = ("size_mrad", "size_px")
@@ -93,13 +93,9 @@ def read_schedule(path: Path, *, level: str = "contrast") -> tuple[ScheduledTria
     DataError
         If the file cannot be read, a column is missing, a value is wrong, or two rows use the same part of a file.
     """
-    rows = read_csv(path)
-    _, header = next(rows)
+    header, rows = read_table(path)
     _check_header(header, level, path)
-    trials = []
-    for where, row in rows:
-        check_fields(row, len(header), where)
-        trials.append(_trial(row, where, level))
+    trials = [_trial(row.texts, row.where, level) for row in rows]
     if not trials:
         raise DataError(f"{path}: no trials; expected a row a trial below the header")
     _check_parts(trials)
@@ -159,9 +155,9 @@ def _recording(trial: ScheduledTrial, paths: Sequence[Path], real_paths: Mapping
     raise DataError(f"{trial.where}: file: found {trial.file}, expected one of the recordings: {names}")
 
 
-def _check_header(header: Mapping[str, str], level: str, path: Path) -> None:
+def _check_header(header: Sequence[str], level: str, path: Path) -> None:
     check_columns(header, ["orientation", level], path)
-    if not set(SIZE_COLUMNS) & header.keys():
+    if not set(SIZE_COLUMNS) & set(header):
         check_columns(header, ["size_mrad"], path)
     known = [*SCHEDULE_COLUMNS, level]
     for name in header:
@@ -171,7 +167,7 @@ def _check_header(header: Mapping[str, str], level: str, path: Path) -> None:
         if name not in known and hint:
             raise DataError(f"{path}: found column {name!r}{hint}")
     for pair in (("start_s", "end_s"), ("x_px", "y_px")):
-        if len(set(pair) & header.keys()) == 1:
+        if len(set(pair) & set(header)) == 1:
             raise DataError(f"{path}: found one of the columns {pair[0]} and {pair[1]}, expected both or none")
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
 from todframes.base.locations import Location
-from todframes.base.reading import MAX_CSV_MB, check_columns, check_fields, number, read_csv, read_text
+from todframes.base.reading import MAX_CSV_MB, check_columns, number, read_table, read_text
 
 FrequencyUnit = Literal["cyc_per_pixel", "cyc_per_mrad", "cyc_per_mm"]
 
@@ -123,18 +123,16 @@ def read_mtf_table(path: Location, *, may_exceed_1: bool = False) -> MtfTable:
         If the file cannot be read, a column is missing, frequencies do not ascend, or an MTF is negative, above 1
         by more than its error, or not 1 at frequency 0; the message names the line.
     """
-    rows = read_csv(path)
-    _, header = next(rows)
-    frequency_name = _frequency_column(list(header), path)
-    needed = [RADIAL] if RADIAL in header or not set(DIRECTIONS) & header.keys() else []
-    needed += DIRECTIONS if set(DIRECTIONS) & header.keys() else []
-    needed += BAND if set(BAND) & header.keys() and RADIAL in header else []
+    header, rows = read_table(path)
+    frequency_name = _frequency_column(header, path)
+    needed = [RADIAL] if RADIAL in header or not set(DIRECTIONS) & set(header) else []
+    needed += DIRECTIONS if set(DIRECTIONS) & set(header) else []
+    needed += BAND if set(BAND) & set(header) and RADIAL in header else []
     check_columns(header, needed, path)
     places, found = [], []
-    for where, row in rows:
-        check_fields(row, len(header), where)
-        places.append(where)
-        found.append([number(row[name], f"{where}: {name}") for name in (frequency_name, *needed)])
+    for row in rows:
+        places.append(f"{row.where}:")
+        found.append(row.numbers((frequency_name, *needed)))
     if len(found) < 2:
         raise DataError(f"{path}: found {len(found)} rows, expected at least two frequencies")
     frequency, *columns = np.array(found).T
@@ -143,7 +141,7 @@ def read_mtf_table(path: Location, *, may_exceed_1: bool = False) -> MtfTable:
     table = MtfTable(
         unit=FREQUENCIES[frequency_name], frequency=frequency, curves=values, lower=lower, upper=upper
     )
-    _check(table, [f"{where}:" for where in places], may_exceed_1=may_exceed_1)
+    _check(table, places, may_exceed_1=may_exceed_1)
     return table
 
 

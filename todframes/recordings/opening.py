@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from todframes.base.errors import DataError, FrameError
-from todframes.base.reading import check_columns, check_fields, number, read_csv
+from todframes.base.reading import read_table
 from todframes.frames.files import MAX_FRAME_MB, PathLike, check_max_frame_mb
 from todframes.recordings import arrays, cedip, images, radiometric, raw, video
 from todframes.recordings.recording import (
@@ -127,18 +127,15 @@ def _times_s(path: Path, files: Sequence[Path]) -> dict[str, float]:
         If the file cannot be read, names a file twice or that is not there, leaves one out, or a time is not later
         than that of the still before, in the natural order of names.
     """
-    rows = read_csv(path)
-    _, header = next(rows)
-    check_columns(header, ["file", "time_s"], path)
+    _, rows = read_table(path, ["file", "time_s"])
     times_s: dict[str, float] = {}
     names = {one.name for one in files}
-    for where, row in rows:
-        check_fields(row, len(header), where)
-        name = row["file"].strip()
+    for row in rows:
+        name = row.texts["file"].strip()
         if name not in names or name in times_s:
             what = "a second time" if name in times_s else f"but {path.parent} has no such file"
-            raise DataError(f"{where}: file: found {name}, {what}, expected each of its files once")
-        times_s[name] = number(row["time_s"], f"{where}: time_s")
+            raise DataError(f"{row.where}: file: found {name}, {what}, expected each of its files once")
+        (times_s[name],) = row.numbers(["time_s"])
     missing = next((one.name for one in files if one.name not in times_s), None)
     if missing is not None:
         raise DataError(f"{path}: found no time of {missing}, expected one of each file in the folder")
