@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from scipy.special import ndtri
 
 import sensor_sim as ss
 import todframes as tod
@@ -488,7 +489,7 @@ def test_a_result_is_a_curve_in_the_field() -> None:
     assert value == pytest.approx(3.0612, abs=1e-4)
     # ln intervals of ±ln(0.9): a standard deviation of 0.1054 / 1.96 below, ln 1.11 / 1.96 above.
     sd = found.acquired.curve.ln_sd
-    np.testing.assert_allclose(sd[:, 0], [-math.log(0.9) / 1.959964, math.log(1.11) / 1.959964], rtol=1e-9)
+    np.testing.assert_allclose(sd[:, 0], [-math.log(0.9) / ndtri(0.975), math.log(1.11) / ndtri(0.975)], rtol=1e-9)
     displayed = of_fits(column="size_mrad")
     alone = tod.acquisition_range(displayed, target=DAYLIGHT, atmosphere=BEER)
     assert [one.code for one in alone.warnings] == ["size_at_the_eye"]

@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
 
+NORMAL_95 = 1.959963984540054
+"""Half-width of the central 95 % of a standard normal distribution."""
+
 _SCALE = 5.0
 
 # Coefficients of t⁰ to t²⁴; the Chebyshev coefficients beyond are below 1e-16.

@@ -12,13 +12,11 @@ from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
+from todframes.base.normal import NORMAL_95
 from todframes.base.reading import check_columns, read_table
 from todframes.field.target import Quantity
 
 Pattern = Literal["triangle", "bars"]
-
-NORMAL_95 = 1.959964
-"""Half-width of the central 95 % of a normal distribution, in standard deviations."""
 
 CYC_PER_MRAD_IN_CYC_PER_DEG = 0.18 / np.pi
 """Cycles/mrad in one cycle/deg: a degree is π / 0.18 mrad."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.normal import normal_cdf
+from todframes.base.normal import NORMAL_95, normal_cdf
 from todframes.psychometrics.likelihood import CHI2_95, CurveModel, binomial_loglik
 
 CURVE_TRIALS = 5
@@ -19,7 +19,6 @@ ANSWER_TOLERANCE, PROBABILITY_TOLERANCE = 1e-4, 1e-8
 """Tolerances in log-likelihood of fits to repeated experiments: their square root is 1 % of a standard error, that
 of answers of 0 and 1, or of probabilities that vary a hundred times less."""
 
-_Z_95 = 1.959963984540054
 _BATCH_ELEMENTS = 1 << 17
 
 
@@ -126,7 +125,7 @@ def threshold_interval(
     variance = (observed.n_trials * relative**2 * second).sum()
     skew = (observed.n_trials * relative**3 * third).sum()
     acceleration = np.clip(skew / max(6 * variance**1.5, 1e-300), -0.1, 0.1)
-    tails = bias + _Z_95 * np.array([-1.0, 1.0])
+    tails = bias + NORMAL_95 * np.array([-1.0, 1.0])
     ranks = normal_cdf(bias + tails / np.maximum(1 - acceleration * tails, 0.1)) * (resamples + 1)
     draws.sort()
     low = min(draws[max(math.floor(ranks[0]) - 1, 0)], estimate)

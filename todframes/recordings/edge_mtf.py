@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import DataError, SettingsError
+from todframes.base.normal import NORMAL_95
 from todframes.recordings.mtf_table import mtf50_of
 
 Box = tuple[int, int, int, int]
@@ -119,8 +120,6 @@ LEAST_POWER = 0.01
 
 LARGEST_ERROR = 0.25
 """Largest half-width of the interval of MTF50, relative to it."""
-
-Z95 = 1.959963984540054
 
 
 class EdgeValue(NamedTuple):
@@ -907,7 +906,7 @@ def _without_noise(
     mean = math.sqrt(math.pi / 2.0) * ((1 + 2 * half) * i0e(half) + 2 * half * i1e(half))
     few = seen < 29.0
     value = np.where(few, np.interp(seen, mean, true), seen - 0.5 / np.maximum(seen, 1.0))
-    lower, upper = value - Z95, value + Z95
+    lower, upper = value - NORMAL_95, value + NORMAL_95
     for end, least, p in ((lower, 0.0, 0.975), (upper, 2.0 * math.log(2.0), 0.025)):
         squares = np.maximum(seen[few] ** 2, least)
         # Below its quantile without signal, 0 is the end; the inverse gives some tiny number.
@@ -931,7 +930,7 @@ def _overshoots(fit: _Fit) -> tuple[FloatArray, FloatArray, EdgeValue, EdgeValue
         derivative = means[k] / fit.contrast
         derivative[_Profile.DARK] -= 1.0 / fit.contrast
         derivative[_Profile.STEP] -= level[k] / fit.contrast
-        error = Z95 * math.sqrt(max(float(derivative @ fit.covariance @ derivative), 0.0))
+        error = NORMAL_95 * math.sqrt(max(float(derivative @ fit.covariance @ derivative), 0.0))
         value = max(sign * (float(level[k]) - height), 0.0)
         return EdgeValue(value, (max(value - error, 0.0), value + error))
 
