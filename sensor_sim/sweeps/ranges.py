@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,8 +39,10 @@ class Aim(NamedTuple):
 
     def check(self, p_correct: float, *, quantity: Quantity = "delta_t_k", name: str = NAME) -> None:
         """Raise SettingsError if target or air cannot be used with a TOD in a quantity."""
-        curve = _curve(np.array([2.0, 1.0]), np.array([1.0, 2.0]), None, p_correct, quantity)
-        first_range(replace(curve, name=name), *self)
+        sizes = np.array([2.0, 1.0])
+        first_range(
+            ThresholdCurve.of_sizes(sizes, 2.0 / sizes, p_correct=p_correct, quantity=quantity, name=name), *self
+        )
 
     def range_of(
         self,
@@ -54,9 +55,10 @@ class Aim(NamedTuple):
         """Return the range of a design from its thresholds, NaN where there is none, in any order of sizes."""
         known = np.flatnonzero(np.isfinite(threshold))
         known = known[np.argsort(-size_mrad[known])]
-        unreached = [1.0 / size_mrad[place] for place, one in enumerate(status) if one == "never_reached"]
+        own = {"p_correct": p_correct, "quantity": quantity, "name": NAME}
+        unreached = [size for size, one in zip(size_mrad, status, strict=True) if one == "never_reached"]
         try:
-            curve = _curve(size_mrad[known], threshold[known], unreached, p_correct, quantity)
+            curve = ThresholdCurve.of_sizes(size_mrad[known], threshold[known], unreached_mrad=unreached, **own)
             found = first_range(curve, *self)
         except DataError:
             return DesignRange("too_few_sizes")
@@ -82,22 +84,3 @@ def chosen_aim(
     if atmosphere is None:
         raise SettingsError(f"{argument.atmosphere}: is missing, expected it beside {argument.target}")
     return Aim(chosen_target(target, k=k), find_atmosphere(atmosphere))
-
-
-def _curve(
-    size_mrad: FloatArray,
-    threshold: FloatArray,
-    unreached: Sequence[float] | None,
-    p_correct: float,
-    quantity: Quantity,
-) -> ThresholdCurve:
-    finer = [one for one in unreached or () if size_mrad.size and one > 1.0 / size_mrad[-1]]
-    return ThresholdCurve(
-        pattern="triangle",
-        quantity=quantity,
-        per_mrad=1.0 / size_mrad,
-        threshold=threshold,
-        p_correct=p_correct,
-        unreached_per_mrad=min(finer, default=None),
-        name=NAME,
-    )

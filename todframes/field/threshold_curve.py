@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -195,6 +195,21 @@ class ThresholdCurve:
                 f"{self.name}: found {least:g}{unit} as the lowest threshold, expected at most {most:g}{unit}; "
                 f"{hint}"
             )
+
+    @classmethod
+    def of_sizes(
+        cls, size_mrad: FloatArray, threshold: FloatArray, *, unreached_mrad: Iterable[float] = (), **others: Any
+    ) -> ThresholdCurve:
+        """Return a TOD from thresholds over sizes in the field, which descend; `others` are further attributes.
+
+        `unreached_mrad` are the sizes at which no contrast sufficed; only those below all other sizes count.
+        """
+        per_mrad = 1.0 / size_mrad
+        finer = [one for one in (1.0 / size for size in unreached_mrad) if one > max(per_mrad, default=0.0)]
+        unreached = min(finer, default=None)
+        return cls(
+            pattern="triangle", per_mrad=per_mrad, threshold=threshold, unreached_per_mrad=unreached, **others
+        )
 
     @property
     def is_rising(self) -> bool:

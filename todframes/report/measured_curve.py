@@ -79,24 +79,20 @@ def measured_curve(
     known = sorted((one for one in fits if one.threshold is not None), key=lambda one: -float(one.group[size]))
     sizes = factor * np.array([float(one.group[size]) for one in known])
     thresholds = np.array([_threshold(one) for one in known])
-    per_mrad = 1.0 / sizes
-    unreached = [1.0 / (factor * float(one.group[size])) for one in fits if one.status == "never_reached"]
-    finer = [one for one in unreached if not known or one > per_mrad[-1]]
     extrapolated = [value_text(one.group[size]) for one in known if one.status == "extrapolated"]
     if extrapolated:
         message = (
             f"the thresholds at {', '.join(extrapolated)} {unit_of(size)} are extrapolated from the levels shown"
         )
         warnings = (*warnings, RangeWarning(code="extrapolated_thresholds", message=message))
-    curve = ThresholdCurve(
-        pattern="triangle",
+    curve = ThresholdCurve.of_sizes(
+        sizes,
+        level_factor * thresholds,
+        unreached_mrad=[factor * float(one.group[size]) for one in fits if one.status == "never_reached"],
         quantity=quantity,
-        per_mrad=per_mrad,
-        threshold=level_factor * thresholds,
         ln_sd=_ln_sd(known),
         psychometric=_psychometric(known),
         p_correct=known[0].p_correct if known else None,
-        unreached_per_mrad=min(finer, default=None),
         name=where,
     )
     return curve, warnings
