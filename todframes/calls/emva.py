@@ -173,15 +173,10 @@ def _of_chart(
 
 
 def _opened(stack: PathLike | NDArray[Any], name: str, max_frame_mb: int) -> Recording:
-    from todframes.recordings.arrays import memory_recording
-    from todframes.recordings.opening import open_recordings
+    from todframes.recordings.opening import one_recording
 
-    if isinstance(stack, np.ndarray):
-        return replace(memory_recording(stack, frames_per_second=None), path=Path(name))
-    found = open_recordings(stack, max_frame_mb=max_frame_mb)
-    if len(found) != 1:
-        raise DataError(f"{stack}: found {len(found)} recordings, expected one for a stack")
-    return found[0]
+    found = one_recording(stack, "noise", max_frame_mb=max_frame_mb)
+    return replace(found, path=Path(name)) if isinstance(stack, np.ndarray) else found
 
 
 def _described(path: Path, bits: int | None, max_frame_mb: int) -> tuple[list[Any], list[Any], int]:

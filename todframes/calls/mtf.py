@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.errors import SettingsError, argument
 from todframes.base.safe_text import in_utf8
 from todframes.calls.shared import Progress
 
 if TYPE_CHECKING:
     from todframes.display.display import Display
     from todframes.frames.files import PathLike
-    from todframes.recordings.recording import Recording
     from todframes.report.mtf_report import MtfResult
 
 
@@ -78,38 +77,28 @@ def mtf(
     """
     started = time.perf_counter()
     from todframes.display.display_files import find_display
-    from todframes.recordings.arrays import memory_recording
     from todframes.recordings.mtf_table import is_table, read_mtf_mapper, read_mtf_table
-    from todframes.recordings.opening import open_recordings
+    from todframes.recordings.opening import one_recording, paths_of
     from todframes.recordings.slanted_edges import PlacedEdge, measure_mtf
     from todframes.report.mtf_report import mapper_result, measured_result, table_result
 
-    found: Sequence[Recording]
-    if isinstance(recording, np.ndarray):
-        found = [memory_recording(recording, frames_per_second=None)]
-    else:
-        is_one = isinstance(recording, str | Path) or not isinstance(recording, Sequence)
-        paths = [Path(recording)] if is_one else [Path(one) for one in recording]  # type: ignore[arg-type, union-attr]
-        if len(paths) == 1 and is_table(paths[0]):
-            given = {argument.boxes: boxes or None, argument.chart: chart, argument.display: display}
-            for option in (name for name, value in given.items() if value is not None):
-                raise SettingsError(f"{option}: {paths[0]} is a table of an MTF, expected a recording")
-            name = in_utf8(str(paths[0]))
-            if paths[0].suffix.lower() == ".csv":
-                return table_result(read_mtf_table(paths[0], may_exceed_1=True), name, started=started)
-            return mapper_result(read_mtf_mapper(paths[0]), name, started=started)
-        found = open_recordings(paths, max_frame_mb=max_frame_mb)
-    if len(found) != 1:
-        names = ", ".join(str(one.path) for one in found[:3])
-        raise DataError(f"mtf: found {len(found)} recordings ({names} …), expected one")
+    paths = [] if isinstance(recording, np.ndarray) else paths_of(recording)
+    if len(paths) == 1 and is_table(paths[0]):
+        given = {argument.boxes: boxes or None, argument.chart: chart, argument.display: display}
+        for option in (name for name, value in given.items() if value is not None):
+            raise SettingsError(f"{option}: {paths[0]} is a table of an MTF, expected a recording")
+        name = in_utf8(str(paths[0]))
+        if paths[0].suffix.lower() == ".csv":
+            return table_result(read_mtf_table(paths[0], may_exceed_1=True), name, started=started)
+        return mapper_result(read_mtf_mapper(paths[0]), name, started=started)
+    shows, edges = one_recording(recording, "mtf", max_frame_mb=max_frame_mb), list[PlacedEdge]()
     shown = None if display is None else find_display(display).display
-    shows, edges = found[0], list[PlacedEdge]()
     if chart is not None:
         from todframes.importing.camera_page import view_of_camera_page
 
         if boxes:
             raise SettingsError(f"{argument.boxes}: is given with {argument.chart}, expected one of them")
-        view = view_of_camera_page(found[0], Path(chart), needs_edges=True, progress=progress)
+        view = view_of_camera_page(shows, Path(chart), needs_edges=True, progress=progress)
         shows, edges = view.recording, view.edges
     measured = measure_mtf(shows, boxes=boxes, edges=edges, display=shown, progress=progress)
     return measured_result(measured, in_utf8(str(shows.path)), is_light=shown is not None, started=started)

@@ -10,16 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base.errors import DataError, argument
+from todframes.base.errors import argument
 from todframes.base.reading import check_positive
 from todframes.base.safe_text import in_utf8
-from todframes.calls.shared import (
-    Progress,
-)
+from todframes.calls.shared import Progress
 
 if TYPE_CHECKING:
     from todframes.frames.files import PathLike
-    from todframes.recordings.recording import Recording
     from todframes.report.noise_report import NoiseResult
 
 
@@ -89,33 +86,26 @@ def noise(
     '2.0 from frame to frame, 1.0 fixed'
     """
     started = time.perf_counter()
-    from todframes.recordings.arrays import memory_recording
     from todframes.recordings.noise3d import FramePatch, measure_noise
-    from todframes.recordings.opening import open_recordings
+    from todframes.recordings.opening import one_recording
     from todframes.recordings.radiometric import mk_per_count_of
     from todframes.report.noise_report import noise_result
 
     if mk_per_count is not None:
         check_positive(argument.mk_per_count, mk_per_count)
-    if isinstance(recording, np.ndarray):
-        found: Sequence[Recording] = [memory_recording(recording, frames_per_second=frames_per_second)]
-    else:
-        found = open_recordings(recording, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
-    if len(found) != 1:
-        names = ", ".join(str(one.path) for one in found[:3])
-        raise DataError(f"noise: found {len(found)} recordings ({names} …), expected one")
+    found = one_recording(recording, "noise", frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
     levels = [FramePatch(place, float(level)) for place, level in (patches or {}).items()]
-    shows = found[0]
+    shows = found
     if chart is not None:
         from todframes.importing.camera_page import view_of_camera_page
 
-        view = view_of_camera_page(found[0], Path(chart), progress=progress)
+        view = view_of_camera_page(found, Path(chart), progress=progress)
         shows, levels = view.recording, [*levels, *view.patches]
         region = region or max((one.region for one in levels), key=lambda place: place[2] * place[3])
     measured = measure_noise(shows, region=region, patches=levels, progress=progress)
     if mk_per_count is None:
-        mk_per_count = mk_per_count_of(found[0], measured.mean)
+        mk_per_count = mk_per_count_of(found, measured.mean)
     signals = tuple(np.atleast_1d(np.asarray(signal, np.float64)).tolist())
     return noise_result(
-        measured, in_utf8(str(found[0].path)), mk_per_unit=mk_per_count, signals=signals, started=started
+        measured, in_utf8(str(found.path)), mk_per_unit=mk_per_count, signals=signals, started=started
     )

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, FrameError
 from todframes.base.reading import read_table
@@ -38,6 +41,12 @@ SEQUENCES: tuple[StillKind, ...] = ("image", "camera raw", "radiometric")
 """Kinds whose files are one recording together; each file of another kind is a recording by itself."""
 
 EXPECTED = "expected an image, video, camera raw, radiometric (FLIR, Cedip) or NumPy file"
+
+
+def paths_of(paths: PathLike | Sequence[PathLike]) -> list[Path]:
+    """Return the paths of one or several."""
+    is_one = isinstance(paths, str) or not isinstance(paths, Sequence)
+    return [Path(paths)] if is_one else [Path(one) for one in paths]  # type: ignore[arg-type, union-attr]
 
 
 def open_recordings(
@@ -74,8 +83,7 @@ def open_recordings(
     """
     check_rate(frames_per_second)
     check_max_frame_mb(max_frame_mb)
-    is_one = isinstance(paths, str) or not isinstance(paths, Sequence)
-    given = [Path(paths)] if is_one else [Path(one) for one in paths]  # type: ignore[arg-type, union-attr]
+    given = paths_of(paths)
     if not given:
         raise DataError("recordings: found no path, expected at least one")
     found: list[Recording] = []
@@ -93,6 +101,30 @@ def open_recordings(
         else:
             found.append(_single(path, kind, frames_per_second, max_frame_mb))
     return tuple(found)
+
+
+def one_recording(
+    source: PathLike | Sequence[PathLike] | NDArray[Any],
+    where: str,
+    *,
+    frames_per_second: float | None = None,
+    max_frame_mb: int = MAX_FRAME_MB,
+) -> Recording:
+    """Return the one recording of files, as `open_recordings` opens them, or that of an array in memory.
+
+    Raises
+    ------
+    DataError
+        If there are several, or the array is no recording; the message about several begins with `where`. Other
+        errors are those of `open_recordings`.
+    """
+    if isinstance(source, np.ndarray):
+        return arrays.memory_recording(source, frames_per_second=frames_per_second)
+    found = open_recordings(source, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
+    if len(found) != 1:
+        names = ", ".join(str(one.path) for one in found[:3])
+        raise DataError(f"{where}: found {len(found)} recordings ({names} …), expected one")
+    return found[0]
 
 
 def _folder(folder: Path, frames_per_second: float | None, max_frame_mb: int) -> list[Recording]:
