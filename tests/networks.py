@@ -129,10 +129,12 @@ def weighted(path: Path, weights: Sequence[Sequence[float]], *, layout: str = "n
     return save(path, nodes, {"k": kernel}, shape=("n", "h", "w", kernel.shape[1]))
 
 
-def finer(path: Path, factor: int = 2, *, size: Sequence[Side] = ("h", "w")) -> Path:
-    """Write a network that repeats every pixel of the mean of 3 × 3."""
-    weights = np.repeat(of_each_channel(box(), 1), factor**2, axis=0)
-    nodes = [convolution("x", "k", "c", 3), node("DepthToSpace", "c", "y", blocksize=factor)]
+def finer(
+    path: Path, factor: int = 2, *, size: Sequence[Side] = ("h", "w"), side: int = 3, pads: int | None = None
+) -> Path:
+    """Write a network that repeats every pixel of the mean of a square."""
+    weights = np.repeat(of_each_channel(box(side), 1), factor**2, axis=0)
+    nodes = [convolution("x", "k", "c", side, pads=pads), node("DepthToSpace", "c", "y", blocksize=factor)]
     return save(path, nodes, {"k": weights}, shape=("n", 1, *size))
 
 

@@ -174,6 +174,36 @@ def test_tiles_have_no_seams(tmp_path: Path, size, rows: int, columns: int) -> N
     assert np.abs(without.run(image)[0] - whole).max() > 1e-2  # the test would see seams
 
 
+@pytest.mark.usefixtures("in_process")
+@pytest.mark.parametrize("runtime", RUNTIMES)
+@pytest.mark.parametrize("tile_px", [0, 40])
+def test_what_a_network_loses_at_its_borders_is_mirrored(tmp_path: Path, runtime, tile_px: int) -> None:
+    path = finer(tmp_path / "m.onnx", side=7, pads=0)  # 3 px at each side, as waifu2x loses 7 or 18
+    image = picture(101, 70)
+    expected = ndimage.uniform_filter(image.astype(float), 7, mode="mirror").repeat(2, 0).repeat(2, 1)
+    algorithm = found(path, f"runtime={runtime},tile_px={tile_px}")
+    assert (algorithm.values["border_px"], algorithm.magnification) == (3, 2.0)
+    # 49 sums of 32 bits; tiles see the same pixels as the whole.
+    assert np.abs(algorithm.run(image)[0] - expected).max() < 1e-6
+    with pytest.raises(SettingsError, match="tile_px: found 6, but the model loses 3 px a side"):
+        found(path, "tile_px=6")
+    small = picture(5, 9)
+    expected = ndimage.uniform_filter(small.astype(float), 7, mode="mirror").repeat(2, 0).repeat(2, 1)
+    assert np.abs(algorithm.run(small)[0] - expected).max() < 1e-6
+
+
+@pytest.mark.usefixtures("in_process")
+@pytest.mark.skipif(OLD_OPENCV, reason="OpenCV 4 does not report what a network takes")
+def test_the_border_of_a_network_of_one_square_has_to_be_given(tmp_path: Path) -> None:
+    path = finer(tmp_path / "m.onnx", size=(40, 40), side=7, pads=0)
+    image = picture(101, 70)
+    expected = ndimage.uniform_filter(image.astype(float), 7, mode="mirror").repeat(2, 0).repeat(2, 1)
+    assert np.abs(found(path, "border_px=3").run(image)[0] - expected).max() < 1e-6
+    assert found(path).magnification == 68 / 40
+    with pytest.raises(SettingsError, match="border_px: found 20, expected less than half of 40"):
+        found(path, "border_px=20")
+
+
 @pytest.mark.parametrize("scale", [1, 2, 3])
 @pytest.mark.parametrize("overlap_px", [0, 1, 5, 8])
 def test_tiles_of_any_overlap_are_one_image(scale: int, overlap_px: int) -> None:
@@ -436,7 +466,7 @@ def _bad(folder: Path, name: str) -> Path:
         case "vector":
             save(path, [node("GlobalAveragePool", "x", "m"), node("Flatten", "m", "y")])
         case "crops":
-            save(path, [convolution("x", "k", "y", 3, pads=0)], {"k": of_each_channel(box(), 1)})
+            save(path, [convolution("x", "k", "y", 2, pads=0)], {"k": of_each_channel(box(2), 1)})
         case "unknown":
             save(path, [node("Nonsense", "x", "y")])
         case "huge":
@@ -514,7 +544,7 @@ def test_a_network_without_a_file(spec: str, message: str, tmp_path: Path, monke
 
 def test_a_network_is_tried_in_another_process(tmp_path: Path) -> None:
     content = identity(tmp_path / "same.onnx").read_bytes()
-    assert probe(content, ProbeRequest("opencv", channels=1)) == Found("nchw", 1, None, None, 1, 1.0)
+    assert probe(content, ProbeRequest("opencv", channels=1)) == Found("nchw", 1, None, None, 1, 1.0, 0)
 
 
 def test_a_library_that_crashes_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

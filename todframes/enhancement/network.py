@@ -90,6 +90,8 @@ class Network:
         | None = None,
         overlap_px: Annotated[int, parameter(0, 1024, unit="px", what="overlap of tiles")] | None = None,
         multiple_px: Annotated[int, parameter(1, 1024, unit="px", what="divisor of all sides")] | None = None,
+        border_px: Annotated[int, parameter(0, 512, unit="px", what="input pixels that each side loses")]
+        | None = None,
         inputs: Annotated[Constants, meaning("values of its other inputs by their names")] | None = None,
         constant_channel: Annotated[Constant, meaning("value of one more channel that it takes")] | None = None,
     ) -> Image:
@@ -109,13 +111,15 @@ class Network:
             pictures = [np.repeat(one, 3, axis=2) if one.shape[2] == 1 else one for one in pictures]
         else:
             pictures = [one[..., k : k + 1] for one in pictures for k in range(one.shape[2])]
-        whole = [_multiple(length, multiple_px) for length in image.shape[:2]]
+        border = border_px or 0
+        whole = [_multiple(length + 2 * border, multiple_px) for length in image.shape[:2]]
         sides = [
             fixed or (min(tile_px, length) if tile_px else length)
             for fixed, length in zip(self.size, whole, strict=True)
         ]
         found = [
-            _apply(run, one, (sides[0], sides[1]), overlap_px=overlap_px or 0, scale=scale) for one in pictures
+            _apply(run, one, (sides[0], sides[1]), overlap_px=overlap_px or 0, scale=scale, border_px=border)
+            for one in pictures
         ]
         if image.ndim == 3 and channels == 3:
             return found[0]
@@ -184,7 +188,7 @@ def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -
     """
     if values["black"] == values["white"]:
         raise SettingsError(f"{where}: black and white: found {values['black']:g} for both, expected two values")
-    given = ("layout", "channels", "multiple_px", "black", "white", "constant_channel")
+    given = ("layout", "channels", "multiple_px", "border_px", "black", "white", "constant_channel")
     asked = {name: values[name] for name in given} | {"inputs": values["inputs"] or {}}
     try:
         runtime, properties = _first_to_run(network.content, asked, values["runtime"])
@@ -207,7 +211,11 @@ def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -
         tile = WHOLE_PX // multiple * multiple
     if tile and tile % multiple:
         raise SettingsError(f"{where}: tile_px: found {tile}, expected a multiple of {multiple}")
-    smallest = min(side or tile or MOST_TILE_PX for side in size)
+    smallest = min(side or tile or MOST_TILE_PX for side in size) - 2 * properties.border_px
+    if smallest <= 0:
+        raise SettingsError(
+            f"{where}: tile_px: found {tile}, but the model loses {properties.border_px} px a side"
+        )
     overlap = values["overlap_px"]
     if overlap is None:
         overlap = min(MOST_OVERLAP_PX, smallest // 4)
@@ -221,6 +229,7 @@ def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -
         "tile_px": tile,
         "overlap_px": overlap,
         "multiple_px": multiple,
+        "border_px": properties.border_px,
     }
     return replace(network, version=runtime_version(runtime), size=size), resolved
 
@@ -243,19 +252,31 @@ def _first_to_run(content: bytes, asked: Mapping[str, Any], runtime: Runtime | N
 
 
 def _apply(
-    run: Callable[[Picture], Picture], image: Picture, side: tuple[int, int], *, overlap_px: int, scale: float
+    run: Callable[[Picture], Picture],
+    image: Picture,
+    side: tuple[int, int],
+    *,
+    overlap_px: int,
+    scale: float,
+    border_px: int,
 ) -> Picture:
-    """Apply a function of pictures of one size to an image: in tiles, or mirrored at its ends if it is smaller."""
-    missing = [max(0, needed - length) for needed, length in zip(side, image.shape[:2], strict=True)]
-    if any(missing):
-        image, whole = np.pad(image, [*((0, more) for more in missing), (0, 0)], mode="reflect"), image
-        rows, columns = (round(scale * length) for length in whole.shape[:2])
-        return _apply(run, image, side, overlap_px=overlap_px, scale=scale)[:rows, :columns]
-    if image.shape[:2] == side:
-        return run(image)
+    """Apply a function of pictures of one size to an image: in tiles if it is larger.
+
+    The image is mirrored at its ends as far as the function loses a border or needs a larger picture.
+    """
+    around = [
+        (border_px, max(border_px, needed - length - border_px))
+        for needed, length in zip(side, image.shape[:2], strict=True)
+    ]
+    wide = np.pad(image, [*around, (0, 0)], mode="reflect") if any(map(any, around)) else image
+    rows, columns = (round(scale * length) for length in image.shape[:2])
+    if wide.shape[:2] == side:
+        return run(wide)[:rows, :columns]
     if scale != round(scale):
         raise ValueError(f"a frame of {image.shape[0]} × {image.shape[1]} needs tiles, and they a whole scale")
-    return in_tiles(run, image, tile=side, overlap_px=overlap_px, scale=round(scale))
+    return in_tiles(run, wide, tile=side, overlap_px=overlap_px, scale=round(scale), border_px=border_px)[
+        :rows, :columns
+    ]
 
 
 def _multiple(length: int, divisor: int) -> int:

@@ -16,6 +16,7 @@ from math import prod
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from todframes.base.errors import DataError, SettingsError, TodframesError
 from todframes.base.reading import check_keys
@@ -64,6 +65,7 @@ class ProbeRequest(msgspec.Struct, frozen=True):
     layout: Layout | None = None
     channels: int | None = None
     multiple_px: int | None = None
+    border_px: int | None = None
     black: float = 0.0
     white: float = 1.0
     inputs: dict[str, float] = {}
@@ -74,7 +76,8 @@ class Found(msgspec.Struct, frozen=True, tag=True):
     """The properties of a network that runs.
 
     `rows` and `columns` are those of its pictures; None if it takes any size that is a multiple of `multiple_px`.
-    `scale` is the number of output pixels for one input pixel along each axis.
+    `scale` is the number of output pixels for one input pixel along each axis. `border_px` is the number of input
+    pixels at each side of a picture that have no output.
     """
 
     layout: Layout
@@ -83,6 +86,7 @@ class Found(msgspec.Struct, frozen=True, tag=True):
     columns: int | None
     multiple_px: int
     scale: float
+    border_px: int
 
 
 class _Failed(msgspec.Struct, frozen=True, tag=True):
@@ -141,17 +145,25 @@ def examine(model: Model, request: ProbeRequest) -> Found:
     if model.n_outputs != 1:
         raise DataError(f"has {model.n_outputs} outputs, expected one")
     if rows is not None and columns is not None:
-        return Found(layout, channels, rows, columns, 1, _scale(model, request, layout, channels, rows, columns))
+        scale, border = _scale_and_border(model, request, layout, channels, rows, columns)
+        return Found(layout, channels, rows, columns, 1, scale, border)
     problem: DataError | None = None
     for multiple in MULTIPLES if request.multiple_px is None else (request.multiple_px,):
         side = multiple * max(1, SIDE_PX // multiple) + (multiple if multiple < SIDE_PX else 0)
         try:
             # Unequal sides show a network that cuts off borders or exchanges axes.
-            scale = _scale(model, request, layout, channels, rows or side, columns or side + multiple)
+            scale, border = _scale_and_border(
+                model, request, layout, channels, rows or side, columns or side + multiple
+            )
+            if border:  # other sides show whether it is the same there
+                again = replace(request, border_px=border)
+                sides = rows or side + 3 * multiple, columns or side + 2 * multiple
+                if _scale_and_border(model, again, layout, channels, *sides) != (scale, border):
+                    raise DataError("loses another number of pixels for pictures of another size")
         except DataError as error:
             problem = problem or error
             continue
-        return Found(layout, channels, rows, columns, multiple, scale)
+        return Found(layout, channels, rows, columns, multiple, scale, border)
     assert problem is not None
     raise problem
 
@@ -235,8 +247,10 @@ def _shown(shape: tuple[int | None, ...]) -> str:
     return " × ".join("any" if side is None else str(side) for side in shape)
 
 
-def _scale(model: Model, request: ProbeRequest, layout: Layout, channels: int, rows: int, columns: int) -> float:
-    """Run a picture and return the number of output pixels for one input pixel along each axis."""
+def _scale_and_border(
+    model: Model, request: ProbeRequest, layout: Layout, channels: int, rows: int, columns: int
+) -> tuple[float, int]:
+    """Run a picture and return output pixels for one input pixel, and input pixels that each side loses."""
     ramp = np.linspace(0.25, 0.75, rows * columns).reshape(rows, columns, 1)
     values = request.black + (request.white - request.black) * np.repeat(ramp, channels, axis=2)
     try:
@@ -252,11 +266,20 @@ def _scale(model: Model, request: ProbeRequest, layout: Layout, channels: int, r
             f"gives shape {shape} for {rows} × {columns} pixels, expected one picture of 1 or 3 channels in the "
             "same layout"
         )
-    if sides[0] * columns != sides[1] * rows:
+    border = request.border_px or 0
+    if request.border_px is None and sides[0] * columns != sides[1] * rows and rows != columns:
+        # Output sides are scale · (side − 2 · border).
+        lost = rows - sides[0] * (columns - rows) / (sides[1] - sides[0]) if sides[1] > sides[0] else -1.0
+        border = int(lost / 2) if lost > 0 and lost % 2 == 0 else 0
+    inner = rows - 2 * border, columns - 2 * border
+    if min(inner) <= 0:
+        raise SettingsError(f"border_px: found {border}, expected less than half of {min(rows, columns)}")
+    if sides[0] * inner[1] != sides[1] * inner[0]:
         raise DataError(
-            f"gives {sides[0]} × {sides[1]} pixels for {rows} × {columns}, expected the same proportions"
+            f"gives {sides[0]} × {sides[1]} pixels for {rows} × {columns}, expected the same proportions, but "
+            "for borders of equal width"
         )
-    return sides[0] / rows
+    return sides[0] / inner[0], border
 
 
 def main() -> None:

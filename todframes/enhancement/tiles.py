@@ -25,30 +25,35 @@ def in_tiles(
     tile: tuple[int, int],
     overlap_px: int,
     scale: int = 1,
+    border_px: int = 0,
 ) -> Picture:
     """Apply a function to an image in tiles of one size.
 
     Parameters
     ----------
     function : callable
-        Function of a picture of shape (*tile, channels) that returns one of shape (scale · tile, channels).
+        Function of a picture of shape (*tile, channels) that returns one without its border, of shape
+        (scale · (tile − 2 · border_px), channels).
     image : ndarray, shape (rows, columns, channels)
         Image that is at least as large as a tile.
     tile : (int, int)
         Rows and columns of a tile.
     overlap_px : int
-        Smallest overlap of neighbouring tiles in pixels, >= 0 and smaller than a tile.
+        Smallest overlap of neighbouring tiles without their borders, in pixels, >= 0 and smaller than such a tile.
     scale : int
         Number of output pixels for one input pixel along each axis.
+    border_px : int
+        Number of pixels at each side of a picture for which the function returns nothing.
 
     Returns
     -------
-    ndarray, shape (scale · rows, scale · columns, channels of the function's result)
+    ndarray, shape (rows', columns', channels of the function's result)
+        Its rows are scale · (rows − 2 · border_px), its columns likewise.
     """
-    axes = [
-        list(_spans(length, side, overlap_px, scale)) for length, side in zip(image.shape[:2], tile, strict=True)
-    ]
-    totals = [np.zeros(scale * length) for length in image.shape[:2]]
+    lengths = [length - 2 * border_px for length in image.shape[:2]]
+    inner = [side - 2 * border_px for side in tile]
+    axes = [list(_spans(length, side, overlap_px, scale)) for length, side in zip(lengths, inner, strict=True)]
+    totals = [np.zeros(scale * length) for length in lengths]
     for spans, total in zip(axes, totals, strict=True):
         for start, weights in spans:
             total[scale * start : scale * start + len(weights)] += weights
@@ -58,7 +63,7 @@ def in_tiles(
             found = function(np.ascontiguousarray(image[row : row + tile[0], column : column + tile[1]]))
             if result is None:
                 result = np.zeros((*(len(total) for total in totals), found.shape[2]), np.float32)
-            y, x = (slice(scale * at, scale * (at + side)) for at, side in zip((row, column), tile, strict=True))
+            y, x = (slice(scale * at, scale * (at + side)) for at, side in zip((row, column), inner, strict=True))
             weights = np.outer(of_rows / totals[0][y], of_columns / totals[1][x])
             result[y, x] += found * weights[..., None].astype(np.float32)
     assert result is not None  # there is one tile at least
