@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 
 from todframes import score
-from todframes.cli.console import finish, run
+from todframes.cli.console import finish, print_table, run
 from todframes.cli.main import cli
 from todframes.frames.files import write_frame
 from todframes.psychometrics.fit import FitSettings
+from todframes.report.table import Column, Table
 
 
 @pytest.fixture
@@ -168,6 +169,29 @@ def test_a_narrow_terminal_has_fewer_columns_and_whole_numbers(make_dataset, cap
         assert [len(row) for row in expected] == [6] * 2
         assert all(len(line) <= width for line in narrow.splitlines())
         assert "…" not in narrow
+
+
+def test_a_narrow_table_has_whole_words(capsys, monkeypatch) -> None:
+    """Names are folded at 16 letters, other texts and open intervals between their words."""
+    columns = [
+        Column(key="algorithm", is_name=True, wraps=True),
+        Column(key="size_mrad", header="size (detectors)", is_name=True),
+        Column(key="threshold", header="threshold contrast"),
+        Column(key="ratio"),
+        Column(key="ratio_ci95", header="95 % interval", interval="ratio", digits=3),
+        Column(key="verdict", wraps=True),
+    ]
+    values = ("onnx:networks/denoiser.onnx", 6.0, 0.6897, 2.671, (1.804, None), "no difference shown")
+    table = Table.of(
+        "Ratios", "ratios.csv", columns, [dict(zip([one.key for one in columns], values, strict=True))]
+    )
+    monkeypatch.setenv("COLUMNS", "80")
+    print_table(table)
+    *_, first, second, third, _ = capsys.readouterr().out.splitlines()
+    assert max(map(len, (first, second, third))) <= 80
+    assert first.split() == ["onnx:networks/de", "6.000", "0.6897", "2.671", "from", "1.80,", "no"]
+    assert second.split() == ["noiser.onnx", "open", "above", "difference"]
+    assert third.split() == ["shown"]
 
 
 def test_settings_file_and_which_goes_first(todframes, make_dataset, tmp_path: Path) -> None:

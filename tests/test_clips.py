@@ -414,6 +414,58 @@ def test_a_recursive_filter_smears_what_moves(gaze: str) -> None:
     assert thresholds[1] > 1.2 * thresholds[0]
 
 
+@pytest.mark.slow
+def test_both_gazes_are_those_of_two_runs() -> None:
+    """Also after an algorithm with other pixels; the frames are enhanced once."""
+    enhanced = []
+
+    @algorithm(clip=True, warm_up_frames=1, magnification=2)
+    def finer_mean(frames, *, judged):
+        enhanced.append(len(judged))
+        return np.stack([np.kron((frames[k - 1] + frames[k]) / 2.0, np.ones((2, 2), np.float32)) for k in judged])
+
+    places = [(15.0 + 1.25 * k, (SIDE_PX - 1) / 2) for k in range(3)]
+    clips = [
+        (turn, c, [c * triangle(turn, x) for x, _ in places]) for c in (0.05, 0.2, 0.8) for turn in ("up", "left")
+    ]
+    data, settings = clip_dataset(clips, 2, places), {"fit": EXACT, "examples": False, "plan": "full"}
+    both = tod.compare(data, [finer_mean], gaze="fixed,tracked", **settings)
+    n_trials = enhanced.count(2)
+    fixed, tracked = (tod.compare(data, [finer_mean], gaze=gaze, **settings) for gaze in ("fixed", "tracked"))
+    assert n_trials == enhanced.count(2) / 3
+    thresholds = []
+    for alone, of_both in ((fixed, both.algorithms), (tracked, both.observers[0].algorithms)):
+        for one, other in zip(alone.algorithms, of_both, strict=True):
+            thresholds.append(one.fits[0].threshold)
+            # The places of a fixed gaze are found in another way, to rounding.
+            assert other.fits[0].threshold == pytest.approx(thresholds[-1], rel=1e-9)
+        gains = [one[1].contrast_responses[0].points[-1].gain for one in (alone.algorithms, of_both)]
+        assert gains[0] == pytest.approx(gains[1], rel=1e-9)
+    assert thresholds[0] > 1.02 * thresholds[2]
+    moves = "Within a trial the triangle moves, by up to 0.188 mrad from its mean place; the gaze "
+    follows, stays = "follows it (tracked)", "stays at that place (fixed), so that motion is blur"
+    said = [one.summary().split(moves)[1].split(".\n")[0].rstrip(".") for one in (tracked, fixed, both)]
+    assert said == [follows, stays, f"{follows} or {stays}"]
+    assert [line.split(":")[0] for line in both.verdict[-2:]] == ["pyramid (fixed)", "pyramid (tracked)"]
+    assert (both.settings["gaze"], both.observers[0].settings["gaze"]) == ("fixed", "tracked")
+
+
+def test_nothing_is_said_of_the_gaze_where_nothing_moves() -> None:
+    clips = [("up", c, [c * triangle("up", 15.5)] * 2) for c in (0.05, 0.2, 0.8)]
+    result = tod.score(clip_dataset(clips, 2), fit=EXACT, examples=False)
+    assert "gaze" not in result.summary()
+    assert result.dataset.motion_mrad is None
+
+
+@pytest.mark.parametrize("gaze", ["both", "tracked,tracked", "tracked, fixed", "", ()])
+def test_bad_gazes(gaze) -> None:
+    data = clip_dataset([("up", 0.2, [0.2 * triangle("up", 15.5)])], 1)
+    with pytest.raises(SettingsError, match=r"^gaze: found .*, expected tracked, fixed or tracked,fixed$"):
+        tod.compare(data, ["gaussian"], gaze=gaze)
+    with pytest.raises(SettingsError, match=r"gaze: found 'tracked,fixed', expected one of tracked, fixed$"):
+        tod.score(data, gaze="tracked,fixed")  # type: ignore[arg-type]
+
+
 # Clips on a disk, simulated
 
 SENSOR = ss.load_sensor("sample_frames/star_like.toml")

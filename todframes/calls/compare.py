@@ -18,6 +18,7 @@ from todframes.calls.shared import (
     background_of,
     described_each,
     each_once,
+    gazes_of,
     in_memory,
     inspected,
     is_skip,
@@ -77,7 +78,7 @@ def compare(
     rng: Rng = 1,
     fit: FitSettings | None = None,
     locate: Locate | bool = False,
-    gaze: Gaze = "tracked",
+    gaze: str | Sequence[Gaze] = "tracked",
     on_error: OnError = "stop",
     workers: int = 1,
     cluster: str | Engine | None = None,
@@ -91,12 +92,15 @@ def compare(
 
     Parameters
     ----------
-    dataset, decisions, curve, plan, rng, fit, locate, gaze, on_error, workers, cluster, store, \
-    examples, progress
+    dataset, decisions, curve, plan, rng, fit, locate, on_error, workers, cluster, store, examples, \
+    progress
         Parameters as in `score`.
     observer : str, Observer, or sequence of them
         As in `score`; several, also named as "pyramid,csf", each give a verdict on the same frames. The first is
         that of `algorithms`, the others of `observers`, and `verdict` begins with where they disagree.
+    gaze : {"tracked", "fixed"} or sequence of them
+        As in `score`. With both, also named as "tracked,fixed", each observer gives a verdict for each, as if it
+        were two.
     enhance : iterable of str or function
         Algorithms: "name" of a registered one, "module:function" or "onnx:file", optionally followed by
         ":parameter=value,…"; or functions of an image and keyword parameters.
@@ -136,19 +140,23 @@ def compare(
 
     fit = fit or FitSettings()
     found = [find_enhancement(one) for one in enhance]
-    data = replace(loaded(dataset), gaze=gaze)
+    gazes = gazes_of(gaze)
+    data = replace(loaded(dataset), gaze=gazes[0])
     judges, each_settings = described_each(observer, lambda: background_of(data))
     judge, settings = judges[0], each_settings[0]
     screen = AlgorithmDisplay(data.display, white, allow_clipping)
     data, more, placed_wrong = located(data, judge, locate, on_error, progress)
     known = [knowing_background(*one, data) for one in zip(judges, each_settings, strict=True)]
     judges, each_settings = [one for one, _ in known], [own for _, own in known]
-    judge, settings = judges[0], each_settings[0]
+    judge = judges[0]
+    each_settings = [own | {"gaze": one} for own in each_settings for one in gazes]
+    settings = each_settings[0]
     with opened_run(workers, cluster, store, progress) as run:
         results, *others = compare_observers(
             data,
             judges,
             found,
+            gazes=gazes,
             decisions=decisions,
             curve=curve,
             seed=seed,
@@ -179,7 +187,7 @@ def compare(
         started,
         settings=settings
         | asdict(fit)
-        | {"decisions": decisions, "plan": plan, "white": white, "allow_clipping": allow_clipping, "gaze": gaze},
+        | {"decisions": decisions, "plan": plan, "white": white, "allow_clipping": allow_clipping},
         seed=seed,
         algorithms=compared,
         observers=further,

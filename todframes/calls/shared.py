@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 from msgspec.structs import replace as replace_struct
 from numpy.typing import ArrayLike
@@ -17,7 +17,7 @@ from todframes.base.locations import Location
 from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import inspect, records
 from todframes.display.display import Display
-from todframes.frames.dataset import Dataset, dataset_warnings, load_dataset
+from todframes.frames.dataset import Dataset, Gaze, dataset_warnings, load_dataset
 from todframes.frames.trials import Trial
 from todframes.jobs.engine import open_engine
 from todframes.jobs.work import Engine
@@ -75,6 +75,17 @@ def described_each(
     if not each:
         raise SettingsError("observer: found none, expected one or several")
     return [judge for judge, _ in each], [settings for _, settings in each]
+
+
+def gazes_of(gaze: str | Sequence[Gaze]) -> tuple[Gaze, ...]:
+    """Return gazes, several also named as "tracked,fixed"."""
+    asked = gaze.split(",") if isinstance(gaze, str) else list(gaze)
+    if not asked or len(set(asked)) < len(asked) or not set(asked) <= set(get_args(Gaze)):
+        known = get_args(Gaze)
+        raise SettingsError(
+            f"gaze: found {','.join(map(str, asked))!r}, expected {', '.join(known)} or {','.join(known)}"
+        )
+    return tuple(cast("list[Gaze]", asked))
 
 
 def of_observer(name: str | None, warnings: Iterable[ResultWarning]) -> tuple[ResultWarning, ...]:

@@ -145,6 +145,7 @@ def finish(
         If `strict` and there are warnings; everything is shown before.
     """
     from todframes.report import tables
+    from todframes.report.data import each_observer
     from todframes.report.summary import cautions, remarks
     from todframes.report.wording import group_phrase
 
@@ -164,7 +165,8 @@ def finish(
     if explain:
         print_table(tables.plan(result))
     if result.algorithms:
-        print_table(tables.ratios(result, title))
+        for observer, judged in each_observer(result):
+            print_table(tables.ratios(judged, observer, title))
         if verbose or any(one.psnr_db is not None or one.ssim is not None for one in result.algorithms):
             print_table(tables.measures(result.algorithms))
     else:

@@ -159,10 +159,11 @@ scoring_options = options(
     ),
     click.option(
         "--gaze",
-        type=click.Choice(["tracked", "fixed"]),
         default="tracked",
         show_default=True,
-        help="Where the observer looks while a triangle moves: at its place in each frame, or at the mean place.",
+        metavar="tracked|fixed",
+        help="Where the observer looks while a triangle moves: at its place in each frame, or at the mean place. "
+        "compare takes both: tracked,fixed.",
     ),
     on_error_option,
     max_frame_option,

@@ -11,8 +11,8 @@ import time
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Literal, NamedTuple
+from functools import lru_cache, partial
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from todframes.enhancement.enhanced_frame import (
 )
 from todframes.enhancement.finding import find_enhancement
 from todframes.enhancement.image_quality import psnr_db
-from todframes.frames.dataset import Dataset, Skipped
+from todframes.frames.dataset import Dataset, Gaze, Skipped
 from todframes.frames.position import check_places
 from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer, Readout
@@ -52,6 +52,7 @@ from todframes.psychometrics.paired_bootstrap import (
 )
 from todframes.scoring.error_budget import PlanName
 from todframes.scoring.plan import ScorePlan, plan_score
+from todframes.scoring.retina_view import to_mean_place_px
 from todframes.scoring.score import (
     ScoredDataset,
     check_seen,
@@ -169,6 +170,7 @@ def compare_observers(
     observers: Sequence[Observer],
     enhancements: Sequence[Enhancement],
     *,
+    gazes: Sequence[Gaze] = (),
     decisions: Decisions = "expected",
     curve: CurveName | None = None,
     seed: int = 1,
@@ -180,14 +182,16 @@ def compare_observers(
 ) -> tuple[tuple[AlgorithmResult, ...], ...]:
     """Show every trial to observers as it is and after each algorithm, and compare the thresholds of each.
 
-    Frames are decoded and enhanced once for all observers. Parameters not listed are those of `score_dataset`.
-    With the same plan and one observer, the scores and fits of the reference are those of `score_dataset`, number
-    for number.
+    Frames are decoded and enhanced once for all observers and gazes. Parameters not listed are those of
+    `score_dataset`. With the same plan, one observer and one gaze, the scores and fits of the reference are those
+    of `score_dataset`, number for number.
 
     Parameters
     ----------
     observers : sequence of Observer
         Observers that look at the same point of the triangle.
+    gazes : sequence of {"tracked", "fixed"}
+        Gazes of each observer. Default: that of the dataset.
     enhancements : sequence of Enhancement
         Algorithms to compare. The reference, `none`, is the first in the result even if it is not among them.
     screen : AlgorithmDisplay, optional
@@ -198,7 +202,7 @@ def compare_observers(
     Returns
     -------
     tuple of tuples of AlgorithmResult
-        For each observer one for each algorithm, the reference first.
+        For each gaze of each observer one for each algorithm, the reference first.
 
     Raises
     ------
@@ -230,28 +234,38 @@ def compare_observers(
             check_warm_up_there(dataset, trial, of_clips)
         check_places(dataset, whole, observers[0].centre)
     reader, expected = TrialReader(algorithms, screen), decisions == "expected"
+    gazes = tuple(gazes) or (dataset.gaze,)
     # The plan considers frames after the algorithms too: what it leaves out is left out for all algorithms.
     plans = [
-        plan_score(dataset, whole, observer, name=plan_name, expected=expected, read=reader)
+        plan_score(replace(dataset, gaze=gaze), whole, observer, name=plan_name, expected=expected, read=reader)
         for observer in observers
+        for gaze in gazes
     ]
+    if len(gazes) > 1:  # a fixed gaze follows from frames read for a tracked one
+        dataset = replace(dataset, gaze="tracked")
     strongest = strongest_levels(whole)
     measured = measured_trials(whole, strongest)
-    of_observer = [_ResultColumns(whole, len(algorithms)) for _ in observers]
+    of_observer = [_ResultColumns(whole, len(algorithms)) for _ in plans]
 
     def collect(row: int, found: _SeenTrial) -> None:
-        for columns, seen in zip(of_observer, (found.seen, *found.others), strict=True):
-            columns.put(row, found._replace(seen=seen))
+        for number, (columns, seen) in enumerate(zip(of_observer, (found.seen, *found.others), strict=True)):
+            columns.put(row, found, seen, found.contrasts[number % len(gazes)])
 
     skipped += see_trials(
         Scoring(dataset, plans[0], decisions, seed),
         whole,
-        _Show(reader, measured, tuple(plans[1:])),
+        _Show(reader, measured, gazes, tuple(plans[1:])),
         kind=_SeenTrial,
         collect=collect,
         skip_bad_frames=skip_bad_frames,
         run=run or Run(),
-        depends_on=([(one.spec, one.function) for one in algorithms], screen, sorted(measured), _parts(plans[1:])),
+        depends_on=(
+            [(one.spec, one.function) for one in algorithms],
+            screen,
+            sorted(measured),
+            gazes,
+            _parts(plans[1:]),
+        ),
         with_references=True,
         with_levels=True,
     )
@@ -272,7 +286,7 @@ def compare_observers(
 
 
 def _parts(plans: Sequence[ScorePlan]) -> list[object]:
-    """Return what the scores of further observers depend on; nothing if there are none."""
+    """Return what the scores of further observers and gazes depend on; nothing if there are none."""
     return [(plan.observer, plan.whole_frames, sorted(map(repr, plan.stimuli.items()))) for plan in plans]
 
 
@@ -322,8 +336,8 @@ def _results(
 class _SeenTrial(NamedTuple):
     """The observer's scores of a trial after each algorithm, and the measurements of each of its frames.
 
-    `contrasts`, (algorithm, 4), are those of `triangle_contrasts`; NaN if they are not measured in this trial.
-    `others` are the scores of further observers.
+    `contrasts`, (gaze, algorithm, 4), are those of `triangle_contrasts`; NaN if they are not measured in this
+    trial. `others` are the scores of the first observer's further gazes, and those of further observers.
     """
 
     seen: tuple[SeenTrial, ...]
@@ -332,23 +346,41 @@ class _SeenTrial(NamedTuple):
     others: tuple[tuple[SeenTrial, ...], ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
 class _Show:
-    """Function that shows a trial to the observer, and those of further plans, after each algorithm."""
+    """Function that shows a trial to the observer, and those of further plans, after each algorithm.
 
-    reader: TrialReader
-    measured: frozenset[int]
-    further: tuple[ScorePlan, ...] = ()
+    Plans are in the order of `compare_observers`: each observer with all gazes, then the next one.
+    """
+
+    def __init__(
+        self,
+        reader: TrialReader,
+        measured: frozenset[int],
+        gazes: tuple[Gaze, ...],
+        further: tuple[ScorePlan, ...],
+    ) -> None:
+        self.reader, self.measured, self.gazes, self.further = reader, measured, gazes, further
+        self._readouts_of = [lru_cache(maxsize=4)(plan.readout) for plan in further]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Show, (self.reader, self.measured, self.gazes, self.further)
 
     def __call__(self, scoring: Scoring, trial: Trial, readout: Readout | None) -> _SeenTrial:
         started = time.perf_counter()
         scorings = [scoring, *(replace(scoring, plan=plan) for plan in self.further)]
         viewings = [trial_viewing(scoring, trial, readout)]
-        viewings += [trial_viewing(one, trial, one.plan.readout(trial.stimulus)) for one in scorings[1:]]
-        viewing = viewings[0]
-        # The frames are read once, as wide as the widest of the grids needs at any displacement.
+        viewings += [
+            trial_viewing(one, trial, readout_of(trial.stimulus))
+            for one, readout_of in zip(scorings[1:], self._readouts_of, strict=True)
+        ]
+        # The frames are read once, as wide as the widest of the grids needs at any displacement and gaze.
         widest = max(viewings, key=lambda one: one.grid.width_mrad)
+        pitch_mrad = scoring.dataset.display.pitch_mrad
         displaced = [one.reached_samples * (one.grid.pitch_mrad / widest.grid.pitch_mrad) for one in viewings]
+        if len(self.gazes) > 1:
+            to_gazes_px = np.concatenate([[(0.0, 0.0)], to_mean_place_px(trial)])
+            to_gazes = to_gazes_px * (pitch_mrad / widest.grid.pitch_mrad)
+            displaced = [(one[:, None] + to_gazes).reshape(-1, 2) for one in displaced]
         found = self.reader.read(
             scoring.dataset,
             trial,
@@ -357,15 +389,20 @@ class _Show:
             np.concatenate(displaced),
             whole=any(one.plan.whole_frames for one in scorings),
         )
-        ways = [one.shown for one in found]
+        shown = [one.shown for one in found]
+        ways = [
+            shown if gaze == scoring.dataset.gaze else [one.with_gaze_fixed(trial, pitch_mrad) for one in shown]
+            for gaze in self.gazes
+        ]
         seen, *others = (
-            tuple(see(of_observer, trial, one, ways, started))
-            for of_observer, one in zip(scorings, viewings, strict=True)
+            tuple(see(of_observer, trial, one, ways[number % len(ways)], started))
+            for number, (of_observer, one) in enumerate(zip(scorings, viewings, strict=True))
         )
-        contrasts = np.full((len(found), len(ORIENTATIONS)), np.nan)
+        contrasts = np.full((len(ways), len(found), len(ORIENTATIONS)), np.nan)
         if trial.number in self.measured:
-            centre = viewing.observer.centre
-            contrasts = triangle_contrasts([one.shown for one in found], trial, grid=viewing.grid, centre=centre)
+            grid, centre = viewings[0].grid, viewings[0].observer.centre
+            for number, of_gaze in enumerate(ways):
+                contrasts[number] = triangle_contrasts(of_gaze, trial, grid=grid, centre=centre)
         return _SeenTrial(seen, tuple(one.measured for one in found), contrasts, tuple(others))
 
 
@@ -400,14 +437,12 @@ class _ResultColumns:
         self.contrasts = np.full((len(trials), n_algorithms, len(ORIENTATIONS)), np.nan)
         self.is_seen = np.zeros(len(trials), bool)
 
-    def put(self, row: int, found: _SeenTrial) -> None:
-        for columns, measured, one, of_frames in zip(
-            self._seen, self.measured, found.seen, found.measured, strict=True
-        ):
+    def put(self, row: int, found: _SeenTrial, seen: Sequence[SeenTrial], contrasts: FloatArray) -> None:
+        for columns, measured, one, of_frames in zip(self._seen, self.measured, seen, found.measured, strict=True):
             columns.put(row, one)
             for of_frame in of_frames:
                 measured.add(of_frame)
-        self.contrasts[row], self.is_seen[row] = found.contrasts, True
+        self.contrasts[row], self.is_seen[row] = contrasts, True
 
     def seen(self) -> list[SeenTrials]:
         """Return the scores after each algorithm; an empty list if there are none."""

@@ -262,6 +262,11 @@ class Trials(Sequence[Trial]):
         """Number of frames of all trials."""
         return int(self.frame_counts.sum())
 
+    @property
+    def most_motion_px(self) -> float:
+        """Largest distance of a triangle from its mean place in the trial's frames; 0 if none moves."""
+        return self._columns.most_motion_px(self._rows)
+
     def names(self) -> Iterator[str]:
         """Yield the name of each trial."""
         for start in range(0, len(self), BLOCK):
@@ -636,6 +641,13 @@ class _TrialColumns:
             backdrops=tuple(self.backdrops[k] for k in backdrops.tolist()),
             warm_up=warm_up,
         )
+
+    def most_motion_px(self, rows: NDArray[np.intp]) -> float:
+        """Return the largest displacement of the frames of some trials in pixels."""
+        clips = self.frames.clips
+        if clips is None or clips.motion_px is None:
+            return 0.0
+        return float(np.hypot(*clips.motion_px[self._rows_of_frames(rows)].T).max(initial=0.0))
 
     def _rows_of_frames(self, rows: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the rows in `frames` of the frames of some trials, one trial after the other."""

@@ -307,11 +307,25 @@ class ComparedObserver(Struct, frozen=True, kw_only=True):
 
 
 def observer_names(settings: Record, others: Sequence[ComparedObserver]) -> list[str]:
-    """Return the names of a result's observers, numbered if two have the same with other settings."""
-    names = [str(settings.get("observer")), *(one.name for one in others)]
+    """Return the names of a result's observers, numbered if two have the same with other settings.
+
+    They state the gaze if it is not the same of all.
+    """
+    names, gazes = [str(settings.get("observer")), *(one.name for one in others)], [settings.get("gaze")]
+    gazes += [one.settings.get("gaze", gazes[0]) for one in others]
+    if len(set(gazes)) > 1:
+        names = [f"{name} ({gaze})" for name, gaze in zip(names, gazes, strict=True)]
     if len(set(names)) < len(names):
         return [f"{name} ({number})" for number, name in enumerate(names, 1)]
     return names
+
+
+def each_observer(result: ResultData) -> list[tuple[str, tuple[Algorithm, ...]]]:
+    """Return the algorithms as each observer of a comparison judges them, with its name, "" if it is alone."""
+    if not result.observers:
+        return [("", result.algorithms)]
+    each = [result.algorithms, *(one.algorithms for one in result.observers)]
+    return list(zip(observer_names(result.settings, result.observers), each, strict=True))
 
 
 def thresholds_of(algorithms: Sequence[Algorithm]) -> tuple[Fit, ...]:
@@ -585,6 +599,8 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
         Number of frames in the manifest, those left out included.
     n_scenes : int or None
         Number of scenes behind the triangles; None if the manifest names none.
+    motion_mrad : float or None
+        Largest distance of a triangle from its mean place in its trial; None if none moves.
     measured : dict
         `stimuli`: what the frames of each group and stimulus show, measured on some of them, as attributes of
         `todframes.diagnosis.inspection.Inspection`. Empty if nothing was measured.
@@ -596,6 +612,7 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
     manifest_sha256: str | None = None
     n_frames: int | None = None
     n_scenes: int | None = None
+    motion_mrad: Positive | None = None
     measured: Record = {}
 
     @classmethod
@@ -603,6 +620,7 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
         """Return the record of a dataset, with what was measured of each stimulus."""
         as_read_again = msgspec.json.decode(msgspec.json.encode(measured))
         scenes = dataset.trials.scene_numbers
+        motion_mrad = dataset.trials.most_motion_px * dataset.display.pitch_mrad
         return cls(
             path=in_utf8(str(dataset.path)),
             display=_display(dataset.display),
@@ -610,6 +628,7 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
             manifest_sha256=dataset.manifest_sha256,
             n_frames=dataset.n_frames,
             n_scenes=None if scenes is None else len(set(scenes.tolist())),
+            motion_mrad=motion_mrad or None,
             measured={"stimuli": as_read_again} if measured else {},
         )
 

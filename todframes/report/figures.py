@@ -13,7 +13,7 @@ from todframes.base._typing import FloatArray, Json
 from todframes.psychometrics.observer_curve import observer_curve
 from todframes.psychometrics.weibull import weibull
 from todframes.report.calibration import SUBJECT, own_and_model, with_model_curves
-from todframes.report.data import Algorithm, Fit, Ratio, ResultData, SceneResult
+from todframes.report.data import Algorithm, Fit, Ratio, ResultData, SceneResult, each_observer
 from todframes.report.figure_style import (
     INK,
     PAPER,
@@ -144,8 +144,10 @@ def pictures(result: ResultData) -> list[ReportFigure]:
             "Below 1 the algorithm helps. Filled: a difference is shown; open: none is. Lines are 95 % intervals, "
             "dotted where the data leave an end open."
         )
-        draw = partial(draw_ratios, algorithms=result.algorithms)
-        found.append(ReportFigure("Thresholds with and without", note, draw, "compare.png"))
+        for number, (observer, algorithms) in enumerate(each_observer(result)):
+            title = "Thresholds with and without" + (f", for {observer}" if observer else "")
+            draw, file = partial(draw_ratios, algorithms=algorithms), "" if number else "compare.png"
+            found.append(ReportFigure(title, note, draw, file))
     if any(one.contrast_responses for one in result.algorithms):
         note = (
             "Displayed contrast of the triangle after each algorithm against that before it, a line for each "

@@ -15,7 +15,7 @@ from urllib.parse import quote
 
 from todframes.base._typing import Json
 from todframes.report import calibration, tables
-from todframes.report.data import DatasetRecord, Example, Record, ResultData, Thumbnail
+from todframes.report.data import DatasetRecord, Example, Record, ResultData, Thumbnail, each_observer
 from todframes.report.figure_style import style
 from todframes.report.figures import ReportFigure, pictures
 from todframes.report.summary import cautions, remarks, verdict
@@ -113,7 +113,8 @@ def _tables(result: ResultData) -> list[Json]:
     answers = tables.answers(result)
     if result.algorithms:
         measures = tables.measures(result.algorithms)
-        found += [table_item(tables.ratios(result)), table_item(measures.without_details())]
+        found += [table_item(tables.ratios(one, observer)) for observer, one in each_observer(result)]
+        found.append(table_item(measures.without_details()))
         found += [table_item(replace(measures, title="Details of the algorithms"), folded=True)]
         responses = tables.contrast_responses(result.algorithms)
         found += [table_item(responses, folded=True)] if responses is not None else []
@@ -205,7 +206,7 @@ def _details(result: ResultData) -> list[Json]:
 
 def notebook_html(result: ResultData) -> str:
     """Return the self-contained HTML that a notebook shows for a result: sentences, table and first figure."""
-    table = tables.ratios(result) if result.algorithms else tables.thresholds(result)
+    table = tables.ratios(result.algorithms) if result.algorithms else tables.thresholds(result)
     drawn = [(one.figure, f"{one.title}. {one.note}") for one in pictures(result)[:1]]
     return notebook_page(verdict(result), table.without_details(), drawn)
 

@@ -255,7 +255,7 @@ class Result(ResultData, Saving, frozen=True, kw_only=True, dict=True):
         return {
             **(_calibration_files(self) if self.persons else {}),
             **({} if trials is None else _score_files(trials)),
-            **({"compare.csv": ratios(self).csv().encode()} if self.algorithms else {}),
+            **({"compare.csv": ratios(self.algorithms).csv().encode()} if self.algorithms else {}),
             **({} if responses is None else {"contrast_response.csv": responses.csv().encode()}),
             **{one.file: one.png() for one in pictures(self) if one.file},
             "report.html": self.to_html().encode(),

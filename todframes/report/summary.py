@@ -304,6 +304,10 @@ def remarks(result: ResultData) -> list[str]:
     return texts
 
 
+GAZES = {"tracked": "follows it (tracked)", "fixed": "stays at that place (fixed), so that motion is blur"}
+"""Phrases about each gaze, where triangles move."""
+
+
 def cautions(result: ResultData) -> list[str]:
     """Return the cautions that a reader of the thresholds must know."""
     texts = []
@@ -319,6 +323,13 @@ def cautions(result: ResultData) -> list[str]:
     places = result.settings.get("places") if data is None else data.experiment.get("places")
     if places is not None:
         texts.append(f"The triangle is at one of {places} places, and the observer does not know at which.")
+    if data is not None and data.motion_mrad is not None:
+        gazes = {one.get("gaze") for one in (result.settings, *(other.settings for other in result.observers))}
+        looks = [look for gaze, look in GAZES.items() if gaze in gazes]
+        texts.append(
+            f"Within a trial the triangle moves, by up to {plain(data.motion_mrad, 3)} mrad from its mean place; "
+            f"the gaze {' or '.join(looks)}."
+        )
     if data is not None and data.n_scenes is not None and result.thresholds:
         what = "Intervals and verdicts" if result.algorithms else "Intervals"
         if "scene" in data.experiment.get("group_by", ()) and data.n_scenes > 1:

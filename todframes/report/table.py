@@ -35,6 +35,9 @@ MOST_COLUMNS = 10
 LEAST_TEXT_WIDTH = 16
 """Least width, in letters, to which a column of long texts is wrapped in the terminal."""
 
+LEAST_WORD_WIDTH = 10
+"""The same where the terminal would be too narrow otherwise: "difference" and "open above" fit."""
+
 HIDDEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
 """Pattern of characters that HTML does not allow or that change the direction of the text beside them."""
 
@@ -299,8 +302,8 @@ class Table:
             rows = [list(map(visible, row)) for row in self.rows(shown)]
             cells = zip(*rows, strict=True) if rows else [()] * len(shown)
             cells = list(cells)
-            for is_narrow in (False, True):
-                least, most = zip(*map(partial(_widths, is_narrow=is_narrow), shown, cells), strict=True)
+            for narrowness in range(3):
+                least, most = zip(*map(partial(_widths, narrowness=narrowness), shown, cells), strict=True)
                 # Each column has two letters of padding; one letter is between columns and one at each end.
                 room = width - sum(least) - 3 * len(shown) - 1
                 if room >= 0:
@@ -331,21 +334,21 @@ class Table:
         return Group(Text(visible(self.title), style="bold"), table)
 
 
-def _widths(column: Column, cells: Iterable[str], *, is_narrow: bool) -> tuple[int, int]:
+def _widths(column: Column, cells: Iterable[str], *, narrowness: int) -> tuple[int, int]:
     """Return a column's least width, with header and long texts wrapped, and its full width, in letters.
 
-    In a narrow table, intervals with an open end are wrapped too.
+    In a narrow table, 1, intervals with an open end are wrapped too; in a narrower one, 2, they and all texts but
+    names are wrapped to fewer letters.
     """
     from rich.cells import cell_len
 
     cells = list(cells)
     longest = max(map(cell_len, cells), default=0)
     header = max(map(cell_len, column.heading.split()), default=1)
-    least = min(longest, LEAST_TEXT_WIDTH) if column.wraps else longest
-    if column.interval and is_narrow:  # "from 0.2, open above"
-        least = max(
-            (min(cell_len(one), LEAST_TEXT_WIDTH) if "," in one else cell_len(one) for one in cells), default=0
-        )
+    text_width = LEAST_TEXT_WIDTH if narrowness < 2 or column.is_name else LEAST_WORD_WIDTH
+    least = min(longest, text_width) if column.wraps else longest
+    if column.interval and narrowness:  # "from 0.2, open above"
+        least = max((min(cell_len(one), text_width) if "," in one else cell_len(one) for one in cells), default=0)
     return max(least, header), max(longest, cell_len(column.heading))
 
 

@@ -81,9 +81,15 @@ MEASURE_COLUMNS = (
     Column(key="memory_mb", header="memory (MB)", digits=2, none="", rank=1),
 )
 
-ALGORITHM = Column(key="algorithm", is_name=True)
+MEASURED = ("psnr_db", "ssim", "n_clipped", "cpu_s", "cpu_ms_per_frame", "memory_mb")
+"""Columns of `compare.csv` that are measured on an algorithm as a whole."""
 
-TAKEN = {"algorithm", "spec", "threshold", "level", *(one.key for one in THRESHOLD_COLUMNS + RATIO_COLUMNS)}
+ALGORITHM = Column(key="algorithm", is_name=True, wraps=True)
+
+TAKEN = {
+    *("algorithm", "spec", "threshold", "level", *MEASURED),
+    *(one.key for one in THRESHOLD_COLUMNS + RATIO_COLUMNS),
+}
 """Column names in use; a group column with one of these names is renamed."""
 
 
@@ -188,18 +194,18 @@ def answers(result: ResultData) -> Table | None:
     return Table.of("Answers by orientation shown", "answers.csv", columns, records)
 
 
-def ratios(result: ResultData, title: str = "") -> Table:
+def ratios(algorithms: Sequence[Algorithm], observer: str = "", title: str = "") -> Table:
     """Make the table of a comparison: a row for each algorithm and group, and one for all groups together.
 
-    Its CSV is `compare.csv`.
+    Its CSV is `compare.csv`. If there are several observers, the title names the one whose table it is.
     """
-    algorithms = result.algorithms
+    title = title or "Threshold over that of the reference"
     first = algorithms[0].fits[0] if algorithms[0].fits else None
     names = list(first.group) if first is not None else []
     records: list[Record] = []
     for one in algorithms:
-        common = {"algorithm": one.name, "spec": one.spec, "psnr_db": one.psnr_db, "ssim": one.ssim}
-        common |= {"n_clipped": one.n_clipped, "cpu_s": one.cpu_s}
+        common = {"algorithm": one.name, "spec": one.spec}
+        common |= {key: getattr(one, key) for key in MEASURED}
         of_groups = one.ratios or (None,) * len(one.fits)
         rows: list[tuple[Group, Any, Any]] = [
             (fit.group, fit, ratio) for fit, ratio in zip(one.fits, of_groups, strict=True)
@@ -218,9 +224,9 @@ def ratios(result: ResultData, title: str = "") -> Table:
         Column(key="threshold", header=threshold_heading(first.level) if first else "threshold"),
         Column(key="threshold_ci95", interval="threshold", in_file_only=True),
         *RATIO_COLUMNS,
-        *(Column(key=key, in_file_only=True) for key in ("psnr_db", "ssim", "n_clipped", "cpu_s")),
+        *(Column(key=key, in_file_only=True) for key in MEASURED),
     ]
-    table = Table.of(title or "Threshold over that of the reference", "compare.csv", columns, records)
+    table = Table.of(f"{title}, for {observer}" if observer else title, "compare.csv", columns, records)
     return table.without_empty_columns(*(one.key for one in columns if one.key not in BEYOND_GAIN))
 
 

@@ -116,6 +116,24 @@ class Shown(NamedTuple):
         each = [patch.background_luminance_cd_m2 for patch in self.patches]
         return sum(math.nan if one is None else one for one in each) / len(each)
 
+    def with_gaze_fixed(self, trial: Trial, frame_pitch_mrad: float) -> Shown:
+        """Return frames that were read with a tracked gaze as seen with a fixed one.
+
+        Parameters
+        ----------
+        trial : Trial
+        frame_pitch_mrad : float
+            Pixel pitch of the frames in the dataset, which an algorithm may have changed since.
+        """
+        motion_px = to_mean_place_px(trial) * (frame_pitch_mrad / self.pixel_pitch_mrad)
+        xs, ys = (np.array([self.x_px, self.y_px]) + motion_px.T).tolist()
+        return self._replace(x_px=tuple(xs), y_px=tuple(ys))
+
+
+def to_mean_place_px(trial: Trial) -> FloatArray:
+    """Return the distances in pixels from the triangle in each frame of a trial to its mean place: (n, 2)."""
+    return -np.array([frame.motion_px or (0.0, 0.0) for frame in trial.frames])
+
 
 class Reader(Protocol):
     """Protocol of functions that read a trial in one or several ways; arguments are those of `read_trial`."""
