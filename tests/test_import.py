@@ -23,11 +23,19 @@ from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.cli.recordings import seconds
 from todframes.importing.chart_source import page_duration_s
-from todframes.importing.clips import Clip, ClipFrame, FramePart, Placed, clean_clips, share_of_other
-from todframes.importing.filmed_trials import TrialDivision, TriangleDescription, merged_sizes
+from todframes.importing.clips import (
+    Clip,
+    ClipFrame,
+    FramePart,
+    Placed,
+    clean_clips,
+    frames_with_those_before,
+    share_of_other,
+)
+from todframes.importing.filmed_trials import Corrections, TrialDivision, TriangleDescription, merged_sizes
 from todframes.importing.geometry import Geometry, place_triangle
 from todframes.importing.windows import RecordedWindow, WrittenWindow
-from todframes.recordings.recording import CodeRange
+from todframes.recordings.recording import CodeRange, RecordedFrame, Recording
 from todframes.stimulus import Orientation
 
 CHART = film.make_chart()
@@ -108,6 +116,75 @@ def test_a_film_becomes_a_dataset(tmp_path: Path, chart: Path, pages: list[np.nd
     assert [len(trial.frames) for trial in data.trials] == [3] * 6
     # Two trials of a clip follow each other in one window: the second has the frames of the first before it.
     assert [len(trial.warm_up) for trial in data.trials.with_warm_up(4)] == [0, 3] * 3
+
+
+def test_frames_before_a_trial_are_those_of_the_film(tmp_path: Path, chart: Path, pages) -> None:
+    """Of the page before and of the transition, in the window of the trial; fewer where the film begins."""
+    second = film.filmed(CHART, 1, film.camera(shift=(6.0, 0.0)))  # the camera has moved: another window
+    between = 0.5 * pages[0] + 0.5 * second
+    frames = film_of([pages[0]] * 6 + [between] + [second] * 7 + [pages[6]] * 3)
+    done, rows = imported(saved(tmp_path, frames), chart, warm_up_frames=4)
+    assert (done.n_trials, done.n_frames) == (5, 5 * 3 + 2 * 4)
+    (note,) = [one for one in done.notes if "before them" in one]
+    assert note.startswith("2 of 5 trials have fewer than 4 frames before them, as a recording begins there")
+    numbers = [round(float(row["time_s"]) * RATE) for row in rows]
+    assert numbers == [*range(6), *range(3, 13), *range(10, 17)]
+    assert [row["judged"] for row in rows] == list("11111100001111110000111")
+    assert [bool(row["trial"]) for row in rows] == [row["judged"] == "1" for row in rows]
+    before = None
+    for number, row in zip(numbers, rows, strict=True):
+        window = cv2.imread(str(done.path / row["frame"]), cv2.IMREAD_UNCHANGED)
+        if row["clip"] != before:
+            true = Geometry(film.camera(shift=(6.0, 0.0) if row["page"] == "1" else (0.0, 0.0)), 0.0)
+            x, y = true.to_px(film.MIDDLE_MM)
+            left, top, before = round(x - float(row["x_px"])), round(y - float(row["y_px"])), row["clip"]
+        height, width = window.shape
+        assert np.array_equal(window, frames[number][top : top + height, left : left + width])
+    data = tod.load_dataset(done.path)
+    assert not data.bad_rows
+    assert [len(trial.warm_up) for trial in data.trials.with_warm_up(5)] == [0, 3, 4, 5, 4]
+    assert len(list((done.path / "frames").rglob("*.png"))) == len(rows)
+
+
+@pytest.mark.slow
+def test_a_recursive_filter_on_a_film_has_the_frames_before(tmp_path: Path, capsys) -> None:
+    """From the film to a threshold by commands, against a filter written here that runs over the film itself."""
+    shown = film.make_chart((0.02, 0.05, 0.12, 0.3))
+    write_chart(tmp_path / "chart.toml", shown)
+    order = np.random.default_rng(3).permutation(len(shown.pages))
+    images = [film.filmed(shown, k, film.camera()) for k in order]
+    frames = film_of([image for image in images for _ in range(3)], noise=0.02)
+    path, out = saved(tmp_path, frames), tmp_path / "dataset"
+    options = ["--chart", tmp_path / "chart.toml", "--warm-up", 4, "--frames-per-second", 30, "-o", out]
+    assert run(cli, ["import", *map(str, [path, *options, "--display", "reference_linear", "--quiet"])]) == 0
+    command = ["compare", str(out), "--enhance", "recursive:weight=0.5,before=4", "--on-error", "skip"]
+    capsys.readouterr()
+    assert run(cli, [*command, "--json", "--quiet", "--set", "resamples=40", "--plan", "full"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert len(found["skipped"]) == 6  # those of the first two pages, which have 0 and 3 frames before them
+    rows = [row for row in rows_of(out) if row["judged"] == "1"][6:]
+    filtered, state = [], frames[0] / 65535.0
+    for first in range(6, len(frames), 3):
+        state = frames[first - 4] / 65535.0
+        for k in range(first - 3, first + 3):
+            state = 0.5 * state + 0.5 * frames[k] / 65535.0
+            filtered += [state] * (k >= first)
+    x, y = Geometry(film.camera(), 0.0).to_px(film.MIDDLE_MM)
+    (literal,) = tod.score_frames(
+        filtered,
+        orientation=[row["orientation"] for row in rows],
+        level=[float(row["contrast"]) for row in rows],
+        trial=[row["trial"] for row in rows],
+        size_mrad=float(rows[0]["size_mrad"]),
+        position=(x, y),
+        display=tod.load_dataset(out).display,
+        fit=tod.FitSettings(resamples=0),
+        examples=False,
+    ).thresholds
+    (recursive,) = found["algorithms"][1]["fits"]
+    assert literal.status == recursive["status"] == "ok"
+    # Places of the import are known to 0.01 px, and displacements of the retina are drawn by rows of the manifest.
+    assert recursive["threshold"] == pytest.approx(literal.threshold, rel=0.01)
 
 
 def test_a_mirrored_turned_film_has_the_orientations_of_its_frames(tmp_path: Path, chart: Path) -> None:
@@ -531,6 +608,41 @@ def divided(frames: list[ClipFrame], time_s: float | None, frame_s: float | None
     clip = Clip(1, 1)
     write(division, division.windows(((clip, frame) for frame in frames), CodeRange(0, 255), frame_s))
     return division, clip
+
+
+def test_frames_before_a_gap_are_left_out() -> None:
+    """Intervals of 1/30 s, then a frame is missing; also without a known rate, and without times."""
+
+    def n_before(times_s: list[float | None], rate: float | None) -> list[int]:
+        frames = [RecordedFrame(np.zeros((9, 9), np.uint8), one, "f") for one in times_s]
+        recording = Recording(
+            path=Path("f"),
+            shape=(9, 9),
+            is_colour=False,
+            n_frames=None,
+            frames_per_second=rate,
+            full_scale=255.0,
+            read=lambda: iter(frames),
+        )
+        return [len(before) for _, before in frames_with_those_before(recording, 2)]
+
+    times_s: list[float | None] = [k / RATE for k in (0, 1, 2, 3, 5, 6)]
+    assert n_before(times_s, RATE) == [0, 1, 2, 2, 0, 1]
+    assert n_before(times_s, None) == n_before([None] * 6, RATE) == [0, 1, 2, 2, 2, 2]
+
+
+@pytest.mark.parametrize("times_s", [(0.0, 1.0, 1.0, 1.0), (1.0, 1.0, 2.0, 3.0), (None, None, None, None)])
+def test_without_times_that_rise_there_are_no_frames_before(times_s) -> None:
+    """They would be in no clip, as their trial may be. Files that were written are left out."""
+    before = tuple(RecordedFrame(np.zeros((9, 9), np.uint8), one, "f") for one in times_s[:2])
+    first, second = (clip_frame(1, 0)._replace(time_s=one, before=before) for one in times_s[2:])
+    division, _ = divided([first, second], None, None)
+    (trial,) = division.trials
+    assert (len(trial.frames), trial.n_warm_up, trial.n_before) == (2, 0, 0)
+    assert len(division.left_out) == (0 if None in times_s else 2)
+    rows = list(division.rows(Corrections(), level="contrast", pitch_mrad=1.0, field_places={}))
+    assert [row["clip"] for row in rows] == ["clip_0001" if times_s[3] == 3.0 else ""] * 2
+    assert "judged" not in rows[0]
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, field_detectors, fiel
 from sensor_sim.chain.sensor import Sensor
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
+from todframes.frames.dataset import check_warm_up
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 if TYPE_CHECKING:
@@ -37,8 +38,8 @@ LARGEST_SIDE_PX = 11_585
 INTEGRATION_TIME_S = 0.1
 """Time over which the eye averages the integrated frames of a sensor."""
 
-FASTEST_MRAD_PER_S, MOST_WARM_UP_FRAMES = 1e6, 10_000
-"""Largest motion and number of frames of warm-up of a clip."""
+FASTEST_MRAD_PER_S = 1e6
+"""Largest motion of a clip."""
 
 
 class Filming(NamedTuple):
@@ -57,11 +58,7 @@ class Filming(NamedTuple):
                 f"{argument.motion_mrad_per_s}: found {self.motion_mrad_per_s:g}, expected 0 to "
                 f"{FASTEST_MRAD_PER_S:g} mrad/s"
             )
-        if not 0 <= self.warm_up_frames <= MOST_WARM_UP_FRAMES:
-            raise SettingsError(
-                f"{argument.warm_up_frames}: found {self.warm_up_frames!r}, expected a whole number from 0 to "
-                f"{MOST_WARM_UP_FRAMES}"
-            )
+        check_warm_up(argument.warm_up_frames, self.warm_up_frames)
         return self
 
     def times_s(self, sensor: Sensor) -> FloatArray:

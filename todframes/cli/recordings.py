@@ -46,6 +46,15 @@ UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
     help="Let windows follow the triangle by whole pixels, against shake that the camera in use does not have.",
 )
 @click.option(
+    "--warm-up",
+    "warm_up_frames",
+    type=click.IntRange(0),
+    default=0,
+    metavar="N",
+    help="Recorded frames before each run of trials, which are not judged: for filters of several frames.  "
+    "[default: none]",
+)
+@click.option(
     "--range",
     "value_range",
     metavar="LOW:HIGH",

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import check_keys, check_positive, convert, toml_value
 from todframes.base.user_code import in_words
+from todframes.frames.dataset import check_warm_up
 
 Domain = Literal["code_value", "luminance"]
 
@@ -46,9 +47,6 @@ REFERENCE = "none"
 
 DECLARATION = "todframes_enhancement"
 """Name of the function attribute that holds its declaration."""
-
-MOST_WARM_UP = 10_000
-"""Largest number of frames before a trial that an algorithm may need: they are held in memory together."""
 
 ROUNDING = 1e-6
 """Largest excess of a value over its range that counts as rounding of 32-bit values near 1."""
@@ -95,13 +93,6 @@ class Declaration:
             check_warm_up("warm_up_frames", self.warm_up_frames)
         if self.warm_up_frames != 0 and not self.clip:
             raise SettingsError(f"warm_up_frames: found {self.warm_up_frames!r} without clip, expected 0")
-
-
-def check_warm_up(name: str, n_frames: object) -> int:
-    """Return a number of frames of warm-up; raise SettingsError unless it is a whole number in range."""
-    if not isinstance(n_frames, int) or isinstance(n_frames, bool) or not 0 <= n_frames <= MOST_WARM_UP:
-        raise SettingsError(f"{name}: found {n_frames!r}, expected a whole number from 0 to {MOST_WARM_UP}")
-    return n_frames
 
 
 def algorithm(

@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.enhancement.algorithm import MOST_WARM_UP, Image, algorithm, meaning, parameter
+from todframes.enhancement.algorithm import Image, algorithm, meaning, parameter
+from todframes.frames.dataset import MOST_WARM_UP
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -21,7 +21,7 @@ from todframes.base.errors import SettingsError, argument
 from todframes.charts.layout import Chart, read_chart
 from todframes.charts.markers import CORNERS, page_of
 from todframes.diagnosis.limits import MOST_TURN_RAD
-from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips
+from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips, frames_with_those_before
 from todframes.importing.filmed_trials import (
     FIELD_PLACE,
     OBJECT_SIZE,
@@ -142,6 +142,8 @@ class ChartSource:
         Visual angle of a pixel of the display.
     progress : function of an int, optional
         Called with the number of frames that were just looked at.
+    warm_up_frames : int
+        Number of recorded frames that each frame of a clip brings along from before it.
 
     Raises
     ------
@@ -149,7 +151,14 @@ class ChartSource:
         If the chart cannot be read or has no markers.
     """
 
-    def __init__(self, path: Path, *, pitch_mrad: float, progress: Callable[[int], None] | None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        pitch_mrad: float,
+        progress: Callable[[int], None] | None,
+        warm_up_frames: int = 0,
+    ) -> None:
         self.path = path
         self.chart: Chart = read_chart(path)
         if self.chart.markers is None:
@@ -163,6 +172,7 @@ class ChartSource:
         self._markers = self.chart.markers
         self._pitch_mrad = pitch_mrad
         self._progress = progress
+        self._warm_up_frames = warm_up_frames
         self.corrections = Corrections()
         self._n_runs = 0
         self._n_placed = 0
@@ -216,15 +226,15 @@ class ChartSource:
         measured: list[_Measured],
         charts: Spool[_SeenChart],
     ) -> Iterator[ClipFrame]:
-        before: NDArray[np.generic] | None = None
+        last: NDArray[np.generic] | None = None
         seen: Sighting | None = None
-        for frame in recording.frames():
+        for frame, before in frames_with_those_before(recording, self._warm_up_frames):
             report.n_frames += 1
-            if before is not None and _is_same(before, frame.values):
+            if last is not None and _is_same(last, frame.values):
                 report.n_doubled += 1
             else:
                 seen = finder.look(frame.values)
-            before = frame.values
+            last = frame.values
             report.most_markers, report.misfit_px = finder.most_found, finder.misfit_px
             if self._progress is not None:
                 self._progress(1)
@@ -245,7 +255,7 @@ class ChartSource:
                     for number, (size_mm, one) in enumerate(zip(sizes_mm, placed, strict=True), self._n_placed)
                 )
                 self._n_placed += len(placed)
-                yield ClipFrame(page, frame.time_s, frame.source, parts, seen.modules)
+                yield ClipFrame(page, frame.time_s, frame.source, parts, seen.modules, before)
 
     def _page(self, seen: Sighting | None, searched_key: int | None, report: RecordingReport) -> int | None:
         if seen is None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.charts.markers import marker_bits, marker_ids
-from todframes.recordings.recording import GAP
+from todframes.recordings.recording import GAP, RecordedFrame, Recording
 from todframes.stimulus import Orientation
 
 EDGE_FRAMES = 3
@@ -75,7 +75,8 @@ class ClipFrame(NamedTuple):
     """A frame that shows a page of the chart.
 
     `modules` are the values in the markers' modules, as in `Sighting`. `triangles` has one for each triangle of
-    the page, None where it does not lie on the frame.
+    the page, None where it does not lie on the frame. `before` are the recorded frames that come directly before
+    it, whatever they show.
     """
 
     page: int
@@ -83,6 +84,25 @@ class ClipFrame(NamedTuple):
     source: str
     triangles: tuple[Placed | None, ...]
     modules: FloatArray
+    before: tuple[RecordedFrame, ...] = ()
+
+
+def frames_with_those_before(
+    recording: Recording, n_frames: int
+) -> Iterator[tuple[RecordedFrame, tuple[RecordedFrame, ...]]]:
+    """Yield each frame of a recording with up to `n_frames` that come directly before it.
+
+    There are fewer at the beginning, and after a gap. So many frames are held in memory.
+    """
+    rate, before = recording.frames_per_second, deque[RecordedFrame](maxlen=n_frames)
+    for frame in recording.frames():
+        if before and rate is not None and None not in (frame.time_s, last_s := before[-1].time_s):
+            assert frame.time_s is not None
+            assert last_s is not None
+            if (frame.time_s - last_s) * rate > GAP:
+                before.clear()
+        yield frame, tuple(before)
+        before.append(frame)
 
 
 @dataclass(slots=True)

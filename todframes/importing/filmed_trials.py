@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -15,7 +16,7 @@ import numpy as np
 from todframes.importing.clips import Clip, ClipFrame, Integration, Placed, Rectangle
 from todframes.importing.spool import Spool
 from todframes.importing.windows import MARGIN_PX, RecordedWindow, WrittenWindow, narrowed, suffix
-from todframes.recordings.recording import CodeRange
+from todframes.recordings.recording import CodeRange, RecordedFrame
 from todframes.stimulus import Orientation
 
 OBJECT_SIZE = "object_size_mrad"
@@ -78,6 +79,9 @@ class ImportedTrial:
     `window` and `start_px` are the window and the triangle's place in the first frame, `last_window` is that of
     the last one. `written` are the windows of its frames as written, once the trial is over. `run` is the name of
     the run of frames without a gap, of one triangle in one window, that the trial is from.
+
+    The first `n_warm_up` of `frames`, `sources`, `times_s` and `written` are frames of warm-up, which only the
+    first trial of a run has. `n_before` is the number of frames in the run before the trial.
     """
 
     name: str
@@ -88,6 +92,8 @@ class ImportedTrial:
     window: Rectangle
     last_window: Rectangle
     start_px: tuple[float, float]
+    n_before: int = 0
+    n_warm_up: int = 0
     frames: list[str] = field(default_factory=list)
     sources: list[str] = field(default_factory=list)
     times_s: list[float | None] = field(default_factory=list)
@@ -112,6 +118,16 @@ class ImportedTrial:
                 self.places_px[k] = x + found.right_px, y + found.down_px
                 self.sizes_px[k] = found.size_px
 
+    @property
+    def is_in_time(self) -> bool:
+        """Whether the times of the frames are known and rise, as those of a clip do."""
+        return all(one < other for one, other in pairwise(rounded_times(self.times_s)))
+
+
+def rounded_times(times_s: Sequence[float | None]) -> list[float]:
+    """Return times as the manifest has them; NaN for those that are not known."""
+    return [math.nan if one is None else round(one, 6) for one in times_s]
+
 
 def _followed(trial: ImportedTrial, placed: Placed) -> Rectangle:
     """Return the window of a trial's first frame, moved with the triangle by whole pixels."""
@@ -120,6 +136,21 @@ def _followed(trial: ImportedTrial, placed: Placed) -> Rectangle:
     right, down = round(placed.x_px - trial.start_px[0]), round(placed.y_px - trial.start_px[1])
     top, bottom, left, far = trial.window
     return top + down, bottom + down, left + right, far + right
+
+
+def _warm_up(trial: ImportedTrial, before: Sequence[RecordedFrame], scale: CodeRange) -> Iterator[RecordedWindow]:
+    """Yield the windows of the recorded frames before a trial, its frames of warm-up, if they have times."""
+    if any(one.time_s is None for one in before):
+        return
+    top, bottom, left, right = trial.window
+    for number, one in enumerate(before):
+        values = one.values[top:bottom, left:right]
+        name = f"frames/{trial.name}_before_{number:03d}{suffix(scale, values.dtype)}"
+        trial.frames.append(name)
+        trial.sources.append(one.source)
+        trial.times_s.append(one.time_s)
+        yield RecordedWindow(name, values, scale)
+    trial.n_before = trial.n_warm_up = len(before)
 
 
 def _is_near(window: Rectangle, other: Rectangle) -> bool:
@@ -147,7 +178,8 @@ class TrialDivision:
 
     All frames of a trial have the same window of the recorded frames, as they have on the display: if the triangle
     moves there within the integration time, the eye sees it blurred, and so does the observer. With `steady` the
-    window follows the triangle by whole pixels instead.
+    window follows the triangle by whole pixels instead. Frames of warm-up have the window of the trial's first
+    frame.
 
     Parameters
     ----------
@@ -167,6 +199,8 @@ class TrialDivision:
         Names of frames that were written for a trial that turned out not to be whole.
     n_moved : int
         Number of trials left out since the triangle went farther than a window may, or off the frame.
+    n_before : Counter
+        Number of trials with each number of frames before them in their run.
     """
 
     def __init__(self, described: Described, integration_time_s: float | None, *, steady: bool) -> None:
@@ -174,6 +208,7 @@ class TrialDivision:
         self.written: dict[str, WrittenWindow] = {}
         self.left_out: list[str] = []
         self.n_moved = 0
+        self.n_before: Counter[int] = Counter()
         self._described = described
         self._time_s = integration_time_s
         self._steady = steady
@@ -206,6 +241,9 @@ class TrialDivision:
                 self._open = {
                     index: self._begun(clip, frame, index, number) for index in range(len(frame.triangles))
                 }
+                for trial in self._open.values():
+                    if trial is not None and not trial.n_before:
+                        yield from _warm_up(trial, frame.before, scale)
             for index, placed in enumerate(frame.triangles):
                 yield from self._taken(frame, index, placed, scale)
         self._end(clip, integration.is_whole)
@@ -216,10 +254,11 @@ class TrialDivision:
         if placed is None:
             return None
         which = f"_{index + 1}" if len(frame.triangles) > 1 else ""
-        before = self._before.get(index)
+        before, n_before = self._before.get(index), 0
         window = placed.window
         if before is not None and _is_near(before.last_window, window):
             run, window = before.run, before.last_window
+            n_before = before.n_before + len(before.frames) - before.n_warm_up
         else:
             run = f"clip_{clip.number:04d}{which}" + (f"_from_trial_{number:02d}" if number > 1 else "")
         return ImportedTrial(
@@ -231,6 +270,7 @@ class TrialDivision:
             window=window,
             last_window=window,
             start_px=(placed.x_px or 0.0, placed.y_px or 0.0),
+            n_before=n_before,
         )
 
     def _taken(
@@ -246,7 +286,8 @@ class TrialDivision:
             self.n_moved += 1
             self._discard(index)
             return
-        name = f"frames/{trial.name}_{len(trial.frames)}{suffix(scale, values.dtype)}"
+        number = len(trial.frames) - trial.n_warm_up
+        name = f"frames/{trial.name}_{number}{suffix(scale, values.dtype)}"
         trial.last_window = window
         trial.frames.append(name)
         trial.sources.append(frame.source)
@@ -262,6 +303,9 @@ class TrialDivision:
         self._before = {}
         for index, trial in self._open.items():
             if trial is not None and clip is not None and is_whole:
+                if trial.n_warm_up and not trial.is_in_time:
+                    self._without_warm_up(trial)
+                self.n_before[trial.n_before] += 1
                 trial.written = [self.written.pop(name) for name in trial.frames]
                 self.trials.append(trial)
                 self._before[index] = trial
@@ -269,6 +313,15 @@ class TrialDivision:
             else:
                 self._discard(index)
         self._open = {}
+
+    def _without_warm_up(self, trial: ImportedTrial) -> None:
+        """Leave out the frames of warm-up of a trial: without times that rise it is from no clip."""
+        for name in trial.frames[: trial.n_warm_up]:
+            self.written.pop(name)
+            self.left_out.append(name)
+        for column in (trial.frames, trial.sources, trial.times_s):
+            del column[: trial.n_warm_up]
+        trial.n_before = trial.n_warm_up = 0
 
     def _discard(self, index: int) -> None:
         trial, self._open[index] = self._open[index], None
@@ -290,20 +343,23 @@ class TrialDivision:
         pitch_mrad: float,
         field_places: Mapping[int, Mapping[str, str]],
     ) -> Iterator[dict[str, object]]:
-        """Yield the rows of the manifest, given corrections and columns of each clip."""
+        """Yield the rows of the manifest, given corrections and columns of each clip.
+
+        Those of a dataset with frames of warm-up have the column `judged`.
+        """
+        has_judged = any(trial.n_warm_up for trial in self.trials)
         sizes_px = merged_sizes([float(np.mean(trial.sizes_px)) for trial in self.corrected(corrections)])
         last_s: dict[str, float] = {}
         for trial, size_px in zip(self.corrected(corrections), sizes_px, strict=True):
             # Times that are not known, or that a camera writes to the second, make no clip.
-            times_s = [last_s.get(trial.run, -math.inf)] + [
-                math.nan if one is None else round(one, 6) for one in trial.times_s
-            ]
-            has_clip = all(one < other for one, other in pairwise(times_s))
+            times_s = rounded_times(trial.times_s)
+            has_clip = trial.is_in_time and last_s.get(trial.run, -math.inf) < times_s[0]
             last_s[trial.run] = times_s[-1] if has_clip else math.inf
             size_mrad = size_px * pitch_mrad
             x, y = (f"{at:.4f}" for at in np.mean(trial.places_px, axis=0)) if trial.places_px else ("", "")
             of_frames = zip(trial.frames, trial.sources, trial.times_s, trial.written, strict=True)
-            for name, source, time_s, written in of_frames:
+            for number, (name, source, time_s, written) in enumerate(of_frames):
+                is_judged = number >= trial.n_warm_up
                 row: dict[str, object] = {
                     "frame": name,
                     "orientation": trial.orientation.value,
@@ -312,10 +368,11 @@ class TrialDivision:
                     "polarity": trial.stimulus.polarity,
                     "x_px": x,
                     "y_px": y,
-                    "trial": trial.name,
+                    "trial": trial.name if is_judged else "",
                     "sha256": written.sha256,
                     "clip": trial.run if has_clip else "",
                     "time_s": "" if time_s is None else f"{time_s:.6f}",
+                    **({"judged": int(is_judged)} if has_judged else {}),
                     "source": source,
                 }
                 others = {**trial.stimulus.columns, **field_places.get(trial.clip, {})}

@@ -24,7 +24,7 @@ from todframes.diagnosis.inspection import inspect
 from todframes.diagnosis.limits import SIZES_ALIKE
 from todframes.display.display import Display
 from todframes.display.display_files import find_display, table_of_display
-from todframes.frames.dataset import Dataset, Experiment, load_dataset
+from todframes.frames.dataset import Dataset, Experiment, check_warm_up, load_dataset
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.frames.files import MAX_FRAME_MB
 from todframes.importing.chart_source import ChartSource
@@ -133,6 +133,7 @@ def import_recordings(
     display: str | Display = "reference_sdr",
     integration_time_s: float | Literal["all"] = INTEGRATION_TIME_S,
     steady: bool = False,
+    warm_up_frames: int = 0,
     value_range: tuple[float, float] | None = None,
     frames_per_second: float | None = None,
     max_frame_mb: int = MAX_FRAME_MB,
@@ -164,6 +165,10 @@ def import_recordings(
     steady : bool
         Let the windows follow the triangle by whole pixels within a trial. This removes shake that the camera
         would not have in use.
+    warm_up_frames : int
+        Number of recorded frames before each run of trials that are written too, in the window of its first frame,
+        for algorithms of clips. They are not judged, and show what was recorded: the page before, its transition.
+        So many frames are held in memory.
     value_range : (float, float), optional
         Recorded values that the display shows black and white. Needed for values without a white: temperatures.
     frames_per_second : float, optional
@@ -203,6 +208,7 @@ def import_recordings(
         found = "neither" if chart is None else "both"
         raise SettingsError(f"chart, schedule: found {found}, expected one, which says what is shown")
     time_s = _checked_time(integration_time_s)
+    check_warm_up(argument.warm_up_frames, warm_up_frames)
     _check_settings(value_range, ifov_mrad, level, has_schedule=schedule is not None)
     shown = find_display(display)
     pitch_mrad = shown.display.pitch_mrad
@@ -211,7 +217,9 @@ def import_recordings(
     )
     source: Source
     if schedule is None:
-        source = ChartSource(Path(str(chart)), pitch_mrad=pitch_mrad, progress=progress)
+        source = ChartSource(
+            Path(str(chart)), pitch_mrad=pitch_mrad, progress=progress, warm_up_frames=warm_up_frames
+        )
     else:
         source = ScheduleSource(
             Path(schedule),
@@ -220,6 +228,7 @@ def import_recordings(
             ifov_mrad=ifov_mrad,
             level=level or DEFAULT_LEVEL,
             progress=progress,
+            warm_up_frames=warm_up_frames,
         )
     scales = [code_range(one, value_range) for one in opened]
     is_clipped = shown.display.eotf != "linear"
@@ -264,7 +273,7 @@ def import_recordings(
         dataset = load_dataset(folder, max_frame_mb=max_frame_mb)
         to_report += tuple(_of_frames(dataset, {code for code, _ in to_report}))
         warnings = tuple(RecordingWarning(code, for_reader(message)) for code, message in to_report)
-        notes = (*source.notes(), *_of_time(opened, time_s))
+        notes = (*source.notes(), *_of_time(opened, time_s), *_of_warm_up(division, warm_up_frames))
         n_clips = sum(clip.n_trials > 0 for clip in source.clips)
         report = {
             "version": __version__,
@@ -428,7 +437,7 @@ def _of_design(division: TrialDivision, source: Source) -> Iterator[RecordingWar
     sizes_px: dict[tuple[object, tuple[str, ...]], tuple[float, float]] = {}
     numbers: dict[tuple[object, float], Counter[str]] = defaultdict(Counter)
     for trial in division.corrected(source.corrections):
-        different.add(hash(tuple(one.sha256 for one in trial.written)))
+        different.add(hash(tuple(one.sha256 for one in trial.written[trial.n_warm_up :])))
         size = trial.stimulus.columns.get(source.group_by)
         place = tuple(field_places.get(trial.clip, {}).values())
         least, most = sizes_px.get((size, place), (math.inf, 0.0))
@@ -492,6 +501,17 @@ def _of_time(opened: Sequence[Recording], time_s: float | None) -> Iterator[str]
                 f"{recording.path}: {n_frames} frames a trial, {n_frames * frame_s:.3g} s: the nearest to the "
                 f"integration time of {time_s:g} s"
             )
+
+
+def _of_warm_up(division: TrialDivision, n_frames: int) -> Iterator[str]:
+    """Yield the number of trials with fewer frames before them than were asked for."""
+    n_short = sum(n_trials for n_before, n_trials in division.n_before.items() if n_before < n_frames)
+    if n_short:
+        yield (
+            f"{n_short} of {len(division.trials)} trials have fewer than {n_frames} frames before them, as a "
+            "recording begins there or frames are missing; to compare algorithms that need more, leave these "
+            f"trials out ({argument.on_error} skip)"
+        )
 
 
 def _of_windows(division: TrialDivision, *, is_clipped: bool) -> Iterator[RecordingWarning]:

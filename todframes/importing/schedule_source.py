@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, argument
-from todframes.importing.clips import Clip, ClipFrame, FramePart, Placed
+from todframes.importing.clips import Clip, ClipFrame, FramePart, Placed, frames_with_those_before
 from todframes.importing.filmed_trials import OBJECT_SIZE, Corrections, TriangleDescription
 from todframes.importing.schedule import ScheduledTrial, assign_recordings, read_schedule
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
@@ -36,6 +36,8 @@ class ScheduleSource:
         Column of the stimulus strength.
     progress : function of an int, optional
         Called with the number of frames that were just read.
+    warm_up_frames : int
+        Number of recorded frames that each frame of a clip brings along from before it.
 
     Raises
     ------
@@ -52,6 +54,7 @@ class ScheduleSource:
         ifov_mrad: float | None,
         level: str,
         progress: Callable[[int], None] | None,
+        warm_up_frames: int = 0,
     ) -> None:
         self.path = path
         self.level = level
@@ -62,6 +65,7 @@ class ScheduleSource:
         self._pitch_mrad = pitch_mrad
         self._ifov_mrad = ifov_mrad
         self._progress = progress
+        self._warm_up_frames = warm_up_frames
         self._n_cut = 0
         with_angle = [row for row in self._rows if self._object_mrad(row) is not None]
         if with_angle and len(with_angle) < len(self._rows):
@@ -102,7 +106,7 @@ class ScheduleSource:
         rows.sort(key=lambda k: self._rows[k].start_s or 0.0)
         clips = {k: Clip(k + 1, k) for k in rows}
         self.clips += clips.values()
-        for frame in recording.frames():
+        for frame, before in frames_with_those_before(recording, self._warm_up_frames):
             if self._progress is not None:
                 self._progress(1)
             while rows and self._is_over(rows[0], frame.time_s):
@@ -110,7 +114,7 @@ class ScheduleSource:
             if not rows or not self._has_begun(rows[0], frame.time_s):
                 continue
             placed = self._placed(self._rows[rows[0]], frame.values)
-            shown = ClipFrame(rows[0], frame.time_s, frame.source, (placed,), NO_MODULES)
+            shown = ClipFrame(rows[0], frame.time_s, frame.source, (placed,), NO_MODULES, before)
             clips[rows[0]].count(shown)
             yield clips[rows[0]], shown
 
