@@ -27,7 +27,17 @@ from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.advice import not_proportional
-from todframes.report.data import Algorithm, ComparedObserver, Ratio, algorithms
+from todframes.report.data import (
+    Algorithm,
+    ComparedObserver,
+    ContrastPoint,
+    ContrastResponse,
+    Fit,
+    Ratio,
+    algorithms,
+)
+from todframes.report.figures import pictures
+from todframes.report.result import Result
 from todframes.report.summary import comparisons
 from todframes.scoring.score import score_dataset
 from todframes.scoring.work import Run
@@ -777,6 +787,27 @@ def test_displayed_contrast_before_and_after(make_dataset) -> None:
     (warning,) = not_proportional([none, of_gain, of_root])
     assert (warning.code, warning.group["algorithm"]) == ("not_proportional", "own_enhancements:root")
     assert warning.found > 1.1 * warning.expected
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "is_drawn"),
+    [
+        ("contrast", [0.02, 0.05, 0.1, 0.2], True),
+        ("contrast", [-0.001, 0.06, 0.09, 0.2], True),  # in noise
+        ("contrast", [0.015, 0.033, 0.06, 0.09], True),  # a display that saturates
+        ("snr", [0.11, 0.1, 0.1, 0.1], False),
+        ("snr", [0.08, 0.12, 0.1, 0.1], False),  # in noise
+    ],
+)
+def test_contrast_before_and_after_is_drawn_if_levels_are_contrasts(name, before, is_drawn) -> None:
+    """As the frames show them: at all SNRs the contrast is the same, and points above each other say nothing."""
+    shown = zip([0.02, 0.05, 0.1, 0.2], before, strict=True)
+    points = tuple(ContrastPoint(level=level, before=one, after=2.0 * one) for level, one in shown)
+    fits = (Fit(group={}, level=name, status="ok", p_correct=0.75),)
+    blur = Algorithm(name="blur", fits=fits, contrast_responses=(ContrastResponse(points=points),))
+    result = Result(schema=1, command="compare", algorithms=(Algorithm(name="none", fits=fits), blur))
+    drawn = [one.file for one in pictures(result)]
+    assert ("contrast_response.png" in drawn) == is_drawn
 
 
 def measured_on_scenes(kind: str, levels: list[float], n_views: int = 12) -> tuple[Trials, np.ndarray]:

@@ -20,7 +20,7 @@ from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, field_detectors, fiel
 from sensor_sim.chain.sensor import Sensor
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
-from todframes.frames.dataset import check_warm_up
+from todframes.base.reading import check_warm_up
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 if TYPE_CHECKING:

@@ -36,6 +36,9 @@ MAX_NESTING, MAX_DOTS = 16, 500
 COLUMNS_SHOWN = 20
 LONGEST_KEY = 100
 """Number of characters of an unknown key that are compared with valid keys; the time grows with its square."""
+MOST_WARM_UP = 10_000
+"""Largest number of frames before a trial that are written, or that an algorithm takes: it holds them together."""
+
 SETTINGS_SUFFIX = ".toml"
 """End of the names of files of settings; any other text is the name of a file of the package."""
 FIELDS_FOUND = "\0fields"
@@ -340,6 +343,13 @@ def check_positive(name: str, value: float) -> None:
 def _hints(kind: Any) -> dict[str, Any]:
     hints = get_type_hints(kind, include_extras=True)
     return {field.name: hints[field.name] for field in fields(kind)}
+
+
+def check_warm_up(name: str, n_frames: object) -> int:
+    """Return a number of frames of warm-up; raise SettingsError unless it is a whole number in range."""
+    if not isinstance(n_frames, int) or isinstance(n_frames, bool) or not 0 <= n_frames <= MOST_WARM_UP:
+        raise SettingsError(f"{name}: found {n_frames!r}, expected a whole number from 0 to {MOST_WARM_UP}")
+    return n_frames
 
 
 def _unmet(value: Any, hint: Any) -> str | None:

@@ -29,9 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, SettingsError
-from todframes.base.reading import check_keys, check_positive, convert, toml_value
+from todframes.base.reading import check_keys, check_positive, check_warm_up, convert, toml_value
 from todframes.base.user_code import in_words
-from todframes.frames.dataset import check_warm_up
 
 Domain = Literal["code_value", "luminance"]
 

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from todframes.base.reading import MOST_WARM_UP
 from todframes.enhancement.algorithm import Image, algorithm, meaning, parameter
-from todframes.frames.dataset import MOST_WARM_UP
 
 F = TypeVar("F", bound=Callable[..., Any])
 

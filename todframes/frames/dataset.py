@@ -66,9 +66,6 @@ MOST_PLACES = 4096
 CLIP_COLUMN, TIME_COLUMN, JUDGED_COLUMN = "clip", "time_s", "judged"
 """Names of the manifest columns with a frame's continuous recording, its time there, and whether it is judged."""
 
-MOST_WARM_UP = 10_000
-"""Largest number of frames before a trial that are written, or that an algorithm takes: it holds them together."""
-
 MOST_REMEMBERED = 1024
 """Number of files behind URLs of which a thread remembers what it read."""
 
@@ -90,14 +87,6 @@ class Skipped(NamedTuple):
 
 Gaze = Literal["tracked", "fixed"]
 """Direction of the observer's gaze: it follows a triangle that moves, or stays at its mean place in the trial."""
-
-
-def check_warm_up(name: str, n_frames: object) -> int:
-    """Return a number of frames of warm-up; raise SettingsError unless it is a whole number in range."""
-    if not isinstance(n_frames, int) or isinstance(n_frames, bool) or not 0 <= n_frames <= MOST_WARM_UP:
-        raise SettingsError(f"{name}: found {n_frames!r}, expected a whole number from 0 to {MOST_WARM_UP}")
-    return n_frames
-
 
 WarningCode = Literal[
     "above_contrast_1",

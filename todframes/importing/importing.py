@@ -17,14 +17,14 @@ import numpy as np
 from todframes import __version__
 from todframes.base.errors import DataError, SettingsError, argument, for_reader
 from todframes.base.output import Going, new_folder, remove_others, store_path
-from todframes.base.reading import check_positive
+from todframes.base.reading import check_positive, check_warm_up
 from todframes.base.safe_text import in_utf8, one_line
 from todframes.diagnosis.findings import place_deviations
 from todframes.diagnosis.inspection import inspect
 from todframes.diagnosis.limits import SIZES_ALIKE
 from todframes.display.display import Display
 from todframes.display.display_files import find_display, table_of_display
-from todframes.frames.dataset import Dataset, Experiment, check_warm_up, load_dataset
+from todframes.frames.dataset import Dataset, Experiment, load_dataset
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.frames.files import MAX_FRAME_MB
 from todframes.importing.chart_source import ChartSource

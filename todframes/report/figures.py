@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -13,7 +14,15 @@ from todframes.base._typing import FloatArray, Json
 from todframes.psychometrics.observer_curve import observer_curve
 from todframes.psychometrics.weibull import weibull
 from todframes.report.calibration import SUBJECT, own_and_model, with_model_curves
-from todframes.report.data import Algorithm, Fit, Ratio, ResultData, SceneResult, each_observer
+from todframes.report.data import (
+    Algorithm,
+    ContrastResponse,
+    Fit,
+    Ratio,
+    ResultData,
+    SceneResult,
+    each_observer,
+)
 from todframes.report.figure_style import (
     INK,
     PAPER,
@@ -148,7 +157,7 @@ def pictures(result: ResultData) -> list[ReportFigure]:
             title = "Thresholds with and without" + (f", for {observer}" if observer else "")
             draw, file = partial(draw_ratios, algorithms=algorithms), "" if number else "compare.png"
             found.append(ReportFigure(title, note, draw, file))
-    if any(one.contrast_responses for one in result.algorithms):
+    if any(_has_contrasts(response) for one in result.algorithms for response in one.contrast_responses):
         note = (
             "Displayed contrast of the triangle after each algorithm against that before it, a line for each "
             "group; bars: two standard errors. A plain gain is parallel to the grey line, which changes nothing."
@@ -503,6 +512,18 @@ def draw_ratios(axes: Axes, algorithms: Sequence[Algorithm]) -> None:
     axes.grid(False, axis="x")
     plain_ticks(axes.yaxis, axes.get_ylim())
     add_legend(axes)
+
+
+def _has_contrasts(response: ContrastResponse) -> bool:
+    """Return whether the contrast before an algorithm rises with the level: not if the level is an SNR.
+
+    It counts as rising if it does by more than the square root of what the level does.
+    """
+    points = [point for point in response.points if point.before > 0.0]
+    if not points:
+        return False
+    first, last = points[0], points[-1]
+    return len(response.points) == 1 or last.before / first.before > math.sqrt(last.level / first.level)
 
 
 def draw_responses(axes: Axes, algorithms: Sequence[Algorithm]) -> None:
