@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from skimage.metrics import peak_signal_noise_ratio
 
 import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
-from todframes.enhancement.compare import compare_dataset, compare_observers
+from todframes.enhancement import builtin
+from todframes.enhancement.compare import compare_dataset, compare_observers, parts_of
 from todframes.enhancement.contrast_gain import MEASURED_TRIALS, measured_trials, strongest_levels
 from todframes.enhancement.contrast_on_scenes import contrasts_on_scenes, views_to_measure
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame, EnhancedImage
@@ -22,6 +24,7 @@ from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame
 from todframes.frames.trials import FrameReference, SceneView, Trial, Trials
 from todframes.jobs.engine import open_engine
+from todframes.jobs.fingerprint import fingerprint
 from todframes.observers.csf import CsfObserver
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
@@ -787,6 +790,12 @@ def test_displayed_contrast_before_and_after(make_dataset) -> None:
     (warning,) = not_proportional([none, of_gain, of_root])
     assert (warning.code, warning.group["algorithm"]) == ("not_proportional", "own_enhancements:root")
     assert warning.found > 1.1 * warning.expected
+
+
+def test_results_in_the_store_are_those_of_the_values_of_a_partial_function() -> None:
+    """They are in no text: two of them have the same name."""
+    keys = [fingerprint(parts_of([find_enhancement(partial(builtin.gaussian, sigma=one))])) for one in (1.0, 2.0)]
+    assert keys[0] != keys[1]
 
 
 @pytest.mark.parametrize(

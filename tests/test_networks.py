@@ -34,6 +34,7 @@ import todframes as tod
 from todframes.base.errors import DataError, SettingsError
 from todframes.enhancement import network, network_probe
 from todframes.enhancement.algorithm import Enhancement
+from todframes.enhancement.compare import parts_of
 from todframes.enhancement.finding import find_enhancement
 from todframes.enhancement.memory_meter import MemoryMeter
 from todframes.enhancement.network_probe import Found, ProbeRequest, examine, probe
@@ -300,8 +301,11 @@ def test_results_in_the_store_are_those_of_the_bytes_of_the_model(tmp_path: Path
     first = found(blur(tmp_path / "m.onnx", box()))
     again = found(tmp_path / "m.onnx")
     other = found(blur(tmp_path / "m.onnx", 1.001 * box()))
-    assert fingerprint(first.function) == fingerprint(again.function)
-    assert fingerprint(first.function) != fingerprint(other.function)
+    (tmp_path / "m.toml").write_text("black = 0.1\n")
+    beside = found(tmp_path / "m.onnx")
+    keys = [fingerprint(parts_of([one])) for one in (first, again, other, beside)]
+    assert keys[0] == keys[1]
+    assert len(set(keys[1:])) == 3
 
 
 @pytest.mark.usefixtures("in_process")

@@ -260,7 +260,7 @@ def compare_observers(
         skip_bad_frames=skip_bad_frames,
         run=run or Run(),
         depends_on=(
-            [(one.spec, one.function) for one in algorithms],
+            parts_of(algorithms),
             screen,
             sorted(measured),
             gazes,
@@ -283,6 +283,14 @@ def compare_observers(
         )
         for plan, columns in zip(plans, of_observer, strict=True)
     )
+
+
+def parts_of(algorithms: Sequence[Enhancement]) -> list[object]:
+    """Return what scores depend on of the algorithms.
+
+    Values are not always in the text: those of a file beside a network, or of a `functools.partial`, are not.
+    """
+    return [(one.spec, one.function, dict(one.values)) for one in algorithms]
 
 
 def _parts(plans: Sequence[ScorePlan]) -> list[object]:
