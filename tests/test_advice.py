@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 import todframes as tod
 from todframes.psychometrics.weibull import weibull
@@ -74,6 +75,17 @@ def test_levels_of_a_comparison_name_the_algorithm() -> None:
 
 def brighter(image, gain=40.0):
     return 0.22 + gain * (image - 0.22)
+
+
+def test_scenes_that_leave_the_interval_open_need_more_scenes() -> None:
+    (fit,) = fitted(0.07, 0.1, 0.14, 0.2).fits
+    over_scenes = replace(fit, threshold_ci95=(0.06, None), threshold_ci95_same_scenes=fit.threshold_ci95)
+    (warning,) = levels_to_add([over_scenes])
+    assert warning.message.endswith("scenes differ and are few; take more scenes")
+    assert warning.expected == []
+    # Where trials leave it open too, these come first.
+    (warning,) = levels_to_add([replace(over_scenes, threshold_ci95_same_scenes=(None, 0.2))])
+    assert warning.message.endswith("show more trials")
 
 
 def test_fits_without_points_have_no_levels() -> None:

@@ -299,7 +299,9 @@ def test_the_interval_of_a_threshold_over_backgrounds_is_students() -> None:
         of_scenes = with_backgrounds_as_drawn(
             level, p, fit, settings=SETTINGS, backgrounds=scene, drawn_backgrounds=drawn
         )
-        assert replace(of_scenes, threshold_ci95=None) == replace(fit, threshold_ci95=None)
+        assert of_scenes.threshold_ci95_same_scenes == fit.threshold_ci95
+        trials_alone = replace(of_scenes, threshold_ci95=fit.threshold_ci95, threshold_ci95_same_scenes=None)
+        assert trials_alone == fit
         low, high = of_scenes.threshold_ci95
         # 400 resamples place an end of an interval to 8 % of its half width.
         assert math.log(high / low) == pytest.approx(2.0 * 2.365 * apart.std(ddof=1) / math.sqrt(8.0), rel=0.2)

@@ -112,6 +112,8 @@ class PsychometricFit:
     threshold_ci95
         A bound is None where the data do not determine it: it is infinite or more than a factor of 2 outside the
         levels. None altogether without a threshold or with `resamples=0`.
+    threshold_ci95_same_scenes
+        Where `threshold_ci95` takes scenes as drawn from many: the interval for other trials on the same scenes.
     alpha, beta, guess_rate, lapse_rate
         Parameters of Weibull's curve, whichever curve the threshold is from.
     points_threshold
@@ -139,6 +141,7 @@ class PsychometricFit:
     points_threshold: float | None = None
     weibull_threshold: float | None = None
     observer_curve: ObserverCurve | None = None
+    threshold_ci95_same_scenes: tuple[float | None, float | None] | None = None
 
 
 def fit_trials(

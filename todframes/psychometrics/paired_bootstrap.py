@@ -219,7 +219,7 @@ def with_backgrounds_as_drawn(
         math.exp(centre + low) if low >= model.z[0] - reach else None,
         math.exp(centre + high) if high <= model.z[-1] + reach else None,
     )
-    return replace(fit, threshold_ci95=interval)
+    return replace(fit, threshold_ci95=interval, threshold_ci95_same_scenes=fit.threshold_ci95)
 
 
 def _model(

@@ -26,6 +26,9 @@ SAME_LEVEL = 1.15
 SAME_GAIN, SURE_GAIN = 0.1, 3.0
 """Relative difference of two contrast gains that counts as none, and standard errors beyond which it is sure."""
 
+FEW_SCENES = "an end of the 95 % interval is open because scenes differ and are few"
+"""Reason for an open interval that more levels or trials on the same scenes would not close."""
+
 HELPS_FROM = 0.5
 """Proportion correct from which stronger levels will help; below it something else may be wrong."""
 
@@ -63,18 +66,20 @@ def _why_above(fit: Fit, fits: Sequence[Fit]) -> str:
 
 
 def levels_to_add(fits: Sequence[Fit]) -> tuple[ResultWarning, ...]:
-    """Return a warning for each threshold that the levels shown leave open, with levels that would settle it.
+    """Return a warning for each threshold that the data leave open, with levels that would settle it.
+
+    Where scenes alone leave it open, the warning asks for more of them, and for no levels.
 
     Nothing is said about curves that stay near chance at all levels: stronger ones are not known to help there.
     """
     found = []
     for fit in fits:
         reason = _open_reason(fit)
-        levels = _levels_near_threshold(fit) if reason else []
         if reason:
-            advice = (
-                f"add levels near {listed(f'{level:g}' for level in levels)}" if levels else "show more trials"
-            )
+            levels = [] if reason == FEW_SCENES else _levels_near_threshold(fit)
+            advice = "take more scenes" if reason == FEW_SCENES else "show more trials"
+            if levels:
+                advice = f"add levels near {listed(f'{level:g}' for level in levels)}"
             message = f"{reason}; {advice}"
             shown = [point.level for point in fit.points]
             found.append(
@@ -145,6 +150,8 @@ def _open_reason(fit: Fit) -> str:
     if above > WIDEST_GAP * below:
         return f"no level lies between {below:.3g} and {above:.3g}, where the threshold is"
     if fit.threshold_ci95 is not None and None in fit.threshold_ci95:
+        if fit.threshold_ci95_same_scenes is not None and None not in fit.threshold_ci95_same_scenes:
+            return FEW_SCENES
         return "the data leave an end of the 95 % interval open"
     return ""
 

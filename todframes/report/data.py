@@ -111,6 +111,8 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Level at the raw proportion correct `p_correct`.
     threshold_ci95 : (float or None, float or None) or None
         95 % interval; an end is None if the data leave it open.
+    threshold_ci95_same_scenes : (float or None, float or None) or None
+        95 % interval for other trials on the same scenes, where `threshold_ci95` takes scenes as drawn from many.
     threshold_numerical_error, threshold_displacement_error : float or None
         Error of a computed threshold, and half the 95 % interval over displacements of the retina.
     curve : str or None
@@ -146,6 +148,7 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     status: str
     threshold: Positive | None = NULL
     threshold_ci95: Interval | None = NULL
+    threshold_ci95_same_scenes: Interval | None = None
     threshold_numerical_error: float | None = NULL
     threshold_displacement_error: float | None = NULL
     p_correct: Proportion
