@@ -9,6 +9,7 @@ from todframes.base.errors import SettingsError
 from todframes.frames.dataset import load_dataset
 from todframes.observers.csf import CsfObserver, contrast_sensitivity, oblique_effect
 from todframes.observers.pyramid import PyramidObserver
+from todframes.scoring import naked_eye
 from todframes.scoring.naked_eye import acuity, contrast_threshold
 from todframes.scoring.plan import plan_score
 from todframes.stimulus import Orientation, Stimulus, coverage
@@ -78,6 +79,25 @@ def test_the_stated_error_is_that_of_the_retinas_step() -> None:
         assert found.numerical_error == pytest.approx(abs(found.threshold - fine), rel=0.15)
     coarse, usual = (acuity(CsfObserver(retina_pitch_mrad=pitch)) for pitch in (0.2, 0.1))
     assert abs(coarse.threshold - usual.threshold) < coarse.numerical_error + usual.numerical_error
+
+
+@pytest.mark.slow
+def test_wide_triangles_have_an_error_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a quarter of the pitch is too costly, half of it is taken; where that is, twice the pitch.
+
+    Of 17 sizes from 10 to 60 mrad, the latter was 0.5 to 4 times the error in 15, and more in two.
+    """
+    wide = contrast_threshold(CsfObserver(), size_mrad=30.0)
+    fine = contrast_threshold(CsfObserver(retina_pitch_mrad=0.04), size_mrad=30.0).threshold
+    assert 0.5 < wide.numerical_error / abs(wide.threshold - fine) < 2.0
+    observers = CsfObserver(aperture_sd_deg=2.0), CsfObserver(aperture_sd_deg=2.0, retina_pitch_mrad=0.2)
+    assert naked_eye._other_step(observers[0], Stimulus(100.0))[0] == 2.0
+    assert naked_eye._other_step(observers[1], Stimulus(200.0))[0] == pytest.approx(2.0 / 3.0)
+    monkeypatch.setattr(naked_eye, "STEPS", (2.0,))
+    for size in (11.8, 16.5):
+        found = contrast_threshold(CsfObserver(), size_mrad=size)
+        fine = contrast_threshold(CsfObserver(retina_pitch_mrad=0.06), size_mrad=size).threshold
+        assert 0.5 < found.numerical_error / abs(found.threshold - fine) < 4.0
 
 
 @pytest.mark.slow

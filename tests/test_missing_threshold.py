@@ -210,6 +210,25 @@ def test_frames_are_not_searched_again_if_a_threshold_is_extrapolated(monkeypatc
     assert tod.score(weak, **QUICK).fits[0].status == "extrapolated"
 
 
+@pytest.mark.parametrize("away", [0, 6], ids="{} away".format)
+def test_frames_are_searched_again_unless_they_show_the_triangles_as_stated(away: int, monkeypatch) -> None:
+    """An observer of much noise finds no threshold, and nothing is wrong. If 6 of the 12 strongest trials show
+    their triangles 20 pixels away, the mean of all still has the stated place and size."""
+    searches = []
+
+    def search(*_args, **_settings):
+        searches.append(1)
+        raise tod.DataError("nothing stands out")
+
+    monkeypatch.setattr(missing_threshold, "locate_triangles", search)
+    steps = np.zeros((36, 2))
+    steps[24 : 24 + 2 * away : 2] = 20.0
+    result = tod.score(recording(steps=steps), observer=tod.PyramidObserver(internal_noise=50.0), **QUICK)
+    assert result.fits[0].status == "never_reached"
+    assert hints(result) == []
+    assert bool(searches) == (away > 0)
+
+
 def test_terminal_shows_answers(make_dataset) -> None:
     made = make_dataset(contrasts=(0.001, 0.002))
     done = CliRunner().invoke(cli, ["score", str(made.path)])

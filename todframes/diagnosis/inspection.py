@@ -278,10 +278,8 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
     level = np.array([sample.trial.level for sample in samples])
     strength = strengths(dataset, level)
     block_px = samples[0].block_px
-    pitch = dataset.display.pitch_mrad
-    size_px = min(stimulus.size_mrad / pitch, 1e300)
-    sizes = np.maximum([size_in_px(sample.trial, pitch) / block_px for sample in samples], LEAST_SIZE)
-    of_group = GroupTriangle.of(samples, strength, sizes, max(size_px / block_px, LEAST_SIZE))
+    size_px = min(stimulus.size_mrad / dataset.display.pitch_mrad, 1e300)
+    of_group = GroupTriangle.of(dataset, samples, size_px)
     names = ["" if sample.trial.view is None else sample.trial.view.scene for sample in samples]
     if of_group.scenes is not None:
         keeps_ring = dataset.display.background_luminance_cd_m2 == "surround"
@@ -386,10 +384,12 @@ class GroupTriangle(NamedTuple):
     scenes: SceneParts | None
 
     @classmethod
-    def of(
-        cls, samples: Sequence[TrialSample], level: FloatArray, sizes: FloatArray, size: float
-    ) -> GroupTriangle:
-        """Fit the triangle of some trials, whose sizes are alike."""
+    def of(cls, dataset: Dataset, samples: Sequence[TrialSample], size_px: float) -> GroupTriangle:
+        """Fit the triangle of some trials, whose sizes are alike: about `size_px` pixels."""
+        block_px, pitch = samples[0].block_px, dataset.display.pitch_mrad
+        size = max(size_px / block_px, LEAST_SIZE)
+        sizes = np.maximum([size_in_px(sample.trial, pitch) / block_px for sample in samples], LEAST_SIZE)
+        level = strengths(dataset, np.array([sample.trial.level for sample in samples]))
         turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
         view = None
         if any(sample.trial.view is not None for sample in samples):
@@ -430,6 +430,15 @@ class GroupTriangle(NamedTuple):
     def size_ratio(self) -> float:
         """Size of the triangle divided by the stated one."""
         return float(self.fit.shape.size / math.exp(self.middle[2]))
+
+    def has_clear_place(self, size: float) -> NDArray[np.bool_]:
+        """Return the trials that show the place clearly, (trial,); `size` is that of the triangle in blocks."""
+        return np.asarray(self.trials.error[:, 1:3].max(axis=1) < CLEAR * size)
+
+    def scatter_px(self, size: float, block_px: int) -> float | None:
+        """Return the standard deviation over trials of the place along an axis, noise removed; None: not known."""
+        is_clear, each = self.has_clear_place(size), self.trials
+        return _scatter(block_px * each.away[is_clear, 1:3], block_px * each.error[is_clear, 1:3])
 
     @property
     def offset(self) -> FloatArray:
@@ -480,7 +489,7 @@ def _of_triangle(
     }
     if signal < LEAST_SIGNAL:
         return measured
-    clear_place = each.error[:, 1:3].max(axis=1) < CLEAR * size
+    clear_place = of_group.has_clear_place(size)
     clear_level = each.error[:, 0] < CLEAR * amplitude
     off_level = clear_level & (np.abs(each.away[:, 0]) > OFF_LEVEL * amplitude)
     ranked = np.sort(each.likeness, axis=1)
@@ -491,7 +500,7 @@ def _of_triangle(
     return measured | {
         "offset_px": tuple((block_px * of_group.offset).tolist()),
         "offset_error_px": tuple((block_px * error[1:3]).tolist()),
-        "scatter_px": _scatter(block_px * each.away[clear_place, 1:3], block_px * each.error[clear_place, 1:3]),
+        "scatter_px": of_group.scatter_px(size, block_px),
         "size_ratio": of_group.size_ratio,
         "size_ratio_error": of_group.size_ratio * float(error[3]) if is_whole else None,
         "size_scatter": _scatter(each.away[clear_place, 3:], each.error[clear_place, 3:]),

@@ -321,11 +321,8 @@ class _Ways:
         samples = self._windows(trials)
         if not samples:
             return None
-        block_px, pitch_mrad = samples[0].block_px, self.dataset.display.pitch_mrad
-        sizes = np.array([size_in_px(one.trial, pitch_mrad) for one in samples]) / block_px
-        level = strengths(self.dataset, np.array([one.trial.level for one in samples]))
-        found = GroupTriangle.of(samples, level, sizes, self._size_px() / block_px)
-        return (found, block_px) if found.signal >= LEAST_SIGNAL else None
+        found = GroupTriangle.of(self.dataset, samples, self._size_px())
+        return (found, samples[0].block_px) if found.signal >= LEAST_SIGNAL else None
 
     def _nothing(self) -> _Found:
         n = len(self.trials)

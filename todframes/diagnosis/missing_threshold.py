@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError, TodframesError, argument
+from todframes.base.errors import DataError, SettingsError, TodframesError, argument
 from todframes.diagnosis.arrangement import ARRANGEMENTS, TURNED, Arrangement
+from todframes.diagnosis.inspection import GroupTriangle, alike
 from todframes.diagnosis.limits import (
     LEAST_EVIDENCE,
     LEAST_GAIN,
     LEAST_OFFSET,
     LEAST_RIGHT,
+    LEAST_SIGNAL,
     LEAST_TRIALS,
     MOST_GRID_SIDE,
     MOST_TRIALS,
@@ -28,8 +30,9 @@ from todframes.diagnosis.limits import (
     STRONG_SHARE,
 )
 from todframes.diagnosis.locate import Locate, Location, locate_triangles
+from todframes.diagnosis.windows import measure_trial
 from todframes.frames.dataset import Dataset, WarningCode
-from todframes.frames.position import centroid_position
+from todframes.frames.position import centroid_position, size_in_px
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings, PsychometricFit
@@ -124,6 +127,7 @@ def explain_missing(
                 seed,
                 tuple(trials.select(strong)),
                 _answers(scored, strong),
+                _strongest_and_others(trials, strong),
                 before=_orientations(trials, strong - 1),
                 after=_orientations(trials, strong + 1),
                 is_inverted=bool(np.median(scored.scores[strong].mean(axis=1)) < 0.0),
@@ -154,6 +158,13 @@ def _some(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     return places[:: step + (step + 1) % 2 if step > 1 else 1]
 
 
+def _strongest_and_others(trials: Trials, strong: NDArray[np.intp]) -> Trials:
+    """Return strong trials of a group and the next weaker ones, `MOST_TRIALS` in all if the group has them."""
+    others = np.setdiff1d(trials.indices_of_group(trials[int(strong[0])].group), strong)
+    others = others[np.argsort(-trials.levels[others], kind="stable")][: MOST_TRIALS - len(strong)]
+    return trials.select(np.sort(np.concatenate([strong, others])))
+
+
 def _orientations(trials: Trials, places: NDArray[np.intp]) -> tuple[int, ...]:
     """Return the orientations of some trials, indices into `ORIENTATIONS`; the last trial is before the first."""
     return tuple(trials.quarter_turns[places % len(trials)].tolist())
@@ -169,6 +180,11 @@ def _named_size(ratio: float) -> tuple[float, str]:
     """Return a ratio of sizes, replaced by that of a mistaken unit if it is near one, and the question to ask."""
     named = ((1.0, ""), *SIZE_UNITS, (ratio, "Is it the root of the area, and is the pixel pitch right?"))
     return next(one for one in named if max(ratio / one[0], one[0] / ratio) <= SIZES_ALIKE)
+
+
+def _least_offset_px(error_px: float, size_px: float) -> float:
+    """Return the distance from the stated place above which a triangle lies elsewhere."""
+    return max(3.0 * error_px + 0.5, LEAST_OFFSET * size_px)
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,8 +206,8 @@ class _Change:
 class _MistakeSearch:
     """Search for a change that would make the answers in the strongest trials of a group right.
 
-    `before` and `after` are the orientations of the neighbouring trials. `is_inverted`: the scores of most
-    triangles are those of the other polarity.
+    `strongest` are these and weaker ones. `before` and `after` are the orientations of the neighbouring trials.
+    `is_inverted`: the scores of most triangles are those of the other polarity.
     """
 
     dataset: Dataset
@@ -200,6 +216,7 @@ class _MistakeSearch:
     seed: int
     trials: tuple[Trial, ...]
     answers: FloatArray
+    strongest: Trials
     before: tuple[int, ...]
     after: tuple[int, ...]
     is_inverted: bool
@@ -228,7 +245,9 @@ class _MistakeSearch:
 
     def _reviewed(self) -> Iterator[_Change]:
         """Yield the answers at the places where the frames show triangles: one place with any size, or a place for
-        each trial."""
+        each trial; none where the triangles are known to be as stated."""
+        if self._are_as_stated():
+            return
         sought: tuple[tuple[Locate, Sequence[float]], ...] = (("group", SIZES_SOUGHT), ("each", (1.0,)))
         for locate, sizes in sought:
             trials = [trial._replace(x_px=None, y_px=None) for trial in self.trials]
@@ -246,6 +265,42 @@ class _MistakeSearch:
             clauses, codes = zip(*ways, strict=True)
             found = next(one for one in TURNED if one.shown == location.arrangement.shown)
             yield _Change(answers, clauses, codes, (found,))
+
+    def _are_as_stated(self) -> bool:
+        """Return whether the frames are known to show the triangles with the stated place, size and polarity."""
+        if self.strongest.has_scenes:
+            return False
+        try:
+            return all(self._is_as_stated(self.strongest.select(part)) for part in alike(self.strongest))
+        except DataError:
+            return False
+
+    def _is_as_stated(self, trials: Trials) -> bool:
+        """Fit the triangle of trials whose sizes are alike about its stated place.
+
+        If a share q of the strong trials showed it elsewhere, or not at all, the contrasts at that place would
+        scatter by √(q / (1 - q)) of their mean or more; no change gains more than q. Where single trials do not
+        show places that scatter, the blur of their mean does.
+        """
+        is_strong = trials.levels >= min(trial.level for trial in self.trials)
+        if not is_strong.any():
+            return True
+        size_px = size_in_px(trials[0], self.dataset.display.pitch_mrad)
+        samples = [measure_trial(self.dataset, one, self.observer.centre, size_px=size_px) for one in trials]
+        found, block_px = GroupTriangle.of(self.dataset, samples, size_px), samples[0].block_px
+        amplitude, blur_px = found.fit.shape.amplitude, block_px * math.sqrt(max(found.fit.shape.variance, 0.0))
+        away, error = found.trials.away[is_strong, 0], found.trials.error[is_strong, 0]
+        uneven = np.average(np.square(away), weights=1.0 / np.square(np.maximum(error, 1e-6)))
+        offset_px, error_px = block_px * float(np.hypot(*found.offset)), block_px * float(found.error[1:3].max())
+        scatter_px = found.scatter_px(size_px / block_px, block_px)
+        return bool(
+            found.signal >= LEAST_SIGNAL
+            and amplitude > 0.0
+            and max(found.size_ratio, 1.0 / found.size_ratio) <= SIZES_ALIKE
+            and offset_px <= _least_offset_px(error_px, size_px)
+            and (blur_px if scatter_px is None else scatter_px) <= LEAST_OFFSET * size_px
+            and uneven <= LEAST_GAIN / (1.0 - LEAST_GAIN) * amplitude**2
+        )
 
     def _size(self, ratio: float, question: str) -> Iterator[tuple[str, _Code]]:
         if max(ratio, 1.0 / ratio) > SIZES_ALIKE:
@@ -265,7 +320,7 @@ class _MistakeSearch:
                 yield clause, ("position_scatter", location.scatter_px, 0.0)
             return
         here, stated = (round(location.x_px, 2), round(location.y_px, 2)), self._stated_position()
-        if math.dist(here, stated) > max(3.0 * (location.standard_error_px or 0.0) + 0.5, LEAST_OFFSET * size_px):
+        if math.dist(here, stated) > _least_offset_px(location.standard_error_px or 0.0, size_px):
             clause = (
                 f"the triangle's centroid were at x_px {here[0]:g}, y_px {here[1]:g} instead of {stated[0]:g}, "
                 f"{stated[1]:g}: Give it in the manifest, or let {argument.locate} find it."

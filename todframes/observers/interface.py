@@ -387,8 +387,14 @@ class PatternObserver(Protocol):
 class SteppedObserver(Protocol):
     """Optional protocol of observers whose retina is the step of a computation, and no part of the model."""
 
-    def with_finer_retina(self) -> Observer:
-        """Return the same observer on a finer retina, to find what the step changes."""
+    def with_retina_step(self, factor: float) -> Observer:
+        """Return the same observer on a retina of another pitch, to find what the step changes.
+
+        Raises
+        ------
+        SettingsError
+            If there is no observer with this multiple of its own pitch.
+        """
 
 
 PYRAMID_LEVELS = "pyramid levels"

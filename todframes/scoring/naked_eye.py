@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -31,6 +32,10 @@ TOLERANCE = 2e-4
 
 SPAN = 1.1
 """Ratio of the levels to the threshold between which the slope of P(correct) is taken."""
+
+STEPS, COSTLY_SIDE = (0.25, 0.5, 2.0, 2.0 / 3.0), 2049
+"""Pitches of another retina, as multiples of the observer's, to find the error by its step: the first whose grid
+has at most this side, which takes two seconds, or the last that the observer allows."""
 
 CONTRAST_RANGE = (1e-12, 1e12)
 """Smallest and largest contrast in the search for a threshold; the largest also limits `contrast` arguments."""
@@ -62,6 +67,15 @@ def proportion_correct(
     SettingsError
         If the observer is not linear, or a value is out of range.
     """
+    if not 0 < contrast <= CONTRAST_RANGE[1] * 1.000001:  # the limit of the search, with room for rounding
+        raise SettingsError(f"contrast: found {contrast!r}, expected a finite number > 0, at most 1e12")
+    _size_samples(observer, size_mrad)
+    return _proportion_at(observer, size_mrad, contrast, nodes, places)
+
+
+def _proportion_at(
+    observer: Observer, size_mrad: float, contrast: float, nodes: int = 16, places: int = 1
+) -> float:
     return _proportion_correct(contrast, _responses(observer, size_mrad, nodes, places))
 
 
@@ -91,6 +105,7 @@ def contrast_threshold(
     SettingsError
         If the observer is not linear, or a value is out of range.
     """
+    size_samples = _size_samples(observer, size_mrad)
 
     def threshold(nodes: int) -> ComputedThreshold:
         response = _responses(observer, size_mrad, nodes, places)
@@ -102,12 +117,12 @@ def contrast_threshold(
             saturates=True,  # at P without internal noise
         )
 
-    size_samples = _size_samples(observer, size_mrad)
     found = _refined(threshold, NODES if size_samples < FEW_NODES_FROM_SAMPLES else FEW_NODES + NODES)
     return _with_step_error(
         found,
         observer,
-        lambda judge, level: proportion_correct(judge, size_mrad=size_mrad, contrast=level, places=places),
+        size_mrad,
+        lambda judge, level: _proportion_at(judge, size_mrad, level, places=places),
         p_correct,
     )
 
@@ -156,7 +171,8 @@ def acuity(
     return _with_step_error(
         found,
         observer,
-        lambda judge, size: proportion_correct(judge, size_mrad=size, contrast=contrast, places=places),
+        SPAN * (found.threshold or 1.0),
+        lambda judge, size: _proportion_at(judge, size, contrast, places=places),
         p_correct,
     )
 
@@ -164,23 +180,39 @@ def acuity(
 def _with_step_error(
     found: ComputedThreshold,
     observer: Observer,
+    largest_mrad: float,
     proportion: Callable[[Observer, float], float],
     p_correct: float,
 ) -> ComputedThreshold:
     """Add the error by the step of the retina, where it is that of a computation, to a threshold's error.
 
-    `proportion` is P(correct) of an observer at a level. On a finer retina it differs from `p_correct` at the
-    threshold; its slope there turns the difference into one of the threshold.
+    `proportion` is P(correct) of an observer at a level, for sizes up to `largest_mrad`. On another retina it
+    differs from `p_correct` at the threshold; its slope there turns the difference into one of the threshold. The
+    error grows as the square of the pitch, times a factor that varies with the places of edges between samples. So
+    the difference from a finer retina is the error itself, and that from a coarser one more (Richardson).
     """
     if found.threshold is None or not isinstance(observer, SteppedObserver):
         return found
-    finer = observer.with_finer_retina()
-    try:
-        below, at, above = (proportion(finer, factor * found.threshold) for factor in (1.0 / SPAN, 1.0, SPAN))
-    except SettingsError:  # the finer retina is too large
+    step, other = _other_step(observer, Stimulus(largest_mrad))
+    if other is None:
         return replace(found, numerical_error=None)
+    below, at, above = (proportion(other, factor * found.threshold) for factor in (1.0 / SPAN, 1.0, SPAN))
     slope = (above - below) / ((SPAN - 1.0 / SPAN) * found.threshold)
-    return replace(found, numerical_error=abs(at - p_correct) / slope + (found.numerical_error or 0.0))
+    change = abs(at - p_correct) / slope
+    return replace(found, numerical_error=change / max(step**2 - 1.0, 1.0) + (found.numerical_error or 0.0))
+
+
+def _other_step(observer: SteppedObserver, stimulus: Stimulus) -> tuple[float, Observer | None]:
+    """Return one of `STEPS` that the observer allows for a stimulus, and the observer of that step."""
+    found: tuple[float, Observer | None] = (1.0, None)
+    for step in STEPS:
+        with suppress(SettingsError):
+            other = observer.with_retina_step(step)
+            side = other.grid(stimulus).side
+            found = step, other
+            if side <= COSTLY_SIDE:
+                break
+    return found
 
 
 def _refined(
@@ -220,7 +252,6 @@ def _responses(observer: Observer, size_mrad: float, nodes: int, places: int = 1
         raise SettingsError(
             f"{argument.places}: found {places!r}, expected a whole number from 1 to {MOST_PLACES}"
         )
-    _size_samples(observer, size_mrad)
     readout = observer.readout(Stimulus(size_mrad))
     if readout is None:
         raise SettingsError("observer: it is not linear; its naked-eye threshold cannot be computed")
@@ -270,8 +301,6 @@ def _size_samples(observer: Observer, size_mrad: float) -> float:
 
 
 def _proportion_correct(contrast: float, responses: _Responses) -> float:
-    if not 0 < contrast <= CONTRAST_RANGE[1] * 1.000001:  # the limit of the search, with room for rounding
-        raise SettingsError(f"contrast: found {contrast!r}, expected a finite number > 0, at most 1e12")
     readout, deviations, common, weights, places = responses
     if common is None:
         answers = readout.answer_probabilities(contrast * deviations)
