@@ -475,16 +475,18 @@ def test_settings_of_a_person_with_a_strange_name(results) -> None:
         assert found | {"internal_noise": 1.0} == {"kernel_a": 0.4, "centre": "centroid", "internal_noise": 1.0}
 
 
-def test_warnings() -> None:
+@pytest.mark.parametrize(("fitted_name", "words"), [("internal_noise", "internal noise"), ("efficiency",) * 2])
+def test_warnings(fitted_name: str, words: str) -> None:
     def person(subject: str | None, p_value: float) -> PersonFit:
         fit = fitted(logistic_table(1.0, each=40), answers(30, 40))
         return PersonFit(subject, 40, 30, {}, replace(fit, deviance_p_value=p_value), ())
 
     people = (person("m1", 0.002), person("p2", 0.5))
-    poor, differ = Calibrated(people, person(None, 0.001), 1e-4, ()).warnings()
+    poor, differ = Calibrated(people, person(None, 0.001), 1e-4, (), fitted_name).warnings()
     assert (poor.code, poor.group, poor.found) == ("poor_fit", {"subject": "m1"}, 0.002)
     assert (differ.code, differ.group, differ.found) == ("persons_differ", {}, 1e-4)
-    assert Calibrated(people[1:], None, None, ()).warnings() == ()
+    assert f"one {words} " in poor.message and f"the same {words} " in differ.message
+    assert Calibrated(people[1:], None, None, (), fitted_name).warnings() == ()
 
 
 def test_answers_to_another_dataset(small: Path, tmp_path: Path, make_dataset, capsys) -> None:

@@ -105,7 +105,7 @@ def calibrate(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     from todframes.experiment.answers import read_answers
-    from todframes.experiment.person import calibrate_persons, has_efficiency
+    from todframes.experiment.person import calibrate_persons
     from todframes.experiment.psych_ds import DESCRIPTION_FILE as DESCRIPTION_NAME
 
     if isinstance(dataset, str | Path) and (Path(dataset) / DESCRIPTION_NAME).exists():
@@ -147,14 +147,15 @@ def calibrate(
         {name: value for name, value in own.items() if name not in fitted} for own in each_settings
     )
 
-    def person_results(judge: Observer, of_judge: Calibrated) -> tuple[list[PersonResult], PersonResult | None]:
-        make = partial(_person_result, data, is_efficiency=has_efficiency(judge), n_fitted=1 + len(set(free)))
+    def person_results(of_judge: Calibrated) -> tuple[list[PersonResult], PersonResult | None]:
+        is_efficiency = of_judge.fitted == "efficiency"
+        make = partial(_person_result, data, is_efficiency=is_efficiency, n_fitted=1 + len(set(free)))
         return [make(one) for one in of_judge.persons], None if of_judge.pooled is None else make(of_judge.pooled)
 
-    persons, pooled = person_results(judges[0], found)
+    persons, pooled = person_results(found)
     further = []
-    for judge, own_settings, of_judge in zip(judges[1:], other_settings, others, strict=True):
-        by_judge, together = person_results(judge, of_judge)
+    for own_settings, of_judge in zip(other_settings, others, strict=True):
+        by_judge, together = person_results(of_judge)
         further.append(ComparedObserver(settings=own_settings, persons=tuple(by_judge), pooled=together))
     names = observer_names(settings, further) if further else [None]
     return Result.made(

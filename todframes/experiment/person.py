@@ -322,7 +322,7 @@ def noise_observers(
     """
     settings = getattr(observer, "settings", None)
     names = [field.name for field in fields(settings)] if is_dataclass(settings) else []
-    for name in (EFFICIENCY if has_efficiency(observer) else NOISE, *([BLUR] * blur_is_free)):
+    for name in (fitted_setting(observer), *([BLUR] * blur_is_free)):
         if name not in names:
             raise SettingsError(
                 f"observer: {type(observer).__name__} has no setting {name}, which is to be fitted"
@@ -349,16 +349,16 @@ def noise_observers(
     return [_changed(one, {BLUR: each}) for each in blurs.tolist()], blurs
 
 
-def has_efficiency(observer: Observer) -> bool:
-    """Return whether an observer's efficiency is fitted, since it has no internal noise among its settings."""
+def fitted_setting(observer: Observer) -> str:
+    """Return the name of the setting that is fitted: the efficiency of an observer without an internal noise."""
     settings = getattr(observer, "settings", None)
-    return hasattr(settings, EFFICIENCY) and not hasattr(settings, NOISE)
+    return EFFICIENCY if hasattr(settings, EFFICIENCY) and not hasattr(settings, NOISE) else NOISE
 
 
 def _changed(observer: Observer, changes: dict[str, Any]) -> Observer:
     """Return the observer with other settings; `internal_noise` replaces `internal_noise_sd` or `efficiency`."""
     settings = observer.settings  # type: ignore[attr-defined] # `noise_observers` has checked it
-    if NOISE in changes and has_efficiency(observer):
+    if NOISE in changes and fitted_setting(observer) == EFFICIENCY:
         changes = {name: value for name, value in changes.items() if name != NOISE} | {
             EFFICIENCY: changes[NOISE] ** -2
         }
@@ -412,7 +412,7 @@ class PersonFit:
 
 
 class PersonWarning(NamedTuple):
-    """A warning about an internal noise: `poor_fit` of a person, or `persons_differ`.
+    """A warning about an internal noise or an efficiency: `poor_fit` of a person, or `persons_differ`.
 
     `found` is the p-value; below `expected` there is a warning. `group` names the person.
     """
@@ -436,20 +436,24 @@ class Calibrated:
     equal_noise_p_value : float or None
         p-value of the likelihood-ratio test that all persons have the pooled parameters.
     skipped : tuple of Skipped
+    fitted : str
+        Name of the setting of the observer that was fitted: "internal_noise" or "efficiency".
     """
 
     persons: tuple[PersonFit, ...]
     pooled: PersonFit | None
     equal_noise_p_value: float | None
     skipped: tuple[Skipped, ...]
+    fitted: str
 
     def warnings(self) -> tuple[PersonWarning, ...]:
         """Return warnings about persons whom the model does not describe, and about persons who differ."""
+        name = self.fitted.replace("_", " ")
         found = [
             PersonWarning(
                 "poor_fit",
                 {"subject": str(one.subject)},
-                "the model with one internal noise does not describe these answers (deviance "
+                f"the model with one {name} does not describe these answers (deviance "
                 f"{one.fit.deviance:.3g} in {one.fit.n_cells} cells, p = {p_value:.2g}); compare the thresholds "
                 "of each group with those of the model",
                 p_value,
@@ -461,7 +465,7 @@ class Calibrated:
         p_value = self.equal_noise_p_value
         if p_value is not None and p_value < SURPRISING:
             message = (
-                f"the persons do not have the same internal noise (p = {p_value:.2g}); that of all together is a "
+                f"the persons do not have the same {name} (p = {p_value:.2g}); that of all together is a "
                 "mean of them, and its interval does not describe how they differ"
             )
             found.append(PersonWarning("persons_differ", {}, message, p_value, SURPRISING))
@@ -540,7 +544,7 @@ def calibrate_persons(
         pooled = fitted(None, range(len(answered)), 0)
         p_value = _equal_noise(persons, pooled, 1 + len(set(free)))
     skipped = tuple(skipped for one in answered for skipped in one.skipped)
-    return Calibrated(persons, pooled, p_value, skipped)
+    return Calibrated(persons, pooled, p_value, skipped, fitted_setting(observer))
 
 
 def _equal_noise(persons: Sequence[PersonFit], pooled: PersonFit, n_parameters: int) -> float:
