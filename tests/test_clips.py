@@ -6,11 +6,13 @@ import csv
 import io
 import pickle
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from networks import blur, box, identity
 from scipy import ndimage
 
 import sensor_sim as ss
@@ -581,6 +583,41 @@ def test_kept_results_depend_on_the_frames_before(tmp_path: Path, monkeypatch) -
     text, digest = (path / "manifest.csv").read_text(), frame_sha256(changed)
     (path / "manifest.csv").write_text(re.sub(rf"({changed.name}.*,)[0-9a-f]+", rf"\g<1>{digest}", text))
     assert compared()[0] == 11  # all trials but the one that it comes before
+
+
+@pytest.mark.weekly
+@pytest.mark.parametrize("where", [{"workers": 2}, {"cluster": "local:2"}])
+def test_a_run_that_goes_on_with_another_setting_mixes_no_scores(tmp_path: Path, monkeypatch, where) -> None:
+    """Each change begins anew, also in spawned processes; without one, the run goes on where it ended."""
+    monkeypatch.setattr(run_module, "LOOKED_AT_S", 0.0)
+    monkeypatch.setattr(run_module, "WORTH_S", 0.0)
+    path = simulated(tmp_path / "data", warm_up_frames=2, motion_mrad_per_s=0.5, snr=[1.0, 4.0], trials=4)
+    network, beside = identity(tmp_path / "m.onnx"), tmp_path / "m.toml"
+    shown = {"specs": [f"onnx:{network}", "temporal_mean:before=2"], "gaze": "tracked"}
+
+    def compared(store: Path | None, specs: list[str], gaze: str):
+        settings = {"white": 200.0, "fit": EXACT, "examples": False, "rng": 3}
+        return tod.compare(path, specs, gaze=gaze, store=store, **settings, **(where if store else {}))
+
+    def scores(result) -> list[object]:
+        lists = [result.algorithms, *(one.algorithms for one in result.observers)]
+        return [(fit.threshold, fit.points) for each in lists for one in each for fit in one.fits]
+
+    compared(tmp_path / "store", **shown)  # the first batch decides on the store
+    compared(tmp_path / "store", **shown)
+    changes: list[tuple[dict[str, object], Callable[[], object]]] = [
+        ({}, lambda: None),
+        ({"gaze": "fixed"}, lambda: None),
+        ({"gaze": "tracked,fixed"}, lambda: None),
+        ({"specs": [f"onnx:{network}", "temporal_mean:before=1"]}, lambda: None),
+        ({}, lambda: beside.write_text("black = 0.1\n")),
+        ({}, lambda: blur(network, box())),
+    ]
+    for number, (change, make) in enumerate(changes):
+        make()
+        found = compared(tmp_path / "store", **(shown | change))
+        assert (found.from_store > 0) == (number == 0)
+        assert scores(found) == scores(compared(None, **(shown | change)))
 
 
 @pytest.mark.slow
