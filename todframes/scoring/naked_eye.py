@@ -188,8 +188,9 @@ def _with_step_error(
 
     `proportion` is P(correct) of an observer at a level, for sizes up to `largest_mrad`. On another retina it
     differs from `p_correct` at the threshold; its slope there turns the difference into one of the threshold. The
-    error grows as the square of the pitch, times a factor that varies with the places of edges between samples. So
-    the difference from a finer retina is the error itself, and that from a coarser one more (Richardson).
+    error grows as the square of the pitch, times a factor that varies with the places of edges between samples: it
+    is the difference from a retina of s times the pitch, divided by |1 - s²| (Richardson). A quarter of the pitch
+    leaves next to nothing.
     """
     if found.threshold is None or not isinstance(observer, SteppedObserver):
         return found
@@ -199,7 +200,8 @@ def _with_step_error(
     below, at, above = (proportion(other, factor * found.threshold) for factor in (1.0 / SPAN, 1.0, SPAN))
     slope = (above - below) / ((SPAN - 1.0 / SPAN) * found.threshold)
     change = abs(at - p_correct) / slope
-    return replace(found, numerical_error=change / max(step**2 - 1.0, 1.0) + (found.numerical_error or 0.0))
+    left = step**2 if step > 0.25 else 0.0
+    return replace(found, numerical_error=change / abs(1.0 - left) + (found.numerical_error or 0.0))
 
 
 def _other_step(observer: SteppedObserver, stimulus: Stimulus) -> tuple[float, Observer | None]:
