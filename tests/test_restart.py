@@ -266,11 +266,11 @@ def test_a_killed_import_goes_on(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     np.save(tmp_path / "frames.npy", rng.integers(0, 255, (600, 200, 300), dtype=np.uint8))
     (tmp_path / "schedule.csv").write_text(
-        "file,start_s,end_s,orientation,size_mrad,contrast,x_px,y_px\nframes.npy,0,20,up,20,0.5,150,100\n",
+        "file,start_s,end_s,orientation,size_mrad,contrast,x_px,y_px\nframes.npy,1,20,up,20,0.5,150,100\n",
         encoding="utf-8",
     )
     command = ("todframes", "import", tmp_path / "frames.npy", "--schedule", tmp_path / "schedule.csv")
-    command += ("--frames-per-second", "30", "-o")
+    command += ("--frames-per-second", "30", "--warm-up", "4", "-o")
     done(*command, tmp_path / "undisturbed")
     out = tmp_path / "out"
     process = started(*command, out)

@@ -110,6 +110,7 @@ class Lab:
         sensor, recording = str(scenes.SAMPLES / "staring_camera.toml"), self.folder / "recording"
         sizes = ["--size-detectors", "2,3", "--snr", "1,2"]
         imported = ["--schedule", str(recording / "schedule.csv"), "--frames-per-second", "30"]
+        imported += ["--warm-up", "4"]
         enhanced = ["--enhance", "gaussian:sigma=1", "--white", "100", "--set", "resamples=40"]
         varied = ["--vary", "optics.aperture_mm=100:200:8", "--size-detectors", "4", "--tolerance", "0.05"]
         return {

@@ -444,7 +444,8 @@ def commands(folder: Path, *, n_repeats: int = 100) -> dict[str, Command]:
     compare = ("todframes", "compare", dataset, "--enhance", "gaussian:sigma=1", "--white", "100", *settings)
     simulate = ("sensor_sim", "simulate", sensor, "--size-detectors", "2,3", "--snr", "1,2,4", "--quiet")
     recording = folder / "recording"
-    schedule = ("--schedule", str(recording / "schedule.csv"), "--frames-per-second", "30", "--quiet")
+    schedule = ("--schedule", str(recording / "schedule.csv"), "--frames-per-second", "30")
+    schedule += ("--warm-up", "4", "--quiet")
     sweep = ("sensor_sim", "sweep", sensor, "--vary", "optics.aperture_mm=100:200:24", "--quiet")
     sweep += ("--size-detectors", "4,6", "--tolerance", "0.05")
     found = [
