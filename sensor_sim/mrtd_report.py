@@ -50,9 +50,21 @@ NOTE = (
 
 
 class BarsAt(msgspec.Struct, frozen=True, kw_only=True):
-    """Thresholds of bars of one frequency; those in mK are null without NETD, and where there is none.
+    """Thresholds of bars of one frequency.
 
-    `lloyd_mrtd_mk` is that of the literature, up to the Nyquist frequency.
+    Attributes
+    ----------
+    frequency_cyc_per_mrad, frequency_nyquist : float
+        Frequency, also in units of the Nyquist frequency.
+    lloyd_mrtd_mk : float or None
+        MRTD by Lloyd's form in mK; None beyond the Nyquist frequency and without NETD.
+    status, best_status : str
+        "ok", or the reason why there is no threshold: as a mean over the places of the bars on the detectors, and
+        at the best place.
+    threshold_snr, best_threshold_snr : float or None
+        Threshold as an SNR, for both; None if there is none. The `_error` of each is half its 95 % interval.
+    mrtd_mk, best_mrtd_mk : float or None
+        Threshold as a temperature difference in mK, for both; None without NETD. Each has its `_error` too.
     """
 
     frequency_cyc_per_mrad: float
@@ -71,7 +83,7 @@ class BarsAt(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Ttp(msgspec.Struct, frozen=True, kw_only=True):
-    """TTP of a target that the display shows at full contrast.
+    """Targeting task performance (TTP) for a target that the display shows at its gain.
 
     Attributes
     ----------
@@ -106,8 +118,9 @@ class SensorMrtd(msgspec.Struct, Plotting, frozen=True, kw_only=True):
     nyquist_cyc_per_mrad : float
         Nyquist frequency of the detectors.
     settings : dict
-        Observer, bars, sensor, and the constants of the literature's form.
+        Observer, bars, sensor, and the constants of Lloyd's form.
     seed : int
+        Seed of the places of the patterns on the detectors.
     bars : list of BarsAt
         A record for each frequency, in rising order.
     tod : list of Fit

@@ -47,7 +47,12 @@ ORIENTATIONS = tuple(Orientation)
 class Stimulus:
     """Properties of a trial's triangle that the observer knows beforehand: all except the orientation.
 
-    `size_mrad` is √(area) as displayed, `polarity` 1 for brighter and -1 for darker than the background.
+    Attributes
+    ----------
+    size_mrad : float
+        √(area) as displayed, in mrad at the eye.
+    polarity : {1, -1}
+        Brighter or darker than the background.
     """
 
     size_mrad: float

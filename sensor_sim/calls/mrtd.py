@@ -66,9 +66,9 @@ def mrtd(
     p_correct : float
         Proportion correct at threshold: of two displays for bars, above 0.5; of four orientations for triangles.
     lloyd_snr : float
-        Signal-to-noise ratio in the literature's form.
+        Threshold signal-to-noise ratio of a bar in Lloyd's form.
     ttp_delta_t_k, ttp_width_deg : float
-        ΔT of the target of TTP, in K, and width of the field at the eye.
+        ΔT of the target of TTP in K, and width of the field at the eye in degrees.
     ttp : TtpSettings, optional
         Choices where public codes of TTP disagree.
     tolerance : float

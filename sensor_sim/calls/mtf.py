@@ -21,6 +21,11 @@ def mtf(sensor: Sensor | Path | str) -> SensorMtf:
     SensorMtf
         `frequency_cyc_per_mrad` and `mtf`, a list for each stage; `plot()` draws them.
 
+    Raises
+    ------
+    SettingsError
+        If the sensor's file is invalid.
+
     Examples
     --------
     >>> import sensor_sim as ss

@@ -78,8 +78,8 @@ def simulate(
     background_pixels : float
         Pixels of these images along a detector.
     background_range : (float, float), optional
-        Values of these images that are black and white, and proportional to light in between. Default: pictures
-        are sRGB.
+        Values of these images for black and white; values in between are proportional to light. Default: the
+        images are sRGB.
     turns : {8, 4, 1}
         Turned and mirrored versions in which each scene is shown.
     workers : int
@@ -106,7 +106,8 @@ def simulate(
     SettingsError
         If a setting is invalid, or too many pixels would be clipped.
     DataError, FrameError
-        If a background cannot be read, or all are too small, even or saturated; some of these are left out.
+        If a background cannot be read, or all are too small, even or saturated. If only some are, these are left
+        out.
     OutputError
         If the place cannot be written.
 

@@ -48,7 +48,14 @@ TRIALS_PER_TASK = 32
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """Number of frames that `write_dataset` wrote, and the share of PNG pixels that had to be clipped."""
+    """The numbers of a dataset that was written.
+
+    Attributes
+    ----------
+    n_frames : int
+    clipped_share : float
+        Share of the pixels that PNG had to clip; 0 for EXR.
+    """
 
     n_frames: int
     clipped_share: float

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from todframes.recordings.mtf_table import FrequencyUnit
 
 LARGEST_SHIFT_SAMPLES = 1.0
-"""Distance of a PSF's centroid from the middle of its image, along each axis, that is taken out without a word."""
+"""Distance of a PSF's centroid from the middle of its image, along each axis, that is corrected silently."""
 
 LARGEST_SUM_ERROR = 0.01
 """Distance of a PSF's sum from 1, and largest share of it in the outermost samples, which would be cut off."""

@@ -40,7 +40,7 @@ PHOTOPIC = (
 LARGEST_CONTRAST = 1e9
 
 MOST_ELECTRONS = 1e12
-"""Largest number of electrons of the background and the dark current; beyond it a unit is taken for wrong."""
+"""Largest number of electrons of the background and the dark current; beyond it a unit must be wrong."""
 
 MOST_DRAWN = 1e18
 """Largest number of electrons that is drawn; a Poisson number must fit into 63 bits."""

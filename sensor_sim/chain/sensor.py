@@ -242,7 +242,7 @@ class Noise:
         Standard deviation of what all detectors of a row or column have in common, new in each frame, divided by
         the dynamic standard deviation, of which it is a part: the sum of their squares is at most 1.
     row_pattern_ratio, column_pattern_ratio : float
-        The same, fixed: parts of the fixed pattern, divided by the dynamic standard deviation.
+        The same in the fixed pattern, of which they are parts; also divided by the dynamic standard deviation.
     couple_netd : bool
         Whether the NETD follows f-number² / area of a detector where a sweep varies them.
 
@@ -281,7 +281,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotonNoise:
-    """Noise of a camera that counts photons, in the words of EMVA 1288; the level is then the contrast.
+    """Noise of a camera that counts photons, by the figures of EMVA 1288; the level is then the contrast.
 
     Attributes
     ----------
@@ -303,7 +303,7 @@ class PhotonNoise:
     row_noise_electrons, column_noise_electrons : float
         Standard deviations of what all pixels of a row or column have in common, new in each frame.
     row_pattern_electrons, column_pattern_electrons : float
-        The same, fixed: parts that are not in `dsnu_electrons`.
+        The same in the fixed pattern, not contained in `dsnu_electrons`.
     frames_integrated : int
         Frames that the observer's eye averages, from 1 to 10,000.
 
@@ -350,7 +350,7 @@ class PhotonNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """The light of the background that a camera which counts photons looks at.
+    """The light of the background in front of a camera that counts photons.
 
     Attributes
     ----------
@@ -506,7 +506,22 @@ class SensorDisplay:
 class Sensor:
     """All settings of the chain from the scene to the eye.
 
-    With `photons`, levels are contrasts at the light of the `scene`, and `noise` is not used.
+    Attributes
+    ----------
+    optics : Optics
+    detector : Detector
+    display : SensorDisplay
+    noise : Noise
+        Noise relative to the signal, for levels that are SNRs. Not used with `photons`.
+    electronics : Electronics
+    name : str
+        Name of the sensor, for messages and titles.
+    photons : PhotonNoise or None
+        Noise of a camera that counts photons; levels are then contrasts at the light of the `scene`.
+    scene : Scene or None
+        Light of the background; needed with `photons`.
+    motion : Motion or None
+        Motion during an exposure. None: the camera is at rest.
 
     Raises
     ------
@@ -575,6 +590,15 @@ _EITHER = {
 
 def load_sensor(path: Path | str) -> Sensor:
     """Return the checked settings of a `SENSOR.toml`.
+
+    Parameters
+    ----------
+    path : path
+        The file. Files that it names (`mtf`, `psf`) are read from its folder or below.
+
+    Returns
+    -------
+    Sensor
 
     Raises
     ------

@@ -44,7 +44,7 @@ MARKS = {IMPOSSIBLE: ("////", "_"), "never_reached": ("xx", "x"), "always_exceed
 """Hatch of a cell, and marker of a point, without a threshold, by status."""
 
 RANGE_MARKS = {"ok": "", "never_reached": "never_reached", "beyond_curve": "always_exceeded"}
-"""Status of a threshold, by whose mark a range of a status is shown; of others, that of an impossible design."""
+"""Status of a threshold whose mark stands for a status of a range; others have that of an impossible design."""
 
 LOG_SPAN = 10.0
 """Smallest ratio of the largest to the smallest value on a logarithmic axis."""

@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 class SweepResult(SweepData, Saving):
     """Thresholds of many designs of a sensor, with methods that make tables, figures and files of them.
 
-    Its attributes are those of `SweepData`.
+    `records()` yields a dictionary for each design and size; `table()` and `to_dataframe()` have the same rows.
+    `sentences()` states the findings, and `save(folder)` writes all files.
+
+    The attributes are those of `SweepData`, among them `swept`, the numbers as arrays, `settings` and `seed`.
     """
 
     def plot_tod(self, ax: Axes | None = None) -> Axes:

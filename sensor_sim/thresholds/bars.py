@@ -39,7 +39,7 @@ from todframes.stimulus import Orientation, Stimulus
 Direction = Literal["upright", "lying"]
 
 ORIENTATION: dict[Direction, Orientation] = {"upright": Orientation.UP, "lying": Orientation.RIGHT}
-"""Orientation of the samples: bars have no apex, so two of the four are all there are."""
+"""Orientation of the samples: bars have no apex, so only two of the four differ."""
 
 PATTERN_FIELD = 2.0
 """Side of a trial's field in widths of the pattern; with twice that, thresholds change by less than 1e-6."""

@@ -80,7 +80,7 @@ class Folding:
 
     @cached_property
     def _seen_deviations(self) -> NDArray[Any]:
-        """Those of the deviations that are folded, on the samples that see the field."""
+        """Deviations that are folded, on the samples that see the field."""
         return self._deviations[: self.n, self._seen, self._seen].astype(self.dtype, copy=False)
 
     @cached_property

@@ -82,7 +82,7 @@ class UnknownPlaceChain(FoldedChain):
 
 
 class _AtKnownPlace(NamedTuple):
-    """The threshold at a known place: that at an unknown one is above it, by a third or so for a few places."""
+    """The threshold at a known place; that at an unknown one is higher, by a third or so for a few places."""
 
     references: Mapping[int, Reference]
     threshold: float

@@ -685,7 +685,7 @@ def predict_each(
 
 
 class Known(Protocol):
-    """A threshold that another one is near, and whose lattices correct those of the other one."""
+    """A known threshold near an unknown one, whose lattices correct those of the unknown one."""
 
     @property
     def references(self) -> Mapping[int, Reference]:
@@ -702,7 +702,7 @@ class Known(Protocol):
 
 
 class _AtKnownLight(NamedTuple):
-    """A threshold at one light, from which that at another light is near and its bounds follow."""
+    """A known threshold at one light, from which a start and the bounds for another light follow."""
 
     references: Mapping[int, Reference]
     chain: FoldedChain

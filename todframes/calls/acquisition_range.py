@@ -48,7 +48,7 @@ def acquisition_range(
         `delta_t_k`, `delta_t_mk`, `contrast`, `mrtd_k`, `mrtd_mk` and `mrc`, and, if they are known, `ci95_low`
         and `ci95_high`.
     target : Target or path
-        The target, the path of its TOML file, or a name: nato, nato_daylight, person.
+        The target, the path of its TOML file, or a name: nato, nato_daylight, person, r46.
     atmosphere : Atmosphere or path
         The air, the path of its TOML file, or a name: visible_23km, mwir_5km and others.
     k : float or mapping of str to float, optional
@@ -56,11 +56,11 @@ def acquisition_range(
     cycles : str, float or mapping of str to float, optional
         In place of the target's N50 in line pairs: "stanag", "johnson", a number, or one for each task.
     cycles_per_size : float, optional
-        Converts a TOD to line pairs: cycles in √area of the triangle that is as hard.
+        Converts a TOD to line pairs: number of cycles, in the √area of a triangle, of the bars that are as hard.
     search_time_s : float, optional
         Time that the observer may search. Default: that of the target, or without limit.
     group : mapping, optional
-        Values of the columns that tell one curve of the result from the others, such as {"algorithm": "clahe"}.
+        Values of the columns that distinguish one curve of the result from the others: {"algorithm": "clahe"}.
     magnification : float, optional
         Angle on the display divided by the angle in the field, for sizes as displayed.
     rng : int, SeedSequence or Generator

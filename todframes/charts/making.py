@@ -90,9 +90,9 @@ def chart(
         it; others of the table [screen] of chart.toml; `marker_mm`, `markers`, `camera_page`.
         For "print": `paper_width_mm`, `paper_height_mm`, `margin_mm`, `paper_reflectance`, `black_reflectance`,
         `reflectances`, `background_reflectance`, `marker_mm`, `markers`, `camera_page`. For "thermal": `plate_mm`.
-        `markers` is "borders" (default) or "corners": also along the borders, by which `import_recordings` solves
-        a lens, or in the corners alone, as in charts made before there were others. `camera_page=True` adds a
-        first page with slanted edges and a grey wedge, from which `mtf` and `noise` measure the camera.
+        With `markers="borders"` (default), pages have markers along the borders too, by which `import_recordings`
+        solves a lens; with "corners", in the corners alone. `camera_page=True` adds a first page with slanted
+        edges and a grey wedge, from which `mtf` and `noise` measure the camera.
 
     Returns
     -------

@@ -172,8 +172,21 @@ class Parameter:
 class Enhancement:
     """An algorithm with the values of its parameters.
 
-    `spec` is the text that the user wrote, `name` the part of it before the parameters. `any_parameter` states
-    whether the function accepts parameters that it does not name. `context` are those of `CONTEXT` that it has.
+    Attributes
+    ----------
+    name, spec : str
+        Text that the user wrote (`spec`), and its part before the parameters (`name`).
+    function : function of an image and keyword parameters
+    declaration : Declaration
+        Properties that the author has declared with `algorithm`.
+    parameters : tuple of Parameter
+        Parameters of the function that users may set.
+    any_parameter : bool
+        Whether the function accepts parameters that it does not name.
+    context : tuple of str
+        Parameters that users do not set, which the function has: "judged", "frame_rate_hz".
+    values : mapping of str to value
+        Values of the parameters.
     """
 
     name: str

@@ -70,8 +70,8 @@ class Atmosphere:
     relative_humidity, air_temperature_c : float or None
         With `visibility_km`: extinction in thermal bands by the form of dstl's RET. Humidity from 0 to 1.
     sky_to_ground_ratio : float
-        Radiance of the horizon's sky divided by that of the background, for daylight: contrast is left by
-        1 / (1 + ratio · (1/τ − 1)). 1: the background is as bright as the sky; the contrast falls as τ.
+        Radiance of the horizon's sky divided by that of the background, for daylight. The share of the contrast
+        that arrives is 1 / (1 + ratio · (1/τ − 1)); with 1, the background is as bright as the sky, it is τ.
     band_um : (float, float) or None
         Wavelengths of the numbers, in µm.
     title, source : str
@@ -137,7 +137,7 @@ class Atmosphere:
 
     @property
     def varies_unseen(self) -> bool:
-        """Whether one extinction stands for a band in which the effective extinction falls much with range."""
+        """Whether one extinction is given for a band in which the effective extinction falls much with range."""
         low, high = VARYING_BANDS_UM
         return not self.is_table and self.band_um is not None and low <= self.band_um[0] < self.band_um[1] <= high
 
@@ -175,7 +175,7 @@ class Atmosphere:
         return np.exp(np.interp(np.log(inside), np.log(known), np.log(depths))) * (ranges / inside)
 
     def ln_contrast_left(self, range_km: ArrayLike) -> FloatArray:
-        """Compute ln of the share of the contrast that arrives over ranges >= 0 of any shape, in km.
+        """Compute the logarithm of the share of the contrast that arrives, for ranges >= 0 in km, of any shape.
 
         It is ln τ, or −ln(1 + ratio · (1/τ − 1)) with path radiance of the sky-to-ground ratio (Duntley 1948).
         """

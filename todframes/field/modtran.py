@@ -1,4 +1,4 @@
-"""Air from the MODTRAN tables that pyBSM brings: mid-latitude summer, rural haze of 23 or 5 km visibility."""
+"""Air from the MODTRAN tables of pyBSM: mid-latitude summer, rural haze of 23 or 5 km visibility."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ class Target:
         if self.k is not None:
             _check_tasks("k", self.k, K_RANGE)
         if self.k is not None and self.cycles_per_size is not None:
-            raise SettingsError("k: found it and cycles_per_size, expected one of them: they are two roads")
+            raise SettingsError("k: found it and cycles_per_size, expected one of them")
         if (self.view_deg is None) != (self.lines is None):
             missing = "view_deg" if self.view_deg is None else "lines"
             raise SettingsError(f"{missing}: is missing, expected both view_deg and lines or none")

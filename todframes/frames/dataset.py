@@ -156,11 +156,26 @@ class Experiment:
 class Dataset:
     """A folder of frames whose settings and manifest have been read.
 
-    `trials` may be given as any sequence of `Trial`. `bad_rows` are not among them. A trial that lost a frame to a
-    bad row is among them, but its name is also in `spoilt`: it would be averaged over fewer frames than the others
-    and must not be scored.
-    `manifest_sha256` is the checksum of `manifest.csv`; None for frames in memory. `max_frame_mb` is the largest
-    decoded size of a frame in 2**20 bytes. `gaze` states where the observer looks in trials with moving triangles.
+    Attributes
+    ----------
+    path : path or URL
+        The folder.
+    display : Display
+    experiment : Experiment
+        The level, the columns that group trials, and the number of places.
+    trials : Trials
+        All trials, in the order of the manifest; may be given as any sequence of `Trial`.
+    bad_rows : tuple of Skipped
+        Rows of the manifest that are wrong, and the reasons. They are in no trial.
+    spoilt : frozenset of str
+        Names of trials that have lost a frame to a bad row. They are averaged over fewer frames than the others
+        and must not be scored.
+    manifest_sha256 : str or None
+        Checksum of `manifest.csv`; None for frames in memory.
+    max_frame_mb : int
+        Largest decoded size of a frame in 2**20 bytes.
+    gaze : {"tracked", "fixed"}
+        Where the observer looks in trials with moving triangles.
     """
 
     path: Location

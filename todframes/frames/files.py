@@ -95,10 +95,15 @@ _LAYOUT_ATTRIBUTES = ("oiio:", "openexr:", "compression")
 class Frame:
     """A decoded rectangle of a frame.
 
-    `stored` has shape (rows, columns, channels), with one channel (grey or luminance) or three (R, G, B), in the
-    file's pixel type; floating-point values are finite. `first_row` and `first_column` are the position of
-    `stored[0, 0]` in the frame, whose top left pixel is (0, 0). `height` and `width` are the size of the whole
-    frame in pixels; for an EXR, of its display window.
+    Attributes
+    ----------
+    stored : ndarray, shape (rows, columns, channels)
+        Values in the file's pixel type, with one channel (grey or luminance) or three (R, G, B); floating-point
+        values are finite.
+    first_row, first_column : int
+        Position of `stored[0, 0]` in the frame, whose top left pixel is (0, 0).
+    height, width : int
+        Size of the whole frame in pixels; for an EXR, of its display window.
     """
 
     stored: NDArray[Any]

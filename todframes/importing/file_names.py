@@ -35,7 +35,14 @@ _NUMBER = r"[+-]?[0-9]+(?:[.,p][0-9]+)?(?:e[+-]?[0-9]+)?"
 
 
 class FramesFound(NamedTuple):
-    """Frames whose names gave a manifest, and the files beside them whose names do not match the pattern."""
+    """The number of frames that a manifest was made of, and the files beside them that do not match the pattern.
+
+    Attributes
+    ----------
+    n_frames : int
+    unmatched : tuple of str
+        Names of the files that were left out.
+    """
 
     n_frames: int
     unmatched: tuple[str, ...]

@@ -276,7 +276,7 @@ def solve(
 
 
 def first_lens(pieces: Pieces, measured: Sequence[MeasuredEdges], shape: tuple[int, ...]) -> Lens | None:
-    """Return a lens of few coefficients that leaves the least of the edges' distances; None if one is of no
+    """Return a lens of few coefficients that leaves the least of the edges' distances; None if no lens is of
     use."""
     rows, columns = shape[:2]
     plain = solve(pieces, measured, None, 0)

@@ -134,7 +134,7 @@ class CsfSettings:
         Luminance of the background, to which the eye is adapted, from 0.02 to 300; or that of the display. The
         filter is that of ModelFest, 30 cd/m², times the ratio of people's sensitivity in the two lights.
     age_years : float
-        Age of the eye, from 20 to 83, of which its pupil depends; all else is as in young eyes.
+        Age of the eye in years, from 20 to 83, on which its pupil depends; all else is as in young eyes.
     pupil_mm : float or None
         Diameter of the pupil, instead of the one that follows from light and age.
     template : {"matched", "ideal"}
@@ -221,7 +221,7 @@ class CsfObserver(ObserverWithSettings):
         self.with_extra_level = lru_cache(maxsize=1)(self._with_extra_level)
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
-        """Return the retina samples it looks at: as wide as triangle, filter and aperture reach.
+        """Return the grid of retina samples that the observer looks at, as wide as triangle, filter and aperture.
 
         Raises
         ------
@@ -423,7 +423,7 @@ class CsfObserver(ObserverWithSettings):
         return seen if rng is None else seen + rng.normal(0.0, self.settings.noise_sd, seen.shape)
 
     def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection:
-        """Fold the observer of a pattern, (2n + 1, 2n + 1), onto so many samples beside the middle one."""
+        """Fold the observer of a pattern onto the middle of its retina; see `PatternObserver.detection`."""
         half = self.grid(Stimulus(width_mrad)).side // 2
         weights = self.template_of(self.activity(framed(pattern, half)))
         variance = self.settings.noise_sd**2 * inner_product(*weights, *weights)

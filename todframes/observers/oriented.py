@@ -87,7 +87,17 @@ class OrientedObserver(PyramidObserver):
 
     Parameters
     ----------
-    settings : OrientedSettings
+    settings : OrientedSettings, optional
+        Default: those of this class.
+    more_levels : int
+        Octaves of the field beyond those that a triangle needs.
+    **changes
+        Settings by name, in place of those of `settings`.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such setting, or a value is out of its range.
 
     Hogervorst et al. 2001, section 9.
     """

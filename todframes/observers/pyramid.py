@@ -191,10 +191,10 @@ class PyramidObserver(ObserverWithSettings):
         self.with_fewer_levels = lru_cache(maxsize=4)(self._with_fewer_levels)
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
-        """Return the retina samples it looks at: side 4 · 2^levels + 1, about four times the triangle's size.
+        """Return the grid of retina samples that the observer looks at: side 4 · 2^levels + 1, about four sizes.
 
-        The coarsest band's samples are as far apart as 0.9 sizes or more, and not nearer than 16 samples,
-        which keeps what is left out below 1e-5 of the threshold with the default settings.
+        The coarsest band's samples are at least 0.9 sizes and at least 16 retina samples apart. With the default
+        settings, further bands would change the threshold by less than 1e-5 of its value.
         """
         levels = self._levels(stimulus)
         side = 4 * 2**levels + 1
@@ -430,7 +430,7 @@ class PyramidObserver(ObserverWithSettings):
         return self._as_activity(self._pyramid(side).build_middle(blurred.astype(dtype), side // 2))
 
     def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection:
-        """Fold the observer of a pattern, (2n + 1, 2n + 1), onto so many samples beside the middle one."""
+        """Fold the observer of a pattern onto the middle of its retina; see `PatternObserver.detection`."""
         grid = self.grid(Stimulus(width_mrad))
         around = 8.0 * self.settings.template_blur_samples + 2.0 + BORDER
         half = even_half(min(len(pattern) // 2 + around, grid.side // 2))

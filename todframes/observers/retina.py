@@ -30,9 +30,14 @@ MOST_PIXELS_A_SAMPLE = 1.0 / 12.0
 
 @dataclass(frozen=True, slots=True)
 class RetinaGrid:
-    """A square grid of retina samples with one in its middle, the place the observer looks at.
+    """A square grid of retina samples. The observer looks at the place of its middle sample.
 
-    `side` is odd; `pitch_mrad` is the visual angle from one sample to the next and the width of each.
+    Attributes
+    ----------
+    side : int
+        Number of samples along each side, odd.
+    pitch_mrad : float
+        Visual angle from one sample to the next, which is also the width of each.
     """
 
     side: int

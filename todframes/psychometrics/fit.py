@@ -36,11 +36,22 @@ MIN_RESAMPLES, MAX_RESAMPLES = 40, 100_000
 class FitSettings:
     """Parameters of the psychometric function that are fixed, ranges of those that are free, and the criterion.
 
-    Guess and lapse rates are those of Weibull's curve; `lapse_rate` None leaves δ free in [0, lapse_rate_max].
-    `slope_spread` is the standard deviation of ln β of the observer's curve about 0 that a fit expects, for levels
-    that the signal is proportional to: few noisy trials hardly distinguish a steep curve with a low ceiling from a
-    shallow one with a high ceiling. None: nothing is expected. `resamples` 0 gives no interval; fewer than 40
-    would not reach into the 2.5 % tails.
+    Attributes
+    ----------
+    guess_rate : float
+        γ of Weibull's curve: proportion correct without a stimulus.
+    lapse_rate : float or None
+        δ of Weibull's curve; None: free in [0, lapse_rate_max].
+    lapse_rate_max : float
+        Largest δ if it is free.
+    slope_spread : float or None
+        Standard deviation of ln β of the observer's curve about 0 that a fit expects, for levels to which the
+        signal is proportional: few noisy trials hardly distinguish a steep curve with a low ceiling from a
+        shallow one with a high ceiling. None: no expectation.
+    p_correct : float
+        Criterion: raw proportion correct at threshold.
+    resamples : int
+        Number of bootstrap resamples, 0 for no interval; fewer than 40 would not reach into the 2.5 % tails.
 
     Raises
     ------
@@ -97,10 +108,11 @@ class ObserverCurve(NamedTuple):
 class PsychometricFit:
     """A fitted curve and its threshold, the level where the curve passes `p_correct`.
 
-    curve
+    Attributes
+    ----------
+    curve : {"observer", "weibull"}
         Curve of the threshold, its interval and its status.
-
-    status
+    status : str
         `ok`: the threshold lies within the levels shown.
         `extrapolated`: it lies outside, by a factor of 2 at most, and at the nearest level the curve is at most
         half as far from the criterion as its floor or ceiling.
@@ -109,20 +121,27 @@ class PsychometricFit:
         `too_few_levels`: fewer than two distinct levels.
         Only `ok` and `extrapolated` have a threshold and an interval. With a flat line or too few levels there is
         no curve either: `alpha`, `beta`, `lapse_rate` and `observer_curve` are None.
-    threshold_ci95
-        A bound is None where the data do not determine it: it is infinite or more than a factor of 2 outside the
-        levels. None altogether without a threshold or with `resamples=0`.
-    threshold_ci95_same_scenes
+    threshold : float or None
+        Level where the curve passes `p_correct`.
+    threshold_ci95 : (float or None, float or None) or None
+        95 % interval. An end is None where the data do not determine it: it is infinite or more than a factor of 2
+        outside the levels. None altogether without a threshold or with `resamples=0`.
+    threshold_ci95_same_scenes : (float or None, float or None) or None
         Where `threshold_ci95` takes scenes as drawn from many: the interval for other trials on the same scenes.
-    alpha, beta, guess_rate, lapse_rate
+    p_correct : float
+        Criterion: raw proportion correct at threshold.
+    alpha, beta, guess_rate, lapse_rate : float or None
         Parameters of Weibull's curve, whichever curve the threshold is from.
-    points_threshold
+    n_trials : int
+    points : tuple of LevelCount
+        The data: level, number of trials and proportion correct.
+    points_threshold : float or None
         Level where the points themselves cross the criterion, with no fitted curve; for probabilities, with three
         levels and three trials a level or more. The interval of Weibull's curve covers this crossing too, with its
         own error: that curve is a convention, which observers do not follow exactly.
-    weibull_threshold
+    weibull_threshold : float or None
         Threshold of Weibull's curve, None where it has none.
-    observer_curve
+    observer_curve : ObserverCurve or None
         Parameters of the observer's curve, None for `curve="weibull"`.
     """
 

@@ -29,7 +29,7 @@ PERCENT = "%"
 
 
 class Leaf(NamedTuple):
-    """A quantity of a result: its unit, its symbol, and what it is."""
+    """A quantity of a result: its unit, symbol and meaning."""
 
     unit: str
     symbol: str

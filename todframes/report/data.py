@@ -654,7 +654,19 @@ def _display(display: Display) -> Record:
 
 
 class ResultWarning(Struct, frozen=True, kw_only=True):
-    """A fact that makes the result less certain, with a stable `code`."""
+    """A fact that makes the result less certain.
+
+    Attributes
+    ----------
+    code : str
+        Name of the kind of fact, which stays the same from version to version.
+    group : dict
+        Values of the group concerned, by column; empty for the whole dataset.
+    message : str
+        The fact, its meaning and what to do, for people.
+    found, expected : number, tuple of numbers, or None
+        Value that was measured, and the one expected.
+    """
 
     code: str = ""
     group: Group = {}

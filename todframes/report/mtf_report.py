@@ -87,8 +87,9 @@ class MtfResult(Plotting):
     measured : RecordingMtf or None
         All that was measured, with the profiles of edges; None for a table.
     is_light : bool
-        Whether a display's luminance was measured.
+        Whether values were converted to the luminance of a display.
     noted : tuple of RecordingWarning
+        Facts that make the MTF less certain, from which `warnings` are made.
     """
 
     source: str
@@ -141,7 +142,7 @@ class MtfResult(Plotting):
         return tuple(ResultWarning(code=one.code, message=one.message) for one in self.noted)
 
     def short_table(self) -> Table:
-        """Return the table of some `SHOWN_ROWS` frequencies."""
+        """Return the table of about `SHOWN_ROWS` frequencies, as the command prints it."""
         return self.table(max((len(self.frequency) - 1) // SHOWN_ROWS, 1))
 
     def table(self, step: int = 1) -> Table:

@@ -135,7 +135,7 @@ class RangeResult(Plotting):
     def k_table(self) -> Table | None:
         """Return the range of a TOD at its own criterion for other values of k.
 
-        None on the road of cycles, and where the range lies off the curve for each k.
+        None for a range by line pairs, and if the range lies beyond the curve for each k.
         """
         if not self._k_shown:
             return None
@@ -149,13 +149,13 @@ class RangeResult(Plotting):
         return Table.of(title, "range_against_k.csv", columns, records)
 
     def sentences(self) -> list[str]:
-        """Return the findings in words: a range for each task, and what the numbers rest on."""
+        """Return the findings in words: a range for each task, and the conventions on which the numbers depend."""
         found = [_sentence(one, self.is_tod) for one in self._named()]
         found.append(self._limits())
         return [*filter(None, found), *self.notes()]
 
     def notes(self) -> list[str]:
-        """Return the conventions that the numbers rest on."""
+        """Return the conventions on which the numbers depend."""
         acquired = self.acquired
         found = [K_IS_YOURS] if self.is_tod else [f"N50: {self._criteria()}."]
         if acquired.curve.ln_sd is None:

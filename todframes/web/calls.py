@@ -20,7 +20,17 @@ MAX_CONSENT_MB = 1
 
 
 class SessionProgress(NamedTuple):
-    """The subject of a session, its numbers of answers and of all trials, and the number of flagged answers."""
+    """Progress of a session of an experiment.
+
+    Attributes
+    ----------
+    subject : str
+        Id of the person.
+    n_answered, n_trials : int
+        Number of answers so far, and of all trials.
+    n_flagged : int
+        Number of answers with a flag, such as those within 150 ms, which do not count.
+    """
 
     subject: str
     n_answered: int
