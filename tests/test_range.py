@@ -559,7 +559,7 @@ def test_target_and_air_must_be_of_the_curve_s_kind() -> None:
         acquired(air=find_atmosphere("visible_23km"))
     with pytest.raises(tod.SettingsError, match="found a band of 8 to 12 µm, expected reflected light"):
         acquired(visible, tod.Target(size_m=2.3, contrast=0.3), find_atmosphere("lwir_5km"))
-    with pytest.raises(tod.SettingsError, match="k: is missing, and mrtd is a TOD; no public factor exists"):
+    with pytest.raises(tod.SettingsError, match="k: is missing, and mrtd is a TOD; no public value exists"):
         acquired(exponential(pattern="triangle"))
     with pytest.raises(tod.SettingsError, match="search_time_s: is given but not used with a TOD"):
         acquired(exponential(pattern="triangle"), replace(NATO, k={"seen": 3.0}, search_time_s=2.0))

@@ -1,8 +1,8 @@
 """Range at which a person with a sensor can do a task, where thresholds meet the contrast that arrives.
 
-Both roads are one equation, threshold(κ R / size) = contrast(R), with R in km, size in m and frequency in mrad⁻¹:
+Both ways to a range solve threshold(κ R / size) = contrast(R), with R in km, size in m and frequency in mrad⁻¹:
 
-- TOD: κ = k of the task. A triangle of √area size / k can be judged as often as asked for.
+- TOD: κ = k of the task. A triangle of √area size / k is judged with the proportion correct that is asked for.
 - Cycles: κ = N, the line pairs across the target. Of observers with N = a · N50, a^γ / (1 + a^γ) do the task,
   γ = 2.7 + 0.7 a (target transfer probability function, as in ACQUIRE).
 
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, SettingsError
+from todframes.base.errors import DataError, SettingsError, argument
 from todframes.field.atmosphere import Atmosphere
 from todframes.field.target import Target
 from todframes.field.threshold_curve import ThresholdCurve, rising
@@ -54,7 +54,7 @@ REFINEMENTS = 3
 """Number of times that the neighbourhood of a crossing is divided again, each time into 32 cells."""
 
 NEAREST_KM = 1e-3
-"""Nearest range that is a range in the field."""
+"""Shortest range that is reported."""
 
 SEARCH_TIME_CONSTANT_S = 3.4
 """Time constant of search, divided by the probability without time limit (ACQUIRE, as in dstl's RET)."""
@@ -463,8 +463,8 @@ def _prepared(
             curve = curve.as_bars(target.cycles_per_size)
         elif target.k is None:
             raise SettingsError(
-                f"k: is missing, and {curve.name} is a TOD; no public factor exists, so it is yours: the target "
-                "is seen if a triangle of size / k is"
+                f"{argument.k}: is missing, and {curve.name} is a TOD; no public value exists: give that of your "
+                "task, with which the target is seen if a triangle of size / k is"
             )
         else:
             road = "tod"

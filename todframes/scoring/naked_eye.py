@@ -68,7 +68,7 @@ def proportion_correct(
         If the observer is not linear, or a value is out of range.
     """
     if not 0 < contrast <= CONTRAST_RANGE[1] * 1.000001:  # the limit of the search, with room for rounding
-        raise SettingsError(f"contrast: found {contrast!r}, expected a finite number > 0, at most 1e12")
+        raise SettingsError(f"{argument.contrast}: found {contrast!r}, expected a finite number > 0, at most 1e12")
     _size_samples(observer, size_mrad)
     return _proportion_at(observer, size_mrad, contrast, nodes, places)
 
@@ -291,13 +291,13 @@ def _responses(observer: Observer, size_mrad: float, nodes: int, places: int = 1
 
 def _size_samples(observer: Observer, size_mrad: float) -> float:
     """Convert a size to retina samples; SettingsError if it is not > 0, or so large that it takes minutes."""
-    check_positive("size_mrad", size_mrad)
+    check_positive(argument.size_mrad, size_mrad)
     pitch = observer.grid(Stimulus(1.0)).pitch_mrad
     most = SIZE_RANGE_SAMPLES[1]
     if size_mrad / pitch > most * (1.0 + 1e-9):
         raise SettingsError(
-            f"size_mrad: found {size_mrad:g}, {size_mrad / pitch:.6g} samples of the retina, expected at most "
-            f"{most * pitch:g}, {most:g} samples, which take half a minute"
+            f"{argument.size_mrad}: found {size_mrad:g}, {size_mrad / pitch:.6g} samples of the retina, expected "
+            f"at most {most * pitch:g}, {most:g} samples, which take half a minute"
         )
     return size_mrad / pitch
 
