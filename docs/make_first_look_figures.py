@@ -20,6 +20,7 @@ import todframes as tod
 
 HERE = Path(__file__).parent
 REPORT_PX = (1100, 960)
+MARGIN_PX = 10
 GAP_PX = 24
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
@@ -40,13 +41,16 @@ def main(folder: Path) -> None:
 
 
 def photograph(page: Path, picture: Path) -> None:
-    """Write the upper part of a page, as a browser shows it."""
+    """Write the upper part of a page, as a browser shows it, up to the end of its first table."""
     path = next(found for name in BROWSERS if (found := shutil.which(name)))
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=path, args=["--no-sandbox"])
         shown = browser.new_page(viewport=dict(zip(("width", "height"), REPORT_PX, strict=True)))
         shown.goto(page.as_uri())
-        content = shown.screenshot()
+        end = shown.locator("table").first.bounding_box()
+        assert end is not None
+        height = end["y"] + end["height"] + MARGIN_PX
+        content = shown.screenshot(clip={"x": 0, "y": 0, "width": REPORT_PX[0], "height": height})
         browser.close()
     write_png(picture, cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR))
 
