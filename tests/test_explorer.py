@@ -433,7 +433,7 @@ def test_a_pitch_on_the_chip_is_an_angle_of_the_range():
     [
         (["--k", "8"], "--k: is given but not used without --target"),
         (["--target", "nato"], "--atmosphere: is missing, expected it beside --target"),
-        (["--target", "nato", "--atmosphere", "lwir_23km"], "k: is missing, and star-like is a TOD"),
+        (["--target", "nato", "--atmosphere", "lwir_23km"], "--k: is missing, and star-like is a TOD"),
         (["--target", "r46", "--atmosphere", "visible_23km"], "target: found a contrast, expected a temperature"),
         (
             ["--target", "nato", "--k", "8", "--atmosphere", "visible_23km"],

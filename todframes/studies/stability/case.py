@@ -163,7 +163,7 @@ def shown(value: Value, *, digits: float = 6.0, scale: float | None = None) -> s
     return ends[0] if numbers.size == 1 else f"{ends[0]} … {ends[1]} ({numbers.size})"
 
 
-TABLE_HEADERS = ("case", "expected", "from", "came", "digits", "must keep")
+TABLE_HEADERS = ("case", "expected", "source", "computed", "digits", "required")
 
 
 def cells(outcome: Outcome, *, documented: bool = False) -> list[str]:
@@ -188,11 +188,11 @@ def by_group(outcomes: Iterable[Outcome]) -> dict[str, list[Outcome]]:
 
 def outcome_table(outcomes: Sequence[Outcome], *, documented: bool = False) -> Table:
     """Make the table of cases and their results."""
-    wide = ("expected", "from", "came")
+    wide = ("expected", "source", "computed")
     columns = [
         Column(key="group", is_name=True, wraps=True, in_file_only=documented),
         *(
-            Column(key=name, wraps=name in wide or name == "case", rank=2 * (name == "from"))
+            Column(key=name, wraps=name in wide or name == "case", rank=2 * (name == "source"))
             for name in TABLE_HEADERS
         ),
     ]
@@ -212,11 +212,11 @@ the page:
 
     todframes stability --markdown > docs/stability.md
 
-The expected values come from outside of the code under test: closed forms, laws that hold exactly, and numbers
+The expected values come from sources outside of the code under test: closed forms, laws that hold exactly, and numbers
 that mpmath gave at 50 digits, which `tests/test_stability_references.py` computes again by other methods.
-*Digits* are the right decimal digits of the worst number of a case; from 12 on they depend on the machine. If a
-case has several numbers, the first and the last are shown. Warnings and exceptions count as failures. *Refused*
-means: with one line that says what was found and what was expected.
+*Digits* are the right decimal digits of the worst number of a case, *required* is the least number of them; from 12
+on they depend on the machine. If a case has several numbers, the first and the last are shown. Warnings and
+exceptions count as failures. *Refused* means: with one line that says what was found and what was expected.
 """
 
 
