@@ -212,10 +212,10 @@ the page:
 
     todframes stability --markdown > docs/stability.md
 
-The expected values come from sources outside of the code under test: closed forms, laws that hold exactly, and numbers
-that mpmath gave at 50 digits, which `tests/test_stability_references.py` computes again by other methods.
-*Digits* are the right decimal digits of the worst number of a case, *required* is the least number of them; from 12
-on they depend on the machine. If a case has several numbers, the first and the last are shown. Warnings and
+The expected values come from sources outside of the code under test: closed forms, laws that hold exactly, and
+numbers that mpmath gave at 50 digits, which `tests/test_stability_references.py` computes again by other methods.
+*Digits* are the right decimal digits of the worst number of a case, *required* is the least number of them; from
+12 on they depend on the machine. If a case has several numbers, the first and the last are shown. Warnings and
 exceptions count as failures. *Refused* means: with one line that says what was found and what was expected.
 """
 
