@@ -26,6 +26,7 @@ from markupsafe import Markup
 from todframes.cli.console import keep_libraries_to_one_thread
 
 keep_libraries_to_one_thread()  # as the commands do, and before NumPy is imported: workers share the processors
+gc.disable()  # until all tests are collected: none of what is made till then is garbage
 
 from todframes.frames.files import write_frame  # noqa: E402
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage  # noqa: E402
@@ -66,6 +67,8 @@ def pytest_configure() -> None:
 def pytest_collection_finish() -> None:
     """Exempt modules and tests from garbage collection: passes over all of them take their time."""
     gc.freeze()
+    gc.set_threshold(50_000, 10, 10)
+    gc.enable()
 
 
 def pytest_unconfigure() -> None:

@@ -26,6 +26,7 @@ import pytest
 from sensor_sim.sweeps.designs import read_designs
 from todframes.base import output
 from todframes.base.errors import DataError, FrameError, SettingsError
+from todframes.base.reading import read_csv
 from todframes.cli import main as cli
 from todframes.cli.console import run
 from todframes.cli.options import make_fit, make_observer
@@ -676,6 +677,16 @@ def test_bad_manifest(content, wanted, make_dataset):
     dataset.manifest_file.write_bytes(content)
     with refused(DataError, (re.escape(str(dataset.manifest_file)), *wanted)):
         load_dataset(dataset.path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux lists open files")
+def test_a_file_that_is_no_csv_is_closed(tmp_path):
+    """As soon as it is refused: the traceback, which may be kept, does not hold it open."""
+    (tmp_path / "rows.csv").write_bytes(b"a" * 200_000)
+    with pytest.raises(DataError, match="not valid CSV") as caught:
+        list(read_csv(tmp_path / "rows.csv"))
+    assert caught.tb is not None
+    assert str(tmp_path / "rows.csv") not in {os.path.realpath(one) for one in Path("/proc/self/fd").iterdir()}
 
 
 @pytest.mark.parametrize("command", ["score", "score --on-error skip", "validate", "compare --enhance median"])

@@ -274,17 +274,18 @@ HOSTILE = "import pathlib, sys\npathlib.Path(__file__).with_name('ran').touch()\
 @pytest.mark.parametrize("spec", [pytest.param("median", marks=pytest.mark.slow), "my_algorithms:twice"])
 @pytest.mark.parametrize("start", ["script", pytest.param("-m", marks=pytest.mark.slow)])
 def test_nothing_else_runs_from_the_present_folder(
-    dataset: Path, here: Path, start: str, spec: str, tmp_path: Path
+    make_dataset, here: Path, start: str, spec: str, tmp_path: Path
 ) -> None:
     """A dataset may hold files that are called as modules are, installed ones or Python's own."""
     for name in ("skimage", "cv2", "numpy", "click", "tomllib", "typing"):
         (here / f"{name}.py").write_text(HOSTILE, encoding="utf-8")
+    made = make_dataset(suffix=".png")
     (tmp_path / "bin").mkdir()
     script = tmp_path / "bin" / "todframes"
     script.write_text("from todframes.cli.main import main\nmain()\n", encoding="utf-8")
     command = [str(script)] if start == "script" else ["-m", "todframes"]
     done = subprocess.run(
-        [sys.executable, *command, "compare", str(dataset), "--enhance", spec, *QUICKLY, "--json"],
+        [sys.executable, *command, "compare", made.path, "--enhance", spec, *QUICKLY, "--json"],
         cwd=here,
         capture_output=True,
         text=True,
@@ -295,7 +296,7 @@ def test_nothing_else_runs_from_the_present_folder(
 
 
 @pytest.mark.parametrize("options", [["--json"], pytest.param([], marks=pytest.mark.slow)])
-def test_standard_output_is_for_the_result_alone(dataset: Path, here: Path, options: list[str]) -> None:
+def test_standard_output_is_for_the_result_alone(make_dataset, here: Path, options: list[str]) -> None:
     """Whatever a user's module prints, in whatever way, goes to standard error."""
     (here / "talks.py").write_text(
         "import os, sys\n"
@@ -314,7 +315,7 @@ def test_standard_output_is_for_the_result_alone(dataset: Path, here: Path, opti
             "-m",
             "todframes",
             "compare",
-            str(dataset),
+            make_dataset(suffix=".png").path,
             "--enhance",
             "talks:same",
             *QUICKLY,

@@ -18,8 +18,8 @@ from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.recordings.opening import open_recordings
 
-SIDE_PX = 1024
-"""Frames of this side count as 8 MB in a recording."""
+SIDE_PX = 512
+"""Frames of this side count as 2 MB in a recording."""
 
 COUNTS = np.random.default_rng(1).integers(1, 1000, (SIDE_PX, SIDE_PX)).astype(np.uint16)
 
@@ -66,9 +66,9 @@ FILES = {
 @pytest.mark.parametrize("name", FILES)
 def test_every_reader_keeps_the_limit(tmp_path, name) -> None:
     FILES[name](tmp_path / name)
-    with pytest.raises(tod.FrameError, match=f"{name}.*decodes to 8 MB a frame, .*max_frame_mb 8$"):
-        open_recordings(tmp_path / name, max_frame_mb=7)
-    (recording,) = open_recordings(tmp_path / name, max_frame_mb=8)
+    with pytest.raises(tod.FrameError, match=f"{name}.*decodes to 2 MB a frame, .*max_frame_mb 2$"):
+        open_recordings(tmp_path / name, max_frame_mb=1)
+    (recording,) = open_recordings(tmp_path / name, max_frame_mb=2)
     (frame,) = recording.frames()
     assert frame.values.shape[:2] == recording.shape
 
@@ -130,7 +130,7 @@ def enlarged_mkv(path):
 
 
 def enlarged_png_in_mov(path):
-    """A PNG of 16,000 × 16,000 behind a container that says 1,024 × 1,024."""
+    """A PNG of 16,000 × 16,000 behind a container that says 512 × 512."""
     video(path, "png", "rgb24")
     content = path.read_bytes()
     place = content.index(b"IHDR")

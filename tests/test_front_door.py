@@ -180,8 +180,8 @@ def test_score_is_the_command(commanded, make_dataset) -> None:
 
 
 def test_observer_by_keywords_is_the_command(commanded) -> None:
-    made = commanded(cli, "naked-eye", "--size-mrad", "1", "--internal-noise", "0.25")
-    assert same(tod.naked_eye(size_mrad=1.0, observer=tod.PyramidObserver(internal_noise=0.25)), made)
+    made = commanded(cli, "naked-eye", "--size-mrad", "0.7", "--internal-noise", "0.25")
+    assert same(tod.naked_eye(size_mrad=0.7, observer=tod.PyramidObserver(internal_noise=0.25)), made)
 
 
 @pytest.mark.slow
@@ -276,7 +276,7 @@ def test_own_observer_from_a_module(working_folder: Path, commanded) -> None:
     """As by its registered name, number for number, from the folder where one is."""
     code = "from todframes.observers.pyramid import PyramidObserver\nclass Mine(PyramidObserver):\n    pass\n"
     (working_folder / "own_observers.py").write_text(code, encoding="utf-8")
-    arguments = ("naked-eye", "--size-mrad", "1")
+    arguments = ("naked-eye", "--size-mrad", "0.7")
     mine = commanded(cli, *arguments, "--observer", "own_observers:Mine")
     usual = commanded(cli, *arguments)
     assert mine["settings"] == usual["settings"] | {"observer": "own_observers:Mine"}
@@ -315,6 +315,7 @@ def test_result_of_the_least_fields() -> None:
 
 
 FLAG = re.compile(r"(?<![-\w`])--[a-z]")
+FLAG_OR_ARGUMENT = re.compile(r"--[a-z]|\bargument\s*\.")
 WHOLE_COMMAND = re.compile(r"(todframes|sensor-sim) [a-z-]+ .*--")
 COMMANDS_ALONE = ("cli", "cli.py", "studies")
 """Rooms and modules that only commands use."""
@@ -324,14 +325,16 @@ NO_SENTENCES = {"base/errors.py", "report/html.py", "report/svg.py", "explorer/r
 
 @cache
 def nodes_in_source() -> list[tuple[str, ast.AST]]:
-    """All nodes of the sources of calls but docstrings and parts of f-strings, with their places."""
+    """Nodes of the sources of calls that name flags or arguments, but docstrings and parts of f-strings."""
     found: list[tuple[str, ast.AST]] = []
     for package in (tod, ss):
         folder = Path(package.__file__).parent
         for path in folder.rglob("*.py"):
-            below = path.relative_to(folder)
-            if below.parts[0] not in COMMANDS_ALONE and below.as_posix() not in NO_SENTENCES:
-                nodes = [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+            below, text = path.relative_to(folder), path.read_text(encoding="utf-8")
+            if below.parts[0] in COMMANDS_ALONE or below.as_posix() in NO_SENTENCES:
+                continue
+            if FLAG_OR_ARGUMENT.search(text):
+                nodes = [*ast.walk(ast.parse(text))]
                 skipped = {id(one.value) for one in nodes if isinstance(one, ast.Expr)}
                 skipped |= {id(part) for one in nodes if isinstance(one, ast.JoinedStr) for part in one.values}
                 found += ((str(path), one) for one in nodes if id(one) not in skipped)

@@ -48,15 +48,18 @@ def write_psf(path: Path, values: np.ndarray) -> None:
 
 
 def pupil_autocorrelation(ratio: float, waves: float, shift: float, n: int = 1200) -> float:
-    """Overlap of an annular pupil of radius 1 with itself, displaced by twice `shift`, on n × n points."""
-    grid = (np.arange(n) + 0.5) / n * 2.0 - 1.0
+    """Overlap of an annular pupil of radius 1 with itself, displaced by twice `shift`, on n × n points.
+
+    Those in one quadrant are a fourth of it: mirroring in x conjugates the product, mirroring in y keeps it.
+    """
+    grid = (np.arange(n // 2) + 0.5) / n * 2.0
     x, y = np.meshgrid(grid, grid)
 
     def pupil(at: np.ndarray) -> np.ndarray:
         square = at**2 + y**2
         return ((square <= 1.0) & (square >= ratio**2)) * np.exp(2j * np.pi * waves * square)
 
-    overlap = (pupil(x + shift) * pupil(x - shift).conj()).sum().real * (2.0 / n) ** 2
+    overlap = (pupil(x + shift) * pupil(x - shift).conj()).sum().real * 4.0 * (2.0 / n) ** 2
     return float(overlap / (np.pi * (1.0 - ratio**2)))
 
 

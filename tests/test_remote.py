@@ -10,7 +10,6 @@ import os
 import pickle
 import re
 import shutil
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -442,12 +441,3 @@ def test_other_systems_than_linux_are_told_so(monkeypatch) -> None:
     monkeypatch.delattr(os, "memfd_create")
     with pytest.raises(RemoteError, match=r"memory://lab/x/dataset\.toml: a dataset behind a URL needs Linux"):
         load_dataset("memory://lab/x")
-
-
-def test_a_folder_is_scored_without_fsspec(make_dataset) -> None:
-    """Start-up of a usual run does not pay for URLs."""
-    code = (
-        "import sys, todframes as tod; tod.score(sys.argv[1], examples=False); "
-        "sys.exit(any(name in sys.modules for name in ('fsspec', 's3fs', 'aiohttp')))"
-    )
-    assert subprocess.run([sys.executable, "-c", code, make_dataset().path], check=False).returncode == 0

@@ -12,7 +12,7 @@ import re
 import stat
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
@@ -151,7 +151,7 @@ def read_text(path: Location, *, most_mb: int) -> str:
         raise DataError(f"{path}: not UTF-8 (byte {error.start})") from None
 
 
-def _lines(path: Location, *, most_mb: int) -> Iterator[str]:
+def _lines(path: Location, *, most_mb: int) -> Generator[str, None, None]:
     """Yield the lines of a UTF-8 file with their ends; the errors are those of `read_text`, some in the middle."""
     with _opened(path, most_mb) as file, io.TextIOWrapper(file, encoding="utf-8-sig", newline="") as text:
         try:
@@ -521,7 +521,8 @@ def read_csv(path: Location, *, most_rows: int | None = MAX_ROWS) -> Iterator[tu
         If the file cannot be read or is not CSV, two columns have the same name, or there are more rows than
         `most_rows`, empty lines included.
     """
-    reader, name_of_file = csv.reader(_lines(path, most_mb=MAX_CSV_MB), strict=True), str(path)
+    lines, name_of_file = _lines(path, most_mb=MAX_CSV_MB), str(path)
+    reader = csv.reader(lines, strict=True)
     try:
         header = [name.strip() for name in next(reader, [])]
         if len(header) == 1 and (other := re.search("[;\t]", header[0])):
@@ -546,6 +547,8 @@ def read_csv(path: Location, *, most_rows: int | None = MAX_ROWS) -> Iterator[tu
             yield where, row
     except csv.Error as error:
         raise DataError(f"{path}, line {reader.line_num}: not valid CSV ({error})") from None
+    finally:
+        lines.close()
 
 
 class TableRow(NamedTuple):
