@@ -142,6 +142,7 @@ def simulate(
 ) -> None:
     """Make a dataset of display frames that `todframes score` reads."""
     import sensor_sim as ss
+    from todframes.report.wording import count
 
     size_detectors = numbers(sizes, "--size-detectors")
     snr = numbers(snrs, "--snr") if snrs is not None else []
@@ -167,7 +168,8 @@ def simulate(
         )
     if written.clipped_share and not quiet:
         say(f"note: {100 * written.clipped_share:.2g} % of the pixels were clipped")
-    echo(f"{out}: {written.n_frames} frames")
+    with_scenes = f" with {count(written.n_scenes, 'scene')}" if written.n_scenes else ""
+    echo(f"{out}: {count(written.n_frames, 'frame')}{with_scenes}")
 
 
 @cli.command()

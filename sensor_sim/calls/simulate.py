@@ -99,7 +99,7 @@ def simulate(
     Returns
     -------
     Written
-        Number of frames, `n_frames`, and `clipped_share` of the pixels.
+        Number of frames, `n_frames`, `clipped_share` of the pixels, and number of scenes, `n_scenes`.
 
     Raises
     ------

@@ -55,10 +55,13 @@ class Written:
     n_frames : int
     clipped_share : float
         Share of the pixels that PNG had to clip; 0 for EXR.
+    n_scenes : int
+        Number of scenes behind the triangles; 0 for an even background.
     """
 
     n_frames: int
     clipped_share: float
+    n_scenes: int
 
 
 def white_luminance_cd_m2(sensor: Sensor, levels: Sequence[float]) -> float:
@@ -289,7 +292,7 @@ def write_dataset(
         experiment=Experiment(level=sensor.level, group_by=("size_detectors",)),
         comment=f"Simulated by sensor-sim {__version__} with seed {seed}; sensor: {one_line(sensor.name)}",
     )
-    return Written(n_frames, share)
+    return Written(n_frames, share, len({row["scene"] for row in rows if row.get("scene")}))
 
 
 def provenance(sensor: Sensor, seed: int, trial: SimulatedTrial) -> dict[str, str]:
