@@ -149,7 +149,9 @@ def test_simulated_scenes_have_no_false_warning(images: Path, tmp_path: Path, ca
     ]
     out = tmp_path / "out"
     assert run(cli, [*asked, "--background", str(images), "-o", str(out), *more]) == 0
-    assert "note" not in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert "note" not in said.err
+    assert said.out == f"{out}: 48 frames with 3 scenes\n"
     data = tod.load_dataset(out)
     assert {data.trials.views[code].scene for code in data.trials.view_codes} == {"scene_0", "scene_1", "scene_2"}
     assert len({data.trials.views[code] for code in data.trials.view_codes}) == 24

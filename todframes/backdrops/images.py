@@ -120,7 +120,7 @@ def _photographs(name: str) -> list[Path]:
     for one in wanted:
         if one not in known:
             raise DataError(
-                f"{name}: found {one!r}, expected of the photographs of scikit-image some of {', '.join(known)}"
+                f"{name}: found {one!r}, expected photographs of scikit-image: {', '.join(known)}"
                 f"{spelling_hint(one, known)}"
             )
     return [known[one] for one in wanted]
