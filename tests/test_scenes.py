@@ -235,12 +235,12 @@ def hostile(tmp_path: Path) -> Path:
         ("five.tif", {}, "five.tif: found 5 .*channels"),
         ("none", {}, r"none: found only README.md, expected images"),
         ("gone", {}, "gone: found no file"),
-        ("skimage:nobody", {}, "found 'nobody', expected of the photographs of scikit-image some of astronaut"),
+        ("skimage:nobody", {}, "found 'nobody', expected photographs of scikit-image: astronaut"),
         ("warm.exr", {}, "warm.exr: has values without a black and a white, expected value_range LOW:HIGH"),
         (
             "good.png",
             {"dim": 1.0, "contrast": [0.1, 4.0]},
-            r"strongest triangle is not beyond black or white of the display, expected 0\.\d+ times its contrast",
+            r"strongest triangle beyond black or white .* on all .*, expected at most 0\.\d+ times its",
         ),
         (
             "good.png",

@@ -134,7 +134,7 @@ class Scenery:
         return balanced(len(next(iter(self.backgrounds.values()))), self.turns)
 
     def place(self, size_detectors: float, background: int, turn: str) -> tuple[float, float]:
-        """Return where triangle and scene are on the detectors, (x, y) from the middle of the field."""
+        """Return the place of triangle and scene on the detectors, (x, y) from the middle of the field."""
         number = list(self.backgrounds).index(size_detectors)
         key = (SCENE_STREAM, background, number, 1)
         x, y = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key)).uniform(-0.5, 0.5, 2)

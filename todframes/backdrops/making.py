@@ -295,7 +295,7 @@ def _layout(size_mrad: float, pitch_mrad: float, places: int, step_mrad: float |
 
 
 class _Stage(NamedTuple):
-    """What holds for all frames: the display, the factor of the scene's luminance, and the triangle's look."""
+    """Settings that all frames share: display, factor of the scene's luminance, and look of the triangle."""
 
     encoder: Encoder
     dim: float
@@ -328,8 +328,10 @@ class _Stage(NamedTuple):
         return self.polarity < 0 or brightest > encoder.white_cd_m2 * (1.0 + 1e-9)
 
     def room_for(self, luminance_cd_m2: FloatArray, layout: Layout) -> float:
-        """Return by which factor the strongest triangle on a window may be stronger until it is beyond black or
-        white, whatever its place and orientation."""
+        """Return how many times stronger the strongest triangle on a window could be without clipping.
+
+        It stays within black and white of the display at all places and in all orientations.
+        """
         scene = self.dimmed(luminance_cd_m2)
         rows, columns = np.arange(scene.shape[0])[:, None], np.arange(scene.shape[1])
         reach, room = CIRCLE_PER_SIZE * layout.size_px + 1.0, math.inf
@@ -350,7 +352,7 @@ class _Stage(NamedTuple):
 
 
 class _View(NamedTuple):
-    """Where the triangle is on a background in one turn: the number of the place, and its centroid."""
+    """Position of the triangle on a background in one turn: the number of its place, and its centroid."""
 
     place: int
     x_px: float

@@ -41,7 +41,7 @@ def turned(image: FloatArray, turn: str) -> FloatArray:
 
 
 def turned_place(x_px: float, y_px: float, turn: str) -> tuple[float, float]:
-    """Return where a point of an image, counted from its middle, is after a turn."""
+    """Return the place of a point of an image after a turn; both are counted from the image's middle."""
     x, y = (-x_px, y_px) if turn[0] == "m" else (x_px, y_px)
     for _ in range(int(turn[1:]) // 90):
         x, y = -y, x
@@ -149,7 +149,7 @@ def draw_backgrounds(
     windows, frames : int
         Windows of each frame, and frames of each film, at most.
     room_for : function of (luminance of a window, layout), optional
-        Returns by which factor the triangles on a window may be stronger until the display cannot show them.
+        Returns how many times stronger the triangles on a window could be and still be shown by the display.
         Windows with less than 1 are not taken.
     range_name : str
         Name of the argument that has the values of black and white, for a remark.
@@ -252,8 +252,8 @@ def draw_windows(
         )
     if most_room is not None:
         raise UnfitSceneError(
-            f"{image.path}: found no window of {side} × {side} pixels on which the strongest triangle is not "
-            f"beyond black or white of the display, expected {most_room:.2g} times its contrast, or another "
+            f"{image.path}: found the strongest triangle beyond black or white of the display on all windows of "
+            f"{side} × {side} pixels, expected at most {most_room:.2g} times its contrast, or another "
             f"{argument.dim}"
         )
     share = 100.0 * float(image.at_end.mean())

@@ -1,14 +1,16 @@
-"""Displayed contrast of triangles in front of scenes, without what the scenes themselves have.
+"""Displayed contrast of triangles in front of scenes, without the contrast of the scenes themselves.
 
-A scene is brighter or darker behind a triangle than around it, and that is no contrast of the triangle. Trials
-that share their background tell the two apart. In each trial four contrasts are measured: that of the triangle
-shown, and those that triangles of the three other orientations would have. The background adds the same four
-numbers to all trials of a view, whatever their triangle. Least squares finds what is left at each level: the
-contrast a of the triangle, and the smaller ones that its area has as a triangle that points to the side, s, or to
-the other side, q. What a uniform spot would add stays open, and some more if orientations follow one another with
-the levels; a − q is known nevertheless. The shape of the triangle, blurred by display and algorithm, gives the
-shares of s and q in a − q. They are the same at all levels, and follow from how s and q rise with it. If the
-contrast hardly differs between levels, they are those of a sharp triangle.
+A scene may be brighter or darker behind a triangle than around it, which is no contrast of the triangle. Trials
+that share their background tell the two apart. In each trial four contrasts are measured: in the area of the
+triangle shown, and in the areas of triangles of the three other orientations. The background adds the same four
+numbers to all trials of a view, whatever their triangle.
+
+Least squares takes them out and finds, at each level, the contrast a in the area of the triangle, and the smaller
+ones s and q in the areas to its side and opposite to it. A constant that all three share stays unknown, as a
+uniform spot would add it, and more does if orientations follow one another with the levels. The difference a − q
+is known nevertheless. By the shape of the triangle, as display and algorithm blur it, s and q are fixed shares of
+a − q. These shares are the same at all levels, and follow from how s and q rise with a − q. If the contrast
+hardly differs between levels, they are those of a sharp triangle.
 """
 
 from __future__ import annotations
