@@ -68,7 +68,10 @@ def cli() -> None:
 @sizes_option
 @click.option("--snr", "snrs", metavar="R[,R…]", help="Signals of a large triangle over noise SD.")
 @click.option(
-    "--contrast", "contrasts", metavar="C[,C…]", help="Contrasts in their place, for a camera that counts photons."
+    "--contrast",
+    "contrasts",
+    metavar="C[,C…]",
+    help="Contrasts in place of --snr, for a camera that counts photons.",
 )
 @click.option(
     "--trials", type=click.IntRange(1), default=40, show_default=True, help="Frames of each size and level."
@@ -112,7 +115,7 @@ def cli() -> None:
 @click.option(
     "--background-range",
     metavar="LOW:HIGH",
-    help="Values of these images that are black and white, proportional to light in between.  [default: sRGB]",
+    help="Values of these images for black and white; values between are proportional to light.  [default: sRGB]",
 )
 @click.option(
     "--turns",
@@ -258,7 +261,7 @@ def curve(*, sensor: Path, sizes: str, luminances: str | None, out: str | None, 
     "threshold_contrast, acuity_mrad, acuity_detectors, range_km.  "
     "[default: delta_t_mk; with --target, range_km is high]",
 )
-@click.option("--maximise", metavar="COLUMN[,…]", help="Columns to be high for it.")
+@click.option("--maximise", metavar="COLUMN[,…]", help="Columns to be high for the trade-off front.")
 @click.option("--acuity-snr", type=float, metavar="R", help="Give the smallest size visible at this SNR.")
 @click.option("--acuity-delta-t-mk", type=float, metavar="T", help="Give the smallest size visible at this ΔT.")
 @aim_options
@@ -392,16 +395,26 @@ def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
     type=click.Choice(["upright", "lying"]),
     default="upright",
     show_default=True,
-    help="Of the bars.",
+    help="Direction of the bars.",
 )
 @click.option(
-    "--lloyd-snr", type=float, default=2.25, show_default=True, metavar="R", help="SNR in the literature's form."
+    "--lloyd-snr",
+    type=float,
+    default=2.25,
+    show_default=True,
+    metavar="R",
+    help="Threshold SNR of a bar in Lloyd's form.",
 )
 @click.option(
     "--ttp-delta-t-k", type=float, default=2.0, show_default=True, metavar="K", help="ΔT of the target of TTP."
 )
 @click.option(
-    "--ttp-width-deg", type=float, default=15.0, show_default=True, metavar="W", help="Its field at the eye."
+    "--ttp-width-deg",
+    type=float,
+    default=15.0,
+    show_default=True,
+    metavar="W",
+    help="Width of the field of TTP at the eye, in degrees.",
 )
 @observer_options
 @tolerance_option(2e-3, "Relative error of the thresholds to reach.")
@@ -422,7 +435,7 @@ def mrtd(
     """Compute the thresholds of four bars (MRTD) beside the TOD, with no frame drawn.
 
     The model observer of the TOD judges them up to Nyquist and beyond: as a mean over the places of the bars on
-    the detectors, and at the best place. Beside it are the literature's form and TTP. `todframes range` reads
+    the detectors, and at the best place. Lloyd's form and TTP stand beside it. `todframes range` reads
     mrtd.csv.
     """
     observer, fit = make_observer(asked, fitted=False)
@@ -487,7 +500,9 @@ def explore(*, sensor: Path, no_browser: bool, **asked: Any) -> None:
 @click.option("--netd-mk", type=float, help="NETD of a thermal camera.")
 @click.option("--wavelength-um", type=float, help="Wavelength.  [default: 0.55, thermal 10]")
 @click.option("--exposure-ms", type=float, help="Exposure.  [default: that of the results, or 10]")
-@click.option("--luminance", type=float, default=100.0, show_default=True, help="Of the background in cd/m².")
+@click.option(
+    "--luminance", type=float, default=100.0, show_default=True, help="Luminance of the background in cd/m²."
+)
 @click.option("--name", help="Name of the sensor.")
 @click.option("-o", "--out", type=click.Path(path_type=Path), metavar="SENSOR.toml", help="File to write instead.")
 def new(*, out: Path | None, **asked: Any) -> None:

@@ -62,7 +62,7 @@ SHOWN_TOLERANCE = 1e-3
     type=click.IntRange(1),
     default=2,
     show_default=True,
-    help="How often each triangle is shown in each orientation, each time in another random order.",
+    help="Times that each triangle is shown in each orientation, each time in another random order.",
 )
 @click.option(
     "--polarity",
@@ -77,7 +77,7 @@ SHOWN_TOLERANCE = 1e-3
 @click.option(
     "--markers",
     type=click.Choice(["borders", "corners"]),
-    help=f"{SCREEN_PRINT}Along the borders, too, by which `import` solves a lens; or in the corners alone.  "
+    help=f"{SCREEN_PRINT}Markers along the borders, by which `import` solves a lens, or in the corners alone.  "
     "[default: borders]",
 )
 @click.option(
@@ -127,7 +127,7 @@ SHOWN_TOLERANCE = 1e-3
 @click.option(
     "--paper",
     metavar="A4|A3|…|W,H",
-    help=f"{PRINT}Size of a sheet, across: A4 to A0, or width and height in mm.  [default: A3]",
+    help=f"{PRINT}Size of a sheet in landscape format: A4 to A0, or width and height in mm.  [default: A3]",
 )
 @click.option("--margin-mm", type=float, metavar="MM", help=f"{PRINT}Border that stays white.  [default: 10]")
 @click.option(

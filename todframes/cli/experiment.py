@@ -28,12 +28,12 @@ from todframes.cli.options import dataset_argument, launch_options, max_frame_op
     help="Show the trials of DATASET in random order, or let QUEST+ choose the level.  [default: constant]",
 )
 @click.option("--trials", type=int, metavar="N", help="Trials that count.  [default: all; for quest 60 a group]")
-@click.option("--practice", type=int, metavar="N", help="Trials with feedback before.  [default: 8]")
+@click.option("--practice", type=int, metavar="N", help="Trials with feedback before the test.  [default: 8]")
 @click.option(
     "--practice-correct",
     type=float,
     metavar="SHARE",
-    help="Share of the practice that has to be correct; else it comes again.  [default: 0.75]",
+    help="Share of the practice that has to be correct; else it is repeated.  [default: 0.75]",
 )
 @click.option("--break-every", type=int, metavar="N", help="Trials between breaks; 0: none.  [default: 60]")
 @click.option(
@@ -43,7 +43,7 @@ from todframes.cli.options import dataset_argument, launch_options, max_frame_op
     "--consent",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Text that the person is to agree to.  [default: a text of this package]",
+    help="Text to which the person has to agree.  [default: a text of this package]",
 )
 @click.option("--contact", metavar="TEXT", help="Name and address for questions and withdrawal.")
 @click.option("--background", type=float, help="Luminance of the background over that of white.  [default: 0.5]")

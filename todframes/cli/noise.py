@@ -42,7 +42,9 @@ if TYPE_CHECKING:
     metavar="P[,P…]",
     help="With --dark: photons of a pixel in each bright stack, for the quantum efficiency.",
 )
-@click.option("--bits", type=int, help="With --dark: bits of a pixel.  [default: from the files]")
+@click.option(
+    "--bits", type=int, help="With --dark: number of bits of a pixel's value.  [default: from the files]"
+)
 @click.option("--region", metavar="X,Y,W,H", help="Left column, top row, width and height.  [default: all]")
 @click.option(
     "--patch",

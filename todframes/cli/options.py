@@ -54,7 +54,9 @@ max_frame_option = click.option(
 )
 
 verbose_option = click.option(
-    "--verbose", is_flag=True, help="Also the fitted curves, run times and what the numbers leave out."
+    "--verbose",
+    is_flag=True,
+    help="Also print the fitted curves, run times, and remarks on what the numbers leave out.",
 )
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
@@ -80,7 +82,7 @@ observer_option = click.option(
     default="pyramid",
     show_default=True,
     metavar="NAME|MODULE:CLASS",
-    help="Observer: pyramid, informative, oriented, csf or another that is registered; or a class of one's own, "
+    help="Observer: pyramid, informative, oriented, csf or another that is registered; or your own class, "
     "whose code is run.",
 )
 
@@ -154,8 +156,8 @@ scoring_options = options(
     click.option(
         "--locate",
         type=click.Choice(LOCATE),
-        help="Find the triangle's position, from that in the manifest if there is one: one a group (also if "
-        "alone), or one for each trial, for recordings by hand.",
+        help="Find the triangle: one position for each group (also without a value), or one for each trial, for "
+        "hand-held recordings. The search begins at the position in the manifest, if there is one.",
     ),
     click.option(
         "--gaze",
@@ -172,8 +174,10 @@ scoring_options = options(
 """Options of the commands that score frames, named like the parameters of the Python calls."""
 
 restart_options = options(
-    click.option("--restart", is_flag=True, help="Begin anew, whatever an interrupted run has finished."),
-    click.option("--keep-store", is_flag=True, help="Keep what is finished in OUT too, for runs that overlap."),
+    click.option("--restart", is_flag=True, help="Begin anew, and forget what an interrupted run has finished."),
+    click.option(
+        "--keep-store", is_flag=True, help="Keep finished results in OUT, for later runs that share some of them."
+    ),
 )
 """Options of the commands that can continue an interrupted run."""
 

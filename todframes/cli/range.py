@@ -56,7 +56,7 @@ from todframes.cli.options import json_option, numbers, seed_option, strict_opti
 )
 @seed_option
 @click.option(
-    "--verbose", is_flag=True, help="Also what a tenth more of each factor gains, and the range against k."
+    "--verbose", is_flag=True, help="Also print what a tenth more of each factor gains, and the range against k."
 )
 @strict_option
 @json_option

@@ -22,7 +22,7 @@ RECORDED = "recorded"
 def stability(*, as_json: bool, as_markdown: bool, quiet: bool) -> None:
     """Try extreme inputs: the expected value and its source, the computed value, and the number of right digits.
 
-    Ends with status 1 if a case keeps fewer digits than it must.
+    Ends with status 1 if a case keeps fewer digits than required.
     """
     start = time.perf_counter()
     if as_json and as_markdown:
