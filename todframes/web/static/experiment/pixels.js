@@ -24,7 +24,7 @@ export function trouble({ ratio, width, height }) {
   }
   if (ratio !== null && now !== ratio) {
     return {
-      reason: `A pixel of this page took ${ratio} pixels of the monitor when you measured it, and takes ${now} now. Sizes would be others.`,
+      reason: `A pixel of this page took ${ratio} ${ratio === 1 ? "pixel" : "pixels"} of the monitor when you measured it, and takes ${now} now. Sizes would be others.`,
       remedy: "Set the browser's zoom back, and bring the window back to the monitor that you measured.",
     };
   }
