@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from networks import blur, box, identity
@@ -20,6 +21,7 @@ import todframes as tod
 from sensor_sim.chain.simulation import Filming, Simulator, plan_trials
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement.algorithm import algorithm
+from todframes.enhancement.builtin_clips import ECC_BLUR_PX, ECC_BLUR_SIGMA_PX
 from todframes.enhancement.compare import compare_dataset
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader
 from todframes.enhancement.finding import enhancement_names, find_enhancement
@@ -299,6 +301,20 @@ def test_without_structure_nothing_is_moved() -> None:
     frames = np.full((3, 24, 24), 0.5, np.float32)
     after, _ = find_enhancement("registered_mean:before=2").run_clip(frames, np.array([2]), None)
     assert np.array_equal(after[0], frames[0])
+
+
+def test_noise_is_not_registered() -> None:
+    """ECC ends somewhere in noise too, up to half a picture away, but nothing is alike there."""
+    rng = np.random.default_rng(2)
+    noise = (0.5 + 0.1 * rng.standard_normal((25, 48, 48))).astype(np.float32)
+    assert np.array_equal(find_enhancement("stabilize").run_clip(noise, np.arange(25), None)[0], noise)
+    both = ("registered_mean:before=24,motion=affine", "temporal_mean:before=24")
+    one, other = (find_enhancement(spec).run_clip(noise, np.array([24]), None)[0] for spec in both)
+    assert np.allclose(one, other, rtol=0.0, atol=1e-6)
+    smoothed = np.array([cv2.GaussianBlur(frame, (ECC_BLUR_PX,) * 2, 0) for frame in noise])
+    correlations = np.corrcoef(smoothed.reshape(25, -1))[np.triu_indices(25, 1)]
+    # 300 pairs: the standard deviation is known to 4 %, and the window ends at 1.8 σ, which takes 5 % off it.
+    assert correlations.std() == pytest.approx(np.sqrt(2.0 * np.pi) * ECC_BLUR_SIGMA_PX / 48, rel=0.15)
 
 
 # What they do to thresholds

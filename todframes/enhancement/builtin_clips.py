@@ -40,6 +40,12 @@ ECC_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-6)
 ECC_BLUR_PX = 5
 """Side in pixels of the Gaussian window that frames are smoothed with before ECC, OpenCV's default."""
 
+ECC_BLUR_SIGMA_PX = 1.1
+"""Standard deviation of that Gaussian: 0.3 · ((side − 1) / 2 − 1) + 0.8."""
+
+SURE_CORRELATION = 5.0
+"""Correlation after ECC, in standard deviations of that of two frames of noise, from which frames are alike."""
+
 UINT16_WHITE = 65535
 
 
@@ -175,15 +181,21 @@ def shift_and_add(
 
 
 def _ecc_warp(reference: Image, frame: Image, motion: Motion) -> NDArray[np.float64]:
-    """Return the place in a frame of each place in the reference, a (2, 3) matrix; no motion if ECC finds none."""
+    """Return the place in a frame of each place in the reference, a (2, 3) matrix.
+
+    There is no motion if ECC finds none, or one that brings no more into agreement than the noise of two frames.
+    """
     start, everywhere = np.eye(2, 3, dtype=np.float32), np.ones(frame.shape, np.uint8)
     try:
-        _, warp = cv2.findTransformECC(
+        correlation, warp = cv2.findTransformECC(
             reference, frame, start, ECC_MOTIONS[motion], ECC_CRITERIA, everywhere, ECC_BLUR_PX
         )
-    except cv2.error:  # nothing in the pictures but noise
+    except cv2.error:  # it does not converge
         return np.eye(2, 3)
-    return np.asarray(warp, np.float64)
+    common = cv2.warpAffine(everywhere, warp, frame.shape[::-1], flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
+    # Smoothed white noise has the autocorrelation exp(−r² / 4σ²), whose square has the integral 2πσ².
+    of_noise = np.sqrt(2.0 * np.pi * ECC_BLUR_SIGMA_PX**2 / max(int(common.sum()), 1))
+    return np.asarray(warp, np.float64) if correlation > SURE_CORRELATION * of_noise else np.eye(2, 3)
 
 
 def _warped(frame: Image, warp: NDArray[np.float64], shape: tuple[int, ...]) -> Image:
