@@ -81,10 +81,16 @@ def naked_eye(
         fits.append(Fit.of_computed({given: value}, level, p_correct, found))
         if progress is not None:
             progress(1)
+
+    def is_easier_if_smaller(fit: Fit) -> bool:
+        half = 0.5 * float(fit.group["size_mrad"])
+        threshold = contrast_threshold(judge, size_mrad=half, p_correct=p_correct, places=places).threshold
+        return threshold is not None and fit.threshold is not None and threshold < fit.threshold
+
     return Result.made(
         "naked-eye",
         started,
         settings=settings | {"p_correct": p_correct} | ({"places": places} if places > 1 else {}),
         fits=tuple(fits),
-        warnings=above_contrast_1(fits),
+        warnings=above_contrast_1(fits, is_easier_if_smaller),
     )

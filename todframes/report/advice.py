@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from todframes.report.data import Algorithm, ContrastPoint, Fit, ResultWarning
 from todframes.report.wording import listed, plain
@@ -29,39 +29,34 @@ SAME_GAIN, SURE_GAIN = 0.1, 3.0
 FEW_SCENES = "an end of the 95 % interval is open because scenes differ and are few"
 """Reason for an open interval that more levels or trials on the same scenes would not close."""
 
+WIDE = "Smaller sizes are easier: the triangle is wider than what the observer looks at; take smaller sizes"
+SMALL = "The size is below the acuity; take larger sizes"
+"""Reasons why a size has a threshold contrast above 1."""
+
 HELPS_FROM = 0.5
 """Proportion correct from which stronger levels will help; below it something else may be wrong."""
 
 
-def above_contrast_1(fits: Sequence[Fit]) -> tuple[ResultWarning, ...]:
-    """Return a warning for each threshold contrast above 1, which no triangle darker than its background has."""
+def above_contrast_1(
+    fits: Sequence[Fit], is_easier_if_smaller: Callable[[Fit], bool]
+) -> tuple[ResultWarning, ...]:
+    """Return a warning for each threshold contrast above 1, which no triangle darker than its background has.
+
+    `is_easier_if_smaller` returns whether a smaller triangle has a lower threshold.
+    """
     return tuple(
         ResultWarning(
             code="above_contrast_1",
             group=fit.group,
             message=(
                 f"the threshold contrast of {plain(fit.threshold)} is above 1, which "
-                f"bright triangles may have, but dark ones never. {_why_above(fit, fits)}"
+                f"bright triangles may have, but dark ones never. {WIDE if is_easier_if_smaller(fit) else SMALL}"
             ),
             found=fit.threshold,
             expected=1.0,
         )
         for fit in fits
         if fit.level == "contrast" and fit.threshold is not None and fit.threshold > 1.0
-    )
-
-
-def _why_above(fit: Fit, fits: Sequence[Fit]) -> str:
-    """Return why a threshold is so high: the size is below the acuity, or beyond what the observer looks at."""
-    size, threshold = fit.group.get("size_mrad"), fit.threshold
-    others = [one for one in fits if one.threshold is not None and one.threshold < (threshold or 0.0)]
-    if isinstance(size, float | int) and any(float(one.group.get("size_mrad", math.inf)) < size for one in others):
-        return (
-            "Smaller sizes are easier: the triangle is wider than what the observer looks at; take smaller sizes"
-        )
-    return (
-        "The size is below the acuity, where P(correct) rises and falls with the way in which triangles meet the "
-        "retina's samples: take larger sizes"
     )
 
 
