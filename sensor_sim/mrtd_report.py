@@ -376,5 +376,5 @@ def sensor_ttp(
 
 
 def _plain(settings: TtpSettings) -> Json:
-    names = ("width_exponent", "width_frequency_exponent", "channel_log", "exponent", "eyes")
+    names = ("width_exponent", "width_frequency_exponent", "channel_log", "eyes")
     return {name: getattr(settings, name) for name in names}

@@ -22,7 +22,7 @@ from sensor_sim.chain.simulation import Filming, Simulator, plan_trials
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement.algorithm import algorithm
 from todframes.enhancement.builtin_clips import ECC_BLUR_PX, ECC_BLUR_SIGMA_PX
-from todframes.enhancement.compare import compare_dataset
+from todframes.enhancement.compare import compare_observers
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader
 from todframes.enhancement.finding import enhancement_names, find_enhancement
 from todframes.frames.dataset import load_dataset
@@ -673,7 +673,7 @@ def test_a_gap_before_a_trial(tmp_path: Path) -> None:
     rows = [row(n, judged=int(n == 5)) for n in (0, 1, 2, 3, 5)]
     data = load_dataset(manifest(tmp_path, rows))
     with pytest.raises(FrameError, match=r"5\.exr: comes 0\.2 s after the frame before it .* expected 0\.1 s"):
-        compare_dataset(data, PyramidObserver(), [find_enhancement("temporal_mean:before=3")])
+        compare_observers(data, [PyramidObserver()], [find_enhancement("temporal_mean:before=3")])
 
 
 @pytest.mark.slow

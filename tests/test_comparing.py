@@ -14,7 +14,7 @@ from skimage.metrics import peak_signal_noise_ratio
 import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement import builtin
-from todframes.enhancement.compare import compare_dataset, compare_observers, parts_of
+from todframes.enhancement.compare import compare_observers, parts_of
 from todframes.enhancement.contrast_gain import MEASURED_TRIALS, measured_trials, strongest_levels
 from todframes.enhancement.contrast_on_scenes import contrasts_on_scenes, views_to_measure
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame, EnhancedImage
@@ -119,7 +119,9 @@ def compare(path, *specs: str, observer=OBSERVER, white: float = 1.0, **argument
     dataset = load_dataset(path)
     screen = AlgorithmDisplay(dataset.display, white, arguments.pop("allow_clipping", False))
     algorithms = [find_enhancement(spec) for spec in specs]
-    return compare_dataset(dataset, observer, algorithms, **{"fit_settings": FAST, "screen": screen} | arguments)
+    settings = {"fit_settings": FAST, "screen": screen} | arguments
+    (results,) = compare_observers(dataset, [observer], algorithms, **settings)
+    return results
 
 
 def same_scores(one, other) -> bool:
@@ -690,7 +692,7 @@ def test_observers_together_are_each_alone(make_dataset) -> None:
     together = compare_observers(dataset, observers, algorithms, fit_settings=FAST, screen=screen)
     assert len(together) == 2
     for observer, found in zip(observers, together, strict=True):
-        alone = compare_dataset(dataset, observer, algorithms, fit_settings=FAST, screen=screen)
+        (alone,) = compare_observers(dataset, [observer], algorithms, fit_settings=FAST, screen=screen)
         for one, other in zip(found, alone, strict=True):
             np.testing.assert_allclose(one.scored.scores, other.scored.scores, rtol=1e-9, atol=1e-12)
             assert [c.verdict for c in one.compared] == [c.verdict for c in other.compared]

@@ -19,7 +19,6 @@ from todframes.field.ttp import (
     noise_bandwidth,
     noise_gain_root_hz,
     pupil_mm,
-    task_probability,
 )
 
 
@@ -63,13 +62,6 @@ def test_channels_are_as_wide_as_the_codes_make_them(log, octaves):
     f = 2.0 ** np.linspace(-4.0, 4.0, 8001)
     above = np.flatnonzero(channel(3.0 * f, 3.0, settings=settings) >= 0.5)
     assert math.log2(f[above[-1]] / f[above[0]]) == pytest.approx(octaves, abs=0.05)  # one decimal is printed
-
-
-def test_probability_is_the_published_one():
-    assert task_probability([0.5, 1.0, 2.0, 3.0]) == pytest.approx([0.2612, 0.5, 0.7388, 0.8386], abs=5e-5)
-    assert task_probability([0.0, 1e300]) == pytest.approx([0.0, 1.0], abs=1e-300)
-    rising = task_probability([1.0, 2.0], settings=TtpSettings(exponent="rising"))
-    assert rising == pytest.approx([0.5, 2**1.99 / (1 + 2**1.99)])
 
 
 def test_integral_of_an_exponential_threshold_is_its_closed_form():

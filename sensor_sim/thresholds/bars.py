@@ -13,14 +13,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from statistics import NormalDist
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-from sensor_sim.chain.detector_noise import displayed_noise, unit_fixed_pattern
-from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal
 from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, FourBarSampler, field_detectors
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import detector_covariance, lines_of
@@ -31,7 +28,7 @@ from todframes.base.errors import SettingsError
 from todframes.base.normal import normal_cdf
 from todframes.four_bars import WIDTHS, Against, FourBars
 from todframes.observers.interface import Observer, PatternObserver, TruncatedObserver
-from todframes.observers.retina import RetinaGrid, resample
+from todframes.observers.retina import RetinaGrid
 from todframes.psychometrics.replicates import REPLICATES, half_width_95
 from todframes.psychometrics.threshold_search import Status, crossing
 from todframes.stimulus import Orientation, Stimulus
@@ -138,7 +135,14 @@ class BarChain:
                 f"{width_mrad:.4g} mrad wide, more than the observer looks at; expected a higher frequency"
             ) from None
         self.whole_retina = grid
-        self.sampler = self._sampler(self.bars)
+        self.sampler = FourBarSampler(
+            self.bars,
+            optics=sensor.optics,
+            detector=sensor.detector,
+            field_detectors=self.field,
+            period_detectors=2 * self.field,
+            motion=sensor.motion,
+        )
         half = math.ceil(width_mrad / 2.0 / grid.pitch_mrad) + 1
         upright = FourBars(self.bars.bar_width * shown, against).image(half, grid.pitch_mrad)
         self.pattern = upright if direction == "upright" else np.ascontiguousarray(upright.T)
@@ -153,16 +157,6 @@ class BarChain:
             n=1,
             field=self.field,
             reach_detectors=reach,
-        )
-
-    def _sampler(self, bars: FourBars) -> FourBarSampler:
-        return FourBarSampler(
-            bars,
-            optics=self.sensor.optics,
-            detector=self.sensor.detector,
-            field_detectors=self.field,
-            period_detectors=2 * self.field,
-            motion=self.sensor.motion,
         )
 
     def scores(self, x: FloatArray, y: FloatArray, displacement: FloatArray) -> BarScores:
@@ -317,44 +311,6 @@ class BarChain:
         low, high = (of_each(snr * math.exp(way * STEP / 2.0)) for way in (-1.0, 1.0))
         slope = max(float((high - low).mean()) / STEP, 1e-12)
         return BarThreshold(status, snr, snr * half_width_95((low + high) / 2.0) / slope)
-
-    def literal_answer(self, snr: float, rng: np.random.Generator) -> bool:
-        """Answer one trial as the model is defined, with both displays drawn and noise on every neuron.
-
-        Returns
-        -------
-        bool
-            Whether the answer is correct.
-        """
-        place = rng.uniform(-0.5, 0.5, 2)
-        middle = place + rng.uniform(-1.0, 1.0, 2) * self.jitter_detectors
-        orientation = ORIENTATION[self.direction]
-        difference = self.sampler.samples(*place, orientation=orientation)[0]
-        bars = self._sampler(replace(self.bars, against="background")).samples(*place, orientation=orientation)[0]
-        first, second = (self.literal_score(one, middle, snr, rng) for one in (bars, bars - difference))
-        return first > second
-
-    def literal_score(
-        self, samples: FloatArray, middle: FloatArray, snr: float, rng: np.random.Generator | None = None
-    ) -> float:
-        """Compute the score of detector samples, (field, field), as displayed to a retina with this middle.
-
-        With `rng`, there is noise on every detector and every neuron.
-        """
-        sensor, shape = self.sensor, samples.shape
-        if rng is not None:
-            pattern = unit_fixed_pattern((shape[0], shape[1]), noise=sensor.noise, seed=int(rng.integers(2**63)))
-            samples = samples + displayed_noise(pattern, total_sd=1.0 / snr, noise=sensor.noise, rng=rng)
-        matrix = axis_matrix(self.field, display=sensor.display, electronics=sensor.electronics)
-        x_px, y_px = (display_position_px(at, n_detectors=self.field, display=sensor.display) for at in middle)
-        seen = resample(
-            sensor.display.gain * display_signal(samples, matrix),
-            self.whole_retina,
-            x_px=x_px,
-            y_px=y_px,
-            pixel_pitch_mrad=sensor.display.pixel_pitch_mrad,
-        )
-        return self.observer.literal_score(seen, self.pattern, rng)
 
 
 def d_prime(p_correct: float) -> float:

@@ -10,7 +10,7 @@ from pathlib import Path
 from bench_scoring import make_dataset
 from timing import Row
 
-from todframes.enhancement.compare import compare_dataset
+from todframes.enhancement.compare import compare_observers
 from todframes.enhancement.finding import find_enhancement
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import read_frame
@@ -43,7 +43,7 @@ def rows() -> list[Row]:
             for _ in range(REPEATS):
                 decoding_s = cpu_s(lambda: [read_frame(path) for path in paths])
                 started = time.process_time()
-                results = compare_dataset(dataset, PyramidObserver(), algorithms)
+                (results,) = compare_observers(dataset, [PyramidObserver()], algorithms)
                 whole_s = time.process_time() - started
                 needed_s = decoding_s + sum(result.cpu_s for result in results)
                 shares.append(whole_s / needed_s - 1.0)

@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from networks import denoiser
 
-from todframes.enhancement.compare import compare_dataset
+from todframes.enhancement.compare import compare_observers
 from todframes.enhancement.finding import find_enhancement
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import read_frame
@@ -62,7 +62,7 @@ def rows() -> list[Row]:
             for one in paths:
                 read_frame(one)
             decoded = time.process_time()
-            _, after = compare_dataset(dataset, PyramidObserver(), [network])
+            ((_, after),) = compare_observers(dataset, [PyramidObserver()], [network])
             compared = time.process_time()
             shares.append((compared - decoded) / (decoded - started + after.cpu_s) - 1.0)
             each_ms = 1e3 * after.cpu_s / len(paths)

@@ -134,37 +134,6 @@ class AlgorithmResult:
     memory_mb: float | None
 
 
-def compare_dataset(
-    dataset: Dataset,
-    observer: Observer,
-    enhancements: Sequence[Enhancement],
-    *,
-    decisions: Decisions = "expected",
-    curve: CurveName | None = None,
-    seed: int = 1,
-    fit_settings: FitSettings | None = None,
-    screen: AlgorithmDisplay | None = None,
-    plan_name: PlanName = "needed",
-    skip_bad_frames: bool = False,
-    run: Run | None = None,
-) -> tuple[AlgorithmResult, ...]:
-    """Compare algorithms as `compare_observers` does, with one observer."""
-    (results,) = compare_observers(
-        dataset,
-        [observer],
-        enhancements,
-        decisions=decisions,
-        curve=curve,
-        seed=seed,
-        fit_settings=fit_settings,
-        screen=screen,
-        plan_name=plan_name,
-        skip_bad_frames=skip_bad_frames,
-        run=run,
-    )
-    return results
-
-
 def compare_observers(
     dataset: Dataset,
     observers: Sequence[Observer],

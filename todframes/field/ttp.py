@@ -1,7 +1,7 @@
 """Targeting task performance: the eye's contrast threshold, that of a system, and what a target gives of it.
 
 A system shows a target at contrast C. V = size / range · ∫ √(C / CTF_sys(f)) df over the frequencies at which the
-contrast is above the threshold, in cycles, and P = r^E / (1 + r^E) of observers do the task, r = V / V50.
+contrast is above the threshold, in cycles. Half of the observers do a task at V = V50.
 
 Public codes disagree in some of the constants; each disagreement is a setting of `TtpSettings`.
 
@@ -57,8 +57,6 @@ class TtpSettings:
     channel_log : {"natural", "decimal"}
         Logarithm of a channel's frequency. Default natural: the channels are then 1.6 octaves wide, as those that
         were measured; with the decimal one 3.7.
-    exponent : {"constant", "rising"}
-        E = 1.5, or 1.51 + 0.24 V / V50. Default constant, which has no fitted second term.
     v50_cycles : mapping of str to float
         V50 of each task, in cycles.
     eyes : 1 or 2
@@ -72,7 +70,6 @@ class TtpSettings:
     width_exponent: Literal[1, 2] = 1
     width_frequency_exponent: Literal[1, 2] = 2
     channel_log: Literal["natural", "decimal"] = "natural"
-    exponent: Literal["constant", "rising"] = "constant"
     v50_cycles: Mapping[str, float] | None = None
     eyes: Literal[1, 2] = 2
 
@@ -217,14 +214,6 @@ def cycles_of_contrast(frequency: ArrayLike, threshold: ArrayLike, contrast: flo
     step = end - start
     mean = np.where(np.abs(step) > 1e-9, np.expm1(step) / np.where(step == 0.0, 1.0, step), 1.0 + 0.5 * step)
     return float((width * part * np.exp(start) * mean).sum())
-
-
-def task_probability(ratio: ArrayLike, *, settings: TtpSettings | None = None) -> FloatArray:
-    """Compute the probability to do a task at V / V50 >= 0, of any shape: r^E / (1 + r^E)."""
-    r = np.asarray(ratio, dtype=np.float64)
-    exponent = 1.5 if (settings or TtpSettings()).exponent == "constant" else 1.51 + 0.24 * r
-    with np.errstate(divide="ignore"):
-        return np.asarray(1.0 / (1.0 + np.exp(-np.clip(exponent * np.log(r), -700.0, 700.0))))
 
 
 def at_the_eye(frequency_cyc_per_mrad: ArrayLike, magnification: float) -> FloatArray:
