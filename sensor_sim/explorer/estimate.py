@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.chain.sampling import TriangleSampler, field_detectors, smallest_field
+from sensor_sim.chain.sampling import field_detectors, field_sampler, smallest_field
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.transfer import blur_mrad
 from sensor_sim.thresholds.curve_plan import CurvePlan, centre_offset, is_alike_when_turned, lines_of
@@ -108,14 +108,7 @@ def quick_plan(
     field = quick_field(sensor, size_detectors)
     sampler = shared.samplers.get(
         ("quick", sensor.optics, sensor.motion, sensor.detector, size_detectors, field),
-        lambda: TriangleSampler(
-            optics=sensor.optics,
-            detector=sensor.detector,
-            size_detectors=size_detectors,
-            field_detectors=field,
-            period_detectors=2 * field,
-            motion=sensor.motion,
-        ),
+        lambda: field_sampler(sensor, size_detectors, field),
     )
     return CurvePlan(
         observer=observer,

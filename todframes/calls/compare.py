@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,22 +48,6 @@ from todframes.scoring.seen_trials import Decisions
 if TYPE_CHECKING:
     from todframes.diagnosis.locate import Locate
     from todframes.jobs.store import Store
-
-
-SHOWN = (
-    "orientation",
-    "level",
-    "size_mrad",
-    "group",
-    "position",
-    "polarity",
-    "trial",
-    "level_name",
-    "clip",
-    "time_s",
-    "judged",
-)
-"""Parameters of `score_frames` that describe what the frames show."""
 
 
 def compare(
@@ -237,5 +222,7 @@ def compare_frames(
     DataError, FrameError, SettingsError
         As `score_frames` and `compare` do.
     """
-    shown = {name: settings.pop(name) for name in SHOWN if name in settings}
+    from todframes.frames.memory import memory_dataset
+
+    shown = {name: settings.pop(name) for name in signature(memory_dataset).parameters if name in settings}
     return compare(in_memory(frames, display, **shown), enhance, **settings)
