@@ -26,11 +26,11 @@ from todframes.cli.console import (
     staged,
 )
 from todframes.cli.options import (
+    LIMITS,
+    NUMBERS,
     json_option,
     launch_options,
-    limits,
     make_observer,
-    numbers,
     observer_options,
     options,
     plan_option,
@@ -39,12 +39,13 @@ from todframes.cli.options import (
     run_options,
     seed_option,
     tolerance_option,
+    turns_option,
 )
 
 sensor_argument = click.argument("sensor", type=click.Path(path_type=Path), metavar="SENSOR.toml")
 
 sizes_option = click.option(
-    "--size-detectors", "sizes", required=True, metavar="S[,S…]", help="Sizes √(area) in detector pitches."
+    "--size-detectors", type=NUMBERS, required=True, help="Sizes √(area) in detector pitches."
 )
 
 aim_options = options(
@@ -66,12 +67,9 @@ def cli() -> None:
 @cli.command()
 @sensor_argument
 @sizes_option
-@click.option("--snr", "snrs", metavar="R[,R…]", help="Signals of a large triangle over noise SD.")
+@click.option("--snr", type=NUMBERS, default=[], help="Signals of a large triangle over noise SD.")
 @click.option(
-    "--contrast",
-    "contrasts",
-    metavar="C[,C…]",
-    help="Contrasts in place of --snr, for a camera that counts photons.",
+    "--contrast", type=NUMBERS, default=[], help="Contrasts in place of --snr, for a camera that counts photons."
 )
 @click.option(
     "--trials", type=click.IntRange(1), default=40, show_default=True, help="Frames of each size and level."
@@ -114,16 +112,10 @@ def cli() -> None:
 )
 @click.option(
     "--background-range",
-    metavar="LOW:HIGH",
+    type=LIMITS,
     help="Values of these images for black and white; values between are proportional to light.  [default: sRGB]",
 )
-@click.option(
-    "--turns",
-    type=click.Choice(["8", "4", "1"]),
-    default="8",
-    show_default=True,
-    help="Turned and mirrored versions in which each scene is shown.",
-)
+@turns_option
 @click.option(
     "--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that draw frames."
 )
@@ -132,13 +124,11 @@ def cli() -> None:
 def simulate(
     *,
     sensor: Path,
-    sizes: str,
-    snrs: str | None,
-    contrasts: str | None,
+    size_detectors: list[float],
+    snr: list[float],
+    contrast: list[float],
     trials: int,
     background: tuple[str, ...],
-    background_range: str | None,
-    turns: str,
     out: str,
     quiet: bool,
     **asked: Any,
@@ -147,9 +137,6 @@ def simulate(
     import sensor_sim as ss
     from todframes.report.wording import count
 
-    size_detectors = numbers(sizes, "--size-detectors")
-    snr = numbers(snrs, "--snr") if snrs is not None else []
-    contrast = numbers(contrasts, "--contrast") if contrasts is not None else []
     tell = None if quiet else say
     with (
         opened_engine(asked, quiet=quiet),
@@ -162,8 +149,6 @@ def simulate(
             contrast=contrast,
             trials=trials,
             background=background or None,
-            background_range=limits(background_range, "--background-range"),
-            turns=int(turns),
             out=out,
             tell=tell,
             progress=advance,
@@ -180,8 +165,9 @@ def simulate(
 @sizes_option
 @click.option(
     "--luminance",
-    "luminances",
-    metavar="L[,L…]",
+    "luminance_cd_m2",
+    type=NUMBERS,
+    default=[],
     help="A curve for each of these luminances of the background in cd/m², for a camera that counts photons.",
 )
 @click.option(
@@ -198,7 +184,7 @@ def simulate(
 @seed_option
 @click.option("-o", "--out", metavar="OUT", help="Folder for result.json, report.html and plots.")
 @result_options
-def curve(*, sensor: Path, sizes: str, luminances: str | None, out: str | None, quiet: bool, **asked: Any) -> None:
+def curve(*, sensor: Path, size_detectors: list[float], out: str | None, quiet: bool, **asked: Any) -> None:
     """Compute the TOD curve of a sensor, with no frame drawn.
 
     Thresholds are SNR, and temperature where NETD is given. Those of a camera that counts photons are contrasts.
@@ -208,13 +194,12 @@ def curve(*, sensor: Path, sizes: str, luminances: str | None, out: str | None, 
     import sensor_sim as ss
     from sensor_sim.chain.sensor import load_sensor
 
-    settings, wanted = load_sensor(sensor), numbers(sizes, "--size-detectors")
+    settings = load_sensor(sensor)
     with staged(out) as place:
-        with progress("computing", len(wanted), quiet=quiet) as advance:
+        with progress("computing", len(size_detectors), quiet=quiet) as advance:
             result = ss.curve(
                 settings,
-                size_detectors=wanted,
-                luminance_cd_m2=numbers(luminances, "--luminance") if luminances is not None else (),
+                size_detectors=size_detectors,
                 observer=observer,
                 p_correct=fit.p_correct,
                 examples=out is not None,
@@ -279,7 +264,7 @@ def curve(*, sensor: Path, sizes: str, luminances: str | None, out: str | None, 
 def sweep(
     *,
     sensor: Path,
-    sizes: str,
+    size_detectors: list[float],
     ranges: tuple[str, ...],
     design: Path | None,
     sample: int | None,
@@ -301,15 +286,15 @@ def sweep(
     from sensor_sim.sweeps.designs import Base, make_designs
     from sensor_sim.sweeps.work import Variants
 
-    settings, wanted = load_sensor(sensor), numbers(sizes, "--size-detectors")
+    settings = load_sensor(sensor)
     base = Base(settings, Variants.of(observer).settings, asked["keep_fill_factor"])
     vary = _assigned_ranges(ranges)
     designs = make_designs(base, vary=vary, design=design, sample=sample, seed=asked["rng"])
     with long_run(out, asked, quiet=quiet) as place:
-        with progress("sweeping", len(designs.values) * len(wanted), quiet=quiet) as advance:
+        with progress("sweeping", len(designs.values) * len(size_detectors), quiet=quiet) as advance:
             result = ss.sweep(
                 settings,
-                size_detectors=wanted,
+                size_detectors=size_detectors,
                 vary=vary if design is None else None,
                 design=designs if design is not None else None,
                 sample=sample,
@@ -374,13 +359,13 @@ def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
 @click.option(
     "--frequency-nyquist",
     "frequencies",
-    metavar="F[,F…]",
+    type=NUMBERS,
     help="Frequencies of the bars in units of Nyquist.  [default: 0.3 to 1.4]",
 )
 @click.option(
     "--size-detectors",
     "sizes",
-    metavar="S[,S…]",
+    type=NUMBERS,
     help="Sizes √(area) of the triangles in detector pitches.  [default: 3,4,5,6,8]",
 )
 @click.option(
@@ -425,8 +410,8 @@ def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
 def mrtd(
     *,
     sensor: Path,
-    frequencies: str | None,
-    sizes: str | None,
+    frequencies: list[float] | None,
+    sizes: list[float] | None,
     out: str | None,
     as_json: bool,
     quiet: bool,
@@ -444,8 +429,7 @@ def mrtd(
     from sensor_sim.chain.sensor import load_sensor
 
     settings = load_sensor(sensor)
-    of_nyquist = FREQUENCIES_NYQUIST if frequencies is None else numbers(frequencies, "--frequency-nyquist")
-    triangles = SIZES_DETECTORS if sizes is None else numbers(sizes, "--size-detectors")
+    of_nyquist, triangles = frequencies or FREQUENCIES_NYQUIST, sizes or SIZES_DETECTORS
     with staged(out) as place:
         with progress("computing", len(of_nyquist) + len(triangles), quiet=quiet) as advance:
             found = ss.mrtd(

@@ -10,7 +10,7 @@ import click
 
 from todframes.base.errors import SettingsError
 from todframes.cli.console import echo, print_sentences, print_table, progress
-from todframes.cli.options import numbers, quiet_option, seed_option
+from todframes.cli.options import NUMBERS, numbers, quiet_option, seed_option
 
 if TYPE_CHECKING:
     from todframes.charts.layout import Chart, ChartKind
@@ -44,18 +44,11 @@ SHOWN_TOLERANCE = 1e-3
 )
 @click.option("--distance-m", type=float, required=True, metavar="M", help="From the camera to the chart.")
 @click.option(
-    "--sizes-mrad",
-    required=True,
-    metavar="S[,S…]",
-    help="Sizes √(area) of the triangles, as angles at the camera.",
+    "--sizes-mrad", type=NUMBERS, required=True, help="Sizes √(area) of the triangles, as angles at the camera."
 )
+@click.option("--contrasts", type=NUMBERS, help=f"{SCREEN_PRINT}Contrasts.  [default: 0.02,0.05,0.1,0.2,0.4,0.8]")
 @click.option(
-    "--contrasts", metavar="C[,C…]", help=f"{SCREEN_PRINT}Contrasts.  [default: 0.02,0.05,0.1,0.2,0.4,0.8]"
-)
-@click.option(
-    "--delta-t-k",
-    metavar="T[,T…]",
-    help=f"{THERMAL}Temperature differences.  [default: 0.02,0.05,0.1,0.2,0.5,1,2]",
+    "--delta-t-k", type=NUMBERS, help=f"{THERMAL}Temperature differences.  [default: 0.02,0.05,0.1,0.2,0.5,1,2]"
 )
 @click.option(
     "--repeats",
@@ -66,8 +59,8 @@ SHOWN_TOLERANCE = 1e-3
 )
 @click.option(
     "--polarity",
-    type=click.Choice(["1", "-1"]),
-    default="1",
+    type=click.Choice([1, -1]),
+    default=1,
     show_default=True,
     help="Triangles brighter (warmer), 1, or darker (colder), -1, than their background.",
 )
@@ -103,7 +96,7 @@ SHOWN_TOLERANCE = 1e-3
     help=f"{SCREEN}From pixel to pixel.  [required without --display]",
 )
 @click.option(
-    "--bits", type=click.Choice(["8", "10"]), help=f"{SCREEN}Bits of a code value, up to the panel.  [default: 8]"
+    "--bits", type=click.Choice([8, 10]), help=f"{SCREEN}Bits of a code value, up to the panel.  [default: 8]"
 )
 @click.option(
     "--eotf",
@@ -156,7 +149,7 @@ SHOWN_TOLERANCE = 1e-3
 @click.option("-o", "--out", required=True, metavar="CHART", help="Folder to make, new or empty.")
 @quiet_option
 def chart(
-    *, kind: ChartKind, out: str, sizes_mrad: str, polarity: str, paper: str | None, quiet: bool, **asked: Any
+    *, kind: ChartKind, out: str, sizes_mrad: list[float], paper: str | None, quiet: bool, **asked: Any
 ) -> None:
     """Make a chart to record with a camera: triangles of given sizes and contrasts.
 
@@ -169,20 +162,13 @@ def chart(
     from todframes.stimulus import ORIENTATIONS
 
     settings = {name: value for name, value in asked.items() if value is not None}
-    if "bits" in settings:
-        settings["bits"] = int(settings["bits"])
-    for name in LEVEL_OPTIONS & settings.keys():
-        settings[name] = numbers(settings[name], f"--{name.replace('_', '-')}")
     if paper is not None:
         settings["paper_width_mm"], settings["paper_height_mm"] = _paper_mm(paper)
-    sizes = numbers(sizes_mrad, "--sizes-mrad")
     levels = next((settings[name] for name in LEVEL_OPTIONS & settings.keys()), charts.DEFAULT_LEVELS[kind])
-    n_triangles = len(sizes) * len(levels) * len(ORIENTATIONS) * settings["repeats"]
+    n_triangles = len(sizes_mrad) * len(levels) * len(ORIENTATIONS) * settings["repeats"]
     with progress("drawing", n_triangles, quiet=quiet) as advance:
         try:
-            made = charts.chart(
-                kind, out=out, sizes_mrad=sizes, polarity=int(polarity), progress=advance, **settings
-            )
+            made = charts.chart(kind, out=out, sizes_mrad=sizes_mrad, progress=advance, **settings)
         except SettingsError as error:
             raise SettingsError(_with_options(str(error))) from None
     print_table(_table(made))

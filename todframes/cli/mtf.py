@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from todframes.cli.console import print_content, print_end, print_table, progress, staged
-from todframes.cli.options import box, json_option, max_frame_option, quiet_option, strict_option
+from todframes.cli.options import BOX, json_option, max_frame_option, quiet_option, strict_option
 
 
 @click.command()
@@ -21,8 +21,8 @@ from todframes.cli.options import box, json_option, max_frame_option, quiet_opti
 @click.option(
     "--box",
     "boxes",
+    type=BOX,
     multiple=True,
-    metavar="X,Y,W,H",
     help="Left column, top row, width and height of a part of the frame with one edge; repeatable.  [default: "
     "edges are found]",
 )
@@ -47,7 +47,7 @@ def mtf(
     *,
     recording: tuple[Path, ...],
     out: str | None,
-    boxes: tuple[str, ...],
+    boxes: tuple[tuple[int, int, int, int], ...],
     chart: Path | None,
     display: str | None,
     max_frame_mb: int,
@@ -65,12 +65,11 @@ def mtf(
     """
     import todframes as tod
 
-    asked = [box(one, "--box") for one in boxes]
     with staged(out) as place:
         with progress("reading", None, quiet=quiet) as advance:
             result = tod.mtf(
                 recording,
-                boxes=asked,
+                boxes=boxes,
                 chart=chart,
                 display=display,
                 max_frame_mb=max_frame_mb,

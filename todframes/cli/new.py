@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from todframes.cli.console import echo, say
-from todframes.cli.options import folder_argument
+from todframes.cli.options import display_option, folder_argument
 
 FILES_SHOWN = 3
 """Number of files that do not match whose names are printed."""
@@ -23,14 +23,7 @@ FILES_SHOWN = 3
     help="Path of the frames relative to DATASET, with the columns of the manifest in braces, as in "
     "'frames/s{size_mrad}_c{contrast}_{orientation}_{n}.png'. * stands for any text.",
 )
-@click.option(
-    "--display",
-    default="reference_sdr",
-    show_default=True,
-    metavar="NAME|FILE",
-    help="Display that shows the frames: reference_sdr, reference_linear, srgb_monitor, tod_2001, or a TOML file; "
-    "all are in docs/displays.md.",
-)
+@display_option
 @click.option(
     "--level",
     default="contrast",

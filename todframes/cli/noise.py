@@ -9,7 +9,16 @@ import click
 
 from todframes.base.errors import SettingsError
 from todframes.cli.console import print_content, print_end, print_table, progress, staged
-from todframes.cli.options import box, json_option, max_frame_option, numbers, quiet_option, strict_option
+from todframes.cli.options import (
+    BOX,
+    NUMBERS,
+    box,
+    json_option,
+    max_frame_option,
+    quiet_option,
+    rate_option,
+    strict_option,
+)
 
 if TYPE_CHECKING:
     from todframes.report.emva_report import EmvaResult
@@ -35,17 +44,17 @@ if TYPE_CHECKING:
     help="Descriptor file of an EMVA 1288 measurement, in place of RECORDING.",
 )
 @click.option(
-    "--exposure-ms", metavar="T[,T…]", help="With --dark: exposure of each bright stack, for the dark current."
+    "--exposure-ms", type=NUMBERS, help="With --dark: exposure of each bright stack, for the dark current."
 )
 @click.option(
     "--photons",
-    metavar="P[,P…]",
+    type=NUMBERS,
     help="With --dark: photons of a pixel in each bright stack, for the quantum efficiency.",
 )
 @click.option(
     "--bits", type=int, help="With --dark: number of bits of a pixel's value.  [default: from the files]"
 )
-@click.option("--region", metavar="X,Y,W,H", help="Left column, top row, width and height.  [default: all]")
+@click.option("--region", type=BOX, help="Left column, top row, width and height.  [default: all]")
 @click.option(
     "--patch",
     "patches",
@@ -60,16 +69,14 @@ if TYPE_CHECKING:
     metavar="CHART.toml",
     help="The chart that RECORDING shows: its patches are found by its markers, and the largest is the region.",
 )
-@click.option("--signal", metavar="S[,S…]", help="Differences of the values; prints their signal-to-noise ratios.")
+@click.option("--signal", type=NUMBERS, help="Differences of the values; prints their signal-to-noise ratios.")
 @click.option(
     "--mk-per-count",
     type=float,
     metavar="MK",
     help="Temperature difference in mK for one count.  [default: from the constants of a radiometric file]",
 )
-@click.option(
-    "--frames-per-second", type=float, metavar="F", help="Frame rate in place of what the files say, if they do."
-)
+@rate_option
 @max_frame_option
 @click.option("--sensor", is_flag=True, help="Print the table [noise] of a SENSOR.toml and nothing else.")
 @strict_option
@@ -81,13 +88,13 @@ def noise(
     out: str | None,
     dark: tuple[Path, ...],
     emva: Path | None,
-    exposure_ms: str | None,
-    photons: str | None,
+    exposure_ms: list[float] | None,
+    photons: list[float] | None,
     bits: int | None,
-    region: str | None,
+    region: tuple[int, int, int, int] | None,
     patches: tuple[str, ...],
     chart: Path | None,
-    signal: str | None,
+    signal: list[float] | None,
     mk_per_count: float | None,
     frames_per_second: float | None,
     max_frame_mb: int,
@@ -124,7 +131,6 @@ def noise(
     if not recording and not is_emva:
         raise SettingsError("noise: found no RECORDING, expected one, or --emva DESCRIPTOR")
     result: NoiseResult | EmvaResult
-    where = None if region is None else box(region, "--region")
     with staged(out) as place:
         with progress("reading", None, quiet=quiet) as advance:
             if is_emva:
@@ -132,10 +138,10 @@ def noise(
                     emva,
                     bright=recording,
                     dark=dark,
-                    exposure_ms=() if exposure_ms is None else numbers(exposure_ms, "--exposure-ms"),
-                    photons=() if photons is None else numbers(photons, "--photons"),
+                    exposure_ms=exposure_ms or (),
+                    photons=photons or (),
                     bits=bits,
-                    region=where,
+                    region=region,
                     chart=chart,
                     max_frame_mb=max_frame_mb,
                     progress=advance,
@@ -143,10 +149,10 @@ def noise(
             else:
                 result = tod.noise(
                     recording,
-                    region=where,
+                    region=region,
                     patches=dict(map(_patch, patches)),
                     chart=chart,
-                    signal=() if signal is None else numbers(signal, "--signal"),
+                    signal=signal or (),
                     mk_per_count=mk_per_count,
                     frames_per_second=frames_per_second,
                     max_frame_mb=max_frame_mb,

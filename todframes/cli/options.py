@@ -25,6 +25,70 @@ PASSES = {None: 1, "group": 2, "each": 3}
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+def numbers(text: str, option: str) -> list[float]:
+    """Return the numbers in a comma-separated text.
+
+    Raises
+    ------
+    SettingsError
+        If a part is not a number.
+    """
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise SettingsError(f"{option}: found {text!r}, expected numbers with commas between them") from None
+
+
+def box(text: str, option: str) -> tuple[int, int, int, int]:
+    """Return the left column, top row, width and height in a text.
+
+    Raises
+    ------
+    SettingsError
+        If the text is not four whole numbers.
+    """
+    try:
+        left, top, width, height = map(int, text.split(","))
+    except ValueError:
+        raise SettingsError(f"{option}: found {text!r}, expected X,Y,W,H: four whole numbers of pixels") from None
+    return left, top, width, height
+
+
+def limits(text: str, option: str) -> tuple[float, float]:
+    """Return the two numbers of a text LOW:HIGH.
+
+    Raises
+    ------
+    SettingsError
+        If the text is not two numbers.
+    """
+    try:
+        low, high = map(float, text.split(":"))
+    except ValueError:
+        raise SettingsError(f"{option}: found {text!r}, expected two numbers LOW:HIGH") from None
+    return low, high
+
+
+class Parsed(click.ParamType[Any]):
+    """Type of an option whose text is read by a function of the text and the option's name."""
+
+    def __init__(self, form: str, read: Callable[[str, str], Any]) -> None:
+        self.name, self.read = form, read
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:  # noqa: ARG002
+        """Return the form of the text, for `--help`."""
+        return self.name
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ARG002
+        """Return what the function reads; a default as it is."""
+        assert param is not None
+        return self.read(value, param.opts[0]) if isinstance(value, str) else value
+
+
+NUMBERS, BOX, LIMITS = Parsed("N[,N…]", numbers), Parsed("X,Y,W,H", box), Parsed("LOW:HIGH", limits)
+"""Types of options that hold several numbers."""
+
+
 def options(*decorators: Callable[[F], F]) -> Callable[[F], F]:
     """Return one decorator that adds several options, in the order in which `--help` shows them."""
 
@@ -51,6 +115,38 @@ max_frame_option = click.option(
     show_default=True,
     metavar="MB",
     help="Refuse frames that decode to more than this, before any is decoded.",
+)
+
+dataset_out_option = click.option(
+    "-o", "--out", required=True, metavar="DATASET", help="Folder of the dataset: a new or empty one."
+)
+
+display_option = click.option(
+    "--display",
+    default="reference_sdr",
+    show_default=True,
+    metavar="NAME|FILE",
+    help="Display that shows the frames: reference_sdr, reference_linear, srgb_monitor, tod_2001, or a TOML file; "
+    "all are in docs/displays.md.",
+)
+
+range_option = click.option(
+    "--range",
+    "value_range",
+    type=LIMITS,
+    help="Recorded values that the display shows black and white; needed for temperatures and counts.",
+)
+
+rate_option = click.option(
+    "--frames-per-second", type=float, metavar="N", help="Frames in a second, in place of what the files say."
+)
+
+turns_option = click.option(
+    "--turns",
+    type=click.Choice([8, 4, 1]),
+    default=8,
+    show_default=True,
+    help="Turned and mirrored versions in which each scene is shown: 4 are not mirrored, 1 is as recorded.",
 )
 
 verbose_option = click.option(
@@ -317,49 +413,3 @@ def assigned(assignments: Sequence[str]) -> dict[str, Any]:
             raise SettingsError(f"--set: found {assignment!r}, expected a list as TOML has it: NAME=[0.5, 0.25]")
         table[name.strip()] = value
     return table
-
-
-def numbers(text: str, option: str) -> list[float]:
-    """Return the numbers in a comma-separated text.
-
-    Raises
-    ------
-    SettingsError
-        If a part is not a number.
-    """
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise SettingsError(f"{option}: found {text!r}, expected numbers with commas between them") from None
-
-
-def box(text: str, option: str) -> tuple[int, int, int, int]:
-    """Return the left column, top row, width and height in a text.
-
-    Raises
-    ------
-    SettingsError
-        If the text is not four whole numbers.
-    """
-    try:
-        left, top, width, height = map(int, text.split(","))
-    except ValueError:
-        raise SettingsError(f"{option}: found {text!r}, expected X,Y,W,H: four whole numbers of pixels") from None
-    return left, top, width, height
-
-
-def limits(text: str | None, option: str = "--range") -> tuple[float, float] | None:
-    """Return the two numbers of an option LOW:HIGH; None if it is not given.
-
-    Raises
-    ------
-    SettingsError
-        If the text is not two numbers.
-    """
-    if text is None:
-        return None
-    try:
-        low, high = map(float, text.split(":"))
-    except ValueError:
-        raise SettingsError(f"{option}: found {text!r}, expected two numbers LOW:HIGH") from None
-    return low, high

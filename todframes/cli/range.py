@@ -8,7 +8,7 @@ import click
 
 from todframes.base.errors import SettingsError
 from todframes.cli.console import print_content, print_end, print_table, staged
-from todframes.cli.options import json_option, numbers, seed_option, strict_option
+from todframes.cli.options import NUMBERS, json_option, numbers, seed_option, strict_option
 
 
 @click.command("range")
@@ -28,7 +28,9 @@ from todframes.cli.options import json_option, numbers, seed_option, strict_opti
     metavar="OUT",
     help="Folder for result.json, report.html, ranges.csv, probability.csv and plots.",
 )
-@click.option("--k", metavar="K[,K…]", help="For a TOD: the target is seen if a triangle of size / K is.")
+@click.option(
+    "--k", type=NUMBERS, metavar="K[,K…]", help="For a TOD: the target is seen if a triangle of size / K is."
+)
 @click.option(
     "--cycles", metavar="NAME|N[,N…]", help="N50 in line pairs on the target: stanag, johnson, or your own."
 )
@@ -66,7 +68,7 @@ def range_command(
     target: str,
     atmosphere: str,
     out: str | None,
-    k: str | None,
+    k: list[float] | None,
     cycles: str | None,
     cycles_per_size: float | None,
     search_time_s: float | None,
@@ -89,7 +91,7 @@ def range_command(
             result,
             target=target,
             atmosphere=atmosphere,
-            k=None if k is None else {f"k {one:g}": one for one in numbers(k, "--k")},
+            k=None if k is None else {f"k {one:g}": one for one in k},
             cycles=None if cycles is None else _cycles(cycles),
             cycles_per_size=cycles_per_size,
             search_time_s=search_time_s,

@@ -9,7 +9,15 @@ import click
 
 from todframes.base.errors import SettingsError
 from todframes.cli.console import MOST_ALIKE, print_sentences, progress, say
-from todframes.cli.options import limits, max_frame_option, quiet_option, restart_options
+from todframes.cli.options import (
+    dataset_out_option,
+    display_option,
+    max_frame_option,
+    quiet_option,
+    range_option,
+    rate_option,
+    restart_options,
+)
 
 UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
 """Units of a time on the command line, in seconds."""
@@ -25,14 +33,8 @@ UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
     help="CSV file with what each part of the recordings shows, instead of a chart: columns file, start_s, end_s, "
     "orientation, size_mrad, the level; x_px, y_px if known.",
 )
-@click.option("-o", "--out", required=True, metavar="DATASET", help="Folder of the dataset: a new or empty one.")
-@click.option(
-    "--display",
-    default="reference_sdr",
-    show_default=True,
-    metavar="NAME|FILE",
-    help="Display that shows the frames: one of this package, or a TOML file.",
-)
+@dataset_out_option
+@display_option
 @click.option(
     "--integration-time",
     default="0.1 s",
@@ -54,15 +56,8 @@ UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
     help="Recorded frames before each run of trials, which are not judged: for filters of several frames.  "
     "[default: none]",
 )
-@click.option(
-    "--range",
-    "value_range",
-    metavar="LOW:HIGH",
-    help="Recorded values that the display shows black and white; needed for temperatures and counts.",
-)
-@click.option(
-    "--frames-per-second", type=float, metavar="N", help="Frames in a second, in place of what the files say."
-)
+@range_option
+@rate_option
 @click.option(
     "--ifov-mrad",
     type=float,
@@ -82,7 +77,6 @@ def import_command(
     recordings: tuple[Path, ...],
     out: str,
     integration_time: str,
-    value_range: str | None,
     frames_per_second: float | None,
     max_frame_mb: int,
     quiet: bool,
@@ -96,7 +90,7 @@ def import_command(
     """
     if (asked["chart"] is None) == (asked["schedule"] is None):
         raise SettingsError("import: expected one of --chart and --schedule, which says what is shown")
-    time_s, shown_range = seconds(integration_time), limits(value_range)
+    time_s = seconds(integration_time)
     from todframes.importing.importing import import_recordings, open_for_import
     from todframes.report.wording import count
 
@@ -114,7 +108,6 @@ def import_command(
             opened,
             out=out,
             integration_time_s=time_s,
-            value_range=shown_range,
             tell=None if quiet else say,
             progress=advance,
             **asked,

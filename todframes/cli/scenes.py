@@ -7,26 +7,30 @@ from typing import Any
 import click
 
 from todframes.cli.console import print_sentences, progress, say
-from todframes.cli.options import limits, max_frame_option, numbers, quiet_option, seed_option
+from todframes.cli.options import (
+    NUMBERS,
+    dataset_out_option,
+    display_option,
+    max_frame_option,
+    quiet_option,
+    range_option,
+    seed_option,
+    turns_option,
+)
 
 
 @click.command()
 @click.argument("backgrounds", nargs=-1, required=True, metavar="BACKGROUND…")
 @click.option(
-    "--size-mrad",
-    "sizes",
-    required=True,
-    metavar="S,…",
-    help="Sizes of the triangles, √(area), in mrad at the eye.",
+    "--size-mrad", type=NUMBERS, required=True, help="Sizes of the triangles, √(area), in mrad at the eye."
 )
 @click.option(
     "--contrast",
-    "contrasts",
+    type=NUMBERS,
     required=True,
-    metavar="C,…",
     help="Contrasts against the mean luminance of the circle through the triangle's corners.",
 )
-@click.option("-o", "--out", required=True, metavar="DATASET", help="Folder of the dataset: a new or empty one.")
+@dataset_out_option
 @click.option(
     "--places",
     type=click.IntRange(1),
@@ -64,43 +68,22 @@ from todframes.cli.options import limits, max_frame_option, numbers, quiet_optio
 @click.option(
     "--frames", type=int, default=1, show_default=True, metavar="N", help="Frames from a film, evenly spread."
 )
-@click.option(
-    "--turns",
-    type=click.Choice(["8", "4", "1"]),
-    default="8",
-    show_default=True,
-    help="Turned and mirrored versions in which each background is shown: 4 are not mirrored, 1 is as recorded.",
-)
+@turns_option
 @click.option(
     "--dim",
     type=float,
     metavar="F",
     help="Factor of the scene's luminance.  [default: the largest with which no triangle is beyond white]",
 )
-@click.option(
-    "--display",
-    default="reference_sdr",
-    show_default=True,
-    metavar="NAME|FILE",
-    help="Display that shows the frames: one of this package, or a TOML file.",
-)
-@click.option(
-    "--range",
-    "value_range",
-    metavar="LOW:HIGH",
-    help="Recorded values that the display shows black and white; needed for temperatures and counts.",
-)
+@display_option
+@range_option
 @seed_option
 @max_frame_option
 @quiet_option
 def scenes(
     *,
     backgrounds: tuple[str, ...],
-    sizes: str,
-    contrasts: str,
     darker: bool,
-    turns: str,
-    value_range: str | None,
     out: str,
     quiet: bool,
     **asked: Any,
@@ -118,11 +101,7 @@ def scenes(
         made = make_scenes(
             backgrounds,
             out=out,
-            size_mrad=numbers(sizes, "--size-mrad"),
-            contrast=numbers(contrasts, "--contrast"),
             polarity=-1 if darker else 1,
-            turns=int(turns),
-            value_range=limits(value_range),
             progress=advance,
             **asked,
         )

@@ -11,13 +11,13 @@ from todframes.base.errors import SettingsError
 from todframes.base.locations import Location
 from todframes.cli.console import finish, long_run, progress, staged
 from todframes.cli.options import (
+    NUMBERS,
     PASSES,
     ScoringCommand,
     dataset_argument,
     json_option,
     make_fit,
     make_observer,
-    numbers,
     observer_options,
     p_correct_option,
     quiet_option,
@@ -67,7 +67,7 @@ def score(*, dataset: Location, out: str | None, quiet: bool, **asked: Any) -> N
 
 @click.command("naked-eye")
 @click.option("--contrast", type=float, help="Weber contrast; the threshold is then a size: the acuity.")
-@click.option("--size-mrad", metavar="S[,S…]", help="Sizes; the threshold is then a contrast for each.")
+@click.option("--size-mrad", type=NUMBERS, help="Sizes; the threshold is then a contrast for each.")
 @click.option(
     "--places",
     type=int,
@@ -81,7 +81,13 @@ def score(*, dataset: Location, out: str | None, quiet: bool, **asked: Any) -> N
 @json_option
 @quiet_option
 def naked_eye(
-    *, contrast: float | None, size_mrad: str | None, places: int, out: str | None, quiet: bool, **asked: Any
+    *,
+    contrast: float | None,
+    size_mrad: list[float] | None,
+    places: int,
+    out: str | None,
+    quiet: bool,
+    **asked: Any,
 ) -> None:
     """Compute thresholds of the observer without any display in between."""
     if (contrast is None) == (size_mrad is None):
@@ -90,12 +96,11 @@ def naked_eye(
     observer, fit = make_observer(asked, fitted=False)
     import todframes as tod
 
-    sizes = None if size_mrad is None else numbers(size_mrad, "--size-mrad")
     with staged(out) as place:
-        with progress("computing", 1 if sizes is None else len(sizes), quiet=quiet) as advance:
+        with progress("computing", 1 if size_mrad is None else len(size_mrad), quiet=quiet) as advance:
             result = tod.naked_eye(
                 contrast=contrast,
-                size_mrad=sizes,
+                size_mrad=size_mrad,
                 observer=observer,
                 p_correct=fit.p_correct,
                 places=places,
