@@ -103,17 +103,7 @@ def range_answer(found: RangeResult) -> dict[str, Any]:
         "axis": probability_axis(acquired),
         "criterion": "k" if found.is_tod else "N50",
         "probabilities": list(acquired.probabilities),
-        "curves": [
-            {
-                "task": one.task,
-                "range_km": one.range_km.tolist(),
-                "probability": one.probability.tolist(),
-                "low": None if one.low is None else one.low.tolist(),
-                "high": None if one.high is None else one.high.tolist(),
-                "is_bound": (one.bound != 0.0).tolist(),
-            }
-            for one in acquired.curves
-        ],
+        "curves": [one.json() | {"is_bound": (one.bound != 0.0).tolist()} for one in acquired.curves],
         "ranges": [
             {
                 "task": one.task,

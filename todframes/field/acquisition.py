@@ -19,7 +19,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from todframes.base._typing import FloatArray
+from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.field.atmosphere import Atmosphere
 from todframes.field.target import Target
@@ -151,6 +151,11 @@ class TaskCurve(NamedTuple):
     high: FloatArray | None
     bound: FloatArray
     limit: tuple[Limit, ...]
+
+    def json(self) -> Json:
+        """Return task, range, probability and its band as values of JSON."""
+        arrays = {name: getattr(self, name) for name in ("range_km", "probability", "low", "high")}
+        return {"task": self.task} | {name: None if one is None else one.tolist() for name, one in arrays.items()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

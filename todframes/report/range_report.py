@@ -229,15 +229,7 @@ class RangeResult(Plotting):
             "r46_distance_m": acquired.target.r46_distance_m,
             "ranges": [_record(one) for one in acquired.ranges],
             "probability": [
-                {
-                    "task": one.task,
-                    "range_km": one.range_km.tolist(),
-                    "probability": one.probability.tolist(),
-                    "low": None if one.low is None else one.low.tolist(),
-                    "high": None if one.high is None else one.high.tolist(),
-                    "bound": one.bound.tolist(),
-                    "limited_by": list(one.limit),
-                }
+                one.json() | {"bound": one.bound.tolist(), "limited_by": list(one.limit)}
                 for one in acquired.curves
             ],
         }
