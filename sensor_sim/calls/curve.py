@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from sensor_sim.chain.sensor import Scene, Sensor, sensor_of, sensor_settings
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import FitSettings
@@ -93,8 +93,8 @@ def curve(
     background = sensor.display.background_luminance_cd_m2
     judge, settings = described(observer, lambda: background)
     FitSettings(p_correct=p_correct)  # checks it
-    sizes = _each_once(size_detectors, "size_detectors")
-    luminances = _each_once(luminance_cd_m2, "luminance_cd_m2")
+    sizes = _each_once(size_detectors, argument.size_detectors)
+    luminances = _each_once(luminance_cd_m2, argument.luminance_cd_m2)
     scenes = _scenes(sensor, luminances)
     of_scenes: list[list[Fit]] = [[] for _ in scenes or (None,)]
     for size in sizes:
@@ -188,6 +188,6 @@ def _scenes(sensor: Sensor, luminances_cd_m2: Sequence[float]) -> list[Scene]:
     if sensor.scene is None:
         if luminances_cd_m2:
             needed = 'found for a sensor without [noise] model = "photon", expected none'
-            raise SettingsError(f"luminance_cd_m2: {needed}")
+            raise SettingsError(f"{argument.luminance_cd_m2}: {needed}")
         return []
     return [sensor.scene.at(luminance) for luminance in luminances_cd_m2] or [sensor.scene]

@@ -114,7 +114,7 @@ def mrtd(
         ("ttp_width_deg", ttp_width_deg),
     ):
         check_positive(name, value)
-    check_positive("tolerance", tolerance)
+    check_positive(argument.tolerance, tolerance)
     of_nyquist = sorted(float(one) for one in frequency_nyquist)
     if not of_nyquist or len(set(of_nyquist)) < len(of_nyquist):
         listed = ", ".join(f"{one:g}" for one in of_nyquist) or "none"

@@ -38,7 +38,7 @@ from sensor_sim.chain.transfer import (
     sharpness_bound,
 )
 from todframes.base._typing import ComplexArray, FloatArray
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive
 from todframes.four_bars import FourBars
 from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, spectrum
@@ -304,7 +304,7 @@ class TriangleSampler(PatternSampler):
     """
 
     def __init__(self, *, size_detectors: float, field_detectors: int, **chain: Unpack[SamplerChain]) -> None:
-        check_positive("size_detectors", size_detectors)
+        check_positive(argument.size_detectors, size_detectors)
         smallest = smallest_field(size_detectors)
         if field_detectors < smallest:
             needed = f"at least {smallest} for a triangle of size {size_detectors:g} detectors"
@@ -377,13 +377,14 @@ def field_detectors(sensor: Sensor, size_detectors: float, sizes: float = FIELD_
     SettingsError
         If the size is not a positive number.
     """
-    check_positive("size_detectors", size_detectors)
+    check_positive(argument.size_detectors, size_detectors)
     blur = 3.0 * blur_mrad(sensor.optics, sensor.motion) / sensor.detector.pitch_mrad
     field = sizes * size_detectors + 2.0 * blur + FIELD_MARGIN_DETECTORS
     if field > MAX_FIELD_DETECTORS:
         room = MAX_FIELD_DETECTORS - FIELD_MARGIN_DETECTORS
         if (of_blur := room - sizes * size_detectors) <= 0.0:
-            raise SettingsError(f"size_detectors: found {size_detectors:g}, expected at most {room / sizes:g}")
+            found = f"found {size_detectors:g}, expected at most {room / sizes:g}"
+            raise SettingsError(f"{argument.size_detectors}: {found}")
         found, of_deviation = _widest_blur(sensor)
         raise SettingsError(
             f"{found}, expected at most {of_deviation * of_blur / 6.0 * sensor.detector.pitch_mrad:.4g} with "

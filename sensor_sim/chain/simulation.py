@@ -127,7 +127,7 @@ def plan_trials(
     SettingsError
         If a list is empty, a value is not a positive number or occurs twice, or there are no trials.
     """
-    for name, values in (("size_detectors", sizes_detectors), (level_name, levels)):
+    for name, values in ((argument.size_detectors, sizes_detectors), (getattr(argument, level_name), levels)):
         if not values:
             raise SettingsError(f"{name}: found no values, expected at least one")
         for value in values:
@@ -136,7 +136,7 @@ def plan_trials(
         if len(set(values)) < len(values):
             raise SettingsError(f"{name}: found a value twice in {', '.join(f'{v:g}' for v in values)}")
     if trials < 1:
-        raise SettingsError(f"trials: found {trials}, expected at least 1")
+        raise SettingsError(f"{argument.trials}: found {trials}, expected at least 1")
     return [
         SimulatedTrial((i, j, n), size, level, ORIENTATIONS[n % 4])
         for i, size in enumerate(sizes_detectors)

@@ -293,15 +293,15 @@ def _check(keys: Iterable[str], known: Mapping[str, bool]) -> None:
     """Raise SettingsError if a key cannot be varied, there is none, or two set the same value."""
     keys = list(keys)
     if not keys:
-        raise SettingsError("vary: found no key, expected one or more, such as optics.aperture_mm")
-    check_keys(keys, known, "vary")
+        raise SettingsError(f"{argument.vary}: found no key, expected one or more, such as optics.aperture_mm")
+    check_keys(keys, known, argument.vary)
     for alike in (
         *((FILL_FACTOR, width) for width in WIDTHS),
         ("observer.internal_noise", "observer.internal_noise_sd"),
     ):
         if set(alike) <= set(keys):
             found = " and ".join(alike)
-            raise SettingsError(f"vary: found {found}, expected one of them: they set the same value")
+            raise SettingsError(f"{argument.vary}: found {found}, expected one of them: they set the same value")
 
 
 def check_coupling(sensor: Sensor, keys: Iterable[str]) -> None:
@@ -334,7 +334,7 @@ def _with_coupled_netd(sensor: Sensor, base: Sensor) -> Sensor:
 
 def _check_number(n: int) -> None:
     if n < 1:
-        raise SettingsError(f"sample: found {n}, expected 1 or more designs")
+        raise SettingsError(f"{argument.sample}: found {n}, expected 1 or more designs")
     if n > MOST_DESIGNS:
         raise SettingsError(f"designs: found {n}, expected at most {MOST_DESIGNS}")
 

@@ -514,7 +514,7 @@ def objectives(
         return (Objective(OF_RANGE, -1),)
     if not (minimise or maximise):
         return (Objective("delta_t_mk" if has_netd else f"threshold_{level}", 1),)
-    for where, names in (("minimise", minimise), ("maximise", maximise)):
+    for where, names in ((argument.minimise, minimise), (argument.maximise, maximise)):
         check_keys(names, [f"threshold_{level}", "delta_t_mk", *OF_ACUITY, OF_RANGE, *keys], where)
         if "delta_t_mk" in names and not has_netd:
             raise SettingsError(f"{where}: found delta_t_mk, which needs noise.netd_mk of the sensor")
@@ -524,7 +524,7 @@ def objectives(
             raise SettingsError(f"{where}: found {OF_RANGE}, which needs a target and an atmosphere")
     found = (*(Objective(name, 1) for name in minimise), *(Objective(name, -1) for name in maximise))
     if len({one.column for one in found}) < len(found):
-        raise SettingsError("minimise, maximise: found a column twice, expected each once")
+        raise SettingsError(f"{argument.minimise}, {argument.maximise}: found a column twice, expected each once")
     return found
 
 

@@ -22,7 +22,7 @@ from sensor_sim.thresholds.curve_plan import plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.thresholds.sharing import Shared
 from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError, TodframesError
+from todframes.base.errors import SettingsError, TodframesError, argument
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
@@ -254,12 +254,12 @@ def check_sweep(
     """
     FitSettings(p_correct=p_correct)  # checks it
     if not tolerance > 0.0:
-        raise SettingsError(f"tolerance: found {tolerance!r}, expected a number > 0")
+        raise SettingsError(f"{argument.tolerance}: found {tolerance!r}, expected a number > 0")
     shown = ",".join(f"{size:g}" for size in sizes)
     if not sizes or not all(math.isfinite(size) and size > 0.0 for size in sizes):
-        raise SettingsError(f"size_detectors: found {shown!r}, expected finite numbers > 0")
+        raise SettingsError(f"{argument.size_detectors}: found {shown!r}, expected finite numbers > 0")
     if len(set(sizes)) < len(sizes):
-        raise SettingsError(f"size_detectors: found a value twice in {shown!r}, expected each once")
+        raise SettingsError(f"{argument.size_detectors}: found a value twice in {shown!r}, expected each once")
     try:
         readout = observer.readout(Stimulus(sizes[0] * sensor.display.detector_pitch_mrad))
     except SettingsError:

@@ -36,7 +36,7 @@ from sensor_sim.thresholds.curve_plan import (
     signal_covariance,
 )
 from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer, Readout, non_gaussian_bound
 from todframes.psychometrics.replicates import REPLICATES, half_width_95
@@ -612,7 +612,7 @@ def predict_threshold(
         If the tolerance is not a positive number.
     """
     if not tolerance > 0:
-        raise SettingsError(f"tolerance: found {tolerance!r}, expected a number > 0")
+        raise SettingsError(f"{argument.tolerance}: found {tolerance!r}, expected a number > 0")
     return predicted_on_lattices(
         chain,
         p_correct=p_correct,
