@@ -439,6 +439,21 @@ def test_command_is_the_call(table, air, capsys) -> None:
     assert (first["range_km"], first["status"]) == (pytest.approx(7.2547, abs=1e-4), "ok")
 
 
+def test_a_terminal_of_80_columns_shows_each_status(air, tmp_path, monkeypatch, capsys) -> None:
+    """Also beside a range with its interval and two bounds, which need the room: no row is without an explanation."""
+    reached = json.loads(of_fits().to_json())["fits"][1:3]
+    ends = {**reached[0], "group": {"object_size_mrad": 0.25}, "status": "never_reached", "threshold": None}
+    fits = [*reached, {**ends, "threshold_ci95": None}]
+    path = tmp_path / "result.json"
+    path.write_bytes(of_fits(result={"fits": fits}).to_json())
+    target = tmp_path / "target.toml"
+    target.write_text("schema = 1\n[target]\nsize_m = 2.3\ncontrast = 0.14\n")
+    monkeypatch.setenv("COLUMNS", "80")
+    assert run(cli, ["range", str(path), "--target", str(target), "--atmosphere", str(air), "--k", "3"]) == 0
+    shown = capsys.readouterr().out.split("\n\n")[0]
+    assert all(word in shown for word in ("interval", "least", "most", "beyond_curve", "ok"))
+
+
 @pytest.mark.slow
 def test_files_of_the_command(table, air, tmp_path) -> None:
     out = tmp_path / "out"

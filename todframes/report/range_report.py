@@ -92,7 +92,7 @@ class RangeResult(Plotting):
         records = [_record(one) for one in self.acquired.ranges]
         columns = [
             Column(key="task", is_name=True),
-            Column(key="criterion", header="k" if self.is_tod else "N50", digits=3),
+            Column(key="criterion", header="k" if self.is_tod else "N50", digits=3, rank=1),
             Column(key="probability", header="P(correct)" if self.is_tod else "P", digits=3, is_name=True),
             Column(key="range_km", header="range (km)"),
             Column(key="range_ci95_km", header="95 % interval", interval="range_ci95_km", digits=3),
@@ -103,7 +103,7 @@ class RangeResult(Plotting):
                 Column(key=f"gain_{name}_percent", header=f"10 % {_more(name)}", digits=2, is_detail=True)
                 for name in LIMIT_COLUMNS
             ),
-            Column(key="status", rank=1),
+            Column(key="status"),
         ]
         table = Table.of(f"Range: {about(self.acquired)}", "ranges.csv", columns, records)
         return table.without_empty_columns("range_km", "range_ci95_km")
