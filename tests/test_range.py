@@ -440,7 +440,7 @@ def test_command_is_the_call(table, air, capsys) -> None:
 
 
 def test_a_terminal_of_80_columns_shows_each_status(air, tmp_path, monkeypatch, capsys) -> None:
-    """Also beside a range with its interval and two bounds, which need the room: no row is without an explanation."""
+    """Also beside an interval and two bounds, which need the room: no row is without an explanation."""
     reached = json.loads(of_fits().to_json())["fits"][1:3]
     ends = {**reached[0], "group": {"object_size_mrad": 0.25}, "status": "never_reached", "threshold": None}
     fits = [*reached, {**ends, "threshold_ci95": None}]
