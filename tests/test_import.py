@@ -127,6 +127,7 @@ def test_frames_before_a_trial_are_those_of_the_film(tmp_path: Path, chart: Path
     assert (done.n_trials, done.n_frames) == (5, 5 * 3 + 2 * 4)
     (note,) = [one for one in done.notes if "before them" in one]
     assert note.startswith("2 of 5 trials have fewer than 4 frames before them, as a recording begins there")
+    assert note.endswith("leave these trials out (on_error skip)")
     numbers = [round(float(row["time_s"]) * RATE) for row in rows]
     assert numbers == [*range(6), *range(3, 13), *range(10, 17)]
     assert [row["judged"] for row in rows] == list("11111100001111110000111")

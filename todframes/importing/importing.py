@@ -274,6 +274,7 @@ def import_recordings(
         to_report += tuple(_of_frames(dataset, {code for code, _ in to_report}))
         warnings = tuple(RecordingWarning(code, for_reader(message)) for code, message in to_report)
         notes = (*source.notes(), *_of_time(opened, time_s), *_of_warm_up(division, warm_up_frames))
+        notes = tuple(map(for_reader, notes))
         n_clips = sum(clip.n_trials > 0 for clip in source.clips)
         report = {
             "version": __version__,
