@@ -500,7 +500,7 @@ def scene_tables(scene: SceneResult) -> list[Table]:
         f"{scene.heading}: one thing changed about the closed form",
         f"{scene.name}_variants.csv",
         [
-            Column(key="label", header="closed form, changed", is_name=True),
+            Column(key="label", header="closed form, changed", is_name=True, wraps=True),
             Column(key="cpu_ratio", header="CPU", sign="× ", digits=3),
             Column(key="p_correct_change", header="change of P", digits=2),
             Column(key="threshold_change", header="of the threshold", digits=2),
