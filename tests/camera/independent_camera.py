@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -216,18 +217,11 @@ class Camera:
 
     def _bent(self, halves: NDArray[np.float32], to_fine: Image, whole: Image) -> NDArray[np.float32]:
         """The page through a lens that bends lines, on the fine grid."""
-        assert self.bending is not None
-        y, x = np.mgrid[: self.height * self.oversampling, : self.width * self.oversampling].astype(float)
-        pixels = (np.stack([x, y], axis=-1) - to_fine[:2, 2]) / self.oversampling
-        straight = self.bending.straightened(pixels) * self.oversampling + to_fine[:2, 2]
-        back = np.linalg.inv(whole)
-        on_page = straight @ back[:, :2].T + back[:, 2]
         # Samples of the fine grid are up to three halves of the monitor's pixels apart where the lens squeezes the
         # picture: a blur by 1.5 of them, a third of a pixel of the camera, spares edges the rounding to samples.
         halves = cv2.GaussianBlur(halves, (0, 0), 1.5)
-        behind = on_page[..., 2] <= 0
-        places = np.where(behind[..., None], -1e4, on_page[..., :2] / on_page[..., 2:]).astype(np.float32)
-        return cv2.remap(halves, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderValue=0.02)
+        x, y = _behind_the_lens(self, tuple(to_fine.ravel()), tuple(whole.ravel()))
+        return cv2.remap(halves, x, y, cv2.INTER_LINEAR, borderValue=0.02)
 
     def expose(self, image: Image, rng: np.random.Generator) -> NDArray[np.uint8 | np.uint16]:
         """One frame of code values, grey or RGB, with new noise."""
@@ -245,6 +239,23 @@ class Camera:
         electrons = image * self.electrons_at_white
         noise = rng.standard_normal(image.shape) * np.sqrt(electrons + self.read_noise_electrons**2)
         return np.clip((electrons + noise) / self.electrons_at_white, 0.0, 1.0)
+
+
+@lru_cache(maxsize=1)  # all pages of a film are seen alike
+def _behind_the_lens(
+    camera: Camera, to_fine: tuple[float, ...], whole: tuple[float, ...]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Places on the page, x and y in its halves of pixels, that samples of the camera's fine grid see."""
+    assert camera.bending is not None
+    fine, shift = camera.oversampling, np.reshape(to_fine, (3, 3))[:2, 2]
+    y, x = np.mgrid[: camera.height * fine, : camera.width * fine].astype(float)
+    pixels = (np.stack([x, y], axis=-1) - shift) / fine
+    straight = camera.bending.straightened(pixels) * fine + shift
+    back = np.linalg.inv(np.reshape(whole, (3, 3)))
+    on_page = straight @ back[:, :2].T + back[:, 2]
+    behind = on_page[..., 2] <= 0
+    places = np.where(behind[..., None], -1e4, on_page[..., :2] / on_page[..., 2:]).astype(np.float32)
+    return places[..., 0], places[..., 1]
 
 
 def film(
