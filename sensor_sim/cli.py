@@ -48,6 +48,15 @@ sizes_option = click.option(
     "--size-detectors", type=NUMBERS, required=True, help="Sizes √(area) in detector pitches."
 )
 
+places_option = click.option(
+    "--places",
+    type=int,
+    default=1,
+    show_default=True,
+    metavar="M",
+    help="Number of places, far apart, at which the triangle may be; with 1 its place is known.",
+)
+
 aim_options = options(
     click.option("--target", metavar="NAME|FILE", help="Give the range of this target, as for `todframes range`."),
     click.option("--atmosphere", metavar="NAME|FILE", help="Air to the target."),
@@ -170,14 +179,7 @@ def simulate(
     default=[],
     help="A curve for each of these luminances of the background in cd/m², for a camera that counts photons.",
 )
-@click.option(
-    "--places",
-    type=int,
-    default=1,
-    show_default=True,
-    metavar="M",
-    help="Number of places, far apart, at which the triangle may be; with 1 its place is known.",
-)
+@places_option
 @observer_options
 @tolerance_option(2e-3, "Relative error of the thresholds to reach.")
 @plan_option
@@ -250,6 +252,7 @@ def curve(*, sensor: Path, size_detectors: list[float], out: str | None, quiet: 
 @click.option("--acuity-snr", type=float, metavar="R", help="Give the smallest size visible at this SNR.")
 @click.option("--acuity-delta-t-mk", type=float, metavar="T", help="Give the smallest size visible at this ΔT.")
 @aim_options
+@places_option
 @observer_options
 @tolerance_option(2e-3, "Relative error of the thresholds to reach.")
 @plan_option

@@ -73,6 +73,27 @@ def test_frames_with_four_places_have_75_per_cent_at_the_threshold(threshold: to
 
 
 @pytest.mark.slow
+def test_a_sweep_has_the_threshold_of_curve(threshold: tod.Result) -> None:
+    """The SNR at the threshold does not depend on the NETD, so both designs are one computation."""
+    (found,) = threshold.thresholds
+    vary = {"noise.netd_mk": [20.0, 40.0]}
+    swept = ss.sweep(camera(), size_detectors=[SIZE], vary=vary, places=PLACES, tolerance=0.02)
+    assert [row["threshold_snr"] for row in swept.records()] == [found.threshold] * 2
+    assert swept.settings["places"] == PLACES
+    assert any("at one of 4 places" in one for one in swept.sentences())
+
+
+def test_a_sweep_needs_noise_that_is_the_same_at_all_places() -> None:
+    sensor = camera()
+    with pytest.raises(tod.SettingsError, match="places: found 0, expected a whole number from 1 to"):
+        ss.sweep(sensor, size_detectors=[SIZE], vary={"noise.netd_mk": [20.0, 40.0]}, places=0)
+    vary = {"noise.row_noise_ratio": [0.0, 0.5]}
+    swept = ss.sweep(sensor, size_detectors=[0.5], vary=vary, places=PLACES, tolerance=0.5)
+    assert [row["status"] for row in swept.records()] == ["never_reached", "impossible"]
+    assert "noise that rows or columns have in common" in swept.sentences()[1]
+
+
+@pytest.mark.slow
 def test_more_places_need_more_signal(threshold: tod.Result) -> None:
     (known,) = ss.curve(camera(), size_detectors=[SIZE], tolerance=0.02, examples=False).thresholds
     (found,) = threshold.thresholds

@@ -40,6 +40,7 @@ def sweep(
     target: Target | Path | str | None = None,
     atmosphere: Atmosphere | Path | str | None = None,
     k: float | None = None,
+    places: int = 1,
     observer: str | Observer = "pyramid",
     p_correct: float = 0.75,
     tolerance: float = 2e-3,
@@ -84,7 +85,7 @@ def sweep(
         Air to the target, which a target needs.
     k : float, optional
         In place of the target's k: the target is seen if a triangle of size / k is.
-    observer, p_correct, tolerance, plan, rng
+    places, observer, p_correct, tolerance, plan, rng
         As for `curve`; the seed is also that of `sample`.
     workers : int
         Processes to compute in. A script then calls this below `if __name__ == "__main__":`.
@@ -121,12 +122,14 @@ def sweep(
     from sensor_sim.sweeps.result import SweepResult
     from sensor_sim.sweeps.tables import Criterion, objectives
     from sensor_sim.sweeps.work import SweepWork, Variants, check_sweep, run_sweep
+    from sensor_sim.thresholds.places import check_places
     from todframes.jobs.engine import open_engine
 
     judge, settings = described(observer)
     sensor = sensor_of(sensor)
     sizes = [float(size) for size in size_detectors]
     seen = adapted(judge, lambda: sensor.display.background_luminance_cd_m2)
+    check_places(sensor, places)
     check_sweep(sensor, seen, sizes, p_correct=p_correct, tolerance=tolerance)
     observers = Variants.of(judge)
     designs = make_designs(
@@ -151,7 +154,9 @@ def sweep(
         has_range=aim is not None,
         level=sensor.level,
     )
-    work = SweepWork(observers=observers, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan)
+    work = SweepWork(
+        observers=observers, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan, places=places
+    )
     with open_engine(cluster, workers) as engine:
         swept = run_sweep(base, designs, sizes, work, engine, store=store, progress=progress)
     settings |= {
@@ -172,6 +177,7 @@ def sweep(
         "tolerance": tolerance,
         "plan": plan,
     }
+    settings |= {"places": places} if places > 1 else {}
     return SweepResult(
         swept=swept,
         objectives=goals,

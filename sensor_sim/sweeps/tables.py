@@ -24,7 +24,7 @@ from todframes.field.target import Quantity
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
 from todframes.report.data import json_file
 from todframes.report.table import BLOCK, Column, LongRecords, Table
-from todframes.report.wording import count, listed, plain
+from todframes.report.wording import count, listed, plain, unknown_place
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -459,6 +459,8 @@ class SweepData:
                 f"The range of {count(len(beyond), 'design')} is beyond the smallest size, at "
                 f"{plain(max(beyond))} km or more; add smaller sizes."
             )
+        if "places" in self.settings:
+            found.append(unknown_place(self.settings["places"]))
         if len(self.objectives) > 1:
             names = listed(f"{'low' if one.sign > 0 else 'high'} {one.column}" for one in self.objectives)
             number = int(self.on_front[:, 0].sum())

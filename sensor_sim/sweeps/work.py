@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, is_dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, ClassVar, NamedTuple
 
 import msgspec
@@ -19,6 +19,7 @@ from sensor_sim.chain.detector_noise import NO_LINES, delta_t_mk, line_shares
 from sensor_sim.chain.sensor import Noise, Sensor
 from sensor_sim.sweeps.designs import Base, Changes, Designs
 from sensor_sim.thresholds.curve_plan import plan_curve
+from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.thresholds.sharing import Shared
 from todframes.base._typing import FloatArray
@@ -103,7 +104,7 @@ class SweepWork:
     Attributes
     ----------
     observers : Variants
-    p_correct, tolerance, seed, plan
+    p_correct, tolerance, seed, plan, places
         As for `sensor_sim.curve`.
     shared_mb : int
         Largest size of the parts that are shared, in units of 2**20 bytes; no number depends on it.
@@ -114,6 +115,7 @@ class SweepWork:
     tolerance: float
     seed: int
     plan: PlanName = "needed"
+    places: int = 1
     shared_mb: int = SHARED_MB
     items_at_once: ClassVar[int] = 1
 
@@ -135,12 +137,14 @@ class SweepWork:
                     p_correct=self.p_correct,
                     shared=shared,
                 )
-                return predict_threshold(
-                    FoldedChain(sensor, observer, size, steps),
-                    p_correct=self.p_correct,
-                    tolerance=self.tolerance,
-                    seed=self.seed,
-                    n_points=0,
+                known = FoldedChain(sensor, observer, size, steps)
+                predict = predict_threshold
+                if self.places > 1:
+                    predict = partial(
+                        predict_at_unknown_place, UnknownPlaceChain(sensor, observer, size, self.places)
+                    )
+                return predict(
+                    known, p_correct=self.p_correct, tolerance=self.tolerance, seed=self.seed, n_points=0
                 )
             except SettingsError as error:
                 return PredictedThreshold(IMPOSSIBLE, size_detectors=size, reason=str(error))
@@ -158,7 +162,7 @@ class SweepWork:
     def key(self, item: Chain, *, is_done: bool) -> bytes | None:  # noqa: ARG002
         """Return the key of a threshold, which stands for all that it depends on; None if code has no identity."""
         try:
-            of_work = (self.observers, self.p_correct, self.tolerance, self.seed, self.plan)
+            of_work = (self.observers, self.p_correct, self.tolerance, self.seed, self.plan, self.places)
             return fingerprint(of_work, tuple(item))
         except TypeError:
             return None

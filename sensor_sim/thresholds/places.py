@@ -24,6 +24,7 @@ from sensor_sim.thresholds.curve_plan import (
     plan_curve,
 )
 from sensor_sim.thresholds.predict import (
+    N_POINTS,
     FoldedChain,
     PredictedThreshold,
     Reference,
@@ -100,7 +101,13 @@ class _AtKnownPlace(NamedTuple):
 
 
 def predict_at_unknown_place(
-    chain: UnknownPlaceChain, known: FoldedChain, *, p_correct: float, tolerance: float, seed: int
+    chain: UnknownPlaceChain,
+    known: FoldedChain,
+    *,
+    p_correct: float,
+    tolerance: float,
+    seed: int,
+    n_points: int = N_POINTS,
 ) -> PredictedThreshold:
     """Compute the threshold at an unknown place.
 
@@ -109,7 +116,7 @@ def predict_at_unknown_place(
     chain : UnknownPlaceChain
     known : FoldedChain
         The same sensor and observer at a known place.
-    p_correct, tolerance, seed
+    p_correct, tolerance, seed, n_points
         As for `predict_threshold`.
     """
     first, on_places, _ = predicted_on_lattices(
@@ -118,7 +125,9 @@ def predict_at_unknown_place(
     start = None
     if first.threshold is not None:
         start = _AtKnownPlace(references_of(on_places, first.threshold), first.threshold)
-    found, _, _ = predicted_on_lattices(chain, p_correct=p_correct, tolerance=tolerance, seed=seed, known=start)
+    found, _, _ = predicted_on_lattices(
+        chain, p_correct=p_correct, tolerance=tolerance, seed=seed, n_points=n_points, known=start
+    )
     return found
 
 

@@ -57,6 +57,9 @@ dimensions are counted by the rows and columns of the lattice."""
 WEIGHTS_AT_ONCE = 2**17
 """Number of weights of a score, on the detectors of several places, that are multiplied with samples at once."""
 
+N_POINTS = 7
+"""Number of levels about a threshold at which P(correct) is computed, if no other is asked for."""
+
 PLACES_AT_ONCE = 1024
 """Number of places whose P(correct) is computed at once, a few milliseconds."""
 
@@ -576,7 +579,7 @@ def predict_threshold(
     p_correct: float = 0.75,
     tolerance: float = 2e-3,
     seed: int = 1,
-    n_points: int = 7,
+    n_points: int = N_POINTS,
     level: Level = "snr",
     near: float | None = None,
     slope: float = math.nan,
@@ -762,7 +765,7 @@ def predicted_on_lattices(
     p_correct: float,
     tolerance: float,
     seed: int,
-    n_points: int = 7,
+    n_points: int = N_POINTS,
     level: Level = "snr",
     near: float | None = None,
     slope: float = math.nan,

@@ -27,6 +27,7 @@ from todframes.report.wording import (
     phrase,
     plain,
     unit_of,
+    unknown_place,
 )
 
 MOST_DESCRIBED_CURVES = 6
@@ -322,7 +323,7 @@ def cautions(result: ResultData) -> list[str]:
     data = result.dataset if isinstance(result.dataset, DatasetRecord) else None
     places = result.settings.get("places") if data is None else data.experiment.get("places")
     if places is not None:
-        texts.append(f"The triangle is at one of {places} places, and the observer does not know at which.")
+        texts.append(unknown_place(places))
     if data is not None and data.motion_mrad is not None:
         gazes = {one.get("gaze") for one in (result.settings, *(other.settings for other in result.observers))}
         looks = [look for gaze, look in GAZES.items() if gaze in gazes]
