@@ -162,10 +162,7 @@ def _draw_cells(
     np.minimum.at(cells, (at_y[has], at_x[has]), best * value[has])
     cells *= best
     is_grid = len(np.unique(at_y * len(columns) + at_x)) == cells.size
-    for name, values in (("x", x), ("y", y)):
-        if is_log(values):
-            axes.set(**{f"{name}scale": "log"})
-            plain_ticks(getattr(axes, f"{name}axis"), values.tolist())
+    _scale(axes, x, y)
     cells[np.isinf(cells)] = np.nan
     look: Any = {"cmap": "viridis", "norm": colour_scale(cells[np.isfinite(cells)] if is_grid else value[has])}
     drawn: Any
@@ -240,11 +237,16 @@ def draw_front(axes: Axes, result: SweepData, size: int) -> None:
     line = "-" if len(result.objectives) == 2 else ""
     axes.plot(x[order], y[order], marker="o", ls=line, color=COLOURS[4], label="trade-off front", zorder=3)
     axes.set(xlabel=_with_unit(second), ylabel=_with_unit(first))
-    for name, values in (("x", x[has]), ("y", y[has])):
+    _scale(axes, x[has], y[has])
+    add_legend(axes)
+
+
+def _scale(axes: Axes, x: FloatArray, y: FloatArray) -> None:
+    """Make axes logarithmic where their values are."""
+    for name, values in (("x", x), ("y", y)):
         if values.size and is_log(values):
             axes.set(**{f"{name}scale": "log"})
             plain_ticks(getattr(axes, f"{name}axis"), values.tolist())
-    add_legend(axes)
 
 
 def _with_unit(column: str) -> str:

@@ -39,7 +39,7 @@ from todframes.frames.files import (
     has_own_checksums,
 )
 from todframes.frames.trials import FrameReference, SceneView, Trial, Trials, TrialsBuilder, joined
-from todframes.stimulus import ORIENTATIONS, Stimulus
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 SCHEMA = 1
 """Version of the format of `dataset.toml` that this package reads."""
@@ -421,6 +421,35 @@ def _read_settings(path: Location) -> tuple[Display, Experiment]:
     return display, from_table(experiment, Experiment, f"{path}: [experiment]")
 
 
+def orientation_in(row: Mapping[str, str], where: str) -> Orientation:
+    """Return the orientation in a row of a CSV file; `DataError` begins with `where`."""
+    text = row["orientation"].strip()
+    if text not in ORIENTATION_OF:
+        hint = spelling_hint(text, ORIENTATIONS)
+        raise DataError(f"{where}: orientation: found {text!r}, expected up, right, down or left{hint}")
+    return ORIENTATION_OF[text]
+
+
+def polarity_in(row: Mapping[str, str], where: str) -> int:
+    """Return the polarity in a row of a CSV file, 1 if there is none; `DataError` begins with `where`."""
+    text = row.get("polarity", "").strip() or "1"
+    if text not in ("1", "+1", "-1"):
+        raise DataError(f"{where}: polarity: found {text!r}, expected 1 or -1")
+    return int(text)
+
+
+def pair_in(
+    row: Mapping[str, str], where: str, first: str, second: str
+) -> tuple[float, float] | tuple[None, None]:
+    """Return the numbers in two columns of a row, or None for both; `DataError` begins with `where`."""
+    texts = row.get(first, "").strip(), row.get(second, "").strip()
+    if not any(texts):
+        return None, None
+    if not all(texts):
+        raise DataError(f"{where}: found one of {first} and {second}, expected both or none")
+    return number(texts[0], f"{where}: {first}"), number(texts[1], f"{where}: {second}")
+
+
 class _Manifest:
     """Reader of the manifest: it checks the rows, gathers frames into trials and records the bad rows."""
 
@@ -432,7 +461,7 @@ class _Manifest:
         self.bad_rows: list[Skipped] = []
         self.spoilt: set[str] = set()
         self.real_folders: dict[str, str] = {}
-        self.stimuli: dict[tuple[str, str], Stimulus] = {}
+        self.stimuli: dict[tuple[str, int], Stimulus] = {}
         self.found = TrialsBuilder()
         self.names, self.real_paths = _Index(), _Index()
         # For each real path: the line, and the frame in `found`, or the row in `bad_rows` counted back from -1.
@@ -503,20 +532,8 @@ class _Manifest:
 
     def _trial(self, row: Mapping[str, str], where: str, row_number: int) -> Trial:
         frame = self._frame_path(row["frame"].strip(), where)
-        orientation = row["orientation"].strip()
-        if orientation not in ORIENTATION_OF:
-            hint = spelling_hint(orientation, ORIENTATIONS)
-            raise DataError(f"{where}: orientation: found {orientation!r}, expected up, right, down or left{hint}")
-        polarity = (row.get("polarity") or "1").strip()
-        if polarity not in ("1", "+1", "-1"):
-            raise DataError(f"{where}: polarity: found {polarity!r}, expected 1 or -1")
-        x_px = y_px = None
-        if "x_px" in row:
-            x_px, y_px = (
-                number(row[name], f"{where}: {name}") if row[name].strip() else None for name in ("x_px", "y_px")
-            )
-            if (x_px is None) != (y_px is None):
-                raise DataError(f"{where}: found one of x_px and y_px, expected both or none")
+        orientation, polarity = orientation_in(row, where), polarity_in(row, where)
+        x_px, y_px = pair_in(row, where, "x_px", "y_px")
         background = (
             number(row[BACKGROUND_COLUMN], f"{where}: {BACKGROUND_COLUMN}", positive=True)
             if self.needs_background
@@ -533,7 +550,7 @@ class _Manifest:
             number=row_number,
             name=(row.get("trial") or "").strip() or frame,
             frames=(FrameReference(frame, sha256, background, reference, clip, time_s),),
-            orientation=ORIENTATION_OF[orientation],
+            orientation=orientation,
             stimulus=self._stimulus(row["size_mrad"], polarity, where),
             level=number(row[self.experiment.level], f"{where}: {self.experiment.level}", positive=True),
             group=tuple(number_or_text(row[name]) for name in self.experiment.group_by),
@@ -613,10 +630,10 @@ class _Manifest:
         name = self.found.path(frame) if frame >= 0 else self.bad_rows[-1 - frame].frame
         return path_inside(self.folder, name, "", self.real_folders)
 
-    def _stimulus(self, size: str, polarity: str, where: str) -> Stimulus:
+    def _stimulus(self, size: str, polarity: int, where: str) -> Stimulus:
         found = self.stimuli.get((size, polarity))
         if found is None:
-            found = Stimulus(number(size, f"{where}: size_mrad", positive=True), int(polarity))
+            found = Stimulus(number(size, f"{where}: size_mrad", positive=True), polarity)
             self.stimuli[size, polarity] = found
         return found
 

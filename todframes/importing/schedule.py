@@ -20,7 +20,8 @@ from pathlib import Path
 
 from todframes.base.errors import DataError
 from todframes.base.reading import check_columns, number, read_table, spelling_hint
-from todframes.stimulus import ORIENTATIONS, Orientation
+from todframes.frames.dataset import orientation_in, pair_in, polarity_in
+from todframes.stimulus import Orientation
 
 SIZE_COLUMNS = ("size_mrad", "size_px")
 """Columns with the size of the triangle; a schedule has one of them, or both."""
@@ -172,40 +173,28 @@ def _check_header(header: Sequence[str], level: str, path: Path) -> None:
 
 
 def _trial(row: Mapping[str, str], where: str, level: str) -> ScheduledTrial:
-    def optional(name: str, *, positive: bool = False) -> float | None:
+    def size(name: str) -> float | None:
         text = row.get(name, "").strip()
-        return number(text, f"{where}: {name}", positive=positive) if text else None
+        return number(text, f"{where}: {name}", positive=True) if text else None
 
-    def pair(first: str, second: str) -> tuple[float | None, float | None]:
-        values = optional(first), optional(second)
-        if values.count(None) == 1:
-            raise DataError(f"{where}: found one of {first} and {second}, expected both or none")
-        return values
-
-    orientation = row["orientation"].strip()
-    if orientation not in ORIENTATIONS:
-        hint = spelling_hint(orientation, ORIENTATIONS)
-        raise DataError(f"{where}: orientation: found {orientation!r}, expected up, right, down or left{hint}")
-    polarity = row.get("polarity", "").strip() or "1"
-    if polarity not in ("1", "+1", "-1"):
-        raise DataError(f"{where}: polarity: found {polarity!r}, expected 1 or -1")
-    size_mrad, size_px = (optional(name, positive=True) for name in SIZE_COLUMNS)
+    orientation, polarity = orientation_in(row, where), polarity_in(row, where)
+    size_mrad, size_px = map(size, SIZE_COLUMNS)
     if size_mrad is None and size_px is None:
         raise DataError(f"{where}: found no size, expected size_mrad or size_px")
-    start_s, end_s = pair("start_s", "end_s")
+    start_s, end_s = pair_in(row, where, "start_s", "end_s")
     if start_s is not None and end_s is not None and not 0.0 <= start_s < end_s:
         raise DataError(f"{where}: found start_s {start_s:g} and end_s {end_s:g}, expected 0 <= start_s < end_s")
-    x_px, y_px = pair("x_px", "y_px")
+    x_px, y_px = pair_in(row, where, "x_px", "y_px")
     return ScheduledTrial(
         where=where,
         file=row.get("file", "").strip() or None,
         start_s=start_s,
         end_s=end_s,
-        orientation=Orientation(orientation),
+        orientation=orientation,
         size_mrad=size_mrad,
         size_px=size_px,
         level=number(row[level], f"{where}: {level}", positive=True),
-        polarity=int(polarity),
+        polarity=polarity,
         x_px=x_px,
         y_px=y_px,
         other={name: text.strip() for name, text in row.items() if name not in (*SCHEDULE_COLUMNS, level)},

@@ -398,11 +398,7 @@ def fit_drift(frame_means: FloatArray, times_s: list[float | None]) -> Drift | N
         return None
     known = [one for one in times_s if one is not None]
     x = np.array(known if len(known) == n else range(n), np.float64)
-    centred = x - x.mean()
-    spread = float(centred @ centred)
-    slope = float(centred @ frame_means) / spread
-    rest = frame_means - frame_means.mean() - slope * centred
-    error = math.sqrt(float(rest @ rest) / (n - 2) / spread)
+    slope, error, _ = _straight_line(x, frame_means)
     duration = float(x[-1] - x[0])
     return Drift(slope, error, slope * duration, error * duration)
 
@@ -410,14 +406,19 @@ def fit_drift(frame_means: FloatArray, times_s: list[float | None]) -> Drift | N
 def fit_transfer(levels: Sequence[float], means: Sequence[float]) -> Transfer:
     """Fit a straight line to the means of patches of at least two different levels by least squares."""
     x, y = np.array(levels, np.float64), np.array(means, np.float64)
-    centred = x - x.mean()
-    spread = float(centred @ centred)
-    gain = float(centred @ y) / spread
-    rest = y - y.mean() - gain * centred
-    error = math.sqrt(float(rest @ rest) / (len(x) - 2) / spread) if len(x) > 2 else None
+    gain, error, rest = _straight_line(x, y)
     reach = float(np.ptp(y))
     nonlinearity = float(np.abs(rest).max()) / reach if reach > 0 else math.inf
-    return Transfer(gain, error, float(y.mean() - gain * x.mean()), nonlinearity)
+    return Transfer(gain, error if len(x) > 2 else None, float(y.mean() - gain * x.mean()), nonlinearity)
+
+
+def _straight_line(x: FloatArray, y: FloatArray) -> tuple[float, float, FloatArray]:
+    """Fit a straight line by least squares: its slope, the standard error (NaN with two points), the residuals."""
+    centred = x - x.mean()
+    spread = float(centred @ centred)
+    slope = float(centred @ y) / spread
+    rest = y - y.mean() - slope * centred
+    return slope, math.sqrt(float(rest @ rest) / (len(x) - 2) / spread) if len(x) > 2 else math.nan, rest
 
 
 class FrameSums:
