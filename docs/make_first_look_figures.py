@@ -1,11 +1,15 @@
-"""Makes the pictures of the README and of the site's first page: python docs/make_first_look_figures.py [FOLDER].
+"""Makes the pictures of the README, the site's first page and the tutorial.
 
-Pictures go to FOLDER/first_look; by default FOLDER is that of this script. The page of a report needs Chromium and
-Playwright; the film of a chart and its curve are those of your_camera.md.
+python docs/make_first_look_figures.py [FOLDER]
+
+Pictures go to FOLDER/first_look, and that of the tutorial to FOLDER; by default FOLDER is that of this script. The
+page of a report needs Chromium and Playwright; the film of a chart and its curve are those of your_camera.md. The
+curve of the tutorial is what its code draws.
 """
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 import tempfile
@@ -26,7 +30,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 
 def main(folder: Path) -> None:
-    """Write the top of a report's page, and a filmed chart beside its curve."""
+    """Write the top of a report's page, a filmed chart beside its curve, and the curve of the tutorial."""
     folder = folder.absolute()
     folder.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as made, chdir(HERE.parent):  # the page has the path as it is given
@@ -38,6 +42,15 @@ def main(folder: Path) -> None:
     gap = np.full((height, GAP_PX, 3), 255, np.uint8)
     beside = cv2.resize(curve, (width, height), interpolation=cv2.INTER_AREA)
     write_png(folder / "camera.png", np.hstack([frame, gap, beside]))
+    draw_tutorial(folder.parent / "tutorial.png")
+
+
+def draw_tutorial(picture: Path) -> None:
+    """Run the code of the tutorial, which saves a picture in the current folder."""
+    code = re.findall(r"^```python\n(.*?)^```$", (HERE / "tutorial.md").read_text(), re.MULTILINE | re.DOTALL)
+    with tempfile.TemporaryDirectory() as made, chdir(made):
+        exec("\n".join(code), {})
+        shutil.copy("tod_curve.png", picture)
 
 
 def photograph(page: Path, picture: Path) -> None:
