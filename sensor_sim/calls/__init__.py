@@ -1,1 +1,1 @@
-"""The Python calls behind the commands, a module a call."""
+"""The Python calls behind the commands, a module for each call."""

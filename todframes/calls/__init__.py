@@ -1,1 +1,1 @@
-"""The Python calls behind the commands, a module each: a call gives the numbers of its command."""
+"""The Python calls behind the commands, a module for each: a call gives the numbers of its command."""

@@ -1,1 +1,1 @@
-"""Frame files, displays, datasets and the position of the triangle on a frame."""
+"""Frame files, datasets of frames, and their contrast against the background."""

@@ -1,1 +1,1 @@
-"""Charts to record with a camera, recordings, and the way from them to datasets."""
+"""Recordings: readers of what cameras write, and the measurement of noise and MTF in them."""
