@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.oracle]
 
 def commands(name: str) -> list[list[str]]:
     (found,) = re.findall(rf"^```sh {name}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
-    return [shlex.split(line) for line in found.splitlines()]
+    return [shlex.split(line) for line in found.replace("\\\n", "").splitlines()]
 
 
 def rows_below(heading: str) -> dict[str, list[str]]:
