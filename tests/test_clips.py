@@ -21,7 +21,7 @@ import todframes as tod
 from sensor_sim.chain.simulation import Filming, Simulator, plan_trials
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement.algorithm import algorithm
-from todframes.enhancement.builtin_clips import ECC_BLUR_PX, ECC_BLUR_SIGMA_PX
+from todframes.enhancement.builtin_clips import _ecc_warp, correlation_of_noise
 from todframes.enhancement.compare import compare_observers
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader
 from todframes.enhancement.finding import enhancement_names, find_enhancement
@@ -303,18 +303,35 @@ def test_without_structure_nothing_is_moved() -> None:
     assert np.array_equal(after[0], frames[0])
 
 
-def test_noise_is_not_registered() -> None:
+@pytest.mark.parametrize("smoothing_px", [5, 11])
+def test_noise_is_not_registered(smoothing_px: int) -> None:
     """ECC ends somewhere in noise too, up to half a picture away, but nothing is alike there."""
-    rng = np.random.default_rng(2)
+    rng, own = np.random.default_rng(2), f"smoothing_px={smoothing_px}"
     noise = (0.5 + 0.1 * rng.standard_normal((25, 48, 48))).astype(np.float32)
-    assert np.array_equal(find_enhancement("stabilize").run_clip(noise, np.arange(25), None)[0], noise)
-    both = ("registered_mean:before=24,motion=affine", "temporal_mean:before=24")
+    assert np.array_equal(find_enhancement(f"stabilize:{own}").run_clip(noise, np.arange(25), None)[0], noise)
+    both = (f"registered_mean:before=24,motion=affine,{own}", "temporal_mean:before=24")
     one, other = (find_enhancement(spec).run_clip(noise, np.array([24]), None)[0] for spec in both)
     assert np.allclose(one, other, rtol=0.0, atol=1e-6)
-    smoothed = np.array([cv2.GaussianBlur(frame, (ECC_BLUR_PX,) * 2, 0) for frame in noise])
+    smoothed = np.array([cv2.GaussianBlur(frame, (smoothing_px,) * 2, 0) for frame in noise])
     correlations = np.corrcoef(smoothed.reshape(25, -1))[np.triu_indices(25, 1)]
-    # 300 pairs: the standard deviation is known to 4 %, and the window ends at 1.8 σ, which takes 5 % off it.
-    assert correlations.std() == pytest.approx(np.sqrt(2.0 * np.pi) * ECC_BLUR_SIGMA_PX / 48, rel=0.15)
+    # 300 pairs: the standard deviation is known to 4 %, and the window ends at 1.8 σ or more: 5 % less.
+    assert correlations.std() == pytest.approx(correlation_of_noise(48 * 48, smoothing_px), rel=0.15)
+
+
+def test_a_wider_smoothing_registers_in_noise() -> None:
+    """Noise of eight times the scene, which has no fine detail: errors of the motion between two frames."""
+    rng = np.random.default_rng(5)
+    errors: dict[int, list[float]] = {5: [], 11: []}
+    for _ in range(12):
+        scene = ndimage.gaussian_filter(rng.standard_normal((168, 168)), 3.0)
+        shift = rng.normal(0.0, 1.4, 2)
+        both = np.array([scene, ndimage.shift(scene, shift[::-1], order=3)])[:, 20:-20, 20:-20]
+        noisy = 0.5 + 0.05 * (both / scene.std() + 8.0 * rng.standard_normal(both.shape))
+        for smoothing_px, found in errors.items():
+            warp = _ecc_warp(*noisy.astype(np.float32), "translation", smoothing_px)
+            found.append(float(np.hypot(*(warp[:, 2] - shift))))
+    rms = {smoothing_px: np.sqrt(np.mean(np.square(found))) for smoothing_px, found in errors.items()}
+    assert rms[11] < 0.75 * rms[5]
 
 
 # What they do to thresholds

@@ -7,6 +7,7 @@ appear in lists and reports.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Annotated, Any, Literal, TypeVar
@@ -28,6 +29,11 @@ Before = Annotated[int, parameter(0, 1000, what="frames before a frame that are 
 
 Motions = Annotated[Motion, meaning("how frames may differ: shifted, also turned, also stretched")]
 
+Smoothing = Annotated[
+    Literal[5, 11],
+    meaning("side in px of the Gaussian that frames are smoothed with to be registered; wider in noise"),
+]
+
 ECC_MOTIONS = {
     "translation": cv2.MOTION_TRANSLATION,
     "euclidean": cv2.MOTION_EUCLIDEAN,
@@ -36,12 +42,6 @@ ECC_MOTIONS = {
 
 ECC_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-6)
 """Iterations of ECC, and the change of its correlation below which it ends."""
-
-ECC_BLUR_PX = 5
-"""Side in pixels of the Gaussian window that frames are smoothed with before ECC, OpenCV's default."""
-
-ECC_BLUR_SIGMA_PX = 1.1
-"""Standard deviation of that Gaussian: 0.3 · ((side − 1) / 2 − 1) + 0.8."""
 
 SURE_CORRELATION = 5.0
 """Correlation after ECC, in standard deviations of that of two frames of noise, from which frames are alike."""
@@ -131,23 +131,28 @@ def temporal_nlm(
 
 @_of_clips("OpenCV: findTransformECC, warpAffine", warm_up_frames="before")
 def registered_mean(
-    frames: Image, *, judged: Judged, before: Before = 3, motion: Motions = "translation"
+    frames: Image,
+    *,
+    judged: Judged,
+    before: Before = 3,
+    motion: Motions = "translation",
+    smoothing_px: Smoothing = 5,
 ) -> Image:
     """Mean of a frame and those before it, registered to it by the whole picture (ECC)."""
     found = []
     for k in judged:
         total, rows_columns = frames[k].astype(np.float64), frames[k].shape
         for frame in frames[k - before : k]:
-            warp = _ecc_warp(frames[k], frame, motion)
+            warp = _ecc_warp(frames[k], frame, motion, smoothing_px)
             total += _warped(frame, warp, rows_columns)
         found.append(total / (before + 1))
     return np.stack(found)
 
 
 @_of_clips("OpenCV: findTransformECC, warpAffine")
-def stabilize(frames: Image) -> Image:
+def stabilize(frames: Image, *, smoothing_px: Smoothing = 5) -> Image:
     """Frames of a trial shifted to their mean place, found from frame to frame (ECC)."""
-    steps = [_ecc_warp(one, other, "translation")[:, 2] for one, other in pairwise(frames)]
+    steps = [_ecc_warp(one, other, "translation", smoothing_px)[:, 2] for one, other in pairwise(frames)]
     places = np.cumsum([np.zeros(2), *steps], axis=0)
     found = []
     for frame, from_mean in zip(frames, places - places.mean(axis=0), strict=True):
@@ -163,6 +168,7 @@ def shift_and_add(
     before: Before = 7,
     factor: Annotated[int, parameter(2, 8, what="pixels for one along each axis")] = 2,
     motion: Motions = "translation",
+    smoothing_px: Smoothing = 5,
 ) -> Image:
     """Super-resolution from several frames: registered (ECC), interpolated and averaged on smaller pixels."""
     # A pixel of the result, x, lies at (x − (factor − 1) / 2) / factor of the frame.
@@ -174,13 +180,13 @@ def shift_and_add(
         shape = (factor * frames.shape[1], factor * frames.shape[2])
         total = np.zeros(shape)
         for frame in frames[k - before : k + 1]:
-            warp = np.eye(2, 3) if frame is frames[k] else _ecc_warp(frames[k], frame, motion)
+            warp = np.eye(2, 3) if frame is frames[k] else _ecc_warp(frames[k], frame, motion, smoothing_px)
             total += _warped(frame, warp @ finer, shape)
         found.append(total / (before + 1))
     return np.stack(found)
 
 
-def _ecc_warp(reference: Image, frame: Image, motion: Motion) -> NDArray[np.float64]:
+def _ecc_warp(reference: Image, frame: Image, motion: Motion, smoothing_px: int) -> NDArray[np.float64]:
     """Return the place in a frame of each place in the reference, a (2, 3) matrix.
 
     There is no motion if ECC finds none, or one that brings no more into agreement than the noise of two frames.
@@ -188,14 +194,22 @@ def _ecc_warp(reference: Image, frame: Image, motion: Motion) -> NDArray[np.floa
     start, everywhere = np.eye(2, 3, dtype=np.float32), np.ones(frame.shape, np.uint8)
     try:
         correlation, warp = cv2.findTransformECC(
-            reference, frame, start, ECC_MOTIONS[motion], ECC_CRITERIA, everywhere, ECC_BLUR_PX
+            reference, frame, start, ECC_MOTIONS[motion], ECC_CRITERIA, everywhere, smoothing_px
         )
     except cv2.error:  # it does not converge
         return np.eye(2, 3)
     common = cv2.warpAffine(everywhere, warp, frame.shape[::-1], flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
-    # Smoothed white noise has the autocorrelation exp(−r² / 4σ²), whose square has the integral 2πσ².
-    of_noise = np.sqrt(2.0 * np.pi * ECC_BLUR_SIGMA_PX**2 / max(int(common.sum()), 1))
-    return np.asarray(warp, np.float64) if correlation > SURE_CORRELATION * of_noise else np.eye(2, 3)
+    is_sure = correlation > SURE_CORRELATION * correlation_of_noise(max(int(common.sum()), 1), smoothing_px)
+    return np.asarray(warp, np.float64) if is_sure else np.eye(2, 3)
+
+
+def correlation_of_noise(n_px: int, smoothing_px: int) -> float:
+    """Return the standard deviation of the correlation of two pictures of smoothed noise, of so many pixels.
+
+    The autocorrelation of smoothed white noise is exp(−r² / 4σ²), whose square has the integral 2πσ².
+    """
+    sigma_px = 0.3 * ((smoothing_px - 1) / 2 - 1) + 0.8  # OpenCV's Gaussian of this side
+    return math.sqrt(2.0 * math.pi * sigma_px**2 / n_px)
 
 
 def _warped(frame: Image, warp: NDArray[np.float64], shape: tuple[int, ...]) -> Image:
