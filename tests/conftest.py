@@ -41,7 +41,7 @@ ONE_PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNoAAAAggC
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Offer a shorter run that still calls every test function."""
-    help_text = "Run the first of every N cases of each test function."
+    help_text = "Run the first of every N cases of each test function that is not marked every_case."
     parser.addoption("--one-of", type=int, default=1, metavar="N", help=help_text)
 
 
@@ -52,7 +52,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     chosen: dict[bool, list[pytest.Item]] = {True: [], False: []}
     for item in items:
         function = item.nodeid.partition("[")[0]
-        chosen[found[function] % n == 0].append(item)
+        chosen[found[function] % n == 0 or item.get_closest_marker("every_case") is not None].append(item)
         found[function] += 1
     if chosen[False]:
         config.hook.pytest_deselected(items=chosen[False])

@@ -239,6 +239,7 @@ def converged(scene) -> Converged:
     return scene.converge()
 
 
+@pytest.mark.every_case
 @pytest.mark.slow
 def test_every_monte_carlo_has_the_converged_mean(scene, converged):
     """Its trials' own P(correct) where it is one level; recorded frames through the fit of their mean."""
@@ -254,6 +255,7 @@ def test_every_monte_carlo_has_the_converged_mean(scene, converged):
         assert error < 0.05
 
 
+@pytest.mark.every_case
 @pytest.mark.slow
 def test_closed_form_goes_to_the_converged_value(scene, converged):
     for closed_form in scene.estimators(converged)[3:]:
@@ -271,6 +273,7 @@ def test_closed_form_goes_to_the_converged_value(scene, converged):
             assert estimate.p_correct - 0.75 == pytest.approx(-off * converged.slope, abs=0.1 * abs(off) + 1e-6)
 
 
+@pytest.mark.every_case
 @pytest.mark.slow
 def test_variants_change_little(scene, converged):
     first, *others = scene.variants(converged)
@@ -350,6 +353,7 @@ class NoisyChain(FoldedChain):
         return weibull(snr, alpha=2.0, beta=1.3, guess_rate=0.25, lapse_rate=0.0) + scores[..., 0]
 
 
+@pytest.mark.every_case
 @pytest.mark.slow
 @pytest.mark.parametrize("spread", [0.05, 0.07, 0.1])
 def test_error_that_ends_a_refinement_is_honest(spread):

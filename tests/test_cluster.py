@@ -115,6 +115,7 @@ def local() -> Iterator[ClusterEngine]:
         yield engine
 
 
+@pytest.mark.every_case
 @dask
 @pytest.mark.parametrize("n", [0, 1, 1000])
 def test_results_come_with_their_numbers(local: ClusterEngine, n: int) -> None:
@@ -446,6 +447,7 @@ def test_a_run_without_workers_ends_with_one_line(tmp_path: Path, monkeypatch: p
         results_of(engine, Calls(call), [0])
 
 
+@pytest.mark.every_case
 @dask
 @pytest.mark.parametrize("name", ["", "local", "local:0", "local:x", "foo", "http://h:1", "tcp://h", "tcp://:"])
 def test_what_names_no_cluster_is_one_line(name: str) -> None:
@@ -552,6 +554,7 @@ def _batch_sizes(seconds_per_item: float, n: int) -> list[int]:
     return sizes
 
 
+@pytest.mark.every_case
 @dask
 @pytest.mark.parametrize(("seconds_per_item", "size"), [(30.0, 1), (0.5, 4), (0.005, 400), (0.0, 10_000)])
 def test_batches_begin_small_and_come_to_take_two_seconds(seconds_per_item: float, size: int) -> None:

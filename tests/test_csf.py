@@ -109,6 +109,7 @@ def test_threshold_of_the_naked_eye_is_that_of_fine_brute_force(size_mrad: float
     assert contrast_threshold(CsfObserver(), size_mrad=size_mrad).threshold == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.every_case
 @pytest.mark.parametrize("pitch_mrad", [0.05, 0.13, 0.2])
 @pytest.mark.slow
 def test_the_retina_is_a_step_of_the_computation(pitch_mrad: float) -> None:

@@ -233,6 +233,7 @@ def test_noise_of_lines_is_that_of_code_apart():
     assert scores.noise[0, 0] == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.every_case
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("nyquists", "against"), [(0.6, "square"), (0.75, "background"), (0.9, "square"), (1.2, "square")]

@@ -58,6 +58,7 @@ def test_there_are_enough_cases_each_with_its_own_name() -> None:
     assert len({case.name for case in mishaps.CASES}) == len(mishaps.CASES) >= 30 + len(mishaps.CONTROLS)
 
 
+@pytest.mark.every_case
 @pytest.mark.parametrize("name", ["vignetting_50", "dark_border", "two_levels_beside", "flicker"])
 @pytest.mark.slow
 def test_light_around_the_triangle_leaves_the_threshold(name: str, tmp_path: Path) -> None:

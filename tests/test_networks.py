@@ -78,6 +78,7 @@ def picture(rows: int = 70, columns: int = 90, channels: int = 0, seed: int = 0)
 # What a network gets, and what comes back
 
 
+@pytest.mark.every_case
 @pytest.mark.usefixtures("in_process")
 @pytest.mark.parametrize("runtime", RUNTIMES)
 @pytest.mark.parametrize("values", ["", "black=0,white=255", "black=-1,white=1"])
@@ -175,6 +176,7 @@ def test_tiles_have_no_seams(tmp_path: Path, size, rows: int, columns: int) -> N
     assert np.abs(without.run(image)[0] - whole).max() > 1e-2  # the test would see seams
 
 
+@pytest.mark.every_case
 @pytest.mark.usefixtures("in_process")
 @pytest.mark.parametrize("runtime", RUNTIMES)
 @pytest.mark.parametrize("tile_px", [0, 40])
@@ -334,6 +336,7 @@ CONSTANT = {
 KNOWS_INPUTS = pytest.mark.skipif(OLD_OPENCV, reason="OpenCV 4 does not report what a network takes")
 
 
+@pytest.mark.every_case
 @KNOWS_INPUTS
 @pytest.mark.usefixtures("in_process")
 @pytest.mark.parametrize("runtime", RUNTIMES)
@@ -346,6 +349,7 @@ def test_an_input_that_is_no_picture_has_one_value(tmp_path: Path, runtime, name
     assert np.abs(algorithm.run(image)[0] - (image - 0.1)).max() < 1e-6
 
 
+@pytest.mark.every_case
 @KNOWS_INPUTS
 @pytest.mark.usefixtures("in_process")
 @pytest.mark.parametrize("runtime", RUNTIMES)
@@ -365,6 +369,7 @@ def test_a_free_map_has_the_size_of_the_tile(tmp_path: Path, runtime, layout: st
     assert np.abs(algorithm.run(image)[0] - (image - 0.25)).max() < 1e-6
 
 
+@pytest.mark.every_case
 @KNOWS_INPUTS
 @pytest.mark.usefixtures("in_process")
 @pytest.mark.parametrize("runtime", RUNTIMES)

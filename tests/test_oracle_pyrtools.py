@@ -10,6 +10,7 @@ from todframes.observers.laplacian_pyramid import LaplacianPyramid
 pytestmark = pytest.mark.oracle
 
 
+@pytest.mark.every_case
 @pytest.mark.parametrize("shape", [(257, 257), (64, 96), (129, 65)])
 def test_bands_agree(shape: tuple[int, int]) -> None:
     pyrtools = pytest.importorskip("pyrtools", reason="pyrtools is in the dev extra")

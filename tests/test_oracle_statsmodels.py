@@ -12,6 +12,7 @@ multitest = pytest.importorskip("statsmodels.stats.multitest")
 pytestmark = pytest.mark.oracle
 
 
+@pytest.mark.every_case
 @pytest.mark.parametrize("seed", range(20))
 def test_holm(seed: int) -> None:
     rng = np.random.default_rng(seed)
