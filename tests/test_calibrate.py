@@ -299,6 +299,11 @@ class Unreadable:
     [
         (OrientedObserver(complex_cells=True), False, "observer: found one that is not linear"),
         (tod.HotellingObserver(sample_noise_sd=0.1), False, "observer: its weights depend on its internal noise"),
+        (
+            tod.CsfObserver(template="ideal", external_noise_deg=0.01, retina_pitch_mrad=0.2),
+            False,
+            "its weights depend on its efficiency, .* csf: template = matched",
+        ),
         (Unreadable(), False, "observer: Unreadable has no setting internal_noise"),
         (tod.PyramidObserver(template_blur_samples=0.0), True, "template_blur_samples: found 0, expected > 0"),
     ],

@@ -337,8 +337,8 @@ def noise_observers(
     is_same = first.weights_key == second.weights_key
     if not (is_same and np.allclose(second.noise_covariance, 4.0 * first.noise_covariance, rtol=1e-9, atol=0.0)):
         raise SettingsError(
-            "observer: its weights depend on its internal noise, which is to be fitted; expected fixed weights "
-            "(informative: sample_noise_sd = 0)"
+            f"observer: its weights depend on its {_words(fitted_setting(observer))}, which is to be fitted; "
+            "expected fixed weights (informative: sample_noise_sd = 0; csf: template = matched)"
         )
     blur = float(getattr(settings, BLUR, 1.0))
     if not blur_is_free:
@@ -353,6 +353,11 @@ def fitted_setting(observer: Observer) -> str:
     """Return the name of the setting that is fitted: the efficiency of an observer without an internal noise."""
     settings = getattr(observer, "settings", None)
     return EFFICIENCY if hasattr(settings, EFFICIENCY) and not hasattr(settings, NOISE) else NOISE
+
+
+def _words(setting: str) -> str:
+    """Return the words of a setting's name."""
+    return setting.replace("_", " ")
 
 
 def _changed(observer: Observer, changes: dict[str, Any]) -> Observer:
@@ -448,7 +453,7 @@ class Calibrated:
 
     def warnings(self) -> tuple[PersonWarning, ...]:
         """Return warnings about persons whom the model does not describe, and about persons who differ."""
-        name = self.fitted.replace("_", " ")
+        name = _words(self.fitted)
         found = [
             PersonWarning(
                 "poor_fit",

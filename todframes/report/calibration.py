@@ -139,7 +139,7 @@ def observers_table(result: ResultData) -> Table | None:
         Column(key="observer", is_name=True),
         Column(key="internal_noise", header="internal noise", digits=3),
         Column(key="efficiency", digits=3),
-        Column(key="aic", header="AIC", digits=5),
+        Column(key="aic", header="AIC", digits=5, rank=1),
         Column(key="aic_difference", header="difference", digits=2),
         Column(key="deviance", digits=3, rank=2),
         Column(key="n_cells", header="cells", rank=2),
