@@ -1,7 +1,8 @@
 """Neural networks in ONNX files as algorithms: `onnx:MODEL.onnx`, with `MODEL.toml` beside it.
 
-A network takes and returns one picture of 1 or 3 channels. Its layout, channels, size and scale are read from the
-model as far as the library reports them, and by running small pictures; settings say the rest.
+A network takes and returns one picture of 1 or 3 channels; further inputs and one more channel have a constant
+value. Its layout, channels, size, scale and border are read from the model as far as the library reports them, and
+by running small pictures; settings say the rest.
 """
 
 from __future__ import annotations
@@ -273,7 +274,10 @@ def _apply(
     if wide.shape[:2] == side:
         return run(wide)[:rows, :columns]
     if scale != round(scale):
-        raise ValueError(f"a frame of {image.shape[0]} × {image.shape[1]} needs tiles, and they a whole scale")
+        raise ValueError(
+            f"a frame of {image.shape[0]} × {image.shape[1]} needs tiles, and they a whole scale, found {scale:g}"
+            "; if the network loses a border, give border_px"
+        )
     return in_tiles(run, wide, tile=side, overlap_px=overlap_px, scale=round(scale), border_px=border_px)[
         :rows, :columns
     ]
