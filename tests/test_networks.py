@@ -203,7 +203,7 @@ def test_the_border_of_a_network_of_one_square_has_to_be_given(tmp_path: Path) -
     expected = ndimage.uniform_filter(image.astype(float), 7, mode="mirror").repeat(2, 0).repeat(2, 1)
     assert np.abs(found(path, "border_px=3").run(image)[0] - expected).max() < 1e-6
     assert found(path).magnification == 68 / 40
-    with pytest.raises(DataError, match="needs tiles, and they a whole scale, found 1.7; if .* give border_px"):
+    with pytest.raises(DataError, match=r"needs tiles, and they a whole scale, found 1\.7; if .* give border_px"):
         found(path).run(image)
     with pytest.raises(SettingsError, match="border_px: found 20, expected less than half of 40"):
         found(path, "border_px=20")
