@@ -449,7 +449,6 @@ def test_a_recursive_filter_smears_what_moves(gaze: str) -> None:
     assert thresholds[1] > 1.2 * thresholds[0]
 
 
-@pytest.mark.slow
 def test_both_gazes_are_those_of_two_runs() -> None:
     """Also after an algorithm with other pixels; the frames are enhanced once."""
     enhanced = []
