@@ -158,7 +158,10 @@ def finish(
             if algorithm.n_clipped:
                 say(f"note: {algorithm.spec}: {algorithm.n_clipped} values were clipped")
         if result.negative_luminance_pixels and not result.algorithms:
-            say(f"note: {result.negative_luminance_pixels} of the display pixels read have a luminance below zero")
+            say(
+                f"note: {result.negative_luminance_pixels} display pixels have a luminance below zero, as noise "
+                "in linear frames may have; they are scored as they are"
+            )
     if as_json:
         print_content(result.to_json(), result.warnings, quiet=quiet, strict=strict)
         return

@@ -301,7 +301,10 @@ def remarks(result: ResultData) -> list[str]:
             "multiplies by k instead, which gives k² times this ΔT."
         )
     if result.negative_luminance_pixels:
-        texts.append(f"{result.negative_luminance_pixels} display pixels have a luminance below zero.")
+        texts.append(
+            f"{result.negative_luminance_pixels} display pixels have a luminance below zero, as noise in linear "
+            "frames may have; they were scored as they are."
+        )
     return texts
 
 
