@@ -524,7 +524,7 @@ def test_table_fits_a_narrow_terminal(swept, capsys, monkeypatch) -> None:
 
 
 def test_keys_that_set_nothing_are_refused_by_the_call() -> None:
-    with pytest.raises(SettingsError, match="size_detectors: found a value twice in '4,4'"):
+    with pytest.raises(SettingsError, match="size_detectors: found a value twice in 4, 4"):
         ss.sweep(CAMERA, size_detectors=[4, 4], vary={"noise.netd_mk": [1.0]})
     with pytest.raises(SettingsError, match=r"design 2: found keys noise\.netd_mk, expected optics.aperture_mm"):
         ss.sweep(CAMERA, size_detectors=[4], design=[{"optics.aperture_mm": 9.0}, {"noise.netd_mk": 9.0}])

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from sensor_sim.chain.sensor import Scene, Sensor, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import distinct_numbers
 from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import FitSettings
@@ -93,8 +94,8 @@ def curve(
     background = sensor.display.background_luminance_cd_m2
     judge, settings = described(observer, lambda: background)
     FitSettings(p_correct=p_correct)  # checks it
-    sizes = _each_once(size_detectors, argument.size_detectors)
-    luminances = _each_once(luminance_cd_m2, argument.luminance_cd_m2)
+    sizes = distinct_numbers(argument.size_detectors, size_detectors)
+    luminances = distinct_numbers(argument.luminance_cd_m2, luminance_cd_m2) if len(luminance_cd_m2) else []
     scenes = _scenes(sensor, luminances)
     of_scenes: list[list[Fit]] = [[] for _ in scenes or (None,)]
     for size in sizes:
@@ -160,21 +161,6 @@ def curve(
     settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance, "plan": plan}
     settings |= {"places": places} if places > 1 else {}
     return Result.made("curve", started, settings=settings, seed=seed, fits=tuple(fits), **more)
-
-
-def _each_once(values: Sequence[float], name: str) -> list[float]:
-    """Return values as numbers.
-
-    Raises
-    ------
-    SettingsError
-        If a value is there twice.
-    """
-    numbers = [float(value) for value in values]
-    if len(set(numbers)) < len(numbers):
-        shown = ",".join(f"{value:g}" for value in numbers)
-        raise SettingsError(f"{name}: found a value twice in {shown!r}, expected each once")
-    return numbers
 
 
 def _scenes(sensor: Sensor, luminances_cd_m2: Sequence[float]) -> list[Scene]:

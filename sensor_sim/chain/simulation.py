@@ -20,7 +20,7 @@ from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, field_detectors, fiel
 from sensor_sim.chain.sensor import Sensor
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
-from todframes.base.reading import check_warm_up
+from todframes.base.reading import check_warm_up, distinct_numbers
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 if TYPE_CHECKING:
@@ -128,13 +128,9 @@ def plan_trials(
         If a list is empty, a value is not a positive number or occurs twice, or there are no trials.
     """
     for name, values in ((argument.size_detectors, sizes_detectors), (getattr(argument, level_name), levels)):
-        if not values:
-            raise SettingsError(f"{name}: found no values, expected at least one")
-        for value in values:
+        for value in distinct_numbers(name, values):
             if not 1e-6 <= value <= 1e9:
                 raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0, from 1e-06 to 1e+09")
-        if len(set(values)) < len(values):
-            raise SettingsError(f"{name}: found a value twice in {', '.join(f'{v:g}' for v in values)}")
     if trials < 1:
         raise SettingsError(f"{argument.trials}: found {trials}, expected at least 1")
     return [

@@ -18,12 +18,13 @@ import numpy as np
 from sensor_sim.chain.detector_noise import NO_LINES, delta_t_mk, line_shares
 from sensor_sim.chain.sensor import Noise, Sensor
 from sensor_sim.sweeps.designs import Base, Changes, Designs
-from sensor_sim.thresholds.curve_plan import plan_curve
+from sensor_sim.thresholds.curve_plan import not_linear, plan_curve
 from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.thresholds.sharing import Shared
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, TodframesError, argument
+from todframes.base.reading import distinct_numbers
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
@@ -259,17 +260,13 @@ def check_sweep(
     FitSettings(p_correct=p_correct)  # checks it
     if not tolerance > 0.0:
         raise SettingsError(f"{argument.tolerance}: found {tolerance!r}, expected a number > 0")
-    shown = ",".join(f"{size:g}" for size in sizes)
-    if not sizes or not all(math.isfinite(size) and size > 0.0 for size in sizes):
-        raise SettingsError(f"{argument.size_detectors}: found {shown!r}, expected finite numbers > 0")
-    if len(set(sizes)) < len(sizes):
-        raise SettingsError(f"{argument.size_detectors}: found a value twice in {shown!r}, expected each once")
+    distinct_numbers(argument.size_detectors, sizes)
     try:
         readout = observer.readout(Stimulus(sizes[0] * sensor.display.detector_pitch_mrad))
     except SettingsError:
         return  # this size is impossible for the sensor as it is, but perhaps not for all designs
     if readout is None:
-        raise SettingsError("observer: it is not linear; no curve can be computed, simulate frames instead")
+        raise not_linear()
 
 
 def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> SweepPlan:

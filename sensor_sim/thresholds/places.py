@@ -33,6 +33,7 @@ from sensor_sim.thresholds.predict import (
 )
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import check_whole
 from todframes.frames.dataset import MOST_PLACES
 from todframes.observers.interface import Observer
 from todframes.observers.unknown_place import correct_at_unknown_place
@@ -133,8 +134,7 @@ def predict_at_unknown_place(
 
 def check_places(sensor: Sensor, places: int) -> None:
     """Raise SettingsError if a number of places is out of range, or the noise is not the same at all places."""
-    if not 1 <= places <= MOST_PLACES:
-        raise SettingsError(f"{argument.places}: found {places}, expected a whole number from 1 to {MOST_PLACES}")
+    check_whole(argument.places, places, 1, MOST_PLACES)
     if places == 1:
         return
     if sensor.photons is not None:

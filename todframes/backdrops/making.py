@@ -30,7 +30,7 @@ from todframes.backdrops.views import (
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.output import new_folder
-from todframes.base.reading import check_positive
+from todframes.base.reading import check_positive, distinct_numbers
 from todframes.base.safe_text import csv_text, in_utf8, one_line
 from todframes.base.seeds import Rng, seed_of
 from todframes.display.display import Display
@@ -183,7 +183,8 @@ def scenes(
     16
     """
     seed = seed_of(rng)
-    sizes, contrasts = _values(argument.size_mrad, size_mrad), _values(argument.contrast, contrast)
+    sizes = distinct_numbers(argument.size_mrad, size_mrad)
+    contrasts = distinct_numbers(argument.contrast, contrast)
     if polarity not in (1, -1):
         raise SettingsError(f"polarity: found {polarity!r}, expected 1 or -1")
     if turns not in (1, 4, 8):
@@ -264,17 +265,6 @@ def scenes(
         own_orientation_left=left,
         notes=tuple(notes),
     )
-
-
-def _values(name: str, values: Sequence[float]) -> list[float]:
-    found = [float(one) for one in values]
-    if not found:
-        raise SettingsError(f"{name}: found no values, expected at least one")
-    for one in found:
-        check_positive(name, one)
-    if len(set(found)) < len(found):
-        raise SettingsError(f"{name}: found a value twice in {', '.join(f'{one:g}' for one in found)}")
-    return found
 
 
 def _layout(size_mrad: float, pitch_mrad: float, places: int, step_mrad: float | None) -> Layout:

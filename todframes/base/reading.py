@@ -345,11 +345,29 @@ def _hints(kind: Any) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in fields(kind)}
 
 
-def check_warm_up(name: str, n_frames: object) -> int:
-    """Return a number of frames of warm-up; raise SettingsError unless it is a whole number in range."""
-    if not isinstance(n_frames, int) or isinstance(n_frames, bool) or not 0 <= n_frames <= MOST_WARM_UP:
-        raise SettingsError(f"{name}: found {n_frames!r}, expected a whole number from 0 to {MOST_WARM_UP}")
-    return n_frames
+def check_whole(name: str, value: Any, least: int, most: int) -> None:
+    """Raise SettingsError unless a value is a whole number in a range."""
+    is_whole = isinstance(value, Integral)
+    if isinstance(value, bool) or not (is_whole and least <= value <= most):
+        raise SettingsError(f"{name}: found {value!r}, expected a whole number from {least} to {most}")
+
+
+def check_warm_up(name: str, n_frames: object) -> None:
+    """Raise SettingsError unless a number of frames of warm-up is a whole number in range."""
+    check_whole(name, n_frames, 0, MOST_WARM_UP)
+
+
+def distinct_numbers(name: str, values: Iterable[float]) -> list[float]:
+    """Return values as numbers; raise SettingsError unless there are some, finite and above 0, and each once."""
+    found = [float(one) for one in values]
+    if not found:
+        raise SettingsError(f"{name}: found no values, expected at least one")
+    for one in found:
+        check_positive(name, one)
+    if len(set(found)) < len(found):
+        shown = ", ".join(f"{one:g}" for one in found)
+        raise SettingsError(f"{name}: found a value twice in {shown}, expected each once")
+    return found
 
 
 def _unmet(value: Any, hint: Any) -> str | None:

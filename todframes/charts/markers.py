@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base.errors import SettingsError
+from todframes.base.reading import check_whole
 
 CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
 """Names of the corners in the order of the markers, clockwise."""
@@ -53,8 +53,7 @@ def marker_ids(page: int, key: int) -> tuple[int, int, int, int]:
         If the page or the key is out of its range.
     """
     for name, value, count in (("page", page, MOST_PAGES), ("key", key, N_DIGITS)):
-        if not 0 <= value < count:
-            raise SettingsError(f"{name}: found {value!r}, expected a whole number from 0 to {count - 1}")
+        check_whole(name, value, 0, count - 1)
     low, high = page % N_DIGITS, page // N_DIGITS
     return 4 * low, 4 * high + 1, 4 * low + 2, 4 * key + 3
 
@@ -75,8 +74,7 @@ def marker_bits(marker: int) -> NDArray[np.bool_]:
     SettingsError
         If the dictionary has no such marker.
     """
-    if not 0 <= marker < 4 * N_DIGITS:
-        raise SettingsError(f"marker: found {marker!r}, expected a whole number from 0 to {4 * N_DIGITS - 1}")
+    check_whole("marker", marker, 0, 4 * N_DIGITS - 1)
     return _bits(DICTIONARY, marker)
 
 

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import click
 
 from todframes.base.errors import SettingsError
-from todframes.cli.console import MOST_ALIKE, print_sentences, progress, say
+from todframes.cli.console import print_sentences, progress, say, warning_lines
 from todframes.cli.options import (
     dataset_out_option,
     display_option,
@@ -92,6 +92,7 @@ def import_command(
         raise SettingsError("import: expected one of --chart and --schedule, which says what is shown")
     time_s = seconds(integration_time)
     from todframes.importing.importing import import_recordings, open_for_import
+    from todframes.report.data import ResultWarning
     from todframes.report.wording import count
 
     opened = open_for_import(
@@ -115,14 +116,8 @@ def import_command(
     if not quiet:
         for note in done.notes:
             say(f"note: {note}")
-        of_code: dict[str, int] = {}
-        for code, message in done.warnings:
-            of_code[code] = of_code.get(code, 0) + 1
-            if of_code[code] <= MOST_ALIKE:
-                say(f"warning: {message}")
-        for code, number in of_code.items():
-            if number > MOST_ALIKE:
-                say(f"warning: … and {count(number - MOST_ALIKE, 'more warning')} with the code {code}")
+        for line in warning_lines([ResultWarning(**one._asdict()) for one in done.warnings]):
+            say(line)
     sentence = (
         f"{out}: {done.n_frames} frames in {count(done.n_trials, 'trial')} from {count(done.n_clips, 'clip')}"
     )

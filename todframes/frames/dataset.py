@@ -18,6 +18,7 @@ from todframes.base.reading import (
     check_columns,
     check_fields,
     check_keys,
+    check_whole,
     from_table,
     number,
     number_or_text,
@@ -141,8 +142,7 @@ class Experiment:
     places: int = 1
 
     def __post_init__(self) -> None:
-        if not 1 <= self.places <= MOST_PLACES:
-            raise SettingsError(f"places: found {self.places}, expected a whole number from 1 to {MOST_PLACES}")
+        check_whole("places", self.places, 1, MOST_PLACES)
         for name in (self.level, *self.group_by):
             if not name.strip():
                 raise SettingsError(f"level, group_by: found {name!r}, expected the name of a manifest column")

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from todframes.base.errors import FrameError, OutputError, RemoteError, SettingsError, argument
 from todframes.base.locations import Location, RemotePath, location
+from todframes.base.reading import check_whole
 
 PathLike = str | os.PathLike[str]
 
@@ -373,10 +374,7 @@ class FrameFile:
 
 def check_max_frame_mb(max_frame_mb: int) -> int:
     """Return a limit of the size of frames. Raises SettingsError if it is no whole number from 1 to 2**20."""
-    if int(max_frame_mb) != max_frame_mb or not 1 <= max_frame_mb <= 2**20:
-        raise SettingsError(
-            f"{argument.max_frame_mb}: found {max_frame_mb!r}, expected a whole number from 1 to {2**20}"
-        )
+    check_whole(argument.max_frame_mb, max_frame_mb, 1, 2**20)
     return max_frame_mb
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
-from todframes.base.reading import check_positive
+from todframes.base.reading import check_positive, check_whole
 from todframes.frames.dataset import MOST_PLACES
 from todframes.observers.interface import Observer, Readout, SteppedObserver
 from todframes.psychometrics.threshold_search import ComputedThreshold, find_crossing
@@ -250,10 +250,7 @@ class _Responses(NamedTuple):
 
 def _responses(observer: Observer, size_mrad: float, nodes: int, places: int = 1) -> _Responses:
     """Compute the scores at contrast 1 for a triangle of each orientation at each node."""
-    if not 1 <= places <= MOST_PLACES:
-        raise SettingsError(
-            f"{argument.places}: found {places!r}, expected a whole number from 1 to {MOST_PLACES}"
-        )
+    check_whole(argument.places, places, 1, MOST_PLACES)
     readout = observer.readout(Stimulus(size_mrad))
     if readout is None:
         raise SettingsError("observer: it is not linear; its naked-eye threshold cannot be computed")
