@@ -92,6 +92,7 @@ def test_a_look_up_table_is_whole_in_the_result_and_short_on_the_page(make_datas
     assert values["display.lut.luminance_cd_m2"] == "256 values from 0.0 to 100.0"
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_results_of_earlier_versions_name_the_folder_alone(results, tmp_path) -> None:
     (tmp_path / "result.json").write_text(
         json.dumps(results["score"] | {"dataset": "my_camera"}), encoding="utf-8"
@@ -104,6 +105,7 @@ def test_results_of_earlier_versions_name_the_folder_alone(results, tmp_path) ->
     assert json.loads(old.to_json())["dataset"] == "my_camera"
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_result_comes_back_from_its_file(make_dataset, tmp_path) -> None:
     made = score(make_dataset().path, fit=QUICK, examples=False)
     made.save(tmp_path / "out")

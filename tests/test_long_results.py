@@ -75,6 +75,7 @@ def mixed(make_dataset, monkeypatch):
     return made.path
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_parquet_has_the_numbers_of_the_csv(mixed, tmp_path, monkeypatch) -> None:
     """The same columns and rows, and all bits of the numbers, over several row groups."""
     parquet = pytest.importorskip("pyarrow.parquet", reason="Parquet needs pyarrow, of the parquet extra")
@@ -116,6 +117,7 @@ def test_parquet_is_written_without_pandas(mixed, tmp_path) -> None:
     assert (tmp_path / "out" / "scores.parquet").stat().st_size
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_without_pyarrow_there_is_no_parquet(mixed, tmp_path, monkeypatch) -> None:
     """One of an earlier result would be taken for this one's, and goes."""
     out = tmp_path / "out"

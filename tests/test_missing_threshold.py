@@ -239,6 +239,7 @@ def test_terminal_shows_answers(make_dataset) -> None:
     assert all(abs(int(word) - 25) <= 1 for word in up[-5:-1])
 
 
+@pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.parametrize(("levels", "status"), [((0.1, 0.2, 0.3), "never_reached"), ((0.3,), "too_few_levels")])
 def test_page_shows_the_strongest_trial_whole(levels: Sequence[float], status: str) -> None:
     place = (44.0, 20.0)

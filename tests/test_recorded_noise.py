@@ -383,6 +383,7 @@ def run(capsys, *arguments):
     return ended.value.code, shown.out, shown.err
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_the_command_prints_and_writes_the_same_numbers(tmp_path, capsys):
     values = np.random.default_rng(14).normal(100, 2, (12, 16, 18)).astype(np.float32)
     np.save(tmp_path / "a.npy", values)

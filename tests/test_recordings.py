@@ -855,6 +855,7 @@ def test_folders_whose_names_are_no_utf_8_are_read(tmp_path):
     assert len(tod.load_dataset(done.path).trials) == 1
 
 
+@pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have names in Unicode")
 def test_results_name_folders_that_are_no_utf_8(tmp_path, make_dataset):
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
