@@ -200,7 +200,9 @@ def test_a_darker_triangle_is_a_brighter_one_on_the_negative(linear_observer: Ob
 
 def test_more_contrast_is_easier(linear_observer: Observer) -> None:
     readout = linear_observer.readout(Stimulus(1.0))
-    threshold = contrast_threshold(linear_observer, size_mrad=1.0).threshold
+    steps, up = np.geomspace(1e-3, 10.0, 41), triangle_on(readout.grid, 1.0, Orientation.UP)
+    answers = answer_probabilities(steps[:, None] * readout.score_deviations(up), readout.noise_covariance)
+    threshold = steps[np.argmax(answers[:, Orientation.UP.quarter_turns] > 0.75)]
     contrasts = threshold * np.geomspace(0.01, 6.0, 12)
     for orientation in ORIENTATIONS:
         deviations = readout.score_deviations(triangle_on(readout.grid, 1.0, orientation))
