@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from timing import Row, best_s, paired_ratio, process
+from timing import Row, best_s, cpu_ratio, paired_ratio, process
 
 from todframes.diagnosis.inspection import inspect
 from todframes.frames.dataset import load_dataset
@@ -22,6 +22,12 @@ from todframes.stimulus import ORIENTATIONS, coverage
 SIDE, PITCH_MRAD, SIZE_MRAD = 512, 0.7, 10.0
 DISTINCT = 40
 SCORE = "import sys; from todframes.cli.main import main; main(['score', sys.argv[1], '--json', '--quiet'])"
+CSF = SCORE.replace("'--json'", "'--observer', 'csf', '--json'")
+COMPARE = (
+    "import sys; from todframes.cli.main import main; main(['compare', sys.argv[1], '--enhance', 'unsharp', "
+    "'--allow-clipping', '--observer', sys.argv[2], '--json', '--quiet'])"
+)
+SAMPLES = Path(__file__).parents[2] / "sample_frames"
 DECODE = """
 import sys, pathlib, OpenImageIO as oiio
 for path in sorted(pathlib.Path(sys.argv[1]).glob("frames/*")):
@@ -109,7 +115,20 @@ def rows() -> list[Row]:
         found.append(Row(f"peak memory, 10000 frames ({many:.0f} MB) ÷ 1000 frames", many / few, "<= 1.1"))
     ratio = paired_ratio(["-m", "todframes", "--help"], ["-c", "import numpy"], 15)
     found.append(Row("todframes --help ÷ import numpy, whole processes", ratio, "<= 2.5"))
-    return [*found, *pyramid_rows()]
+    return [*found, *observer_rows(), *pyramid_rows()]
+
+
+def observer_rows() -> list[Row]:
+    """CPU time of `csf` over that of the pyramid; of the first two sets, csf reaches few thresholds."""
+    found = []
+    for name in ("naked_eye", "staring_camera", "enhancement"):
+        ratio = cpu_ratio(["-c", CSF, str(SAMPLES / name)], ["-c", SCORE, str(SAMPLES / name)], 3)
+        found.append(Row(f"score {name} with csf ÷ with pyramid, CPU time of whole processes", ratio, "<= 1.5"))
+    both, one = (["-c", COMPARE, str(SAMPLES / "enhancement"), name] for name in ("pyramid,csf", "pyramid"))
+    found.append(
+        Row("compare by both ÷ by one observer, CPU time of whole processes", cpu_ratio(both, one, 3), "<= 1.3")
+    )
+    return found
 
 
 def pyramid_rows() -> list[Row]:

@@ -56,3 +56,11 @@ def paired_ratio(ours: Sequence[str], theirs: Sequence[str], repeats: int) -> fl
     process(*theirs)
     ratios = sorted(process(*ours).wall_s / process(*theirs).wall_s for _ in range(repeats))
     return ratios[repeats // 2]
+
+
+def cpu_ratio(ours: Sequence[str], theirs: Sequence[str], repeats: int) -> float:
+    """Median over pairs, run in turn, of the CPU times of two processes, after a pair that compiles bytecode."""
+    process(*ours)
+    process(*theirs)
+    ratios = sorted(process(*ours).cpu_s / process(*theirs).cpu_s for _ in range(repeats))
+    return ratios[repeats // 2]
