@@ -33,6 +33,7 @@ from todframes.cli.options import (
     make_observer,
     observer_options,
     options,
+    places_option,
     plan_option,
     quiet_option,
     result_options,
@@ -40,21 +41,13 @@ from todframes.cli.options import (
     seed_option,
     tolerance_option,
     turns_option,
+    workers_option,
 )
 
 sensor_argument = click.argument("sensor", type=click.Path(path_type=Path), metavar="SENSOR.toml")
 
 sizes_option = click.option(
     "--size-detectors", type=NUMBERS, required=True, help="Sizes √(area) in detector pitches."
-)
-
-places_option = click.option(
-    "--places",
-    type=int,
-    default=1,
-    show_default=True,
-    metavar="M",
-    help="Number of places, far apart, at which the triangle may be; with 1 its place is known.",
 )
 
 aim_options = options(
@@ -125,9 +118,7 @@ def cli() -> None:
     help="Values of these images for black and white; values between are proportional to light.  [default: sRGB]",
 )
 @turns_option
-@click.option(
-    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that draw frames."
-)
+@workers_option
 @run_options
 @quiet_option
 def simulate(
@@ -257,7 +248,7 @@ def curve(*, sensor: Path, size_detectors: list[float], out: str | None, quiet: 
 @tolerance_option(2e-3, "Relative error of the thresholds to reach.")
 @plan_option
 @seed_option
-@click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that compute.")
+@workers_option
 @click.option(
     "-o", "--out", metavar="OUT", help="Folder for sweep.csv, sweep.parquet, result.json, report.html and plots."
 )

@@ -207,6 +207,15 @@ def tolerance_option(default: float | None, what: str) -> Callable[[F], F]:
     )
 
 
+places_option = click.option(
+    "--places",
+    type=int,
+    default=1,
+    show_default=True,
+    metavar="M",
+    help="Number of places, far apart, at which the triangle may be; with 1 its place is known.",
+)
+
 plan_option = click.option(
     "--plan",
     type=click.Choice(["needed", "full"]),
@@ -230,7 +239,7 @@ on_error_option = click.option(
 )
 
 workers_option = click.option(
-    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that read and score."
+    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that share the work."
 )
 
 scoring_options = options(

@@ -20,6 +20,7 @@ from todframes.cli.options import (
     make_observer,
     observer_options,
     p_correct_option,
+    places_option,
     quiet_option,
     result_options,
     run_options,
@@ -68,13 +69,7 @@ def score(*, dataset: Location, out: str | None, quiet: bool, **asked: Any) -> N
 @click.command("naked-eye")
 @click.option("--contrast", type=float, help="Weber contrast; the threshold is then a size: the acuity.")
 @click.option("--size-mrad", type=NUMBERS, help="Sizes; the threshold is then a contrast for each.")
-@click.option(
-    "--places",
-    type=int,
-    default=1,
-    show_default=True,
-    help="Number of places, far apart, at which the triangle may be.",
-)
+@places_option
 @click.option("-o", "--out", metavar="OUT", help="Folder for result.json, report.html and tod_curve.png.")
 @observer_options
 @verbose_option
