@@ -314,9 +314,9 @@ class Table:
             shown = [one for one in shown if one.rank < rank]
         # Cells are Text, not str: names are data, and rich would read brackets in them as markup.
         table = RichTable(box=SIMPLE_HEAD)
-        # Short columns get their full width first; long texts share the rest.
+        # Short columns get their full width first; then long texts, the longest before the others.
         widths = list(least)
-        for place in sorted(range(len(shown)), key=lambda k: (shown[k].wraps, most[k])):
+        for place in sorted(range(len(shown)), key=lambda k: (1, -most[k]) if shown[k].wraps else (0, most[k])):
             more = max(min(most[place] - least[place], room), 0)
             widths[place] += more
             room -= more
