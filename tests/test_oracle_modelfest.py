@@ -38,10 +38,11 @@ def stimuli() -> list[Seen]:
         for name in dir(modelfest):
             if name[0].isupper() and name[-1].isdigit() and name != "PPD2":
                 drawn = getattr(modelfest, name)()
-                runs = [drawn["experimental_data"][f"thresholds{run}"] for run in (1, 2, 3, 4)]
                 # Thresholds are −log10 of the contrast at the peak; grey is the middle of 0 to 1.
                 contrast = 2.0 * drawn["img"] - 1.0
                 number = int("".join(filter(str.isdigit, name)))
+                # From the table itself: in stimupy 1.2 the noise, number 35, comes with those of the scene.
+                runs = modelfest.df.iloc[:, 4 * number - 3 : 4 * number + 1].to_numpy(float)
                 people = 20.0 * float(np.nanmean(runs))
                 img = drawn["img"]
                 border = img / np.median(np.concatenate([img[0], img[-1], img[:, 0], img[:, -1]])) - 1.0
@@ -79,31 +80,37 @@ def test_the_published_model_describes_people(stimuli: list[Seen]) -> None:
     found = errors_db(stimuli, gain=373.08, aperture_sd_deg=0.6273, exponent=2.4081)
     assert abs(np.mean(list(found.values()))) < 0.13
     assert rms(found, without=NOISE_AND_SCENE) == pytest.approx(0.67, abs=0.03)
-    assert rms(found) < 1.1
+    assert rms(found) == pytest.approx(1.03, abs=0.01)
 
 
 def test_grey_of_the_border_gives_the_figures_of_another_program(stimuli: list[Seen]) -> None:
-    """Another program found 0.668 dB for the published model, and 0.90 dB for the linear one, over 41 stimuli.
+    """Another program found a mean of 0.013 dB and RMS of 1.03 and 0.668 dB (43 and 41 stimuli) for the published
+    model, and 1.13 and 0.90 dB for the linear one; all are rounded.
 
     That follows if the grey that contrasts refer to is that of the pictures' borders, which broad stimuli reach;
-    people saw them on grey, so the figures here are 0.69 and 0.91 dB.
+    people saw them on grey, so the figures here are 0.69 and 0.91 dB over the 41.
     """
     of_border = [one._replace(contrast=one.against_border) for one in stimuli]
     published = errors_db(of_border, gain=373.08, aperture_sd_deg=0.6273, exponent=2.4081)
     linear = errors_db(of_border, gain=509.37, aperture_sd_deg=0.35, exponent=2.0)
+    assert rms(published) == pytest.approx(1.03, abs=0.005)
     assert rms(published, without=NOISE_AND_SCENE) == pytest.approx(0.668, abs=0.002)
+    assert rms(linear) == pytest.approx(1.13, abs=0.01)
     assert rms(linear, without=NOISE_AND_SCENE) == pytest.approx(0.90, abs=0.005)
+    # A hundredth of a decibel: the scene has no border of one grey.
+    assert np.mean(list(published.values())) == pytest.approx(0.013, abs=0.015)
 
 
 def test_the_settings_modelfest_describe_people(stimuli: list[Seen]) -> None:
-    """The pyramid with an eye: 1.9 dB is what another program found with six noises and a blur."""
+    """The pyramid with an eye: the settings file says 2.01 dB, rounded. Another program found 1.9 dB, with a blur
+    that was fitted too."""
     settings = read_toml(settings_file("modelfest"))
     observer = PyramidObserver(**settings | {"band_noise": tuple(settings["band_noise"])})
     found = {}
     for one in stimuli:
         seen = activity_of(observer, one.contrast, 1000.0 * math.radians(1.0) / PX_PER_DEG)
         found[one.number] = 20.0 * math.log10(detection_d_prime(observer, seen) / 1.4064) - one.sensitivity_db
-    assert rms(found) < 1.9
+    assert rms(found) < 2.015
     assert abs(np.mean(list(found.values()))) < 0.13
 
 

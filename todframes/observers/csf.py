@@ -1,8 +1,8 @@
 """An observer with people's contrast sensitivity: a filter, an aperture, white noise and four templates.
 
-The filter is what people detect in the fovea, from 43 stimuli that 16 people saw (ModelFest). Pooling with an
-exponent of 2 makes it linear: the best template is then the filtered triangle itself, P(answer) stays in closed
-form, and the two filters and the aperture fold into one weight image an answer.
+The filter is the sensitivity of the fovea, fitted to the thresholds of 16 people for 43 stimuli (ModelFest).
+Pooling with an exponent of 2 makes the observer linear: the best template is then the filtered triangle itself,
+P(answer) stays in closed form, and filter, aperture and template fold into one weight image for each answer.
 
 Watson & Ahumada 2005, J. Vision 5(9):6.
 """
@@ -65,7 +65,7 @@ LARGEST_SIDE = 4097
 """Largest side of the retina grid; its readout takes 1.5 GB."""
 
 LARGEST_PITCH_MRAD = 0.2
-"""Pitch whose Nyquist frequency, 44 cycles/degree, the filter passes 0.7 % of its peak."""
+"""Largest pitch of the retina: at its Nyquist frequency, 44 cycles/degree, the filter passes 0.7 % of its peak."""
 
 
 def contrast_sensitivity(frequency_cyc_per_deg: FloatArray) -> FloatArray:
