@@ -351,7 +351,7 @@ def figures(detected: Any, noisy: Any, ringed: Any) -> dict[str, Figure]:
         last.plot(RING_CONTRASTS, ratios, "o-", ms=4, color=COLOURS[who], label=who)
     for one in (axes, other, last):
         one.axhline(1.0 if one is last else 0.0, color="#999999", lw=0.8)
-        one.legend(fontsize="small")
+        one.legend(fontsize="small", loc="upper center" if one is axes else "best")
     return {"modelfest": first, "edges": second, "rings": third}
 
 
