@@ -11,6 +11,7 @@ import struct
 import sys
 import zipfile
 import zlib
+from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from fractions import Fraction
 from importlib.metadata import requires
@@ -22,11 +23,15 @@ import pytest
 from jpeg_ls import encoded as standard_jpeg_ls
 
 import todframes as tod
+from todframes.base.errors import DataError
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.recordings import radiometric, raw
+from todframes.recordings.arrays import memory_recording
+from todframes.recordings.noise3d import measure_noise
 from todframes.recordings.opening import open_recordings
 from todframes.recordings.recording import natural_order
+from todframes.recordings.slanted_edges import measure_mtf
 
 RNG = np.random.default_rng(13)
 
@@ -864,3 +869,12 @@ def test_results_name_folders_that_are_no_utf_8(tmp_path, make_dataset):
     for command in (["score", str(folder), "--set", "resamples=0"], ["noise", str(folder / "a.npy")]):
         assert run(cli, [*command, "--quiet", "-o", str(tmp_path / command[0])]) == 0
         assert r"caf\\udce9" in (tmp_path / command[0] / "result.json").read_text()
+
+
+def test_a_recording_without_frames_is_refused_where_it_is_read():
+    whole = memory_recording(RNG.random((3, 20, 20)), frames_per_second=None)
+    assert [one.source for one in whole.frames()] == ["frame 0", "frame 1", "frame 2"]
+    empty = replace(whole, path=Path("film.mp4"), n_frames=None, read=lambda: iter(()))
+    for read in (lambda: list(empty.frames()), lambda: measure_noise(empty), lambda: measure_mtf(empty)):
+        with pytest.raises(DataError, match=r"^film\.mp4: found no frame, expected at least one$"):
+            read()

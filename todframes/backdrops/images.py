@@ -172,17 +172,15 @@ def decoded_images(file: SceneFile, display: Display, *, frames: int) -> Iterato
     """
     recording, (low, high) = file.recording, (file.scale.low, file.scale.high)
     total = recording.n_frames or sum(1 for _ in recording.frames())
-    wanted = set(np.linspace(0, total - 1, min(frames, total)).round().astype(int).tolist()) if total else set()
+    wanted = set(np.linspace(0, total - 1, min(frames, total)).round().astype(int).tolist())
     for number, recorded in enumerate(recording.frames()):
         if number in wanted:
             code = (np.atleast_3d(recorded.values).astype(np.float64) - low) / (high - low)
             at_end = np.any((code <= 0.0) | (code >= 1.0), axis=2)
             luminance = display.luminance(_shown(np.clip(code, 0.0, 1.0), display))
             yield SceneImage(file.scene, str(recording.path), number, luminance, at_end, float(np.ptp(code)))
-        if wanted and number >= max(wanted):
+        if number >= max(wanted):
             return
-    if not wanted:
-        raise DataError(f"{recording.path}: found no frame, expected at least one")
 
 
 def _shown(code: NDArray[Any], display: Display) -> FloatArray:

@@ -150,9 +150,7 @@ class _SeenFilm:
     def first(self, path: Path) -> CameraView:
         """Return the view of the page that the first frame shows, for all frames."""
         where = self.recording.path
-        frame = next(self.recording.frames(), None)
-        if frame is None:
-            raise DataError(f"{where}: found no frame, expected at least one")
+        frame = next(self.recording.frames())
         seen = self.finder.look(frame.values)
         found = None if seen is None else page_of(seen.ids)
         if seen is None or found is None:

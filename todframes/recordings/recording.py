@@ -95,9 +95,14 @@ class Recording:
         Raises
         ------
         FrameError, DataError
-            If a frame is damaged or has another size; those before it are good.
+            If a frame is damaged or has another size; those before it are good. If there is no frame at all.
         """
-        return self.read()
+        is_empty = True
+        for frame in self.read():
+            is_empty = False
+            yield frame
+        if is_empty:
+            raise DataError(f"{self.path}: found no frame, expected at least one")
 
 
 @dataclass(frozen=True, slots=True)

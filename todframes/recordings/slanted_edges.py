@@ -163,8 +163,6 @@ def _mean(recording: Recording, display: Display | None, progress: Callable[[int
         n += 1
         if progress is not None:
             progress(1)
-    if not n:
-        raise DataError(f"{recording.path}: found no frame, expected at least one")
     mean = total / n
     colours = {LUMA: mean if mean.ndim == 2 else mean @ REC_709_LUMINANCE_WEIGHTS}
     if mean.ndim == 3 and np.ptp(mean, 2).any():  # grey pictures may be stored in three equal channels
