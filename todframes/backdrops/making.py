@@ -195,9 +195,6 @@ def scenes(
             raise SettingsError(f"{name}: found {number}, expected at least 1")
     if not 0.0 <= blur_px <= 1e3:
         raise SettingsError(f"{argument.blur_px}: found {blur_px!r}, expected 0 to 1000 pixels")
-    if value_range is not None and not -math.inf < value_range[0] < value_range[1] < math.inf:
-        low, high = value_range
-        raise SettingsError(f"{argument.value_range}: found {low:g}:{high:g}, expected LOW:HIGH, the first lower")
     experiment = Experiment(level="contrast", group_by=("size_mrad",), places=places)
     shown = find_display(display)
     stage = _Stage.of(shown.display, contrasts, polarity, blur_px, dim)

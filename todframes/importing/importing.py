@@ -209,7 +209,7 @@ def import_recordings(
         raise SettingsError(f"chart, schedule: found {found}, expected one, which says what is shown")
     time_s = _checked_time(integration_time_s)
     check_warm_up(argument.warm_up_frames, warm_up_frames)
-    _check_settings(value_range, ifov_mrad, level, has_schedule=schedule is not None)
+    _check_settings(ifov_mrad, level, has_schedule=schedule is not None)
     shown = find_display(display)
     pitch_mrad = shown.display.pitch_mrad
     opened = open_for_import(
@@ -339,14 +339,7 @@ def _checked_time(integration_time_s: float | str) -> float | None:
     return integration_time_s
 
 
-def _check_settings(
-    value_range: tuple[float, float] | None, ifov_mrad: float | None, level: str | None, *, has_schedule: bool
-) -> None:
-    if value_range is not None and not (all(map(math.isfinite, value_range)) and value_range[0] < value_range[1]):
-        low, high = value_range
-        raise SettingsError(
-            f"{argument.value_range}: found {low:g}:{high:g}, expected two numbers, the lower one first"
-        )
+def _check_settings(ifov_mrad: float | None, level: str | None, *, has_schedule: bool) -> None:
     if level is not None and not has_schedule:
         raise SettingsError(f"{argument.level}: is given but not used with a chart, which states its levels")
     if ifov_mrad is not None and not has_schedule:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -123,9 +124,11 @@ def code_range(
     Raises
     ------
     SettingsError
-        If the recording has no white and none is asked for.
+        If the recording has no white and none is asked for, or two numbers that do not ascend.
     """
     if asked is not None:
+        if not -math.inf < asked[0] < asked[1] < math.inf:
+            raise SettingsError(f"{name}: found {asked[0]:g}:{asked[1]:g}, expected LOW:HIGH, the lower one first")
         return CodeRange(*asked)
     if recording.full_scale is None:
         what = {"celsius": "temperatures", "counts": "counts"}.get(recording.unit, "values")
