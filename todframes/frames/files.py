@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from todframes.base.errors import FrameError, OutputError, RemoteError, SettingsError, argument
 from todframes.base.locations import Location, RemotePath, location
-from todframes.base.reading import check_whole
 
 PathLike = str | os.PathLike[str]
 
@@ -374,6 +373,8 @@ class FrameFile:
 
 def check_max_frame_mb(max_frame_mb: int) -> int:
     """Return a limit of the size of frames. Raises SettingsError if it is no whole number from 1 to 2**20."""
+    from todframes.base.reading import check_whole  # it loads msgspec, which decoding does not need
+
     check_whole(argument.max_frame_mb, max_frame_mb, 1, 2**20)
     return max_frame_mb
 
