@@ -6,6 +6,7 @@ import re
 import runpy
 import shlex
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -119,7 +120,13 @@ def waved(height_px: float) -> Callable[[NDArray[np.uint8]], NDArray[np.uint8]]:
 
 def through_a_tilted_lens(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Film through a lens with a barrel of 5 % whose elements are tilted: radial and tangential distortion."""
-    rows, columns = frame.shape
+    places = behind_a_tilted_lens(*frame.shape)
+    return cv2.remap(frame, places[..., 0], places[..., 1], cv2.INTER_CUBIC, borderValue=10)
+
+
+@cache
+def behind_a_tilted_lens(rows: int, columns: int) -> NDArray[np.float32]:
+    """What each pixel of a frame sees through that lens, (x, y) in pixels of a frame without it."""
     half = np.hypot(rows, columns) / 2.0
     middle = np.array([(columns - 1) / 2.0, (rows - 1) / 2.0])
     y, x = np.mgrid[:rows, :columns].astype(float)
@@ -129,8 +136,7 @@ def through_a_tilted_lens(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
         square = (ideal**2).sum(axis=-1)
         beside = np.stack([2.0 * ideal[..., 0] * ideal[..., 1], square + 2.0 * ideal[..., 1] ** 2], axis=-1)
         ideal = (bent - 0.02 * beside) / (1.0 - 0.05 * square)[..., None]
-    places = (ideal * half + middle).astype(np.float32)
-    return cv2.remap(frame, places[..., 0], places[..., 1], cv2.INTER_CUBIC, borderValue=10)
+    return (ideal * half + middle).astype(np.float32)
 
 
 NEARER = moved([[0.95, 0.0, 7.8], [0.0, 0.95, 4.3], [0.0, 0.0, 1.0]])
