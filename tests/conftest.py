@@ -45,6 +45,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--one-of", type=int, default=1, metavar="N", help=help_text)
 
 
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Mark what is run weekly as slow, too: the fast tests are those that are not slow."""
+    if item.get_closest_marker("weekly") is not None:
+        item.add_marker("slow")
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselect cases as `--one-of` asks, of those that the marks asked for have left."""

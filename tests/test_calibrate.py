@@ -388,7 +388,6 @@ def test_a_person_is_calibrated_and_scored(two_people, tmp_path: Path, capsys) -
     assert (tmp_path / "again.html").read_bytes() == (out / "report.html").read_bytes()
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 def test_a_free_blur(two_people) -> None:
     """The templates of the people are blurred by 1.2 samples."""
@@ -435,7 +434,6 @@ def test_two_observers_on_the_same_answers(two_people, tmp_path: Path, capsys) -
     assert "internal_noise" in tomllib.loads((out / "observer.toml").read_text())
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 @pytest.mark.parametrize(("observer", "noise"), [(tod.PyramidObserver(), 0.35), (tod.CsfObserver(), 0.1)])
 def test_intervals_of_simulated_people(two_people, observer, noise: float) -> None:

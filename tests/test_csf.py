@@ -100,7 +100,6 @@ def test_wide_triangles_have_an_error_too(monkeypatch: pytest.MonkeyPatch) -> No
         assert 0.5 < found.numerical_error / abs(found.threshold - fine) < 4.0
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 @pytest.mark.parametrize("size_mrad", [0.75, 1.1, 1.4, 2.4, 4.0])
 def test_threshold_of_the_naked_eye_is_that_of_fine_brute_force(size_mrad: float) -> None:

@@ -360,7 +360,6 @@ def test_declarations_of_the_enhancement_page() -> None:
     assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == [field.name for field in fields(Declaration)]
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 @pytest.mark.usefixtures("folder")
 def test_enhancement_of_the_samples_is_as_shown(capsys) -> None:

@@ -141,7 +141,6 @@ def test_measured_electrons_take_the_place_of_lens_and_light(tmp_path) -> None:
         ss.curve(tmp_path / "bright.toml", size_detectors=[6])
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 def test_the_curve_of_the_model_is_that_of_the_film(tmp_path) -> None:
     make_film(

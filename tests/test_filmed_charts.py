@@ -243,7 +243,6 @@ def test_colour_mosaic_and_vignetting(chart: Chart, tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 def test_a_shaking_hand_is_told_and_can_be_taken_out(chart: Chart, tmp_path: Path) -> None:
     made = Film.of(chart, Camera(), frames_per_page=2, shake_px=3.0)
@@ -277,7 +276,6 @@ def test_dropped_frames_are_told_and_no_trial_goes_across(chart: Chart, tmp_path
     assert all(b - a == 1 for trial in times.values() for a, b in pairwise(trial))
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 def test_doubled_frames_are_told(chart: Chart, tmp_path: Path) -> None:
     made = Film.of(chart, Camera(), frames_per_page=6)
@@ -295,7 +293,6 @@ def test_doubled_frames_are_told(chart: Chart, tmp_path: Path) -> None:
 CODECS = {"FFV1": {}, "H.264, CRF 18": {"crf": "18"}, "H.264, CRF 28": {"crf": "28"}}
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 def test_what_a_lossy_codec_costs_is_as_the_page_says(chart: Chart, tmp_path: Path) -> None:
     """Eight bits with gamma 2.2, once without loss and twice with; the same noise in all three."""

@@ -142,7 +142,6 @@ def test_noise_of_scores_is_that_of_all_pairs_of_detectors() -> None:
         np.testing.assert_allclose(found, brute, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 def test_simulated_frames_have_the_computed_threshold() -> None:
     """2,000 frames, simulated and read out one by one, displaced on the retina as `score` does."""

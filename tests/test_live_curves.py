@@ -320,7 +320,6 @@ def test_kept_parts_stay_within_their_size():
     assert sum(limits) <= 100 * 2**20
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 def test_stated_errors_hold_over_many_sensors():
     """Sensors at random about the one above, each new to the engine; and again with a neighbour known."""

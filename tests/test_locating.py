@@ -54,7 +54,6 @@ def test_position_is_found_in_noise_and_clutter(make_dataset, x_px: float, y_px:
     assert {(trial.x_px, trial.y_px) for trial in data.trials} == {(found.x_px, found.y_px)}
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 def test_standard_error_is_honest(make_dataset) -> None:
     """Scatter over repeated experiments against the error that each states."""
@@ -214,7 +213,6 @@ def placed_at(data: Dataset, places: NDArray[np.float64]) -> Dataset:
     return replace(data, trials=trials)
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 def test_interval_is_honest_on_blurred_frames() -> None:
     """The blur makes the noise correlated between pixels: an error for white noise is three times too small."""

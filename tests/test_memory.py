@@ -98,7 +98,6 @@ def test_a_large_frame_takes_little_more_than_its_pixels(large_frames, command, 
     assert peak_mb <= 3 * DECODED_MB * n_workers + 200.0
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 def test_import_of_a_long_film_keeps_next_to_nothing_of_a_frame(tmp_path) -> None:
     """25 bytes a frame were measured between 600 and 3,000 frames, and 100 between these, where buffers of clips

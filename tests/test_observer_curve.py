@@ -245,7 +245,6 @@ def test_ratio_is_the_quotient_of_the_thresholds(naked_eye):
     assert found.p_value < 0.05
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 @pytest.mark.parametrize(
     ("sensor", "lowest", "highest"), [("star_like", 0.25, 4.0), ("staring_camera", 0.15, 5.0)]

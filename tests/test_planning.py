@@ -313,7 +313,6 @@ def test_a_bad_frame_leaves_no_bound_out(make_dataset):
         write_frame(made.frame(number), 50.0 * (1.0 + 0.1 * whole))
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 def test_tolerance_takes_as_many_displacements_as_needed():
     dataset = load_dataset(NAKED_EYE)

@@ -107,7 +107,6 @@ def test_arrangement_and_polarity_are_found(shown, sign) -> None:
     assert np.rad2deg(found.shape.turn_rad) == pytest.approx(3.0, abs=5.0 * np.rad2deg(found.turn_error_rad))
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 def test_intervals_are_honest() -> None:
     """150 groups in blur, noise, patterns, tilts and cut windows, five intervals each."""
@@ -117,7 +116,6 @@ def test_intervals_are_honest() -> None:
     assert 0.92 <= (measured < 1.96).mean() <= 0.985
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 def test_good_frames_at_random_have_no_warning() -> None:
     for k in range(12):

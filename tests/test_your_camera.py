@@ -206,7 +206,6 @@ def with_gain(frames: Frames, gain: float) -> Frames:
     return [np.clip(140 + gain * (frame - 140.0), 0, 255).astype(np.uint8) for frame in frames]
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 def test_lines_that_score_prints(tmp_path, capsys) -> None:
     cases: dict[str, Callable[[Frames], Frames]] = {
