@@ -754,7 +754,11 @@ def test_scenes_change_intervals_alone(make_dataset) -> None:
     )  # nothing is known of other scenes
     # The contrast is measured in another way; 16-bit PNG rounds it to 3e-5 of 0.2.
     assert before.beyond_gain.contrast_gain == pytest.approx(after.beyond_gain.contrast_gain, rel=1e-3)
-    without, of_scenes = (replace(one[1].scored.fits[0].fit, threshold_ci95=None) for one in (plain, four))
+    without, of_scenes = (one[1].scored.fits[0].fit for one in (plain, four))
+    assert of_scenes.threshold_ci95_same_scenes == without.threshold_ci95
+    without, of_scenes = (
+        replace(one, threshold_ci95=None, threshold_ci95_same_scenes=None) for one in (without, of_scenes)
+    )
     assert without == of_scenes
     ratio, of_four = plain[1].compared[0].ratio, four[1].compared[0].ratio
     assert (of_four.ratio, of_four.ratio_ci95 == ratio.ratio_ci95) == (ratio.ratio, False)

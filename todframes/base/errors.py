@@ -53,9 +53,12 @@ def flag_of(name: str) -> str:
 
 
 @contextmanager
-def in_command() -> Iterator[None]:
-    """Let texts name the options of the command line for the time of a `with` statement."""
-    before = _is_command.set(True)
+def in_command(*, is_on_page: bool = False) -> Iterator[None]:
+    """Let texts name the options of the command line for the time of a `with` statement.
+
+    On a page that a command serves, they name the arguments, which its fields have as well.
+    """
+    before = _is_command.set(not is_on_page)
     try:
         yield
     finally:

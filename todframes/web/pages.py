@@ -21,7 +21,7 @@ from starlette.responses import Response
 from starlette.routing import Route
 from starlette.types import Lifespan, Receive, Scope, Send
 
-from todframes.base.errors import SettingsError, TodframesError
+from todframes.base.errors import SettingsError, TodframesError, in_command
 from todframes.base.safe_text import visible
 
 SHARED_FILES = ("base.css", "server.js", "icon.svg", "uplot/uPlot.iife.min.js", "uplot/uPlot.min.css")
@@ -198,7 +198,8 @@ def json_bytes(value: object) -> bytes:
 
 def error_of(error: Exception) -> dict[str, str | None]:
     """Return the line of an error, and the key of SENSOR.toml that it names, such as "optics.aperture_mm"."""
-    line = visible(str(error))
+    with in_command(is_on_page=True):
+        line = visible(str(error))
     found = re.search(r"\[(\w+)\]: (\w+)(?:: | is missing)", line) or re.match(r"(\w+)\.(\w+): found ", line)
     return {"error": line, "key": f"{found[1]}.{found[2]}" if found else None}
 
