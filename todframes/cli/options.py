@@ -69,7 +69,7 @@ def limits(text: str, option: str) -> tuple[float, float]:
     return low, high
 
 
-class Parsed(click.ParamType[Any]):
+class Parsed(click.ParamType):  # type: ignore[type-arg]  # click 8.2 takes none
     """Type of an option whose text is read by a function of the text and the option's name."""
 
     def __init__(self, form: str, read: Callable[[str, str], Any]) -> None:
