@@ -6,6 +6,7 @@ import inspect
 import pickle
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -338,10 +339,19 @@ CONSTANT = {
 KNOWS_INPUTS = pytest.mark.skipif(OLD_OPENCV, reason="OpenCV 4 does not report what a network takes")
 
 
-@pytest.mark.every_case
-@KNOWS_INPUTS
-@pytest.mark.usefixtures("in_process")
-@pytest.mark.parametrize("runtime", RUNTIMES)
+def in_both_runtimes(test: Callable[..., None]) -> Callable[..., None]:
+    """Mark a test of inputs that runs a network by each library, in this process."""
+    for mark in (
+        pytest.mark.parametrize("runtime", RUNTIMES),
+        pytest.mark.usefixtures("in_process"),
+        KNOWS_INPUTS,
+        pytest.mark.every_case,
+    ):
+        test = mark(test)
+    return test
+
+
+@in_both_runtimes
 @pytest.mark.parametrize("name", CONSTANT)
 def test_an_input_that_is_no_picture_has_one_value(tmp_path: Path, runtime, name: str) -> None:
     path = less_noise(tmp_path / "m.onnx", *CONSTANT[name])
@@ -351,10 +361,7 @@ def test_an_input_that_is_no_picture_has_one_value(tmp_path: Path, runtime, name
     assert np.abs(algorithm.run(image)[0] - (image - 0.1)).max() < 1e-6
 
 
-@pytest.mark.every_case
-@KNOWS_INPUTS
-@pytest.mark.usefixtures("in_process")
-@pytest.mark.parametrize("runtime", RUNTIMES)
+@in_both_runtimes
 @pytest.mark.parametrize("layout", ["nchw", "nhwc"])
 def test_a_free_map_has_the_size_of_the_tile(tmp_path: Path, runtime, layout: str) -> None:
     any_size = ANY if layout == "nchw" else ("n", "h", "w", 1)
@@ -371,10 +378,7 @@ def test_a_free_map_has_the_size_of_the_tile(tmp_path: Path, runtime, layout: st
     assert np.abs(algorithm.run(image)[0] - (image - 0.25)).max() < 1e-6
 
 
-@pytest.mark.every_case
-@KNOWS_INPUTS
-@pytest.mark.usefixtures("in_process")
-@pytest.mark.parametrize("runtime", RUNTIMES)
+@in_both_runtimes
 @pytest.mark.parametrize("layout", ["nchw", "nhwc"])
 def test_a_constant_channel_lies_behind_those_of_the_picture(tmp_path: Path, runtime, layout: str) -> None:
     grey = weighted(tmp_path / "grey.onnx", [[1.0, -0.5]], layout=layout)

@@ -21,10 +21,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from todframes.base.errors import DataError, SettingsError
+from todframes.base.errors import DataError, SettingsError, argument, in_command
 from todframes.web import check_installed, guard, server
 from todframes.web.guard import MOST_BODY_BYTES, MOST_READ_BYTES, RESPONSE_HEADERS, guarded
-from todframes.web.pages import SHARED_FILES, call, page, stream
+from todframes.web.pages import SHARED_FILES, call, error_of, page, stream
 from todframes.web.server import MOST_CONNECTIONS, Launch, listening, open_listener, origin_of
 
 TOKEN = "the-token-of-this-run"
@@ -479,3 +479,11 @@ def test_without_the_extra_there_is_one_line(monkeypatch):
         SettingsError, match=r"^explore: needs the package uvicorn.*pip install 'todframes\[web\]'$"
     ):
         check_installed("explore")
+
+
+def test_an_error_on_a_page_names_its_field() -> None:
+    """The page of a command has fields, no options."""
+    error = SettingsError(f"{argument.size_detectors}: found 300, expected at most 255")
+    with in_command():
+        assert str(error).startswith("--size-detectors: found 300")
+        assert error_of(error)["error"] == "size_detectors: found 300, expected at most 255"

@@ -101,7 +101,7 @@ def not_proportional(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ..
             message = (
                 f"its gain of contrast is {plain(near.gain, 3)} ± {plain(near.gain_standard_error, 1)} near the "
                 f"threshold, at {near.level:.3g}, and {plain(top.gain, 3)} at the highest level: beyond_gain, "
-                "which takes the latter, does not hold; look at contrast before and after"
+                "which takes the latter, does not hold; see the table of the contrast before and after"
             )
             group = {"algorithm": one.name} | fit.group
             found.append(

@@ -33,7 +33,10 @@ TOLERANCE = 2e-4
 SPAN = 1.1
 """Ratio of the levels to the threshold between which the slope of P(correct) is taken."""
 
-STEPS, COSTLY_SIDE = (0.25, 0.5, 2.0, 2.0 / 3.0), 2049
+FINE_STEP = 0.25
+"""Pitch of another retina, as a multiple of the observer's, whose own error is next to nothing beside it."""
+
+STEPS, COSTLY_SIDE = (FINE_STEP, 0.5, 2.0, 2.0 / 3.0), 2049
 """Pitches of another retina, as multiples of the observer's, to find the error by its step: the first whose grid
 has at most this side, which takes two seconds, or the last that the observer allows."""
 
@@ -200,7 +203,7 @@ def _with_step_error(
     below, at, above = (proportion(other, factor * found.threshold) for factor in (1.0 / SPAN, 1.0, SPAN))
     slope = (above - below) / ((SPAN - 1.0 / SPAN) * found.threshold)
     change = abs(at - p_correct) / slope
-    left = step**2 if step > 0.25 else 0.0
+    left = step**2 if step > FINE_STEP else 0.0
     return replace(found, numerical_error=change / abs(1.0 - left) + (found.numerical_error or 0.0))
 
 
