@@ -15,6 +15,7 @@ nitpicky = False
 
 # Links of the form page.md#heading, as on any page that shows Markdown.
 myst_heading_anchors = 4
+smartquotes = False  # options that readers copy have two hyphens
 myst_enable_extensions = ["colon_fence"]
 
 # A page for each name of the front doors, taken from their __all__.

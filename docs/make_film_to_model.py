@@ -27,7 +27,7 @@ SIZES_MRAD, CONTRASTS = (1.0, 1.4, 2.0), (0.06, 0.1, 0.16, 0.25, 0.4)
 
 def figures(found: Closed, camera: FilmingCamera) -> str:
     """Return the table of what the film gives, beside the truth."""
-    noise, mtf = found.noise.measured, found.mtf
+    noise, mtf = found.noise.measured, found.mtf.mtf
     frequency = np.linspace(0.01, 1.0, 1000)
     true_mtf = np.exp(-2.0 * (np.pi * frequency * camera.blur_sigma_px) ** 2) * np.sinc(frequency)
     electrons = camera.electrons_at_white * noise.background_cd_m2 / 100.0

@@ -1,14 +1,12 @@
-"""Makes the pictures and the table of frames_go_wrong.md: python docs/make_mishap_figures.py [FOLDER].
+"""Makes the pictures of frames_go_wrong.md: python docs/make_mishap_figures.py [FOLDER].
 
-Pictures go to FOLDER/frames_go_wrong, the text to FOLDER/frames_go_wrong.md; by default that is the folder of this
-script. What stands in the page between <!-- =NAME --> and <!-- / --> is written anew. The recordings are those of
-tests/mishaps, with stronger triangles and less noise in the pictures.
+Pictures go to FOLDER/frames_go_wrong, by default in the folder of this script. The recordings are those of
+tests/mishaps, with stronger triangles and less noise.
 """
 
 from __future__ import annotations
 
 import os
-import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -24,10 +22,8 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "mishaps"))
 
 import mishaps
-import verdicts
 
 HERE = Path(__file__).parent
-PAGE = "frames_go_wrong.md"
 PICTURES: dict[str, tuple[str, tuple[int, ...]]] = {
     "background_mismatch": ("dark_border", (40,)),
     "background_uneven": ("two_levels_through", (40,)),
@@ -119,30 +115,14 @@ def figure(case: mishaps.Case, numbers: tuple[int, ...]) -> NDArray[np.uint8]:
     return np.hstack([part for tile in padded for part in (tile, gap)][:-1])
 
 
-def table() -> str:
-    """Return the table of all recordings and how they end."""
-    return "\n".join(verdicts.lines(mishaps.CASES))
-
-
-def written_anew(text: str, name: str, value: str) -> str:
-    """Return the text with a value in its place."""
-    place = re.compile(rf"(<!-- ={name} -->\n).*?(<!-- / -->)", re.DOTALL)
-    text, count = place.subn(lambda found: f"{found[1]}\n{value}\n\n{found[2]}", text)
-    if count != 1:
-        raise SystemExit(f"{PAGE}: found <!-- ={name} --> {count} times, expected once")
-    return text
-
-
 def main(folder: Path) -> None:
-    """Draw and compute everything and write it."""
+    """Draw all pictures."""
     pictures = folder / "frames_go_wrong"
     pictures.mkdir(parents=True, exist_ok=True)
     for code, (name, numbers) in PICTURES.items():
         cv2.imwrite(
             str(pictures / f"{code}.png"), figure(cases()[name], numbers), [cv2.IMWRITE_PNG_COMPRESSION, 9]
         )
-    text = (HERE / PAGE).read_text(encoding="utf-8")
-    (folder / PAGE).write_text(written_anew(text, "table", table()), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -45,7 +45,8 @@ from todframes.observers.decision import answer_probability
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import resample
-from todframes.psychometrics.fit import CurveName, FitSettings, PsychometricFit, fit_trials
+from todframes.parameters import CurveName
+from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
 from todframes.psychometrics.observer_curve import observer_curve
 from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.psychometrics.weibull import weibull
@@ -840,11 +841,10 @@ FIGURES = (figure_1, figure_2, figure_3, figure_4, figure_5, figure_6, figure_7,
 
 
 def filled(text: str, values: Values) -> str:
-    """The text with every marked place written anew; the names in it must be just these."""
+    """The text with every marked place written anew; each name in it must be computed."""
     marked = re.compile(r"(<!-- =(\w+) -->).*?(<!-- / -->)", re.DOTALL)
-    names = {found[2] for found in marked.finditer(text)}
-    if names != set(values):
-        raise SystemExit(f"paper.md: marked names differ from the computed ones by {sorted(names ^ set(values))}")
+    if unknown := {found[2] for found in marked.finditer(text)} - set(values):
+        raise SystemExit(f"paper.md: marked names are not computed: {sorted(unknown)}")
     return marked.sub(lambda found: found[1] + values[found[2]] + found[3], text)
 
 

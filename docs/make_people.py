@@ -22,14 +22,13 @@ os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 
 import numpy as np
 from matplotlib.figure import Figure
+from people_tasks import activity_of, detection_d_prime, identification_threshold, landolt_ring, people_acuity
 
 from todframes.base.reading import toml_literal
 from todframes.observers.csf import CsfObserver
 from todframes.observers.interface import SETTINGS_FOLDER
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver
-from todframes.studies.people.rings import landolt_ring, people_acuity
-from todframes.studies.people.tasks import activity_of, detection_d_prime, identification_threshold
 
 HERE = Path(__file__).parent
 MRAD_PER_DEG = np.radians(1.0) * 1000.0
@@ -294,14 +293,6 @@ def texts(detected: Any, noisy: Any, ringed: Any) -> dict[str, str]:
                 f"{e[HIGHEST_FREQUENCY]:+.1f}",
             ]
             for who, e in detected.items()
-        ],
-    )
-    values["edges"] = table(
-        ["observer", "edge", *(f"{label}" for label in NOISES.values())],
-        [
-            [who, f"{width:g}°", *(f"{errors[noise, edge]:+.1f}" for noise in NOISES)]
-            for who, errors in noisy.items()
-            for edge, width in zip(EDGES, EDGE_WIDTHS_DEG, strict=True)
         ],
     )
     values["edges_summary"] = table(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -14,7 +14,6 @@ from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, stages
 from sensor_sim.thresholds.bars import BarThreshold
-from todframes import __version__
 from todframes.base._typing import FloatArray, Json
 from todframes.field.ttp import (
     TtpSettings,
@@ -25,11 +24,11 @@ from todframes.field.ttp import (
     noise_bandwidth,
     noise_gain_root_hz,
 )
-from todframes.report.data import Fit, json_file
+from todframes.report.data import Content, Fit
+from todframes.report.figure import ReportFigure
 from todframes.report.figure_style import COLOURS, INK, add_legend, plain_ticks
-from todframes.report.figures import ReportFigure
-from todframes.report.result import Plotting
 from todframes.report.table import Column, Table
+from todframes.report.wording import plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -106,10 +105,8 @@ class Ttp(msgspec.Struct, frozen=True, kw_only=True):
     settings: Json
 
 
-class SensorMrtd(msgspec.Struct, Plotting, frozen=True, kw_only=True):
-    """Thresholds of four bars, and the TOD beside them; its fields are the keys of the command's JSON.
-
-    `plot` draws MRTD and TOD on one axis, as Figure 7 of the paper does.
+class SensorMrtd(Content, frozen=True, kw_only=True):
+    """Thresholds of four bars, and the TOD beside them.
 
     Attributes
     ----------
@@ -119,39 +116,34 @@ class SensorMrtd(msgspec.Struct, Plotting, frozen=True, kw_only=True):
         Nyquist frequency of the detectors.
     settings : dict
         Observer, bars, sensor, and the constants of Lloyd's form.
-    seed : int
-        Seed of the places of the patterns on the detectors.
-    bars : list of BarsAt
+    bars : tuple of BarsAt
         A record for each frequency, in rising order.
-    tod : list of Fit
+    tod : tuple of Fit
         Thresholds of triangles.
     ttp : Ttp or None
         None without NETD.
-    run_time_s : float
     """
 
-    schema: int = 1
-    command: str = "mrtd"
-    version: str = __version__
     sensor: str
     nyquist_cyc_per_mrad: float
-    settings: Json
-    seed: int
-    bars: list[BarsAt]
-    tod: list[Fit]
+    bars: tuple[BarsAt, ...]
+    tod: tuple[Fit, ...]
     ttp: Ttp | None = None
-    run_time_s: float = 0.0
 
-    def to_json(self) -> bytes:
-        """Return the record as indented JSON."""
-        return json_file(self)
+    @property
+    def name(self) -> str:
+        """Return the sensor's name."""
+        return self.sensor
 
     @property
     def _in_mk(self) -> bool:
-        return self.settings["sensor"]["noise"]["netd_mk"] is not None
+        return self.ttp is not None
 
-    def table(self) -> Table:
-        """Return the table of the bars."""
+    def tables(self) -> list[Table]:
+        """List the tables of the bars and of the triangles."""
+        return [self._bars_table(), self._tod_table()]
+
+    def _bars_table(self) -> Table:
         title = (
             f"{self.sensor}: four bars, {100 * self.settings['p_correct']:g} % correct of two displays; "
             f"Nyquist {self.nyquist_cyc_per_mrad:.4g} cycles/mrad"
@@ -173,8 +165,7 @@ class SensorMrtd(msgspec.Struct, Plotting, frozen=True, kw_only=True):
         ]
         return Table.of(title, "bars.csv", columns, [msgspec.structs.asdict(one) for one in self.bars])
 
-    def tod_table(self) -> Table:
-        """Return the table of the triangles."""
+    def _tod_table(self) -> Table:
         records: list[Json] = [
             {
                 "size_detectors": fit.group["size_detectors"],
@@ -198,7 +189,13 @@ class SensorMrtd(msgspec.Struct, Plotting, frozen=True, kw_only=True):
     def sentences(self) -> list[str]:
         """Return the findings in words."""
         other = "a uniform square of their mean" if self.settings["against"] == "square" else "the background"
-        found = [f"The display without bars shows {other}."]
+        what, key, unit = ("MRTD", "mrtd_mk", " mK") if self._in_mk else ("threshold SNR", "threshold_snr", "")
+        known = [(getattr(one, key), one.frequency_nyquist) for one in self.bars if getattr(one, key) is not None]
+        ends = " and ".join(
+            f"{plain(value)}{unit} at {frequency:g} times the Nyquist frequency"
+            for value, frequency in dict.fromkeys((known[0], known[-1]) if known else ())
+        )
+        found = [f"The {what} of the bars is {ends}."] if ends else []
         unreached = [one.frequency_nyquist for one in self.bars if one.status == "never_reached"]
         if unreached:
             found.append(f"No contrast is enough from {min(unreached):g} times the Nyquist frequency on.")
@@ -210,7 +207,7 @@ class SensorMrtd(msgspec.Struct, Plotting, frozen=True, kw_only=True):
                 f"{self.ttp.cyc_per_mrad:.4g} for each mrad of its size. Half of the observers need, in mrad: "
                 f"{sizes}."
             )
-        return found
+        return [*found, f"The display without bars shows {other}."]
 
     def mrtd_csv(self, phase: str = "averaged") -> str:
         """Return the table in K that `todframes range` reads, of the phase "averaged", "best" or "lloyd"."""
@@ -224,8 +221,11 @@ class SensorMrtd(msgspec.Struct, Plotting, frozen=True, kw_only=True):
         head = "frequency_cyc_per_mrad,mrtd_k" + ("" if phase == "lloyd" else ",ci95_low,ci95_high")
         return "\n".join([head, *lines, ""])
 
-    def draw(self, axes: Axes) -> None:
-        """Draw into axes in the style that is set; `plot` sets that of all figures."""
+    def figures(self) -> list[ReportFigure]:
+        """List MRTD and TOD on one axis, as in Figure 7 of the paper."""
+        return [ReportFigure(f"{self.sensor}: four bars and triangles", NOTE, self._draw, "mrtd.png")]
+
+    def _draw(self, axes: Axes) -> None:
         unit = "mK" if self._in_mk else "SNR"
         keys = ("mrtd_mk", "best_mrtd_mk") if self._in_mk else ("threshold_snr", "best_threshold_snr")
         shown: list[float] = []
@@ -260,17 +260,11 @@ class SensorMrtd(msgspec.Struct, Plotting, frozen=True, kw_only=True):
             plain_ticks(axes.yaxis, shown)
         add_legend(axes)
 
-    def files(self) -> dict[str, bytes]:
-        """Return the content of all files by name: tables, figure and `result.json`; MRTDs in K with NETD only."""
-        picture = ReportFigure(f"{self.sensor}: four bars and triangles", NOTE, self.draw, "mrtd.png")
+    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+        """Return the tables, and with NETD the MRTDs in K."""
         curves = {"mrtd.csv": "averaged", "mrtd_best_phase.csv": "best", "mrtd_lloyd.csv": "lloyd"}
-        return {
-            "bars.csv": self.table().csv().encode(),
-            "tod.csv": self.tod_table().csv().encode(),
-            **({name: self.mrtd_csv(phase).encode() for name, phase in curves.items()} if self._in_mk else {}),
-            picture.file: picture.png(),
-            "result.json": self.to_json(),
-        }
+        in_k = {name: self.mrtd_csv(phase).encode() for name, phase in curves.items()} if self._in_mk else {}
+        return {**super().files(), **in_k}
 
 
 def lloyd_mrtd_mk(frequency_cyc_per_mrad: ArrayLike, sensor: Sensor, *, snr: float) -> FloatArray:
@@ -312,7 +306,7 @@ def lloyd_mrtd_mk(frequency_cyc_per_mrad: ArrayLike, sensor: Sensor, *, snr: flo
 def system_mtf(frequency_cyc_per_mrad: FloatArray, sensor: Sensor) -> FloatArray:
     """Return the transfer along x of all stages: optics, detector, sample & hold, electronics and display."""
     of = stages(frequency_cyc_per_mrad, sensor=sensor)
-    return np.asarray(of["pre_sample"] * of["hold"] * of["post_sample"])
+    return np.asarray(of["pre_sample"] * of["post_sample"])
 
 
 def bars_at(
@@ -356,9 +350,7 @@ def sensor_ttp(
         at_the_eye(f, scale), luminance_cd_m2=luminance, width_deg=width_deg, settings=settings
     )
     of = stages(f, sensor=sensor)
-    after = np.abs(of["hold"] * of["post_sample"]) * eye_mtf(
-        f / scale, luminance_cd_m2=luminance, eyes=settings.eyes
-    )
+    after = np.abs(of["post_sample"]) * eye_mtf(f / scale, luminance_cd_m2=luminance, eyes=settings.eyes)
     along_x, along_y = noise_bandwidth(f, after, settings=settings)
     contrast_sd = display.gain * noise.netd_mk / 1e3 / delta_t_k
     density = contrast_sd**2 * detector.pitch_mrad**2 * eye_time_s / noise.frames_integrated

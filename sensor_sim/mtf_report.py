@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, ClassVar
 
-import msgspec
 import numpy as np
 
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, stages
-from todframes import __version__
-from todframes.report.data import json_file
+from sensor_sim.chain.transfer import stages
+from todframes.report.data import Content
+from todframes.report.figure import ReportFigure
 from todframes.report.figure_style import COLOURS, INK
-from todframes.report.figures import ReportFigure
 from todframes.report.mtf_figure import MtfLine, draw_mtf
-from todframes.report.result import Plotting
+from todframes.report.result import Result
 from todframes.report.table import Column, Table
+from todframes.report.wording import plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,10 +49,8 @@ LINES = {
 }
 
 
-class SensorMtf(msgspec.Struct, Plotting, frozen=True, kw_only=True):
-    """Transfer of every stage of a sensor along x; its fields are the keys of the command's JSON.
-
-    `plot` draws the transfer of all stages up to three times the Nyquist frequency.
+class SensorMtf(Content, frozen=True, kw_only=True):
+    """Transfer of every stage of a sensor along x.
 
     Attributes
     ----------
@@ -65,21 +64,22 @@ class SensorMtf(msgspec.Struct, Plotting, frozen=True, kw_only=True):
         Transfer of each stage at these frequencies, and of all stages before and after sampling.
     """
 
-    schema: int = 1
-    command: str = "mtf"
-    version: str = __version__
     sensor: str
     cut_off_cyc_per_mrad: float
     nyquist_cyc_per_mrad: float
     frequency_cyc_per_mrad: list[float]
     mtf: dict[str, list[float]]
 
-    def to_json(self) -> bytes:
-        """Return the record as indented JSON."""
-        return json_file(self)
+    json_file: ClassVar[str] = "mtf.json"  # so that it goes beside a curve
+    page_file: ClassVar[str] = "mtf.html"
 
-    def table(self, step: int = 1) -> Table:
-        """Return the table of every `step`-th frequency."""
+    @property
+    def name(self) -> str:
+        """Return the sensor's name."""
+        return self.sensor
+
+    def table(self) -> Table:
+        """Return the table of all frequencies."""
         title = (
             f"{self.sensor}: MTF along x; optics' cut-off {self.cut_off_cyc_per_mrad:.4g}, "
             f"Nyquist {self.nyquist_cyc_per_mrad:.4g} cycles/mrad"
@@ -93,10 +93,33 @@ class SensorMtf(msgspec.Struct, Plotting, frozen=True, kw_only=True):
             Column(key=names[0], header="cycles/mrad", decimals=2),
             *(Column(key=name, header=name, decimals=4, rank=ranks.get(name, 0)) for name in self.mtf),
         ]
-        return Table.of(title, "mtf.csv", columns, records[::step])
+        return Table.of(title, "mtf.csv", columns, records)
 
-    def draw(self, axes: Axes) -> None:
-        """Draw into axes in the style that is set; `plot` sets that of all figures."""
+    def tables(self) -> list[Table]:
+        """List some frequencies, and folded all of them."""
+        whole = self.table()
+        return [
+            replace(whole, file="", records=whole.records[::TABLE_STEP]),
+            replace(whole, title="All frequencies").folded(),
+        ]
+
+    def sentences(self) -> list[str]:
+        """Return the transfer at the Nyquist frequency in words."""
+        nyquist, cut_off = self.nyquist_cyc_per_mrad, self.cut_off_cyc_per_mrad
+        before, behind = (
+            float(np.interp(nyquist, self.frequency_cyc_per_mrad, self.mtf[name]))
+            for name in ("pre_sample", "post_sample")
+        )
+        return [
+            f"At the Nyquist frequency, {plain(nyquist)} cycles/mrad, the MTF is {plain(before)} before sampling "
+            f"and {plain(behind)} behind it; the optics pass nothing above {plain(cut_off)} cycles/mrad."
+        ]
+
+    def figures(self) -> list[ReportFigure]:
+        """List the transfer of all stages up to three times the Nyquist frequency."""
+        return [ReportFigure(f"{self.sensor}: MTF along x", MTF_NOTE, self._draw, "mtf.png")]
+
+    def _draw(self, axes: Axes) -> None:
         nyquist = self.nyquist_cyc_per_mrad
         alike: dict[object, list[str]] = {}
         for name, values in self.mtf.items():
@@ -119,19 +142,15 @@ class SensorMtf(msgspec.Struct, Plotting, frozen=True, kw_only=True):
             ylabel="MTF along x",
         )
 
-    def files(self) -> dict[str, bytes]:
-        """Return the content of `mtf.csv` and `mtf.png`, by name."""
-        picture = ReportFigure(self.sensor, MTF_NOTE, self.draw, "mtf.png")
-        return {"mtf.csv": self.table().csv().encode(), picture.file: picture.png()}
 
-
-def sensor_mtf(sensor: Sensor) -> SensorMtf:
+def sensor_mtf(sensor: Sensor) -> Result[SensorMtf]:
     """Compute the transfer of every stage along x, up to the frequency at which optics or display pass nothing."""
-    optics = sensor.optics
-    cut_off = optics.cut_off_cyc_per_mrad if optics.is_modelled else band_limit_cyc_per_mrad(optics)
-    nyquist = sensor.detector.nyquist_cyc_per_mrad
+    started = time.perf_counter()
+    cut_off, nyquist = sensor.optics.cut_off_cyc_per_mrad, sensor.detector.nyquist_cyc_per_mrad
     frequency = np.linspace(0.0, min(1.05 * cut_off, 10.0 * nyquist), POINTS)
-    return SensorMtf(
+    return Result.made(
+        "sensor-mtf",
+        started,
         sensor=sensor.name,
         cut_off_cyc_per_mrad=cut_off,
         nyquist_cyc_per_mrad=nyquist,

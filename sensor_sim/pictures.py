@@ -15,8 +15,8 @@ from todframes.base._typing import FloatArray
 from todframes.observers.interface import Observer
 from todframes.observers.retina import resample
 from todframes.report.data import Example, Fit
+from todframes.report.figure import save_png
 from todframes.report.figure_style import label_text, style
-from todframes.report.figures import save_png
 from todframes.report.thumbnails import ExamplePatch, pictures
 from todframes.report.wording import evenly
 from todframes.stimulus import Orientation, Stimulus, bounding_box_offset, coverage

@@ -13,4 +13,6 @@ SWEEP = frozenset(
         "tod_curves.png",
     }
 )
-MRTD = frozenset({"bars.csv", "tod.csv", "mrtd.csv", "mrtd_best_phase.csv", "mrtd_lloyd.csv", "mrtd.png"})
+MRTD = frozenset(
+    {"report.html", "bars.csv", "tod.csv", "mrtd.csv", "mrtd_best_phase.csv", "mrtd_lloyd.csv", "mrtd.png"}
+)

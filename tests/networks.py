@@ -24,6 +24,7 @@ def save(
     outputs: Sequence[str] = ("y",),
     kind: int = TensorProto.FLOAT,
     tensors: Sequence[TensorProto] = (),
+    opset: int = 13,
 ) -> Path:
     """Write a network from x, of a shape, and from other inputs of their types and shapes, to y."""
     taken = {"x": (kind, shape), **(others or {})}
@@ -31,7 +32,7 @@ def save(
     ends = [helper.make_tensor_value_info(name, kind, [f"side {k}" for k in range(4)]) for name in outputs]
     constants = [numpy_helper.from_array(np.asarray(value), name) for name, value in (weights or {}).items()]
     graph = helper.make_graph(list(nodes), "network", ports, ends, [*constants, *tensors])
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
     path.write_bytes(model.SerializeToString())
     return path
 
@@ -147,3 +148,13 @@ def halving(path: Path, times: int = 2) -> Path:
     nodes += [node("Resize", f"p{times} empty factors", "up", mode="nearest"), node("Add", "x up", "y")]
     weights = {"empty": np.zeros(0, np.float32), "factors": np.array([1, 1, 2**times, 2**times], np.float32)}
     return save(path, nodes, weights)
+
+
+def with_weights_in(path: Path, location: str, *, length: str = "36", offset: str = "0") -> Path:
+    """Write a network of one convolution, whose 3 × 3 weights are those of another file."""
+    tensor = TensorProto(
+        name="k", data_type=TensorProto.FLOAT, dims=[1, 1, 3, 3], data_location=TensorProto.EXTERNAL
+    )
+    for key, value in (("location", location), ("offset", offset), ("length", length)):
+        tensor.external_data.add(key=key, value=value)
+    return save(path, [convolution("x", "k", "y", 3)], tensors=[tensor])

@@ -14,7 +14,6 @@ import numpy as np
 from todframes.experiment.answers import (
     AnswerFile,
     Consent,
-    Method,
     SessionRecord,
     ShownDataset,
     TrialRow,
@@ -30,6 +29,7 @@ from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import Dataset
 from todframes.frames.trials import Trial
 from todframes.observers.pyramid import PyramidObserver
+from todframes.parameters import Method
 from todframes.scoring.retina_view import Shown, retina_image
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 

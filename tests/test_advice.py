@@ -10,7 +10,8 @@ from msgspec.structs import replace
 
 import todframes as tod
 from todframes.psychometrics.weibull import weibull
-from todframes.report.advice import levels_to_add
+from todframes.report.advice import levels_to_add, numerical_errors
+from todframes.report.data import Fit, FitPoint
 
 TRUE = {"alpha": 0.1, "beta": 2.0, "guess_rate": 0.25, "lapse_rate": 0.0}
 N_TRIALS = 400
@@ -86,6 +87,67 @@ def test_scenes_that_leave_the_interval_open_need_more_scenes() -> None:
     # Where trials leave it open too, these come first.
     (warning,) = levels_to_add([replace(over_scenes, threshold_ci95_same_scenes=(None, 0.2))])
     assert warning.message.endswith("show more trials")
+
+
+def open_fit(status, levels, p_correct, **changes) -> Fit:
+    points = tuple(FitPoint(level, 10, p) for level, p in zip(levels, p_correct, strict=True))
+    return Fit(group={}, level="contrast", p_correct=0.75, status=status, points=points, **changes)
+
+
+@pytest.mark.parametrize(
+    ("status", "levels", "p_correct"),
+    [
+        # Histogram equalization: any contrast fills the range, and noise comes with it.
+        ("always_exceeded", (0.05, 0.1, 0.2), (1.0, 0.95, 0.93)),
+        ("always_exceeded", (0.05, 0.1, 0.2), (0.74, 0.78, 0.76)),
+        ("never_reached", (0.05, 0.1, 0.2), (0.3, 0.6, 0.55)),
+    ],
+)
+def test_levels_lie_on_the_side_of_the_threshold(status, levels, p_correct) -> None:
+    (warning,) = levels_to_add([open_fit(status, levels, p_correct)])
+    assert warning.expected
+    assert all(one < 0.05 if status == "always_exceeded" else one > 0.2 for one in warning.expected)
+
+
+@pytest.mark.parametrize(
+    ("size_mrad", "fit", "message"),
+    [
+        # 0.35° are 6.1 mrad. The edges of a triangle of 60 mrad are 26 mrad from its middle, those of 20 mrad 9.
+        (60.0, open_fit("never_reached", (0.2, 0.8), (0.25, 0.26)), "aperture_sd_deg = 0.35); take smaller sizes"),
+        (20.0, open_fit("never_reached", (0.2, 0.8), (0.25, 0.26)), None),
+        (20.0, open_fit("never_reached", (0.2, 0.8), (0.5, 0.7)), "add levels near"),
+        (
+            *(60.0, open_fit("extrapolated", (5e4, 1e5), (0.5, 0.7), threshold=1.4e5)),
+            "(aperture_sd_deg = 0.35); take smaller sizes",
+        ),
+        (1.0, open_fit("extrapolated", (5e4, 1e5), (0.5, 0.7), threshold=1.4e5), "no display shows the contrasts"),
+    ],
+)
+def test_levels_that_no_display_shows_are_not_advised(size_mrad, fit, message) -> None:
+    warnings = levels_to_add([replace(fit, group={"size_mrad": size_mrad})], 0.35)
+    assert [message in one.message for one in warnings] == [True] * (message is not None)
+    assert message == "add levels near" or not any(one.expected for one in warnings)
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "tolerance", "message"),
+    [
+        (
+            0.1,
+            "ok",
+            2e-3,
+            "error of 0.1 is 11 % of the threshold, and the tolerance 0.2 %: the last digits are not",
+        ),
+        (0.003, "ok", 2e-3, None),
+        (0.1, "ok", None, None),
+        (None, "too_uncertain", None, "more than 30 % of the threshold, so there is none; larger sizes"),
+    ],
+)
+def test_an_error_that_misses_the_tolerance(error, status, tolerance, message) -> None:
+    threshold = 0.9223 if error else None
+    fit = Fit(group={}, level="contrast", p_correct=0.75, status=status, threshold=threshold)
+    warnings = numerical_errors([replace(fit, threshold_numerical_error=error)], tolerance)
+    assert [message in one.message for one in warnings] == [True] * (message is not None)
 
 
 def test_fits_without_points_have_no_levels() -> None:

@@ -14,7 +14,6 @@ from todframes import compare, score
 from todframes.frames.dataset import load_dataset
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.data import DatasetRecord
-from todframes.report.html import page
 from todframes.report.result import load_result
 from todframes.report.tables import dataset as dataset_table
 from todframes.report.tables import thresholds
@@ -35,7 +34,7 @@ def test_a_result_names_display_experiment_and_manifest(make_dataset) -> None:
     wanted = made.toml["display"] | {"black_luminance_cd_m2": 0.0}
     assert record["display"] == {name: value for name, value in wanted.items() if name != "pixel_pitch_mrad"}
     assert {"python", "todframes", "numpy", "OpenImageIO"} <= result.versions.keys()
-    text = page(result)
+    text = result.to_html()
     assert "Dataset and display" in text
     assert record["manifest_sha256"] in text
 
@@ -99,7 +98,7 @@ def test_results_of_earlier_versions_name_the_folder_alone(results, tmp_path) ->
     )
     old = load_result(tmp_path)
     assert (old.dataset, old.dataset_path) == ("my_camera", "my_camera")
-    text = page(old)
+    text = old.to_html()
     assert '<p class="about">my_camera</p>' in text
     assert "Dataset and display" not in text
     assert json.loads(old.to_json())["dataset"] == "my_camera"

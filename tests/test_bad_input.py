@@ -8,6 +8,7 @@ import errno
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import struct
@@ -19,6 +20,7 @@ from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -872,8 +874,8 @@ DISPLAYS = {
     "white zero": ({"white_luminance_cd_m2": 0}, ("white_luminance_cd_m2", "found 0", "> 0")),
     "white text": ({"white_luminance_cd_m2": "100"}, ("white_luminance_cd_m2", "'100'", "float|number")),
     "white true": ({"white_luminance_cd_m2": True}, ("white_luminance_cd_m2", "True|true")),
-    "white nan": ({"white_luminance_cd_m2": float("nan")}, ("white_luminance_cd_m2", "nan", "finite")),
-    "white infinite": ({"white_luminance_cd_m2": float("inf")}, ("white_luminance_cd_m2", "inf", "finite")),
+    "white nan": ({"white_luminance_cd_m2": float("nan")}, ("white_luminance_cd_m2: found nan", "<= 1e.12")),
+    "white infinite": ({"white_luminance_cd_m2": float("inf")}, ("white_luminance_cd_m2: found inf", "<= 1e.12")),
     "black negative": ({"black_luminance_cd_m2": -1}, ("black_luminance_cd_m2", "-1", ">= 0")),
     "black nan": ({"black_luminance_cd_m2": float("nan")}, ("black_luminance_cd_m2", "nan")),
     "black above white": ({"black_luminance_cd_m2": 2.0}, ("black_luminance_cd_m2", "2", "white_luminance")),
@@ -908,9 +910,9 @@ DISPLAYS = {
         {"background_luminance_cd_m2": "edge"},
         ("background_luminance_cd_m2", "'edge'", "border", "frame_mean", "column"),
     ),
-    "background rule in capitals": ({"background_luminance_cd_m2": "Frame-Mean"}, (r"; write frame_mean\)$",)),
+    "background rule in capitals": ({"background_luminance_cd_m2": "Frame-Mean"}, ("; write frame_mean$",)),
     "background in quotes": ({"background_luminance_cd_m2": "50"}, ("write 50 without quotation marks",)),
-    "eotf in capitals": ({"eotf": "sRGB"}, ("eotf: found 'sRGB' .*; write srgb",)),
+    "eotf in capitals": ({"eotf": "sRGB"}, ("eotf: found 'sRGB', .*; write srgb",)),
     "background true": ({"background_luminance_cd_m2": True}, ("background_luminance_cd_m2", "True|true")),
     "gamma missing": ({"eotf": "gamma"}, ("gamma", "missing")),
     "gamma not used": ({"gamma": 2.2}, ("gamma", "not used", "linear")),
@@ -945,7 +947,7 @@ EXPERIMENTS = {
     "level number": ({"level": 3}, ("level", "found 3")),
     "level empty": ({"level": ""}, ("level", "''", "column")),
     "group_by text": ({"group_by": "size_mrad"}, ("group_by", "'size_mrad'")),
-    "group_by of numbers": ({"group_by": [1]}, ("group_by", r"\[1\]")),
+    "group_by of numbers": ({"group_by": [1]}, ("group_by", "found 1, expected text")),
     "unknown key": ({"groupby": []}, ("'groupby'", "'group_by'")),
 }
 
@@ -1074,9 +1076,9 @@ USAGES = {
     "contrast nan": ("naked-eye --contrast nan", ("contrast", "nan", "> 0")),
     "contrast huge": ("naked-eye --contrast 1e160", ("contrast", r"1e\+160", "at most 1e12")),
     "contrast infinite": ("naked-eye --contrast inf", ("contrast", "inf", "finite")),
-    "sizes text": ("naked-eye --size-mrad 1,two", ("--size-mrad", "1,two", "commas")),
-    "sizes with semicolon": ("naked-eye --size-mrad 1;2", ("--size-mrad", "1;2", "commas")),
-    "sizes with a gap": ("naked-eye --size-mrad 1,,2", ("--size-mrad", "1,,2", "commas")),
+    "sizes text": ("naked-eye --size-mrad 1,two", ("--size-mrad", "1,two", "N[,N…]")),
+    "sizes with semicolon": ("naked-eye --size-mrad 1;2", ("--size-mrad", "1;2", "N[,N…]")),
+    "sizes with a gap": ("naked-eye --size-mrad 1,,2", ("--size-mrad", "1,,2", "N[,N…]")),
     "size zero": ("naked-eye --size-mrad 0", ("size_mrad|--size-mrad", "0", "> 0")),
     "size negative after a good one": ("naked-eye --size-mrad 1,-1", ("size_mrad|--size-mrad", "-1", "> 0")),
     "size nan": ("naked-eye --size-mrad nan", ("size_mrad|--size-mrad", "nan", "> 0")),
@@ -1174,7 +1176,7 @@ def test_out_of_memory(make_dataset, todframes, tmp_path, monkeypatch):
 
 
 def test_sizes_empty(fails):
-    fails("naked-eye", "--size-mrad", "", status=BAD_SETTINGS, wanted=("--size-mrad", "''", "commas"))
+    fails("naked-eye", "--size-mrad", "", status=BAD_SETTINGS, wanted=("--size-mrad", "''", "N[,N…]"))
 
 
 def test_more_than_one_setting_in_an_assignment(fails):
@@ -1216,6 +1218,22 @@ def test_bad_observer_settings_meet_the_commands(fails, tmp_path):
     for line in ("score x", "compare x --enhance median", "naked-eye --size-mrad 1"):
         wanted = (re.escape(str(path)), "'kernal_a'", "'kernel_a'")
         fails(*line.split(), "--observer-settings", path, status=BAD_SETTINGS, wanted=wanted)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--observer-settings", "good.toml", "--set", "kernel_a=abc"), "settings: kernel_a: found 'abc'"),
+        (("--observer-settings", "good.toml", "--set", "kernel_z=1"), "settings: unknown key 'kernel_z'"),
+        (("--observer-settings", "bad.toml", "--set", "kernel_b=1"), "bad.toml: unknown key 'kernel_z'"),
+        (("--set", "retina_pitch_mrad=0.0001"), "size_mrad: found 3 mrad at the eye, expected at most 0.2276"),
+    ],
+)
+def test_a_message_names_what_was_given(arguments, message, fails, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("good.toml").write_text("kernel_a = 0.4\n")
+    Path("bad.toml").write_text("kernel_z = 0.4\n")
+    fails("naked-eye", "--size-mrad", "3", *arguments, status=BAD_SETTINGS, wanted=(f"^error: {message}",))
 
 
 # Counts -------------------------------------------------------------------------------------------------------
@@ -1328,7 +1346,7 @@ def test_an_interruption_says_that_results_were_written(make_dataset, todframes,
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("todframes.cli.score.finish", interrupted)
+    monkeypatch.setattr("todframes.cli.runner.finish", interrupted)
     out, dataset = tmp_path / "out", make_dataset()
     status, _, errors = todframes("score", dataset.path, "-o", out)
     assert (status, errors) == (INTERRUPTED, [f"error: interrupted, but {out} was written before"])
@@ -1485,6 +1503,53 @@ def test_standard_output_is_full(option):
     assert_says(done.stderr, ("No space left",))
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
+@pytest.mark.parametrize(
+    ("line", "status", "out", "error"),
+    [
+        ("{} score {} >&-", 0, "", ""),
+        ("{} score {} 2>&-", 0, "size .*threshold", ""),
+        ("{} score {} --tolerance 0 2>&-", BAD_SETTINGS, "", ""),
+        ("MPLBACKEND=none {} score {} -o out", 0, "size .*threshold", ""),
+        (
+            "ulimit -n 16; {} score {} --workers 2 -o out",
+            1,
+            "",
+            r"error: --workers: .* could not start \(Too many open",
+        ),
+    ],
+)
+@pytest.mark.slow
+@pytest.mark.every_case
+def test_odd_shells(line, status, out, error, make_dataset, tmp_path):
+    dataset = make_dataset(suffix=".png").path
+    line = line.format(
+        shlex.join([sys.executable, "-m", "todframes"]), shlex.join([str(dataset), "--set", "resamples=0"])
+    )
+    done = subprocess.run(
+        ["sh", "-c", line], capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path
+    )
+    assert (done.returncode, len(done.stderr.splitlines())) == (status, 1 if error else 0), done.stderr
+    assert re.search(out, done.stdout)
+    assert re.search(error, done.stderr)
+    assert (tmp_path / "out").exists() == (status == 0 and "-o out" in line)
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (OSError(errno.EMFILE, "Too many open files", "a.exr"), "error: a.exr: Too many open files"),
+        (
+            OSError(errno.ENOMEM, "Cannot allocate memory"),
+            "error: the system refused a call: Cannot allocate memory",
+        ),
+    ],
+)
+def test_an_error_of_the_system_is_not_one_of_standard_output(error, message, todframes, monkeypatch):
+    monkeypatch.setattr("todframes.frames.dataset.load_dataset", Mock(side_effect=error))
+    assert todframes("score", "x") == (BAD_DATA, "", [message])
+
+
 def test_reader_of_standard_output_is_gone():
     read_end, write_end = os.pipe()
     os.close(read_end)
@@ -1533,7 +1598,7 @@ def test_ctrl_c(workers, make_dataset, tmp_path):
         out, err = running.communicate(timeout=10)
     assert out == ""
     error, *notes = err.splitlines()
-    assert error == "error: interrupted, nothing was written"
+    assert error == "error: interrupted" + ("" if notes else ", nothing was written")
     assert running.returncode == INTERRUPTED
     if notes:  # several processes keep what they have finished, and say so
         assert workers == 2

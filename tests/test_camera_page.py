@@ -17,6 +17,9 @@ from todframes.base.errors import DataError, SettingsError
 from todframes.charts.layout import Chart, Edge, Page, read_chart
 from todframes.cli.console import run
 from todframes.cli.main import cli
+from todframes.importing.camera_page import _moved_px
+from todframes.importing.geometry import Geometry
+from todframes.importing.lens_fit import MeasuredEdges
 
 PITCH_MM = 0.5
 MONITOR = {"width_px": 1280, "height_px": 720, "pixel_pitch_mm": PITCH_MM, "eotf": "linear"}
@@ -156,13 +159,14 @@ def true_mtf(frequency: np.ndarray, angle_deg: float, sigma_px: float) -> np.nda
 @pytest.mark.slow
 def test_mtf_of_a_film_is_that_of_the_camera(folder, recording) -> None:
     found = tod.mtf(recording, chart=folder)
-    assert found.measured.n_frames == 3 and len(found.edges) == 4 and not found.warnings
-    upto = found.frequency <= 0.5
-    true = true_mtf(found.frequency, 8.1, SIGMA_PX)[upto]
+    assert found.measured.n_frames == 3 and len(found.mtf.edges) == 4 and not found.warnings
+    frequency, mtf = np.array(found.mtf.frequency), np.array(found.mtf.mtf)
+    upto = frequency <= 0.5
+    true = true_mtf(frequency, 8.1, SIGMA_PX)[upto]
     # The half-width of the band is 0.002.
-    assert np.abs(found.mtf[upto] - true).max() < 0.003
+    assert np.abs(mtf[upto] - true).max() < 0.003
     # A monitor's pixel of 0.36 px, not divided out, would lower the MTF by more.
-    uncorrected = found.mtf[upto] * np.sinc(SCALE * found.frequency[upto])
+    uncorrected = mtf[upto] * np.sinc(SCALE * frequency[upto])
     assert np.abs(uncorrected - true).max() > 0.006
 
 
@@ -184,11 +188,12 @@ def test_a_lens_that_distorts_moves_no_edge_out_of_its_box(folder, tmp_path) -> 
     bending = Bending(width=WIDTH, height=HEIGHT, k=(-0.08,))
     np.save(tmp_path / "bent.npy", filmed(folder, pages=[0], bending=bending, n=3))
     found = tod.mtf(tmp_path / "bent.npy", chart=folder)
-    assert len(found.edges) == 4 and max(one["bend_px"] for one in found.edges) > 0.1
+    assert len(found.mtf.edges) == 4 and max(one.bend_px for one in found.mtf.edges) > 0.1
     # The camera blurs the page by 1.5 halves of a monitor's pixel before it bends it.
     sigma = np.hypot(SIGMA_PX, 0.75 * SCALE)
-    upto = found.frequency <= 0.5
-    assert np.abs(found.mtf[upto] - true_mtf(found.frequency, 8.0, sigma)[upto]).max() < 0.012
+    frequency, mtf = np.array(found.mtf.frequency), np.array(found.mtf.mtf)
+    upto = frequency <= 0.5
+    assert np.abs(mtf[upto] - true_mtf(frequency, 8.0, sigma)[upto]).max() < 0.012
     noise = tod.noise(tmp_path / "bent.npy", chart=folder).measured
     assert noise.transfer.nonlinearity < 0.003
 
@@ -203,6 +208,15 @@ def test_frames_that_move_are_left_out_and_motion_all_the_time_is_refused(folder
     np.save(tmp_path / "all.npy", np.concatenate([np.roll(frames[:1], k, axis=1 + k % 2) for k in range(9)]))
     with pytest.raises(DataError, match=r"the chart moves in \d of the 9 frames that show its page with slanted"):
         tod.mtf(tmp_path / "all.npy", chart=folder)
+
+
+def test_an_edge_that_runs_away_moves_no_chart() -> None:
+    """A frame counts as moved by its edges' median: one wrong edge of 48 is no motion."""
+    geometry, places = Geometry(np.eye(3), 0.0), np.random.default_rng(1).uniform(0, 400, (48, 2))
+    frames = [MeasuredEdges(geometry, places.copy(), np.zeros((48, 2))) for _ in range(5)]
+    frames[1].places_px[7] += 90.0
+    frames[2].places_px[:] += (0.3, 0.4)
+    assert _moved_px(frames) == pytest.approx([0.0, 0.0, 0.5, 0.0, 0.0])
 
 
 def test_what_is_no_film_of_the_page_is_one_line(folder, recording, tmp_path, capsys) -> None:

@@ -59,10 +59,6 @@ def test_faults() -> None:
     assert "1 cases, 0 faults" in campaign("faults", "--only", "store between runs: cut")
 
 
-def test_planted_links() -> None:
-    assert "24 cases, 0 faults" in campaign("planted", "--only", ", score")
-
-
 def test_slanted_edges() -> None:
     out = campaign("40", "--only", "gaussian 0.8, 5", script="slanted.py")
     assert "1 edges: the band holds 9" in out
@@ -84,8 +80,13 @@ def test_clips() -> None:
     assert campaign("12", script="clips.py").endswith("\n12 cases, 0 faults\n")
 
 
+def test_lenses() -> None:
+    out = campaign("--k1=-0.04:-0.04", "--widths", "93", "--places", "0", script="lens_sweep.py")
+    assert out.endswith("\n1 cases, 0 faults\n")
+
+
 def test_servers() -> None:
-    assert "3 cases, 0 faults" in campaign("servers", "--only", "moved on the same")
+    assert "6 cases, 0 faults" in campaign("servers", "--only", "ten gigabytes")
 
 
 def test_damaged_networks() -> None:
@@ -131,3 +132,17 @@ def test_coverage_of_intervals() -> None:
         )
         assert (process.returncode, process.stderr) == (1, ""), process.stderr
         assert f"n={arguments[0]}," in process.stdout and "covered=" in process.stdout
+
+
+def test_what_commands_print_is_compared(tmp_path: Path) -> None:
+    def freeze(what: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, RUN.with_name("freeze.py"), what, tmp_path, "--only", "fit counts.csv"]
+        return subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+
+    (tmp_path / "inputs").mkdir()
+    counts = tmp_path / "inputs" / "counts.csv"
+    counts.write_text("level,n_correct,n_trials\n0.05,8,30\n0.1,15,30\n0.2,24,30\n0.4,29,30\n")
+    assert freeze("keep").returncode == 0
+    assert freeze("compare").stdout == "1 cases, 0 differ\n"
+    counts.write_text(counts.read_text().replace("24", "25"))
+    assert "1 cases, 1 differ" in freeze("compare").stdout

@@ -97,43 +97,47 @@ def test_key_depends_on_the_content_alone() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("schema = 1", "schema = 2", "schema: is missing or unknown, expected 1"),
-        ('kind = "screen"', 'kind = "sreen"', "kind: found 'sreen' .expected one of screen, print, thermal"),
+        ("schema = 1", "schema = 2", "schema: found 2, expected 1"),
+        ('kind = "screen"', 'kind = "sreen"', "kind: found 'sreen', expected one of screen, print, thermal"),
         ('kind = "screen"', 'kind = "print"', r"\[screen\]: expected it with kind = .screen., and only there"),
         ('kind = "screen"', 'kindd = "screen"', "unknown key 'kindd'; the nearest valid one is 'kind'"),
         ("key = 0", "key = 250", "key: found 250, expected a whole number from 0 to 249"),
-        ("polarity = 1", "polarity = -1", "number 0: found 0.1, expected the sign of polarity = -1"),
+        ("polarity = 1", "polarity = -1", r"pages\[0\]: found 0.1, expected the sign of polarity = -1"),
         (
             "distance_m = 10.0",
             "distance_m = 11.0",
-            "number 0: size_mm: found 20, but size_mrad and distance_m give 22",
+            r"pages\[0\]: size_mm: found 20, but size_mrad and distance_m give 22",
         ),
         ("distance_m = 10.0", "distance_m = 0", "distance_m: found 0"),
         ("page_width_mm = 480.0", "page_width_mm = 400.0", "page_width_mm: found 400, but the pixels give 480"),
-        ("number = 1", "number = 2", "number 1: number: found 2, expected 1"),
-        ("pages/0001.png", "../0001.png", r"number 1: file: found '../0001.png', expected a path inside"),
-        ('file = "pages/0001.png"', "", "number 1: file is missing"),
-        (", contrast = 0.1}", "}", "number 0: triangles: contrast and delta_t_k: found none, expected one"),
-        ("contrast = 0.1}", "contrast = 0.0}", "number 0: triangles: contrast or delta_t_k: found 0"),
+        ("number = 1", "number = 2", r"pages\[1\]: number: found 2, expected 1"),
+        ("pages/0001.png", "../0001.png", r"pages\[1\]: file: found '../0001.png', expected a path inside"),
+        ('file = "pages/0001.png"', "", r"pages\[1\]: file is missing"),
+        (", contrast = 0.1}", "}", r"pages\[0\].triangles\[0\]: contrast and delta_t_k: found none, expected one"),
+        ("contrast = 0.1}", "contrast = 0.0}", r"pages\[0\].triangles\[0\]: contrast or delta_t_k: found 0"),
         (
             "contrast = 0.1}",
             "contrst = 0.1}",
-            "triangles: unknown key 'contrst'; the nearest valid one is 'contrast'",
+            r"triangles\[0\]: unknown key 'contrst'; the nearest valid one is 'contrast'",
         ),
-        ('orientation = "up"', 'orientation = "top"', "triangles: orientation: found 'top'"),
+        ('orientation = "up"', 'orientation = "top"', r"triangles\[0\].orientation: found 'top\'"),
         ("side_mm = 40.0", "side_mm = 70.0", r"\[markers\]: top_left: reaches beyond the page"),
         ("top_left = {x_mm = 30.0", "top_left = {x_mm = 450.0", "markers that overlap or are exchanged"),
         ("top_left = {x_mm = 30.0", "top_left = {x_m = 30.0", "top_left: unknown key 'x_m'"),
-        ("{x_mm = 170.0", "{x_mm = 60.0", r"\[markers\]: borders: found markers that overlap"),
+        ("{x_mm = 170.0", "{x_mm = 60.0", "markers: borders: found markers that overlap"),
         ("{x_mm = 310.0, y_mm = 240.0}", "{x_mm = 310.0, y_mm = 260.0}", "borders: reaches beyond the page"),
-        ("{x_mm = 170.0", "{x_m = 170.0", "borders: unknown key 'x_m'"),
-        ("borders = [1]", "borders = [2]", r"number 1: borders: found \(2,\), expected numbers below 2"),
+        ("{x_mm = 170.0", "{x_m = 170.0", r"borders\[0\]: unknown key 'x_m'"),
+        ("borders = [1]", "borders = [2]", r"pages\[1\]: borders: found \(2,\), expected numbers below 2"),
         ("bits = 8", "bits = 9", "bits: found 9"),
-        ('eotf = "srgb"', 'eotf = "gamma"', r"\[screen\]: gamma: is missing"),
-        ('eotf = "srgb"', 'eotf = "lut"\nlut = [[0.0], [1.0]]', "lut: found 1 rows"),
-        ('eotf = "srgb"', 'eotf = "lut"\nlut = ["a"]', "lut: expected pairs of numbers"),
+        ('eotf = "srgb"', 'eotf = "gamma"', "screen: gamma: is missing"),
+        (
+            'eotf = "srgb"',
+            'eotf = "lut"\nlut = [[0.0], [1.0]]',
+            r"lut\[0\]: found \[0.0\], expected a list of 2 values",
+        ),
+        ('eotf = "srgb"', 'eotf = "lut"\nlut = ["a"]', r"lut\[0\]: found 'a', expected a list of 2 values"),
         ("[screen]", "[markers]", "not valid TOML"),
-        ("y_mm = 135.0", "y_mm = 335.0", "number 0: found a triangle beyond the page"),
+        ("y_mm = 135.0", "y_mm = 335.0", r"pages\[0\]: found a triangle beyond the page"),
     ],
 )
 def test_a_wrong_chart_is_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
@@ -149,7 +153,7 @@ def test_no_chart_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"chart\.toml: no such file"):
         read_chart(tmp_path)
     (tmp_path / "chart.toml").write_text("schema = 1\npages = 3\n", encoding="utf-8")
-    with pytest.raises(SettingsError, match="pages: found 3, expected a list of tables"):
+    with pytest.raises(SettingsError, match=r"(is missing|pages: found 3, expected a list)"):
         read_chart(tmp_path)
     many = tuple(Page(number=n, triangles=(TRIANGLE,) * 8, file="a" * 99) for n in range(2000))
     with pytest.raises(SettingsError, match=r"2000 pages.*longer than 1 MB"):

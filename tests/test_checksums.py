@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shlex
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from todframes.cli.main import cli
 from todframes.frames import checksums
 from todframes.frames.checksums import write_sha256
 from todframes.frames.dataset import dataset_warnings, load_dataset
+from todframes.frames.files import read_frame, write_frame
 
 ROOT = Path(__file__).parent.parent
 SAMPLES = ["naked_eye", "grabbed_8bit", "staring_camera", "enhancement"]
@@ -189,3 +191,15 @@ def test_manifest_behind_a_link(make_dataset, todframes) -> None:
     assert todframes("validate", made.path, "--add-sha256")[0] == 0
     assert made.manifest_file.is_symlink()
     assert "sha256" in (made.path / "shared.csv").read_text(encoding="utf-8")
+
+
+def test_what_headers_state_is_in_a_warning_of_the_dataset(make_dataset) -> None:
+    """A frame of each trial is looked at; one of the eight is damaged, which scoring reports."""
+    made = make_dataset(suffix=".exr")
+    for number in (1, 4):
+        write_frame(made.frame(number), read_frame(made.frame(number)).values, compression="dwaa")
+    made.frame(7).write_bytes(b"no frame")
+    data = load_dataset(made.path)
+    (found,) = (one for one in dataset_warnings(data, data.trials) if one.code != "unverified_frames")
+    assert (found.code, found.found, found.expected) == ("lossy_compression", 2 / 7, 0.0)
+    assert re.search(r"^frames/\S+\.exr: EXR by dwaa changes pixels.* \(2 of 7 frames looked at\)$", found.message)

@@ -242,8 +242,22 @@ def test_contrasts_above_1_have_a_warning(todframes) -> None:
     assert (status, warning["code"], warning["group"]) == (0, "above_contrast_1", {"size_mrad": 0.38})
     assert warning["found"] == result["fits"][0]["threshold"] > warning["expected"] == 1.0
     assert err.startswith("warning: 0.38 mrad: ") and "below the acuity" in err
+    assert "no dark triangle has such a contrast" in err
     _, _, err = todframes("naked-eye", "--observer", "csf", "--size-mrad", "60", "--json")
-    assert err.startswith("warning: 60 mrad: ") and "wider than what the observer looks at" in err
+    assert err.startswith("warning: 60 mrad: ") and "(aperture_sd_deg = 0.35)" in err
+
+
+def test_an_error_as_large_as_the_threshold_leaves_none(todframes) -> None:
+    """At 0.2 mrad the retina's samples of 0.1 mrad give 303, samples of 0.05 mrad 964 and of 0.0125 mrad 1,000."""
+    status, out, err = todframes("naked-eye", "--observer", "csf", "--size-mrad", "0.2", "--json")
+    (fit,), (warning,) = json.loads(out)["fits"], json.loads(out)["warnings"]
+    assert (status, fit["status"], fit["threshold"]) == (0, "too_uncertain", None)
+    assert warning["code"] == "numerical_error" and "more than 30 % of the threshold, so there is none" in err
+    fine = ("--set", "retina_pitch_mrad=0.05", "--json")
+    (fit,) = json.loads(todframes("naked-eye", "--observer", "csf", "--size-mrad", "0.2", *fine)[1])["fits"]
+    # The error is the difference from a quarter of the step, which itself has a sixteenth of it.
+    error = 17.0 / 16.0 * fit["threshold_numerical_error"]
+    assert (fit["status"], fit["threshold"]) == ("ok", pytest.approx(1000.0, abs=error))
 
 
 def test_fit(todframes, tmp_path: Path) -> None:

@@ -340,7 +340,7 @@ def test_standard_output_is_for_the_result_alone(make_dataset, here: Path, optio
     [
         (["--enhance", "medain"], 2, "enhance 'medain': expected a registered name or module:function: "
          "unknown key 'medain'; the nearest valid one is 'median'"),
-        (["--enhance", "median:radius=0"], 2, "radius: found 0 (expected a whole number >= 1)"),
+        (["--enhance", "median:radius=0"], 2, "radius: found 0, expected a whole number from 1 to 20"),
         (["--enhance", "my_algorithm:twice"], 2, "module 'my_algorithm' cannot be imported (ModuleNotFoundError"),
         ([], 2, "Missing option '--enhance'"),
         (["--enhance", "median", "--white", "0"], 2, "white: found 0.0, expected a finite number > 0"),

@@ -6,6 +6,7 @@ import math
 import sys
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ from todframes.observers.csf import CsfObserver
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
-from todframes.report.advice import not_proportional
+from todframes.report.advice import edge_brightness, not_proportional
 from todframes.report.data import (
     Algorithm,
     ComparedObserver,
@@ -39,9 +40,10 @@ from todframes.report.data import (
     Ratio,
     algorithms,
 )
+from todframes.report.figure_style import new_figure, style
 from todframes.report.figures import pictures
 from todframes.report.result import Result
-from todframes.report.summary import comparisons
+from todframes.report.summary import comparison, comparisons
 from todframes.scoring.score import score_dataset
 from todframes.scoring.work import Run
 from todframes.stimulus import ORIENTATIONS, Stimulus, coverage
@@ -52,6 +54,7 @@ STEADY = PyramidObserver(PyramidSettings(position_jitter_samples=0.0))
 SCORED = ("scores", "probabilities", "p_correct", "answers", "displacement_samples")
 
 OWN = """
+import cv2
 import numpy as np
 from todframes.enhancement.algorithm import algorithm
 
@@ -88,9 +91,36 @@ def light(image):
 def half_light(image, by=0.5):
     return by * image
 
+def box(image, beyond="mirrored", ring=None):
+    kind = cv2.BORDER_CONSTANT if beyond == "black" else cv2.BORDER_REFLECT_101
+    found = cv2.blur(image, (3, 3), borderType=kind)
+    if ring is not None:
+        found[[0, -1]] = found[:, [0, -1]] = ring
+    return found
+
 def noisy(image, sigma=0.01):
     seed = int(abs(float(image.sum())) * 1e6) % 2**32
     return image + np.random.default_rng(seed).normal(0.0, sigma, image.shape)
+
+def weighted(image, file=""):
+    return cv2.blur(image, tuple(np.load(file)))
+
+seen, drawn = [], np.random.default_rng()
+
+def special_at_first(image):
+    seen.append(1)
+    return image + 0.05 * (len(seen) > 1)
+
+def remembering(image):
+    seen.append(0.5 * (image + seen[-1]) if seen else image)
+    return seen[-1]
+
+def drawing(image):
+    return image + drawn.uniform(-0.05, 0.05, image.shape)
+
+def changing(image):
+    seen.append(1)
+    return image * (0.9 if len(seen) > 10 else 1.0)
 
 def nothing(image):
     return np.full_like(image, 0.5)
@@ -104,6 +134,14 @@ def shape_of(image):
     assert image.ndim == 3
     return image
 """
+
+
+@pytest.fixture
+def kept(tmp_path):
+    """A folder with an empty store, so that results are kept from the first on."""
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "results.store").touch()
+    return tmp_path / "kept"
 
 
 @pytest.fixture(autouse=True)
@@ -299,12 +337,39 @@ def test_what_brightens_everything_alike_changes_nothing(make_dataset, backgroun
         assert np.allclose(other.scored.scores, reference.scored.scores, rtol=0.0, atol=1e-5)
 
 
-def test_a_border_without_light_has_no_background(make_dataset) -> None:
-    made = make_dataset(contrasts=(0.2,), suffix=".png")
+@pytest.mark.parametrize("background", [50.0, "border", "column"])
+def test_the_edge_of_a_frame_does_not_set_its_contrast(make_dataset, background) -> None:
+    """A box filter leaves an even field as it is, whatever it takes the pixels beyond the frame as."""
+    made = make_dataset(suffix=".png", contrasts=(0.1, 0.4), display={"background_luminance_cd_m2": background})
+    for row in made.rows:
+        row["background_luminance_cd_m2"] = "50"
+    made.save()
+    results = compare(made.path, *(f"own_enhancements:box{kind}" for kind in ("", ":beyond='black'", ":ring=1.0")))
+    none, mirrored, *others = found = algorithms(load_dataset(made.path), results)
+    for one in found:  # 32-bit code values
+        assert one.fits[0].background_luminance_cd_m2 == pytest.approx(
+            none.fits[0].background_luminance_cd_m2, 1e-6
+        )
+    for one in others:  # the ring is the same for the templates of all orientations
+        assert one.ratios[0].ratio == pytest.approx(mirrored.ratios[0].ratio, rel=1e-3)
+    # Of 188 pixels of the ring, 184 keep two thirds of their light, and four corners four ninths; white is 2 · 50.
+    expected = [1.0, 1.0, (184 * 2 / 3 + 4 * 4 / 9) / 188, 2.0]
+    assert [one.edge_factor for one in found] == pytest.approx(expected, rel=1e-4)  # 16 bits
+    dark, bright = edge_brightness(found)
+    assert "it makes the outermost pixels of a frame 34 % darker, as" in dark.message
+    assert "100 % brighter" in bright.message
+
+
+def test_only_the_luminance_around_the_triangle_counts(make_dataset) -> None:
+    """A black border has no light to compare, and needs none; a black field does."""
+    made = make_dataset(contrasts=(0.2, 0.4), suffix=".png")
     values = read_frame(made.frame(0)).values[..., 0]
     values[[0, -1]] = values[:, [0, -1]] = 0.0
     write_frame(made.frame(0), values)
-    with pytest.raises(FrameError, match=r"up_0.png: the frame's border has a luminance of 0 cd/m², expected > 0"):
+    assert compare(made.path, "gaussian")[1].edge_factor == pytest.approx(1.0, rel=1e-4)  # 16 bits
+    values[:] = 0.0
+    write_frame(made.frame(0), values)
+    with pytest.raises(FrameError, match=r"up_0.png: background luminance is 0 cd/m², expected > 0"):
         compare(made.path, "gaussian")
 
 
@@ -797,6 +862,10 @@ def test_displayed_contrast_before_and_after(make_dataset) -> None:
     (warning,) = not_proportional([none, of_gain, of_root])
     assert (warning.code, warning.group["algorithm"]) == ("not_proportional", "own_enhancements:root")
     assert warning.found > 1.1 * warning.expected
+    more, open_ = comparison([none, of_gain, of_root])
+    assert (of_gain.verdict, of_root.verdict) == ("better", "better")
+    assert "its contrast gain of 2" in more
+    assert "Whether it does more than amplify stays open" in open_ and "It does" not in open_
 
 
 def test_results_in_the_store_are_those_of_the_values_of_a_partial_function() -> None:
@@ -821,9 +890,51 @@ def test_contrast_before_and_after_is_drawn_if_levels_are_contrasts(name, before
     points = tuple(ContrastPoint(level=level, before=one, after=2.0 * one) for level, one in shown)
     fits = (Fit(group={}, level=name, status="ok", p_correct=0.75),)
     blur = Algorithm(name="blur", fits=fits, contrast_responses=(ContrastResponse(points=points),))
-    result = Result(schema=1, command="compare", algorithms=(Algorithm(name="none", fits=fits), blur))
+    result = Result.made("compare", 0.0, algorithms=(Algorithm(name="none", fits=fits), blur)).data
     drawn = [one.file for one in pictures(result)]
     assert ("contrast_response.png" in drawn) == is_drawn
+
+
+def test_an_algorithm_has_one_colour_in_all_figures() -> None:
+    """The reference is in some figures only, and so is an algorithm without a threshold."""
+    levels = {"none": (0.1, 0.2), "lost": (None, None), "blur": (0.2, 0.4), "sharp": (0.1, 0.1)}
+    points = tuple(ContrastPoint(level=level, before=level, after=2.0 * level) for level in (0.1, 0.3))
+    each = []
+    for name, thresholds in levels.items():
+        of_sizes = [
+            {"group": {"size_mrad": float(k)}, "status": "ok", "threshold": at}
+            for k, at in enumerate(thresholds, 1)
+        ]
+        fits = tuple(Fit(level="contrast", p_correct=0.75, **one) for one in of_sizes)
+        ratios = tuple(Ratio(group=one.group, ratio=2.0, verdict="worse") for one in fits) * (name != "none")
+        responses = (ContrastResponse(points=points),) * len(ratios)
+        each.append(Algorithm(name=name, fits=fits, ratios=ratios, contrast_responses=responses))
+    figures = pictures(Result.made("compare", 0.0, algorithms=tuple(each)).data)
+    colours: dict[str, set[object]] = {name: set() for name in levels}
+    for figure in figures:
+        with style():
+            axes = new_figure()[1]
+            figure.draw(axes)
+        for line in axes.lines:
+            colours.get(line.get_label(), set()).add((line.get_color(), line.get_marker()))
+    assert len(figures) == 3
+    assert [len(found) for found in colours.values()] == [1] * 4
+    assert len(set.union(*colours.values())) == 4
+
+
+@pytest.mark.parametrize("asked", [3, [3], [None]])
+def test_what_is_no_algorithm_is_refused_in_a_line(make_dataset, asked) -> None:
+    with pytest.raises(
+        SettingsError, match=r"enhance: found (3|None), expected the name of an algorithm or a function"
+    ):
+        tod.compare(make_dataset(contrasts=(0.2,)).path, asked)
+
+
+@pytest.mark.parametrize("asked", ["gaussian:sigma=1", builtin.gaussian])
+def test_a_single_algorithm_needs_no_list(make_dataset, asked) -> None:
+    data = make_dataset(suffix=".png", contrasts=(0.1, 0.2)).path
+    alone, listed = (tod.compare(data, one, fit=FAST, examples=False) for one in (asked, [asked]))
+    assert alone.algorithms[1].ratios == listed.algorithms[1].ratios
 
 
 def measured_on_scenes(kind: str, levels: list[float], n_views: int = 12) -> tuple[Trials, np.ndarray]:
@@ -936,3 +1047,49 @@ def test_levels_to_add_are_those_of_each_observer(make_dataset) -> None:
     assert [f"csf: {one.message}" for one in alone.warnings if one.code == "levels_to_add"] == [
         one.message for one in advice
     ]
+
+
+# Algorithms that are not functions of a frame
+
+
+@pytest.mark.parametrize(
+    ("name", "amount"),
+    [
+        ("again", None),
+        # Of white, on a mean of 0.5, which the triangle raises by 0.1 · 64 / 2304.
+        ("special_at_first", (0.1 / 1.003, 0.1)),
+        # Half the contrast of the last triangle, of 0.4, where there is none.
+        ("remembering", (0.15, 0.2)),
+        # Uniform noise of ± 0.05 of white: the largest of 2304 differences is near 0.1 / 0.5.
+        ("drawing", (0.17, 0.2)),
+        # A tenth of the brightest pixel.
+        ("changing", (0.11 / 1.003, 0.11 / 1.002)),
+    ],
+)
+def test_an_algorithm_that_is_not_repeatable(make_dataset, kept, name, amount) -> None:
+    """The warning says by how much, and no result of it is kept."""
+    data = make_dataset(suffix=".png", contrasts=(0.1, 0.4)).path
+    for _ in range(2):
+        sys.modules.pop("own_enhancements", None)
+        spec = f"own_enhancements:{name}"
+        result = tod.compare(data, spec, store=kept, fit=FAST, examples=False, allow_clipping=True)
+    found = [one.found for one in result.warnings if one.code == "not_repeatable"]
+    assert result.from_store == (8 if amount is None else 0)
+    if amount is None:
+        assert not found
+    else:
+        assert amount[0] <= found[0] <= amount[1]
+
+
+def test_results_of_other_weights_are_not_taken_over(make_dataset, tmp_path, kept) -> None:
+    data, weights = make_dataset(suffix=".png", contrasts=(0.1, 0.4)).path, tmp_path / "weights.npy"
+
+    def compared(side: int, store: Path):
+        np.save(weights, [side, side])
+        spec = f"own_enhancements:weighted:file='{weights}'"
+        result = tod.compare(data, spec, fit=FAST, examples=False, store=store)
+        return result.algorithms[1].fits[0].points, result.from_store
+
+    points, from_store = zip(*(compared(side, store=kept) for side in (3, 3, 9, 3)), strict=True)
+    assert from_store == (0, 8, 0, 8)
+    assert points[0] == points[1] == points[3] != points[2]

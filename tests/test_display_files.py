@@ -159,7 +159,7 @@ def test_a_display_that_is_not_there(dataset_with, lines: str, wanted: str) -> N
         (('"Monitor in room 3"', "3"), r"monitor\.toml: title: found 3, expected text"),
         (("title", "titel"), r"monitor\.toml: unknown key 'titel'; the nearest valid one is 'title'"),
         (("eotf", "eof"), r"\[display\]: unknown key 'eof'; the nearest valid one is 'eotf'"),
-        (('"srgb"', '"sRGB"'), r"eotf: found 'sRGB' .*; write srgb"),
+        (('"srgb"', '"sRGB"'), r"eotf: found 'sRGB', .*; write srgb"),
         (("[display]", ""), r"unknown key 'eotf'"),
         (("white", "black"), r"\[display\]: white_luminance_cd_m2 is missing"),
         (("pixel_pitch_mrad = 0.25", ""), r"pixel_pitch_mrad: is missing"),

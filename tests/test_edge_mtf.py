@@ -233,7 +233,7 @@ def test_a_saturated_edge_and_a_box_outside_are_one_line(tmp_path, capsys):
     assert "of the pixels are at an end of the scale: the edge is saturated" in capsys.readouterr().err
     for given, message in (
         ("10,0,72,72", "a.npy: box 10,0,72,72: expected x, y, width, height of at least 20 x 20 pixels within"),
-        ("1,2,3", "error: --box: found '1,2,3', expected X,Y,W,H: four whole numbers of pixels"),
+        ("1,2,3", "error: --box: found '1,2,3', expected whole numbers as X,Y,W,H"),
     ):
         assert run(cli, ["mtf", str(tmp_path / "a.npy"), "--box", given]) == 2
         assert message in capsys.readouterr().err
@@ -265,6 +265,9 @@ def test_the_four_edges_of_a_square_are_found_and_are_in_their_boxes():
         assert sum(a + w / 3 < x < a + 2 * w / 3 and b + h / 3 < y < b + 2 * h / 3 for a, b, w, h in boxes) == 1
 
 
+PICTURES = ("mtf.png", "edges.png", "profiles.png")
+
+
 @pytest.mark.slow
 def test_command_and_call(tmp_path, capsys):
     """A colour picture with a blur for each colour: JSON, CSV and MTF Mapper's form have the same numbers."""
@@ -275,7 +278,7 @@ def test_command_and_call(tmp_path, capsys):
     for name, sigma_px in zip(("red", "green", "blue"), (0.9, 0.7, 0.5), strict=True):
         expected = true_mtf(TO_NYQUIST, gaussian(sigma_px), 6.0)
         # The standard error at Nyquist is 0.25 % · π · √(32 pixels / 72 rows) = 0.5 %: four of them.
-        assert np.abs(called.others[name][: NYQUIST + 1] - expected).max() < 0.02
+        assert np.abs(called.mtf.others[name][: NYQUIST + 1] - expected).max() < 0.02
     out = tmp_path / "out"
     assert run(cli, ["mtf", str(tmp_path / "a.npy"), "--box", "0,0,72,72", "--json", "-o", str(out)]) == 0
     printed = json.loads(capsys.readouterr().out)
@@ -283,24 +286,24 @@ def test_command_and_call(tmp_path, capsys):
     assert printed["mtf"]["n_frames"] == 2
     assert [one["colour"] for one in printed["mtf"]["edges"]] == ["luma", "red", "green", "blue"]
     files = {one.name for one in out.iterdir()}
-    assert files == {"mtf.csv", "edges.csv", "mtf.png", "edge_sfr_values.txt", "report.html", "result.json"}
+    assert files == {*("mtf.csv", "edges.csv", "edge_sfr_values.txt", "report.html", "result.json"), *PICTURES}
     page = (out / "report.html").read_text()
     for key in ("mtf50_cyc_per_pixel", "mtf_at_nyquist", "overshoot"):
         edge = printed["mtf"]["edges"][0]
         assert interval_phrase(edge[f"{key}_ci95"], 3) in page
-    assert "MTF50 (cycles/pixel)" in page and page.count("<figure>") == 3
+    assert "MTF50 in cycles/pixel" in page and page.count("<figure>") == 3
     table = read_mtf_table(out / "mtf.csv", may_exceed_1=True)
-    np.testing.assert_array_equal(table.curves["mtf"], called.mtf)
-    np.testing.assert_array_equal([table.lower, table.upper], [called.lower, called.upper])
+    np.testing.assert_array_equal(table.curves["mtf"], called.mtf.mtf)
+    np.testing.assert_array_equal([table.lower, table.upper], [called.mtf.mtf_lower, called.mtf.mtf_upper])
     (edge,) = read_mtf_mapper(out / "edge_sfr_values.txt")
-    np.testing.assert_allclose(edge.table.curves["mtf"], called.mtf[:64], rtol=1e-5)  # six digits
+    np.testing.assert_allclose(edge.table.curves["mtf"], called.mtf.mtf[:64], rtol=1e-5)  # six digits
     assert edge.angle_deg == pytest.approx(6.0, abs=0.02)
     # Both are read again, printed and drawn.
     for name in ("mtf.csv", "edge_sfr_values.txt"):
         again = tod.mtf(out / name)
-        assert again.mtf50 == pytest.approx(called.mtf50, rel=1e-4)
+        assert again.mtf.mtf50 == pytest.approx(called.mtf.mtf50, rel=1e-4)
         assert run(cli, ["mtf", str(out / name)]) == 0
-        assert f"MTF50 {called.mtf50:.3g}" in capsys.readouterr().out
+        assert f"MTF50 {called.mtf.mtf50:.3g}" in capsys.readouterr().out
     assert again.plot() is not None and "<svg" in called._repr_html_()
     with pytest.raises(tod.SettingsError, match=r"boxes: .*mtf.csv is a table of an MTF, expected a recording"):
         tod.mtf(out / "mtf.csv", boxes=[(0, 0, 72, 72)])
@@ -319,9 +322,9 @@ def test_a_display_undoes_the_encoding():
     )
     expected = true_mtf(TO_NYQUIST, gaussian(0.7), 6.0)
     as_light = tod.mtf(code, boxes=[(0, 0, 72, 72)], display=display)
-    assert np.abs(as_light.mtf[: NYQUIST + 1] - expected).max() < 1e-3  # 16 bits
+    assert np.abs(as_light.mtf.mtf[: NYQUIST + 1] - expected).max() < 1e-3  # 16 bits
     as_code = tod.mtf(code, boxes=[(0, 0, 72, 72)])
-    assert np.abs(as_code.mtf[: NYQUIST + 1] - expected).max() > 0.02
+    assert np.abs(as_code.mtf.mtf[: NYQUIST + 1] - expected).max() > 0.02
     assert "proportional to light" in " ".join(as_code.sentences())
 
 

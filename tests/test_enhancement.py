@@ -187,10 +187,10 @@ def test_values_that_an_algorithm_cannot_take(spec: str, image: np.ndarray, mess
     [
         ("unsharpen", r"enhance 'unsharpen': .*unknown key 'unsharpen'; the nearest valid one is 'unsharp'"),
         ("unsharp:radus=2", r"enhance 'unsharp:radus=2': unknown key 'radus'; the nearest valid one is 'radius'"),
-        ("unsharp:radius=wide", r"radius: found 'wide' \(expected a number, got text\)"),
-        ("unsharp:radius=0", r"radius: found 0 \(expected a number >= 0.1\)"),
-        ("unsharp:radius=nan", r"radius: found nan \(expected a number >= 0.1\)"),
-        ("median:radius=1.5", r"radius: found 1.5 \(expected a whole number, got a number\)"),
+        ("unsharp:radius=wide", r"radius: found 'wide', expected a number from 0.1 to 50"),
+        ("unsharp:radius=0", r"radius: found 0, expected a number from 0.1 to 50"),
+        ("unsharp:radius=nan", r"radius: found nan, expected a number from 0.1 to 50"),
+        ("median:radius=1.5", r"radius: found 1.5, expected a whole number from 1 to 20"),
         ("clahe:bits=12", r"bits: found 12"),
         ("unsharp:radius=2,radius=3", r"found radius twice, expected it once"),
         ("unsharp:radius", r"module 'unsharp' cannot be imported"),
@@ -312,8 +312,8 @@ def test_own_functions_may_write_into_their_image() -> None:
             r"own_algorithms: unknown key 'stretchd'; the nearest valid one is 'stretched'",
         ),
         ("own_algorithms:needs", r"parameter 'level' is missing"),
-        ("own_algorithms:stretched:gain=much", r"gain: found 'much' \(expected a number"),
-        ("own_algorithms:stretched:note=3", r"note: found 3 \(expected text"),
+        ("own_algorithms:stretched:gain=much", r"gain: found 'much', expected a finite number"),
+        ("own_algorithms:stretched:note=3", r"note: found 3, expected text"),
         ("own_algorithms:number", r"found int, expected a function of an image"),
         ("own_algorithms:nothing", r"takes no image; expected function\(image, \*\*parameters\)"),
         ("own_algorithms:bare", r"takes no image"),
@@ -392,7 +392,7 @@ def test_a_registered_function_with_a_declaration(monkeypatch) -> None:
     assert finding.enhancement_names() == ["finer"]
     assert (algorithm.declaration.domain, algorithm.magnification) == ("luminance", 3.0)
     assert algorithm.run(picture())[0].shape == (120, 144)
-    with pytest.raises(SettingsError, match=r"factor: found 9 \(expected a whole number <= 4\)"):
+    with pytest.raises(SettingsError, match=r"factor: found 9, expected a whole number from 1 to 4"):
         find_enhancement("finer:factor=9")
 
 
@@ -407,7 +407,7 @@ def test_a_registered_function_that_cannot_be_loaded(monkeypatch) -> None:
 
 def test_a_magnification_that_is_no_parameter(monkeypatch) -> None:
     register(monkeypatch, odd=lambda: algorithm(magnification="scale")(lambda image: image))
-    with pytest.raises(SettingsError, match="magnification 'scale': found None, expected a number > 0"):
+    with pytest.raises(SettingsError, match="magnification 'scale': found None, expected a finite number > 0"):
         find_enhancement("odd")
 
 

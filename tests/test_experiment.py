@@ -45,7 +45,9 @@ from todframes.frames.files import FrameFile
 from todframes.psychometrics.counts import read_counts
 from todframes.psychometrics.quest import QuestGrid
 from todframes.stimulus import Orientation
+from todframes.web.calls import run_experiment
 from todframes.web.experiment import experiment_app
+from todframes.web.server import open_listener
 
 MEASURES = Calibration(
     device_pixel_ratio=1.0,
@@ -530,6 +532,12 @@ def test_a_second_server_into_a_session_is_told(dataset, out):
             pass
     with open_sitting(dataset, out, subject="P1"), open_sitting(dataset, out, subject="P2"):
         pass
+
+
+def test_a_port_in_use_begins_no_session(dataset, out):
+    with open_listener() as other, pytest.raises(SettingsError, match=r"^port: cannot listen at 127"):
+        run_experiment(dataset.path, out, port=other.getsockname()[1])
+    assert not out.exists()
 
 
 def test_which_of_several_unfinished_sessions_is_asked(dataset, out):

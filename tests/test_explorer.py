@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from dataclasses import replace
+from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from types import NoneType
@@ -56,10 +57,11 @@ from todframes.observers.csf import CsfObserver, CsfSettings
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.weibull import weibull
+from todframes.report.figure_style import COLOURS
 from todframes.stimulus import ORIENTATIONS
 from todframes.web import server
 from todframes.web.pages import error_of
-from todframes.web.server import Launch, open_listener
+from todframes.web.server import open_listener
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
 CAMERA = SAMPLES / "star_like.toml"
@@ -141,8 +143,7 @@ def test_the_values_of_sensors_are_on_their_sliders(sensor):
 def test_a_link_or_a_request_reads_no_file(tmp_path):
     """The server knows the files of its own sensor; no other name makes it read one."""
     (tmp_path / "mtf.csv").write_text("frequency_cyc_per_mrad,mtf\n0,1\n5,0.4\n10,0\n")
-    text = sensor_toml(replace(SENSOR, optics=replace(SENSOR.optics, blur_sigma_mrad=0.0)))
-    text = text.replace("[optics]\n", '[optics]\nmtf = "mtf.csv"\n').replace("blur_sigma_mrad = 0.0\n", "")
+    text = re.sub(r"\[optics\]\n(.+\n)*", '[optics]\nmtf = "mtf.csv"\n', sensor_toml(SENSOR))
     (tmp_path / "mine.toml").write_text(text)
     sensor = ss.load_sensor(tmp_path / "mine.toml")
     explorer, tables = Explorer(sensor), sensor_settings(sensor)
@@ -206,7 +207,7 @@ def test_sizes_are_chosen_from_the_smallest_one_that_is_seen():
 
 @pytest.mark.parametrize("form", ["svg", "png"])
 def test_plots_are_files_of_the_curves(form):
-    curves = [Drawn("1: before", [0.1, 0.2], [1.0, 2.0], [0.1, 0.1]), Drawn("now", [0.1], [1.5], [0.0])]
+    curves = [Drawn(1, "1: before", [0.1, 0.2], [1.0, 2.0], [0.1, 0.1]), Drawn(0, "now", [0.1], [1.5], [0.0])]
     shown = PlotAsked(form, "TOD curve", "1 / size", "Threshold <SNR>", curves, never_reached=[0.4])
     found = curve_plot(shown)
     content = base64.b64decode(found["base64"])
@@ -219,7 +220,7 @@ def test_plots_are_files_of_the_curves(form):
 
 
 def test_a_plot_has_the_values_the_bands_and_crosses_where_nothing_is_reached():
-    curves = [Drawn("1: before", [0.2, 0.1], [2.0, 1.0], [0.2, 0.1]), Drawn("now", [0.1], [1.5], [0.0])]
+    curves = [Drawn(2, "2: before", [0.2, 0.1], [2.0, 1.0], [0.2, 0.1]), Drawn(0, "now", [0.1], [1.5], [0.0])]
     axes = Figure().subplots()
     draw_curves(axes, asked=PlotAsked("svg", "", "", "", curves, never_reached=[0.4]))
     pinned, now, crosses = axes.lines
@@ -228,6 +229,10 @@ def test_a_plot_has_the_values_the_bands_and_crosses_where_nothing_is_reached():
     np.testing.assert_array_equal(crosses.get_xydata(), [[0.4, 0.0]])
     vertices = axes.collections[0].get_paths()[0].vertices
     assert (vertices[:, 1].min(), vertices[:, 1].max()) == (0.9, 2.2)
+    # A pinned curve has the colour of its number on the page, and the present one the blue of all figures.
+    style = (files("sensor_sim.explorer") / "static" / "explorer.css").read_text()
+    of_page = re.search(r"--pin-2: (#\w+)", style)[1]
+    assert [line.get_color() for line in (pinned, now)] == [of_page, COLOURS[0]]
 
 
 NAMES = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
@@ -265,14 +270,14 @@ def test_the_command_computes_what_the_page_shows(tmp_path, monkeypatch):
     (tmp_path / made["file"]).write_text(made["text"], encoding="utf-8")
     asked: dict[str, Any] = {}
 
-    def curve(sensor: ss.Sensor, **settings: Any) -> None:
-        asked.update(settings, sensor=sensor)
+    def curve(sensor: str, **settings: Any) -> None:
+        asked.update(settings, sensor=ss.load_sensor(sensor))
         raise SettingsError("enough")
 
-    monkeypatch.setattr("sensor_sim.curve", curve)
+    monkeypatch.setattr("sensor_sim.calls.curve.curve", curve)
     monkeypatch.chdir(tmp_path)
     assert run(cli, shlex.split(made["command"])[1:]) == 2
-    assert asked["sensor"] == SENSOR
+    assert ss.load_sensor(asked["sensor"]) == SENSOR
     assert (asked["size_detectors"], asked["p_correct"]) == ([2.5, 4.0], 0.8)
     assert asked["observer"].settings == PyramidSettings(internal_noise=0.35)
 
@@ -411,6 +416,9 @@ def test_a_range_that_is_missing_has_its_reason_in_words():
     assert re.match(
         r"at least [\d.]+ km and at most [\d.]+ km; it lies between the curve", found["ranges"][1]["words"]
     )
+    uncertain = msgspec.convert({"size_detectors": 3.0, "status": "too_uncertain"}, ThresholdSent)
+    found = range_answer(range_from(aim, camera, [*known, uncertain], 0.75))
+    assert re.match(r"at least [\d.]+ km; it is farther than the curve ends", found["ranges"][1]["words"])
     faint = aim._replace(target=replace(aim.target, delta_t_k=1e-3))
     found = range_answer(range_from(faint, camera, [*known, never], 0.75))
     assert found["ranges"][1]["words"] == "no range; the contrast stays below all thresholds, however near"
@@ -650,11 +658,11 @@ def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
 
 
 def test_a_place_where_the_server_cannot_listen_is_one_line(capsys, tmp_path):
-    with open_listener(Launch()) as other:
+    with open_listener() as other:
         port = other.getsockname()[1]
         assert run(cli, ["explore", str(CAMERA), "--port", str(port), "--no-browser"]) == 2
     (line,) = lines(capsys)
-    assert line.startswith(f"error: --port: found {port}, which is in use")
+    assert line.startswith(f"error: --port: cannot listen at 127.0.0.1, port {port} (")
     assert run(cli, ["explore", str(CAMERA), "--host", "no-such-host.invalid", "--no-browser"]) == 2
     assert lines(capsys) == [
         "error: --host: found 'no-such-host.invalid', expected the address or name of this machine"

@@ -27,7 +27,7 @@ from sensor_sim import new_sensor
 from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.cli import cli
 from todframes.cli.console import run
-from todframes.web.server import Launch, open_listener
+from todframes.web.server import open_listener
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page, Route
@@ -57,6 +57,8 @@ IMPOSSIBLE = (
     ("optics.aperture_mm", "-3", "Found -3"),
     ("p_correct", "0.2", "Found 0.2"),
     ("sizes_detectors", "2, two", "Expected 1 to 12 sizes above 0"),
+    ("sizes_detectors", "2, 1e309", "Expected 1 to 12 sizes above 0"),
+    ("optics.aperture_mm", "1e309", "Found 1e309, which is too large"),
     ("optics.wavelength_um", "red", "Found “red”, expected a number."),
     ("noise.frames_integrated", "1.5", "expected a whole number"),
     ("optics.aperture_mm", "0.5", "passes nothing of a triangle to such detectors"),
@@ -390,7 +392,7 @@ def test_a_reload_at_once_brings_back_the_state_and_the_pinned_curves(explore) -
 @pytest.mark.weekly
 def test_a_server_that_has_ended_is_noticed_without_an_action(open_page) -> None:
     """And one that takes its place is another: one line says so, at one place."""
-    with open_listener(Launch()) as listener:
+    with open_listener() as listener:
         port = listener.getsockname()[1]
     gone = ["ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_INCOMPLETE", "status of 403"]
     ended, other = "The server has ended. Start the command again", "This page belongs to a server that has ended."
@@ -758,6 +760,19 @@ def test_plots_and_numbers_are_saved_as_files(explore) -> None:
     assert rows[0]["snr"] == "" and float(rows[1]["size_mrad"]) == pytest.approx(6 * 0.0681)
 
 
+def test_the_parts_of_what_limits_are_as_wide_as_their_shares(explore) -> None:
+    """At a gain that lets little internal noise pass, a part is a few per cent of the bar."""
+    page = explore()
+    painted(page, lambda: type_value(page, "sizes_detectors", "6"), "refined")
+    painted(page, lambda: type_value(page, "display.gain", "20"), "refined")
+    shares = [float(text) / 100.0 for text in re.findall(r"(\d+) %", page.locator("#sentence").inner_text())]
+    parts = "[...document.querySelector('#shares').children].map((part) => part.getBoundingClientRect().width)"
+    widths = sorted(page.evaluate(parts))
+    assert min(shares) < 0.05
+    # A share is rounded to a per cent, and a width to a part of a pixel.
+    assert [width / sum(widths) for width in widths] == pytest.approx(sorted(shares), abs=0.006)
+
+
 def test_the_orientation_is_hidden_until_asked(explore) -> None:
     page = explore()
     asked: list[str] = []
@@ -865,6 +880,10 @@ def test_a_camera_that_counts_photons_has_its_own_sliders_and_its_range(open_pag
         with page.expect_download() as download:
             page.click("#range-svg")
         assert download.value.suggested_filename == "probability.svg"
+        with page.expect_download() as download:
+            page.click("#csv")
+        rows = list(csv.reader(download.value.path().read_text().splitlines()))
+        assert len({len(row) for row in rows}) == 1 and len(rows) > 2
         for width in WIDTHS:
             page.set_viewport_size({"width": width, "height": 844})
             page.wait_for_timeout(50)

@@ -126,9 +126,11 @@ def test_a_pattern_is_folded_through_the_eye() -> None:
     [
         (
             {"band_noise": (1.0, 0.0)},
-            r"band_noise: found \(1\.0, 0\.0\), expected at most 11 values, each a number from 0\.001",
+            r"band_noise\[1\]: found 0\.0, expected a number from 0\.001",
         ),
-        ({"band_noise": (1.0,) * 12}, "band_noise: found .*, expected at most 11 values"),
+        ({"band_noise": (1.0,) * 12}, "band_noise: found .*, expected a list of at most 11 values"),
+        ({"band_noise": 2.0}, r"band_noise: found 2\.0, expected a list of at most 11 values"),
+        ({"include_residual": "no"}, "include_residual: found 'no', expected true or false"),
         ({"eye_mtf": "barten"}, "eye_mtf: found 'barten', expected one of none, watson2013"),
         ({"age_years": 10.0}, "age_years: found 10.0, expected a number from 20 to 83"),
         ({"pupil_mm": 0.1}, r"pupil_mm: found 0\.1, expected a number from 1\.5 to 8"),

@@ -21,6 +21,7 @@ import todframes as tod
 from todframes.base.errors import DataError
 from todframes.cli.console import run
 from todframes.cli.main import cli
+from todframes.importing.chart_source import rate_varies
 from todframes.importing.clips import Integration
 from todframes.importing.importing import Imported
 
@@ -276,6 +277,46 @@ def test_dropped_frames_are_told_and_no_trial_goes_across(chart: Chart, tmp_path
     assert all(b - a == 1 for trial in times.values() for a, b in pairwise(trial))
 
 
+def test_a_page_under_a_thumb_is_counted_as_lost(tmp_path: Path) -> None:
+    """The thumb hides a part of a marker, which then names no page, as in a blend of two pages."""
+    chart = make_chart(tmp_path, sizes="4", contrasts="0.3")
+    made = Film.of(chart, Camera(width=320, height=180, oversampling=3), frames_per_page=6, scale=0.3)
+    for page, _, values in made.frames:
+        if page == 1:
+            cv2.circle(values, (22, 18), 14, 9000, thickness=-1)
+    done = imported(made, made.write(tmp_path / "film.mkv"), integration_time_s="all")
+    notes = " ".join(done.notes)
+    assert "left out: 0 frames of transitions, 6 without the four markers" in notes
+    assert "pages with triangles that were not found: 1 of the chart's 4 (1)" in notes
+
+
+def test_a_variable_frame_rate_is_no_missing_frame(tmp_path: Path) -> None:
+    chart = make_chart(tmp_path, sizes="4", contrasts="0.3")
+    made = Film.of(
+        chart, Camera(width=320, height=180, oversampling=3), frames_per_page=8, scale=0.3, pages=[0, 1]
+    )
+    intervals = np.array([2, 3, 3, 4, 7, 2, 3, 5, 2, 4, 7, 3, 2, 5, 3])
+    varying = made.pick(range(16), np.cumsum([0, *intervals]).tolist())
+    done = imported(varying, varying.write(tmp_path / "film.mkv"), integration_time_s=0.2)
+    (message,) = [message for code, message in done.warnings if code in {"variable_frame_rate", "dropped_frames"}]
+    assert "gaps of more than 1.5 frames, because the frame rate varies; no trial goes across them" in message
+
+
+@pytest.mark.parametrize(
+    ("multiples", "varies"),
+    [
+        ([1] * 20, False),
+        ([1, 1, 2, 1, 1, 1, 3, 1, 1, 2, 1, 1], False),  # missing frames
+        ([1, 1.05, 0.95] * 6, False),  # times of whole milliseconds
+        ([1] * 20 + [2] * 10, True),  # half the rate in the dark
+        ([0.8, 1.0, 1.4, 1.7, 0.9, 1.3] * 3, True),
+        ([1, 2, 1], False),  # too few to know
+    ],
+)
+def test_missing_frames_leave_whole_multiples(multiples: list[float], varies: bool) -> None:
+    assert rate_varies(0.04 * np.array(multiples)) == varies
+
+
 @pytest.mark.weekly
 def test_doubled_frames_are_told(chart: Chart, tmp_path: Path) -> None:
     made = Film.of(chart, Camera(), frames_per_page=6)
@@ -342,6 +383,34 @@ def through_lens(chart: Chart, view: str, *, noise: bool = False, **bending) -> 
     return Film.of(chart, camera, frames_per_page=8 if noise else 2, turn_deg=0.6, **how)
 
 
+def filling(
+    chart: Chart,
+    *,
+    k: tuple[float, ...],
+    width: float,
+    place: float = 0.0,
+    electrons: float = 40_000.0,
+    read_noise: float = 6.0,
+) -> Film:
+    """Film the first page twice, sharply. Without the lens, it takes a share of the frame's width; it lies to the
+    right of and below the middle, by a share of the free margin."""
+    shape = np.array([800, 450])
+    camera = Camera(
+        width=800,
+        height=450,
+        bending=Bending(width=800, height=450, k=k),
+        blur_sigma_px=0.4,
+        oversampling=3,
+        electrons_at_white=electrons,
+        read_noise_electrons=read_noise,
+    )
+    rows, columns = chart.shape
+    scale = width * shape[0] / columns
+    shift = place * (shape - scale * np.array([columns, rows])) / 2.0
+    view = {"scale": scale, "tilt_deg": 0.0, "turn_deg": 0.6, "shift_px": shift}
+    return Film.of(chart, camera, frames_per_page=2, pages=[0], **view)
+
+
 def misplacement_px(film: Film, dataset: Path) -> float:
     """Root mean square distance of the places in the manifest from those that the camera saw."""
     distances = []
@@ -371,6 +440,55 @@ def test_a_triangle_is_placed_through_the_lens(markers: str, tmp_path: Path) -> 
     assert any("the lens distorts" in note for note in done.notes)
     for row in rows_of(done.path):
         assert float(row["size_mrad"]) == pytest.approx(made.seen(number_of(row)).size_px * PITCH_MRAD, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("k", "width", "place"),
+    [
+        ((-0.04,), 0.93, 0.0),
+        pytest.param((0.044,), 0.93, 0.0, marks=pytest.mark.slow),
+        pytest.param((-0.3, 0.15), 0.6, 0.9, marks=pytest.mark.slow),
+    ],
+)
+def test_edges_are_looked_for_where_the_lens_has_them(
+    k: tuple[float, ...], width: float, place: float, tmp_path: Path
+) -> None:
+    """On lines between the corners, markers along the borders would be half a module beside their places."""
+    made = filling(make_chart(tmp_path, sizes="2", contrasts="0.3"), k=k, width=width, place=place)
+    done = imported(made, made.write(tmp_path / "film.mkv"), integration_time_s="all")
+    assert misplacement_px(made, done.path) < 0.01
+    assert {code for code, _ in done.warnings} <= {"lens_stretch"}
+
+
+@pytest.mark.slow
+def test_an_uncertain_lens_is_told_with_what_it_does_to_a_threshold(tmp_path: Path) -> None:
+    chart = make_chart(tmp_path, sizes="4", contrasts="0.03,0.06,0.12,0.24", markers="corners")
+    noisy = filling(chart, k=(-0.15,), width=0.5, place=0.9, electrons=50.0, read_noise=5.0)
+    done = imported(noisy, noisy.write(tmp_path / "film.mkv"), integration_time_s="all")
+    ((_, message),) = [one for one in done.warnings if one.code in {"few_points", "residual"}]
+    shift, rise = re.search(
+        r" ([\d.]+) px \(rms\).*, which raises thresholds by up to ([\d.]+) %", message
+    ).groups()
+    assert misplacement_px(noisy, done.path) < 3.0 * float(shift)
+    sharp = Film.of(chart, Camera(blur_sigma_px=0.4), frames_per_page=2)
+    seen = [sharp.seen(number) for number in range(len(sharp.frames))]
+
+    def threshold(x_px: float) -> float:
+        result = tod.score_frames(
+            [values for *_, values in sharp.frames],
+            orientation=[one.orientation for one in seen],
+            level=[one.contrast for one in seen],
+            size_mrad=[one.size_px * PITCH_MRAD for one in seen],
+            position=np.array([(one.x_px + x_px, one.y_px) for one in seen]),
+            trial=[number // 2 for number in range(len(seen))],
+            group={"object_size_mrad": [one.size_mrad for one in seen]},
+            display=LINEAR,
+            **SCORING,
+        )
+        return thresholds(result)[4.0]
+
+    measured = threshold(float(shift)) / threshold(0.0) - 1.0
+    assert measured < float(rise) / 100.0 < 4.0 * measured
 
 
 @pytest.mark.slow

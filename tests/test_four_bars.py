@@ -363,5 +363,5 @@ def test_observers_of_triangles_alone_are_refused():
 
 @pytest.mark.parametrize("frequency", [0.0, -1.0, 1e-4, math.nan, math.inf])
 def test_frequencies_out_of_range_are_refused(frequency):
-    with pytest.raises(SettingsError, match=r"frequency_cyc_per_mrad: found .*, expected a number from"):
+    with pytest.raises(SettingsError, match=r"frequency_nyquist: found .*, expected a number from"):
         BarChain(SENSOR, PyramidObserver(), frequency)

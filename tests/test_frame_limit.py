@@ -105,16 +105,17 @@ def test_a_limit_is_a_whole_number(tmp_path, limit) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [("score",), ("score", "--workers", "2"), ("validate",), ("compare", "--enhance", "clahe")],
+    [("score",), ("score", "--workers", "2"), ("validate",), ("compare", "--enhance", "clahe", "--white", "200")],
     ids=" ".join,
 )
 @pytest.mark.slow
 def test_commands_of_frames_take_the_limit(make_dataset, capsys, command) -> None:
     made = make_dataset(contrasts=(0.5,))
-    tod.write_frame(made.frame(0), np.full((800, 800), 0.5), pixel_type="half")  # 1.2 MB
+    tod.write_frame(made.frame(1), np.full((800, 800), 0.5), pixel_type="half")  # 1.2 MB, met by a worker
     arguments = [*command, str(made.path), "--max-frame-mb"]
     assert run(cli, [*arguments, "1"]) == 1
-    assert "decodes to 2 MB a frame, expected at most 1 MB" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "decodes to 2 MB a frame, expected at most 1 MB" in error and "give --max-frame-mb 2\n" in error
     run(cli, [*arguments, "2"])
     assert "decodes to" not in capsys.readouterr().err
 

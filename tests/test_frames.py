@@ -2,10 +2,12 @@
 
 import hashlib
 import os
+import re
 import struct
 import subprocess
 import sys
 import textwrap
+import tracemalloc
 import zlib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -32,16 +34,16 @@ def in_half(values):
 
 
 def write_exr(path, *parts, compression="zip"):
-    """EXR by OpenImageIO; a part is (array (H, W, C), channel names) and, as a dict, fields of its spec."""
+    """EXR by OpenImageIO; a part is (array (H, W, C), channel names) and a dict: its name, fields of its spec."""
     specs = []
     for number, (array, names, fields) in enumerate(parts):
         spec = oiio.ImageSpec(array.shape[1], array.shape[0], array.shape[2], str(fields.get("format", "half")))
         spec.channelnames = names
         for field, value in fields.items():
-            if field != "format":
+            if field not in ("format", "name"):
                 setattr(spec, field, value)
         spec.attribute("compression", compression)
-        spec.attribute("oiio:subimagename", f"part{number}")
+        spec.attribute("oiio:subimagename", fields.get("name", f"part{number}"))
         specs.append(spec)
     output = oiio.ImageOutput.create(str(path))
     assert output.open(str(path), tuple(specs) if len(specs) > 1 else specs[0]), output.geterror()
@@ -70,25 +72,25 @@ def interlaced_png(grey):
     return png_bytes(grey.shape[1], grey.shape[0], 8, 0, lines, interlaced=True)
 
 
+def exr_attribute(name, kind, content):
+    return f"{name}\0{kind}\0".encode() + struct.pack("<i", len(content)) + content
+
+
 def luminance_chroma_bytes():
     """An uncompressed 2 x 2 EXR with Y and half-size BY, RY, by hand: OpenImageIO writes no such thing."""
-
-    def attribute(name, kind, content):
-        return f"{name}\0{kind}\0".encode() + struct.pack("<i", len(content)) + content
-
     channels = b"".join(
         name + b"\0" + struct.pack("<4i", 1, 0, step, step) for name, step in ((b"BY", 2), (b"RY", 2), (b"Y", 1))
     )
     box = struct.pack("<4i", 0, 0, 1, 1)
     header = b"\x76\x2f\x31\x01\2\0\0\0" + b"".join(
         [
-            attribute("channels", "chlist", channels + b"\0"),
-            attribute("compression", "compression", b"\0"),
-            attribute("dataWindow", "box2i", box),
-            attribute("displayWindow", "box2i", box),
-            attribute("lineOrder", "lineOrder", b"\0"),
-            attribute("pixelAspectRatio", "float", struct.pack("<f", 1)),
-            attribute("screenWindowCenter", "v2f", bytes(8)),
+            exr_attribute("channels", "chlist", channels + b"\0"),
+            exr_attribute("compression", "compression", b"\0"),
+            exr_attribute("dataWindow", "box2i", box),
+            exr_attribute("displayWindow", "box2i", box),
+            exr_attribute("lineOrder", "lineOrder", b"\0"),
+            exr_attribute("pixelAspectRatio", "float", struct.pack("<f", 1)),
+            exr_attribute("screenWindowCenter", "v2f", bytes(8)),
             EXR_HEADER_END,
         ]
     )
@@ -365,18 +367,88 @@ def write_channels(path, *parts):
         ((["B", "G", "R"],), "RGB"),
         ((["r", "g", "b"],), "RGB"),
         ((["Z", "beauty.B", "beauty.G", "beauty.R", "beauty.A"],), "RGB"),
-        ((["diffuse.Y", "R", "G", "B"],), "RGB"),
-        ((["R", "G", "B", "Y"],), "Y"),
         ((["Z"], ["R", "G", "B"]), "RGB"),
         ((["Z", "A"], ["left.Y"]), "Y"),
-        ((["Y"], ["R", "G", "B"]), "Y"),
     ],
 )
 def test_channels_are_chosen_by_name(tmp_path, parts, expected):
     write_channels(tmp_path / "a.exr", *parts)
-    frame = read_frame(tmp_path / "a.exr")
+    frame, header = read_frame(tmp_path / "a.exr"), read_header(tmp_path / "a.exr")
     assert frame.values[2, 2].tolist() == [VALUES[name] for name in expected]
-    assert [name[-1].upper() for name in read_header(tmp_path / "a.exr").channels] == list(expected)
+    assert [name[-1].upper() for name in header.channels] == list(expected)
+    assert header.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("parts", "read", "left"),
+    [
+        ({"": "R G B Y"}, "RGB", "Y"),
+        ({"": "diffuse.Y R G B"}, "RGB", "Y of diffuse"),
+        ({"": "N.R N.G N.B Combined.R Combined.G Combined.B"}, "RGB of Combined", "RGB of N"),
+        ({"": "N.R N.G N.B albedo.Y"}, "RGB of N", "Y of albedo"),
+        ({"normals": "R G B", "beauty": "R G B"}, "RGB of beauty", "RGB of normals"),
+        ({"grey": "Y", "hue": "R G B"}, "RGB of hue", "Y of grey"),
+    ],
+)
+def test_of_several_pictures_one_is_read_with_a_warning(tmp_path, parts, read, left):
+    """Every channel of the picture that is to be read is 1, every other one 0."""
+    wanted = read.partition(" of ")[2]
+    images = []
+    for part, text in parts.items():
+        names = text.split()
+        layers = [name.rpartition(".")[0] or part for name in names]
+        is_read = [layer == wanted and name[-1] in read[:3] for layer, name in zip(layers, names, strict=True)]
+        images.append((np.tile(np.float16(is_read), (4, 4, 1)), tuple(names), {"name": part} if part else {}))
+    write_exr(tmp_path / "a.exr", *images)
+    (warning,) = read_header(tmp_path / "a.exr").warnings
+    assert warning.code == "channels_chosen"
+    assert f": {read} is read, not {left}; write the right one alone" in warning.message
+    values = read_frame(tmp_path / "a.exr").values
+    assert values.shape[2] == 3 and (values == 1.0).all()
+
+
+BT_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+BT_2020 = (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "numbers", "expected"),
+    [
+        ("chromaticities", "chromaticities", BT_2020, "chromaticities other than those of Rec. 709"),
+        ("chromaticities", "chromaticities", BT_709, None),
+        ("whiteLuminance", "float", (100.0,), "whiteLuminance 100 cd/m²"),
+        ("Orientation", "int", (6,), r"orientation 6 \(turned or mirrored\)"),
+        ("Orientation", "int", (1,), None),
+    ],
+)
+def test_what_a_file_states_and_nothing_uses_is_in_a_warning(tmp_path, name, kind, numbers, expected):
+    """An attribute put into an EXR by hand; the offset of its only chunk grows by as much."""
+    content = struct.pack(f"<{len(numbers)}{'i' if kind == 'int' else 'f'}", *numbers)
+    attribute = exr_attribute(name, kind, content)
+    write_frame(tmp_path / "a.exr", np.zeros((2, 2, 3)))
+    content = (tmp_path / "a.exr").read_bytes()
+    end = content.index(EXR_HEADER_END) + len(EXR_HEADER_END)
+    (offset,) = struct.unpack_from("<Q", content, end)
+    changed = content[:8] + attribute + content[8:end] + struct.pack("<Q", offset + len(attribute))
+    (tmp_path / "a.exr").write_bytes(changed + content[end + 8 :])
+    warnings = read_header(tmp_path / "a.exr").warnings
+    assert [one.code for one in warnings] == ["metadata_ignored"] * (expected is not None)
+    assert all(re.search(f"the file states {expected}.*, which is not used", one.message) for one in warnings)
+
+
+@pytest.mark.parametrize(
+    ("compression", "pixel_type", "is_lossy"),
+    [
+        *(("zip", "half", False), ("piz", "float", False), ("pxr24", "half", False), ("pxr24", "float", True)),
+        *(("b44", "half", True), ("b44a", "half", True), ("dwaa", "half", True), ("dwab", "float", True)),
+    ],
+)
+def test_an_exr_that_has_lost_something_is_named(tmp_path, compression, pixel_type, is_lossy):
+    values = np.add.outer(np.linspace(0, 1, 96), 0.1 * noise(96)) + 0.01 * noise(96, 96, seed=3)
+    write_frame(tmp_path / "a.exr", values, pixel_type=pixel_type, compression=compression)
+    written = values.astype(np.float16 if pixel_type == "half" else np.float32)
+    assert (read_frame(tmp_path / "a.exr").stored[..., 0] != written).any() == is_lossy
+    assert [one.code for one in read_header(tmp_path / "a.exr").warnings] == ["lossy_compression"] * is_lossy
 
 
 @pytest.mark.parametrize("parts", [(["R", "G"],), (["A", "Z"],), (["Z"], ["A"]), (["a.R", "b.G", "b.B"],)])
@@ -384,6 +456,18 @@ def test_other_channels_are_named_in_the_error(tmp_path, parts):
     write_channels(tmp_path / "a.exr", *parts)
     with pytest.raises(FrameError, match=f"found channels .*{parts[-1][-1]}.*; expected Y, or R, G and B"):
         read_frame(tmp_path / "a.exr")
+
+
+def test_a_y_beside_an_x_is_part_of_a_vector(tmp_path):
+    """As in the passes of normals and motion."""
+    normals, picture = (
+        (np.zeros((4, 4, 3), np.float16), ("N.X", "N.Y", "N.Z")),
+        (np.ones((4, 4, 1), np.float16), ("Y",)),
+    )
+    write_exr(tmp_path / "a.exr", (*normals, {}))
+    assert_refused(tmp_path / "a.exr", "found channels N.X N.Y N.Z; expected Y, or R, G and B")
+    write_exr(tmp_path / "b.exr", (*normals, {}), (*picture, {}))
+    assert (read_frame(tmp_path / "b.exr").values == 1.0).all()
 
 
 def test_each_channel_has_its_own_type(tmp_path):
@@ -616,6 +700,36 @@ def test_exr_with_absurd_windows(tmp_path, window, corner, problem):
     struct.pack_into("<2i", content, content.index(window) + len(window) + 4 + 8, corner, corner)
     path.write_bytes(content)
     assert_refused(path, problem)
+
+
+def test_a_chunk_of_png_is_not_held_in_memory(tmp_path):
+    """A sparse chunk of 200 MB takes no room on the disk; its checksum is that of as many zeros."""
+    size = 200 * 2**20
+    checksum = zlib.crc32(b"spAr")
+    for _ in range(200):
+        checksum = zlib.crc32(bytes(2**20), checksum)
+    start, end = png_bytes(4, 4, 8, 0, [bytes(4)] * 4).split(png_chunk(b"IEND", b""))
+    with (tmp_path / "a.png").open("wb") as file:
+        file.write(start + struct.pack(">I", size) + b"spAr")
+        file.seek(size, 1)
+        file.write(struct.pack(">I", checksum) + png_chunk(b"IEND", b"") + end)
+    tracemalloc.start()
+    assert (read_frame(tmp_path / "a.png").stored == 0).all()
+    assert tracemalloc.get_traced_memory()[1] < 8 * 2**20
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("parts", [1, 2])
+def test_an_exr_with_a_sparse_header_is_refused(tmp_path, parts):
+    """OpenEXR takes 7 bytes for each byte of an attribute of a type that it does not know: 14 GB for 2 GB."""
+    write_exr(tmp_path / "a.exr", *[(np.zeros((4, 4, 1), np.float16), ("Y",), {})] * parts)
+    content = (tmp_path / "a.exr").read_bytes()
+    assert read_header(tmp_path / "a.exr").height == 4
+    with (tmp_path / "a.exr").open("wb") as file:
+        file.write(content[:8] + b"note\0weird\0" + struct.pack("<I", 2**30))
+        file.seek(2**30, 1)
+        file.write(content[8:])
+    assert_refused(tmp_path / "a.exr", "its header claims 1073741847 bytes, expected at most 16777216")
 
 
 def test_exr_with_absurd_tiles(tmp_path):

@@ -29,14 +29,14 @@ from todframes.base.errors import flag_of
 from todframes.base.output import ENTRY_POINT_GROUP
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.report.data import decode
+from todframes.report.result import read_result
 
 ROOT = Path(__file__).parent.parent
 NAKED_EYE, ENHANCEMENT = ROOT / "sample_frames" / "naked_eye", ROOT / "sample_frames" / "enhancement"
 CAMERA = ROOT / "sample_frames" / "staring_camera.toml"
 CURVE = ["curve", CAMERA, "--size-detectors", "4", "--tolerance", "0.1"]
 OF_FRAMES = {"OpenImageIO", "sqlite3", "scipy.sparse", "todframes.frames", "todframes.jobs"}
-MOST_FILES_RUN = 60
+MOST_FILES_RUN = 64
 NAMES = [(package, name) for package in (tod, ss) for name in dir(package)]
 
 
@@ -132,6 +132,7 @@ def test_files_of_other_packages_commands(tmp_path: Path) -> None:
     vary = {"optics.aperture_mm": "110:220:3"}
     ss.sweep(CAMERA, size_detectors=[6], vary=vary, tolerance=0.1).save(tmp_path / "sweep")
     ss.mrtd(CAMERA, frequency_nyquist=[1.2], size_detectors=[6], tolerance=0.1).save(tmp_path / "mrtd")
+    ss.mtf(CAMERA).save(tmp_path / "sensor-mtf")
     for command, name in registered[ENTRY_POINT_GROUP].items():
         module, _, attribute = name.partition(":")
         written = {one.name for one in (tmp_path / command).iterdir()}
@@ -225,6 +226,49 @@ def test_result_comes_back_with_its_trials(scored, tmp_path: Path) -> None:
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
 
 
+def test_names_come_back_as_they_were(make_dataset, tmp_path) -> None:
+    """Also those that a spreadsheet would compute, and those that look like numbers; so do settings."""
+    names = ["=warm", "nan", "7", "1e5", "'", "\N{SNOWMAN}"]
+    dataset = make_dataset(contrasts=(0.1, 0.2, 0.4), suffix=".png", experiment={"group_by": ["camera"]})
+    for row in dataset.rows:
+        row["camera"] = names[0]
+    for row, name in zip(dataset.rows, names, strict=False):
+        row["trial"] = name
+    dataset.save()
+    result = tod.score(dataset.path, fit=tod.FitSettings(resamples=0), examples=False, locate=True)
+    assert (result.settings["curve"], result.settings["locate"]) == ("observer", "group")
+    assert (
+        tod.score(dataset.path, fit=tod.FitSettings(resamples=0), decisions="sampled", examples=False).settings[
+            "curve"
+        ]
+        == "weibull"
+    )
+    result.save(tmp_path / "out")
+    again = tod.load_result(tmp_path / "out").trials
+    assert list(again.records) == list(result.trials.records)
+    assert set(names) <= {record["trial"] for record in again.records}
+
+
+@pytest.mark.usefixtures("blank_pictures")
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda text: text[: len(text) // 2],
+        lambda text: text[:-3],
+        lambda text: text[: text.rindex("\n", 0, -1) + 1],
+        lambda text: text.replace(",0.", ",zero", 1),
+        lambda _: "",
+    ],
+    ids=["cut in a row", "cut in the last number", "without the last row", "no number", "empty"],
+)
+def test_a_damaged_table_of_trials_is_one_line(scored, damage, tmp_path) -> None:
+    scored.save(tmp_path / "out")
+    path = tmp_path / "out" / "scores.csv"
+    path.write_text(damage(path.read_text()))
+    with pytest.raises(tod.DataError, match=r"scores\.csv: is not the whole table of trials"):
+        _ = tod.load_result(tmp_path / "out").trials
+
+
 @pytest.mark.oracle
 def test_dataframe(scored) -> None:
     pytest.importorskip("pandas", reason="pandas comes with the dev extra")
@@ -258,7 +302,7 @@ def test_plots_into_ones_own_axes(scored) -> None:
 
 def test_nothing_to_plot_is_said(results_of_commands) -> None:
     one_size = results_of_commands["naked-eye"] | {"fits": results_of_commands["naked-eye"]["fits"][:1]}
-    result = decode(json.dumps(one_size).encode(), "result", tod.Result)
+    result = read_result(json.dumps(one_size).encode(), "result")
     with pytest.raises(tod.DataError, match="plot_tod: found no thresholds at two or more sizes"):
         result.plot_tod()
     with pytest.raises(tod.DataError, match="plot_psychometric: found no thresholds with points"):
@@ -311,7 +355,7 @@ def test_stages_are_those_of_the_clearest_trial(tmp_path: Path) -> None:
 def test_result_of_the_least_fields() -> None:
     fit = {"group": {}, "level": "contrast", "status": "ok", "p_correct": 0.75, "threshold": 0.2}
     content = json.dumps({"schema": 1, "command": "score", "fits": [fit]}).encode()
-    assert decode(content, "result", tod.Result).thresholds[0].threshold_ci95 is None
+    assert read_result(content, "result").thresholds[0].threshold_ci95 is None
 
 
 FLAG = re.compile(r"(?<![-\w`])--[a-z]")

@@ -21,7 +21,6 @@ from todframes.charts.layout import write_chart
 from todframes.charts.markers import marker_bits, marker_ids
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.cli.recordings import seconds
 from todframes.importing.chart_source import page_duration_s
 from todframes.importing.clips import (
     Clip,
@@ -34,6 +33,7 @@ from todframes.importing.clips import (
 )
 from todframes.importing.filmed_trials import Corrections, TrialDivision, TriangleDescription, merged_sizes
 from todframes.importing.geometry import Geometry, place_triangle
+from todframes.importing.importing import checked_time
 from todframes.importing.windows import RecordedWindow, WrittenWindow
 from todframes.recordings.recording import CodeRange, RecordedFrame, Recording
 from todframes.stimulus import Orientation
@@ -720,16 +720,17 @@ def test_sizes_that_hardly_differ_are_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "expected"), [("0.1 s", 0.1), ("100 ms", 0.1), ("0.2", 0.2), ("40ms", 0.04), ("all", "all")]
+    ("text", "expected"),
+    [("0.1 s", 0.1), ("100 ms", 0.1), ("0.2", 0.2), ("40ms", 0.04), (0.2, 0.2), ("all", None)],
 )
-def test_times_on_the_command_line(text: str, expected: float | str) -> None:
-    assert seconds(text) == (pytest.approx(expected) if isinstance(expected, float) else expected)
+def test_times_in_words(text: str | float, expected: float | None) -> None:
+    assert checked_time(text) == (None if expected is None else pytest.approx(expected))
 
 
 @pytest.mark.parametrize("text", ["", "soon", "1 min", "s"])
 def test_times_that_are_none(text: str) -> None:
-    with pytest.raises(SettingsError, match="expected a time such as"):
-        seconds(text)
+    with pytest.raises(SettingsError, match=r"expected a time > 0, such as 0\.1 s, or all"):
+        checked_time(text)
 
 
 def test_the_command(tmp_path: Path, chart: Path, pages: list[np.ndarray], capsys) -> None:
@@ -740,10 +741,10 @@ def test_the_command(tmp_path: Path, chart: Path, pages: list[np.ndarray], capsy
     assert "3 frames in 1 trial from 1 clip" in shown.out
     assert "note: " in shown.err
     assert run(cli, [*command, "--range", "5"]) == 2
-    assert capsys.readouterr().err == "error: --range: found '5', expected two numbers LOW:HIGH\n"
-    for sources in ([], ["--chart", "a.toml", "--schedule", "none.csv"]):
+    assert capsys.readouterr().err == "error: --range: found '5', expected numbers as LOW:HIGH\n"
+    for found, sources in (("neither", []), ("both", ["--chart", "a.toml", "--schedule", "none.csv"])):
         assert run(cli, ["import", str(path), *sources, "-o", str(tmp_path / "d")]) == 2
-        expected = "error: import: expected one of --chart and --schedule, which says what is shown\n"
-        assert capsys.readouterr().err == expected
+        expected = f"found {found}, expected one of --chart and --schedule, which says what is shown"
+        assert capsys.readouterr().err == f"error: import: {expected}\n"
     assert run(cli, ["import", str(tmp_path / "none.mkv"), "--chart", str(chart), "-o", str(tmp_path / "e")]) == 1
     assert capsys.readouterr().err.count("\n") == 1

@@ -151,6 +151,15 @@ def with_counter(luminance, number):
     return luminance
 
 
+BRIGHT = replace(DISPLAY, white_luminance_cd_m2=200.0)
+
+
+def of_two_codes(luminance, _number):
+    """16 bits of 200 cd/m²: the background of 50 cd/m², and the triangle with hard edges."""
+    top = luminance.max()
+    return np.rint(np.where(luminance > (50.0 + top) / 2.0, top, 50.0) / 200.0 * 65535.0).astype(np.uint16)
+
+
 CLEAN = {
     "even": {},
     "without noise": {"noise": 0.0},
@@ -164,12 +173,23 @@ CLEAN = {
     "blurred without noise": {"noise": 0.0, "blur_px": 2.5, "scatter": 0.2},
     "counter": {"spoil": with_counter},
     "no contrast": {"slope": 3.0, "level_name": "temperature"},
+    "two codes": {"noise": 0.0, "blur_px": 0.0, "spoil": of_two_codes, "display": BRIGHT},
 }
 
 
 @pytest.mark.parametrize("changes", CLEAN.values(), ids=CLEAN.keys())
 def test_good_frames_have_no_warning(changes) -> None:
     assert codes(recorded(**changes)) == set()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_frames_without_a_triangle_have_no_place(noise: float) -> None:
+    assert codes(recorded(slope=0.0, noise=noise)) == {"contrast_mismatch"}
+
+
+def test_the_step_of_clean_frames_is_that_of_their_bits() -> None:
+    # In single precision, 2⁻²⁴ of the luminance at most: 0.1 % of a step.
+    assert measured(**CLEAN["two codes"]).code_step_contrast == pytest.approx(200.0 / 65535.0 / 50.0, rel=1e-3)
 
 
 def vignetted(luminance, _number):
@@ -232,8 +252,8 @@ SPOILT = {
     "mixed_frame_sizes": {"spoil": of_two_sizes},
     "saturated": {"spoil": clipped, "display": replace(DISPLAY, white_luminance_cd_m2=55.0)},
     "crushed": {"spoil": hollow, "noise": 0.002},
-    "coarse_codes": {"spoil": rough, "display": replace(DISPLAY, white_luminance_cd_m2=200.0)},
-    "bit_depth": {"spoil": shallow, "display": replace(DISPLAY, white_luminance_cd_m2=200.0)},
+    "coarse_codes": {"spoil": rough, "display": BRIGHT},
+    "bit_depth": {"spoil": shallow, "display": BRIGHT},
 }
 
 

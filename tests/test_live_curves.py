@@ -92,6 +92,13 @@ def changed(**parts) -> Sensor:
     return replace(SENSOR, **{name: replace(getattr(SENSOR, name), **values) for name, values in parts.items()})
 
 
+def test_a_spot_of_100_detectors_is_never_reached_at_once():
+    started = time.process_time()
+    found = computed(engine(), changed(optics={"blur_sigma_mrad": 100.0 * SENSOR.detector.pitch_mrad}))
+    assert {one.status for one in found} == {"never_reached"}
+    assert time.process_time() - started < 5.0  # 0.3 s on a quiet machine; all detectors under the spot took 19 s
+
+
 MOVES = [
     changed(optics={"aperture_mm": 92.0}),
     changed(display={"blur_sigma_px": 1.3}),

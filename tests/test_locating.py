@@ -367,7 +367,7 @@ def test_thresholds_are_those_of_known_positions(shake_px: float) -> None:
 
 def test_locate_is_group_or_each(make_dataset) -> None:
     data = load_dataset(make_dataset().path)
-    with pytest.raises(SettingsError, match="locate: found 'all', expected group or each"):
+    with pytest.raises(SettingsError, match="locate: found 'all', expected one of group, each"):
         locate_triangles(data, locate="all")  # type: ignore[arg-type]
     of_group = locate_triangles(data)[1]
     for asked in (True, "group"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import subprocess
 import sys
 
 import numpy as np
@@ -66,11 +65,15 @@ def test_files_are_written_in_parts(tmp_path) -> None:
 
 @pytest.fixture
 def mixed(make_dataset, monkeypatch):
-    """A dataset of two groups, one named by a number and one by a text. No pictures are drawn: they take long."""
+    """A dataset of two groups, one named by a number and one by a text, and by a column of whole numbers.
+
+    No pictures are drawn: they take long.
+    """
     monkeypatch.setattr(figures, "pictures", lambda _: [])
-    made = make_dataset(contrasts=(0.1, 0.4), repeats=2, experiment={"group_by": ["camera", "size_mrad"]})
+    group_by = ["camera", "size_mrad", "polarity"]
+    made = make_dataset(contrasts=(0.1, 0.4), repeats=2, experiment={"group_by": group_by})
     for number, row in enumerate(made.rows):
-        row |= {"camera": "7" if number % 2 else "left", "trial": f"t{number}"}
+        row |= {"camera": "7" if number % 2 else "left", "polarity": "1", "trial": f"t{number}"}
     made.save()
     return made.path
 
@@ -102,19 +105,6 @@ def test_what_has_no_value_is_null_in_parquet() -> None:
     assert [str(one) for one in found.schema.types] == ["string", "int64", "double"]
     assert found.to_pydict() == VALUES | {"value": [0.1, 1e-300, None, -0.0, 2.0]}
     assert np.signbit(found["value"].to_pylist()[3])
-
-
-@pytest.mark.slow
-def test_parquet_is_written_without_pandas(mixed, tmp_path) -> None:
-    """Pandas takes a second to load, and nothing of it is needed."""
-    pytest.importorskip("pyarrow.parquet", reason="Parquet needs pyarrow, of the parquet extra")
-    script = (
-        "import sys, todframes as tod; tod.score(sys.argv[1], fit=tod.FitSettings(resamples=0)).save(sys.argv[2]);"
-        "print('pandas' in sys.modules)"
-    )
-    command = [sys.executable, "-c", script, str(mixed), str(tmp_path / "out")]
-    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "False\n"
-    assert (tmp_path / "out" / "scores.parquet").stat().st_size
 
 
 @pytest.mark.usefixtures("blank_pictures")

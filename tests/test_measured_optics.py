@@ -14,8 +14,9 @@ from scipy.signal import fftconvolve
 import sensor_sim as ss
 from sensor_sim import cli
 from sensor_sim.chain.sampling import TriangleSampler, sample_image
-from sensor_sim.chain.sensor import sensor_toml
+from sensor_sim.chain.sensor import sensor_settings, sensor_toml
 from sensor_sim.chain.transfer import aperture_mtf, motion_mtf, obscured_mtf, optics_mtf
+from sensor_sim.thresholds.matched import matched_settings
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.stimulus import ORIENTATIONS, coverage
@@ -254,7 +255,7 @@ WRONG_TABLES = {
     "outside": (GOOD, 'mtf = "../mtf.csv"', "mtf: ../mtf.csv lies outside"),
     "too fine": ([(0.0, 1.0), (3e8, 0.0)], 'mtf = "mtf.csv"', "mtf.csv passes .* cycles per detector, expected"),
     "no unit": ([(0.0, 1.0), (1e300, 0.0)], 'mtf = "mtf.csv"', "ends at a frequency of 1e.300, expected 1e-09"),
-    "a number": (GOOD, "mtf = 3", "mtf: found 3, expected the name of a file"),
+    "a number": (GOOD, "mtf = 3", "mtf: found 3, expected text"),
     "psf without pitch": (GOOD, 'psf = "psf.tif"', "psf: expected it with psf_pitch_um or psf_pitch_mrad"),
     "no focal length": (GOOD, 'psf = "psf.tif"\npsf_pitch_um = 1.0', "psf_pitch_um needs it for its angle"),
     "too much": (GOOD, "obscuration_ratio = 1.0", r"obscuration_ratio: found 1\.0"),
@@ -345,3 +346,43 @@ def test_sweeps_vary_what_a_file_has(tmp_path):
     write_table(tmp_path, GOOD)
     with pytest.raises(SettingsError, match=r"unknown key 'optics\.blur_sigma_mrad'"):
         ss.sweep(measured, size_detectors=[6], vary={"optics.blur_sigma_mrad": [0.0, 0.1]})
+
+
+def test_measured_optics_need_an_aperture_for_their_light_alone(tmp_path):
+    f = np.linspace(0.0, 30.0, 61)
+    gaussian = np.exp(-2.0 * (np.pi * 0.03 * f) ** 2)
+    write_table(tmp_path, list(zip(f.tolist(), gaussian.tolist(), strict=True)))
+    path = sensor_file(tmp_path, 'mtf = "mtf.csv"')
+    given = ss.load_sensor(path)
+    path.write_text(re.sub(r"(aperture_mm|wavelength_um) = .*\n", "", path.read_text()))
+    without = ss.load_sensor(path)
+    assert sensor_settings(given) == sensor_settings(without)
+    thresholds = [
+        ss.curve(one, size_detectors=[6], tolerance=0.1).thresholds[0].threshold for one in (given, without)
+    ]
+    assert thresholds[0] == thresholds[1] > 0.0
+    # The optics that `informative` knows are those of the table: a Gaussian of 0.03 mrad in the scene.
+    assert matched_settings(without).presample_blur_mrad == pytest.approx(0.03 * without.magnification, rel=1e-3)
+    coupled = replace(given, noise=replace(given.noise, couple_netd=True))
+    assert "aperture_mm" in sensor_settings(coupled)["optics"]
+    camera = {"photons": ss.PhotonNoise(dark_noise_electrons=5.0, exposure_ms=10.0, quantum_efficiency=0.5)}
+    for optics, missing in (({}, "aperture_mm"), ({"aperture_mm": 10.0}, "wavelength_um")):
+        optics = replace(without.optics, focal_length_mm=50.0, **optics)
+        with pytest.raises(SettingsError, match=f"^optics.{missing} is missing: "):
+            replace(without, optics=optics, scene=ss.Scene(luminance_cd_m2=10.0), **camera)
+
+
+@pytest.mark.parametrize("key", ["aperture_mm", "wavelength_um"])
+def test_modelled_optics_need_aperture_and_wavelength(key):
+    with pytest.raises(SettingsError, match=f"^{key} is missing$"):
+        ss.Optics(**({"aperture_mm": 10.0, "wavelength_um": 1.0} | {key: None}))
+
+
+def test_a_sweep_of_an_aperture_behind_a_measured_mtf_needs_the_coupled_netd(tmp_path):
+    write_table(tmp_path, [(0.0, 1.0), (20.0, 0.4), (40.0, 0.01)])
+    sensor = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"'))
+    asked = {"size_detectors": [6], "vary": {"optics.aperture_mm": [110.0, 220.0]}, "tolerance": 0.1}
+    with pytest.raises(SettingsError, match=r"unknown key 'optics\.aperture_mm'"):
+        ss.sweep(sensor, **asked)
+    small, large = (row["delta_t_mk"] for row in ss.sweep(sensor, couple_netd=True, **asked).records())
+    assert small == pytest.approx(4.0 * large, rel=1e-12)  # NETD ∝ f-number²

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import inspect
 import re
+import tomllib
 from dataclasses import fields
 
 import pytest
 
 import sensor_sim as ss
+import todframes as tod
 from sensor_sim import cli
 from sensor_sim.chain.sensor import EXPLAINED, NOISE_MODELS, TABLES
 from todframes.base.errors import DataError, SettingsError
 from todframes.cli.console import run
+from todframes.display.display_files import find_display
 from todframes.recordings.emva_xml import emva_xml
 
 
@@ -36,6 +40,13 @@ def test_a_thermal_camera(tmp_path, capsys):
     assert [record["netd_mk"] for record in swept.records()] == pytest.approx([50.0, 50.0 * 1.1**2])
     own = ss.sweep(sensor, size_detectors=[8], vary={"noise.netd_mk": [40.0, 60.0]}, tolerance=0.1)
     assert own.settings["couple_netd"] is False
+
+
+def test_a_detector_is_shown_at_the_angle_of_a_pixel_that_import_writes():
+    text = ss.new_sensor(preset="boson", focal_length_mm=14)
+    display = ss.SensorDisplay(**tomllib.loads(text)["display"])
+    of_import = inspect.signature(tod.import_recordings).parameters["display"].default
+    assert display.detector_pitch_mrad == pytest.approx(find_display(of_import).display.pitch_mrad, rel=1e-6)
 
 
 def test_results_of_emva_1288(tmp_path):

@@ -92,10 +92,10 @@ def test_every_command_takes_every_observer(name: str, make_dataset, tmp_path: P
             "display_blur=1",
             "unknown key 'display_blur'; the nearest valid one is 'display_blur_mrad'",
         ),
-        ("informative", "informative_share=2", "informative_share: found 2.0, expected a number from 0.001 to 1"),
+        ("informative", "informative_share=2", "informative_share: found 2, expected a number from 0.001 to 1"),
         ("oriented", "orientation=8", "unknown key 'orientation'; the nearest valid one is 'orientations'"),
         ("oriented", "orientations=5", "orientations: found 5, expected an even number from 2 to 32"),
-        ("oriented", "phases=evn", "phases: found 'evn' (expected one of both, even, odd)"),
+        ("oriented", "phases=evn", "phases: found 'evn', expected one of both, even, odd"),
         (
             "csf",
             "retina_pitch_mrad=0.3",

@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from people_tasks import activity_of, detection_d_prime
 
 from todframes.base.reading import read_toml
 from todframes.observers.csf import contrast_sensitivity, oblique_effect
 from todframes.observers.interface import settings_file
 from todframes.observers.pyramid import PyramidObserver
-from todframes.studies.people.tasks import activity_of, detection_d_prime
 
 pytestmark = pytest.mark.oracle
 

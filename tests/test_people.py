@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from people_tasks import activity_of, detection_d_prime, identification_threshold, landolt_ring, people_acuity
 
 from todframes.base.errors import SettingsError
 from todframes.observers.csf import CsfObserver
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import ORIENTATIONS, coverage
-from todframes.studies.people.rings import landolt_ring, people_acuity
-from todframes.studies.people.tasks import activity_of, detection_d_prime, identification_threshold
 
 MRAD_PER_DEG = 17.453293
 

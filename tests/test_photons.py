@@ -212,6 +212,16 @@ def test_curves_at_several_lights_are_those_of_each_light(tmp_path):
     assert dim.fits[0].threshold / dim.fits[1].threshold == pytest.approx(2.0, rel=0.05)
 
 
+def test_a_plan_that_leaves_out_too_much_at_another_light_is_not_used_there(tmp_path):
+    """With the plan of 0.1 cd/m² the error at 3 cd/m² would be 0.9 %."""
+    lights, common = [0.01, 0.1, 3.0], {"size_detectors": [6], "tolerance": 2e-3, "examples": False}
+    found = ss.curve(camera(tmp_path), luminance_cd_m2=lights, **common)
+    assert all(one.threshold_numerical_error <= 2e-3 * one.threshold for one in found.fits)
+    (alone,) = ss.curve(camera(tmp_path), luminance_cd_m2=lights[2:], **common | {"tolerance": 5e-4}).fits
+    error = found.fits[2].threshold_numerical_error + alone.threshold_numerical_error
+    assert abs(found.fits[2].threshold - alone.threshold) < error
+
+
 def test_lights_are_named_with_their_unit():
     assert column_heading("luminance_cd_m2") == "luminance (cd/m²)"
     assert group_phrase({"luminance_cd_m2": 0.1, "size_detectors": 5.0}) == "0.1 cd/m², 5 detectors"
@@ -220,8 +230,9 @@ def test_lights_are_named_with_their_unit():
 
 def test_pixels_that_saturate_show_no_more_contrast(tmp_path):
     sensor = camera(tmp_path, ("full_well_electrons = 10000.0", "full_well_electrons = 45.0"))
-    (fit,) = ss.curve(sensor, size_detectors=[3], tolerance=0.02, examples=False).fits
-    assert (fit.status, fit.threshold) == ("never_reached", None)
+    result = ss.curve(sensor, size_detectors=[3], tolerance=0.02, examples=False)
+    assert (result.fits[0].status, result.fits[0].threshold) == ("never_reached", None)
+    assert "more contrast than the pixels can show before they saturate" in result.warnings[0].message
 
 
 WRONG = {
@@ -254,7 +265,7 @@ WRONG = {
         "luminance_cd_m2 = 1e12\nphotons_per_lux_s_um2 = 1e9\n[noise]",
         "gives .* electrons in a pixel, .* expected at most 1e.12 together",
     ),
-    "another model": ('"photon"', '"emva"', "model: found 'emva', expected one of photon"),
+    "another model": ('"photon"', '"emva"', "model: found 'emva', expected photon"),
     "a key of the other model": ("bits = 12", "netd_mk = 12.0", "unknown key 'netd_mk'; the nearest valid one is"),
     "bits without gain": ("system_gain_dn_per_electron = 0.4", "", "system_gain_dn_per_electron is missing: bits"),
     "a scene without photons": ('model = "photon"', "#", "unknown key"),

@@ -211,6 +211,7 @@ class LopsidedObserver:
     def __init__(self, position_jitter_samples: float) -> None:
         self.position_jitter_samples = position_jitter_samples
         self.pyramid = PyramidObserver()
+        self.grid = self.pyramid.grid
 
     def readout(self, stimulus: Stimulus) -> Readout:
         readout = self.pyramid.readout(stimulus)
@@ -240,6 +241,32 @@ def test_observer_that_is_not_symmetric_sees_all_orientations(jitter, observer):
     error = literal.std(ddof=1) / math.sqrt(len(literal))
     assert abs(chain.proportion_correct(phases, 2.0) - literal.mean()) < 4 * error
     assert len(FoldedChain(SMOOTHED, observer, 3.0).orientations) == 1
+
+
+@pytest.mark.parametrize("blur_sigma_px", [0.0, 3.0])
+def test_detectors_that_the_plan_leaves_out_of_a_wide_blur_weigh_nothing(blur_sigma_px, observer):
+    sensor = replace(
+        UNDER_SAMPLED,
+        optics=replace(UNDER_SAMPLED.optics, blur_sigma_mrad=16.0),
+        display=replace(UNDER_SAMPLED.display, blur_sigma_px=blur_sigma_px),
+    )
+    whole, plan = field_detectors(sensor, 3.0), full_plan(sensor, observer.with_extra_level(), 3.0)
+    readout = plan.observer.readout(Stimulus(3.0 * sensor.display.detector_pitch_mrad))
+    wide = replace(plan, field=whole).folding(sensor, readout, 3.0)
+    weights = wide.weights(np.array([-0.5, 0.5]), np.array([0.5, -0.5])).reshape(-1, whole, whole)
+    margin = (whole - plan.field) // 2
+    assert margin > 40
+    weights[:, margin:-margin, margin:-margin] = 0.0
+    assert not weights.any()
+
+
+@pytest.mark.parametrize("size", [1.0, 2.0, 6.0])
+def test_a_spot_of_100_detectors_points_nowhere(size, observer):
+    optics = replace(UNDER_SAMPLED.optics, blur_sigma_mrad=100.0 * 0.2)
+    sensor = replace(UNDER_SAMPLED, optics=optics, display=display(4, 500.0))
+    found = predict_threshold(FoldedChain(sensor, observer, size))
+    # A spot of this width has the same score for all orientations: answers are right by chance.
+    assert found.status == "never_reached" and found.highest == pytest.approx(0.25, abs=1e-3)
 
 
 class MirroredObserver(LopsidedObserver):
@@ -459,8 +486,11 @@ def test_same_seed_same_threshold_other_seed_another(observer):
     assert abs(other.threshold - first.threshold) < 2 * error
 
 
-def test_points_lie_about_the_threshold_and_pass_the_criterion(observer):
-    found = predict_threshold(FoldedChain(UNDER_SAMPLED, observer, 4.0), p_correct=0.7, tolerance=2e-3)
+@pytest.mark.parametrize("level", ["snr", "contrast"])
+def test_points_lie_about_the_threshold_and_pass_the_criterion(level, observer):
+    found = predict_threshold(
+        FoldedChain(UNDER_SAMPLED, observer, 4.0), p_correct=0.7, tolerance=2e-3, level=level
+    )
     levels, proportions = np.transpose(found.points)
     assert levels[0] < found.threshold < levels[-1]
     assert np.all(np.diff(levels) > 0) and np.all(np.diff(proportions) > 0)
@@ -480,7 +510,7 @@ def test_threshold_rises_with_the_criterion(observer):
 
 @pytest.mark.parametrize("tolerance", [0.0, -1e-3, math.nan])
 def test_tolerance_that_is_no_positive_number(tolerance, observer):
-    with pytest.raises(SettingsError, match=r"^tolerance: found .*, expected a number > 0"):
+    with pytest.raises(SettingsError, match=r"^tolerance: found .*, expected a finite number > 0"):
         predict_threshold(FoldedChain(UNDER_SAMPLED, observer, 2.0), tolerance=tolerance)
 
 

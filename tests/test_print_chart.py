@@ -179,7 +179,7 @@ REFUSED = {
         "--sizes-mrad=8",
     ): "8 mrad at 10 m are 80 mm, and with the background that the observer needs 400 mm",
     ("print", "--sizes-mrad=0.1"): "0.1 mrad at 10 m are 1 mm, in which the printer's dots show",
-    ("print", "--paper=9000,9000"): "paper_width_mm: found 9000.0",
+    ("print", "--paper=9000,9000"): "--paper: found 9000.0",
     ("print", "--margin-mm=nan"): "--margin-mm: found nan",
     ("print", "--paper=A9"): "--paper: found 'A9', expected A4, A3, A2, A1, A0, or WIDTH,HEIGHT",
     ("print", "--paper=60,60"): "found 60 × 60, too small for markers of 4.8 mm",

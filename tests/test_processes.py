@@ -1,9 +1,10 @@
-"""The engine of processes: all results, errors in the client, and a process that dies costs its own item alone."""
+"""The engine of processes: all results, errors in the client, and a process that dies ends the run."""
 
 from __future__ import annotations
 
 import itertools
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -21,7 +22,6 @@ import pytest
 from todframes.base.errors import DataError, SettingsError, TodframesError
 from todframes.jobs.engine import open_engine
 from todframes.jobs.processes import ProcessEngine
-from todframes.jobs.work import Lost
 
 pytestmark = pytest.mark.slow  # each process imports Python anew
 
@@ -43,8 +43,8 @@ class Squares:
 
         return square
 
-    def lost(self, item: int) -> DataError:
-        return DataError(f"{item}: its process died")
+    def name(self, item: object) -> str:
+        return f"number {item}"
 
 
 class Naps(Squares):
@@ -84,14 +84,14 @@ def test_all_items_have_their_results(engine: ProcessEngine, n: int) -> None:
     assert results(engine, Squares(), range(n)) == {item: item * item for item in range(n)}
 
 
-@pytest.mark.parametrize("deadly", [{13}, {0, 999}])
-def test_items_that_kill_their_process_are_lost_alone(engine: ProcessEngine, deadly: set[int]) -> None:
-    found = results(engine, Squares(deadly=frozenset(deadly)), range(1000))
-    lost = {item: str(one.error) for item, one in found.items() if isinstance(one, Lost)}
-    assert lost == {item: f"{item}: its process died" for item in deadly}
-    assert {item: one for item, one in found.items() if item not in deadly} == {
-        item: item * item for item in range(1000) if item not in deadly
-    }
+@pytest.mark.parametrize("deadly", [0, 13, 999])
+def test_a_process_that_dies_ends_the_run_with_the_name_of_the_batch(engine: ProcessEngine, deadly: int) -> None:
+    """The first item too: its process has started."""
+    with pytest.raises(TodframesError, match=r"^workers: a process died at ") as raised:
+        results(engine, Squares(deadly=frozenset({deadly})), range(1000))
+    first, *_, last = map(int, re.findall("number ([0-9]+)", str(raised.value)) * 2)
+    assert min(first, last) <= deadly <= max(first, last)
+    assert results(engine, Squares(), range(50)) == {item: item * item for item in range(50)}
 
 
 def test_an_exception_of_the_work_ends_the_run(engine: ProcessEngine) -> None:
@@ -127,14 +127,13 @@ def test_a_work_that_cannot_be_loaded_is_one_line(engine: ProcessEngine) -> None
 SCRIPT = """
 import os, sys, time
 from todframes.base import signals
-from todframes.base.errors import DataError
 from todframes.jobs.engine import open_engine
 
 class Naps:
     def function(self):
         return time.sleep
-    def lost(self, item):
-        return DataError("lost")
+    def name(self, item):
+        return str(item)
 
 def main():
     try:

@@ -88,6 +88,10 @@ def test_search_takes_time() -> None:
     assert at(acquired(target=replace(NATO, search_time_s=1e5))) == pytest.approx(at(acquired()), rel=1e-9)
     hasty = acquired(target=replace(NATO, search_time_s=1.0))  # at most 1 − exp(−1/3.4) = 0.25
     assert {one.status for one in hasty.ranges} == {"never_reached"}
+    # 3.4 ln 2 = 2.36 s
+    assert range_words(hasty.ranges[0]).endswith(
+        "it takes a search of more than 2.4 s, however near; allow more time"
+    )
     half = acquired(target=replace(NATO, search_time_s=5.0)).ranges[0]
     line_pairs = (math.log(2.0 / A_K) / half.range_km - SIGMA_PER_KM) * 2.3  # the closed form, backwards
     assert with_search(transfer_probability(line_pairs), 5.0) == pytest.approx(0.5, rel=1e-9)
@@ -106,7 +110,7 @@ def test_tod_needs_a_triangle_of_size_over_k() -> None:
     curve = exponential(pattern="triangle", p_correct=0.75)
     found = acquired(curve, replace(NATO, k={"seen": 3.0}))
     assert at(found, 0.75) == {"seen": pytest.approx(3.0612, abs=1e-4)}
-    k, value, _ = found.against_k()[0]
+    k, value = found.against_k()[0].k, found.against_k()[0].range_km
     assert value == pytest.approx(math.log(100.0) / (SIGMA_PER_KM + B_MRAD * k / 2.3), rel=1e-9)
     bars = acquired(curve, replace(NATO, cycles_per_size=1.0))  # f = 1/S: the same equation with line pairs
     assert at(bars) == pytest.approx(at(acquired()), rel=1e-12)
@@ -183,16 +187,17 @@ def test_what_limits_is_the_change_of_range() -> None:
             acquired(target=replace(NATO, size_m=2.3 * (1.0 + step))),
             acquired(air=tod.Atmosphere(extinction_per_km=SIGMA_PER_KM * (1.0 - step))),
         )
-        for gain, other in zip(one.gains, changed, strict=True):
+        gains = (one.gain_contrast_percent, one.gain_resolution_percent, one.gain_air_percent)
+        for gain, other in zip(gains, changed, strict=True):
             # Second order in the step: 1 % of the gain, times at most 2.
-            assert at(other)[one.task] / one.range_km - 1.0 == pytest.approx(step * gain / 0.1, rel=0.02)
-        assert one.gains.limit == "resolution"
-    assert acquired(air=tod.Atmosphere(extinction_per_km=5.0)).ranges[0].gains.limit == "air"
+            assert at(other)[one.task] / one.range_km - 1.0 == pytest.approx(step * gain / 10.0, rel=0.02)
+        assert one.limited_by == "resolution"
+    assert acquired(air=tod.Atmosphere(extinction_per_km=5.0)).ranges[0].limited_by == "air"
     faint = exponential(threshold=A_K * np.linspace(1.0, 1.5, 6))
     assert (
         acquired(faint, replace(NATO, delta_t_k=0.025), tod.Atmosphere(extinction_per_km=1e-3))
         .ranges[0]
-        .gains.limit
+        .limited_by
         == "contrast"
     )
 
@@ -231,8 +236,34 @@ def test_no_range_is_extrapolated() -> None:
     near = acquired(exponential([4.0, 12.0]), air=tod.Atmosphere(extinction_per_km=1.0)).ranges[0]
     assert (near.status, near.at_most_km) == ("nearer_than_curve", pytest.approx(9.2, rel=1e-12))
     air = tod.Atmosphere(range_km=(1.0, 2.0), transmission=(0.8, 0.64))
-    assert acquired(air=air).ranges[0][6:8] == ("beyond_air_table", pytest.approx(2.0, rel=1e-12))
+    beyond = acquired(air=air).ranges[0]
+    assert (beyond.status, beyond.at_least_km) == ("beyond_air_table", pytest.approx(2.0, rel=1e-12))
     assert set(short.curves[0].bound) == {1.0}
+
+
+@pytest.mark.parametrize(
+    ("threshold_k", "status", "least_km", "most_km"),
+    [
+        (1.27, "beyond_air_table", 2.0, math.nan),
+        (1.29, "nearer_than_curve", math.nan, 9.2),
+        (2.1, "never_reached", math.nan, math.nan),
+    ],
+)
+def test_air_that_ends_before_the_curve_begins(threshold_k, status, least_km, most_km) -> None:
+    """The curve begins at 4 cycles/mrad · 2.3 m = 9.2 km; 2 K · 0.64 = 1.28 K arrive where the air ends."""
+    air = tod.Atmosphere(range_km=(1.0, 2.0), transmission=(0.8, 0.64))
+    one = acquired(exponential([4.0, 12.0], threshold=np.array([threshold_k, 5.0])), air=air).ranges[0]
+    assert one.status == status
+    bounds = np.array([one.at_least_km, one.at_most_km], np.float64)
+    assert bounds == pytest.approx(np.array([least_km, most_km]), rel=1e-12, nan_ok=True)
+
+
+def test_a_tod_whose_criterion_is_unknown_has_no_nan(tmp_path, air, capsys) -> None:
+    path = tmp_path / "tod.csv"
+    path.write_text("size_mrad,delta_t_k\n4,0.02\n2,0.05\n1,0.2\n")
+    assert run(cli, ["range", str(path), "--target", "nato", "--atmosphere", str(air), "--k", "3"]) == 0
+    shown = capsys.readouterr().out
+    assert "nan" not in shown and "At the criterion, k 3: " in shown
 
 
 def test_a_curve_that_falls_counts_as_level() -> None:
@@ -547,7 +578,10 @@ def test_targets_that_are_none(changes, message) -> None:
             {"range_km": (1.0, 5.0), "transmission": (0.5, 0.7)},
             "grows from 0.5 at 1 km to 0.7 at 5 km, expected it",
         ),
-        ({"range_km": (1000.0, 5000.0), "transmission": (0.5, 0.3)}, "rising ranges above 0 and up to 1000 km"),
+        (
+            {"range_km": (1000.0, 5000.0), "transmission": (0.5, 0.3)},
+            r"range_km\[1\]: found 5000.0, expected a number > 0 and <= 1000",
+        ),
         ({"transmission": (0.5,)}, "range_km: is missing"),
         ({"visibility_km": 5.0, "relative_humidity": 0.5}, "air_temperature_c: is missing"),
         ({"visibility_km": 5.0, "extinction_per_km": 0.5}, "found 2 descriptions of the air, expected one"),

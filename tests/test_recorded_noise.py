@@ -395,7 +395,8 @@ def test_the_command_prints_and_writes_the_same_numbers(tmp_path, capsys):
     assert printed["noise"] == expected["noise"]
     assert printed["noise"]["parts"]["tvh"]["sd_mk"] == pytest.approx(10 * called.measured.parts["tvh"].sd)
     assert [one["frames"] for one in printed["noise"]["snr"]] == [1, 5]
-    names = {"noise.csv", "snr.csv", "noise.png", "sensor_noise.toml", "result.json"}
+    names = {"noise.csv", "snr.csv", "sensor_noise.toml", "result.json", "report.html"}
+    names |= {"noise.png", "frame_means.png", "mean.png", "temporal_sd.png"}
     assert {one.name for one in (tmp_path / "out").iterdir()} == names
     assert (tmp_path / "out" / "sensor_noise.toml").read_text() == called.sensor_toml()
     status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *options, "--sensor")
@@ -410,13 +411,13 @@ def test_a_folder_of_radiometric_files_has_their_scale(tmp_path):
     for name in ("a.fff", "b.fff", ".hidden"):
         (tmp_path / name).write_bytes((REAL / "frame_000000.fff").read_bytes())
     two = tod.noise(tmp_path)
-    assert two.mk_per_unit == pytest.approx(one.mk_per_unit)
+    assert two.noise.mk_per_unit == pytest.approx(one.noise.mk_per_unit)
     assert [warning.code for warning in two.warnings] == ["times_not_used", "doubled_frames", "quantised"]
     data = bytearray((REAL / "frame_000000.fff").read_bytes())
     place = data.index(struct.pack("<f", 364058.0))  # R1 of the file's constants
     data[place : place + 4] = bytes(4)
     (tmp_path / "c.fff").write_bytes(data)
-    assert tod.noise(tmp_path / "c.fff").mk_per_unit is None
+    assert tod.noise(tmp_path / "c.fff").noise.mk_per_unit is None
 
 
 def test_a_real_thermal_frame_is_measured_in_mk(capsys):
@@ -431,13 +432,13 @@ def test_a_real_thermal_frame_is_measured_in_mk(capsys):
     argument = 364058 / radiance + 1
     kelvin = 1428 / math.log(argument)
     slope = kelvin**2 * 364058 / radiance**2 / argument / 1428 / 0.93994
-    assert found.mk_per_unit == pytest.approx(1000 * slope, rel=0.01)
+    assert found.noise.mk_per_unit == pytest.approx(1000 * slope, rel=0.01)
 
 
 @pytest.mark.parametrize(
     ("options", "status", "message"),
     [
-        (["--region", "1,2,3"], 2, "--region: found '1,2,3', expected X,Y,W,H: four whole numbers of pixels"),
+        (["--region", "1,2,3"], 2, "--region: found '1,2,3', expected whole numbers as X,Y,W,H"),
         (["--mk-per-count", "0"], 2, "--mk-per-count: found 0.0, expected a finite number > 0"),
         (["--patch", "1,2,3,4=a"], 2, "--patch: found '1,2,3,4=a', expected X,Y,W,H=LEVEL"),
         (["--patch", "1,2,3=4"], 2, "--patch: found '1,2,3=4', expected X,Y,W,H=LEVEL"),

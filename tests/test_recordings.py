@@ -14,13 +14,16 @@ import zlib
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from fractions import Fraction
+from functools import partial
 from importlib.metadata import requires
 from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+import tifffile
 from jpeg_ls import encoded as standard_jpeg_ls
+from PIL import Image
 
 import todframes as tod
 from todframes.base.errors import DataError
@@ -136,8 +139,9 @@ def test_a_folder_is_one_sequence_in_natural_order(tmp_path):
 
 
 def test_natural_order_of_names_with_and_without_numbers():
-    names = ["b1", "a10", "a9x", "a", "a09", "1"]
-    assert [str(one) for one in natural_order(map(Path, names))] == ["1", "a", "a09", "a9x", "a10", "b1"]
+    names = ["b1", "a10", "a9x", "a", "a9", "a09", "1"]
+    assert natural_order(names) == ["1", "a", "a09", "a9", "a9x", "a10", "b1"]
+    assert natural_order(map(Path, names)) == list(map(Path, natural_order(names)))
 
 
 @pytest.mark.parametrize(
@@ -154,11 +158,108 @@ def test_the_frame_rate_comes_from_the_file(tmp_path, name, attribute, rate):
     assert open_recordings(tmp_path / name, frames_per_second=60)[0].frames_per_second == 60
 
 
-def test_jpeg_is_read_with_a_warning_of_its_cost(tmp_path):
-    write_image(tmp_path / "a.jpg", np.full((16, 16, 3), 77, np.uint8))
-    (recording,) = open_recordings(tmp_path / "a.jpg")
-    assert [one.code for one in recording.warnings] == ["lossy_compression"]
-    assert next(recording.frames()).values.shape == (16, 16, 3)
+def dpx(path, values, bits, *, packing, order=">", orientation=0, aspect=(1, 1), n_user=0):
+    """Write one channel by hand, from the tables of SMPTE 268M; 12 bits fill words of 16 from either end."""
+    rows, columns = values.shape
+    words = values << (4 if bits == 12 and packing == 1 else 0)
+    data = words.astype(order + ("u1" if bits == 8 else "u2")).tobytes()
+    head = bytearray(b"\xff" * 2048)
+    image = (orientation, 1, columns, rows, 0, 0, 0.0, 2**bits - 1, 1.0, 6, 2, 2, bits, packing, 0, 2048, 0, 0)
+    struct.pack_into(f"{order}4sI8s5I", head, 0, b"SDPX", 2048, b"V1.0", 2048 + len(data), 1, 1664, 384, n_user)
+    head[:4] = b"SDPX" if order == ">" else b"XPDS"
+    struct.pack_into(f"{order}HHII IIfIf4BHHIII", head, 768, *image)
+    struct.pack_into(f"{order}2I", head, 1628, *aspect)
+    path.write_bytes(bytes(head) + data)
+
+
+EIGHT, RGBA = np.arange(256, dtype=np.uint8).reshape(16, 16), RNG.integers(0, 256, (16, 16, 4)).astype(np.uint8)
+TWELVE, SIXTEEN = np.arange(4096).reshape(64, 64), (16 * np.arange(4096) + 5).astype(np.uint16).reshape(64, 64)
+SIGNED, LONG = (SIXTEEN - 2**15).astype(np.int16), RNG.normal(size=(4, 5))
+
+OTHERS = {
+    "8 bits, 0 is white": (lambda p: tifffile.imwrite(p, EIGHT, photometric="miniswhite"), 255 - EIGHT),
+    "big-endian": (lambda p: tifffile.imwrite(p, SIXTEEN, byteorder=">"), SIXTEEN),
+    "in planes": (
+        lambda p: tifffile.imwrite(
+            p, np.moveaxis(RGBA[..., :3], 2, 0), photometric="rgb", planarconfig="separate"
+        ),
+        RGBA[..., :3],
+    ),
+    "in tiles": (lambda p: tifffile.imwrite(p, SIXTEEN, tile=(16, 16)), SIXTEEN),
+    "alpha beside colours": (
+        lambda p: tifffile.imwrite(p, RGBA, photometric="rgb", extrasamples=["unassalpha"]),
+        RGBA[..., :3],
+    ),
+    "signed": (lambda p: tifffile.imwrite(p, SIGNED), SIGNED.astype(np.float32)),
+    "64 bits": (lambda p: tifffile.imwrite(p, LONG), LONG.astype(np.float32)),
+    "JPEG 2000 with alpha": (lambda p: Image.fromarray(RGBA).save(p, "JPEG2000"), RGBA[..., :3]),
+    "DPX of 8 bits": (lambda p: dpx(p, EIGHT, 8, packing=0), EIGHT),
+    "DPX of 16 bits": (lambda p: dpx(p, SIXTEEN, 16, packing=0, order="<"), SIXTEEN),
+} | {
+    f"DPX of 12 bits, filled {packing} {order}": (
+        partial(dpx, values=TWELVE, bits=12, packing=packing, order=order),
+        TWELVE,
+    )
+    for packing in (1, 2)
+    for order in "<>"
+}
+
+
+@pytest.mark.parametrize("case", OTHERS)
+def test_files_by_other_writers_have_the_values_that_were_written(tmp_path, case):
+    write, expected = OTHERS[case]
+    write(tmp_path / "a")
+    (found,) = values_of(tmp_path / "a")
+    np.testing.assert_array_equal(found, expected)
+    assert open_recordings(tmp_path / "a")[0].warnings == ()
+
+
+@pytest.mark.parametrize("values", [SIXTEEN, SIGNED, LONG.astype(np.float32)])
+def test_a_tiff_whose_white_is_0_is_refused_beyond_8_bits(tmp_path, values):
+    tifffile.imwrite(tmp_path / "a.tif", values, photometric="miniswhite")
+    bits = 8 * values.itemsize
+    with pytest.raises(
+        tod.DataError, match=rf"0 is white in this TIFF of {bits} bits \(MINISWHITE\), expected black"
+    ):
+        open_recordings(tmp_path / "a.tif")
+
+
+def turned_tiff(path):
+    tifffile.imwrite(path, EIGHT, extratags=[(274, "H", 1, 6, True)])
+
+
+STATED = {
+    "JPEG": (lambda p: Image.fromarray(EIGHT).save(p, "JPEG"), "lossy_compression", "^JPEG changes pixels"),
+    "JPEG in TIFF": (
+        lambda p: Image.fromarray(EIGHT).save(p, "TIFF", compression="jpeg"),
+        "lossy_compression",
+        "^TIFF by jpeg changes pixels",
+    ),
+    "irreversible": (
+        lambda p: Image.fromarray(EIGHT).save(p, "JPEG2000", irreversible=True),
+        "lossy_compression",
+        "^JPEG 2000 changes pixels",
+    ),
+    "turned": (turned_tiff, "metadata_ignored", r"orientation 6 \(turned or mirrored\), which is not used"),
+    "oblong": (
+        lambda p: tifffile.imwrite(p, EIGHT, resolution=(300, 150)),
+        "metadata_ignored",
+        "a pixel aspect ratio of (2|0.5), which is not used",
+    ),
+    "DPX": (
+        lambda p: dpx(p, EIGHT, 8, packing=0, orientation=1, aspect=(3, 2)),
+        "metadata_ignored",
+        r"orientation \d \(turned or mirrored\), a pixel aspect ratio of 1.5, which",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", STATED)
+def test_what_a_still_has_lost_or_states_in_vain_is_in_a_warning(tmp_path, case):
+    write, code, message = STATED[case]
+    write(tmp_path / "a")
+    (warning,) = open_recordings(tmp_path / "a")[0].warnings
+    assert warning.code == code and re.search(message, warning.message)
 
 
 def exif(moment, fraction):
@@ -217,6 +318,15 @@ def test_a_times_csv_gives_the_times_of_stills(tmp_path):
     assert [(one.time_s, one.source) for one in recording.frames()] == [
         *((0.0, "a1.png"), (0.04, "a2.png"), (0.48, "a10.png"))
     ]
+
+
+def linked_times(folder):
+    """A folder of a stranger whose times.csv is a link to a file outside of it."""
+    secret = write(folder / "secret.txt", b"password 1234\n")
+    (folder / "stills").mkdir()
+    with_times(folder / "stills", ["file,time_s"]).joinpath("times.csv").unlink()
+    (folder / "stills" / "times.csv").symlink_to(secret)
+    return folder / "stills"
 
 
 def dng(path, values, *, black, white, mosaic=True):
@@ -691,6 +801,10 @@ BAD = {
     "pickle": (lambda d: pickled(d / "a.npy"), "found values of type object, expected one of uint8"),
     "vector": (lambda d: write(d / "a.npy", npy_claiming((8,))), r"shape \(8,\), expected \(frames, rows"),
     "zip": (lambda d: write(d / "a.npz", b"PK\x03\x04abc"), "cannot be read as a NumPy array"),
+    "user data of dpx": (
+        lambda d: (dpx(d / "a.dpx", EIGHT, 8, packing=0, n_user=2**31), d / "a.dpx")[1],
+        "claims 2147483648 bytes of user data, expected at most 1048576",
+    ),
     "no raw": (lambda d: write(d / "a.dng", b"II*\0abcdefgh"), "cannot be read as camera raw"),
     "fff header": (lambda d: write(d / "a.fff", b"FFF\0abc"), "the header of the container is truncated"),
     "fff": (lambda d: write(d / "a.fff", fff(np.zeros((40, 50)))[:-7]), "reaches beyond the file: truncated"),
@@ -766,9 +880,17 @@ BAD = {
         lambda d: with_times(d, ["file,time_s", "a1.png,1", "a2.png,3", "a10.png,2"]),
         "times.csv: found 3 s for a2.png and 2 s for a10.png, expected later times in the order of the names",
     ),
+    "times without end": (
+        lambda d: with_times(d, ["file,time_s", "a1.png,-1e308", "a2.png,1e308"]),
+        r"times.csv, line 2: time_s: found -1e\+308 s, expected a time from -1e\+12 to 1e\+12 s",
+    ),
     "times that are no numbers": (
         lambda d: with_times(d, ["file,time_s", "a1.png,soon"]),
         "times.csv, line 2: time_s: found 'soon'",
+    ),
+    "times elsewhere": (
+        linked_times,
+        r"stills: times.csv lies outside of the dataset: it is \S+secret.txt, expected",
     ),
     "times beside arrays": (
         lambda d: (np.save(d / "a.npy", np.zeros((2, 4, 5))), with_times(d, ["file,time_s"], names=()))[1],
@@ -815,8 +937,9 @@ def test_bad_recordings_are_told_in_one_line(tmp_path, case):
 def test_no_paths_and_bad_rates_are_refused(tmp_path):
     with pytest.raises(tod.DataError, match="found no path"):
         open_recordings([])
-    with pytest.raises(tod.SettingsError, match="frames_per_second: found 0, expected a finite number > 0"):
-        open_recordings(tmp_path, frames_per_second=0)
+    for rate in (0, 1e308):
+        with pytest.raises(tod.SettingsError, match=r"frames_per_second: found .*, expected a number from 1e-09"):
+            open_recordings(tmp_path, frames_per_second=rate)
 
 
 @pytest.mark.parametrize(

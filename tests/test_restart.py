@@ -184,6 +184,26 @@ def test_compare_goes_on(todframes, make_dataset, tmp_path: Path) -> None:
         assert one["n_clipped"] == other["n_clipped"]
 
 
+@pytest.mark.slow
+def test_a_slow_algorithm_keeps_frame_after_frame(make_dataset, tmp_path: Path, monkeypatch) -> None:
+    """Without waiting for sixteen, and the message contradicts itself no more."""
+    monkeypatch.chdir(tmp_path)
+    code = (
+        "import time\ndef naps(image):\n    time.sleep(0.6)\n    open('calls', 'a').write('.')\n    return image\n"
+    )
+    Path("slow.py").write_text(code)
+    path, out = make_dataset(contrasts=(0.1, 0.2, 0.4), repeats=4, suffix=".png").path, tmp_path / "out"
+    command = [sys.executable, "-m", "todframes", "compare", path, "--enhance", "slow:naps", "-o", out]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    until_begun(out)
+    n_calls = len(Path("calls").read_text())
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert n_calls < 16
+    assert [line.partition(" ")[0] for line in err.splitlines()] == ["error:", "note:"]
+    assert "nothing" not in err
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_run_says_what_is_kept(make_dataset, tmp_path: Path, number: signal.Signals) -> None:
     path, out = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=60).path, tmp_path / "out"
@@ -193,7 +213,7 @@ def test_an_interrupted_run_says_what_is_kept(make_dataset, tmp_path: Path, numb
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert err.splitlines() == [
-        "error: interrupted, nothing was written",
+        "error: interrupted",
         f"note: what is finished is kept in {out}; the same command goes on where this one ended",
     ]
 

@@ -10,12 +10,15 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+import tifffile
+from PIL import Image
 
 import todframes as tod
-from todframes.backdrops.images import Encoder
+from todframes.backdrops.images import Encoder, decoded_images, open_scenes
 from todframes.backdrops.views import TURNS, balanced, own_orientation, plan, turned, turned_place
 from todframes.cli.console import run
 from todframes.cli.main import cli
+from todframes.display.display import Display, LuminanceTable
 from todframes.display.display_files import find_display
 from todframes.frames.position import candidate_places
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage
@@ -194,6 +197,25 @@ def test_the_same_seed_gives_the_same_dataset(folder: Path, tmp_path: Path, caps
     assert "8 frames with 2 scenes" in text.out and "note: 4 trials of each size and contrast are no" in text.err
 
 
+def test_a_name_that_a_spreadsheet_would_compute_is_a_text_in_the_manifest(folder: Path, tmp_path: Path) -> None:
+    (folder / "hills.png").rename(folder / "=cmd().png")
+    tod.scenes(folder / "=cmd().png", out=tmp_path / "out", size_mrad=[3], contrast=[0.3], trials=4, turns=1)
+    assert {row["scene"] for row in rows_of(tmp_path / "out")} == {"'=cmd()"}
+    assert tod.validate(tmp_path / "out").skipped == ()
+
+
+def test_a_lut_shows_code_values_as_they_are(tmp_path: Path) -> None:
+    """By hand: the table is linear, 10 + 50 (code − 1/8) cd/m² from 1/8 to 7/8; beyond, it shows its ends."""
+    lut = LuminanceTable(code_value=np.array([0.125, 0.875]), luminance_cd_m2=np.array([10.0, 47.5]))
+    display = Display(eotf="lut", lut=lut, pixel_pitch_mrad=PITCH_MRAD, background_luminance_cd_m2="surround")
+    np.save(tmp_path / "codes.npy", np.array([[0.05, 0.125, 0.235], [0.5, 0.875, 0.95]], np.float32))
+    (file,) = open_scenes(tmp_path / "codes.npy", value_range=(0.0, 1.0))
+    (image,) = decoded_images(file, display, frames=1)
+    # Codes are 32-bit floats: 6e-8 relative of 50 cd/m².
+    assert image.luminance_cd_m2 == pytest.approx(np.array([[10.0, 10.0, 15.5], [28.75, 47.5, 47.5]]), abs=1e-5)
+    assert image.at_end.tolist() == [[True, True, False], [False, True, True]]
+
+
 @pytest.fixture
 def hostile(tmp_path: Path) -> Path:
     """Images that no triangle can be placed on."""
@@ -261,7 +283,8 @@ def hostile(tmp_path: Path) -> Path:
         ("good.png", {"dim": 0.0}, "dim: found 0.0, expected more than 0"),
         ("good.png", {"value_range": (2.0, 1.0)}, "value_range: found 2:1, expected LOW:HIGH"),
         ("good.png", {"blur_px": -1.0}, "blur_px: found -1.0, expected 0 to 1000 pixels"),
-        ("good.png", {"frames": 0}, "frames: found 0, expected at least 1"),
+        ("good.png", {"frames": 0}, "frames: found 0, expected a whole number from 1 to 1000000"),
+        ("good.png", {"contrast": [0.1, 0.2], "trials": 10**8}, "trials: found 100000000, .* from 1 to 500000"),
         ("good.png", {"polarity": 2}, "polarity: found 2, expected 1 or -1"),
     ],
 )
@@ -306,6 +329,15 @@ def test_counts_without_a_range_are_remarked(tmp_path: Path) -> None:
     (note,) = tod.scenes(tmp_path / "counts.png", out=tmp_path / "a", **asked).notes
     assert re.search(r"spread over 1\.4 % of the range .* \(value_range\)", note)  # 0.02 · (0.9 − 0.2)
     assert tod.scenes(tmp_path / "counts.png", out=tmp_path / "b", **asked, value_range=(2600, 4000)).notes == ()
+
+
+def test_a_background_that_is_read_otherwise_than_it_says_is_remarked(tmp_path: Path) -> None:
+    image = np.uint8(255 * textured())
+    tifffile.imwrite(tmp_path / "turned.tif", image, extratags=[(274, "H", 1, 3, True)])
+    Image.fromarray(image).save(tmp_path / "lossy.jpg")
+    made = tod.scenes(tmp_path, out=tmp_path / "out", size_mrad=[3], contrast=[0.3], trials=4, turns=1)
+    (note,) = (one for one in made.notes if "balanced" not in one)
+    assert re.search(r"turned\.tif: the file states orientation 3 .*, which is not used", note)
 
 
 def test_two_files_of_one_name_are_refused(folder: Path, hostile: Path) -> None:

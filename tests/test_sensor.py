@@ -148,8 +148,8 @@ def test_an_unknown_key_names_the_nearest(tmp_path, table, line):
         ("schema = 1", "scheme = 1", r"unknown key 'scheme'; the nearest valid one is 'schema'$"),
         ("schema = 1", "schema = 2", r"schema: found 2, expected 1$"),
         ("schema = 1", "schema = true", r"schema: found True, expected 1$"),
-        ("schema = 1", "", r"schema: found nothing, expected 1$"),
-        ('name = "star-like"', "name = 3", r"name: found 3, expected a text$"),
+        ("schema = 1", "", r"schema: found None, expected 1$"),
+        ('name = "star-like"', "name = 3", r"name: found 3, expected text$"),
         ('name = "star-like"', "optics = 3", r"not valid TOML"),
         ('"uniform"', '"triangular"', r"\[noise\]: distribution: found 'triangular'"),
         (
@@ -179,7 +179,7 @@ def test_a_missing_table_is_named(tmp_path, table):
 
 def test_a_key_in_place_of_a_table_is_named(tmp_path):
     text = STAR.replace("[electronics]\nblur_sigma_px = 0.0\n", "")
-    with pytest.raises(SettingsError, match=r"electronics: found 2, expected a table \[electronics\]$"):
+    with pytest.raises(SettingsError, match=r"electronics: found 2, expected a table$"):
         load(tmp_path, "electronics = 2\n" + text)
 
 

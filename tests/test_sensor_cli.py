@@ -16,14 +16,20 @@ import pytest
 from sensor_sim import curve as compute_curve
 from sensor_sim import mtf
 from sensor_sim import simulate as simulate_dataset
+from sensor_sim.chain.sampling import field_sampler
 from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.cli import cli
+from sensor_sim.thresholds.predict import FoldedChain
+from sensor_sim.thresholds.sizes import LADDER_DETECTORS
 from todframes import __version__
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli as todframes_cli
-from todframes.cli.options import numbers
+from todframes.cli.options import parts
+from todframes.cli.signature import Value
 from todframes.frames.files import read_header
+from todframes.observers.pyramid import PyramidObserver
+from todframes.parameters import Form
 
 BAD_DATA, BAD_SETTINGS = 1, 2
 
@@ -161,7 +167,8 @@ def test_remark_on_clipping_can_be_silenced(sensor_sim, sensor_file):
 
 def test_curve_as_json(sensor_sim, sensor_file):
     status, out, errors = sensor_sim(*curve(sensor_file, "--size-detectors", "1,4,8", "--json", "--seed", "3"))
-    assert (status, errors) == (0, [])
+    assert (status, len(errors)) == (0, 1)
+    assert errors[0].startswith("warning: 75 % correct is never reached at 1 detectors: ")
     result = json.loads(out)
     assert {"schema", "command", "version", "settings", "seed", "fits", "skipped", "run_time_s"} <= set(result)
     assert (result["schema"], result["command"], result["seed"], result["skipped"]) == (1, "curve", 3, [])
@@ -216,10 +223,72 @@ def test_curve_shows_a_table(sensor_sim, sensor_file):
 
 
 def test_curve_of_a_triangle_that_no_detector_sees(sensor_sim, sensor_file):
-    """The detectors' noise has no part in any score then; a warning would be an error here."""
+    """The detectors' noise has no part in any score then; a warning of Python would be an error here."""
     status, out, errors = sensor_sim("curve", sensor_file, "--size-detectors", "0.003", "--json")
-    assert (status, errors) == (0, [])
+    assert (status, len(errors)) == (0, 1)
     assert json.loads(out)["fits"][0]["status"] == "never_reached"
+
+
+@pytest.mark.parametrize(
+    ("line", "size", "reason"),
+    [
+        ("viewing_distance_mm = 300.0", "2", "hide its direction, even without noise"),
+        pytest.param("gain = 0.3", "3", "the observer's internal noise hides what", marks=pytest.mark.slow),
+    ],
+)
+def test_a_size_without_a_threshold_has_the_reason_and_a_size_that_is_enough(
+    sensor_sim, sensor_file, line, size, reason
+):
+    key = line.partition(" ")[0]
+    sensor_file.write_text(re.sub(rf"{key} = .*", line, SENSOR), encoding="utf-8")
+    status, out, (warning,) = sensor_sim("curve", sensor_file, "--size-detectors", size, "--json")
+    assert status == 0 and reason in warning
+    (stated,) = json.loads(out)["warnings"]
+    sensor, observer = load_sensor(sensor_file), PyramidObserver()
+    # P(correct) without detector noise on 13² other places. 50 independent trials, all right or wrong, would have
+    # a standard error of 0.07 or less, of which these are two; a lattice is better.
+    chain = FoldedChain(sensor, observer, float(size))
+    without_noise = chain.proportion_correct(chain.phases(13, np.random.default_rng(5)), math.inf)
+    assert (
+        stated["found"] == pytest.approx([without_noise], abs=0.14) and without_noise < stated["expected"] == 0.75
+    )
+    enough = float(re.search(r"([0-9.]+) detectors \([0-9.]+ mrad at the camera\) are enough", warning)[1])
+    below = LADDER_DETECTORS[LADDER_DETECTORS.index(enough) - 1]
+    found = compute_curve(sensor, size_detectors=[below, enough], tolerance=0.1)
+    assert [fit.status for fit in found.fits] == ["never_reached", "ok"]
+    # Without sizes they begin there.
+    chosen = compute_curve(sensor, tolerance=0.1, examples=False).fits
+    assert [fit.group["size_detectors"] for fit in chosen][:1] == [enough] and len(chosen) == 5
+    assert {fit.status for fit in chosen} == {"ok"}
+
+
+@pytest.mark.parametrize(
+    "more", [{}, pytest.param({"places": 3}, marks=pytest.mark.slow)], ids=["known", "3 places"]
+)
+def test_progress_grows_within_a_size_and_ends_with_their_number(sensor_file, more):
+    steps: list[float] = []
+    asked = {"size_detectors": [0.5, 4.0], "tolerance": 0.02, "examples": False} | more
+    compute_curve(sensor_file, progress=steps.append, **asked)
+    assert sum(steps) == pytest.approx(2.0, abs=1e-12) and min(steps) >= 0.0
+    # The size that is never reached is done in one step; of the other one, no part that takes long is a step.
+    sums = np.cumsum(steps)
+    assert np.any(np.isclose(sums, 1.0)) and len(steps) > 10
+
+
+def test_sizes_in_mrad_are_angles_at_the_camera(sensor_sim, sensor_file, tmp_path):
+    status, out, errors = sensor_sim("curve", sensor_file, "--size-mrad", "0.8", "--tolerance", "0.01", "--json")
+    assert (status, errors) == (0, [])
+    by_detectors = json.loads(sensor_sim(*curve(sensor_file, "--json"))[1])["fits"]  # 4 of 0.2 mrad
+    drop = ("run_time_s", "plan")
+    of_angle, of_detectors = (
+        [{key: one for key, one in fit.items() if key not in drop} for fit in fits]
+        for fits in (json.loads(out)["fits"], by_detectors)
+    )
+    assert of_angle == of_detectors
+    more = ("--size-mrad", "0.8", "--snr", "4", "--trials", "1", "-o", tmp_path / "set")
+    assert sensor_sim("simulate", sensor_file, *more)[0] == 0
+    with (tmp_path / "set" / "manifest.csv").open(encoding="utf-8") as file:
+        assert {row["size_detectors"] for row in csv.DictReader(file)} == {"4.0"}
 
 
 def test_curve_without_netd_has_no_temperatures(sensor_sim, sensor_file):
@@ -265,7 +334,7 @@ def test_mtf_as_json(sensor_sim, sensor_file):
     status, out, errors = sensor_sim("mtf", sensor_file, "--json")
     assert (status, errors) == (0, [])
     result = json.loads(out)
-    assert (result["schema"], result["command"], result["sensor"]) == (1, "mtf", "bench")
+    assert (result["schema"], result["command"], result["sensor"]) == (1, "sensor-mtf", "bench")
     # 100 mm / 10 µm; half of one in 0.2 mrad.
     assert result["cut_off_cyc_per_mrad"] == pytest.approx(10.0)
     assert result["nyquist_cyc_per_mrad"] == pytest.approx(2.5)
@@ -289,7 +358,8 @@ def test_mtf_as_json(sensor_sim, sensor_file):
         np.testing.assert_allclose(stage[name], values, atol=1e-12)
     pre_sample = closed["diffraction"] * closed["optics_blur"] * closed["detector"]
     np.testing.assert_allclose(stage["pre_sample"], pre_sample, atol=1e-12)
-    np.testing.assert_allclose(stage["post_sample"], closed["electronics"] * closed["display"], atol=1e-12)
+    post_sample = closed["hold"] * closed["electronics"] * closed["display"]
+    np.testing.assert_allclose(stage["post_sample"], post_sample, atol=1e-12)
 
 
 def test_mtf_shows_a_table_and_writes_files(sensor_sim, sensor_file, tmp_path):
@@ -297,7 +367,7 @@ def test_mtf_shows_a_table_and_writes_files(sensor_sim, sensor_file, tmp_path):
     assert (status, errors) == (0, [])
     for text in ("bench", "cut-off 10", "Nyquist 2.5", *STAGES):
         assert text in out
-    assert {file.name for file in (tmp_path / "out").iterdir()} == {"mtf.csv", "mtf.png"}
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {"mtf.csv", "mtf.png", "mtf.html", "mtf.json"}
     result = json.loads(sensor_sim("mtf", sensor_file, "--json")[1])
     with (tmp_path / "out" / "mtf.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -436,8 +506,9 @@ LISTS = {
 
 @pytest.mark.parametrize(("text", "message"), LISTS.values(), ids=LISTS.keys())
 def test_lists_of_numbers(text, message):
+    value = Value(float, Form("N[,N…]", separator=","), is_list=True)
     with pytest.raises(SettingsError, match=f"^--snr: {message} with commas between them$"):
-        numbers(text, "--snr")
+        parts(text, "--snr", value)
 
 
 VALUES = {
@@ -460,6 +531,20 @@ def test_sizes_and_ratios(sensor_file, tmp_path, values, message):
     assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml"}
 
 
+def test_a_size_too_large_for_the_optics_names_the_size_and_the_limit(fails):
+    """The spectrum grows with the field. 47 detectors are the limit that the message gives for any larger size."""
+    camera = Path(__file__).parents[1] / "sample_frames" / "staring_camera.toml"
+    for size in (48, 200):
+        fails(
+            "curve",
+            camera,
+            "--size-detectors",
+            size,
+            wanted=(f"--size-detectors: found {size}, expected at most 47",),
+        )
+    assert not field_sampler(load_sensor(camera), 47.0).sharp
+
+
 @pytest.mark.parametrize("option", ["--size-detectors=2,big", "--snr=nan", "--size-detectors=2,3,2"])
 def test_bad_list_of_simulate(fails, sensor_file, option):
     fails(
@@ -476,10 +561,12 @@ USAGE = {
     "no sensor": (("mtf",), ("SENSOR.toml",)),
     "two sensors": (("mtf", "{sensor}", "{sensor}"), ("unexpected",)),
     "unknown command": (("simulated",), ("simulated",)),
-    "simulate without sizes": (("simulate", "{sensor}", "--snr", "1", "-o", "x"), ("--size-detectors",)),
     "simulate without snr": (("simulate", "{sensor}", "--size-detectors", "3", "-o", "x"), ("--snr",)),
     "simulate without out": (("simulate", "{sensor}", "--size-detectors", "3", "--snr", "1"), ("--out",)),
-    "curve without sizes": (("curve", "{sensor}"), ("--size-detectors",)),
+    "sizes of two kinds": (
+        ("curve", "{sensor}", "--size-detectors", "3", "--size-mrad", "1"),
+        ("^error: found --size-detectors and --size-mrad, expected one of them",),
+    ),
     "unknown option": (("mtf", "{sensor}", "--jason"), ("--jason",)),
     "unknown option of curve": (("curve", "{sensor}", "--snr", "1", "--size-detectors", "3"), ("--snr",)),
 }
@@ -513,6 +600,7 @@ CURVE_OPTIONS = {
     "tolerance zero": ("--tolerance=0", ("tolerance", "0", "> 0")),
     "tolerance negative": ("--tolerance=-1", ("tolerance", "-1", "> 0")),
     "tolerance nan": ("--tolerance=nan", ("tolerance", "nan", "> 0")),
+    "tolerance beyond all numbers": ("--tolerance=1e309", ("tolerance", "inf", "finite")),
     "tolerance no number": ("--tolerance=fine", ("--tolerance", "fine")),
     "p at chance": ("--p-correct=0.25", ("p_correct", "0.25")),
     "p above one": ("--p-correct=1.5", ("p_correct", "1.5")),

@@ -211,6 +211,14 @@ def test_bad_size(size: float) -> None:
         coverage((3, 3), size_px=size, x_px=1.0, y_px=1.0, orientation=Orientation.UP)
 
 
+def test_orientations_have_names() -> None:
+    of_names, of_members = ([coverage((9, 9), size_px=4.0, x_px=4.0, y_px=4.0, orientation=one) for one in each]
+                            for each in (["up", "right", "down", "left"], Orientation))  # fmt: skip
+    assert np.array_equal(of_names, of_members)
+    with pytest.raises(SettingsError, match="orientation: found 'north', expected up, right, down, left"):
+        coverage((9, 9), size_px=4.0, x_px=4.0, y_px=4.0, orientation="north")
+
+
 def test_bad_centre() -> None:
     with pytest.raises(SettingsError, match="centre: found 'middle'"):
         vertices(size=1.0, orientation=Orientation.UP, centre="middle")  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ import pytest
 
 import todframes as tod
 from todframes.frames.memory import memory_dataset
-from todframes.frames.surround import SurroundSums, TrianglePlace, surround_window
+from todframes.frames.surround import SurroundSums, TrianglePlace, _median, background_factor, surround_window
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.score import score_dataset
 
@@ -132,6 +132,12 @@ def test_bands_of_rows_add_up(cuts) -> None:
     assert np.allclose(sums.sums, blocks, rtol=1e-14)
 
 
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 401])
+def test_the_median_is_that_of_numpy(n: int) -> None:
+    values = np.random.default_rng(n).normal(size=n)
+    assert _median(values) == pytest.approx(np.median(values), rel=1e-15)
+
+
 def test_a_frame_without_surround_is_refused() -> None:
     made = frames()
     with pytest.raises(tod.FrameError, match=r"no pixels around the triangle to take the background from"):
@@ -142,3 +148,60 @@ def test_a_black_surround_is_refused() -> None:
     images, shown = frames()
     with pytest.raises(tod.FrameError, match=r"background luminance around the triangle is 0 cd/m², expected > 0"):
         threshold(([0.0 * image for image in images], shown), "surround")
+
+
+def factor_of(before, after, size_px, *, x=None, y=None, magnification=1.0):
+    """The factor in a frame whose first pixel is at (row 40, column −7)."""
+    rows, columns = (40, 40 + before.shape[0]), (-7, -7 + before.shape[1])
+    x = (before.shape[1] - 1) / 2 if x is None else x
+    y = (before.shape[0] - 1) / 2 if y is None else y
+    return background_factor(
+        lambda r, c: before[r, c],
+        lambda r, c: after[r, c],
+        TrianglePlace(x - 7, y + 40, size_px),
+        rows=rows,
+        columns=columns,
+        magnification=magnification,
+    )
+
+
+@pytest.mark.parametrize("magnification", [0.5, 1.0, 1.5, 2.0, 3.0])
+@pytest.mark.parametrize(
+    ("shape", "size_px", "where", "edge_px"),
+    [
+        ((96, 96), 10.0, {}, 3),
+        ((96, 120), 10.0, {}, 5),
+        ((48, 48), 8.0, {}, 1),
+        ((96, 96), 10.0, {"x": 15.0, "y": 80.0}, 4),  # near a corner
+        ((300, 300), 2.0, {}, 60),  # a small triangle, far from the edge
+        ((96, 96), 10.0, {}, 0),
+        ((24, 24), 12.0, {}, 0),  # as large as the frame: no band, but corners
+        ((60, 16), 8.0, {}, 0),  # narrow
+    ],
+)
+def test_the_background_s_factor_is_that_around_the_triangle(
+    shape, size_px, where, edge_px, magnification
+) -> None:
+    """On texture, whatever an algorithm does to the edge of a frame, and to the triangle itself."""
+    rng = np.random.default_rng(3)
+    before = 50.0 * (1.0 + np.kron(rng.uniform(-0.5, 0.5, (shape[0] // 2, shape[1] // 2)), np.ones((2, 2))))
+    x, y = where.get("x", (shape[1] - 1) / 2), where.get("y", (shape[0] - 1) / 2)
+    rows, columns = np.ogrid[: shape[0], : shape[1]]
+    before += 30.0 * (np.hypot(rows - y, columns - x) < 0.8 * size_px)
+    sides = [round(magnification * side) for side in shape]
+    pixels = [((np.arange(side) + 0.5) / magnification - 0.5).round().astype(int) for side in sides]
+    if magnification == 0.5:
+        after = before.reshape(shape[0] // 2, 2, shape[1] // 2, 2).mean(axis=(1, 3))
+    else:
+        after = before[np.ix_(*pixels)]
+    after = 0.7 * after
+    n = round(edge_px * magnification)
+    if n:
+        after[:n], after[-n:], after[:, :n], after[:, -n:] = 500.0, 0.0, 500.0, 0.0
+    # With 1.5, each second pixel counts twice, and with 0.5 edges of blocks may lie half a pixel off. Cells of
+    # 2 × 2 pixels, which deviate by 29 %, then weigh a third more or less. The mean over 36 cells or more, as in
+    # four corners, deviates by 1.6 %.
+    tolerance = 1e-9 if magnification == int(magnification) else 3 * 0.016
+    assert factor_of(before, after, size_px, magnification=magnification, **where) == pytest.approx(
+        0.7, rel=tolerance
+    )

@@ -245,7 +245,7 @@ def bad(capsys: pytest.CaptureFixture[str], *arguments: object, status: int = 2)
             ("--vary", "noise.netd_mk=1:3:3", "--acuity-snr", "-1"),
             "acuity_snr: found -1.0, expected a finite number",
         ),
-        (("--vary", "noise.netd_mk=1:3:3", "--tolerance", "0"), "tolerance: found 0.0, expected a number > 0"),
+        (("--vary", "noise.netd_mk=1:3:3", "--tolerance", "0"), "tolerance: found 0.0, expected a finite number"),
         (
             ("--vary", "noise.netd_mk=1:3:3", "--observer", "oriented", "--set", "complex_cells=true"),
             "it is not linear",
@@ -510,7 +510,19 @@ def test_command_is_the_call(capsys, tmp_path: Path) -> None:
     call = json.loads(ss.sweep(CAMERA, design=path, size_detectors=[4], tolerance=ROUGH).to_json())
     assert [row["name"] for row in made["records"]] == ["small", "large"]
     assert made["records"] == call["records"]
-    assert made["settings"]["sensor"] == call["settings"]["sensor"]
+    assert made["settings"] == call["settings"] and made["settings"]["design"] == str(path)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "advice"),
+    [("1,6", "there is one at 6 detectors: name such a size first"), ("1", "take larger sizes")],
+)
+def test_designs_without_a_threshold_at_the_first_size_have_the_reason(capsys, sizes, advice) -> None:
+    arguments = ["--vary", "noise.netd_mk=10:20:2", "--size-detectors", sizes, "--tolerance", ROUGH]
+    assert run(cli, ["sweep", str(CAMERA), *map(str, arguments)]) == 0
+    out = capsys.readouterr().out
+    assert "Best designs" not in out and "hide its direction, even without noise" in out
+    assert f"No design has a value of delta_t_mk at 1 detectors, which orders designs; {advice}." in out
 
 
 def test_table_fits_a_narrow_terminal(swept, capsys, monkeypatch) -> None:

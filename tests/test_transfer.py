@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from repetition import repetition_bound
-from scipy.special import j0, j1
+from scipy.special import j0, j1, ndtr
 
 from sensor_sim.chain.sensor import Detector, Electronics, Optics, Sensor, SensorDisplay
 from sensor_sim.chain.transfer import (
@@ -18,7 +18,6 @@ from sensor_sim.chain.transfer import (
     diffraction_mtf,
     gaussian_mtf,
     optics_mtf,
-    post_sample_mtf,
     pre_sample_mtf,
     sharpness_bound,
     stages,
@@ -151,16 +150,19 @@ def test_stages_multiply_to_the_two_products():
     np.testing.assert_allclose(
         of["pre_sample"], of["diffraction"] * of["optics_blur"] * of["detector"], atol=1e-15
     )
-    np.testing.assert_allclose(of["post_sample"], of["electronics"] * of["display"], atol=1e-15)
+    np.testing.assert_allclose(of["post_sample"], of["hold"] * of["electronics"] * of["display"], atol=1e-15)
     assert all(transfer[0] == 1.0 for transfer in of.values())
     np.testing.assert_array_equal(of["pre_sample"][220:], 0.0)  # cut-off 55 cycles/mrad
 
 
-def test_post_sample_blur_is_that_of_the_display_seen_from_the_scene():
-    # Variances of independent blurs add: 1.5² + 2² = 2.5² pixels, six of which are a detector of 0.0681 mrad.
+def test_what_follows_sampling_is_that_of_a_displayed_point():
+    # A sample of one detector as displayed: 6 pixels of 1, blurred by √(1.5² + 2²) = 2.5 pixels. The sum over fine
+    # steps of a pixel is its transform to exp(−2 (π · 2.5 · 20)²) = 0; the field holds 8 standard deviations.
+    x_px = np.arange(-23.0, 23.0, 0.05) + 0.025
+    spread = (ndtr((x_px + 3.0) / 2.5) - ndtr((x_px - 3.0) / 2.5)) / 6.0
     frequency = np.linspace(0.0, 20.0, 50)
-    expected = gaussian_mtf(frequency, sigma=2.5 * 0.0681 / 6)
-    np.testing.assert_allclose(post_sample_mtf(frequency, sensor=SENSOR), expected, atol=1e-14)
+    waves = np.cos(2.0 * np.pi * np.outer(frequency * 0.0681 / 6.0, x_px))
+    np.testing.assert_allclose(stages(frequency, sensor=SENSOR)["post_sample"], waves @ spread * 0.05, atol=1e-12)
 
 
 def test_hold_is_zero_at_the_sampling_frequency():

@@ -12,8 +12,8 @@ import pytest
 
 from todframes.base.user_code import import_named
 from todframes.enhancement.finding import ENTRY_POINT_GROUP, find_enhancement
+from todframes.report.figure import save_png
 from todframes.report.figure_style import new_figure, style
-from todframes.report.figures import save_png
 
 STAR_LIKE = Path(__file__).parents[1] / "sample_frames" / "star_like.toml"
 
@@ -23,8 +23,8 @@ OWN_WORK = """\
 class Name:
     def function(self):
         return str
-    def lost(self, item):
-        raise ValueError
+    def name(self, item):
+        return str(item)
 """
 
 ENGINE = """\

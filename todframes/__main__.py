@@ -20,10 +20,21 @@ def start() -> None:
         from todframes.base.signals import end_at_once
 
         end_at_once()
+        _open_closed_streams()
+        os.environ["MPLBACKEND"] = "agg"  # commands show no windows, and matplotlib refuses an unknown name
         _import_matplotlib_elsewhere()
     except KeyboardInterrupt:
         os.write(2, b"error: interrupted, nothing was written\n")
         os._exit(130)
+
+
+def _open_closed_streams() -> None:
+    """Let closed standard streams lead nowhere; otherwise the next file that is opened would take their number."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            number = os.open(os.devnull, os.O_RDWR)
+            os.set_inheritable(number, True)
+            setattr(sys, name, os.fdopen(number, mode))
 
 
 def _import_matplotlib_elsewhere() -> None:

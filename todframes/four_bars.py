@@ -6,16 +6,13 @@ Four bars, each seven times as long as it is wide, with spaces as wide as a bar,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import ComplexArray, FloatArray
-from todframes.base.errors import SettingsError
-from todframes.base.reading import check_positive
-
-Against = Literal["background", "square"]
+from todframes.base.reading import Positive, check_values
+from todframes.parameters import Against
 
 WIDTHS = 7
 """Width and height of the pattern, in widths of a bar."""
@@ -44,13 +41,11 @@ class FourBars:
         If the width is not a positive number, or there is no such `against`.
     """
 
-    bar_width: float
+    bar_width: Positive
     against: Against = "square"
 
     def __post_init__(self) -> None:
-        check_positive("bar_width", self.bar_width)
-        if self.against not in get_args(Against):
-            raise SettingsError(f"against: found {self.against!r}, expected one of {', '.join(get_args(Against))}")
+        check_values(self)
 
     @property
     def side(self) -> float:

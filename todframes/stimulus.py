@@ -1,4 +1,4 @@
-"""Equilateral triangles, the test pattern: their exact pixel coverage and closed-form spectrum.
+"""Equilateral triangles, the test pattern: their strength, exact pixel coverage and closed-form spectrum.
 
 Image coordinates: x to the right, y down, pixel centres at whole numbers, so pixel 0 reaches from -0.5 to 0.5.
 """
@@ -8,14 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
-from typing import Literal, get_args
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import SettingsError
-from todframes.base.reading import check_positive
+from todframes.base.reading import check_positive, convert
 
 Centre = Literal["centroid", "bounding_box"]
 
@@ -39,6 +39,10 @@ class Orientation(StrEnum):
         """Clockwise quarter turns that carry the upright triangle into this one."""
         return ORIENTATIONS.index(self)
 
+    @classmethod
+    def _missing_(cls, value: object) -> Orientation:
+        raise SettingsError(f"orientation: found {value!r}, expected {', '.join(cls)}")
+
 
 ORIENTATIONS = tuple(Orientation)
 
@@ -57,6 +61,45 @@ class Stimulus:
 
     size_mrad: float
     polarity: int = 1
+
+
+class Level(NamedTuple):
+    """The meaning of a level.
+
+    Attributes
+    ----------
+    name, unit : str
+        Name and unit in sentences and headings.
+    is_signal : bool
+        Whether the signal in a frame is proportional to it.
+    quantity : {"contrast", "delta_t_k"} or None
+        Quantity that it measures in the field; None: none. A contrast is also that of the displayed triangle.
+    factor : float
+        Factor from the level to the quantity.
+    """
+
+    name: str
+    unit: str = ""
+    is_signal: bool = True
+    quantity: Literal["contrast", "delta_t_k"] | None = None
+    factor: float = 1.0
+
+
+LEVELS = {
+    "contrast": Level("contrast", quantity="contrast"),
+    "weber_contrast": Level("weber_contrast", quantity="contrast"),
+    "sent_contrast": Level("sent_contrast"),
+    "snr": Level("SNR"),
+    "delta_t_k": Level("ΔT", "K", quantity="delta_t_k"),
+    "delta_t_mk": Level("ΔT", "mK", quantity="delta_t_k", factor=1e-3),
+    "size_mrad": Level("size", "mrad", is_signal=False),
+}
+"""Levels by the name of their column, in any case."""
+
+
+def level_of(column: str) -> Level:
+    """Return the meaning of the level in a column; of one with another name, only the name is known."""
+    return LEVELS.get(column.strip().lower(), Level(column, is_signal=False))
 
 
 def bounding_box_offset(orientation: Orientation) -> tuple[float, float]:
@@ -94,8 +137,7 @@ def vertices(
         If the size is not a positive number or `centre` is neither of the two.
     """
     check_positive("size", size)
-    if centre not in get_args(Centre):
-        raise SettingsError(f"centre: found {centre!r}, expected one of {', '.join(get_args(Centre))}")
+    convert(centre, Centre, "centre")
     height, half_side = HEIGHT_PER_SIZE * size, SIDE_PER_SIZE * size / 2.0
     below_apex = 2.0 / 3.0 * height if centre == "centroid" else height / 2.0
     corners = np.array([[0.0, -below_apex], [half_side, height - below_apex], [-half_side, height - below_apex]])
@@ -110,7 +152,7 @@ def coverage(
     size_px: float,
     x_px: float,
     y_px: float,
-    orientation: Orientation,
+    orientation: Orientation | str,
     centre: Centre = "centroid",
 ) -> FloatArray:
     """Compute the exact fraction of each pixel's area that a triangle covers.
@@ -128,8 +170,8 @@ def coverage(
         √(area) in pixels, > 0.
     x_px, y_px : float
         Place of the triangle's `centre` on the grid, in pixels.
-    orientation : Orientation
-        Direction of the apex.
+    orientation : Orientation or str
+        Direction of the apex: "up", "right", "down" or "left".
     centre : {"centroid", "bounding_box"}
         Point of the triangle that lies at (x_px, y_px).
 
@@ -140,10 +182,11 @@ def coverage(
     Raises
     ------
     SettingsError
-        If the size is not a positive number or `centre` is unknown.
+        If the size is not a positive number, or the orientation or `centre` is unknown.
     """
     n_rows, n_columns = shape
-    for _ in range(orientation.quarter_turns):
+    quarter_turns = Orientation(orientation).quarter_turns
+    for _ in range(quarter_turns):
         x_px, y_px = y_px, n_columns - 1 - x_px
         n_rows, n_columns = n_columns, n_rows
     upright = np.zeros((n_rows, n_columns))
@@ -156,7 +199,7 @@ def coverage(
         corners += ((x_px - first_column) + 0.5, (y_px - first_row) + 0.5)
         box = (end_row - first_row, end_column - first_column)
         upright[first_row:end_row, first_column:end_column] = _polygon_coverage(corners, box)
-    return np.rot90(upright, -orientation.quarter_turns)
+    return np.rot90(upright, -quarter_turns)
 
 
 def _clamped_floor(value: float, stop: int) -> int:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sensor_sim.chain.sensor import Sensor, sensor_of
 from todframes.observers.interface import Observer
+from todframes.parameters import NamedFile, ObserverName, Port, Probability, SensorFile, TargetFactor
 from todframes.psychometrics.fit import FitSettings
 
 if TYPE_CHECKING:
@@ -16,42 +16,48 @@ if TYPE_CHECKING:
 
 
 def explore(
-    sensor: Sensor | Path | str,
+    sensor: Sensor | SensorFile,
     *,
-    observer: str | Observer = "pyramid",
-    p_correct: float = 0.75,
-    target: Target | Path | str | None = None,
-    atmosphere: Atmosphere | Path | str | None = None,
-    k: float | None = None,
+    observer: ObserverName | Observer = "pyramid",
+    p_correct: Probability = 0.75,
+    target: Target | NamedFile | None = None,
+    atmosphere: Atmosphere | NamedFile | None = None,
+    k: TargetFactor | None = None,
     host: str = "127.0.0.1",
-    port: int = 0,
+    port: Port = 0,
     open_browser: bool = True,
     tell: Callable[[str], None] = print,
     warn: Callable[[str], None] | None = None,
 ) -> None:
-    """Serve a page on which a sensor's parameters move, and its TOD curve with them, as `sensor-sim explore` does.
+    """Open a page in the browser on which a sensor's parameters move, and its TOD curve with them.
 
-    The call returns when Ctrl-C is pressed, or the process is asked to end.
+    A server on this machine computes the numbers, and sends nothing elsewhere. Ctrl-C ends it.
 
     Parameters
     ----------
     sensor : Sensor or path
-        Settings to begin with, or the path of a SENSOR.toml.
+        File with optics, detector, noise, electronics and display of the sensor.
+
+        A `Sensor` is taken as well.
     observer : str or Observer
-        Name of a registered observer, "module:Class", or an observer; it must be linear. Settings by which people
-        differ move on the page, the others stay.
+        Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
+        own, whose code is run. It must be linear.
+
+        Settings by which people differ move on the page, the others stay. An object is taken as well.
     p_correct : float
         Raw proportion correct at threshold, to begin with.
     target : Target or path, optional
-        Target in the field, as for `todframes.acquisition_range`: the page shows probability against range too.
+        Target in the field, as for `todframes range`: the page shows probability against range, too.
     atmosphere : Atmosphere or path, optional
         Air to the target, which a target needs.
     k : float, optional
-        In place of the target's k: the target is seen if a triangle of size / k is.
-    host, port : str, int
-        Address or name of this machine to listen at; port 0 is a free one.
+        The target is seen if a triangle of size / K is, in place of the target's own K.
+    host : str
+        Address or name of this machine to listen at.
+    port : int
+        Port to listen at. 0 is a free one.
     open_browser : bool
-        Whether to open the page in the browser.
+        Open the page in the browser. Otherwise print the address only.
     tell : function of a text
         Called with the address of the page when the server listens. Nobody can open the page without this address.
     warn : function of a text, optional
@@ -70,10 +76,10 @@ def explore(
     check_installed("explore")
     from sensor_sim.explorer.routes import Explorer
     from sensor_sim.sweeps.ranges import chosen_aim
-    from todframes.web.server import Launch, serve
+    from todframes.web.server import open_listener, serve
 
     aim = chosen_aim(target, atmosphere, k)
-    launch = Launch(host=host, port=port, open_browser=open_browser)
     explorer = Explorer(sensor, observer, p_correct=p_correct, aim=aim)
     explorer.check()
-    serve(explorer.app(), launch, tell=tell, warn=warn)
+    listener = open_listener(host, port)
+    serve(explorer.app(), listener, host=host, open_browser=open_browser, tell=tell, warn=warn)

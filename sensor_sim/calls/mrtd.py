@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any, get_args
+from collections.abc import Callable
+from typing import Any
 
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.mrtd_report import LLOYD_FACTOR, SensorMrtd, bars_at, sensor_ttp
 from todframes.base.errors import SettingsError, argument
-from todframes.base.reading import check_positive
+from todframes.base.reading import check_positive, convert
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.ttp import TtpSettings
-from todframes.four_bars import Against
 from todframes.observers.interface import Observer, described
+from todframes.parameters import (
+    Against,
+    Direction,
+    Numbers,
+    ObserverName,
+    Probability,
+    Seed,
+    SensorFile,
+    SignalToNoise,
+    Tolerance,
+)
+from todframes.report.data import Record, as_read
+from todframes.report.result import Result
 
 FREQUENCIES_NYQUIST = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.4)
 """Frequencies of the bars, in units of Nyquist, if none are given."""
@@ -30,57 +41,70 @@ EYE_TIME_S = 0.1
 
 
 def mrtd(
-    sensor: Sensor | Path | str,
+    sensor: Sensor | SensorFile,
     *,
-    frequency_nyquist: Sequence[float] = FREQUENCIES_NYQUIST,
-    size_detectors: Sequence[float] = SIZES_DETECTORS,
+    frequency_nyquist: Numbers = FREQUENCIES_NYQUIST,
+    size_detectors: Numbers = SIZES_DETECTORS,
     against: Against = "square",
-    direction: str = "upright",
-    observer: str | Observer = "pyramid",
-    p_correct: float = 0.75,
-    lloyd_snr: float = LLOYD_SNR,
+    direction: Direction = "upright",
+    observer: ObserverName | Observer = "pyramid",
+    p_correct: Probability = 0.75,
+    lloyd_snr: SignalToNoise = LLOYD_SNR,
     ttp_delta_t_k: float = 2.0,
     ttp_width_deg: float = 15.0,
     ttp: TtpSettings | None = None,
-    tolerance: float = 2e-3,
-    rng: Rng = 1,
-    progress: Callable[[int], None] | None = None,
-) -> SensorMrtd:
-    """Compute the thresholds of four bars for a sensor, and its TOD beside them, as `sensor-sim mrtd` does.
+    tolerance: Tolerance = 2e-3,
+    rng: Seed | Rng = 1,
+    progress: Callable[[float], None] | None = None,
+) -> Result[SensorMrtd]:
+    """Compute the thresholds of four bars (MRTD) for a sensor, beside its TOD, with no frame drawn.
+
+    The model observer of the TOD judges the bars up to Nyquist and beyond: as a mean over their places on the
+    detectors, and at the best place. Lloyd's form and TTP stand beside it. `todframes range` reads mrtd.csv.
 
     Parameters
     ----------
     sensor : Sensor or path
-        Settings of the sensor, or the path of its SENSOR.toml. Its levels are signal-to-noise ratios.
+        File with optics, detector, noise, electronics and display of the sensor. It must not count photons.
+
+        A `Sensor` is taken as well.
     frequency_nyquist : sequence of float
-        Frequencies of the bars in units of the Nyquist frequency, > 0, without repetitions.
+        Frequencies of the bars in units of Nyquist, each once.
     size_detectors : sequence of float
-        Sizes √(area) of the triangles in detector pitches, without repetitions; empty for no TOD.
+        Sizes √(area) of the triangles in detector pitches, each once.
+
+        Empty for no TOD.
     against : {"square", "background"}
         Display without bars: a uniform square of their mean, so that they have to be resolved, or nothing, so that
         their mean alone is enough.
     direction : {"upright", "lying"}
         Direction of the bars.
     observer : str or Observer
-        Name of a registered observer, "module:Class", or an observer. It must be linear and judge bars.
+        Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
+        own, whose code is run. It must be linear and judge bars.
+
+        An object is taken as well.
     p_correct : float
-        Proportion correct at threshold: of two displays for bars, above 0.5; of four orientations for triangles.
+        Raw proportion correct at threshold: of two displays for bars, above 0.5; of four orientations for
+        triangles.
     lloyd_snr : float
-        Threshold signal-to-noise ratio of a bar in Lloyd's form.
-    ttp_delta_t_k, ttp_width_deg : float
-        ΔT of the target of TTP in K, and width of the field at the eye in degrees.
+        Threshold SNR of a bar in Lloyd's form.
+    ttp_delta_t_k : float
+        ΔT of the target of TTP in K.
+    ttp_width_deg : float
+        Width of the field of TTP at the eye in degrees.
     ttp : TtpSettings, optional
         Choices where public codes of TTP disagree.
     tolerance : float
         Relative error of the thresholds to reach.
     rng : int, SeedSequence or Generator
         Seed of the places of the patterns on the detectors.
-    progress : function of an int, optional
+    progress : function of a float, optional
         Called with the number of thresholds that were just done.
 
     Returns
     -------
-    SensorMrtd
+    Result
         `bars` has a record for each frequency, `tod` for each size; `plot()` draws both.
 
     Raises
@@ -97,7 +121,8 @@ def mrtd(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     from sensor_sim.calls.curve import curve
-    from sensor_sim.thresholds.bars import BarChain, Direction
+    from sensor_sim.thresholds.bars import BarChain
+    from todframes.parameters import Direction
 
     judge, settings = described(observer)
     sensor = sensor_of(sensor)
@@ -106,8 +131,7 @@ def mrtd(
             f"{argument.p_correct}: found {p_correct!r}, expected a proportion above 0.5, which guessing gives, "
             "and below 1"
         )
-    if direction not in get_args(Direction):
-        raise SettingsError(f"{argument.direction}: found {direction!r}, expected upright or lying")
+    convert(direction, Direction, argument.direction)
     for name, value in (
         ("lloyd_snr", lloyd_snr),
         ("ttp_delta_t_k", ttp_delta_t_k),
@@ -122,10 +146,7 @@ def mrtd(
             f"{argument.frequency_nyquist}: found {listed}, expected one frequency or more, each once"
         )
     nyquist = sensor.detector.nyquist_cyc_per_mrad
-    chains = [
-        BarChain(sensor, judge, one * nyquist, against=against, direction=direction)  # type: ignore[arg-type]
-        for one in of_nyquist
-    ]
+    chains = [BarChain(sensor, judge, one * nyquist, against=against, direction=direction) for one in of_nyquist]
     bars = []
     for one, chain in zip(of_nyquist, chains, strict=True):
         averaged, best = chain.averaged(p_correct, tolerance=tolerance, seed=seed), chain.best(p_correct)
@@ -137,7 +158,7 @@ def mrtd(
         shown: dict[str, Any] = {"observer": judge, "p_correct": p_correct, "tolerance": tolerance}
         tod = curve(
             sensor, size_detectors=size_detectors, rng=seed, examples=False, progress=progress, **shown
-        ).fits  # type: ignore[assignment]
+        ).fits
     noise = sensor.noise
     settings |= {
         "against": against,
@@ -154,13 +175,15 @@ def mrtd(
         },
         "sensor": sensor_settings(sensor),
     }
-    return SensorMrtd(
+    return Result.made(
+        "mrtd",
+        started,
+        seed=seed,
         sensor=sensor.name,
         nyquist_cyc_per_mrad=nyquist,
-        settings=settings,
-        seed=seed,
-        bars=bars,
-        tod=list(tod),
+        settings=as_read(settings, Record),
+        bars=tuple(bars),
+        tod=tuple(tod),
         ttp=None
         if noise.netd_mk is None
         else sensor_ttp(
@@ -170,5 +193,4 @@ def mrtd(
             eye_time_s=EYE_TIME_S,
             settings=ttp or TtpSettings(),
         ),
-        run_time_s=round(time.perf_counter() - started, 4),
     )

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from sensor_sim.chain.sensor import Sensor, sensor_of
 from sensor_sim.mtf_report import SensorMtf, sensor_mtf
+from todframes.parameters import SensorFile
+from todframes.report.result import Result
 
 
-def mtf(sensor: Sensor | Path | str) -> SensorMtf:
-    """Compute the modulation transfer of every stage along x, before and after sampling, as `sensor-sim mtf` does.
+def mtf(sensor: Sensor | SensorFile) -> Result[SensorMtf]:
+    """Compute the modulation transfer of every stage along x, before and after sampling.
 
     Parameters
     ----------
     sensor : Sensor or path
-        Settings of the sensor, or the path of its SENSOR.toml.
+        File with optics, detector, noise, electronics and display of the sensor.
+
+        A `Sensor` is taken as well.
 
     Returns
     -------
-    SensorMtf
+    Result
         `frequency_cyc_per_mrad` and `mtf`, a list for each stage; `plot()` draws them.
 
     Raises

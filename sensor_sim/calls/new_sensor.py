@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from sensor_sim.chain.sensor import (
     Detector,
@@ -16,8 +16,7 @@ from sensor_sim.chain.sensor import (
     explained_toml,
 )
 from todframes.base.errors import SettingsError, argument
-
-Preset = Literal["emva_basler", "boson"]
+from todframes.parameters import CameraFile, Preset
 
 
 class _Camera(NamedTuple):
@@ -55,14 +54,14 @@ EXPOSURE_MS = 10.0
 """Exposure if neither the file nor the user has one."""
 
 DISPLAY = SensorDisplay(
-    pixels_per_detector=4, pixel_pitch_mm=0.25, viewing_distance_mm=500.0, background_luminance_cd_m2=50.0
+    pixels_per_detector=1, pixel_pitch_mm=0.2909, viewing_distance_mm=1000.0, background_luminance_cd_m2=50.0
 )
-"""Display that the file begins with, to be replaced by the reader's own."""
+"""Display that the file begins with: `import` shows a pixel of a recording at the same angle, one arcmin."""
 
 
 def new_sensor(
     *,
-    emva: Path | str | None = None,
+    emva: CameraFile | None = None,
     thermal: bool = False,
     preset: Preset | None = None,
     focal_length_mm: float,
@@ -74,18 +73,30 @@ def new_sensor(
     luminance: float = 100.0,
     name: str | None = None,
 ) -> str:
-    """Return the text of a SENSOR.toml in which every key is explained, as `sensor-sim new` prints it.
+    """Return a SENSOR.toml in which every key is explained.
+
+    It is for a camera with results of EMVA 1288, a thermal camera, or one from public figures.
 
     Parameters
     ----------
     emva : path, optional
         Results of EMVA 1288 (XML), from which a camera that counts photons takes its noise.
     thermal : bool
-        Describe a thermal camera by its NETD.
+        Describe a thermal camera, by its NETD.
     preset : {"emva_basler", "boson"}, optional
-        A camera from public figures, whose source stands in the file; what else is given replaces them.
-    focal_length_mm, f_number, pitch_um, netd_mk, wavelength_um, exposure_ms : float
-        Keys of SENSOR.toml. Some have a value in the preset or the XML.
+        A camera from public figures, whose source stands in the file; other values that are given replace its own.
+    focal_length_mm : float
+        Focal length of the lens in mm.
+    f_number : float, optional
+        f-number of the lens.
+    pitch_um : float, optional
+        From one detector to the next on the chip in µm.
+    netd_mk : float, optional
+        NETD of a thermal camera in mK.
+    wavelength_um : float, optional
+        Wavelength in µm. Default: 0.55, thermal 10.
+    exposure_ms : float, optional
+        Exposure in ms. Default: that of the results, or 10.
     luminance : float
         Luminance of the background in cd/m², for a camera that counts photons.
     name : str, optional

@@ -4,66 +4,83 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sensor_sim.chain.sensor import Sensor, sensor_of
 from todframes.base.errors import SettingsError, argument
 from todframes.base.seeds import Rng, seed_of
+from todframes.parameters import (
+    Cluster,
+    Count,
+    DatasetFolder,
+    FrameCount,
+    FrameFormat,
+    Images,
+    Limits,
+    Numbers,
+    Seed,
+    SensorFile,
+    Speed,
+    Turns,
+)
 
 if TYPE_CHECKING:
-    from sensor_sim.chain.dataset import FrameFormat, Written
-    from todframes.frames.files import PathLike
+    from sensor_sim.chain.dataset import Written
     from todframes.jobs.work import Engine
+    from todframes.parameters import FrameFormat, PathLike
 
 
 def simulate(
-    sensor: Sensor | Path | str,
+    sensor: Sensor | SensorFile,
     *,
-    size_detectors: Sequence[float],
-    snr: Sequence[float] = (),
-    contrast: Sequence[float] = (),
-    out: Path | str,
-    trials: int = 40,
-    motion_mrad_per_s: float | None = None,
-    warm_up_frames: int = 0,
-    rng: Rng = 1,
+    size_detectors: Numbers = (),
+    size_mrad: Numbers = (),
+    snr: Numbers = (),
+    contrast: Numbers = (),
+    out: DatasetFolder,
+    trials: Count = 40,
+    motion_mrad_per_s: Speed | None = None,
+    warm_up_frames: FrameCount = 0,
+    rng: Seed | Rng = 1,
     frame_format: FrameFormat = "exr",
     allow_clipping: bool = False,
     stages: bool = False,
-    background: PathLike | Sequence[PathLike] | None = None,
+    background: Images | PathLike | Sequence[PathLike] | None = None,
     background_pixels: float = 2.0,
-    background_range: tuple[float, float] | None = None,
-    turns: int = 8,
-    workers: int = 1,
-    cluster: str | Engine | None = None,
+    background_range: Limits | None = None,
+    turns: Turns = 8,
+    workers: Count = 1,
+    cluster: Cluster | Engine | None = None,
     restart: bool = False,
     keep_store: bool = False,
     tell: Callable[[str], None] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Written:
-    """Make a dataset of display frames that `todframes.score` reads, as `sensor-sim simulate` does.
+    """Make a dataset of display frames that `todframes score` reads.
 
     Parameters
     ----------
     sensor : Sensor or path
-        Settings of the sensor, or the path of its SENSOR.toml.
+        File with optics, detector, noise, electronics and display of the sensor.
+
+        A `Sensor` is taken as well.
     size_detectors : sequence of float
-        Sizes √(area) in detector pitches.
+        Sizes √(area) in detector pitches. Default: five, from the smallest one with a threshold on.
+    size_mrad : sequence of float
+        Sizes as angles at the camera in mrad, in place of `size_detectors`.
     snr : sequence of float
-        Signals of a large triangle divided by the standard deviation of the noise of a sample.
+        Signals of a large triangle over the standard deviation of the noise of a sample.
     contrast : sequence of float
-        In place of `snr`, for a sensor with photon noise: contrasts of the triangle against its background.
+        Contrasts of the triangle against its background in place of `snr`, for a camera that counts photons.
     out : path
         Folder to make, new or empty.
     trials : int
         Frames of each size and level.
     motion_mrad_per_s : float, optional
-        Make each trial a clip of as many frames as the eye integrates in 100 ms (`frames_integrated`), each with
-        the noise of a single frame, in which the triangle moves this fast in the scene, in a random direction.
-        Default: a trial is one frame, their mean.
+        Make each trial a clip of single frames, as many as the eye integrates in 100 ms, in which the triangle
+        moves this fast in a random direction. Default: a trial is one frame, their mean.
     warm_up_frames : int
-        Frames of the same clip before each trial, which are not judged; above 0, trials are clips too.
+        Frames of the clip before each trial, which are not judged; above 0, trials are clips, too.
     rng : int, SeedSequence or Generator
         Seed of all random draws.
     frame_format : {"exr", "png"}
@@ -73,22 +90,23 @@ def simulate(
     stages : bool
         Also write the stages of a trial with the highest level as pictures.
     background : path or sequence of path, optional
-        Images of scenes behind the triangles, folders of them, and "skimage" or "skimage:camera,brick" for
-        photographs that scikit-image ships. Default: an even background.
+        Images of scenes behind the triangles, or folders of them. skimage stands for photographs that scikit-image
+        ships, skimage:camera,brick for two of them. Default: an even background.
     background_pixels : float
         Pixels of these images along a detector.
     background_range : (float, float), optional
-        Values of these images for black and white; values in between are proportional to light. Default: the
-        images are sRGB.
+        Values of these images for black and white; values between are proportional to light. Default: the images
+        are sRGB.
     turns : {8, 4, 1}
-        Turned and mirrored versions in which each scene is shown.
+        Turned and mirrored versions in which each scene is shown: 4 are not mirrored, 1 is as it is.
     workers : int
-        Processes that draw frames. With more than one, a script calls this below `if __name__ == "__main__":`,
-        because they import the script.
+        Processes that share the work.
+
+        With more than one, a script calls this below `if __name__ == "__main__":`, because they import the script.
     cluster : str, optional
-        Address of a Dask scheduler, "tcp://…", or "local:N" for N processes, which then draw the frames.
+        Work on a Dask cluster: the address of its scheduler, tcp://…, or local:N for N processes of this machine.
     restart : bool
-        Begin anew even if an earlier call with the same `out` was interrupted.
+        Begin anew, and forget what an interrupted run has finished.
     keep_store : bool
         Keep the list of finished frames after the dataset is complete.
     tell : function of a text, optional
@@ -123,6 +141,7 @@ def simulate(
     seed = seed_of(rng)
     from sensor_sim.chain.dataset import write_dataset
     from sensor_sim.chain.simulation import Filming, plan_trials
+    from sensor_sim.thresholds.sizes import sizes_in_detectors
     from todframes.base.output import Going, new_folder, store_path
     from todframes.jobs.engine import open_engine
     from todframes.jobs.store import Store
@@ -133,7 +152,7 @@ def simulate(
         why = 'has no [noise] with model = "photon"' if sensor.level == "snr" else "counts photons"
         expected = getattr(argument, sensor.level)
         raise SettingsError(f"{sensor.level}: the sensor {why}; expected levels as {expected} and no others")
-    sizes = [float(one) for one in size_detectors]
+    sizes = sizes_in_detectors(sensor, size_detectors, size_mrad)
     filming = None
     if motion_mrad_per_s is not None or warm_up_frames:
         filming = Filming(0.0 if motion_mrad_per_s is None else float(motion_mrad_per_s), warm_up_frames).checked()

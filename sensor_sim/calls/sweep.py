@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,10 +12,27 @@ from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError, argument
 from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer, adapted, described
-from todframes.scoring.error_budget import PlanName
+from todframes.parameters import (
+    Cluster,
+    Columns,
+    Count,
+    DesignFile,
+    MilliKelvin,
+    NamedFile,
+    Numbers,
+    ObserverName,
+    PlaceCount,
+    PlanName,
+    Probability,
+    Ranges,
+    Seed,
+    SensorFile,
+    SignalToNoise,
+    TargetFactor,
+    Tolerance,
+)
 
 if TYPE_CHECKING:
-    from sensor_sim.sweeps.designs import Designs
     from sensor_sim.sweeps.ranges import Aim
     from sensor_sim.sweeps.result import SweepResult
     from todframes.field.atmosphere import Atmosphere
@@ -25,72 +42,97 @@ if TYPE_CHECKING:
 
 
 def sweep(
-    sensor: Sensor | Path | str,
+    sensor: Sensor | SensorFile,
     *,
-    size_detectors: Sequence[float],
-    vary: Mapping[str, str | Sequence[float]] | None = None,
-    design: Path | str | Sequence[Mapping[str, float]] | Designs | None = None,
-    sample: int | None = None,
+    size_detectors: Numbers,
+    vary: Ranges | Mapping[str, str | Sequence[float]] | None = None,
+    design: DesignFile | Sequence[Mapping[str, float]] | None = None,
+    sample: Count | None = None,
     keep_fill_factor: bool = False,
     couple_netd: bool = False,
-    minimise: Sequence[str] = (),
-    maximise: Sequence[str] = (),
-    acuity_snr: float | None = None,
-    acuity_delta_t_mk: float | None = None,
-    target: Target | Path | str | None = None,
-    atmosphere: Atmosphere | Path | str | None = None,
-    k: float | None = None,
-    places: int = 1,
-    observer: str | Observer = "pyramid",
-    p_correct: float = 0.75,
-    tolerance: float = 2e-3,
+    minimise: Columns = (),
+    maximise: Columns = (),
+    acuity_snr: SignalToNoise | None = None,
+    acuity_delta_t_mk: MilliKelvin | None = None,
+    target: Target | NamedFile | None = None,
+    atmosphere: Atmosphere | NamedFile | None = None,
+    k: TargetFactor | None = None,
+    places: PlaceCount = 1,
+    observer: ObserverName | Observer = "pyramid",
+    p_correct: Probability = 0.75,
+    tolerance: Tolerance = 2e-3,
     plan: PlanName = "needed",
-    rng: Rng = 1,
-    workers: int = 1,
-    cluster: str | Engine | None = None,
+    rng: Seed | Rng = 1,
+    workers: Count = 1,
+    cluster: Cluster | Engine | None = None,
     store: Store | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> SweepResult:
-    """Compute the thresholds of many designs of a sensor, as `sensor-sim sweep` does.
+    """Compute the thresholds of many designs of a sensor, and which are the best trade-offs.
 
-    The numbers of each design are those that `curve` gives for it alone. Parts that designs share are computed
-    once.
+    A design differs from the sensor's file in the values of some keys. An impossible design gets a status and the
+    reason; the others are computed.
 
     Parameters
     ----------
     sensor : Sensor or path
-        Settings of all designs except the varied ones, or the path of a SENSOR.toml.
+        File with all that the designs have in common.
+
+        A `Sensor` is taken as well.
     size_detectors : sequence of float
-        Sizes √(area) in detector pitches, without repetitions; tables are ordered by the first one.
+        Sizes √(area) in detector pitches, each once; tables are ordered by the first one.
     vary : mapping
-        For each key, such as "optics.aperture_mm" or "observer.internal_noise", its values, or a text
-        "FROM:TO:N" or "FROM:TO:N:log". All combinations are computed. With `sample`, texts "FROM:TO" or
-        "FROM:TO:log".
+        Values of a number in SENSOR.toml (optics.aperture_mm) or of the observer (observer.internal_noise); all
+        combinations of several are computed. With `sample`, the form is FROM:TO or FROM:TO:log.
+
+        A sequence of values is taken as well.
     design : path, or sequence of mappings
-        CSV file with a column for each key and a row for each design, or a mapping of values for each design.
+        Designs from a CSV file instead: a column for each key, a row for each design.
+
+        A mapping of values for each design is taken as well.
     sample : int
-        Number of designs of a Latin hypercube over the ranges of `vary`.
+        Number of designs that cover the ranges of `vary` evenly (Latin hypercube).
     keep_fill_factor : bool
-        Whether the detectors' width follows a varied pitch.
+        Let the detectors' width follow a varied pitch.
     couple_netd : bool
-        Whether the sensor's NETD follows aperture and detectors: NETD ∝ (f-number)² / (area of a detector).
-    minimise, maximise : sequence of str
-        Columns that are best when low or high, for the trade-off front: varied keys, "delta_t_mk",
-        "threshold_snr", "acuity_mrad", "acuity_detectors", "range_km". The first orders the designs.
-    acuity_snr, acuity_delta_t_mk : float, optional
-        Signal of a large triangle for which the smallest visible size is interpolated, as an SNR or in mK.
+        Let the NETD follow aperture and detectors: NETD ∝ f-number² / area of a detector.
+    minimise : sequence of str
+        Columns to be low for the trade-off front: varied keys, delta_t_mk, threshold_snr, threshold_contrast,
+        acuity_mrad, acuity_detectors, range_km. The first orders the designs. Default: delta_t_mk; with `target`,
+        range_km is high.
+    maximise : sequence of str
+        Columns to be high for the trade-off front.
+    acuity_snr : float, optional
+        Give the smallest size visible at this SNR of a large triangle.
+    acuity_delta_t_mk : float, optional
+        Give the smallest size visible at this ΔT of a large triangle, in mK.
     target : Target or path, optional
-        Target in the field, as for `todframes.acquisition_range`: the range of its first task is given too.
+        Give the range of this target in the field, for its first task, as `todframes range` does.
     atmosphere : Atmosphere or path, optional
         Air to the target, which a target needs.
     k : float, optional
-        In place of the target's k: the target is seen if a triangle of size / k is.
-    places, observer, p_correct, tolerance, plan, rng
-        As for `curve`; the seed is also that of `sample`.
+        The target is seen if a triangle of size / K is, in place of the target's own K.
+    places : int
+        Number of places, far apart, at which the triangle may be; with 1 its place is known.
+    observer : str or Observer
+        Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
+        own, whose code is run. It must be linear.
+
+        An object is taken as well.
+    p_correct : float
+        Raw proportion correct at threshold.
+    tolerance : float
+        Relative error of the thresholds to reach.
+    plan : {"needed", "full"}
+        Leave out what the sensor does not need, or nothing.
+    rng : int, SeedSequence or Generator
+        Seed of all random draws, also of `sample`.
     workers : int
-        Processes to compute in. A script then calls this below `if __name__ == "__main__":`.
+        Processes that share the work.
+
+        With more than one, a script calls this below `if __name__ == "__main__":`, because they import the script.
     cluster : str or Engine, optional
-        Address of a Dask scheduler or "local:N", instead of `workers`.
+        Work on a Dask cluster: the address of its scheduler, tcp://…, or local:N for N processes of this machine.
     store : Store, optional
         Thresholds that an earlier run has computed; this one adds its own.
     progress : function of an int, optional
@@ -132,12 +174,11 @@ def sweep(
     check_places(sensor, places)
     check_sweep(sensor, seen, sizes, p_correct=p_correct, tolerance=tolerance)
     observers = Variants.of(judge)
-    designs = make_designs(
-        Base(sensor, observers.settings, keep_fill_factor), vary=vary, design=design, sample=sample, seed=seed
-    )
+    base = Base(sensor, observers.settings, keep_fill_factor, couple_netd)
+    designs = make_designs(base, vary=vary, design=design, sample=sample, seed=seed)
     # A file states that its NETD follows the light; designs with NETDs of their own have these.
     couple_netd = couple_netd or (sensor.noise.couple_netd and NETD not in designs.keys)
-    base = Base(sensor, observers.settings, keep_fill_factor, couple_netd)
+    base = replace(base, couple_netd=couple_netd)
     if couple_netd:
         check_coupling(sensor, designs.keys)
     if sensor.level != "snr" and (acuity_snr is not None or acuity_delta_t_mk is not None):

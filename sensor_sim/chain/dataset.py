@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 import numpy as np
@@ -26,20 +26,20 @@ from sensor_sim.chain.simulation import (
 )
 from todframes import __version__
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, FrameError, SettingsError
-from todframes.base.output import held, remove_others
+from todframes.base.errors import FrameError, SettingsError
+from todframes.base.output import remove_others
 from todframes.base.safe_text import one_line
 from todframes.frames.dataset import SCENE_COLUMNS, Experiment
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.frames.files import frame_sha256, write_frame
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.run import run_stored
-from todframes.jobs.work import Engine, LocalEngine, Lost
+from todframes.jobs.work import Engine, LocalEngine
+from todframes.parameters import FrameFormat
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store
 
-FrameFormat = Literal["exr", "png"]
 
 LARGEST_CLIPPED_SHARE = 0.01
 
@@ -135,20 +135,19 @@ class SimulationWork:
                 )
             else:
                 frames = ((trial, n, frame) for trial in trials for n, frame in enumerate(simulator.clip(trial)))
-            with held(self.folder) as folder:
-                for trial, number, frame in frames:
-                    code = frame.luminance_cd_m2 / self.white_cd_m2
-                    if self.frame_format == "png":
-                        clipped += int(np.count_nonzero((code < 0.0) | (code > 1.0)))
-                        n_pixels += code.size
-                        code = np.clip(code, 0.0, 1.0)
-                    rows.append(self._written(folder, trial, number, frame, code))
+            for trial, number, frame in frames:
+                code = frame.luminance_cd_m2 / self.white_cd_m2
+                if self.frame_format == "png":
+                    clipped += int(np.count_nonzero((code < 0.0) | (code > 1.0)))
+                    n_pixels += code.size
+                    code = np.clip(code, 0.0, 1.0)
+                rows.append(self._written(trial, number, frame, code))
             return WrittenFrames(rows, clipped, n_pixels)
 
         return write
 
     def _written(
-        self, folder: Path, trial: SimulatedTrial, number: int | None, frame: SimulatedFrame, code: FloatArray
+        self, trial: SimulatedTrial, number: int | None, frame: SimulatedFrame, code: FloatArray
     ) -> dict[str, str]:
         """Write a frame, of a clip if it has a number there; return its row of the manifest."""
         name_of_trial = "s{}_n{}_{}_{}".format(*trial.key[:2], trial.orientation, trial.key[2])
@@ -164,7 +163,7 @@ class SimulationWork:
                 "judged": str(int(is_judged)),
             }
         name = f"frames/{name_of_trial}{'' if number is None else f'_{number:03d}'}.{self.frame_format}"
-        write_frame(folder / name, code, attributes=provenance(self.sensor, self.seed, trial))
+        write_frame(self.folder / name, code, attributes=provenance(self.sensor, self.seed, trial))
         row = {
             "frame": name,
             "orientation": trial.orientation.value,
@@ -177,13 +176,11 @@ class SimulationWork:
         if self.scenery is not None and trial.background is not None:
             view = self.scenery.view(trial.size_detectors, trial.background, trial.turn)
             row |= zip(SCENE_COLUMNS, view, strict=True)
-        return row | {"sha256": frame_sha256(folder / name)}
+        return row | {"sha256": frame_sha256(self.folder / name)}
 
-    def lost(self, item: list[SimulatedTrial]) -> DataError:
-        """Return the error about trials whose process died with them."""
-        return DataError(
-            f"the process that draws triangles of {item[0].size_detectors:g} detectors died each time"
-        )
+    def name(self, item: list[SimulatedTrial]) -> str:
+        """Return the size of the triangles in words."""
+        return f"triangles of {item[0].size_detectors:g} detectors"
 
     def key(self, item: list[SimulatedTrial], *, is_done: bool) -> bytes:  # noqa: ARG002
         """Return the key of frames: it stands for the sensor, the trials and the format."""
@@ -269,8 +266,6 @@ def write_dataset(
     work = SimulationWork(folder.resolve(), sensor, seed, frame_format, white, scenery, filming)
     done: list[WrittenFrames | None] = [None] * len(tasks)
     for number, found in run_stored(work, tasks, engine=engine or LocalEngine(), store=store):
-        if isinstance(found, Lost):
-            raise found.error
         done[number] = found
         if progress is not None:
             progress(len(tasks[number]))

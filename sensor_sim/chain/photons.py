@@ -90,6 +90,7 @@ def photons_per_lux_s_um2(sensor: Sensor) -> float:
     if sensor.scene.photons_per_lux_s_um2 is not None:
         return sensor.scene.photons_per_lux_s_um2
     wavelength_um = sensor.optics.wavelength_um
+    assert wavelength_um is not None  # checked by `Sensor`
     watt_per_um2 = 1e-12 / (LUMENS_PER_WATT * photopic_efficiency(wavelength_um))
     return watt_per_um2 * wavelength_um / PHOTON_ENERGY_J_UM
 
@@ -98,6 +99,7 @@ def image_illuminance_lx(sensor: Sensor) -> float:
     """Return the illuminance of the background's image: π·τ·L / (4 N²), for a distant scene behind a good lens."""
     optics = sensor.optics
     assert sensor.scene is not None and optics.focal_length_mm is not None  # checked by `Sensor`
+    assert optics.aperture_mm is not None
     f_number = optics.focal_length_mm / optics.aperture_mm
     return math.pi * optics.transmission * sensor.scene.background_cd_m2 / (4.0 * f_number**2)
 

@@ -136,11 +136,17 @@ class PatternSampler:
             self.sharp = True
             self.neglected_bound = sharpness_bound(optics, width_mrad=detector.width_mrad)
             if self.neglected_bound > MAX_NEGLECTED:
-                largest = detector.pitch_mrad * math.sqrt(MAX_FREQUENCIES / 2.0) / last
+                share = math.sqrt(MAX_FREQUENCIES / 2.0) / last
+                if limit := self._limit(share):
+                    raise SettingsError(
+                        f"{limit} with optics that pass {last / period:.4g} cycles per detector, or there are too "
+                        "many spatial frequencies"
+                    )
+                largest = detector.pitch_mrad * share
                 if not optics.is_modelled:
                     raise SettingsError(
                         f"{_measured(optics)} passes {last / period:.4g} cycles per detector, expected at most "
-                        f"{last / period * largest / detector.pitch_mrad:.4g} to be computed; is its unit right?"
+                        f"{last / period * share:.4g} to be computed; is its unit right?"
                     )
                 raise SettingsError(
                     f"detector.pitch_mrad: found {detector.pitch_mrad:g}, too coarse to compute with a width of "
@@ -156,6 +162,10 @@ class PatternSampler:
         """Everything that the samples depend on."""
         seen_by = self._optics, self._detector, self._motion
         return (*seen_by, self._pattern, self._whole_field, self._field, self.period)
+
+    def _limit(self, share: float) -> str:
+        """Return the option that sets the size, with its value and its limit, if a field of this share serves."""
+        raise NotImplementedError
 
     def _spectrum(self, frequency_x: FloatArray, frequency_y: FloatArray) -> ComplexArray:
         """Compute the Fourier transform of the upright pattern, at frequencies in cycles per detector."""
@@ -173,8 +183,9 @@ class PatternSampler:
     def _prepare_spectrum(self, optics: Optics, detector: Detector, last: float) -> None:
         """Compute the spectrum up to `last` cycles per period: [folded x][replica in y, folded y][replica in x].
 
-        Real samples need folded x frequencies from 0 to half of the period only. The upright pattern is its own
-        mirror image, and its spectrum at −f is conjugate to that at f, so a quarter of the plane is computed.
+        Real samples need folded x frequencies from 0 to half of the period only, and none beyond `last`. The
+        upright pattern is its own mirror image, and its spectrum at −f is conjugate to that at f, so a quarter of
+        the plane is computed.
         """
         self._is_circular = looks_the_same_when_turned(optics, self._motion)
         self._turned: dict[int, ComplexArray] = {}
@@ -191,8 +202,9 @@ class PatternSampler:
                 ).real
             quarter[k_y, k_x] = transfer * self._spectrum(fx, fy)
         n_y = math.floor((last + half) / period)
-        self._folded_x = np.arange(half + 1)
-        self._folded_y = np.fft.ifftshift(np.arange(period) - half)
+        passed = np.arange(period) - half
+        self._folded_y = np.fft.ifftshift(passed[np.abs(passed) < end])
+        self._folded_x = np.arange(min(half, end - 1) + 1)
         self._replicas_x = np.arange(-math.floor((last + half) / period), math.floor(last / period) + 1)
         self._replicas_y = np.arange(-n_y, n_y + 1)
         k_x = self._folded_x[:, None, None] + self._replicas_x * period
@@ -312,6 +324,12 @@ class TriangleSampler(PatternSampler):
         self._size = size_detectors
         super().__init__(size_detectors, field_detectors=field_detectors, **chain)
 
+    def _limit(self, share: float) -> str:
+        most = math.floor(self._size - (1.0 - share) * self._field / FIELD_SIZES)
+        if most < 4:  # the sensor is at fault, not the size
+            return ""
+        return f"{argument.size_detectors}: found {self._size:g}, expected at most {most}"
+
     def _spectrum(self, frequency_x: FloatArray, frequency_y: FloatArray) -> ComplexArray:
         return spectrum(frequency_x, frequency_y, size=self._size, orientation=Orientation.UP)
 
@@ -356,6 +374,12 @@ class FourBarSampler(PatternSampler):
     def __init__(self, bars: FourBars, *, field_detectors: int, **chain: Unpack[SamplerChain]) -> None:
         self._bars = bars
         super().__init__(bars, field_detectors=field_detectors, **chain)
+
+    def _limit(self, share: float) -> str:
+        found = 1.0 / self._bars.bar_width
+        if (least := found / share) > 1.0:
+            return ""
+        return f"{argument.frequency_nyquist}: found {found:.3g}, expected more than {least:.3g}"
 
     def _spectrum(self, frequency_x: FloatArray, frequency_y: FloatArray) -> ComplexArray:
         return self._bars.spectrum(frequency_x, frequency_y)
@@ -472,6 +496,7 @@ def _passes_nothing(optics: Optics, cycles: float) -> str:
             f"optics.blur_sigma_mrad: found {optics.blur_sigma_mrad:g}, which passes nothing of a triangle to "
             f"such detectors; expected at most {cycles * optics.blur_sigma_mrad:.4g}"
         )
+    assert optics.aperture_mm is not None  # modelled optics have one
     return (
         f"optics.aperture_mm: found {optics.aperture_mm:g}, which passes nothing of a triangle to such detectors "
         f"at a wavelength of {optics.wavelength_um:g} µm; expected at least {optics.aperture_mm / cycles:.4g}"

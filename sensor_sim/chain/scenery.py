@@ -32,8 +32,8 @@ from todframes.backdrops.views import (
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.display.display import Display
-from todframes.frames.files import PathLike
 from todframes.frames.trials import SceneView
+from todframes.parameters import PathLike
 
 SCENE_STREAM = 2
 """First element of the spawn keys of the random streams of scenes; those of trials and patterns have others."""
@@ -112,13 +112,13 @@ class Scenery:
             reach = math.ceil(side * pixels_per_detector / 2.0)
             layouts.append(Layout(size * pixels_per_detector, reach, 1, 0.0))
         drawn = draw_backgrounds(
-            open_scenes(paths, value_range=value_range, range_name=argument.background_range, note=note),
+            open_scenes(paths, value_range=value_range, range_name="background_range", note=note),
             display,
             layouts,
             lambda number, k: np.random.default_rng(
                 np.random.SeedSequence(seed, spawn_key=(SCENE_STREAM, number, k))
             ),
-            range_name=argument.background_range,
+            range_name="background_range",
             note=note,
         )
         found = {size: tuple(windows) for size, windows in zip(sizes_detectors, drawn, strict=True)}

@@ -13,7 +13,15 @@ from msgspec import Meta
 
 from sensor_sim.chain.measured import MeasuredMtf, MeasuredPsf, read_measured_mtf, read_measured_psf
 from todframes.base.errors import SettingsError, TodframesError
-from todframes.base.reading import check_keys, check_values, from_table, read_toml, toml_literal, toml_text
+from todframes.base.reading import (
+    check_values,
+    convert,
+    from_table,
+    read_toml,
+    toml_literal,
+    toml_text,
+    without_schema,
+)
 
 SCHEMA = 1
 
@@ -49,8 +57,9 @@ class Optics:
 
     Attributes
     ----------
-    aperture_mm, wavelength_um : float
-        Both > 0. With `f_number`, the aperture is the focal length divided by it, whatever is given here.
+    aperture_mm, wavelength_um : float or None
+        Both > 0; measured optics do without them. With `f_number`, the aperture is the focal length divided by it,
+        whatever is given here.
     blur_sigma_mrad : float
         Standard deviation of the Gaussian, never a 1/e width; >= 0.
     f_number, focal_length_mm : float or None
@@ -75,11 +84,11 @@ class Optics:
     Raises
     ------
     SettingsError
-        If a value is out of its range, or there is no aperture.
+        If a value is out of its range, or modelled optics have no aperture or wavelength.
     """
 
-    aperture_mm: Positive = FOLLOWS
-    wavelength_um: Positive
+    aperture_mm: OptionalPositive = None
+    wavelength_um: OptionalPositive = None
     blur_sigma_mrad: NotNegative = 0.0
     f_number: OptionalPositive = None
     focal_length_mm: OptionalPositive = None
@@ -98,11 +107,12 @@ class Optics:
         if self.f_number is not None:
             if self.focal_length_mm is None:
                 raise SettingsError("focal_length_mm is missing: the aperture is focal_length_mm / f_number")
-            check_values(self, ignored=("aperture_mm",))
+            check_values(self)
             object.__setattr__(self, "aperture_mm", self.focal_length_mm / self.f_number)
-        elif self.aperture_mm is FOLLOWS:
-            raise SettingsError("aperture_mm is missing")
         check_values(self)
+        for name in ("aperture_mm", "wavelength_um") if self.is_modelled else ():
+            if getattr(self, name) is None:
+                raise SettingsError(f"{name} is missing")
 
     def _check_measured(self) -> None:
         given = [name for name in ("mtf", "psf") if getattr(self, name) is not None]
@@ -149,7 +159,12 @@ class Optics:
 
     @property
     def cut_off_cyc_per_mrad(self) -> float:
-        """Frequency at and beyond which the aperture passes nothing: 1 mm / 1 µm is 1 cycle/mrad."""
+        """Frequency at which the transfer ends: 1 mm / 1 µm is 1 cycle/mrad; the end of the data if measured."""
+        if self.mtf is not None:
+            return self.mtf.frequency[-1] / self.measured_units
+        if self.psf is not None:
+            return self.psf.band_limit_cyc_per_sample / self.measured_units
+        assert self.aperture_mm is not None and self.wavelength_um is not None  # checked above
         return self.aperture_mm / self.wavelength_um
 
 
@@ -180,7 +195,7 @@ class Detector:
 
     def __post_init__(self) -> None:
         if self.pitch_um is not None:
-            check_values(self, ignored=("pitch_mrad", "width_mrad"))
+            check_values(self)
             if self.width_um is not None and self.width_um > self.pitch_um:
                 raise SettingsError(
                     f"width_um: found {self.width_um!r}, expected at most pitch_um ({self.pitch_um!r})"
@@ -540,6 +555,7 @@ class Sensor:
     motion: Motion | None = None
 
     def __post_init__(self) -> None:
+        check_values(self)
         object.__setattr__(self, "detector", self.detector.behind(self.optics))
         object.__setattr__(self, "optics", self.optics.before(self.detector))
         if self.photons is None:
@@ -550,8 +566,11 @@ class Sensor:
             raise SettingsError('table [scene] is missing: [noise] with model = "photon" needs its light')
         if self.scene.background_electrons is not None:
             return
-        if self.optics.focal_length_mm is None:
-            raise SettingsError("optics.focal_length_mm is missing: light falls on a pixel by f-number and area")
+        if self.optics.focal_length_mm is None or self.optics.aperture_mm is None:
+            name = "aperture_mm" if self.optics.aperture_mm is None else "focal_length_mm"
+            raise SettingsError(f"optics.{name} is missing: light falls on a pixel by f-number and area")
+        if self.optics.wavelength_um is None and self.scene.photons_per_lux_s_um2 is None:
+            raise SettingsError("optics.wavelength_um is missing: it gives the photons of a lux")
         if self.photons.quantum_efficiency is None:
             raise SettingsError("noise.quantum_efficiency is missing: it turns photons into electrons")
 
@@ -581,11 +600,13 @@ NOISE_MODELS: dict[str, type] = {"photon": PhotonNoise}
 
 _REQUIRED_TABLES = ("optics", "detector", "display")
 
-_EITHER = {
-    "optics": (("aperture_mm", "f_number"),),
-    "detector": (("pitch_mrad", "pitch_um"), ("pitch_mrad", "width_um"), ("width_mrad", "pitch_um")),
-}
-"""Keys of a table that set the same value."""
+_EITHER = (
+    ("optics", "aperture_mm", "f_number"),
+    ("detector", "pitch_mrad", "pitch_um"),
+    ("detector", "pitch_mrad", "width_um"),
+    ("detector", "width_mrad", "pitch_um"),
+)
+"""A table and two of its keys that set the same value."""
 
 
 def load_sensor(path: Path | str) -> Sensor:
@@ -639,38 +660,30 @@ def sensor_from(
         If a table or key is unknown, missing, contradicts another or is out of its range; the message begins with
         `where`.
     """
-    check_keys(content, ["schema", "name", *TABLES], where)
-    schema = content.get("schema")
-    if schema != SCHEMA or isinstance(schema, bool):
-        found = "nothing" if schema is None else repr(schema)
-        raise SettingsError(f"{where}: schema: found {found}, expected {SCHEMA}")
-    name = content.get("name", "unnamed")
-    if not isinstance(name, str):
-        raise SettingsError(f"{where}: name: found {name!r}, expected a text")
+    content = without_schema(content, SCHEMA, ["name", *TABLES], where)
+    tables = {
+        name: convert(value, dict[str, Any], f"{where}: {name}")
+        for name, value in content.items()
+        if name in TABLES
+    }
+    for table, one, other in _EITHER:
+        if {one, other} <= tables.get(table, {}).keys():
+            raise SettingsError(f"{where}: [{table}]: found {one} and {other}, expected one of them")
     parts: dict[str, Any] = {}
-    for table, kind in TABLES.items():
-        if table in content:
-            if not isinstance(content[table], dict):
-                raise SettingsError(f"{where}: {table}: found {content[table]!r}, expected a table [{table}]")
-            place = f"{where}: [{table}]"
-            for one, other in _EITHER.get(table, ()):
-                if one in content[table] and other in content[table]:
-                    raise SettingsError(f"{place}: found {one} and {other}, expected one of them")
-            if table == "noise" and "model" in content[table]:
-                parts["photons"] = _photons(content[table], place)
-            else:
-                values = (
-                    _with_measured(content[table], place, folder, measured or {})
-                    if table == "optics"
-                    else content[table]
-                )
-                parts[table] = from_table(values, kind, place)
-        elif table in _REQUIRED_TABLES:
+    for table, values in tables.items():
+        place = f"{where}: [{table}]"
+        if table == "optics":
+            parts[table] = from_table(_with_measured(values, place, folder, measured or {}), Optics, place)
+        elif "model" in values and table == "noise":
+            model = convert(values["model"], Literal[*NOISE_MODELS], f"{place}: model")
+            others = {name: value for name, value in values.items() if name != "model"}
+            parts["photons"] = from_table(others, NOISE_MODELS[model], place)
+        else:
+            parts[table] = from_table(values, TABLES[table], place)
+    for table in _REQUIRED_TABLES:
+        if table not in parts:
             raise SettingsError(f"{where}: table [{table}] is missing")
-    try:
-        return Sensor(name=name, **parts)
-    except SettingsError as error:
-        raise SettingsError(f"{where}: {error}") from None
+    return from_table({"name": content.get("name", "unnamed")} | parts, Sensor, where)
 
 
 def _with_measured(
@@ -684,8 +697,7 @@ def _with_measured(
         file = values.get(name)
         if file is None:
             continue
-        if not isinstance(file, str):
-            raise SettingsError(f"{where}: {name}: found {file!r}, expected the name of a file")
+        convert(file, str, f"{where}: {name}")
         if name in measured and measured[name].file == file:
             values[name] = measured[name]
             continue
@@ -701,15 +713,6 @@ def _with_measured(
     return values
 
 
-def _photons(table: Mapping[str, Any], where: str) -> Any:
-    """Return the settings of a table [noise] with a key `model`."""
-    others = dict(table)
-    model = others.pop("model")
-    if model not in NOISE_MODELS:
-        raise SettingsError(f"{where}: model: found {model!r}, expected one of {', '.join(NOISE_MODELS)}")
-    return from_table(others, NOISE_MODELS[model], where)
-
-
 def part_of(table: str, sensor: Sensor) -> str:
     """Return the name of the attribute of a sensor that holds the settings of a table."""
     return "photons" if table == "noise" and sensor.photons is not None else table
@@ -721,17 +724,25 @@ def used_keys(sensor: Sensor) -> dict[str, list[str]]:
     for table in TABLES:
         part = getattr(sensor, part_of(table, sensor))
         if part is not None:
-            follows = _followers(part)
+            follows = _followers(part, sensor)
             found[table] = [one.name for one in fields(part) if one.name not in follows]
     return found
 
 
-def _followers(part: object) -> tuple[str, ...]:
-    """Return the names of settings that follow from others of the same table, or are of no use with them."""
+def _followers(part: object, sensor: Sensor) -> tuple[str, ...]:
+    """Return the names of a part's settings that follow from others of the sensor, or are of no use with them."""
     if isinstance(part, Optics):
-        of_aperture = "aperture_mm" if part.f_number is not None else "f_number"
-        measured = () if part.is_modelled else ("blur_sigma_mrad", "obscuration_ratio", "defocus_waves")
-        return ("measured_units", of_aperture, *measured)
+        names = ["measured_units", "aperture_mm" if part.f_number is not None else "f_number"]
+        if not part.is_modelled:
+            # The aperture and the wavelength then matter only to light, and to the NETD that follows it.
+            names += ["blur_sigma_mrad", "obscuration_ratio", "defocus_waves"]
+            light = sensor.scene
+            if light is None or light.background_electrons is not None:
+                names += ["transmission", "wavelength_um"]
+                names += [] if sensor.noise.couple_netd else ["aperture_mm", "f_number"]
+            elif light.photons_per_lux_s_um2 is not None:
+                names.append("wavelength_um")
+        return tuple(names)
     if isinstance(part, Detector):
         return ("pitch_mrad", "width_mrad") if part.pitch_um is not None else ("pitch_um", "width_um")
     if isinstance(part, Scene):

@@ -9,9 +9,10 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
 from sensor_sim.chain.detector_noise import displayed_noise, k_factor, unit_fixed_pattern
 from sensor_sim.chain.photons import PhotonCamera
@@ -20,7 +21,7 @@ from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, field_detectors, fiel
 from sensor_sim.chain.sensor import Sensor
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
-from todframes.base.reading import check_warm_up, distinct_numbers
+from todframes.base.reading import MOST_TRIALS, WarmUpFrames, check_whole, convert, distinct_numbers
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 if TYPE_CHECKING:
@@ -38,8 +39,8 @@ LARGEST_SIDE_PX = 11_585
 INTEGRATION_TIME_S = 0.1
 """Time over which the eye averages the integrated frames of a sensor."""
 
-FASTEST_MRAD_PER_S = 1e6
-"""Largest motion of a clip."""
+MotionSpeed = Annotated[float, Meta(ge=0.0, le=1e6)]
+"""Motion of a clip in mrad/s."""
 
 
 class Filming(NamedTuple):
@@ -53,12 +54,8 @@ class Filming(NamedTuple):
 
     def checked(self) -> Filming:
         """Return itself; raise SettingsError if a value is out of range."""
-        if not 0.0 <= self.motion_mrad_per_s <= FASTEST_MRAD_PER_S:
-            raise SettingsError(
-                f"{argument.motion_mrad_per_s}: found {self.motion_mrad_per_s:g}, expected 0 to "
-                f"{FASTEST_MRAD_PER_S:g} mrad/s"
-            )
-        check_warm_up(argument.warm_up_frames, self.warm_up_frames)
+        convert(self.motion_mrad_per_s, MotionSpeed, argument.motion_mrad_per_s)
+        convert(self.warm_up_frames, WarmUpFrames, argument.warm_up_frames)
         return self
 
     def times_s(self, sensor: Sensor) -> FloatArray:
@@ -125,14 +122,13 @@ def plan_trials(
     Raises
     ------
     SettingsError
-        If a list is empty, a value is not a positive number or occurs twice, or there are no trials.
+        If a list is empty, a value is not a positive number or occurs twice, or there are no trials or too many.
     """
     for name, values in ((argument.size_detectors, sizes_detectors), (getattr(argument, level_name), levels)):
         for value in distinct_numbers(name, values):
             if not 1e-6 <= value <= 1e9:
                 raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0, from 1e-06 to 1e+09")
-    if trials < 1:
-        raise SettingsError(f"{argument.trials}: found {trials}, expected at least 1")
+    check_whole(argument.trials, trials, 1, max(MOST_TRIALS // (len(sizes_detectors) * len(levels)), 1))
     return [
         SimulatedTrial((i, j, n), size, level, ORIENTATIONS[n % 4])
         for i, size in enumerate(sizes_detectors)

@@ -142,9 +142,8 @@ def _defocused(obscuration_ratio: float, defocus_waves: float) -> Any:
 def aperture_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) -> FloatArray:
     """Return the transfer of the aperture: diffraction, obscuration and defocus, which may make it negative."""
     if optics.defocus_waves == 0.0 and optics.obscuration_ratio == 0.0:
-        return diffraction_mtf(
-            radial_frequency_cyc_per_mrad, wavelength_um=optics.wavelength_um, aperture_mm=optics.aperture_mm
-        )
+        cut_off = optics.cut_off_cyc_per_mrad
+        return diffraction_mtf(radial_frequency_cyc_per_mrad, wavelength_um=1.0, aperture_mm=cut_off)
     relative = np.abs(np.asarray(radial_frequency_cyc_per_mrad, dtype=np.float64)) / optics.cut_off_cyc_per_mrad
     if optics.defocus_waves == 0.0:
         return obscured_mtf(relative, obscuration_ratio=optics.obscuration_ratio)
@@ -207,11 +206,7 @@ BLUR_FREQUENCIES = 512
 
 
 def band_limit_cyc_per_mrad(optics: Optics) -> float:
-    """Return the end of the optics' transfer: the cut-off, the end of a table, or a Gaussian below 1e-17."""
-    if optics.mtf is not None:
-        return optics.mtf.frequency[-1] / optics.measured_units
-    if optics.psf is not None:
-        return optics.psf.band_limit_cyc_per_sample / optics.measured_units
+    """Return the end of the optics' transfer: the cut-off, or a Gaussian below 1e-17."""
     if optics.blur_sigma_mrad == 0.0:
         return optics.cut_off_cyc_per_mrad
     return min(optics.cut_off_cyc_per_mrad, 1.42 / optics.blur_sigma_mrad)
@@ -268,17 +263,6 @@ def motion_mtf(
     return np.asarray(smear * gaussian_mtf(radial, sigma=motion.jitter_sigma_mrad))
 
 
-def post_sample_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor) -> FloatArray:
-    """Return electronics × display spot, in the shape of the frequency, which is in object space.
-
-    Hogervorst et al. 2001, section 3.6.
-    """
-    px_per_mrad = sensor.display.pixels_per_detector / sensor.detector.pitch_mrad
-    cyc_per_px = np.asarray(radial_frequency_cyc_per_mrad, dtype=np.float64) / px_per_mrad
-    electronics = gaussian_mtf(cyc_per_px, sigma=sensor.electronics.blur_sigma_px)
-    return electronics * gaussian_mtf(cyc_per_px, sigma=sensor.display.blur_sigma_px)
-
-
 def stages(frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor) -> dict[str, FloatArray]:
     """Return every stage's transfer along x, in the order of the signal chain, and the two products.
 
@@ -292,7 +276,7 @@ def stages(frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor) -> dict[str, Fl
     dict of ndarray
         "diffraction" (with obscuration and defocus) and "optics_blur", or "measured_optics", "motion" if there is
         some, "detector" unless a measured MTF includes it, "hold", "electronics", "display", then "pre_sample"
-        (those before "hold") and "post_sample" (electronics and display).
+        (those before "hold") and "post_sample" (the others; the paper's post-sampling MTF leaves "hold" out).
 
     Hogervorst et al. 2001, section 3.
     """
@@ -311,11 +295,14 @@ def stages(frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor) -> dict[str, Fl
     if not optics.mtf_includes_detector:
         of_optics["detector"] = box_mtf(frequency, width=detector.width_mrad)
     presample = pre_sample_mtf(frequency, along_y, optics=optics, detector=detector, motion=sensor.motion)
-    return {
-        **of_optics,
+    after = {
         "hold": box_mtf(frequency, width=detector.pitch_mrad),
         "electronics": gaussian_mtf(cyc_per_px, sigma=sensor.electronics.blur_sigma_px),
         "display": gaussian_mtf(cyc_per_px, sigma=sensor.display.blur_sigma_px),
+    }
+    return {
+        **of_optics,
+        **after,
         "pre_sample": np.abs(presample) if np.iscomplexobj(presample) else np.asarray(presample.real),
-        "post_sample": post_sample_mtf(frequency, sensor=sensor),
+        "post_sample": np.asarray(math.prod(after.values())),
     }

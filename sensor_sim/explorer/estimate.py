@@ -23,7 +23,13 @@ from numpy.typing import NDArray
 from sensor_sim.chain.sampling import field_detectors, field_sampler, smallest_field
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.transfer import blur_mrad
-from sensor_sim.thresholds.curve_plan import CurvePlan, centre_offset, is_alike_when_turned, lines_of
+from sensor_sim.thresholds.curve_plan import (
+    CurvePlan,
+    centre_offset,
+    is_alike_when_turned,
+    lines_of,
+    seen_detectors,
+)
 from sensor_sim.thresholds.folding import Folding, is_unblurred
 from sensor_sim.thresholds.predict import (
     KRONECKER_STEPS_4D,
@@ -105,11 +111,12 @@ def quick_plan(
 ) -> CurvePlan:
     """Return a plan that leaves out, without a test, what most plans leave out: the far field and double
     precision."""
-    field = quick_field(sensor, size_detectors)
+    whole = quick_field(sensor, size_detectors)
+    field = min(whole, seen_detectors(sensor, observer, size_detectors))
     sampler = shared.samplers.get(
-        ("quick", sensor.optics, sensor.motion, sensor.detector, size_detectors, field),
-        lambda: field_sampler(sensor, size_detectors, field),
-    )
+        ("quick", sensor.optics, sensor.motion, sensor.detector, size_detectors, whole),
+        lambda: field_sampler(sensor, size_detectors, whole),
+    ).within(field)
     return CurvePlan(
         observer=observer,
         field=field,

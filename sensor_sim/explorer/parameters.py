@@ -7,15 +7,14 @@ line here: its label and unit follow from its name, its slider from its unit and
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import fields
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+from types import NoneType
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 
 from sensor_sim.chain.measured import MeasuredMtf, MeasuredPsf
 from sensor_sim.chain.sensor import EXPLAINED, LARGEST, NOISE_MODELS, TABLES
+from todframes.base.reading import kinds_of, settings_of
 
 Kind = Literal["number", "integer", "choice", "switch", "file"]
 
@@ -133,7 +132,8 @@ NO_FIELD = {"optics.measured_units", "noise.couple_netd"}
 """Settings without a field of this kind: one follows from others, and one is the page's own switch."""
 
 NEEDED = {
-    *("optics.f_number", "optics.focal_length_mm", "optics.psf_pitch_um", "optics.psf_pitch_mrad"),
+    *(f"optics.{name}" for name in ("aperture_mm", "wavelength_um", "f_number", "focal_length_mm")),
+    *("optics.psf_pitch_um", "optics.psf_pitch_mrad"),
     *("detector.pitch_um", "scene.luminance_cd_m2", "scene.illuminance_lx", "scene.reflectance"),
 }
 """Keys that a SENSOR.toml may do without, but not one that has them: it would lack what they give."""
@@ -152,8 +152,8 @@ def sensor_fields() -> tuple[PageField, ...]:
     found: dict[str, PageField] = {}
     for table, kind in TABLES.items():
         for settings in (kind, *(NOISE_MODELS.values() if table == "noise" else ())):
-            for name, hint in _settings(settings):
-                key = f"{table}.{name}"
+            for field, hint in settings_of(settings):
+                key = f"{table}.{field.name}"
                 if key not in NO_FIELD and key not in found:
                     text = EXPLAINED[key]
                     found[key] = _field(key, hint, text[:1].upper() + text[1:] + ".")
@@ -164,24 +164,18 @@ def observer_fields(settings_type: type) -> tuple[PageField, ...]:
     """Return a field for each setting of an observer that moves on the page."""
     if settings_type is NoneType:
         return ()
-    known = _settings(settings_type)
     return tuple(
-        _field(f"observer.{name}", hint, OBSERVER_FIELDS[name]) for name, hint in known if name in OBSERVER_FIELDS
+        _field(f"observer.{field.name}", hint, OBSERVER_FIELDS[field.name])
+        for field, hint in settings_of(settings_type)
+        if field.name in OBSERVER_FIELDS
     )
-
-
-def _settings(kind: type) -> Iterator[tuple[str, Any]]:
-    """Yield the names and annotations of the settings of a dataclass."""
-    hints = get_type_hints(kind, include_extras=True)
-    for one in fields(kind):
-        yield one.name, hints[one.name]
 
 
 def _field(key: str, hint: Any, text: str) -> PageField:
     """Return the field of a setting with this annotation."""
     table, _, name = key.partition(".")
     limits = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, msgspec.Meta)]
-    kinds = _kinds(hint)
+    kinds = kinds_of(hint)
     ending = next((one for one in UNITS if name == one or name.endswith(f"_{one}")), "")
     unit = UNITS.get(ending, SliderUnit(""))
     words = name.removesuffix(ending).strip("_").removesuffix("_sigma") or name
@@ -204,15 +198,6 @@ def _field(key: str, hint: Any, text: str) -> PageField:
     most = min((one.le for one in limits if one.le is not None), default=LARGEST)
     slider = _slider(key, unit, float(least), float(most), is_whole=is_whole)
     return PageField(**common, unit=unit.name, kind="integer" if is_whole else "number", **slider)
-
-
-def _kinds(hint: Any) -> tuple[Any, ...]:
-    """Return the types, or the texts, that an annotation names."""
-    if get_origin(hint) is Annotated:
-        return _kinds(get_args(hint)[0])
-    if get_origin(hint) in (UnionType, Union):
-        return tuple(kind for one in get_args(hint) for kind in _kinds(one))
-    return get_args(hint) if get_origin(hint) is Literal else (hint,)
 
 
 def _slider(key: str, unit: SliderUnit, least: float, most: float, *, is_whole: bool) -> dict[str, Any]:

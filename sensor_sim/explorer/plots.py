@@ -11,9 +11,10 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from sensor_sim.mtf_report import MTF_NOTE, SensorMtf
-from todframes.report.figure_style import INK, add_legend, curve_style, label_text, plain_ticks
-from todframes.report.figures import ReportFigure
+from sensor_sim.mtf_report import SensorMtf
+from todframes.report.figure import ReportFigure
+from todframes.report.figure_style import COLOURS, INK, MARKERS, add_legend, label_text, plain_ticks
+from todframes.report.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,13 +23,17 @@ Text = Annotated[str, Meta(max_length=400)]
 Numbers = Annotated[list[float], Meta(max_length=64)]
 Format = Literal["svg", "png"]
 
+PAGE_COLOURS = tuple(COLOURS[place] for place in (0, 4, 1, 5, 6, 2, 3))
+"""Colours of the present curve, and of the pinned ones by their numbers as in `explorer.css`."""
+
 _TURN = threading.Lock()
 """Figures are drawn one at a time: Matplotlib's settings belong to the whole process."""
 
 
 class Drawn(msgspec.Struct):
-    """A curve of a plot: where it is, its values, and the half-widths of their 95 % intervals."""
+    """A curve of a plot: its number on the page, where it is, its values, and half-widths of 95 % intervals."""
 
+    number: Annotated[int, Meta(ge=0, lt=len(PAGE_COLOURS))]
     label: Text
     x: Numbers
     y: Annotated[list[Annotated[float, Meta(gt=0.0)]], Meta(max_length=64)]
@@ -36,9 +41,9 @@ class Drawn(msgspec.Struct):
 
 
 class PlotAsked(msgspec.Struct):
-    """A request for the plot of threshold curves as a file; the last curve is the present one.
+    """A request for the plot of threshold curves as a file.
 
-    `never_reached` are the abscissae at which it has no threshold.
+    `never_reached` are the abscissae at which the present one has no threshold.
     """
 
     format: Format
@@ -57,9 +62,9 @@ def curve_plot(asked: PlotAsked) -> dict[str, str]:
     )
 
 
-def mtf_plot(transfer: SensorMtf, form: Format) -> dict[str, str]:
+def mtf_plot(transfer: Result[SensorMtf], form: Format) -> dict[str, str]:
     """Return the file of a sensor's MTFs; see `file_of`."""
-    return file_of(ReportFigure(transfer.sensor, MTF_NOTE, transfer.draw, "mtf.png"), form)
+    return file_of(transfer.data.figures()[0], form)
 
 
 def file_of(picture: ReportFigure, form: Format) -> dict[str, str]:
@@ -72,17 +77,15 @@ def file_of(picture: ReportFigure, form: Format) -> dict[str, str]:
 
 def draw_curves(axes: Axes, *, asked: PlotAsked) -> None:
     """Draw curves with their bands, and crosses on the axis where the present one is never reached."""
-    *pinned, now = asked.curves
-    for place, curve in enumerate([*pinned, now]):
-        line_style, x, y = curve_style(place, len(asked.curves)), np.array(curve.x), np.array(curve.y)
-        order, error = np.argsort(x), np.array(curve.error)
-        line, width = ("-", 2.2) if curve is now else ("--", 1.4)
+    for curve in asked.curves:
+        colour, marker = PAGE_COLOURS[curve.number], MARKERS[curve.number]
+        x, y, error = np.array(curve.x), np.array(curve.y), np.array(curve.error)
+        order = np.argsort(x)
+        line, width = ("--", 1.4) if curve.number else ("-", 2.2)
         label = label_text(curve.label)
-        axes.plot(
-            x[order], y[order], color=line_style.colour, marker=line_style.marker, label=label, ls=line, lw=width
-        )
+        axes.plot(x[order], y[order], color=colour, marker=marker, label=label, ls=line, lw=width)
         low, high = np.maximum(y - error, y / 10.0), y + error
-        axes.fill_between(x[order], low[order], high[order], color=line_style.colour, alpha=0.2, lw=0.0)
+        axes.fill_between(x[order], low[order], high[order], color=colour, alpha=0.2, lw=0.0)
     crosses = np.array(asked.never_reached)
     axes.plot(crosses, np.zeros(len(crosses)), "x", color=INK, transform=axes.get_xaxis_transform(), clip_on=False)
     axes.set(xlabel=label_text(asked.x_label), ylabel=label_text(asked.y_label), yscale="log")

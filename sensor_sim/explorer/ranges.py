@@ -16,7 +16,7 @@ from todframes.base.errors import SettingsError, argument
 from todframes.calls.acquisition_range import acquisition_range
 from todframes.psychometrics.threshold_search import ComputedThreshold, Status
 from todframes.report.data import Fit, FitPoint
-from todframes.report.range_report import RangeResult, about, probability_axis, range_words
+from todframes.report.range_report import FieldRange, range_words
 from todframes.report.result import Result
 
 Value = Annotated[float, Meta(gt=0.0, le=1e12)]
@@ -53,7 +53,7 @@ def check_aim(aim: Aim, sensor: Sensor, p_correct: float) -> None:
     aim.check(p_correct, quantity="delta_t_k" if sensor.photons is None else "contrast", name=sensor.name)
 
 
-def range_from(aim: Aim, sensor: Sensor, thresholds: list[ThresholdSent], p_correct: float) -> RangeResult:
+def range_from(aim: Aim, sensor: Sensor, thresholds: list[ThresholdSent], p_correct: float) -> Result[FieldRange]:
     """Return the range of a sensor from its thresholds.
 
     Raises
@@ -63,7 +63,7 @@ def range_from(aim: Aim, sensor: Sensor, thresholds: list[ThresholdSent], p_corr
     DataError
         If there are fewer than two thresholds, or the target is too small for the sensor.
     """
-    curve: Result = Result.made(
+    curve = Result.made(
         "curve",
         time.perf_counter(),
         settings={"sensor": sensor_settings(sensor)},
@@ -95,15 +95,19 @@ def weibull_slope(slope: float, p_correct: float) -> float:
     return slope / (math.log(2.0) * halves * (1.0 - p_correct))
 
 
-def range_answer(found: RangeResult) -> dict[str, Any]:
+def range_answer(found: Result[FieldRange]) -> dict[str, Any]:
     """Return what the page shows of a range: curves, ranges in words, and what they rest on."""
-    acquired = found.acquired
+    data = found.data
     return {
-        "title": about(acquired),
-        "axis": probability_axis(acquired),
-        "criterion": "k" if found.is_tod else "N50",
-        "probabilities": list(acquired.probabilities),
-        "curves": [one.json() | {"is_bound": (one.bound != 0.0).tolist()} for one in acquired.curves],
+        "title": data.name,
+        "axis": data.probability_name,
+        "criterion": "k" if data.is_tod else "N50",
+        "probabilities": list(dict.fromkeys(one.probability for one in data.numbers.ranges)),
+        "curves": [
+            {name: getattr(one, name) for name in ("task", "range_km", "probability", "low", "high")}
+            | {"is_bound": [bound != 0.0 for bound in one.bound]}
+            for one in data.numbers.probability
+        ],
         "ranges": [
             {
                 "task": one.task,
@@ -111,8 +115,8 @@ def range_answer(found: RangeResult) -> dict[str, Any]:
                 "probability": one.probability,
                 "words": range_words(one),
             }
-            for one in acquired.ranges
+            for one in data.numbers.ranges
         ],
-        "sentences": found.sentences(),
+        "sentences": data.sentences(),
         "warnings": [one.message for one in found.warnings],
     }

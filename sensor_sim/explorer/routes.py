@@ -9,7 +9,6 @@ import re
 import shlex
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, closing
 from dataclasses import asdict, is_dataclass
 from importlib.resources import files
@@ -34,20 +33,19 @@ from sensor_sim.mtf_report import sensor_mtf
 from sensor_sim.sweeps.ranges import Aim
 from sensor_sim.thresholds.curve_plan import not_linear
 from sensor_sim.thresholds.predict import Level, PredictedThreshold
+from sensor_sim.thresholds.sizes import SIZES_CHOSEN, computed_sizes
 from todframes import __version__
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys, from_table, parse_toml, toml_literal
 from todframes.observers.interface import Observer, adapted, described
 from todframes.psychometrics.fit import FitSettings
-from todframes.report.range_report import RangeResult, probability_figure
+from todframes.report.range_report import FieldRange
+from todframes.report.result import Result
 from todframes.stimulus import ORIENTATIONS, Stimulus
 from todframes.web.pages import EmptyRequest, call, page, stream
 
-LADDER_DETECTORS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 24.0, 32.0)
-"""Sizes from which those of a sensor are chosen: the smallest one that has a threshold, and the next ones."""
-
-SIZES_CHOSEN, TRIED_AT_ONCE = 5, 4
-"""Number of sizes that are chosen, and of those that are tried at a time."""
+TRIED_AT_ONCE = 4
+"""Number of sizes that are tried at a time."""
 
 LARGEST_ERROR = 0.1
 """Relative error of an estimate above which a size hardly has a threshold: the curve begins at the next size."""
@@ -179,22 +177,19 @@ class Explorer:
         # The files that a request may name: the server has read them, and reads no others.
         self._measured = {name: one for name, one in (("mtf", optics.mtf), ("psf", optics.psf)) if one is not None}
         self._latest = Latest()
-        # One thread, as `LiveCurves` computes one curve at a time. A request ends the one before it of the same
-        # page; one of another page it waits for.
-        self._thread = ThreadPoolExecutor(1, "curves")
         self._live: LiveCurves
 
     @asynccontextmanager
     async def running(self, _: Starlette) -> AsyncIterator[None]:
         """Keep the processes that compute for the time of a `with` statement."""
-        with closing(LiveCurves()) as self._live, self._thread:
+        with closing(LiveCurves()) as self._live:
             yield
 
     def app(self) -> Starlette:
         """Return the app of the page."""
         calls = [
             call("/api/start", EmptyRequest, lambda _: self.start()),
-            stream("/api/curve", CurveAsked, self.curve, self._thread),
+            stream("/api/curve", CurveAsked, self.curve),
             call("/api/mtf", SensorAsked, lambda asked: transfer(self.made(asked))),
             call("/api/stages", TrialAsked, lambda asked: trial_pictures(asked, self.made(asked))),
             call("/api/orientation", TrialAsked, lambda asked: {"orientation": asked.trial().orientation.value}),
@@ -289,7 +284,7 @@ class Explorer:
             curve.append(f"--p-correct {asked.p_correct!r}")
         return found | {"command": " ".join(curve)}
 
-    def range_of(self, asked: RangeAsked) -> RangeResult:
+    def range_of(self, asked: RangeAsked) -> Result[FieldRange]:
         """Return the range of a sensor from the thresholds of its curve; see `range_from` for the errors."""
         if self._aim is None:
             raise SettingsError(f"{argument.target}: is missing; the explorer was started without it")
@@ -297,7 +292,7 @@ class Explorer:
 
     def range_plot(self, asked: RangePlotAsked) -> dict[str, str]:
         """Return the file of a plot of probability against range; see `file_of`."""
-        return file_of(probability_figure(self.range_of(asked).acquired), asked.format)
+        return file_of(self.range_of(asked).data.figures()[0], asked.format)
 
     def _options(self, changes: Tables) -> Iterator[str]:
         """Yield the options of a command that make the observer with some settings changed."""
@@ -385,7 +380,7 @@ class Explorer:
         SettingsError
             If not even the smallest size can be computed.
         """
-        known = list(_computed_sizes(sensor, observer))
+        known = list(computed_sizes(sensor, observer))
         for start in range(0, len(known), TRIED_AT_ONCE):
             tried = known[start : start + TRIED_AT_ONCE]
             with closing(
@@ -408,19 +403,6 @@ def _is_surely_seen(found: PredictedThreshold) -> bool:
     if found.threshold is None or found.numerical_error is None:
         return found.status == "always_exceeded"
     return found.numerical_error <= LARGEST_ERROR * found.threshold
-
-
-def _computed_sizes(sensor: Sensor, observer: Observer) -> Iterator[float]:
-    """Yield the sizes of the ladder that are not too large for the sensor's field and the observer's retina."""
-    for size in LADDER_DETECTORS:
-        try:
-            field_detectors(sensor, size)
-            observer.grid(Stimulus(size * sensor.display.detector_pitch_mrad))
-        except SettingsError:
-            if size == LADDER_DETECTORS[0]:
-                raise
-            return
-        yield size
 
 
 def presets() -> dict[str, Sensor]:

@@ -24,8 +24,8 @@ from sensor_sim.thresholds.predict import FoldedChain, Phases
 from todframes.base._typing import FloatArray
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import resample
+from todframes.parameters import PlanName
 from todframes.psychometrics.threshold_search import crossing, find_crossing
-from todframes.scoring.error_budget import PlanName
 from todframes.scoring.naked_eye import CONTRAST_RANGE
 from todframes.stimulus import ORIENTATIONS, Stimulus
 from todframes.studies.accuracy.estimators import (

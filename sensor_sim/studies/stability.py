@@ -11,6 +11,7 @@ from functools import partial
 
 import numpy as np
 
+from sensor_sim.calls.mrtd import mrtd
 from sensor_sim.chain.detector_noise import k_factor
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal, gaussian_kernel
 from sensor_sim.chain.sampling import TriangleSampler
@@ -36,7 +37,7 @@ POINT_DETECTORS = Detector(pitch_mrad=1.0, width_mrad=0.01)
 
 def cases() -> list[Case]:
     """Return all cases of sensor_sim."""
-    return [*transfer_cases(), *sample_cases(), *display_cases(), *curve_cases()]
+    return [*transfer_cases(), *sample_cases(), *display_cases(), *curve_cases(), *bar_cases()]
 
 
 def transfer_cases() -> list[Case]:
@@ -251,8 +252,33 @@ def curve_cases() -> list[Case]:
              lambda: refused(camera(display=tiny), 3000.0, "found 3000, expected at most")),
         case("optics blur of 1,000 detectors", "refused", "a field of at most 1,024 detectors",
              lambda: refused(camera(blur=1000.0), 5.0, "optics.blur_sigma_mrad: found 1000, expected at most")),
+        case("optics blur of 100 detectors, triangle of 20: threshold", "never_reached", "a spot points nowhere",
+             lambda: predict_threshold(FoldedChain(camera(blur=100.0), PyramidObserver(), 20.0)).status),
         case("cut-off of 1e-3 Nyquist", "refused", "nothing but the mean passes",
              lambda: refused(camera(0.0005), 5.0, "optics.aperture_mm: found 0.0005, which passes nothing")),
         case("cut-off of 2e6 and 2e9 Nyquist: P(correct), ratio", 1.0, "law: the optics leave no trace",
              lambda: ratio(camera(1e6), camera(1e9)), 5),
+    ]  # fmt: skip
+
+
+def bar_cases() -> list[Case]:
+    """List the cases of four bars and their MRTD."""
+
+    def mrtd_ratio() -> float:
+        thresholds = []
+        for netd_mk in (1e-9, 1e9):
+            sensor = replace(camera(), noise=Noise(netd_mk=netd_mk))
+            (bars,) = mrtd(sensor, frequency_nyquist=[0.5], size_detectors=(), tolerance=0.1).bars
+            thresholds.append(bars.mrtd_mk or math.nan)
+        return thresholds[1] / thresholds[0]
+
+    def refused(frequency_nyquist: float) -> str:
+        expected = "expected a number from 0.0273 to 20"
+        return refusal(lambda: mrtd(camera(), frequency_nyquist=[frequency_nyquist]), expected)
+
+    return [
+        Case("bars", "NETD of 1e-9 and 1e9 mK: MRTD, ratio", 1e18, "law: MRTD is proportional to NETD",
+             mrtd_ratio, 9),
+        Case("bars", "bars of 1e-6 and 1e6 Nyquist", "refused, refused", "a field of at most 1,024 detectors",
+             lambda: ", ".join(map(refused, (1e-6, 1e6)))),
     ]  # fmt: skip

@@ -7,15 +7,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+from types import NoneType
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from sensor_sim.chain.sensor import Detector, Sensor, part_of, used_keys
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.reading import MAX_ROWS, check_keys, read_table
+from todframes.base.reading import MAX_ROWS, check_keys, kinds_of, read_table, settings_of
 
 FILL_FACTOR = "detector.fill_factor"
 """Key for the active share of a detector's area; it sets `detector.width_mrad` from the pitch."""
@@ -73,17 +73,12 @@ def numeric_keys(sensor: Sensor, observer_settings: type) -> dict[str, bool]:
         used["observer"] = [field.name for field in fields(observer_settings)]
     for table, names in used.items():
         kind = observer_settings if table == "observer" else type(getattr(sensor, part_of(table, sensor)))
-        hints = get_type_hints(kind)
+        hints = {field.name: hint for field, hint in settings_of(kind)}
         for name in names:
-            kinds = _kinds(hints[name])
+            kinds = kinds_of(hints[name])
             if int in kinds or float in kinds:
                 found[f"{table}.{name}"] = float not in kinds
     return found
-
-
-def _kinds(hint: Any) -> tuple[Any, ...]:
-    """Return the type that an annotation names, or those of its union."""
-    return get_args(hint) if get_origin(hint) in (UnionType, Union, Literal) else (hint,)
 
 
 def parse_range(text: str, where: str) -> Range:
@@ -246,7 +241,7 @@ def make_designs(
     base: Base,
     *,
     vary: Mapping[str, str | Sequence[float]] | None,
-    design: Path | str | Sequence[Mapping[str, float]] | Designs | None,
+    design: Path | str | Sequence[Mapping[str, float]] | None,
     sample: int | None,
     seed: int,
 ) -> Designs:
@@ -269,8 +264,6 @@ def make_designs(
         return grid(vary, base.keys)
     if vary or sample is not None:
         raise SettingsError("sweep: found designs and also keys to vary or a sample, expected one of them")
-    if isinstance(design, Designs):
-        return design
     if isinstance(design, Path | str):
         return read_designs(Path(design), base.keys)
     return _listed(design, base.keys)
@@ -324,9 +317,9 @@ def _with_coupled_netd(sensor: Sensor, base: Sensor) -> Sensor:
     """Return a sensor with the NETD that follows from a base: NETD ∝ (f-number)² / (area of a detector).
 
     The f-number is focal length / aperture, and the side of a detector its angular width · focal length. The focal
-    length cancels: NETD · (aperture · angular width)² stays the same.
+    length cancels: NETD · (aperture · angular width)² stays the same. Measured optics without an aperture keep it.
     """
-    etendue, of_base = (one.optics.aperture_mm * one.detector.width_mrad for one in (sensor, base))
+    etendue, of_base = ((one.optics.aperture_mm or 1.0) * one.detector.width_mrad for one in (sensor, base))
     assert base.noise.netd_mk is not None  # `check_coupling`
     netd_mk = base.noise.netd_mk * (of_base / etendue) ** 2
     return replace(sensor, noise=replace(sensor.noise, netd_mk=netd_mk))
@@ -362,7 +355,10 @@ class Base:
     @cached_property
     def keys(self) -> dict[str, bool]:
         """Keys that can be varied, and for each whether its values are whole numbers."""
-        return numeric_keys(self.sensor, type(self.observer_settings))
+        sensor = self.sensor
+        if self.couple_netd and sensor.noise.netd_mk is not None:
+            sensor = replace(sensor, noise=replace(sensor.noise, couple_netd=True))
+        return numeric_keys(sensor, type(self.observer_settings))
 
     def design(self, values: Mapping[str, float]) -> tuple[Sensor, Changes]:
         """Return the sensor of a design, and the changes of the observer's settings.

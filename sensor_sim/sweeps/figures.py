@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.sweeps.tables import BY_SIZE, CRITERION_UNITS, LEVEL_NAMES, OF_RANGE, SweepData
+from sensor_sim.sweeps.tables import BY_SIZE, CRITERION_UNITS, OF_RANGE, SweepData
 from todframes import __version__
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
+from todframes.report.figure import ReportFigure
 from todframes.report.figure_style import (
     COLOURS,
     INK,
@@ -24,10 +25,9 @@ from todframes.report.figure_style import (
     label_text,
     plain_ticks,
 )
-from todframes.report.figures import ReportFigure
 from todframes.report.html import figure_items, render, table_item
 from todframes.report.tables import records_table
-from todframes.report.wording import evenly
+from todframes.report.wording import evenly, level_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -99,7 +99,7 @@ def thresholds(result: SweepData) -> tuple[FloatArray, str]:
     swept = result.swept
     if np.isfinite(swept.mk_per_snr[np.isfinite(swept.pitch_mrad)]).all() and np.isfinite(swept.mk_per_snr).any():
         return swept.delta_t_mk, "threshold ΔT (mK)"
-    return swept.threshold, f"threshold {LEVEL_NAMES[swept.level]}"
+    return swept.threshold, f"threshold {level_name(swept.level)}"
 
 
 def draw_curves(axes: Axes, result: SweepData) -> None:
@@ -303,7 +303,7 @@ def page(result: SweepData) -> str:
             "examples": [],
             "without": [],
             "remarks": [f"Run time {result.run_time_s:.1f} s. All designs and sizes are in sweep.csv."],
-            "details": [table_item(one, folded=True) for one in details],
+            "details": [table_item(one.folded()) for one in details],
             "version": __version__,
             "can_be_made_again": False,
         }

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sensor_sim.sweeps.figures import draw_curves, draw_front, draw_map, draw_range_map, page, pictures
 from sensor_sim.sweeps.tables import SweepData
-from todframes.report.figures import drawn
+from todframes.base.output import write_folder
+from todframes.report.figure import drawn
 from todframes.report.parquet import has_parquet, parquet_parts
-from todframes.report.result import Saving
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class SweepResult(SweepData, Saving):
+class SweepResult(SweepData):
     """Thresholds of many designs of a sensor, with methods that make tables, figures and files of them.
 
     `records()` yields a dictionary for each design and size; `table()` and `to_dataframe()` have the same rows.
@@ -41,6 +42,10 @@ class SweepResult(SweepData, Saving):
     def plot_front(self, size: int = 0, ax: Axes | None = None) -> Axes:
         """Draw all designs over the first two objectives, and their trade-off front; returns the axes."""
         return drawn(lambda axes: draw_front(axes, self, size), ax)
+
+    def save(self, folder: Path | str) -> None:
+        """Write the files that the command writes with `-o`; see `todframes.Result.save`."""
+        write_folder(folder, self.files())
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the content of all files by name, tables in parts; `sweep.parquet` needs pyarrow."""

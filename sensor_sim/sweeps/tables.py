@@ -18,21 +18,18 @@ from sensor_sim.sweeps.ranges import Aim, DesignRange
 from sensor_sim.sweeps.work import Swept
 from todframes import __version__
 from todframes.base._typing import FloatArray, Json
-from todframes.base.errors import SettingsError, argument, for_reader
+from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys, check_positive
 from todframes.field.target import Quantity
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
 from todframes.report.data import json_file
 from todframes.report.table import BLOCK, Column, LongRecords, Table
-from todframes.report.wording import count, listed, plain, unknown_place
+from todframes.report.wording import count, level_name, listed, plain, unknown_place
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-LEVEL_NAMES = {"snr": "SNR", "contrast": "contrast"}
-"""Words for the quantities of thresholds."""
-
-BY_SIZE = (*(f"threshold_{level}" for level in LEVEL_NAMES), "delta_t_mk")
+BY_SIZE = ("threshold_snr", "threshold_contrast", "delta_t_mk")
 """Columns with a separate value for each size."""
 
 OF_ACUITY = ("acuity_detectors", "acuity_mrad")
@@ -360,8 +357,8 @@ class SweepData:
         """
         return self.table().to_dataframe()
 
-    def best(self) -> Table:
-        """Return the table of the designs on the trade-off front at the first size, or of the best ones.
+    def best(self) -> Table | None:
+        """Return the table of the designs on the trade-off front at the first size, or of the best ones, if any.
 
         Each design has one row, with its thresholds at all sizes.
         """
@@ -376,10 +373,12 @@ class SweepData:
             rows = np.flatnonzero(np.isfinite(cost) & self.has_threshold(0))
             title = f"Best designs{size}"
         rows = rows[np.argsort(cost[rows], kind="stable")]
+        if not len(rows):
+            return None
         if len(rows) > ROWS_SHOWN:
             title += f": the first {ROWS_SHOWN} of {len(rows)}"
         in_mk = np.isfinite(swept.mk_per_snr).any()
-        shown, unit = (swept.delta_t_mk, "mK") if in_mk else (swept.threshold, LEVEL_NAMES[swept.level])
+        shown, unit = (swept.delta_t_mk, "mK") if in_mk else (swept.threshold, level_name(swept.level))
         records = []
         for row in rows[:ROWS_SHOWN]:
             record: Json = {"design": int(row) + 1}
@@ -433,26 +432,16 @@ class SweepData:
         swept = self.swept
         known = np.isfinite(swept.threshold)
         sizes = count(len(swept.size_detectors), "size")
-        found = [
+        found = [self._answer()]
+        found.append(
             f"{count(self.n_designs, 'design')} at {sizes}: {int(known.sum())} of {known.size} thresholds found, "
             f"from {count(swept.n_computed, 'computation')}."
-        ]
+        )
         impossible = sum(one[0] == IMPOSSIBLE for one in swept.status)
         if impossible:
             first = next(row for row, one in enumerate(swept.status) if one[0] == IMPOSSIBLE)
             why = f"design {first + 1}: {swept.reason[first][0]}"
             found.append(f"{count(impossible, 'design')} cannot be made or computed; the first is {why}.")
-        column = self.column(self.objectives[0].column, 0)
-        cost = np.where(self.has_threshold(0), self.objectives[0].sign * column, np.nan)
-        if np.isfinite(cost).any():
-            row = int(np.nanargmin(cost))
-            values = zip(swept.designs.keys, swept.designs.values[row].tolist(), strict=True)
-            of_design = ", ".join(f"{key} {value:.4g}" for key, value in values)
-            end = "Lowest" if self.objectives[0].sign > 0 else "Highest"
-            name, unit = self.objectives[0].column, CRITERION_UNITS.get(self.objectives[0].column, "")
-            value = f"{plain(float(column[row]))} {unit}".rstrip()
-            size = f" at {swept.size_detectors[0]:g} detectors" if self.depends_on_size else ""
-            found.append(f"{end} {name}{size}: {value}, design {row + 1} ({of_design}).")
         beyond = [one.at_least_km for one in self.ranges or () if math.isfinite(one.at_least_km)]
         if beyond:
             found.append(
@@ -467,8 +456,34 @@ class SweepData:
             found.append(f"{count(number, 'design')} on the trade-off front of {names}.")
         if self._misses_coupling:
             text = "The NETD is the same for all apertures and detectors, so a smaller one costs no signal; with "
-            found.append(for_reader(f"{text}{argument.couple_netd} it follows f-number² / area."))
+            found.append(f"{text}{argument.couple_netd} it follows f-number² / area.")
         return found
+
+    def _answer(self) -> str:
+        """Return the sentence about the design that is best by the first objective, or why there is none."""
+        swept, (name, sign) = self.swept, self.objectives[0]
+        column = self.column(name, 0)
+        cost = np.where(self.has_threshold(0), sign * column, np.nan)
+        if not np.isfinite(cost).any():
+            return self._without_order()
+        row = int(np.nanargmin(cost))
+        values = zip(swept.designs.keys, swept.designs.values[row].tolist(), strict=True)
+        of_design = ", ".join(f"{key} {value:.4g}" for key, value in values)
+        value = f"{plain(float(column[row]))} {CRITERION_UNITS.get(name, '')}".rstrip()
+        size = f" at {swept.size_detectors[0]:g} detectors" if self.depends_on_size else ""
+        end = "Lowest" if sign > 0 else "Highest"
+        return f"{end} {name}{size}: {value}, design {row + 1} ({of_design})."
+
+    def _without_order(self) -> str:
+        """Return the sentence about designs none of which has a value of the column that orders them."""
+        swept, name = self.swept, self.objectives[0].column
+        if not self.depends_on_size:
+            return f"No design has a value of {name}, by which designs are ordered."
+        seen = np.array(swept.size_detectors)[np.isfinite(swept.threshold).any(axis=0)].tolist()
+        others = listed(f"{size:g}" for size in seen) if seen else ""
+        advice = f"there is one at {others} detectors: name such a size first" if seen else "take larger sizes"
+        text = f"No design has a value of {name} at {swept.size_detectors[0]:g} detectors, which orders designs"
+        return f"{text}; {advice}."
 
     @property
     def _misses_coupling(self) -> bool:

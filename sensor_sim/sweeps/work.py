@@ -23,16 +23,16 @@ from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_p
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.thresholds.sharing import Shared
 from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError, TodframesError, argument
-from todframes.base.reading import distinct_numbers
+from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import check_positive, distinct_numbers
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
-from todframes.jobs.work import Engine, Lost
+from todframes.jobs.work import Engine
 from todframes.observers.interface import BACKGROUND, Observer
+from todframes.parameters import PlanName
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
-from todframes.scoring.error_budget import PlanName
 from todframes.stimulus import Stimulus
 
 SHARED_MB = 512
@@ -156,9 +156,9 @@ class SweepWork:
 
         return compute
 
-    def lost(self, chain: Chain) -> TodframesError:
-        """Return the error about a chain whose process died with it."""
-        return SettingsError(f"{chain.size_detectors:g} detectors: the process died that computed it")
+    def name(self, chain: Chain) -> str:
+        """Return the size of the triangles in words."""
+        return f"triangles of {chain.size_detectors:g} detectors"
 
     def key(self, item: Chain, *, is_done: bool) -> bytes | None:  # noqa: ARG002
         """Return the key of a threshold, which stands for all that it depends on; None if code has no identity."""
@@ -258,8 +258,7 @@ def check_sweep(
         If a value is out of its range, a size is there twice, or the observer is not linear.
     """
     FitSettings(p_correct=p_correct)  # checks it
-    if not tolerance > 0.0:
-        raise SettingsError(f"{argument.tolerance}: found {tolerance!r}, expected a number > 0")
+    check_positive(argument.tolerance, tolerance)
     distinct_numbers(argument.size_detectors, sizes)
     try:
         readout = observer.readout(Stimulus(sizes[0] * sensor.display.detector_pitch_mrad))
@@ -356,9 +355,6 @@ def run_sweep(
         progress(len(plan.reasons) * len(sizes))
     results: list[PredictedThreshold] = [PredictedThreshold(IMPOSSIBLE)] * len(plan.chains)
     for number, result in run_stored(work, plan.chains, engine=engine, store=store):
-        if isinstance(result, Lost):
-            size = plan.chains[number].size_detectors
-            result = PredictedThreshold(IMPOSSIBLE, size_detectors=size, reason=str(result.error))
         results[number] = result
         if progress is not None:
             progress(uses[number])

@@ -14,9 +14,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from statistics import NormalDist
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
 from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, FourBarSampler, field_detectors
 from sensor_sim.chain.sensor import Sensor
@@ -24,16 +25,14 @@ from sensor_sim.thresholds.curve_plan import detector_covariance, lines_of
 from sensor_sim.thresholds.folding import Folding
 from sensor_sim.thresholds.predict import PLACES, STEP, Lattice
 from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError
-from todframes.base.normal import normal_cdf
-from todframes.four_bars import WIDTHS, Against, FourBars
+from todframes.base.errors import SettingsError, argument
+from todframes.four_bars import WIDTHS, FourBars
 from todframes.observers.interface import Observer, PatternObserver, TruncatedObserver
 from todframes.observers.retina import RetinaGrid
+from todframes.parameters import Against, Direction
 from todframes.psychometrics.replicates import REPLICATES, half_width_95
 from todframes.psychometrics.threshold_search import Status, crossing
 from todframes.stimulus import Orientation, Stimulus
-
-Direction = Literal["upright", "lying"]
 
 ORIENTATION: dict[Direction, Orientation] = {"upright": Orientation.UP, "lying": Orientation.RIGHT}
 """Orientation of the samples: bars have no apex, so only two of the four differ."""
@@ -131,8 +130,9 @@ class BarChain:
             grid = observer.grid(Stimulus(width_mrad))
         except SettingsError:
             raise SettingsError(
-                f"frequency_cyc_per_mrad: found {frequency_cyc_per_mrad:g}, at which the bars are displayed "
-                f"{width_mrad:.4g} mrad wide, more than the observer looks at; expected a higher frequency"
+                f"{argument.frequency_nyquist}: found {2.0 * frequency_cyc_per_mrad * pitch:.4g}, at which the "
+                f"bars are displayed {width_mrad:.4g} mrad wide, more than the observer looks at; expected a "
+                "higher frequency"
             ) from None
         self.whole_retina = grid
         self.sampler = FourBarSampler(
@@ -194,7 +194,8 @@ class BarChain:
         variance = self.noise_variance + scores.noise / snr**2
         with np.errstate(divide="ignore", invalid="ignore"):
             deviations = scores.signal / np.sqrt(2.0 * variance)
-        return normal_cdf(np.where(np.isnan(deviations), 0.0, deviations))
+        proportions: FloatArray = ndtr(np.where(np.isnan(deviations), 0.0, deviations))
+        return proportions
 
     def best(self, p_correct: float) -> BarThreshold:
         """Compute the threshold where the bars lie best on the detectors, a mean over displacements of the retina.
@@ -320,10 +321,10 @@ def d_prime(p_correct: float) -> float:
 
 def _check_frequency(frequency_cyc_per_mrad: float, pitch_mrad: float) -> None:
     """Raise SettingsError if the bars do not fit into the largest field, or are no bars."""
-    widest = (MAX_FIELD_DETECTORS / 2.0) / PATTERN_FIELD / WIDTHS
-    lowest, highest = 0.5 / widest / pitch_mrad, HIGHEST_CYC_PER_DETECTOR / pitch_mrad
-    if not lowest <= frequency_cyc_per_mrad <= highest:
+    nyquist = 2.0 * frequency_cyc_per_mrad * pitch_mrad
+    lowest, highest = WIDTHS * PATTERN_FIELD / (MAX_FIELD_DETECTORS / 2.0), 2.0 * HIGHEST_CYC_PER_DETECTOR
+    if not lowest <= nyquist <= highest:
         raise SettingsError(
-            f"frequency_cyc_per_mrad: found {frequency_cyc_per_mrad:g}, expected a number from {lowest:.3g} to "
+            f"{argument.frequency_nyquist}: found {nyquist:.4g}, expected a number from {lowest:.3g} to "
             f"{highest:.3g}"
         )

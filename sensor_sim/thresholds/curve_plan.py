@@ -18,17 +18,25 @@ from numpy.typing import DTypeLike, NDArray
 
 from sensor_sim.chain.detector_noise import NO_LINES, LineShares, line_shares
 from sensor_sim.chain.photons import contrast_variance
+from sensor_sim.chain.reconstruction import gaussian_kernel
 from sensor_sim.chain.sampling import TriangleSampler, field_detectors, field_sampler, smallest_field
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.chain.transfer import blur_mrad, looks_the_same_when_turned
+from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, blur_mrad, looks_the_same_when_turned
 from sensor_sim.thresholds.folding import Folding, is_unblurred
 from sensor_sim.thresholds.sharing import NOTHING, Shared
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer, Readout, TruncatedObserver, omitted_part
+from todframes.parameters import PlanName
 from todframes.psychometrics.threshold_search import crossing
-from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change, total_bound
+from todframes.scoring.error_budget import (
+    LEFT_OUT_SHARE,
+    SAFETY,
+    Step,
+    decision_change,
+    total_bound,
+)
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, bounding_box_offset
 
 FULL_PLACES = 17
@@ -233,19 +241,31 @@ def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared:
     SettingsError
         If the size or field is out of range.
     """
-    detectors = field_detectors(sensor, size_detectors)
+    sampler = shared.samplers.get(
+        (sensor.optics, sensor.motion, sensor.detector, size_detectors),
+        lambda: field_sampler(sensor, size_detectors),
+    )
+    detectors = seen_detectors(sensor, observer, size_detectors)
     return CurvePlan(
         observer=observer,
         field=detectors,
-        sampler=shared.samplers.get(
-            (sensor.optics, sensor.motion, sensor.detector, size_detectors),
-            lambda: field_sampler(sensor, size_detectors),
-        ),
+        sampler=sampler.within(detectors),
         lines=lines_of(sensor),
         fewest_places=FULL_PLACES,
         steps=(Step("everything", True, f"as {argument.plan} full asks; the field is {detectors} detectors"),),
         shared=shared,
     )
+
+
+def seen_detectors(sensor: Sensor, observer: Observer, size_detectors: float) -> int:
+    """Return the detectors along each side that a retina of one level more may see; others weigh nothing."""
+    whole, display = field_detectors(sensor, size_detectors), sensor.display
+    grid = observer.grid(Stimulus(size_detectors * display.detector_pitch_mrad))
+    blur_px = len(gaussian_kernel(math.hypot(sensor.electronics.blur_sigma_px, display.blur_sigma_px)))
+    offsets = [centre_offset(observer, orientation, size_detectors) for orientation in ORIENTATIONS]
+    seen = 2.0 * grid.side * grid.pitch_mrad / display.detector_pitch_mrad + blur_px / display.pixels_per_detector
+    seen += 2.0 * float(np.abs(offsets).max()) + 3.0  # the place on a detector, and a part of one at each border
+    return whole - 2 * max(math.floor((whole - seen) / 2.0), 0)
 
 
 def lines_of(sensor: Sensor) -> LineShares:
@@ -540,7 +560,8 @@ class _CurvePlanner:
     def _shorter_period(self, plan: CurvePlan) -> tuple[TriangleSampler, float, float]:
         """Return a sampler of a shorter period, a bound on its change of P(correct), and the time it saves."""
         period = plan.sampler.period
-        shorter = 2 * plan.field if 2 * plan.field < period else period // 2
+        wave = 1.0 / (band_limit_cyc_per_mrad(self.sensor.optics) * self.sensor.detector.pitch_mrad)
+        shorter = 2 * plan.field if wave < 2 * plan.field < period else period // 2
         sampler = plan.shared.samplers.get(
             (self.sensor.optics, self.sensor.motion, self.sensor.detector, self.size, plan.field, shorter),
             lambda: TriangleSampler(

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.chain.transfer import optics_mtf
+from sensor_sim.chain.transfer import optics_otf
 from todframes.observers.hotelling import HotellingSettings
 
 
@@ -31,10 +33,10 @@ def matched_settings(sensor: Sensor, **others: Any) -> HotellingSettings:
     display, detector, optics = sensor.display, sensor.detector, sensor.optics
     as_seen = display.detector_pitch_mrad / detector.pitch_mrad
     frequency = min(detector.nyquist_cyc_per_mrad, optics.cut_off_cyc_per_mrad / 2.0)
-    transfer = max(float(optics_mtf(frequency, optics=optics)), 1e-300)
+    transfer = max(float(np.abs(optics_otf(frequency, 0.0, optics=optics))), 1e-300)
     return HotellingSettings(
         presample_blur_mrad=as_seen * math.sqrt(-math.log(transfer) / 2.0) / (math.pi * frequency),
-        sample_width_mrad=as_seen * detector.width_mrad,
+        sample_width_mrad=0.0 if optics.mtf_includes_detector else as_seen * detector.width_mrad,
         sample_pitch_mrad=display.detector_pitch_mrad,
         display_blur_mrad=display.pixel_pitch_mrad
         * math.hypot(sensor.electronics.blur_sigma_px, display.blur_sigma_px),

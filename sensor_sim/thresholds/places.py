@@ -27,6 +27,7 @@ from sensor_sim.thresholds.predict import (
     N_POINTS,
     FoldedChain,
     PredictedThreshold,
+    Progress,
     Reference,
     predicted_on_lattices,
     references_of,
@@ -109,6 +110,7 @@ def predict_at_unknown_place(
     tolerance: float,
     seed: int,
     n_points: int = N_POINTS,
+    progress: Progress = lambda _: None,
 ) -> PredictedThreshold:
     """Compute the threshold at an unknown place.
 
@@ -117,7 +119,7 @@ def predict_at_unknown_place(
     chain : UnknownPlaceChain
     known : FoldedChain
         The same sensor and observer at a known place.
-    p_correct, tolerance, seed, n_points
+    p_correct, tolerance, seed, n_points, progress
         As for `predict_threshold`.
     """
     first, on_places, _ = predicted_on_lattices(
@@ -127,7 +129,13 @@ def predict_at_unknown_place(
     if first.threshold is not None:
         start = _AtKnownPlace(references_of(on_places, first.threshold), first.threshold)
     found, _, _ = predicted_on_lattices(
-        chain, p_correct=p_correct, tolerance=tolerance, seed=seed, n_points=n_points, known=start
+        chain,
+        p_correct=p_correct,
+        tolerance=tolerance,
+        seed=seed,
+        n_points=n_points,
+        known=start,
+        progress=progress,
     )
     return found
 

@@ -36,11 +36,12 @@ from sensor_sim.thresholds.curve_plan import (
     signal_covariance,
 )
 from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError, argument
+from todframes.base.errors import argument
+from todframes.base.reading import check_positive
 from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer, Readout, non_gaussian_bound
 from todframes.psychometrics.replicates import REPLICATES, half_width_95
-from todframes.psychometrics.threshold_search import ComputedThreshold, Status, crossing
+from todframes.psychometrics.threshold_search import TOO_UNCERTAIN, ComputedThreshold, Status, crossing, if_known
 from todframes.scoring.error_budget import decision_change
 from todframes.stimulus import Orientation
 
@@ -56,6 +57,18 @@ dimensions are counted by the rows and columns of the lattice."""
 
 WEIGHTS_AT_ONCE = 2**17
 """Number of weights of a score, on the detectors of several places, that are multiplied with samples at once."""
+
+SURELY_BELOW = 0.2
+"""Distance of P(correct) below the criterion from which one replicate shows that this is never reached: at least
+three standard errors of the share of right answers in its 50 trials or more."""
+
+USUAL_SEARCH = 6
+"""Usual number of times for which a search computes P(correct) of all trials; progress is estimated with it."""
+
+HIDDEN = "optics, detectors and display hide its direction, even without noise"
+TOO_FAINT = "the observer's internal noise hides what optics, detectors and display leave of it"
+SATURATING = "it would need more contrast than the pixels can show before they saturate"
+"""Reasons why a triangle has no threshold."""
 
 N_POINTS = 7
 """Number of levels about a threshold at which P(correct) is computed, if no other is asked for."""
@@ -283,17 +296,17 @@ class FoldedChain:
         self.orientations = self.plan.orientations
         self.drawing_s = 0.0
 
-    def replicates(self, places: int, seed: int) -> list[list[Phases]]:
-        """Return `phases` for each replicate, from independent streams, kept for chains of other noise."""
-        if (places, seed) not in self._drawn:
-            started = time.perf_counter()
-            key = (self.plan.sampler.key, self.folding.key, self.sensor.display.gain, self.orientations)
-            is_noisy = (self.plan.external_noise, self.plan.lines, self.variance is not None)
-            self._drawn[places, seed] = self.plan.shared.trials.get(
-                (*key, *is_noisy, places, seed), lambda: self._made_replicates(places, seed)
-            )
-            self.drawing_s += time.perf_counter() - started
-        return self._drawn[places, seed]
+    def replicates(self, places: int, seed: int, n: int = REPLICATES) -> list[list[Phases]]:
+        """Return `phases` for the first replicates, from independent streams, kept for chains of other noise."""
+        drawn, started = self._drawn.setdefault((places, seed), []), time.perf_counter()
+        key = (self.plan.sampler.key, self.folding.key, self.sensor.display.gain, self.orientations)
+        is_noisy = (self.plan.external_noise, self.plan.lines, self.variance is not None)
+        streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES)
+        while len(drawn) < n:
+            make = partial(self.phases, places, np.random.default_rng(streams[len(drawn)]))
+            drawn.append(self.plan.shared.trials.get((*key, *is_noisy, places, seed, len(drawn)), make))
+        self.drawing_s += time.perf_counter() - started
+        return drawn[:n]
 
     def at(self, scene: Scene) -> FoldedChain:
         """Return the chain of a camera that counts photons at another light; both keep their trials in common."""
@@ -301,10 +314,6 @@ class FoldedChain:
         other.sensor = replace(self.sensor, scene=scene)
         other.variance = contrast_variance(other.sensor)
         return other
-
-    def _made_replicates(self, places: int, seed: int) -> list[list[Phases]]:
-        streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES)
-        return [self.phases(places, np.random.default_rng(stream)) for stream in streams]
 
     @cached_property
     def jitter_detectors(self) -> float:
@@ -328,6 +337,44 @@ class FoldedChain:
     def decide(self, scores: FloatArray, covariance: FloatArray, correct: int) -> FloatArray:
         """Compute P(correct), (...,), for mean scores (..., 4) and their covariance."""
         return answer_probability(scores, covariance, correct, tolerance=ORTHANT_TOLERANCE)
+
+    @property
+    def largest_level(self) -> float:
+        """Largest level of the sensor: a triangle of more contrast saturates its pixels, and looks the same."""
+        return math.inf if self.variance is None else largest_contrast(self.sensor)
+
+    @property
+    def largest_sample(self) -> float:
+        """Largest sample of a triangle in the middle of the field, as a share of the triangle's contrast."""
+        middle = np.zeros(1)
+        return float(self.plan.samples(middle, middle, Orientation.UP).max())
+
+    @property
+    def lattices(self) -> list[int]:
+        """Numbers of places along each axis of the lattices for this sensor and plan, in ascending order."""
+        pixels = self.sensor.display.pixels_per_detector
+        return [n for n in PLACES if math.gcd(n, pixels) == 1 and n >= self.plan.fewest_places]
+
+    def unreached(
+        self, p_correct: float, seed: int, places: int | None = None, level: Level = "snr"
+    ) -> PredictedThreshold | None:
+        """Return the record of a criterion that is not reached at the largest level; None if it is.
+
+        One replicate, by default of the first lattice, is enough where P(correct) stays far below.
+        """
+        for n in (1, REPLICATES):
+            parts = self.replicates(self.lattices[0] if places is None else places, seed, n)
+            phases = pooled(parts)
+            (highest,) = self.proportions_correct(phases, [self.largest_level], level).tolist()
+            if highest <= p_correct - (SURELY_BELOW if n == 1 else 0.0):
+                (noiseless,) = self.proportions_correct(phases, [math.inf], "contrast")
+                faint = TOO_FAINT if self.variance is None else SATURATING
+                reason = HIDDEN if noiseless <= p_correct else faint
+                n_phases = sum(part.signal[..., 0].size for part in phases)
+                return PredictedThreshold(
+                    "never_reached", None, None, self.size_detectors, n_phases, reason=reason, highest=highest
+                )
+        return None
 
     def non_gaussian_bound(self, level: float | None = None) -> float:
         """Return a bound on the error in P(correct) from taking all noise as Gaussian.
@@ -390,26 +437,22 @@ class FoldedChain:
 
         `contrast` is that of the triangle, in units of the contrast that the sensor's gain gives it.
         """
-        return float(self.proportions_correct(phases, [snr], contrast)[0])
+        return float(self.proportions_correct(phases, [snr], contrast=contrast)[0])
 
     def proportions_correct(
-        self, phases: Sequence[Phases], snrs: Sequence[float], contrast: float = 1.0
+        self, phases: Sequence[Phases], values: Sequence[float], level: Level = "snr", *, contrast: float = 1.0
     ) -> FloatArray:
-        """Return `proportion_correct` at each of several signal-to-noise ratios; for photons, at contrasts."""
-        if self.variance is not None:
-            found = []
-            for part in phases:
-                at_levels = [
-                    covariance_at("contrast", value, self.noise_covariance, part, self.variance) for value in snrs
-                ]
-                p_correct = self.decide(part.signal, np.stack(at_levels), part.correct)
-                found.append(p_correct.mean(axis=(1, 2)))
-            return np.asarray(np.mean(found, axis=0))
-        internal, snr = self.noise_covariance / contrast**2, np.reshape(snrs, (-1, 1, 1, 1, 1))
+        """Return the mean P(correct) over trials at each of several levels; for photons, these are contrasts.
+
+        `contrast` is as for `proportion_correct`.
+        """
+        internal = self.noise_covariance / contrast**2
         of_orientations = []
         for part in phases:
-            covariance = internal + part.noise[:, None] / snr**2
-            p_correct = self.decide(part.signal, covariance, part.correct)
+            each = [
+                np.array(covariance_at(level, value, internal, part, self.variance), ndmin=4) for value in values
+            ]
+            p_correct = self.decide(part.signal, np.stack(each), part.correct)
             of_orientations.append(p_correct.mean(axis=(1, 2)))
         return np.asarray(np.mean(of_orientations, axis=0))
 
@@ -446,6 +489,43 @@ def _each_proportion(
             p_correct[some] = decide(part.signal[some], noise, part.correct)
         of_orientations.append(p_correct.reshape(n_replicates, -1).mean(axis=1))
     return np.asarray(np.mean(of_orientations, axis=0))
+
+
+Progress = Callable[[float], None]
+"""Function that is called with the share of a computation that was just done."""
+
+
+class _Work:
+    """Work on a ladder of lattices, each of which takes time in proportion to its places: half of it for drawing.
+
+    Progress is reported in shares of the whole ladder.
+    """
+
+    def __init__(self, progress: Progress, check: Callable[[], None], ladder: Sequence[int]) -> None:
+        self._progress, self._check = progress, check
+        self._whole = sum(places**2 for places in ladder)
+        self._left = self._decision = 0.0
+
+    def draw(self, chain: FoldedChain, places: int, seed: int) -> list[list[Phases]]:
+        """Return the replicates of a lattice; the one before is done."""
+        self._progress(self._left)
+        self._left = share = places**2 / self._whole
+        for n in range(1, REPLICATES + 1):
+            parts = chain.replicates(places, seed, n)
+            self._report(0.5 * share / REPLICATES)
+        n_decisions = sum(math.ceil(REPLICATES * len(part.signal) / PLACES_AT_ONCE) for part in parts[0])
+        self._decision = 0.5 * share / USUAL_SEARCH / n_decisions
+        return parts
+
+    def decide(self) -> None:
+        """Report that P(correct) of `PLACES_AT_ONCE` places comes next; `check` may raise an exception."""
+        self._check()
+        self._report(self._decision)
+
+    def _report(self, share: float) -> None:
+        done = min(share, self._left)  # a search may take longer than usual
+        self._left -= done
+        self._progress(done)
 
 
 class PooledThreshold(NamedTuple):
@@ -563,14 +643,15 @@ class PredictedThreshold(ComputedThreshold):
 
     `threshold` is an SNR, or a contrast if that was varied. `numerical_error` is the half-width of
     its 95 % interval over replicates plus the bound on the plan's omissions. `n_phases` is the number of trials
-    averaged over. `points` are pairs of SNR and proportion correct around the threshold. `reason` says why a
-    threshold cannot be computed, with the status "impossible".
+    averaged over. `points` are pairs of SNR and proportion correct around the threshold. `reason` says why there
+    is none, with the status "impossible" or "never_reached"; `highest` is then the largest proportion correct.
     """
 
     size_detectors: float = math.nan
     n_phases: int = 0
     points: tuple[tuple[float, float], ...] = ()
     reason: str = ""
+    highest: float | None = None
 
 
 def predict_threshold(
@@ -585,6 +666,7 @@ def predict_threshold(
     slope: float = math.nan,
     most_places: int = PLACES[-1],
     check: Callable[[], None] = lambda: None,
+    progress: Progress = lambda _: None,
 ) -> PredictedThreshold:
     """Compute a threshold, with more and more places until its error falls below the tolerance.
 
@@ -608,14 +690,14 @@ def predict_threshold(
         Number of places along each axis of a detector with which the refinement ends, whatever the error is.
     check : function of no arguments
         Called every few milliseconds; it may raise an exception.
+    progress : function of a number
+        Called with the share of the longest possible computation that was just done.
 
     Raises
     ------
     SettingsError
         If the tolerance is not a positive number.
     """
-    if not tolerance > 0:
-        raise SettingsError(f"{argument.tolerance}: found {tolerance!r}, expected a number > 0")
     return predicted_on_lattices(
         chain,
         p_correct=p_correct,
@@ -627,6 +709,7 @@ def predict_threshold(
         slope=slope,
         most_places=most_places,
         check=check,
+        progress=progress,
     )[0]
 
 
@@ -654,19 +737,20 @@ def predict_each(
     p_correct: float = 0.75,
     tolerance: float = 2e-3,
     seed: int = 1,
+    progress: Progress = lambda _: None,
 ) -> list[AtLight]:
     """Return the thresholds of a camera that counts photons at several lights.
 
     The middle one is computed by itself, and the others with its plan. On few places each threshold has nearly the
     same error, so that their ratio corrects it. The places become more until this ratio, or the threshold itself,
-    is known well enough.
+    is known well enough. At a light where the plan leaves out too much, the threshold is computed by itself too.
 
     Parameters
     ----------
     chain_at : function of a Scene
         Returns the chain at a light, with a plan of its own.
     scenes : sequence of Scene
-    p_correct, tolerance, seed
+    p_correct, tolerance, seed, progress
         As for `predict_threshold`.
     """
     known: _AtKnownLight | None = None
@@ -677,8 +761,18 @@ def predict_each(
         chain = chain_at(scenes[place]) if known is None else known.chain.at(scenes[place])
         wanted = tolerance if known is not None or len(scenes) == 1 else FIRST_SHARE * tolerance
         found, on_places, bound = predicted_on_lattices(
-            chain, p_correct=p_correct, tolerance=wanted, seed=seed, known=known
+            chain,
+            p_correct=p_correct,
+            tolerance=wanted,
+            seed=seed,
+            known=known,
+            progress=lambda share: progress(share / len(scenes)),
         )
+        is_met = (found.numerical_error or 0.0) <= tolerance * (found.threshold or 1.0)
+        is_met &= found.status != TOO_UNCERTAIN
+        if known is not None and not is_met and bound > LEFT_OUT_GROWS * chain.plan.bound:
+            chain = chain_at(scenes[place])
+            found, _, bound = predicted_on_lattices(chain, p_correct=p_correct, tolerance=tolerance, seed=seed)
         computed[place] = AtLight(found, chain, bound)
         if known is None and found.threshold is not None:
             references = references_of(on_places, found.threshold)
@@ -752,6 +846,9 @@ class _AtKnownLight(NamedTuple):
         return self.chain.plan.bound * max(math.sqrt(ratio), ratio * of_parts)
 
 
+LEFT_OUT_GROWS = 4.0
+"""Factor by which a plan's bound may grow at other lights; with several lights, a plan leaves out less."""
+
 FIRST_SHARE = 0.75
 """Share of the tolerance for the threshold that corrects others; the rest is for their ratio to it."""
 
@@ -772,20 +869,24 @@ def predicted_on_lattices(
     most_places: int = PLACES[-1],
     check: Callable[[], None] = lambda: None,
     known: Known | None = None,
+    progress: Progress = lambda _: None,
 ) -> tuple[PredictedThreshold, dict[int, PooledThreshold], float]:
     """Return a threshold, what each number of places gives, and the bound on what the plan leaves out."""
-    pixels = chain.sensor.display.pixels_per_detector
-    ladder = [n for n in PLACES if math.gcd(n, pixels) == 1 and chain.plan.fewest_places <= n <= most_places]
+    check_positive(argument.tolerance, tolerance)
+    ladder = [n for n in chain.lattices if n <= most_places]
     on_places: dict[int, PooledThreshold] = {}
     if near is None and (level == "snr" or chain.variance is not None):
         near, slope = chain.plan.near_level, chain.plan.slope
         if known is not None:
             near = known.near(chain)
     bound = chain.plan.bound
-    # A triangle of more contrast saturates the pixels, and looks the same.
-    most = math.inf if chain.variance is None else largest_contrast(chain.sensor)
+    # Where the plan has found no threshold at the places that it tried, there often is none.
+    never = chain.unreached(p_correct, seed, ladder[0], level) if near is None else None
+    if never is not None:
+        return never, {}, bound
+    work = _Work(progress, check, ladder)
     for places in ladder:
-        parts = chain.replicates(places, seed)
+        parts = work.draw(chain, places, seed)
         phases = pooled(parts)
         n_phases = sum(part.signal[..., 0].size for part in phases)
         found = find_threshold(
@@ -795,18 +896,16 @@ def predicted_on_lattices(
             n_replicates=REPLICATES,
             level=level,
             variance=chain.variance,
-            most=most,
+            most=chain.largest_level,
             near=near,
             slope=slope,
             decide=chain.decide,
-            check=check,
+            check=work.decide,
         )
         if found.status != "ok":
-            return (
-                PredictedThreshold(found.status, size_detectors=chain.size_detectors, n_phases=n_phases),
-                {},
-                bound,
-            )
+            never = chain.unreached(p_correct, seed, places, level) if found.status == "never_reached" else None
+            other = PredictedThreshold(found.status, size_detectors=chain.size_detectors, n_phases=n_phases)
+            return never or other, {}, bound
         near, slope = found.threshold, found.slope
         threshold = found.threshold
         if known is not None:
@@ -828,7 +927,7 @@ def predicted_on_lattices(
     points: tuple[tuple[float, float], ...] = ()
     if n_points:
         levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, n_points)).tolist()
-        points = tuple(zip(levels, chain.proportions_correct(parts[0], levels).tolist(), strict=True))
+        points = tuple(zip(levels, chain.proportions_correct(parts[0], levels, level).tolist(), strict=True))
     error = (error + left_out) * threshold
     predicted = PredictedThreshold(found.status, threshold, error, chain.size_detectors, n_phases, points)
-    return predicted, on_places, bound
+    return if_known(predicted), on_places, bound

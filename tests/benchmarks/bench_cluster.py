@@ -14,7 +14,6 @@ from pathlib import Path
 from bench_scoring import make_dataset
 from timing import Row
 
-from todframes.base.errors import DataError, TodframesError
 from todframes.frames.dataset import load_dataset
 from todframes.jobs.engine import open_engine
 from todframes.jobs.work import Engine, LocalEngine
@@ -44,9 +43,9 @@ class Busy:
 
         return work
 
-    def lost(self, item: int) -> TodframesError:
-        """Return the error about an item whose process died with it."""
-        return DataError(f"item {item}")
+    def name(self, item: int) -> str:
+        """Return what messages call an item."""
+        return str(item)
 
 
 def busy(engine: Engine) -> None:

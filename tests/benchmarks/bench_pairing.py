@@ -15,7 +15,8 @@ from timing import Row
 from todframes.enhancement.compare import SIGNIFICANCE
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
-from todframes.psychometrics.fit import CurveName, FitSettings, fit_trials
+from todframes.parameters import CurveName
+from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.psychometrics.paired_bootstrap import ThresholdRatio, ratio_draws, threshold_ratio
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import Orientation, Stimulus, coverage

@@ -19,7 +19,8 @@ from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.thresholds.predict import FoldedChain
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
-from todframes.psychometrics.fit import CurveName, FitSettings, fit_trials
+from todframes.parameters import CurveName
+from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.psychometrics.threshold_search import find_crossing
 from todframes.stimulus import Orientation, Stimulus, coverage
 

@@ -22,7 +22,7 @@ from todframes.base.errors import SettingsError
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import write_frame
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
-from todframes.scoring.error_budget import PlanName
+from todframes.parameters import PlanName
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.scoring.score import ScoredDataset, score_dataset
 from todframes.stimulus import ORIENTATIONS, coverage

@@ -22,7 +22,7 @@ from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor
 from sensor_sim.thresholds.curve_plan import plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
-from todframes.scoring.error_budget import PlanName
+from todframes.parameters import PlanName
 
 TOLERANCE = 1e-2
 

@@ -160,8 +160,6 @@ def sensor_toml(measured: str, pitch_mrad: float) -> str:
 name = "as filmed"
 
 [optics]
-aperture_mm = 10.0
-wavelength_um = 0.55
 mtf = "mtf.csv"
 mtf_includes_detector = true
 

@@ -23,8 +23,8 @@ import numpy as np
 
 import todframes as tod
 from todframes.base.errors import TodframesError
-from todframes.frames.dataset import Gaze
 from todframes.frames.files import read_frame, write_frame
+from todframes.parameters import Gaze
 
 BEFORE, N_JUDGED, SIDE_PX, SIZE_PX = 3, 2, 24, 5.0
 LEVELS = (0.05, 0.1, 0.2, 0.4, 0.8)

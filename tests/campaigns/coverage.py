@@ -26,11 +26,12 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from people import a_monitor, model_person, sit
 
-from todframes.experiment.answers import Method, Session, read_answers
+from todframes.experiment.answers import Session, read_answers
 from todframes.experiment.order import TrialOrder
 from todframes.experiment.person import AnsweredTrials, answered_trials, cells_of, noise_grid, noise_observers
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.observers.pyramid import PyramidObserver
+from todframes.parameters import Method
 from todframes.psychometrics.noise_fit import AnswerTable, NoiseFit, fit_noise, with_lapses
 from todframes.stimulus import ORIENTATIONS, Orientation
 

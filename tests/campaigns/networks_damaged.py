@@ -2,11 +2,12 @@
 
 Small networks are mutated and given to `onnx:FILE`, which tries them in a process of its own. One that is accepted
 filters a frame, in another process, as a worker of a comparison does. Every sixth case is a whole network of two
-inputs whose settings are mutated or hostile.
+inputs whose settings are mutated or hostile, or one that names a file outside its folder as its weights.
 """
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -71,9 +72,30 @@ def hostile_settings(rng: np.random.Generator) -> bytes:
     return "\n".join([rng.choice(heads), *lines]).encode()
 
 
+ELSEWHERE = (
+    *("../secret.bin", "link.bin", "hard.bin", "linked/secret.bin", "linked", "pipe", "inner/../../secret.bin"),
+    *("/dev/zero", "/proc/self/mem", "/etc/passwd", "", ".", "./../secret.bin", "\0", 5000 * "../" + "etc/passwd"),
+    *("file:///etc/passwd", "..\\secret.bin", "weights.bin\0../../secret.bin", "//etc/passwd"),
+)
+"""Names of files that no network may read; `plant` makes some of them."""
+
+
+def plant(folder: Path) -> None:
+    """Put links, a pipe and a file above a folder, which a network may name as its weights."""
+    secret = folder.parent / "secret.bin"
+    secret.write_bytes(np.ones(9, "<f4").tobytes())
+    (folder / "inner").mkdir()
+    (folder / "link.bin").symlink_to(secret)
+    (folder / "linked").symlink_to(folder.parent)
+    (folder / "hard.bin").hardlink_to(secret)
+    os.mkfifo(folder / "pipe")
+
+
 def samples(folder: Path) -> list[Path]:
     """Write the networks that are mutated."""
+    (folder / "weights.bin").write_bytes(np.arange(9, dtype="<f4").tobytes())
     return [
+        networks.with_weights_in(folder / "outside.onnx", "weights.bin"),
         networks.denoiser(folder / "denoiser.onnx"),
         networks.finer(folder / "finer.onnx"),
         networks.blur(folder / "box.onnx", networks.box(), channels=3, size=(48, 64)),
@@ -90,12 +112,20 @@ def campaign(n: int, *, seed: int, first: int = 0) -> tuple[int, list[str]]:
     """
     found, counts = [], dict.fromkeys(("accepted", "refused", "died after it was accepted"), 0)
     with tempfile.TemporaryDirectory() as name:
-        wholes = [path.read_bytes() for path in samples(Path(name))]
-        noise_map = networks.less_noise(Path(name) / "noise.onnx", networks.TensorProto.FLOAT, networks.ANY)
-        path = Path(name) / "damaged.onnx"
+        folder = Path(name) / "networks"
+        folder.mkdir()
+        plant(folder)
+        wholes = [path.read_bytes() for path in samples(folder)]
+        noise_map = networks.less_noise(folder / "noise.onnx", networks.TensorProto.FLOAT, networks.ANY)
+        path = folder / "damaged.onnx"
         for number in range(first, first + n):
             rng = np.random.default_rng((seed, number))
-            if number % 6 == 5:
+            if number % 12 == 11:
+                path.with_suffix(".toml").write_bytes(b"")
+                location = str(rng.choice(ELSEWHERE))
+                networks.with_weights_in(path, location)
+                case = f"{number}, weights in {location[:40]!r}"
+            elif number % 6 == 5:
                 path.write_bytes(noise_map.read_bytes())
                 path.with_suffix(".toml").write_bytes(hostile_settings(rng))
                 case = f"{number}, settings"
@@ -106,7 +136,7 @@ def campaign(n: int, *, seed: int, first: int = 0) -> tuple[int, list[str]]:
                 case = f"{number}, {mutate.__name__}"
             try:
                 done = subprocess.run(
-                    [sys.executable, "-c", ONE, f"onnx:{path}:runtime=opencv"],
+                    [sys.executable, "-c", ONE, f"onnx:{path}"],
                     capture_output=True,
                     timeout=LIMIT_S,
                     check=False,
@@ -115,6 +145,8 @@ def campaign(n: int, *, seed: int, first: int = 0) -> tuple[int, list[str]]:
                 found.append(f"{case}: took more than {LIMIT_S:g} s")
                 continue
             lines = done.stdout.decode(errors="replace").splitlines()
+            if number % 12 == 11 and lines[:1] == ["accepted"]:
+                found.append(f"{case}: was read")
             if done.returncode < 0 and lines[:1] == ["accepted"]:
                 counts["died after it was accepted"] += 1
             elif done.returncode:

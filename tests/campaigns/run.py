@@ -7,7 +7,6 @@ python tests/campaigns/run.py bombs                # small files that claim much
 python tests/campaigns/run.py kills [N]            # 100 kills of clients, workers and schedulers
 python tests/campaigns/run.py long-run [N]         # 100 kills of one run of 20,000 frames
 python tests/campaigns/run.py faults               # full disks, second runs, files that change
-python tests/campaigns/run.py planted              # links planted in OUT, and swapped in during the run
 python tests/campaigns/run.py servers              # endless, slow, compressed, cut and moved answers
 python tests/campaigns/run.py decoys               # modules and settings in the working folder
 python tests/campaigns/run.py explorer [N]         # 300 states of the explorer's page, requests held back
@@ -29,7 +28,6 @@ import faults
 import kills
 import media
 import networks_damaged
-import planted
 import servers
 import sitters
 
@@ -38,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a campaign and print what it has found. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = ["mutations", "media", "cameras", "bombs", "kills", "long-run", "faults"]
-    names += ["decoys", "servers", "planted", "people", "explorer", "networks"]
+    names += ["decoys", "servers", "people", "explorer", "networks"]
     parser.add_argument("campaign", choices=names)
     parser.add_argument(
         "n",
@@ -90,8 +88,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         case "networks":
             n, found = networks_damaged.campaign(asked.n or 500, seed=asked.seed, first=asked.first)
             print(*found, sep="\n", end="\n" if found else "")
-        case "planted":
-            n, found = planted.campaign(seed=asked.seed, only=asked.only)
         case _:
             n, found = faults.campaign(seed=asked.seed, only=asked.only)
     print(f"{n} cases, {len(found)} faults")

@@ -163,7 +163,7 @@ def without_times(value: Any) -> Any:
 
 
 def _tells_time(key: str) -> bool:
-    return key in ("seconds", "saves_s") or key.endswith(("run_time_s", "cpu_s"))
+    return key in ("seconds", "saves_s") or key.endswith(("run_time_s", "cpu_s", "cpu_ms_per_frame", "memory_mb"))
 
 
 def content(folder: Path) -> dict[str, Any]:

@@ -6,16 +6,16 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, FrameError, SettingsError, argument
+from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.base.reading import spelling_hint
 from todframes.display.display import Display
-from todframes.frames.files import PathLike
+from todframes.parameters import PathLike
 from todframes.recordings.opening import open_recordings
 from todframes.recordings.recording import CodeRange, Recording, code_range, files_in
 
@@ -47,7 +47,7 @@ class SceneImage(NamedTuple):
         Number of the frame in its recording, from 0.
     luminance_cd_m2 : ndarray, shape (rows, columns)
     at_end : ndarray of bool, shape (rows, columns)
-        Pixels with a channel at black or white, or beyond.
+        Pixels with a channel at black, white or an end of the display's LUT, or beyond.
     used : float
         Share of the range from black to white that the values of the frame are spread over.
     """
@@ -64,7 +64,7 @@ def open_scenes(
     paths: PathLike | Sequence[PathLike],
     *,
     value_range: tuple[float, float] | None = None,
-    range_name: str = argument.value_range,
+    range_name: str = "value_range",
     max_frame_mb: int = 256,
     note: Callable[[str], None] | None = None,
 ) -> list[SceneFile]:
@@ -81,7 +81,7 @@ def open_scenes(
     max_frame_mb : int
         Largest decoded size of a frame in 2**20 bytes.
     note : function of a text, optional
-        Called with a remark about files of a folder that are no recordings.
+        Called with a remark about files of a folder that are no recordings, and with the warnings of recordings.
 
     Raises
     ------
@@ -102,6 +102,10 @@ def open_scenes(
             opened += _of_folder(Path(name), max_frame_mb, note)
         else:
             opened.append(_opened(Path(name), max_frame_mb))
+    for one in opened:
+        for code, message in one.warnings:
+            if note is not None and code != "lossy_compression":  # any picture may be behind a triangle
+                note(f"{one.path}: {message}")
     names: dict[str, Path] = {}
     for one in opened:
         if names.setdefault(one.path.stem, one.path) is not one.path:
@@ -161,7 +165,8 @@ def decoded_images(file: SceneFile, display: Display, *, frames: int) -> Iterato
     ----------
     file : SceneFile
     display : Display
-        Display that shows the recorded values; those beyond black and white are shown as these.
+        Display that shows the recorded values; those beyond black and white, or beyond the ends of its LUT, are
+        shown as these.
     frames : int
         Number of frames, at most; an image file has one.
 
@@ -172,23 +177,17 @@ def decoded_images(file: SceneFile, display: Display, *, frames: int) -> Iterato
     """
     recording, (low, high) = file.recording, (file.scale.low, file.scale.high)
     total = recording.n_frames or sum(1 for _ in recording.frames())
+    # A LUT gives luminance of absolute code values: it may begin above 0 and end below 1.
+    ends = (0.0, 1.0) if display.lut is None else (display.lut.code_value[0], display.lut.code_value[-1])
     wanted = set(np.linspace(0, total - 1, min(frames, total)).round().astype(int).tolist())
     for number, recorded in enumerate(recording.frames()):
         if number in wanted:
             code = (np.atleast_3d(recorded.values).astype(np.float64) - low) / (high - low)
-            at_end = np.any((code <= 0.0) | (code >= 1.0), axis=2)
-            luminance = display.luminance(_shown(np.clip(code, 0.0, 1.0), display))
+            at_end = np.any((code <= ends[0]) | (code >= ends[1]), axis=2)
+            luminance = display.luminance(np.clip(code, *ends))
             yield SceneImage(file.scene, str(recording.path), number, luminance, at_end, float(np.ptp(code)))
         if number >= max(wanted):
             return
-
-
-def _shown(code: NDArray[Any], display: Display) -> FloatArray:
-    """Return code values within the range of a display's LUT."""
-    if display.lut is None:
-        return np.asarray(code)
-    first, last = float(display.lut.code_value[0]), float(display.lut.code_value[-1])
-    return np.asarray(first + (last - first) * code)
 
 
 class Encoder:

@@ -30,15 +30,31 @@ from todframes.backdrops.views import (
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.output import new_folder
-from todframes.base.reading import check_positive, distinct_numbers
+from todframes.base.reading import MOST_TRIALS, check_positive, check_whole, distinct_numbers
 from todframes.base.safe_text import csv_text, in_utf8, one_line
 from todframes.base.seeds import Rng, seed_of
 from todframes.display.display import Display
 from todframes.display.display_files import find_display, table_of_display
 from todframes.frames.dataset import BACKGROUND_COLUMN, PLACE_COLUMNS, SCENE_COLUMNS, Experiment
 from todframes.frames.dataset_files import write_dataset_files
-from todframes.frames.files import MAX_FRAME_MB, PathLike, write_frame
+from todframes.frames.files import write_frame
 from todframes.importing.windows import field_reach_px
+from todframes.parameters import (
+    MAX_FRAME_MB,
+    BlurPx,
+    DatasetFolder,
+    Dimming,
+    DisplayName,
+    FrameLimit,
+    Limits,
+    Numbers,
+    PathLike,
+    PlaceCount,
+    Seed,
+    StepMrad,
+    Turns,
+    WholeNumber,
+)
 from todframes.stimulus import Orientation, coverage
 
 LEAST_TRIALS = 40
@@ -96,67 +112,72 @@ class ScenesMade:
 def scenes(
     backgrounds: PathLike | Sequence[PathLike],
     *,
-    out: PathLike,
-    size_mrad: Sequence[float],
-    contrast: Sequence[float],
-    places: int = 1,
-    place_step_mrad: float | None = None,
-    trials: int | None = None,
+    out: DatasetFolder,
+    size_mrad: Numbers,
+    contrast: Numbers,
+    places: PlaceCount = 1,
+    place_step_mrad: StepMrad | None = None,
+    trials: WholeNumber | None = None,
     polarity: int = 1,
-    blur_px: float = 0.0,
-    windows: int = 1,
-    frames: int = 1,
-    turns: int = 8,
-    dim: float | None = None,
-    display: str | Display = "reference_sdr",
-    value_range: tuple[float, float] | None = None,
-    rng: Rng = 1,
-    max_frame_mb: int = MAX_FRAME_MB,
+    blur_px: BlurPx = 0.0,
+    windows: WholeNumber = 1,
+    frames: WholeNumber = 1,
+    turns: Turns = 8,
+    dim: Dimming | None = None,
+    display: DisplayName | Display = "reference_sdr",
+    value_range: Limits | None = None,
+    rng: Seed | Rng = 1,
+    max_frame_mb: FrameLimit = MAX_FRAME_MB,
     progress: Callable[[int], None] | None = None,
 ) -> ScenesMade:
-    """Make a dataset of triangles on recorded frames, as `todframes scenes` does.
+    """Make a dataset of triangles on recorded frames.
 
     The luminance of a frame is that of the scene on the display, plus contrast × local luminance × the share of
     each pixel that the triangle covers. The local luminance is the mean over the circle through the triangle's
-    corners, before it is added.
+    corners, before it is added. The triangles have not passed the camera: its blur is left out unless `blur_px`
+    gives one.
 
     Parameters
     ----------
     backgrounds : path or sequence of path
-        Images, films and arrays, folders of them, and "skimage" or "skimage:camera,brick" for photographs that
-        scikit-image ships. Each file is a scene.
+        Images, films and arrays, or folders of them; each file is a scene. skimage stands for the photographs that
+        scikit-image ships, skimage:camera,brick for two of them.
     out : path
         Folder of the dataset, new or empty.
     size_mrad : sequence of float
-        Sizes √(area) of the triangles.
+        Sizes √(area) of the triangles in mrad at the eye.
     contrast : sequence of float
         Contrasts of the triangles against the local luminance, > 0.
     places : int
-        Number of places at which the triangle may be. With 1, its place is known.
+        Number of places at which the triangle may be; with 1 its place is known.
     place_step_mrad : float, optional
         Distance of neighbouring places. Default: 2.5 sizes.
     trials : int, optional
         Frames of each size and contrast. Default: the least number from 40 in which the turns are balanced.
     polarity : {1, -1}
-        Brighter or darker than the scene.
+        1 for triangles brighter than the scene, -1 for darker ones.
     blur_px : float
-        Standard deviation in pixels of a Gaussian that blurs the triangle, as the camera's optics would have.
+        Blur of the triangle in place of the camera's: standard deviation of a Gaussian in pixels.
     windows : int
-        Backgrounds that are taken from each frame of each scene.
+        Backgrounds from each frame of a scene.
     frames : int
-        Frames that are taken from a film, evenly spread.
+        Frames from a film, evenly spread.
     turns : {8, 4, 1}
-        Turned and mirrored versions in which each background is shown.
+        Turned and mirrored versions in which each scene is shown: 4 are not mirrored, 1 is as recorded.
     dim : float, optional
-        Factor of the scene's luminance above black, at most 1. Default: the largest with which no triangle clips.
+        Factor of the scene's luminance above black, at most 1. Default: the largest with which no triangle is
+        beyond white.
     display : str or Display
-        Display that shows the frames: the name of one of this package, a TOML file, or a `Display`.
+        Display that shows the frames: reference_sdr, reference_linear, srgb_monitor, tod_2001, or a TOML file; all
+        are in docs/displays.md.
+
+        A `Display` is taken as well.
     value_range : (float, float), optional
-        Recorded values that the display shows black and white. Needed for values without a white.
+        Recorded values that the display shows black and white; needed for temperatures and counts.
     rng : int, SeedSequence or Generator
         Seed of all random draws.
     max_frame_mb : int
-        Largest size of a decoded frame in 2**20 bytes.
+        Largest decoded size of a frame in 2**20 bytes; a larger one is refused before it is decoded.
     progress : function of an int, optional
         Called with the number of frames that were just written.
 
@@ -189,10 +210,10 @@ def scenes(
         raise SettingsError(f"polarity: found {polarity!r}, expected 1 or -1")
     if turns not in (1, 4, 8):
         raise SettingsError(f"{argument.turns}: found {turns!r}, expected 1, 4 or 8")
-    counts = {argument.windows: windows, argument.frames: frames, argument.trials: trials}
-    for name, number in counts.items():
-        if number is not None and number < 1:
-            raise SettingsError(f"{name}: found {number}, expected at least 1")
+    most = max(MOST_TRIALS // (len(sizes) * len(contrasts)), 1)
+    for name, number in {argument.windows: windows, argument.frames: frames, argument.trials: trials}.items():
+        if number is not None:
+            check_whole(name, number, 1, most)
     if not 0.0 <= blur_px <= 1e3:
         raise SettingsError(f"{argument.blur_px}: found {blur_px!r}, expected 0 to 1000 pixels")
     experiment = Experiment(level="contrast", group_by=("size_mrad",), places=places)

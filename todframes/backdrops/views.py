@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from todframes.backdrops.images import SceneFile, SceneImage, decoded_images
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, argument, for_reader
+from todframes.base.errors import DataError, argument
 from todframes.display.display import Display
 from todframes.frames.position import candidate_places
 from todframes.frames.trials import SceneView
@@ -133,7 +133,7 @@ def draw_backgrounds(
     windows: int = 1,
     frames: int = 1,
     room_for: Callable[[FloatArray, Layout], float] | None = None,
-    range_name: str = argument.value_range,
+    range_name: str = "value_range",
     note: Callable[[str], None],
 ) -> list[list[Background]]:
     """Draw windows of each scene for each layout, and leave out scenes that are unfit for one of them.
@@ -180,8 +180,9 @@ def draw_backgrounds(
                     share = (
                         f"its values are spread over {100.0 * image.used:.2g} % of the range from black to white"
                     )
-                    remedy = f"of counts or temperatures, give the values of black and white ({range_name})"
-                    note(for_reader(f"{image.path}: {share}; {remedy}"))
+                    asked = getattr(argument, range_name)
+                    remedy = f"of counts or temperatures, give the values of black and white ({asked})"
+                    note(f"{image.path}: {share}; {remedy}")
                 for layout, stream, found in zip(layouts, streams, drawn, strict=True):
                     found += draw_windows(
                         image, layout, windows, stream, names_frame=names_frame, room_for=room_for

@@ -5,7 +5,6 @@ Each message is one line that names the file, row or key, what was found and wha
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -14,13 +13,17 @@ from typing import Any
 
 from todframes.base.safe_text import in_utf8, without_secrets
 
-_ARGUMENT = re.compile("\x1a([a-z0-9_]+)\x1a")
-"""Pattern of an argument in the text of an error."""
 _FLAGS = {
+    "answers": "--out",
     "boxes": "--box",
+    "descriptor": "--emva",
     "integration_time_s": "--integration-time",
+    "kind": "--for",
     "luminance_cd_m2": "--luminance",
     "dither": "--no-dither",
+    "frame_format": "--format",
+    "open_browser": "--no-browser",
+    "subjects": "--subject",
     "time_limit_s": "--time-limit",
     "motion_mrad_per_s": "--motion",
     "patches": "--patch",
@@ -35,13 +38,11 @@ _is_command: ContextVar[bool] = ContextVar("is_command", default=False)
 
 
 class _Arguments:
-    """Names of the arguments of calls, for the messages of errors: `argument.max_frame_mb`.
-
-    A message shows the name that its reader knows: that of the argument, or of the option of the command.
-    """
+    """Names of the arguments of calls, for messages: `argument.max_frame_mb` is "max_frame_mb" in a call, and
+    "--max-frame-mb" in a command."""
 
     def __getattr__(self, name: str) -> str:
-        return f"\x1a{name}\x1a"
+        return flag_of(name) if is_in_command() else name
 
 
 argument = _Arguments()
@@ -52,22 +53,22 @@ def flag_of(name: str) -> str:
     return _FLAGS.get(name, "--" + name.replace("_", "-"))
 
 
-@contextmanager
-def in_command(*, is_on_page: bool = False) -> Iterator[None]:
-    """Let texts name the options of the command line for the time of a `with` statement.
+def is_in_command() -> bool:
+    """Return whether messages name the options of the command line."""
+    return _is_command.get()
 
-    On a page that a command serves, they name the arguments, which its fields have as well.
+
+@contextmanager
+def in_command(is_command: bool = True) -> Iterator[None]:
+    """Let messages name options for the time of a `with` statement, or arguments if this is no command.
+
+    The fields of a page that a command serves have the names of arguments.
     """
-    before = _is_command.set(not is_on_page)
+    before = _is_command.set(is_command)
     try:
         yield
     finally:
         _is_command.reset(before)
-
-
-def for_reader(text: str) -> str:
-    """Return a text with names as its reader knows them: options in a command, arguments in a call."""
-    return _ARGUMENT.sub(lambda found: flag_of(found[1]) if _is_command.get() else found[1], text)
 
 
 class TodframesError(Exception):
@@ -82,35 +83,21 @@ class TodframesError(Exception):
     def __init__(self, message: str) -> None:
         super().__init__(in_utf8(without_secrets(message)))
 
-    def __str__(self) -> str:
-        return for_reader(self.marked)
-
-    @property
-    def marked(self) -> str:
-        """The message for another error of this package; arguments in it get the name that its reader knows."""
-        return str(self.args[0])
-
 
 class DataError(TodframesError, ValueError):
     """Error for a file, row or pixel that is invalid."""
 
 
 class FrameError(DataError):
-    """Error for a frame that cannot be used: `path` is its `Location`, and `problem` is the reason, without the
-    path."""
+    """Error for a frame that cannot be used: `path` is its `Location`, `problem` the reason without the path."""
 
     def __init__(self, path: Any, problem: str) -> None:
         super().__init__(f"{path}: {problem}")
         self.path = Path(path) if isinstance(path, str) else path
-        self._marked_problem = problem
-
-    @property
-    def problem(self) -> str:
-        """The problem, without the path."""
-        return for_reader(self._marked_problem)
+        self.problem = problem
 
     def __reduce__(self) -> tuple[type, tuple[Any, str]]:
-        return type(self), (self.path, self._marked_problem)
+        return type(self), (self.path, self.problem)
 
 
 class RemoteError(TodframesError, ConnectionError):

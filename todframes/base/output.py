@@ -14,24 +14,20 @@ At the end, with signals held back, the files are renamed into place:
 - A dataset or a chart needs a new or empty folder. Its files get their names there, `dataset.toml` or `chart.toml`
   last; without that it is none.
 
-Whoever can write to the place may have planted links in it. No link below the place is followed: place and hidden
-folder are opened once, and all files are named by these open folders (`_held`), whatever happens to their names.
-The hidden folder belongs to this user alone, or it is refused, and so is one that holds names not given here.
+The place belongs to the user: nobody is expected to plant links there, or to swap files during a run.
 """
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import os
 import shutil
-import stat
 import sys
-import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Set
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import msgspec
 
@@ -43,8 +39,8 @@ if sys.platform != "win32":
     import fcntl
 
 STAGING = ".todframes-staging"
-LOCK, STAGED, STORE, MOVING = "lock", "new", "store", "moving"
-"""Names in a hidden folder: the lock, the staged files, finished results, and the list of what `_fill` moves."""
+LOCK, STAGED, STORE = "lock", "new", "store"
+"""Names in a hidden folder: the lock, the staged files, and finished results."""
 
 LAST_OF_DATASET, LAST_OF_RESULT = "dataset.toml", "result.json"
 
@@ -62,8 +58,16 @@ FILES_OF_COMMAND = {
         *("calibration.png", "calibration.svg", "observer.toml"),
     },
     "noise": {
-        *("noise.csv", "noise.png", "snr.csv", "patches.csv", "sensor_noise.toml"),
-        *("emva.csv", "emva.png", "emva.xml", "photon_transfer.csv", "variances.csv"),
+        *("report.html", "noise.csv", "snr.csv", "patches.csv", "sensor_noise.toml"),
+        *("noise.png", "frame_means.png", "mean.png", "temporal_sd.png"),
+    },
+    "emva": {
+        *("report.html", "emva.csv", "photon_transfer.csv", "variances.csv", "emva.xml", "sensor_noise.toml"),
+        *("emva.png", "photon_transfer.png"),
+    },
+    "mtf": {
+        *("report.html", "mtf.csv", "edges.csv", "edge_sfr_values.txt", "raw_sfr_values.txt"),
+        *("mtf.png", "edges.png", "profiles.png"),
     },
     "range": {
         *("report.html", "ranges.csv", "probability.csv", "range_against_k.csv"),
@@ -103,12 +107,11 @@ def output_folder(name: str, going: Going | None = None) -> Iterator[Path]:
     OutputError
         If the place cannot be written, or another run is writing there.
     """
-    with _as_output_error(name), _place(name) as out, _hidden(out, STAGING, name, going, {STORE}) as hidden:
+    with _as_output_error(name), _place(name) as out, _hidden(out / STAGING, name, going, {STORE}) as hidden:
         staged = hidden / STAGED
         staged.mkdir()
         yield staged
         with held_back():
-            _check_in_place(name, out)
             _join(name, staged, out)
             signals.written.append(name)
 
@@ -131,15 +134,18 @@ def new_folder(name: str, *, last: str = LAST_OF_DATASET, going: Going | None = 
         If the place cannot be written or is not empty, or another run is writing there.
     """
     kept = {STORE, STAGED}
-    with _as_output_error(name), _place(name) as out, _hidden(out, STAGING, name, going, kept) as hidden:
-        if found := sorted(_names(out) - {STAGING}):
-            raise OutputError(f"{name}: is not empty, found {found[0]}; expected a new name or an empty folder")
+    with _as_output_error(name), _place(name) as out, _hidden(out / STAGING, name, going, kept) as hidden:
         staged = hidden / STAGED
+        if there := sorted(_names(out) - {STAGING}):
+            if (staged / last).exists():  # a run was killed as it moved them
+                _fill(name, staged, out, last)
+            raise OutputError(f"{name}: is not empty, found {there[0]}; expected a new name or an empty folder")
         staged.mkdir(exist_ok=going is not None)
-        with _shown_as(name, staged):
+        try:
             yield staged
+        except OutputError as error:  # names frames as they would have been named
+            raise OutputError(str(error).replace(str(staged), name)) from None
         with held_back():
-            _check_in_place(name, out)
             _fill(name, staged, out, last)
             signals.written.append(name)
 
@@ -147,26 +153,6 @@ def new_folder(name: str, *, last: str = LAST_OF_DATASET, going: Going | None = 
 def store_path(staged: Path) -> Path:
     """Return the path of the store of finished results of the run that has this staging folder."""
     return staged.parent / STORE
-
-
-@contextmanager
-def held(staged: Path) -> Iterator[Path]:
-    """Open a staging folder from another process, or by its real path, as `new_folder` opens it.
-
-    Raises
-    ------
-    OutputError
-        If it is a link or belongs to somebody else.
-    """
-    with ExitStack() as stack:
-        try:
-            hidden = _held(staged.parent, stack)
-        except OSError as error:
-            raise OutputError(f"{staged}: cannot be written ({error.strerror})") from None
-        if not _is_ours(hidden):
-            raise OutputError(f"{staged.parent}: belongs to another user")
-        with _shown_as(str(staged), hidden / staged.name):
-            yield hidden / staged.name
 
 
 def remove_others(folder: Path, names: Collection[str]) -> None:
@@ -197,22 +183,20 @@ def write_file(path: Path, content: bytes, *, not_over: Path | None = None, is_p
         If the place cannot be written, is that of `not_over`, or another run is writing there.
     """
     name = str(path)
-    with _as_output_error(name), ExitStack() as stack:
+    with _as_output_error(name):
         if path.exists() and not path.is_file():
             raise OutputError(f"{path}: is a folder or device, expected the name of a file")
         if not_over is not None and path.exists() and path.samefile(not_over):
             raise OutputError(f"{path}: is the result itself, expected another name")
-        parent = _held(Path(os.path.realpath(path.parent)), stack)
-        with _hidden(parent, beside(path.name), name) as hidden:
+        with _hidden(path.parent.resolve() / beside(path.name), name) as hidden:
+            new = hidden / STAGED
             write_files(hidden, {STAGED: content})
-            if is_private:
-                (hidden / STAGED).chmod(0o600)
-            with suppress(FileNotFoundError):
-                status = (parent / path.name).lstat()
-                if stat.S_ISREG(status.st_mode):
-                    (hidden / STAGED).chmod(stat.S_IMODE(status.st_mode))
+            if path.exists():
+                shutil.copymode(path, new)
+            elif is_private:
+                new.chmod(0o600)
             with held_back():
-                (hidden / STAGED).replace(parent / path.name)
+                new.replace(path)
                 signals.written.append(name)
 
 
@@ -257,20 +241,9 @@ def locked(file: int) -> bool:
     return True
 
 
-def open_own(path: Path) -> int:
-    """Open a file for reading and writing, or make it; no link is followed, and no pipe is waited for.
-
-    Raises
-    ------
-    OSError
-        If it cannot be opened, or is no regular file.
-    """
-    more = (getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"))
-    file = os.open(path, os.O_RDWR | os.O_CREAT | sum(more), 0o600)
-    if not stat.S_ISREG(os.fstat(file).st_mode):
-        os.close(file)
-        raise OSError(errno.ENXIO, os.strerror(errno.ENXIO))
-    return file
+def beside(file_name: str) -> str:
+    """Return the name of the hidden folder beside a file; its length does not depend on the file's name."""
+    return f"{STAGING}-{hashlib.sha256(os.fsencode(file_name)).hexdigest()[:16]}"
 
 
 # The place ----------------------------------------------------------------------------------------------------
@@ -287,21 +260,8 @@ def _as_output_error(name: str) -> Iterator[None]:
 
 
 @contextmanager
-def _shown_as(name: str, staged: Path) -> Iterator[None]:
-    """Name frames in messages as they would have been named."""
-    real = os.path.realpath(staged)
-    try:
-        yield
-    except OutputError as error:
-        raise OutputError(error.marked.replace(str(staged), name).replace(real, name)) from None
-
-
-@contextmanager
 def _place(name: str) -> Iterator[Path]:
-    """Open the folder named; make it if there is none, and remove it again if the block fails and it is empty.
-
-    Links in its name are followed: it is the user's.
-    """
+    """Yield the folder named; make it if there is none, and remove it again if the block fails and it is empty."""
     if not name or "\0" in name:
         raise OutputError(f"found {name!r} as the folder for results, expected a name")
     if "://" in name:  # it may hold a secret
@@ -314,14 +274,13 @@ def _place(name: str) -> Iterator[Path]:
     parent = path.absolute().parent
     if not parent.is_dir():
         raise OutputError(f"{path}: {parent} is not a folder")
-    path = Path(os.path.realpath(path))
+    path = path.resolve()
     made = False
     try:
         with held_back(), suppress(FileExistsError):
             path.mkdir()
             made = True
-        with ExitStack() as stack:
-            yield _held(path, stack)
+        yield path
     except BaseException:
         if made:
             with suppress(OSError):
@@ -329,178 +288,104 @@ def _place(name: str) -> Iterator[Path]:
         raise
 
 
-def _held(folder: Path, stack: ExitStack) -> Path:
-    """Open a folder that is no link. Returns a path that leads to this folder even if its name changes.
-
-    Where the system has no such paths (it needs Linux's /proc) it is the folder's name.
-    """
-    if sys.platform == "win32":
-        if folder.is_symlink() or not folder.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-        return folder
-    number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    stack.callback(os.close, number)
-    by_number = Path(f"/proc/self/fd/{number}")
-    return by_number if by_number.is_dir() else folder
-
-
 def _names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
-
-
-def _check_in_place(name: str, out: Path) -> None:
-    """Raise OutputError if the folder named is not the one that was opened."""
-    if not (os.path.exists(name) and os.path.samefile(name, out)):  # noqa: PTH110, PTH121 - a name, no path
-        raise OutputError(f"{name}: was moved, removed or replaced during the run; nothing was written")
 
 
 # The hidden folder --------------------------------------------------------------------------------------------
 
 
-def beside(file_name: str) -> str:
-    """Return the name of the hidden folder beside a file; its length does not depend on the file's name."""
-    return f"{STAGING}-{hashlib.sha256(os.fsencode(file_name)).hexdigest()[:16]}"
-
-
 @contextmanager
-def _hidden(
-    parent: Path, entry: str, name: str, going: Going | None = None, kept: Set[str] = frozenset()
-) -> Iterator[Path]:
+def _hidden(hidden: Path, name: str, going: Going | None = None, kept: Set[str] = frozenset()) -> Iterator[Path]:
     """Make a hidden folder for this run alone, empty except for the lock, and remove it at the end.
 
     If the run can go on later, what is `kept` may be there at the start, and stays if the run fails and has a
     store. Another command into the same place leaves the store alone.
     """
-    lock: int | None = None
-    hidden: Path | None = None
+    lock: BinaryIO | None = None
+    is_ours = False
     stays: Set[str] = frozenset()
-    with ExitStack() as stack:
-        try:
-            with held_back():
-                hidden, lock = _lock(parent, entry, name, stack)
-                stays = {STORE} if going is None else frozenset() if going.restart else kept
-                if (hidden / MOVING).exists():
-                    _take_back(hidden, parent)
-                _clear(hidden, stays)
-            yield hidden
-            stays = {STORE} if going is None or going.keep else frozenset()
-        except BaseException:
-            is_kept = hidden is not None and (hidden / STORE).exists()
-            stays = (kept if going is not None else {STORE}) if is_kept else frozenset()
-            raise
-        finally:
-            if hidden is not None:
-                with held_back():
-                    _release(parent / entry, hidden, lock, stays)
+    try:
+        with held_back():
+            lock = _lock(hidden, name)
+            is_ours = True
+            _clear(hidden, {STORE} if going is None else frozenset() if going.restart else kept)
+        yield hidden
+        stays = {STORE} if going is None or going.keep else frozenset()
+    except BaseException:
+        if (hidden / STORE).exists():
+            stays = {STORE} if going is None else kept
+        raise
+    finally:
+        with held_back():
+            with suppress(OSError):  # the next run removes what is left
+                if is_ours and (lock is None or _is_at(lock, hidden / LOCK)):
+                    _clear(hidden, stays)
+                    if not stays & _names(hidden):
+                        (hidden / LOCK).unlink()
+                        hidden.rmdir()
+            if lock is not None:
+                lock.close()
 
 
-def _lock(parent: Path, entry: str, name: str, stack: ExitStack) -> tuple[Path, int | None]:
-    """Make, open and lock a hidden folder.
+def _lock(hidden: Path, name: str) -> BinaryIO | None:
+    """Make and lock a hidden folder.
 
-    Returns
-    -------
-    (Path, int or None)
-        The folder, and the open lock file; None if the file system has no locks: then the folder is the lock.
+    Returns the open lock file; None if the file system has no locks: then the folder is the lock.
     """
-    place = parent / entry
-    shown = Path(os.path.realpath(parent)) / entry
-    theirs = OutputError(f"{shown}: was not made by todframes for this user; move it away, or take another name")
     while True:
         made = True
         try:
-            place.mkdir(mode=0o700)
+            hidden.mkdir(mode=0o700)
         except FileExistsError:
             made = False
-        with ExitStack() as opened:
-            try:
-                hidden = _held(place, opened)
-                names = _names(hidden)
-                if (names and LOCK not in names) or names - {LOCK, STAGED, STORE, MOVING} or not _is_ours(hidden):
-                    raise theirs
+        lock = None
+        try:
+            names = _names(hidden)
+            if (names and LOCK not in names) or names - {LOCK, STAGED, STORE}:
+                raise OutputError(f"{hidden}: was not made by todframes; move it away, or take another name")
+            lock = (hidden / LOCK).open("ab")
+            has_locks = locked(lock.fileno())
+            if not has_locks:
+                if not made:
+                    raise OutputError(
+                        f"{hidden}: belongs to another run, or to one that was killed; remove it if none is "
+                        "under way"
+                    )
+                lock.close()  # Windows removes no open file
+                return None
+            if _is_at(lock, hidden / LOCK):
+                return lock
+            lock.close()  # its last owner has removed it
+        except FileNotFoundError:
+            continue  # its run has just ended
+        except BaseException as error:
+            if lock is not None:
+                lock.close()
+            if made:
                 with suppress(OSError):
-                    hidden.chmod(0o700)
-                lock = open_own(hidden / LOCK)
-            except FileNotFoundError:
-                continue  # its run has just ended
-            except OSError as error:
-                if error.errno in (errno.ELOOP, errno.ENOTDIR, errno.EISDIR, errno.ENXIO):
-                    raise theirs from None
-                if made:
-                    with suppress(OSError):
-                        place.rmdir()
-                raise
-            opened.callback(os.close, lock)
-            try:
-                has_locks = locked(lock)
-            except BlockingIOError:
+                    hidden.rmdir()
+            if isinstance(error, BlockingIOError):
                 raise OutputError(
                     f"{name}: another run is writing there; wait for it, or take another name"
                 ) from None
-            if not has_locks and not made:
-                raise OutputError(
-                    f"{shown}: belongs to another run, or to one that was killed; remove it if none is under way"
-                )
-            if _is_locked_by(lock, hidden):
-                stack.push(opened.pop_all())
-                return hidden, lock if has_locks else None
+            raise
 
 
-def _is_ours(folder: Path) -> bool:
-    """Return whether a folder belongs to this user."""
-    if sys.platform == "win32":
-        return True
-    owner = folder.stat().st_uid
-    if owner != os.geteuid():
-        with tempfile.TemporaryFile(dir=folder) as probe:  # a network disk may give our files another owner
-            if os.fstat(probe.fileno()).st_uid != owner:
-                return False
-    return True
-
-
-def _is_locked_by(lock: int, folder: Path) -> bool:
-    """Return whether the lock is still the folder's; its last owner may have removed the folder."""
+def _is_at(file: BinaryIO, path: Path) -> bool:
+    """Return whether an open file still has its name."""
     with suppress(FileNotFoundError):
-        return os.path.samestat(os.fstat(lock), (folder / LOCK).lstat())
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
     return False
 
 
-def _release(place: Path, hidden: Path, lock: int | None, stays: Set[str]) -> None:
-    """Remove a hidden folder, the lock last; if something stays, the lock file stays too, unlocked."""
-    with suppress(OSError):  # the next run removes it
-        if lock is None or _is_locked_by(lock, hidden):
-            _clear(hidden, stays)
-            if not stays & _names(hidden):
-                (hidden / LOCK).unlink()
-                place.rmdir()
-
-
 def _clear(hidden: Path, stays: Set[str]) -> None:
-    """Remove the files of a run from its hidden folder, except the lock and the files that stay."""
-    for entry in list(os.scandir(hidden)):
-        if entry.name == LOCK:
-            continue
-        if entry.is_dir(follow_symlinks=False):
-            if entry.name in stays:
-                _keep_own_files(Path(entry))
-            else:
-                shutil.rmtree(entry)
-        elif entry.name not in stays or not _is_own_file(entry):
-            os.unlink(entry)  # noqa: PTH108 - an entry is no Path
-
-
-def _keep_own_files(folder: Path) -> None:
-    """Remove links, and everything else that no run has written, from a folder that an earlier run has left."""
-    for entry in list(os.scandir(folder)):
-        if entry.is_dir(follow_symlinks=False):
-            _keep_own_files(Path(entry))
-        elif not _is_own_file(entry):
-            os.unlink(entry)  # noqa: PTH108 - an entry is no Path
-
-
-def _is_own_file(entry: os.DirEntry[str]) -> bool:
-    """Return whether an entry is a regular file with no other name."""
-    status = os.lstat(entry)
-    return stat.S_ISREG(status.st_mode) and status.st_nlink == 1
+    """Remove the files of a run from its hidden folder, except the lock and what stays."""
+    for path in [path for path in hidden.iterdir() if path.name not in {LOCK, *stays}]:
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
 
 
 # Into place ---------------------------------------------------------------------------------------------------
@@ -530,9 +415,9 @@ def _files_of_result(path: Path) -> set[str]:
     """Return the files of the result in a folder. Beside another result, they would seem to belong to that one."""
     with suppress(OSError, msgspec.MsgspecError):
         file = path / LAST_OF_RESULT
-        if stat.S_ISREG((status := file.lstat()).st_mode) and status.st_size <= LARGEST_RESULT_MB * 2**20:
+        if file.is_file() and file.stat().st_size <= LARGEST_RESULT_MB * 2**20:
             result = msgspec.json.decode(file.read_bytes(), type=_Result)
-            return {one for one in _files_of_command(result.command) if (path / one).is_file()}
+            return {part for part in _files_of_command(result.command) if (path / part).is_file()}
     return set()
 
 
@@ -547,13 +432,9 @@ def _files_of_command(command: str) -> Collection[str]:
 
 def _fill(name: str, staged: Path, out: Path, last: str) -> None:
     """Move staged files and folders into a folder that has none of them; no file is replaced."""
-    parts = sorted(_names(staged), key=lambda part: (part == last, part))
-    # A run that is killed meanwhile leaves a list of what is its own, by numbers that nobody can plant.
-    numbers = {part: (staged / part).lstat().st_ino for part in parts}
-    write_files(staged.parent, {MOVING: msgspec.json.encode(numbers)})
     moved: list[str] = []
     try:
-        for part in parts:
+        for part in sorted(_names(staged), key=lambda part: (part == last, part)):
             if os.path.lexists(out / part):
                 raise OutputError(f"{name}: {part} was put there meanwhile; expected a new name")
             (staged / part).rename(out / part)
@@ -562,13 +443,3 @@ def _fill(name: str, staged: Path, out: Path, last: str) -> None:
         for part in reversed(moved):
             (out / part).rename(staged / part)
         raise
-
-
-def _take_back(hidden: Path, out: Path) -> None:
-    """Move the files that a killed run had already moved back into the staging folder, unless it had moved all."""
-    with suppress(OSError, msgspec.MsgspecError):
-        numbers = msgspec.json.decode((hidden / MOVING).read_bytes(), type=dict[str, int])
-        there = {entry.name for entry in os.scandir(out) if entry.inode() == numbers.get(entry.name)}
-        if there != numbers.keys():
-            for part in there:
-                (out / part).rename(hidden / STAGED / part)

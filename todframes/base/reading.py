@@ -10,21 +10,34 @@ import os
 import posixpath
 import re
 import stat
+import sys
 import tomllib
 from collections import Counter
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass
+from enum import Enum
 from functools import cache
 from numbers import Integral, Real
 from pathlib import Path
-from types import NoneType
-from typing import Any, BinaryIO, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+from types import NoneType, UnionType
+from typing import (
+    Annotated,
+    Any,
+    BinaryIO,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import msgspec
 
 from todframes.base.errors import DataError, RemoteError, SettingsError
-from todframes.base.locations import Location, RemotePath
+from todframes.base.remote import Location, RemotePath, local_file
 
 T = TypeVar("T")
 
@@ -34,10 +47,18 @@ MAX_ROWS = 100_000
 """Largest number of rows of a CSV file that is not a manifest."""
 MAX_NESTING, MAX_DOTS = 16, 500
 COLUMNS_SHOWN = 20
-LONGEST_KEY = 100
-"""Number of characters of an unknown key that are compared with valid keys; the time grows with its square."""
+LONGEST_SHOWN = 100
+"""Number of characters of a key or a value that messages show. Unknown keys are compared with valid ones by them
+alone: the time grows with their square."""
 MOST_WARM_UP = 10_000
 """Largest number of frames before a trial that are written, or that an algorithm takes: it holds them together."""
+MOST_TRIALS = 1_000_000
+"""Largest number of trials of a dataset that a command makes; all are planned in memory."""
+LATEST_S = 1e12
+"""Largest time in seconds, before or after 0, of a frame: 30,000 years."""
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+WarmUpFrames = Annotated[int, msgspec.Meta(ge=0, le=MOST_WARM_UP)]
 
 SETTINGS_SUFFIX = ".toml"
 """End of the names of files of settings; any other text is the name of a file of the package."""
@@ -70,21 +91,17 @@ def _check_length(path: Location, n_bytes: int, most_mb: int) -> None:
 def _opened(path: Location, most_mb: int) -> Iterator[BinaryIO]:
     """Open a file for reading; see `read_file` for the errors."""
     try:
-        if isinstance(path, RemotePath):
-            from todframes.base.remote import read_content
-
-            yield io.BytesIO(read_content(path, most_mb=most_mb).data)
-            return
-        status = path.stat()
-        if stat.S_ISDIR(status.st_mode):
-            raise DataError(f"{path}: is a folder, expected a file")
-        if not stat.S_ISREG(status.st_mode):
-            raise DataError(
-                f"{path}: is a pipe or device, expected a file; save what comes from it to a file first"
-            )
-        _check_length(path, status.st_size, most_mb)
-        with path.open("rb") as file:
-            yield file
+        with local_file(path, most_mb=most_mb) as local:
+            status = local.stat()
+            if stat.S_ISDIR(status.st_mode):
+                raise DataError(f"{path}: is a folder, expected a file")
+            if not stat.S_ISREG(status.st_mode):
+                raise DataError(
+                    f"{path}: is a pipe or device, expected a file; save what comes from it to a file first"
+                )
+            _check_length(path, status.st_size, most_mb)
+            with local.open("rb") as file:
+                yield file
     except (DataError, RemoteError):
         raise
     except FileNotFoundError:
@@ -172,7 +189,7 @@ def read_toml(path: Location) -> dict[str, Any]:
     try:
         text = read_text(path, most_mb=MAX_TOML_MB)
     except DataError as error:
-        raise SettingsError(error.marked) from None
+        raise SettingsError(str(error)) from None
     return parse_toml(text, str(path))
 
 
@@ -188,6 +205,19 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         return _parsed_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise SettingsError(f"{where}: not valid TOML: {error}") from None
+
+
+def without_schema(content: Mapping[str, Any], schema: int, known: Iterable[str], where: str) -> dict[str, Any]:
+    """Return the content of a file of settings without its key `schema`.
+
+    Raises
+    ------
+    SettingsError
+        If another key is not known, or the file has another schema; the message begins with `where`.
+    """
+    check_keys(content, ["schema", *known], where)
+    convert(content.get("schema"), Literal[schema], f"{where}: schema")
+    return {key: value for key, value in content.items() if key != "schema"}
 
 
 def toml_text(content: Mapping[str, Any], *, comment: str = "") -> str:
@@ -277,20 +307,46 @@ def _parsed_toml(text: str) -> dict[str, Any]:
         raise
     except ValueError:
         raise tomllib.TOMLDecodeError("a whole number of too many digits") from None
-    level: list[tuple[str, Any]] = list(content.items())
-    for _ in range(MAX_NESTING):
-        for name, value in level:
-            if isinstance(value, int) and not -(2**63) <= value < 2**63:
-                raise tomllib.TOMLDecodeError(f"{name}: found a whole number of more than 64 bits")
-        level = [
-            (f"{name}.{key}", inner)
-            for name, value in level
-            if isinstance(value, dict | list)
-            for key, inner in (value.items() if isinstance(value, dict) else enumerate(value))
-        ]
-    if level:
-        raise tomllib.TOMLDecodeError(f"nested more than {MAX_NESTING} deep")
+    _check_toml(content, "")
     return content
+
+
+def _check_toml(value: object, name: str, depth: int = 0) -> None:
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise tomllib.TOMLDecodeError(f"{name[1:]}: found a whole number of more than 64 bits")
+    if isinstance(value, dict | list):
+        if depth > MAX_NESTING:
+            raise tomllib.TOMLDecodeError(f"nested more than {MAX_NESTING} deep")
+        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            _check_toml(inner, f"{name}.{key}", depth + 1)
+
+
+def check_positive(name: str, value: float) -> None:
+    """Raise SettingsError unless a value is a finite number above 0."""
+    convert(value, Positive, name)
+
+
+def check_time(where: str, time_s: float) -> float:
+    """Return a time in seconds; raise DataError if it is so large that differences of times may overflow."""
+    if not abs(time_s) <= LATEST_S:
+        raise DataError(f"{where}: found {time_s:g} s, expected a time from {-LATEST_S:g} to {LATEST_S:g} s")
+    return time_s
+
+
+def check_whole(name: str, value: Any, least: int, most: int) -> None:
+    """Raise SettingsError unless a value is a whole number in a range."""
+    convert(value, Annotated[int, msgspec.Meta(ge=least, le=most)], name)
+
+
+def distinct_numbers(name: str, values: Iterable[float]) -> list[float]:
+    """Return values as numbers; raise SettingsError unless there are some, finite and above 0, and each once."""
+    found: list[float] = [convert(one, Positive, name) for one in values]
+    if not found:
+        raise SettingsError(f"{name}: found no values, expected at least one")
+    if len(set(found)) < len(found):
+        shown = ", ".join(f"{one:g}" for one in found)
+        raise SettingsError(f"{name}: found a value twice in {shown}, expected each once")
+    return found
 
 
 def check_keys(found: Iterable[str], known: Iterable[str], where: str) -> None:
@@ -301,23 +357,42 @@ def check_keys(found: Iterable[str], known: Iterable[str], where: str) -> None:
     SettingsError
         If a key is not known; the message names the nearest known key.
     """
+    if problem := _unknown_key(found, known):
+        raise SettingsError(f"{where}: {problem}")
+
+
+def _unknown_key(found: Iterable[str], known: Iterable[str]) -> str:
+    """Return the message about the first unknown key; "" if all are known."""
     known = {key.lower(): key for key in known}
     for key in found:
         if key not in known.values():
-            nearest = difflib.get_close_matches(key[:LONGEST_KEY].lower(), known, n=1, cutoff=0.0)
+            nearest = difflib.get_close_matches(str(key)[:LONGEST_SHOWN].lower(), known, n=1, cutoff=0.0)
             hint = f"; the nearest valid one is {known[nearest[0]]!r}" if nearest else ""
-            raise SettingsError(f"{where}: unknown key {_shortened(key)!r}{hint}")
+            return f"unknown key {_shortened(str(key))!r}{hint}"
+    return ""
 
 
 def _shortened(text: str) -> str:
-    return text if len(text) <= LONGEST_KEY else f"{text[:LONGEST_KEY]}…"
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
 
 
-def check_values(settings: object, *, ignored: Sequence[str] = ()) -> None:
-    """Raise SettingsError if the annotations of a settings dataclass do not allow one of its values.
+# Settings -----------------------------------------------------------------------------------------------------
+#
+# A dataclass states its settings by annotations: types, `Literal`, `msgspec.Meta` for ranges and lengths. Values
+# from files, options and Python pass the same check, which returns them in the annotated type: whole numbers for
+# `float` as floats, lists as tuples, tables as dataclasses.
 
-    The check covers numbers, with their ranges if these are annotated (`msgspec.Meta`), and choices (`Literal`);
-    the fields `ignored` are not checked.
+
+class _RefusedError(Exception):
+    """A value that its annotation refuses: why, and the keys that lead to it, such as `pages[2].file`."""
+
+    def __init__(self, problem: str, keys: str = "") -> None:
+        super().__init__(f"{keys.removeprefix('.')}: {problem}" if keys else problem)
+        self.problem, self.keys = problem, keys
+
+
+def check_values(settings: Any) -> None:
+    """Check the values of a settings dataclass by its annotations; its `__post_init__` calls this.
 
     Raises
     ------
@@ -325,85 +400,26 @@ def check_values(settings: object, *, ignored: Sequence[str] = ()) -> None:
         If a field is of another type or out of its range.
     """
     kind: Any = type(settings)
-    for name, hint in _hints(kind).items():
-        value = getattr(settings, name)
-        if name in ignored:
-            continue
-        if expected := _unmet(value, hint):
-            raise SettingsError(f"{name}: found {value!r}, expected {expected}")
-
-
-def check_positive(name: str, value: float) -> None:
-    """Raise SettingsError unless a value is a finite number above 0."""
-    if not (math.isfinite(value) and value > 0.0):
-        raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0")
-
-
-@cache
-def _hints(kind: Any) -> dict[str, Any]:
-    hints = get_type_hints(kind, include_extras=True)
-    return {field.name: hints[field.name] for field in fields(kind)}
-
-
-def check_whole(name: str, value: Any, least: int, most: int) -> None:
-    """Raise SettingsError unless a value is a whole number in a range."""
-    is_whole = isinstance(value, Integral)
-    if isinstance(value, bool) or not (is_whole and least <= value <= most):
-        raise SettingsError(f"{name}: found {value!r}, expected a whole number from {least} to {most}")
-
-
-def check_warm_up(name: str, n_frames: object) -> None:
-    """Raise SettingsError unless a number of frames of warm-up is a whole number in range."""
-    check_whole(name, n_frames, 0, MOST_WARM_UP)
-
-
-def distinct_numbers(name: str, values: Iterable[float]) -> list[float]:
-    """Return values as numbers; raise SettingsError unless there are some, finite and above 0, and each once."""
-    found = [float(one) for one in values]
-    if not found:
-        raise SettingsError(f"{name}: found no values, expected at least one")
-    for one in found:
-        check_positive(name, one)
-    if len(set(found)) < len(found):
-        shown = ", ".join(f"{one:g}" for one in found)
-        raise SettingsError(f"{name}: found a value twice in {shown}, expected each once")
-    return found
-
-
-def _unmet(value: Any, hint: Any) -> str | None:
-    """Return a description of the value that was expected, or None if the value is as annotated."""
-    (meta,) = getattr(hint, "__metadata__", (None,))
-    kind = hint if meta is None else hint.__origin__
-    parts = get_args(kind) or (kind,)
-    if get_origin(kind) is Literal:
-        return None if value in parts else f"one of {', '.join(map(str, parts))}"
-    if get_origin(kind) is tuple and meta is not None:
-        unmet = next((unmet for one in value if (unmet := _unmet(one, parts[0]))), None)
-        return f"at most {meta.max_length} values, each {unmet}" if unmet or len(value) > meta.max_length else None
-    choices = [choice for part in parts if get_origin(part) is Literal for choice in get_args(part)]
-    if (value is None and NoneType in parts) or not {int, float} & set(parts) or get_origin(kind) is tuple:
-        return None
-    if isinstance(value, str) and value in choices:
-        return None
-    number, noun = (Integral, "a whole number") if int in parts else (Real, "a number")
-    low, high = (None, None) if meta is None else (meta.ge, meta.le)
-    is_number = isinstance(value, number) and not isinstance(value, bool)
-    if is_number and (low is None or value >= low) and (high is None or value <= high):
-        return None
-    if low is not None:
-        noun += f" >= {low:g}" if high is None else f" from {low:g} to {high:g}"
-    return " or ".join([noun, *choices])
+    try:
+        for field, hint in settings_of(kind):
+            value = getattr(settings, field.name)
+            if value is not field.default:
+                checked = _inside(field.name, value, hint)
+                if checked is not value:
+                    object.__setattr__(settings, field.name, checked)
+    except _RefusedError as error:
+        raise SettingsError(str(error)) from None
 
 
 def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
-    """Return a frozen dataclass made from a table of plain values.
+    """Return a dataclass made from a table of plain values.
 
     Parameters
     ----------
     table : mapping
         Values by field name.
     kind : type
-        A dataclass that checks its own values.
+        A dataclass; tables in the table become the dataclasses of its fields.
     where : str
         File and table, or option; every message begins with it.
 
@@ -412,55 +428,188 @@ def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
     SettingsError
         If a key is unknown or missing, or a value is of the wrong type or refused by the dataclass.
     """
-    all_fields = fields(kind)  # type: ignore[arg-type]
-    check_keys(table, [field.name for field in all_fields], where)
-    types = get_type_hints(kind)
-    values = {}
-    for field in all_fields:
-        if field.name in table:
-            values[field.name] = convert(table[field.name], types[field.name], f"{where}: {field.name}")
-        elif field.default is MISSING and field.default_factory is MISSING:
-            raise SettingsError(f"{where}: {field.name} is missing")
     try:
-        return kind(**values)
-    except SettingsError as error:
+        made: T = _checked(table, kind)
+    except _RefusedError as error:
         raise SettingsError(f"{where}: {error}") from None
+    return made
 
 
-def convert(value: object, kind: Any, where: str) -> object:
-    """Return a plain value converted to a type: `float`, a Literal, a number with a range (`msgspec.Meta`), ….
+def convert(value: object, kind: Any, where: str) -> Any:
+    """Return a plain value in an annotated type: `float`, a Literal, `Annotated` with a range, ….
 
     Raises
     ------
     SettingsError
         If it is of another type or out of range; the message begins with `where`.
     """
-    if is_dataclass(value) or (isinstance(value, tuple) and value and all(map(is_dataclass, value))):
-        return value  # made and checked by the caller
-    literals = [part for part in (kind, *get_args(kind)) if get_origin(part) is Literal]
     try:
-        return msgspec.convert(value, kind)
-    except msgspec.ValidationError as error:
-        problem = (
-            str(error).split(" - at ")[0].replace("`", "").replace(" | null", "").replace("expected", "Expected")
+        return _checked(value, kind)
+    except _RefusedError as error:
+        raise SettingsError(f"{where}{error.keys}: {error.problem}") from None
+
+
+@cache
+def settings_of(kind: Any) -> list[tuple[Field[Any], Any]]:
+    """Return the fields of a settings dataclass with their annotations."""
+    hints = get_type_hints(kind, include_extras=True)
+    return [(field, hints[field.name]) for field in fields(kind)]
+
+
+def _split(hint: Any) -> tuple[Any, tuple[Any, ...]]:
+    """Return the type of an annotation and the parts in its brackets."""
+    return get_origin(hint) or hint, get_args(hint)
+
+
+def kinds_of(hint: Any) -> tuple[Any, ...]:
+    """Return the types, and the values of a Literal, that an annotation names."""
+    kind, parts = _split(hint)
+    if kind is Annotated:
+        return kinds_of(parts[0])
+    if kind is Union or kind is UnionType:
+        return tuple(kind for one in parts for kind in kinds_of(one))
+    return parts if kind is Literal else (hint,)
+
+
+def _choices(hint: Any) -> tuple[Any, ...]:
+    """Return the values of a Literal or an enumeration; empty for other types."""
+    if get_origin(hint) is Literal:
+        return get_args(hint)
+    return tuple(hint) if isinstance(hint, type) and issubclass(hint, Enum) else ()
+
+
+def _checked(value: Any, hint: Any, limits: msgspec.Meta | None = None) -> Any:
+    """Return a value in the type of an annotation; `limits` are those of the annotation around it."""
+    kind, parts = _split(hint)
+    if kind is Annotated:
+        return _checked(value, parts[0], next((one for one in parts[1:] if isinstance(one, msgspec.Meta)), limits))
+    if kind is Union or kind is UnionType:
+        return _of_any(value, hint, limits)
+    if kind is float or kind is int:
+        numbers = Real if kind is float else Integral
+        is_number = type(value) is kind or (isinstance(value, numbers) and not isinstance(value, bool))
+        if is_number and _is_within(value, limits):
+            return value if type(value) is kind else kind(value)
+    elif choices := _choices(hint):
+        for choice in choices:
+            if value == choice and isinstance(value, bool) == isinstance(choice, bool):
+                return choice
+    elif kind is Any or not isinstance(kind, type) or (isinstance(value, kind) and not parts):
+        return value
+    elif is_dataclass(kind) and isinstance(value, Mapping):
+        return _made(value, kind)
+    elif issubclass(kind, Mapping) and isinstance(value, Mapping):
+        return {key: _inside(f".{key}", one, parts[1]) for key, one in value.items()}
+    elif issubclass(kind, Sequence) and isinstance(value, list | tuple):
+        least, most = _lengths(hint, limits)
+        if least <= len(value) <= most:
+            kinds = parts if least == most == len(parts) else (*parts[:1], Any)[:1] * len(value)
+            items = enumerate(zip(value, kinds, strict=True))
+            make = list if issubclass(kind, list) else tuple
+            return make(_inside(f"[{number}]", one, of_one) for number, (one, of_one) in items)
+    raise _RefusedError(f"found {_shortened(repr(value))}, expected {_words(hint, limits)}{_advice(value, hint)}")
+
+
+def _of_any(value: Any, hint: Any, limits: msgspec.Meta | None) -> Any:
+    """Return a value in the first type of a union that takes it."""
+    problems = []
+    for one in get_args(hint):
+        if one is NoneType:
+            if value is None:
+                return None
+            continue
+        try:
+            return _checked(value, one, limits)
+        except _RefusedError as error:
+            problems.append(error)
+    inside = [error for error in problems if error.keys] or problems
+    if len(inside) == 1:
+        raise inside[0]
+    raise _RefusedError(f"found {_shortened(repr(value))}, expected {_words(hint, limits)}{_advice(value, hint)}")
+
+
+def _inside(key: str, value: Any, hint: Any) -> Any:
+    """Return a value of a table or list in the type of an annotation; an error names its key, too."""
+    try:
+        return _checked(value, hint)
+    except _RefusedError as error:
+        raise _RefusedError(error.problem, key + error.keys) from None
+
+
+def _made(table: Mapping[str, Any], kind: Any) -> Any:
+    """Return a dataclass made from a table."""
+    settings = settings_of(kind)
+    if problem := _unknown_key(table, [field.name for field, _ in settings]):
+        raise _RefusedError(problem)
+    values = {}
+    for field, hint in settings:
+        if field.name in table:
+            values[field.name] = _inside(f".{field.name}", table[field.name], hint)
+        elif field.default is MISSING and field.default_factory is MISSING:
+            raise _RefusedError(f"{field.name} is missing")
+    try:
+        return kind(**values)
+    except SettingsError as error:
+        raise _RefusedError(str(error)) from None
+
+
+def _is_within(value: float, limits: msgspec.Meta | None) -> bool:
+    """Return whether a number is finite and within limits."""
+    return abs(value) <= sys.float_info.max and (
+        limits is None
+        or (
+            (limits.ge is None or value >= limits.ge)
+            and (limits.le is None or value <= limits.le)
+            and (limits.gt is None or value > limits.gt)
+            and (limits.lt is None or value < limits.lt)
         )
-        for kind_of_python, name in (
-            ("array", "a list"),
-            ("object", "a table"),
-            ("str", "text"),
-            ("int", "a whole number"),
-            ("float", "a number"),
-        ):
-            problem = re.sub(rf"\b{kind_of_python}\b", name, problem)
-        if isinstance(value, str) and literals:
-            choices = ", ".join(map(str, get_args(literals[0])))
-            problem = (
-                f"expected one of {choices}" if kind is literals[0] else f"expected a number or one of {choices}"
-            )
-            problem += spelling_hint(value, get_args(literals[0]))
-        if isinstance(value, str) and float in (kind, *get_args(kind)) and _is_number(value):
-            problem += f"; write {value} without quotation marks"
-        raise SettingsError(f"{where}: found {value!r} ({problem[0].lower()}{problem[1:]})") from None
+    )
+
+
+def _lengths(hint: Any, limits: msgspec.Meta | None) -> tuple[int, float]:
+    """Return the smallest and largest number of values of a list or tuple."""
+    parts = get_args(hint)
+    if get_origin(hint) is tuple and Ellipsis not in parts:
+        return len(parts), len(parts)
+    least, most = (None, None) if limits is None else (limits.min_length, limits.max_length)
+    return least or 0, math.inf if most is None else most
+
+
+def _words(hint: Any, limits: msgspec.Meta | None) -> str:
+    """Return what an annotation expects, in words."""
+    kind, parts = _split(hint)
+    if kind is Annotated:
+        return _words(parts[0], parts[1])
+    if kind is Union or kind is UnionType:
+        return " or ".join(_words(one, limits) for one in parts if one is not NoneType)
+    if choices := _choices(hint):
+        return "one of " * (len(choices) > 1) + ", ".join(map(str, choices))
+    if kind is bool or kind is str:
+        return "true or false" if kind is bool else "text"
+    if kind is float or kind is int:
+        is_open = limits is None or limits.le is limits.lt is None
+        noun = "a whole number" if kind is int else "a finite number" if is_open else "a number"
+        if limits is None:
+            return noun
+        form = "g" if kind is float else ".0f"
+        if limits.ge is not None and limits.le is not None:
+            return f"{noun} from {limits.ge:{form}} to {limits.le:{form}}"
+        ends = ((">=", limits.ge), (">", limits.gt), ("<=", limits.le), ("<", limits.lt))
+        return noun + " and".join(f" {sign} {end:{form}}" for sign, end in ends if end is not None)
+    if issubclass(kind, Sequence):
+        least, most = _lengths(hint, limits)
+        count = f"{least}" if least == most else f"at most {most}" if not least else f"{least} or more"
+        return "a list" if (least, most) == (0, math.inf) else f"a list of {count} values"
+    return "a table" if is_dataclass(kind) or issubclass(kind, Mapping) else kind.__name__
+
+
+def _advice(value: Any, hint: Any) -> str:
+    """Return what to write in place of a text, after a semicolon; "" if that is not clear."""
+    kinds = (hint, *get_args(hint))
+    if isinstance(value, str) and {int, float} & set(kinds) and _is_number(value):
+        return f"; write {value} without quotation marks"
+    choices = [str(choice) for one in kinds for choice in _choices(one)]
+    return spelling_hint(value, choices) if isinstance(value, str) else ""
 
 
 def _is_number(text: str) -> bool:
@@ -514,14 +663,8 @@ def read_described(path: Location, kind: str, schema: int) -> tuple[dict[str, An
     SettingsError
         If the file cannot be read, has another schema, an unknown key or no such table.
     """
-    content = read_toml(path)
-    check_keys(content, ["schema", "title", "source", kind], str(path))
-    if content.get("schema") != schema:
-        raise SettingsError(f"{path}: schema: found {content.get('schema')!r}, expected {schema}")
-    texts = {name: content.get(name, "") for name in ("title", "source")}
-    for name, text in texts.items():
-        if not isinstance(text, str):
-            raise SettingsError(f"{path}: {name}: found {text!r}, expected text")
+    content = without_schema(read_toml(path), schema, ["title", "source", kind], str(path))
+    texts = {name: convert(content.get(name, ""), str, f"{path}: {name}") for name in ("title", "source")}
     table = content.get(kind)
     if not isinstance(table, dict):
         raise SettingsError(f"{path}: table [{kind}] is missing")
@@ -629,7 +772,7 @@ def table_beside(name: object, folder: Location, where: str) -> Iterator[Locatio
         path_inside(resolved(folder), name, where)
         yield folder / name
     except DataError as error:
-        raise SettingsError(error.marked) from None
+        raise SettingsError(str(error)) from None
 
 
 def check_columns(header: Iterable[str], needed: Iterable[str], path: Location) -> None:

@@ -39,14 +39,11 @@ def visible_json(text: str) -> str:
     return _UNESCAPED_BY_JSON.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
-def csv_text(rows: Iterable[Iterable[object]], *, as_it_is: bool = False) -> str:
-    """Return rows as CSV; a text that a spreadsheet would compute as a formula gets `'` in front.
-
-    Names of files in a manifest have to stay `as_it_is`.
-    """
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """Return rows as CSV; a text that a spreadsheet would compute as a formula gets `'` in front."""
     # The writer quotes what its line ends are made of; a carriage return that is not quoted would begin a row.
     writer = csv.writer(_Echo(), lineterminator="\r\n")
-    lines = (writer.writerow(row if as_it_is else map(_no_formula, row)) for row in rows)
+    lines = (writer.writerow(map(_no_formula, row)) for row in rows)
     return "\n".join([*(line.removesuffix("\r\n") for line in lines), ""])
 
 
@@ -65,6 +62,11 @@ def _no_formula(value: object) -> object:
     except ValueError:
         return f"'{value}"
     return value
+
+
+def without_quote(text: str) -> str:
+    """Return a text without the mark that `csv_text` puts before texts that a spreadsheet would compute."""
+    return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA_STARTS) else text
 
 
 def without_secrets(text: str) -> str:

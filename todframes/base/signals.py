@@ -30,17 +30,20 @@ written: list[str] = []
 """Places that the present run has written; `output` adds to them, `interruption_message` names the last."""
 
 kept: list[str] = []
-"""Places where the present run keeps its finished results until it is whole."""
+"""Places where the present run has kept finished results until it is whole."""
 
 _raised: list[int] = []
 """Signals of the present run that were raised as KeyboardInterrupt."""
 
 
 def interruption_message() -> str:
-    """Return the message of an interrupted run: the last place it has written, or that there is none."""
+    """Return the message of an interrupted run: the last place it has written, or that nothing was written.
+
+    A note about what is kept follows it.
+    """
     if written:
         return f"interrupted, but {written[-1]} was written before"
-    return "interrupted, nothing was written"
+    return "interrupted" if kept else "interrupted, nothing was written"
 
 
 def end_at_once() -> None:

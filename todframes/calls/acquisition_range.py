@@ -15,61 +15,74 @@ from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.atmosphere import Atmosphere, find_atmosphere
 from todframes.field.target import Target, chosen_target
+from todframes.parameters import Cycles, CyclesPerSize, GroupValues, NamedFile, Seconds, Seed, TargetFactors
+from todframes.report.data import ResultData
 from todframes.report.result import Result
 
 if TYPE_CHECKING:
     from todframes.field.threshold_curve import RangeWarning, ThresholdCurve
-    from todframes.report.range_report import RangeResult
+    from todframes.report.range_report import FieldRange
 
 TABLE_SUFFIX = ".csv"
 """End of the names of tables; any other path is that of a result."""
 
 
 def acquisition_range(
-    result: Result | Path | str,
+    result: Result[Any] | Path | str,
     *,
-    target: Target | Path | str,
-    atmosphere: Atmosphere | Path | str,
-    k: float | Mapping[str, float] | None = None,
-    cycles: str | float | Mapping[str, float] | None = None,
-    cycles_per_size: float | None = None,
-    search_time_s: float | None = None,
-    group: Mapping[str, str] | None = None,
+    target: Target | NamedFile,
+    atmosphere: Atmosphere | NamedFile,
+    k: TargetFactors | float | Mapping[str, float] | None = None,
+    cycles: Cycles | float | Mapping[str, float] | None = None,
+    cycles_per_size: CyclesPerSize | None = None,
+    search_time_s: Seconds | None = None,
+    group: GroupValues | None = None,
     magnification: float | None = None,
-    rng: Rng = 1,
-) -> RangeResult:
-    """Compute how far a person with a sensor can do a task, from a measured curve, as `todframes range` does.
+    rng: Seed | Rng = 1,
+) -> Result[FieldRange]:
+    """Compute how far a person with a sensor can do a task, from a measured curve, and how sure that is.
 
     Parameters
     ----------
     result : Result or path
-        Thresholds over sizes (a TOD): a result, or its `result.json` or folder. Or a table of a TOD, MRTD or MRC:
-        a CSV file with a column `size_mrad`, `frequency_cyc_per_mrad` or `frequency_cyc_per_deg`, one of
-        `delta_t_k`, `delta_t_mk`, `contrast`, `mrtd_k`, `mrtd_mk` and `mrc`, and, if they are known, `ci95_low`
-        and `ci95_high`.
+        result.json of `score`, `fit` or `sensor-sim curve`, or its folder, with thresholds over sizes (a TOD); or
+        a table of a TOD, MRTD or MRC: a CSV file with a column size_mrad, frequency_cyc_per_mrad or
+        frequency_cyc_per_deg, one of delta_t_k, delta_t_mk, contrast, mrtd_k, mrtd_mk and mrc, and, if they are
+        known, ci95_low and ci95_high.
+
+        A `Result` is taken as well.
     target : Target or path
-        The target, the path of its TOML file, or a name: nato, nato_daylight, person, r46.
+        Target: a TOML file, or nato, nato_daylight, person or r46.
+
+        A `Target` is taken as well.
     atmosphere : Atmosphere or path
-        The air, the path of its TOML file, or a name: visible_23km, mwir_5km and others.
-    k : float or mapping of str to float, optional
-        In place of the target's k: a task is done if a triangle of size / k is judged. For a TOD.
+        Air: a TOML file, or visible, swir, mwir or lwir with _23km or _5km behind, which are examples.
+
+        An `Atmosphere` is taken as well.
+    k : float, sequence of float, or mapping of str to float, optional
+        For a TOD: a task is done if a triangle of size / K is judged, in place of the target's own K.
+
+        A mapping has a K for each task.
     cycles : str, float or mapping of str to float, optional
-        In place of the target's N50 in line pairs: "stanag", "johnson", a number, or one for each task.
+        N50 in line pairs on the target in place of the target's own: stanag, johnson, or numbers.
+
+        A mapping has a number for each task.
     cycles_per_size : float, optional
-        Converts a TOD to line pairs: number of cycles, in the √area of a triangle, of the bars that are as hard.
+        Convert a TOD to line pairs: bars with this number of cycles in √(area) of a triangle are as hard.
     search_time_s : float, optional
-        Time that the observer may search. Default: that of the target, or without limit.
+        Time in s that the observer may search. Default: that of the target, or without limit.
     group : mapping, optional
-        Values of the columns that distinguish one curve of the result from the others: {"algorithm": "clahe"}.
+        The curve of the result, if it has several: the value of a column that distinguishes it, such as
+        algorithm=clahe.
     magnification : float, optional
-        Angle on the display divided by the angle in the field, for sizes as displayed.
+        Angle on the display over the angle in the field, for sizes as displayed. Default: 1.
     rng : int, SeedSequence or Generator
         Seed of the curves that are drawn from the errors.
 
     Returns
     -------
-    RangeResult
-        `acquired.ranges` has a record for each task and probability.
+    Result
+        `numbers.ranges` has a record for each task and probability.
 
     Raises
     ------
@@ -86,14 +99,14 @@ def acquisition_range(
     >>> text = "frequency_cyc_per_mrad,mrtd_k\\n1,0.054\\n3,0.4\\n5,2.97\\n"
     >>> _ = table.write_text(text)
     >>> found = tod.acquisition_range(table, target="nato", atmosphere=tod.Atmosphere(extinction_per_km=0.2))
-    >>> [(one.task, round(one.range_km, 1)) for one in found.acquired.ranges if one.probability == 0.5]
+    >>> [(one.task, round(one.range_km, 1)) for one in found.numbers.ranges if one.probability == 0.5]
     [('detection', 7.3), ('recognition', 3.1), ('identification', 1.6)]
     """
     started, seed = time.perf_counter(), seed_of(rng)
     if magnification is not None and not (math.isfinite(magnification) and magnification > 0.0):
         raise SettingsError(f"{argument.magnification}: found {magnification!r}, expected a number > 0")
     from todframes.field.acquisition import acquire
-    from todframes.report.range_report import RangeResult
+    from todframes.report.range_report import range_result
 
     aim = chosen_target(target, k=k, cycles=cycles, cycles_per_size=cycles_per_size, search_time_s=search_time_s)
     air = find_atmosphere(atmosphere)
@@ -101,11 +114,11 @@ def acquisition_range(
     _check_used(curve, k=k, cycles=cycles, cycles_per_size=cycles_per_size)
     acquired = acquire(curve, aim, air, rng=np.random.default_rng(seed))
     facts = (*warnings, *_warnings(curve, air))
-    return RangeResult(acquired=acquired, facts=facts, seed=seed, started=started)
+    return range_result(acquired, facts, seed=seed, started=started)
 
 
 def _curve(
-    result: Result | Path | str, aim: Target, group: Mapping[str, str] | None, magnification: float | None
+    result: Result[Any] | Path | str, aim: Target, group: Mapping[str, str] | None, magnification: float | None
 ) -> tuple[ThresholdCurve, tuple[RangeWarning, ...]]:
     from todframes.field.threshold_curve import read_curve
     from todframes.report.measured_curve import measured_curve
@@ -113,7 +126,7 @@ def _curve(
 
     of_result: dict[str, Any] = {"quantity": aim.quantity, "group": group, "magnification": magnification}
     if isinstance(result, Result):
-        return measured_curve(result, "the result", **of_result)
+        return measured_curve(_thresholds(result, "the result"), "the result", **of_result)
     where = in_utf8(str(result))
     if where.endswith(TABLE_SUFFIX):
         if group or magnification is not None:
@@ -121,7 +134,15 @@ def _curve(
                 f"{where}: is a table of one curve in the field, expected no group and no magnification"
             )
         return read_curve(Path(result)), ()
-    return measured_curve(load_result(result), where, **of_result)
+    return measured_curve(_thresholds(load_result(result), where), where, **of_result)
+
+
+def _thresholds(result: Result[Any], where: str) -> ResultData:
+    """Return the thresholds of a result; raise DataError if it has none."""
+    if not isinstance(result.data, ResultData):
+        hint = "; its thresholds are in mrtd.csv, which `todframes range` reads" * (result.command == "mrtd")
+        raise DataError(f"{where}: command: found {result.command!r}, expected one that gives thresholds{hint}")
+    return result.data
 
 
 def _check_used(curve: ThresholdCurve, **criteria: object) -> None:

@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace as replace_struct
 
 from todframes.base.errors import DataError, SettingsError
-from todframes.base.locations import Location
 from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
-    OnError,
     Progress,
     described_each,
     is_skip,
@@ -26,6 +24,7 @@ from todframes.calls.shared import (
 )
 from todframes.frames.dataset import Dataset
 from todframes.observers.interface import Observer
+from todframes.parameters import Count, Free, ObserverNames, OnError, Seed, Subjects
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.data import (
     ComparedObserver,
@@ -41,51 +40,62 @@ from todframes.report.result import Result
 
 if TYPE_CHECKING:
     from todframes.experiment.answers import Session
-    from todframes.experiment.person import Calibrated, Free, GroupCurve, PersonFit
+    from todframes.experiment.person import Calibrated, GroupCurve, PersonFit
+    from todframes.parameters import Free
+    from todframes.report.thresholds import Thresholds
 
 
 def calibrate(
-    dataset: Location | str | Dataset,
+    dataset: Path | str | Dataset,
     answers: Path | str,
     *,
-    observer: str | Observer | Sequence[str | Observer] = "pyramid",
+    observer: ObserverNames | Observer | Sequence[str | Observer] = "pyramid",
     free: Sequence[Free] = (),
-    subjects: Sequence[str] = (),
+    subjects: Subjects = (),
     include_flagged: bool = False,
     fit: FitSettings | None = None,
-    rng: Rng = 1,
+    rng: Seed | Rng = 1,
     on_error: OnError = "stop",
-    workers: int = 1,
+    workers: Count = 1,
     progress: Progress | None = None,
-) -> Result:
-    """Fit the observer's internal noise to the answers of people, as `todframes calibrate` does.
+) -> Result[Thresholds]:
+    """Fit the observer's internal noise, or its efficiency, to the answers of people to the frames of a dataset.
+
+    With several observers, the first lines say which explains each person better, by AIC.
 
     Parameters
     ----------
     dataset : path, str or Dataset
-        The dataset that was shown.
+        The dataset that was shown: its folder or URL.
+
+        The return value of `load_dataset` is taken as well.
     answers : path
         Folder that `todframes experiment` wrote.
     observer : str, Observer, or sequence of them
-        A linear observer with a setting `internal_noise` or, as `csf`, `efficiency`, whose value is not used.
-        Several, also named as "pyramid,csf", are fitted to the same answers. The first is that of `persons`, the
-        others of `observers`; the sentences begin with which explains each person better, by AIC.
+        Observers by name: pyramid, csf or others that are linear and registered; or MODULE:CLASS, a class of your
+        own, whose code is run. The value of the noise or efficiency that is fitted is not used.
+
+        Objects are taken as well. The first is that of `persons`, the others of `observers`.
     free : sequence of {"lapse", "blur"}
-        Further parameters to fit: the rate δ of lapses, up to `lapse_rate_max` of `fit`, and the observer's
+        Fit the rate of lapses, or the blur of the templates, too.
+
+        The rate δ of lapses is up to `lapse_rate_max` of `fit`; the blur is the observer's
         `template_blur_samples`, from a quarter to twice its value.
     subjects : sequence of str
-        Ids of the persons. Default: all.
+        A person, by the id. Default: all.
     include_flagged : bool
-        Whether answers within 150 ms, or while the page was hidden or had lost the focus, count as well.
+        Count answers within 150 ms, or while the page was hidden or had lost the focus, as well.
     fit : FitSettings, optional
         Fixed and free parameters of the persons' own curves. A fixed `lapse_rate` is that of the model too.
     rng : int, SeedSequence or Generator
         Seed of the displacements of the retina and of repeated experiments.
     on_error : {"stop", "skip"}
-        At a frame that cannot be used or has changed since: raise, or leave its trials out and list them.
+        At a frame that cannot be used or has changed since: end with an error, or leave its trials out and list
+        them.
     workers : int
-        Processes that read and score. With more than one, a script calls this below `if __name__ == "__main__":`,
-        because they import the script.
+        Processes that share the work.
+
+        With more than one, a script calls this below `if __name__ == "__main__":`, because they import the script.
     progress : function of an int, optional
         Called with the number of trials that were just done.
 

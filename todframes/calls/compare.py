@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from todframes.base.locations import Location
 from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
-    OnError,
     Progress,
     background_of,
     described_each,
@@ -25,16 +23,29 @@ from todframes.calls.shared import (
     is_skip,
     knowing_background,
     loaded,
+    locate_name,
     located,
     of_observer,
     opened_run,
 )
 from todframes.display.display import Display
-from todframes.frames.dataset import Dataset, Gaze
+from todframes.frames.dataset import Dataset
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer
-from todframes.psychometrics.fit import CurveName, FitSettings
-from todframes.report.advice import levels_to_add, not_proportional
+from todframes.parameters import (
+    Algorithms,
+    Cluster,
+    Count,
+    CurveName,
+    Decisions,
+    Gazes,
+    ObserverNames,
+    OnError,
+    PlanName,
+    Seed,
+)
+from todframes.psychometrics.fit import FitSettings
+from todframes.report.advice import edge_brightness, levels_to_add, not_proportional, not_repeatable
 from todframes.report.data import (
     ComparedObserver,
     algorithms,
@@ -42,57 +53,95 @@ from todframes.report.data import (
     thresholds_of,
 )
 from todframes.report.result import Result
-from todframes.scoring.error_budget import PlanName, plan_object
-from todframes.scoring.seen_trials import Decisions
+from todframes.scoring.error_budget import plan_object
 
 if TYPE_CHECKING:
-    from todframes.diagnosis.locate import Locate
     from todframes.jobs.store import Store
+    from todframes.parameters import Locate
+    from todframes.report.thresholds import Thresholds
 
 
 def compare(
-    dataset: Location | str | Dataset,
-    enhance: Iterable[str | Callable[..., Any]],
+    dataset: Path | str | Dataset,
+    enhance: Algorithms | Callable[..., Any] | Iterable[str | Callable[..., Any]],
     *,
-    observer: str | Observer | Sequence[str | Observer] = "pyramid",
+    observer: ObserverNames | Observer | Sequence[str | Observer] = "pyramid",
     white: float = 1.0,
     allow_clipping: bool = False,
     decisions: Decisions = "expected",
     curve: CurveName | None = None,
     plan: PlanName = "needed",
-    rng: Rng = 1,
+    rng: Seed | Rng = 1,
     fit: FitSettings | None = None,
     locate: Locate | bool = False,
-    gaze: str | Sequence[Gaze] = "tracked",
+    gaze: str | Gazes = "tracked",
     on_error: OnError = "stop",
-    workers: int = 1,
-    cluster: str | Engine | None = None,
+    workers: Count = 1,
+    cluster: Cluster | Engine | None = None,
     store: Store | Path | str | None = None,
     examples: bool = True,
     progress: Progress | None = None,
-) -> Result:
-    """Test whether enhancement algorithms lower the thresholds of a dataset, as `todframes compare` does.
+) -> Result[Thresholds]:
+    """Test whether enhancement algorithms lower the thresholds of a dataset, by how much and how surely.
 
     Each algorithm is compared with the frames as they are, on the same frames and with the same random draws.
+    `todframes enhancements` lists the algorithms of the package. With several observers or gazes, each gives a
+    verdict, and the first lines say where they disagree.
 
     Parameters
     ----------
-    dataset, decisions, curve, plan, rng, fit, locate, on_error, workers, cluster, store, examples, \
-    progress
-        Parameters as in `score`.
+    dataset : path, str or Dataset
+        Folder with dataset.toml, manifest.csv and frames, or its URL, such as s3://lab/archive.
+
+        The return value of `load_dataset` is taken as well.
+    enhance : str, function, or iterable of them
+        Algorithm: NAME, MODULE:FUNCTION (whose code is run), or onnx:FILE (a network, which is run), each also
+        with :PARAMETER=VALUE,… behind.
+
+        A function of an image and keyword parameters is taken as well.
     observer : str, Observer, or sequence of them
-        As in `score`; several, also named as "pyramid,csf", each give a verdict on the same frames. The first is
-        that of `algorithms`, the others of `observers`, and `verdict` begins with where they disagree.
-    gaze : {"tracked", "fixed"} or sequence of them
-        As in `score`. With both, also named as "tracked,fixed", each observer gives a verdict for each, as if it
-        were two.
-    enhance : iterable of str or function
-        Algorithms: "name" of a registered one, "module:function" or "onnx:file", optionally followed by
-        ":parameter=value,…"; or functions of an image and keyword parameters.
+        Observers by name: pyramid, informative, oriented, csf or others that are registered; or MODULE:CLASS, a
+        class of your own, whose code is run.
+
+        Objects are taken as well. The first is that of `algorithms`, the others of `observers`, and `verdict`
+        begins with where they disagree.
     white : float
-        Code value of white for the algorithms.
+        Code value that algorithms take as white.
     allow_clipping : bool
-        Clip values beyond the display's range in the output of an algorithm, instead of raising.
+        Clip values beyond the display's range in the output of an algorithm; without it they are an error.
+    decisions : {"expected", "sampled"}
+        Use each frame's probability of a correct answer, or draw one answer for each trial.
+    curve : {"observer", "weibull"}, optional
+        Psychometric function of the thresholds: the observer's own, which needs expected decisions, or Weibull's,
+        as for people. Default: observer for expected decisions, weibull for sampled ones.
+    plan : {"needed", "full"}
+        Leave out what the scene does not need, or nothing.
+    rng : int, SeedSequence or Generator
+        Seed of all random draws.
+    fit : FitSettings, optional
+        Criterion (`p_correct`), fixed and free parameters of the fits.
+    locate : {"group", "each"} or bool
+        Find the triangle: one position for each group, or one for each trial, for hand-held or drifting
+        recordings. The search begins at the position in the manifest, if there is one.
+
+        True is the same as "group".
+    gaze : {"tracked", "fixed"} or sequence of them
+        Where the observer looks while a triangle moves: at its place in each frame (tracked), or at its mean place
+        in the trial, so that it sees the motion as blur (fixed); or both.
+    on_error : {"stop", "skip"}
+        At a frame or row that cannot be used: end with an error, or go on and list it among the skipped ones.
+    workers : int
+        Processes that share the work.
+
+        With more than one, a script calls this below `if __name__ == "__main__":`, because they import the script.
+    cluster : str, optional
+        Work on a Dask cluster: the address of its scheduler, tcp://…, or local:N for N processes of this machine.
+    store : path, optional
+        Folder for the results of finished trials, as in `score`.
+    examples : bool
+        Also draw a triangle at threshold, for the page.
+    progress : function of an int, optional
+        Called with the number of trials that were just done, as in `score`.
 
     Returns
     -------
@@ -122,8 +171,11 @@ def compare(
     from todframes.enhancement.finding import find_enhancement
     from todframes.report import tables
     from todframes.report.summary import comparison, comparisons
+    from todframes.scoring.score import fitted_curve
 
     fit = fit or FitSettings()
+    if isinstance(enhance, str) or not isinstance(enhance, Iterable):
+        enhance = [enhance]
     found = [find_enhancement(one) for one in enhance]
     gazes = gazes_of(gaze)
     data = replace(loaded(dataset), gaze=gazes[0])
@@ -158,8 +210,10 @@ def compare(
     )
     names = observer_names(settings, further) if further else [None]
     advice = [
-        of_observer(name, levels_to_add(thresholds_of(of_each)))
-        for name, of_each in zip(names, [compared, *(one.algorithms for one in further)], strict=True)
+        of_observer(name, levels_to_add(thresholds_of(of_each), own.get("aperture_sd_deg")))
+        for name, of_each, own in zip(
+            names, [compared, *(one.algorithms for one in further)], each_settings, strict=True
+        )
     ]
     if examples:
         from todframes.report.examples import compare_examples
@@ -172,7 +226,8 @@ def compare(
         started,
         settings=settings
         | asdict(fit)
-        | {"decisions": decisions, "plan": plan, "white": white, "allow_clipping": allow_clipping},
+        | {"decisions": decisions, "curve": fitted_curve(curve, decisions), "locate": locate_name(locate)}
+        | {"plan": plan, "white": white, "allow_clipping": allow_clipping},
         seed=seed,
         algorithms=compared,
         observers=further,
@@ -183,28 +238,30 @@ def compare(
         dataset=record,
         warnings=(
             *each_once(*placed_wrong(reference), *shown_wrong, *advice[0], *not_proportional(compared)),
+            *edge_brightness(compared),
+            *not_repeatable(compared),
             *sum(advice[1:], ()),
         ),
         negative_luminance_pixels=reference.n_negative,
         from_store=run.n_from_store,
         **more,
-    ).with_trials(lambda: tables.compared_trials(data, results))
+    ).holding(make_trials=lambda: tables.compared_trials(data, results))
 
 
 def compare_frames(
     frames: Iterable[ArrayLike],
-    enhance: Iterable[str | Callable[..., Any]],
+    enhance: str | Callable[..., Any] | Iterable[str | Callable[..., Any]],
     *,
     display: Display | str,
     **settings: Any,
-) -> Result:
+) -> Result[Thresholds]:
     """Compare enhancement algorithms on frames that are in memory, without touching a disk.
 
     Parameters
     ----------
     frames : array_like, shape (n, rows, columns), or iterable of n arrays (rows, columns)
         Frames as in `score_frames`.
-    enhance : iterable of str or function
+    enhance : str, function, or iterable of them
         Algorithms as in `compare`.
     display : Display or str
         Display as in `score_frames`.

@@ -13,59 +13,66 @@ from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.calls.shared import Progress
+from todframes.parameters import Box, ChartFile, DescriptorFile, FrameLimit, Numbers
 
 if TYPE_CHECKING:
-    from todframes.frames.files import PathLike
+    from todframes.parameters import PathLike
     from todframes.recordings.recording import Recording
-    from todframes.report.emva_report import EmvaResult
+    from todframes.report.emva_report import Emva
+    from todframes.report.result import Result
 
 Stacks = Sequence["PathLike | NDArray[Any]"]
 
 
 def emva_noise(
-    descriptor: PathLike | None = None,
+    descriptor: DescriptorFile | None = None,
     *,
     bright: Stacks = (),
-    dark: Stacks = (),
-    exposure_ms: Sequence[float] = (),
-    photons: Sequence[float] = (),
+    dark: Sequence[PathLike] | Stacks = (),
+    exposure_ms: Numbers = (),
+    photons: Numbers = (),
     bits: int | None = None,
-    region: tuple[int, int, int, int] | None = None,
-    chart: PathLike | None = None,
-    max_frame_mb: int = 256,
+    region: Box | None = None,
+    chart: ChartFile | None = None,
+    max_frame_mb: FrameLimit = 256,
     progress: Progress | None = None,
-) -> EmvaResult:
-    """Measure the noise of a camera as EMVA 1288 defines it, as `todframes noise --emva` and `--dark` do.
+) -> Result[Emva]:
+    """Measure the noise of a linear camera as EMVA 1288 defines it, from bright and dark frames.
 
-    The camera must be linear and give raw values. Each stack has frames of one exposure of a uniform scene, bright
-    or dark.
+    The camera must give raw values. Each stack has frames of one exposure of a uniform scene, bright or dark.
 
     Parameters
     ----------
     descriptor : path, optional
-        Descriptor file of EMVA 1288, which names images, exposures and photons; or the next ones.
-    bright, dark : sequence of path or ndarray
+        Descriptor file of an EMVA 1288 measurement, which names images, exposures and photons, in place of
+        recordings.
+    bright : sequence of path or ndarray
         Recordings, or arrays (frames, rows, columns), of two frames or more each.
+    dark : sequence of path or ndarray
+        A recording of dark frames for EMVA 1288, whose bright stacks are the recordings: one for all of them, or
+        one for each in the same order.
+
+        Arrays (frames, rows, columns) of two frames or more are taken as well.
     exposure_ms : sequence of float, optional
-        Exposure of each bright stack, in the order of `bright`; `dark` has as many stacks in the same order, or
-        one for all. Three or more give the dark current.
+        Exposure of each bright stack in ms, in the order of the stacks. Three or more give the dark current.
     photons : sequence of float, optional
-        Mean number of photons of a pixel for each bright stack. They give the quantum efficiency.
+        Mean number of photons of a pixel in each bright stack, for the quantum efficiency.
     bits : int, optional
-        Bits of a pixel. Default: from the descriptor, or the type of the values.
+        Number of bits of a pixel's value. Default: from the files.
     region : (int, int, int, int), optional
         Left column, top row, width and height in pixels. Default: the whole frame.
     chart : path, optional
-        `chart.toml` of a chart made with `camera_page=True`: `bright` is one film of it, and the patches of that
+        chart.toml of a chart with a page for the camera: `bright` is one film of it, and the patches of that
         page's wedge are the bright stacks. `dark` is one film with the lens covered.
     max_frame_mb : int
-        Largest size of a frame in 2**20 bytes, as in `noise`.
+        Largest decoded size of a frame in 2**20 bytes, all channels in their own pixel types, at least 8 bytes a
+        pixel.
     progress : function of an int, optional
         Called with 1 for each frame.
 
     Returns
     -------
-    EmvaResult
+    Result
         `measured` has the figures, most with a 95 % interval; `xml()` is a result file of EMVA 1288, and
         `sensor_toml()` is for sensor_sim.
 
@@ -93,7 +100,7 @@ def emva_noise(
     """
     started = time.perf_counter()
     from todframes.recordings.emva import Stack, measure_emva
-    from todframes.report.emva_report import EmvaResult
+    from todframes.report.emva_report import emva_result
 
     if (descriptor is None) == (not len(bright) and not len(dark)):
         found = "neither" if descriptor is None else "both"
@@ -132,7 +139,7 @@ def emva_noise(
         ]
         name = str(opened[0][0].path)
     measured = measure_emva(of_bright, of_dark, bits=bits, region=region, progress=progress)
-    return EmvaResult(measured=measured, source=name, started=started)
+    return emva_result(measured, name, started=started)
 
 
 def _of_chart(
@@ -146,11 +153,11 @@ def _of_chart(
     region: tuple[int, int, int, int] | None,
     started: float,
     progress: Progress | None,
-) -> EmvaResult:
+) -> Result[Emva]:
     """Return the noise of a camera by the film of a chart's wedge, and a film with the lens covered."""
     from todframes.importing.camera_page import view_of_camera_page
     from todframes.recordings.emva import Stack, measure_emva
-    from todframes.report.emva_report import EmvaResult
+    from todframes.report.emva_report import emva_result
 
     given = {argument.region: region, argument.photons: photons or None}
     for name in (one for one, value in given.items() if value is not None):
@@ -169,7 +176,7 @@ def _of_chart(
         bits=bits,
     )
     measured = measured.with_background(str(patches[0].path), view.patches[0].level if view.is_luminance else None)
-    return EmvaResult(measured=measured, source=str(bright[0].path), started=started)
+    return emva_result(measured, str(bright[0].path), started=started)
 
 
 def _opened(stack: PathLike | NDArray[Any], name: str, max_frame_mb: int) -> Recording:

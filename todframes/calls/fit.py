@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from todframes.base.errors import DataError
 from todframes.base.seeds import Rng, seed_of
+from todframes.parameters import Seed
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
 from todframes.report.advice import levels_to_add
@@ -21,7 +22,7 @@ from todframes.report.data import (
 from todframes.report.result import Result
 
 if TYPE_CHECKING:
-    pass
+    from todframes.report.thresholds import Thresholds
 
 
 def fit_counts(
@@ -31,9 +32,9 @@ def fit_counts(
     *,
     groups: Mapping[str, Sequence[float | str]] | None = None,
     fit: FitSettings | None = None,
-    rng: Rng = 1,
-) -> Result:
-    """Fit psychometric functions to counts of correct answers, as `todframes fit` does.
+    rng: Seed | Rng = 1,
+) -> Result[Thresholds]:
+    """Fit psychometric functions to counts of correct answers.
 
     Parameters
     ----------

@@ -13,49 +13,54 @@ from numpy.typing import NDArray
 from todframes.base.errors import SettingsError, argument
 from todframes.base.safe_text import in_utf8
 from todframes.calls.shared import Progress
+from todframes.parameters import Box, ChartFile, DisplayName, FrameLimit
 
 if TYPE_CHECKING:
     from todframes.display.display import Display
-    from todframes.frames.files import PathLike
-    from todframes.report.mtf_report import MtfResult
+    from todframes.parameters import PathLike
+    from todframes.report.mtf_report import Mtf
+    from todframes.report.result import Result
 
 
 def mtf(
     recording: PathLike | Sequence[PathLike] | NDArray[Any],
     *,
-    boxes: Sequence[tuple[int, int, int, int]] = (),
-    chart: PathLike | None = None,
-    display: str | Display | None = None,
-    max_frame_mb: int = 256,
+    boxes: Sequence[Box] = (),
+    chart: ChartFile | None = None,
+    display: DisplayName | Display | None = None,
+    max_frame_mb: FrameLimit = 256,
     progress: Progress | None = None,
-) -> MtfResult:
-    """Measure the MTF across slanted edges (e-SFR, ISO 12233), or read it from a table, as `todframes mtf` does.
+) -> Result[Mtf]:
+    """Measure the MTF across slanted edges (e-SFR, ISO 12233), with a 95 % band, or read it from a table.
 
     Parameters
     ----------
     recording : path, sequence of path, or ndarray
-        A video, image files or a folder of them, camera raw or radiometric files, or a file of a NumPy array; or
-        the array itself, of shape (frames, rows, columns), (rows, columns), or with 3 colours last. Its frames are
-        averaged. Or a table: a CSV file with an MTF, or a text file of MTF Mapper.
+        A video, image files or a folder of them, camera raw or thermal files, or a file of a NumPy array; its
+        frames are averaged. Or a table of an MTF to print, draw or convert: a CSV file, or a text file of MTF
+        Mapper.
+
+        An array is taken as well, of shape (frames, rows, columns), (rows, columns), or with 3 colours last.
     boxes : sequence of (int, int, int, int)
-        Left column, top row, width and height in pixels of the parts of the frame that have an edge each. Default:
-        edges are found.
+        Left column, top row, width and height in pixels of a part of the frame with one edge. Default: edges are
+        found.
     chart : path, optional
-        `chart.toml` of the chart that the recording shows: the edges are those of its page made with
-        `camera_page=True`, found by the markers, in the frames that show this page. What the pixels of its monitor
+        chart.toml of the chart that the recording shows, made with a page for the camera (`todframes chart
+        --camera-page`): edges are found by its markers, in the frames of that page. What the pixels of its monitor
         take from the MTF is divided out.
     display : str or Display, optional
-        Display whose transfer function the values have been encoded for, such as "reference_sdr": its luminance is
-        measured. Default: values are taken as proportional to light.
+        Display whose transfer function the values were encoded for, such as reference_sdr: its luminance is
+        measured. Default: values are proportional to light.
     max_frame_mb : int
-        Largest size of a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a pixel.
+        Largest decoded size of a frame in 2**20 bytes, all channels in their own pixel types, at least 8 bytes a
+        pixel.
     progress : function of an int, optional
         Called with 1 for each frame.
 
     Returns
     -------
-    MtfResult
-        `frequency`, and `mtf` with its 95 % band `lower` and `upper`; `edges` has each edge.
+    Result
+        `mtf` has the `frequency`, and `mtf` with its 95 % band; `edges` has each edge.
 
     Raises
     ------
@@ -72,7 +77,7 @@ def mtf(
     >>> y, x = np.mgrid[:80, :80] - 40.0
     >>> edge = 0.2 + 0.6 * ndtr((x * np.cos(0.1) + y * np.sin(0.1)) / 0.7)  # a Gaussian blur of 0.7 pixels
     >>> found = tod.mtf(edge, boxes=[(0, 0, 80, 80)])
-    >>> f"MTF50 {found.mtf50:.3f}, expected {np.sqrt(np.log(2) / 2) / np.pi / 0.7:.3f} cycles/pixel"
+    >>> f"MTF50 {found.mtf.mtf50:.3f}, expected {np.sqrt(np.log(2) / 2) / np.pi / 0.7:.3f} cycles/pixel"
     'MTF50 0.268, expected 0.268 cycles/pixel'
     """
     started = time.perf_counter()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,37 +11,42 @@ from todframes.calls.shared import (
     Progress,
 )
 from todframes.observers.interface import Observer, described
+from todframes.parameters import Numbers, ObserverName, PlaceCount, Probability
 from todframes.psychometrics.fit import FitSettings
-from todframes.report.advice import above_contrast_1
+from todframes.report.advice import above_contrast_1, numerical_errors
 from todframes.report.data import (
     Fit,
 )
 from todframes.report.result import Result
+from todframes.report.thresholds import Thresholds
 
 
 def naked_eye(
     *,
-    size_mrad: float | Sequence[float] | None = None,
-    contrast: float | Sequence[float] | None = None,
-    observer: str | Observer = "pyramid",
-    p_correct: float = 0.75,
-    places: int = 1,
+    size_mrad: float | Numbers | None = None,
+    contrast: float | Numbers | None = None,
+    observer: ObserverName | Observer = "pyramid",
+    p_correct: Probability = 0.75,
+    places: PlaceCount = 1,
     progress: Progress | None = None,
-) -> Result:
-    """Compute thresholds of the observer without any display in between, as `todframes naked-eye` does.
+) -> Result[Thresholds]:
+    """Compute thresholds of the observer without any display in between.
 
     Parameters
     ----------
     size_mrad : float or sequence of float
-        Sizes √(area) in mrad; the threshold is a Weber contrast for each. Give either this or `contrast`.
+        Sizes √(area) in mrad; the threshold is a Weber contrast for each. Give either these or `contrast`.
     contrast : float or sequence of float
         Weber contrasts; the threshold is a size in mrad for each, the acuity.
     observer : str or Observer
-        Observer as in `score`; it must be linear.
+        Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
+        own, whose code is run. It must be linear.
+
+        An object is taken as well: `PyramidObserver(internal_noise=0.25)`.
     p_correct : float
         Raw proportion correct at threshold.
     places : int
-        Number of places, far apart, at which the triangle may be; 1: its place is known.
+        Number of places, far apart, at which the triangle may be; with 1 its place is known.
     progress : function of an int, optional
         Called with the number of thresholds that were just found.
 
@@ -92,5 +96,8 @@ def naked_eye(
         started,
         settings=settings | {"p_correct": p_correct} | ({"places": places} if places > 1 else {}),
         fits=tuple(fits),
-        warnings=above_contrast_1(fits, is_easier_if_smaller),
+        warnings=(
+            *above_contrast_1(fits, is_easier_if_smaller, settings.get("aperture_sd_deg")),
+            *numerical_errors(fits, None),
+        ),
     )

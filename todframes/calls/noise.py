@@ -14,59 +14,63 @@ from todframes.base.errors import argument
 from todframes.base.reading import check_positive
 from todframes.base.safe_text import in_utf8
 from todframes.calls.shared import Progress
+from todframes.parameters import Box, ChartFile, FrameLimit, MilliKelvin, Numbers, PatchLevels, Rate
 
 if TYPE_CHECKING:
-    from todframes.frames.files import PathLike
-    from todframes.report.noise_report import NoiseResult
+    from todframes.parameters import PathLike
+    from todframes.report.noise_report import RecordedNoise
+    from todframes.report.result import Result
 
 
 def noise(
     recording: PathLike | Sequence[PathLike] | NDArray[Any],
     *,
-    region: tuple[int, int, int, int] | None = None,
-    patches: Mapping[tuple[int, int, int, int], float] | None = None,
-    chart: PathLike | None = None,
-    signal: float | Sequence[float] = (),
-    mk_per_count: float | None = None,
-    frames_per_second: float | None = None,
-    max_frame_mb: int = 256,
+    region: Box | None = None,
+    patches: PatchLevels | Mapping[Box, float] | None = None,
+    chart: ChartFile | None = None,
+    signal: float | Numbers = (),
+    mk_per_count: MilliKelvin | None = None,
+    frames_per_second: Rate | None = None,
+    max_frame_mb: FrameLimit = 256,
     progress: Progress | None = None,
-) -> NoiseResult:
-    """Measure the three-dimensional noise of a recording, as `todframes noise` does.
+) -> Result[RecordedNoise]:
+    """Measure the noise of a recording of a uniform scene that does not move.
 
-    The recording must show a uniform scene that does not move; anything that is not uniform counts as fixed
-    pattern.
+    The noise is that of time, rows and columns (D'Agostino & Webb 1991), each part with a 95 % interval. Anything
+    that is not uniform counts as fixed pattern.
 
     Parameters
     ----------
     recording : path, sequence of path, or ndarray
-        A video, image files or a folder of them, camera raw or radiometric files, or a file of a NumPy array; or
-        the array itself, of shape (frames, rows, columns), or (frames, rows, columns, 3) in colour.
+        A video, image files or a folder of them, camera raw or thermal files, or a file of a NumPy array.
+
+        An array is taken as well, of shape (frames, rows, columns), or (frames, rows, columns, 3) in colour.
     region : (int, int, int, int), optional
-        Left column, top row, width and height in pixels. Default: the whole frame.
+        Left column, top row, width and height in pixels. Default: the whole frame, or the largest patch of the
+        chart.
     patches : mapping, optional
-        Uniform parts of the frame, as `region`, and the level of each: luminance, reflectance or temperature.
-        They give the signal transfer, and a signal-to-noise ratio for each level.
+        A uniform part of the frame and its luminance, reflectance or temperature, for the signal transfer and a
+        signal-to-noise ratio at each level.
     chart : path, optional
-        `chart.toml` of the chart that the recording shows: its patches are found by its markers. The default of
-        `region` is then the largest patch. If the chart has a page made with `camera_page=True`, the frames that
-        show it are measured.
+        chart.toml of the chart that the recording shows: its patches are found by its markers. If the chart has a
+        page for the camera, the frames that show it are measured.
     signal : float or sequence of float
-        Differences of the values, whose signal-to-noise ratios are given too.
+        Differences of the values, whose signal-to-noise ratios are given.
     mk_per_count : float, optional
-        Temperature difference in mK for a difference of one in the values. Default: from the constants of a
-        radiometric file, at the mean of the recording.
+        Temperature difference in mK for one count. Default: from the constants of a radiometric file, at the mean
+        of the recording.
     frames_per_second : float, optional
-        Frame rate, in place of the times in the files.
+        Frames in a second, in place of what the files say.
     max_frame_mb : int
-        Largest size of a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a pixel.
+        Largest decoded size of a frame in 2**20 bytes, all channels in their own pixel types, at least 8 bytes a
+        pixel.
     progress : function of an int, optional
         Called with 1 for each frame.
 
     Returns
     -------
-    NoiseResult
-        `measured` has the parts of the noise, each with a 95 % interval; `sensor_toml()` is for sensor_sim.
+    Result
+        `noise` has the numbers, `measured` also the images; `sensor_toml()` is for sensor_sim.
 
     Raises
     ------

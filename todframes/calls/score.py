@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from todframes.base.locations import Location
 from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
-    OnError,
     Progress,
     background_of,
     each_once,
@@ -22,85 +20,105 @@ from todframes.calls.shared import (
     is_skip,
     knowing_background,
     loaded,
+    locate_name,
     located,
     opened_run,
 )
 from todframes.display.display import Display
-from todframes.frames.dataset import Dataset, Gaze
+from todframes.frames.dataset import Dataset
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, described
-from todframes.psychometrics.fit import CurveName, FitSettings
-from todframes.report.advice import levels_to_add
+from todframes.parameters import (
+    Cluster,
+    Count,
+    CurveName,
+    Decisions,
+    Gaze,
+    ObserverName,
+    OnError,
+    PlanName,
+    Seed,
+    Tolerance,
+)
+from todframes.psychometrics.fit import FitSettings
+from todframes.report.advice import levels_to_add, numerical_errors
 from todframes.report.data import (
     Fit,
     ResultWarning,
     group_of,
 )
 from todframes.report.result import Result
-from todframes.scoring.error_budget import PlanName, plan_object
-from todframes.scoring.seen_trials import Decisions
+from todframes.scoring.error_budget import plan_object
 
 if TYPE_CHECKING:
-    from todframes.diagnosis.locate import Locate
     from todframes.jobs.store import Store
+    from todframes.parameters import Locate
     from todframes.report.table import Table
+    from todframes.report.thresholds import Thresholds
 
 
 def score(
-    dataset: Location | str | Dataset,
+    dataset: Path | str | Dataset,
     *,
-    observer: str | Observer = "pyramid",
+    observer: ObserverName | Observer = "pyramid",
     decisions: Decisions = "expected",
     curve: CurveName | None = None,
-    tolerance: float | None = None,
+    tolerance: Tolerance | None = None,
     plan: PlanName = "needed",
-    rng: Rng = 1,
+    rng: Seed | Rng = 1,
     fit: FitSettings | None = None,
     locate: Locate | bool = False,
     gaze: Gaze = "tracked",
     on_error: OnError = "stop",
-    workers: int = 1,
-    cluster: str | Engine | None = None,
+    workers: Count = 1,
+    cluster: Cluster | Engine | None = None,
     store: Store | Path | str | None = None,
     examples: bool = True,
     progress: Progress | None = None,
-) -> Result:
-    """Score the display frames of a dataset and fit its thresholds, as `todframes score` does.
+) -> Result[Thresholds]:
+    """Score the display frames of a dataset and fit its thresholds.
 
     Parameters
     ----------
     dataset : path, str or Dataset
-        Folder with dataset.toml, manifest.csv and frames, its URL ("s3://lab/archive"), or the return value of
-        `load_dataset`.
+        Folder with dataset.toml, manifest.csv and frames, or its URL, such as s3://lab/archive.
+
+        The return value of `load_dataset` is taken as well.
     observer : str or Observer
-        Name of a registered observer, "module:Class", or an observer: `PyramidObserver(internal_noise=0.25)`.
+        Observer by name: pyramid, informative, oriented, csf or another that is registered; or MODULE:CLASS, a
+        class of your own, whose code is run.
+
+        An object is taken as well: `PyramidObserver(internal_noise=0.25)`.
     decisions : {"expected", "sampled"}
         Use each frame's probability of a correct answer, or draw one answer for each trial.
     curve : {"observer", "weibull"}, optional
         Psychometric function of the thresholds: the observer's own, which needs expected decisions, or Weibull's,
-        as for people's answers. Default: the observer's for expected decisions, Weibull's for sampled ones.
+        as for people. Default: observer for expected decisions, weibull for sampled ones.
     tolerance : float, optional
-        Largest relative error of the thresholds that displacing the retina may cause. The number of displacements
-        of each frame is chosen to meet it. Default: one displacement for each frame.
+        Relative error of the thresholds that displacing the retina may cause: each frame is seen with as many
+        displacements as that takes. Default: one displacement for each frame.
     plan : {"needed", "full"}
-        Leave out computations that the scene does not need, or none.
+        Leave out what the scene does not need, or nothing.
     rng : int, SeedSequence or Generator
         Seed of all random draws.
     fit : FitSettings, optional
         Criterion (`p_correct`), fixed and free parameters of the fits.
     locate : {"group", "each"} or bool
-        Find the triangle's position, from that in the manifest if there is one: one for each group (also True), or
-        one for each trial, for hand-held or drifting recordings.
+        Find the triangle: one position for each group, or one for each trial, for hand-held or drifting
+        recordings. The search begins at the position in the manifest, if there is one.
+
+        True is the same as "group".
     gaze : {"tracked", "fixed"}
         Where the observer looks while a triangle moves: at its place in each frame, or at its mean place in the
         trial, so that it sees the motion as blur.
     on_error : {"stop", "skip"}
-        At a frame or row that cannot be used: raise, or go on and list it in `Result.skipped`.
+        At a frame or row that cannot be used: end with an error, or go on and list it among the skipped ones.
     workers : int
-        Processes that read and score. With more than one, a script calls this below `if __name__ == "__main__":`,
-        because they import the script.
+        Processes that share the work.
+
+        With more than one, a script calls this below `if __name__ == "__main__":`, because they import the script.
     cluster : str, optional
-        Address of a Dask scheduler, "tcp://…", or "local:N" for N processes; they do the work instead.
+        Work on a Dask cluster: the address of its scheduler, tcp://…, or local:N for N processes of this machine.
     store : path, optional
         Folder for the results of finished trials, so that an interrupted run can be continued. It is written if
         the run is expected to take more than some seconds. The caller has to remove it.
@@ -130,7 +148,7 @@ def score(
     ({'size_mrad': 0.6}, 'extrapolated')
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from todframes.scoring.score import score_dataset
+    from todframes.scoring.score import fitted_curve, score_dataset
 
     data = replace(loaded(dataset), gaze=gaze)
     judge, settings = described(observer, lambda: background_of(data))
@@ -167,7 +185,8 @@ def score(
         for hint in one.hints
     ]
     hinted = [hint.group for hint in hints]  # with a mistake mended, other levels may be near the threshold
-    levels = levels_to_add([one for one in fits if one.group not in hinted])
+    levels = levels_to_add([one for one in fits if one.group not in hinted], settings.get("aperture_sd_deg"))
+    inexact = numerical_errors(fits, tolerance)
     record, shown_wrong = inspected(data, scored.trials, judge.centre)
 
     def trials() -> Table:
@@ -180,17 +199,18 @@ def score(
         started,
         settings=settings
         | asdict(fit)
-        | {"decisions": decisions, "tolerance": tolerance, "plan": plan, "gaze": gaze},
+        | {"decisions": decisions, "curve": fitted_curve(curve, decisions), "locate": locate_name(locate)}
+        | {"tolerance": tolerance, "plan": plan, "gaze": gaze},
         seed=seed,
         fits=fits,
         plan=tuple(plan_object(scored.plan, 1.0)),
         skipped=tuple(one._asdict() for one in scored.skipped),
         dataset=record,
-        warnings=each_once(*hints, *placed_wrong(scored), *shown_wrong, *levels),
+        warnings=each_once(*hints, *placed_wrong(scored), *shown_wrong, *levels, *inexact),
         negative_luminance_pixels=scored.n_negative,
         from_store=run.n_from_store,
         **more,
-    ).with_trials(trials)
+    ).holding(make_trials=trials)
 
 
 def score_frames(
@@ -209,7 +229,7 @@ def score_frames(
     time_s: Sequence[float] | None = None,
     judged: Sequence[bool] | None = None,
     **settings: Any,
-) -> Result:
+) -> Result[Thresholds]:
     """Score frames that are in memory and fit their thresholds, without touching a disk.
 
     An argument that has a value for each frame may also be one value for all frames.

@@ -6,22 +6,22 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 from msgspec.structs import replace as replace_struct
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import Json
 from todframes.base.errors import SettingsError, argument
-from todframes.base.locations import Location
 from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import inspect, records
 from todframes.display.display import Display
-from todframes.frames.dataset import Dataset, Gaze, dataset_warnings, load_dataset
+from todframes.frames.dataset import Dataset, dataset_warnings, load_dataset
 from todframes.frames.trials import Trial
 from todframes.jobs.engine import open_engine
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, described
+from todframes.parameters import Gaze, OnError
 from todframes.report.data import (
     DatasetRecord,
     ResultWarning,
@@ -30,12 +30,11 @@ from todframes.report.data import (
 from todframes.stimulus import Centre
 
 if TYPE_CHECKING:
-    from todframes.diagnosis.locate import Locate
     from todframes.jobs.store import Store
+    from todframes.parameters import Locate
     from todframes.scoring.score import ScoredDataset
     from todframes.scoring.work import Run
 
-OnError = Literal["stop", "skip"]
 Progress = Callable[[int], None]
 
 
@@ -60,7 +59,7 @@ def opened_run(
         yield Run(engine, kept, progress)
 
 
-def loaded(dataset: Location | str | Dataset) -> Dataset:
+def loaded(dataset: Path | str | Dataset) -> Dataset:
     """Return a dataset, read from its folder or URL unless it is one."""
     return dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
 
@@ -114,8 +113,13 @@ def in_memory(frames: Iterable[ArrayLike], display: Display | str, **shown: Any)
     return memory_dataset(frames, display=find_display(display).display, **shown)
 
 
+def locate_name(locate: Locate | bool) -> Locate | None:
+    """Return the way of `locate`, which may be true for the first; None if nothing is located."""
+    return "group" if locate is True else locate or None
+
+
 def located(
-    dataset: Location | str | Dataset,
+    dataset: Path | str | Dataset,
     observer: Observer,
     locate: Locate | bool,
     on_error: OnError,
@@ -126,7 +130,8 @@ def located(
     Returns it, the positions, and a function that gives the warnings about these once the dataset is scored.
     """
     data = loaded(dataset)
-    if not locate:
+    way = locate_name(locate)
+    if way is None:
         return data, {}, lambda _: ()
     from todframes.diagnosis.locate import locate_triangles, location_warnings
 
@@ -138,7 +143,7 @@ def located(
 
     data, locations = locate_triangles(
         data,
-        locate="group" if locate is True else locate,
+        locate=way,
         centre=observer.centre,
         skip_bad_frames=is_skip(on_error),
         progress=progress,

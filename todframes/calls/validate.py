@@ -4,29 +4,32 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
-from todframes.base.locations import Location
 from todframes.calls.shared import Progress, inspected, loaded
 from todframes.frames.checksums import check_writable, write_sha256
 from todframes.frames.contrast import frame_problems, unjudged_problems
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import frame_sha256
 from todframes.report.result import Result
+from todframes.report.thresholds import Thresholds
 
 
 def validate(
-    dataset: Location | str | Dataset,
+    dataset: Path | str | Dataset,
     *,
     add_sha256: bool = False,
     problem: Callable[[str, str], None] | None = None,
     progress: Progress | None = None,
-) -> Result:
-    """Check every file and row of a dataset, and what its frames show, as `todframes validate` does.
+) -> Result[Thresholds]:
+    """Check every file and row of a dataset, and what its frames show, without scoring.
 
     Parameters
     ----------
     dataset : path, str or Dataset
-        Dataset as in `score`.
+        Folder with dataset.toml, manifest.csv and frames, or its URL, such as s3://lab/archive.
+
+        The return value of `load_dataset` is taken as well.
     add_sha256 : bool
         If all is good, write the checksum of each frame that has none into manifest.csv.
     problem : function of two texts, optional
@@ -80,7 +83,7 @@ def validate(
             sha256_of |= {frame.path: frame_sha256(data.frame_path(frame)) for frame in missing}
         if progress is not None:
             progress(1)
-    for frame in data.trials.unjudged_frames():
+    for frame in data.trials.unjudged_frames:
         for error in unjudged_problems(data, frame):
             add(str(error.path), str(error), error.problem)
         if add_sha256 and not found and frame.sha256 is None:

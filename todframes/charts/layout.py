@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
@@ -19,17 +18,24 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
-from todframes.base.reading import MAX_TOML_MB, check_keys, check_values, from_table, read_toml, toml_text
+from todframes.base.reading import (
+    MAX_TOML_MB,
+    check_values,
+    convert,
+    from_table,
+    read_toml,
+    toml_text,
+    without_schema,
+)
 from todframes.charts.markers import BORDER_IDS, CORNERS, MODULES, MOST_PAGES, N_DIGITS, page_markers
-from todframes.display.display import Display, Eotf, LuminanceTable
+from todframes.display.display import Display, Eotf, Luminance, LuminanceTable
+from todframes.parameters import Bits, ChartKind
 from todframes.stimulus import Orientation
 
 SCHEMA = 1
 """Version of the format of `chart.toml` that this package reads and writes."""
 
 CHART_FILE = "chart.toml"
-
-ChartKind = Literal["screen", "print", "thermal"]
 
 SIZE_TOLERANCE = 1e-3
 """Largest relative difference between size_mm and size_mrad · distance_m."""
@@ -43,11 +49,6 @@ LARGEST_ON_CHART = 1e6
 Length = Annotated[float, Meta(ge=1.0 / LARGEST_ON_CHART, le=LARGEST_ON_CHART)]
 
 Place = Annotated[float, Meta(ge=0.0, le=LARGEST_ON_CHART)]
-
-Bits = Literal[8, 10]
-
-MarkerPlaces = Literal["borders", "corners"]
-"""Places of the markers of a new chart: in the corners and along the borders, or in the corners alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +90,7 @@ class Markers:
     bottom_right: Point
     bottom_left: Point
     dictionary: Literal["5x5_1000"] = "5x5_1000"
-    borders: tuple[Point, ...] = ()
+    borders: Annotated[tuple[Point, ...], Meta(max_length=len(BORDER_IDS))] = ()
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -102,8 +103,6 @@ class Markers:
                 "top_left, top_right, bottom_right, bottom_left: found markers that overlap or are exchanged, "
                 "expected each in the corner of its name, at least side_mm apart"
             )
-        if len(self.borders) > len(BORDER_IDS):
-            raise SettingsError(f"borders: found {len(self.borders)} markers, expected {len(BORDER_IDS)} at most")
         apart = np.abs(self.all_centres_mm[:, None] - self.all_centres_mm).max(axis=-1)
         if (apart + np.diag([np.inf] * len(apart)) < self.side_mm).any():
             raise SettingsError("borders: found markers that overlap, expected all at least side_mm apart")
@@ -353,10 +352,10 @@ class Screen:
     width_px: Annotated[int, Meta(ge=1, le=32768)]
     height_px: Annotated[int, Meta(ge=1, le=32768)]
     pixel_pitch_mm: Length
-    background_luminance_cd_m2: float
+    background_luminance_cd_m2: Luminance
     page_duration_s: Length
     eotf: Eotf = "srgb"
-    white_luminance_cd_m2: float = 100.0
+    white_luminance_cd_m2: Luminance = 100.0
     black_luminance_cd_m2: float = 0.0
     gamma: float | None = None
     lut: LuminanceTable | None = None
@@ -415,7 +414,7 @@ class Chart:
     distance_m: Length
     page_width_mm: Length
     page_height_mm: Length
-    pages: tuple[Page, ...]
+    pages: Annotated[tuple[Page, ...], Meta(min_length=1)]
     key: Annotated[int, Meta(ge=0, le=N_DIGITS - 1)] = 0
     seed: Annotated[int, Meta(ge=0)] = 1
     polarity: Literal[1, -1] = 1
@@ -430,8 +429,6 @@ class Chart:
             )
         if (self.markers is None) != (self.kind == "thermal"):
             raise SettingsError(f'[markers]: expected it unless kind = "thermal"; found kind = "{self.kind}"')
-        if not self.pages:
-            raise SettingsError("pages: found none, expected at least one")
         if self.screen is not None:
             for name, pixels in (
                 ("page_width_mm", self.screen.width_px),
@@ -445,7 +442,7 @@ class Chart:
                 if min(x, self.page_width_mm - x, y, self.page_height_mm - y) < half:
                     raise SettingsError(f"[markers]: {name}: reaches beyond the page, expected it on the page")
         for place, page in enumerate(self.pages):
-            where = f"pages, number {place}"
+            where = f"pages[{place}]"
             if page.number != place:
                 raise SettingsError(f"{where}: number: found {page.number}, expected {place}")
             if self.kind == "screen" and page.file is None:
@@ -529,62 +526,18 @@ def read_chart(path: Path | str) -> Chart:
     path = Path(path)
     if path.is_dir():
         path = path / CHART_FILE
-    content = read_toml(path)
-    check_keys(content, ["schema", *(field.name for field in fields(Chart))], str(path))
-    if content.pop("schema", None) != SCHEMA:
-        raise SettingsError(f"{path}: schema: is missing or unknown, expected {SCHEMA}")
-    if "screen" in content:
-        content["screen"] = _screen(content["screen"], f"{path}: [screen]")
-    if "markers" in content:
-        where = f"{path}: [markers]"
-        table = dict(_table(content["markers"], where))
-        for corner in set(CORNERS) & table.keys():
-            table[corner] = _made(table[corner], Point, f"{where}: {corner}")
-        if "borders" in table:
-            points = _list(table["borders"], f"{where}: borders")
-            table["borders"] = tuple(_made(one, Point, f"{where}: borders") for one in points)
-        content["markers"] = from_table(table, Markers, where)
-    if "pages" in content:
-        pages = _list(content["pages"], f"{path}: pages")
-        content["pages"] = tuple(_page(one, f"{path}: pages, number {place}") for place, one in enumerate(pages))
+    content = without_schema(read_toml(path), SCHEMA, [one.name for one in fields(Chart)], str(path))
+    if isinstance(screen := content.get("screen"), dict) and "lut" in screen:
+        content["screen"] = screen | {"lut": _lut(screen["lut"], f"{path}: screen.lut")}
     return from_table(content, Chart, str(path))
 
 
-def _screen(found: object, where: str) -> Screen:
-    table = dict(_table(found, where))
-    if "lut" in table:
-        try:
-            pairs = np.asarray(table["lut"], np.float64).reshape(-1, 2)
-            table["lut"] = LuminanceTable(*pairs.T)
-        except (ValueError, TypeError) as error:
-            problem = error if isinstance(error, SettingsError) else "lut: expected pairs of numbers"
-            raise SettingsError(f"{where}: {problem}") from None
-    return from_table(table, Screen, where)
-
-
-def _page(found: object, where: str) -> Page:
-    table = dict(_table(found, where))
-    for name, kind in (("triangles", Triangle), ("edges", Edge), ("patches", Patch)):
-        if name in table:
-            items = _list(table[name], f"{where}: {name}")
-            table[name] = tuple(_made(one, kind, f"{where}: {name}") for one in items)
-    return from_table(table, Page, where)
-
-
-def _made(found: object, kind: type[Any], where: str) -> Any:
-    return from_table(_table(found, where), kind, where)
-
-
-def _table(found: object, where: str) -> Mapping[str, Any]:
-    if not isinstance(found, dict):
-        raise SettingsError(f"{where}: found {found!r}, expected a table")
-    return found
-
-
-def _list(found: object, where: str) -> list[Any]:
-    if not isinstance(found, list):
-        raise SettingsError(f"{where}: found {found!r}, expected a list of tables")
-    return found
+def _lut(found: object, where: str) -> LuminanceTable:
+    pairs = convert(found, tuple[tuple[float, float], ...], where)
+    try:
+        return LuminanceTable(*np.array(pairs, np.float64).reshape(-1, 2).T)
+    except SettingsError as error:
+        raise SettingsError(f"{where.removesuffix('lut')}{error}") from None
 
 
 def write_chart(path: Path, chart: Chart) -> None:

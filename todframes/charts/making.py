@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, cast
@@ -12,12 +12,32 @@ from todframes.base.output import new_folder
 from todframes.base.reading import convert, from_table
 from todframes.base.seeds import Rng, seed_of
 from todframes.charts.design import Design
-from todframes.charts.layout import CHART_FILE, Chart, ChartKind, MarkerPlaces, Screen
+from todframes.charts.layout import CHART_FILE, Chart, Screen
 from todframes.charts.print import Paper, design_print_chart, write_print_chart
 from todframes.charts.screen import design_screen_chart, write_screen_chart
 from todframes.charts.thermal import Plate, design_thermal_chart, write_thermal_chart
-from todframes.display.display import Display
+from todframes.display.display import Display, Luminance, LuminanceTable
 from todframes.display.display_files import find_display
+from todframes.parameters import (
+    Bits,
+    CandelaPerM2,
+    ChartFolder,
+    ChartKind,
+    Count,
+    DisplayName,
+    Exponent,
+    MarkerPlaces,
+    Metres,
+    Millimetres,
+    MonitorEotf,
+    NamedTable,
+    Numbers,
+    Polarity,
+    Reflectance,
+    Seconds,
+    Seed,
+    WholeNumber,
+)
 
 DEFAULT_CONTRASTS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 
@@ -47,52 +67,119 @@ Progress = Callable[[int], None]
 def chart(
     kind: ChartKind,
     *,
-    out: Path | str,
-    distance_m: float,
-    sizes_mrad: Iterable[float],
-    contrasts: Iterable[float] | None = None,
-    delta_t_k: Iterable[float] | None = None,
-    repeats: int = 2,
-    rng: Rng = 1,
-    polarity: int = 1,
+    out: ChartFolder,
+    distance_m: Metres,
+    sizes_mrad: Numbers,
+    contrasts: Numbers | None = None,
+    delta_t_k: Numbers | None = None,
+    repeats: Count = 2,
+    rng: Seed | Rng = 1,
+    polarity: Polarity = 1,
     name: str = "TOD chart",
+    marker_mm: Millimetres | None = None,
+    markers: MarkerPlaces | None = None,
+    camera_page: bool | None = None,
+    width_px: WholeNumber | None = None,
+    height_px: WholeNumber | None = None,
+    display: DisplayName | None = None,
+    pixel_pitch_mm: Millimetres | None = None,
+    bits: Bits | None = None,
+    eotf: MonitorEotf | None = None,
+    gamma: Exponent | None = None,
+    lut: LuminanceTable | None = None,
+    white_luminance_cd_m2: CandelaPerM2 | None = None,
+    black_luminance_cd_m2: CandelaPerM2 | None = None,
+    background_luminance_cd_m2: CandelaPerM2 | None = None,
+    page_duration_s: Seconds | None = None,
+    paper_width_mm: Millimetres | None = None,
+    paper_height_mm: Millimetres | None = None,
+    margin_mm: Millimetres | None = None,
+    reflectances: NamedTable | None = None,
+    paper_reflectance: Reflectance | None = None,
+    black_reflectance: Reflectance | None = None,
+    background_reflectance: Reflectance | None = None,
+    plate_mm: Millimetres | None = None,
     progress: Progress | None = None,
-    **settings: Any,
 ) -> Chart:
-    """Make a chart to record with a camera, as `todframes chart` does.
+    """Make a chart to record with a camera: triangles of given sizes and contrasts.
+
+    The folder gets chart.toml, which says where everything is on the pages, for `todframes import`. For a screen
+    it also gets an image for each page, and play.html, which shows them full-screen in a browser; for print
+    chart.pdf, and an SVG file for each sheet; for thermal drawings of the plates, and schedule.csv with the
+    settings to record.
 
     Parameters
     ----------
     kind : {"screen", "print", "thermal"}
-        A monitor, sheets of paper, or plates with holes in front of a black body.
+        What shows the chart: a monitor, paper, or plates with holes in front of a black body.
     out : path
         Folder to make, new or empty.
     distance_m : float
-        From the camera to the chart.
-    sizes_mrad : iterable of float
-        Sizes √(area) of the triangles as angles at the camera.
-    contrasts : iterable of float, optional
-        Weber contrasts of a screen or print, without sign. Default: 0.02 to 0.8.
-    delta_t_k : iterable of float, optional
-        Temperature differences of a thermal chart in K, without sign. Default: 0.02 to 2.
+        From the camera to the chart in m.
+    sizes_mrad : sequence of float
+        Sizes √(area) of the triangles, as angles at the camera in mrad.
+    contrasts : sequence of float, optional
+        Screen, print: Weber contrasts, without sign. Default: 0.02,0.05,0.1,0.2,0.4,0.8.
+    delta_t_k : sequence of float, optional
+        Thermal: temperature differences in K, without sign. Default: 0.02,0.05,0.1,0.2,0.5,1,2.
     repeats : int
-        Number of times that each triangle is shown, in each of its four orientations.
+        Times that each triangle is shown in each orientation, each time in another random order.
     rng : int, SeedSequence or Generator
         Seed of the order.
     polarity : {1, -1}
-        Triangles are brighter (warmer) or darker (colder) than their background.
+        Triangles brighter (warmer), 1, or darker (colder), -1, than their background.
     name : str
         Title of the chart.
+    marker_mm : float, optional
+        Screen, print: side of the markers.
+    markers : {"borders", "corners"}, optional
+        Screen, print: markers along the borders, by which `todframes import` solves a lens, or in the corners
+        alone. Default: borders.
+    camera_page : bool, optional
+        Screen, print: a first page with slanted edges and a grey wedge, from which `todframes mtf` and `todframes
+        noise` measure the camera in the same film.
+    width_px : int, optional
+        Screen: pixels in a row of the monitor. Default: 1920.
+    height_px : int, optional
+        Screen: rows of the monitor. Default: 1080.
+    display : str, optional
+        Screen: monitor as in dataset.toml: its luminances, and its pixel pitch if that is in mm.
+    pixel_pitch_mm : float, optional
+        Screen: from pixel to pixel. Default: that of `display`; required without one.
+    bits : {8, 10}, optional
+        Screen: bits of a code value, up to the panel. Default: 8.
+    eotf : {"linear", "srgb", "bt1886", "gamma"}, optional
+        Screen: luminance by code value, as in dataset.toml. Default: srgb.
+    gamma : float, optional
+        Screen: exponent for an `eotf` of gamma.
+    lut : LuminanceTable, optional
+        Screen: luminance of each code value, for an `eotf` of "lut".
+    white_luminance_cd_m2 : float, optional
+        Screen: luminance of white. Default: 100.
+    black_luminance_cd_m2 : float, optional
+        Screen: luminance of black. Default: 0.
+    background_luminance_cd_m2 : float, optional
+        Screen: luminance around the triangles. Default: a quarter of white.
+    page_duration_s : float, optional
+        Screen: time of each page. Default: 1.
+    paper_width_mm : float, optional
+        Print: width of a sheet. Default: 420.
+    paper_height_mm : float, optional
+        Print: height of a sheet. Default: 297.
+    margin_mm : float, optional
+        Print: border that stays white. Default: 10.
+    reflectances : path, optional
+        Print: CSV file with code_value (0 to 255) and reflectance, measured on a print. Default: sRGB greys.
+    paper_reflectance : float, optional
+        Print: reflectance of the paper. Default: 0.85.
+    black_reflectance : float, optional
+        Print: reflectance of black. Default: 0.04.
+    background_reflectance : float, optional
+        Print: reflectance around the triangles. Default: 0.3.
+    plate_mm : float, optional
+        Thermal: side of the plates. Default: five sizes of the largest.
     progress : function of an int, optional
         Called with the number of pages that were just drawn.
-    **settings
-        For "screen": `display`, a name or file as for a dataset; `pixel_pitch_mm`, needed unless the display has
-        it; others of the table [screen] of chart.toml; `marker_mm`, `markers`, `camera_page`.
-        For "print": `paper_width_mm`, `paper_height_mm`, `margin_mm`, `paper_reflectance`, `black_reflectance`,
-        `reflectances`, `background_reflectance`, `marker_mm`, `markers`, `camera_page`. For "thermal": `plate_mm`.
-        With `markers="borders"` (default), pages have markers along the borders too, by which `import_recordings`
-        solves a lens; with "corners", in the corners alone. `camera_page=True` adds a first page with slanted
-        edges and a grey wedge, from which `mtf` and `noise` measure the camera.
 
     Returns
     -------
@@ -116,8 +203,10 @@ def chart(
     >>> len(made.pages), made.pages[0].triangles[0].contrast
     (4, 0.201414)
     """
-    if kind not in MAKERS:
-        raise SettingsError(f"kind: found {kind!r}, expected one of {', '.join(MAKERS)}")
+    asked = dict(locals())
+    known = set().union(*SETTINGS.values())
+    settings = {name: value for name, value in asked.items() if name in known and value is not None}
+    convert(kind, ChartKind, "kind")
     for setting in settings:
         others = [other for other in MAKERS if setting in SETTINGS[other] and setting not in SETTINGS[kind]]
         if others:
@@ -155,7 +244,7 @@ def _screen(design: Design, settings: Mapping[str, Any], folder: Path, progress:
     marker_mm = convert(table.pop("marker_mm", None), float | None, "screen: marker_mm")
     markers = convert(table.pop("markers", "borders"), MarkerPlaces, "screen: markers")
     camera_page = convert(table.pop("camera_page", False), bool, "screen: camera_page")
-    white = convert(table["white_luminance_cd_m2"], float, "screen: white_luminance_cd_m2")
+    white = convert(table["white_luminance_cd_m2"], Luminance, "screen: white_luminance_cd_m2")
     assert isinstance(white, float) and isinstance(marker_mm, float | None)
     table.setdefault("background_luminance_cd_m2", BACKGROUND_SHARE * white)
     screen = from_table(table, Screen, "screen")

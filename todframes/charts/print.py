@@ -18,20 +18,11 @@ from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import check_values, read_numbers
 from todframes.charts.camera_page import N_PATCHES, CameraContent, camera_codes, camera_content
 from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
-from todframes.charts.layout import (
-    CHART_FILE,
-    Chart,
-    Length,
-    MarkerPlaces,
-    Markers,
-    Page,
-    Patch,
-    Point,
-    write_chart,
-)
+from todframes.charts.layout import CHART_FILE, Chart, Length, Markers, Page, Patch, Point, write_chart
 from todframes.charts.markers import MODULES
 from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, pdf, rectangle, svg
 from todframes.display.display import srgb_to_linear
+from todframes.parameters import MarkerPlaces
 from todframes.stimulus import vertices
 
 PDF_FILE = "chart.pdf"

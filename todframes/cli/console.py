@@ -11,7 +11,6 @@ import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from todframes.report.data import ResultWarning
     from todframes.report.result import Result
     from todframes.report.table import Table
+    from todframes.report.thresholds import Thresholds
 
 
 STDOUT, STDERR = 1, 2
@@ -90,7 +90,7 @@ def opened_engine(asked: dict[str, Any], *, quiet: bool) -> Iterator[Engine]:
     """
     from todframes.jobs.engine import open_engine
 
-    with open_engine(asked["cluster"], asked.get("workers", 1)) as engine:
+    with open_engine(asked.get("cluster"), asked.get("workers", 1)) as engine:
         if engine.dashboard is not None and not quiet:
             say(f"dashboard: {engine.dashboard}")
         asked["cluster"] = engine
@@ -103,7 +103,7 @@ def long_run(out: str | None, asked: dict[str, Any], *, quiet: bool) -> Iterator
 
     Of `asked`, `restart` and `keep_store` are removed; `cluster` is replaced by the engine, and `store` is set.
     """
-    restart, keep = asked.pop("restart"), asked.pop("keep_store")
+    restart, keep = asked.pop("restart", False), asked.pop("keep_store", False)
     going = None
     if out is not None:
         from todframes.base.output import Going
@@ -127,7 +127,7 @@ def _where(place: Mapping[str, Any]) -> str:
 
 
 def finish(
-    result: Result,
+    result: Result[Thresholds],
     title: str,
     *,
     as_json: bool,
@@ -149,38 +149,67 @@ def finish(
     from todframes.report.summary import cautions, remarks
     from todframes.report.wording import group_phrase
 
+    data = result.data
     if not quiet:
-        for place in result.located or ():
+        for place in data.located or ():
             say(f"located: {group_phrase(place['group'])}: {_where(place)}")
-        for one in result.skipped:
+        for one in data.skipped:
             say(f"skipped: {one['error']}")
-        for algorithm in result.algorithms:
+        for algorithm in data.algorithms:
             if algorithm.n_clipped:
                 say(f"note: {algorithm.spec}: {algorithm.n_clipped} values were clipped")
-        if result.negative_luminance_pixels and not result.algorithms:
+        if data.negative_luminance_pixels and not data.algorithms:
             say(
-                f"note: {result.negative_luminance_pixels} display pixels have a luminance below zero, as noise "
+                f"note: {data.negative_luminance_pixels} display pixels have a luminance below zero, as noise "
                 "in linear frames may have; they are scored as they are"
             )
     if as_json:
         print_content(result.to_json(), result.warnings, quiet=quiet, strict=strict)
         return
     if explain:
-        print_table(tables.plan(result))
-    if result.algorithms:
-        for observer, judged in each_observer(result):
+        print_table(tables.plan(data))
+    if data.algorithms:
+        for observer, judged in each_observer(data):
             print_table(tables.ratios(judged, observer, title))
-        if verbose or any(one.psnr_db is not None or one.ssim is not None for one in result.algorithms):
-            print_table(tables.measures(result.algorithms))
+        if verbose or any(one.psnr_db is not None or one.ssim is not None for one in data.algorithms):
+            print_table(tables.measures(data.algorithms))
     else:
-        print_table(tables.thresholds(result, title))
-        answers = tables.answers(result)
+        print_table(tables.thresholds(data, title))
+        answers = tables.answers(data)
         if answers is not None and (verbose or len(answers.records) <= MOST_ANSWERS):
             print_table(answers)
     if verbose:
-        print_table(tables.thresholds(result, "Details"), details=True)
-    sentences = [*result.verdict, *cautions(result), *(remarks(result) if verbose else [])]
+        print_table(tables.thresholds(data, "Details"), details=True)
+    sentences = [*data.verdict, *cautions(data), *(remarks(data) if verbose else [])]
     print_end(sentences, result.warnings, out=out, strict=strict)
+
+
+def print_result(
+    result: Result[Any],
+    *,
+    as_json: bool = False,
+    verbose: bool = False,
+    out: str | None = None,
+    quiet: bool = False,
+    strict: bool = False,
+    is_timed: bool = True,
+) -> None:
+    """Show a result as one JSON object or as its tables, sentences and warnings; `verbose` adds details.
+
+    Raises
+    ------
+    DataError
+        If `strict` and there are warnings; everything is shown before.
+    """
+    if as_json:
+        print_content(result.to_json(), result.warnings, quiet=quiet, strict=strict)
+        return
+    for table in result.data.tables():
+        if not table.is_folded:
+            print_table(table)
+            if verbose:
+                print_table(table, details=True)
+    print_end(result.data.sentences(), result.warnings, out=out, strict=strict, is_timed=is_timed)
 
 
 def print_content(
@@ -230,16 +259,9 @@ def print_sentences(sentences: Iterable[str]) -> None:
 
 def warning_lines(warnings: Sequence[ResultWarning]) -> Iterator[str]:
     """Yield a line for each warning, but only for the first groups of those with the same code, and a count."""
-    from todframes.report.wording import count, warning_text
+    from todframes.report.data import warning_texts
 
-    of_code: dict[str, list[ResultWarning]] = {}
-    for warning in warnings:
-        of_code.setdefault(warning.code, []).append(warning)
-    for code, alike in of_code.items():
-        for warning in alike[:MOST_ALIKE]:
-            yield f"warning: {warning_text(warning.group, warning.message)}"
-        if len(alike) > MOST_ALIKE:
-            yield f"warning: … and {count(len(alike) - MOST_ALIKE, 'more warning')} with the code {code}"
+    yield from (f"warning: {one}" for one in warning_texts(warnings))
 
 
 def check_strict(warnings: Sequence[ResultWarning], strict: bool) -> None:
@@ -330,10 +352,10 @@ class ProblemLines:
 
 
 @contextmanager
-def progress(task: str, total: int | None, *, quiet: bool = False) -> Iterator[Callable[[int], None]]:
+def progress(task: str, total: int | None, *, quiet: bool = False) -> Iterator[Callable[[float], None]]:
     """Show a bar with rate and time left on standard error if it is a terminal.
 
-    Yields a function to call with the number of items that were just done.
+    Yields a function to call with the number of items that were just done, or with a part of one.
 
     `total` is the number of all items; None if it is not known.
     """
@@ -400,51 +422,29 @@ def run(command: click.Command, arguments: Sequence[str] | None) -> int:
     except MemoryError:
         return _fail("out of memory", 1)
     except OSError as error:
+        if error.filename is not None or not _is_of_printing(error):
+            return _fail(f"{error.filename or 'the system refused a call'}: {error.strerror or error}", 1)
         # The rest of the buffer would fail again when the interpreter ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _fail(f"cannot write to standard output ({error.strerror})", 1)
 
 
+def _is_of_printing(error: OSError) -> bool:
+    """Return whether an error was raised by a print of this module, click or rich."""
+    step = error.__traceback__
+    while step is not None and step.tb_next is not None:
+        step = step.tb_next
+    module = "" if step is None else str(step.tb_frame.f_globals.get("__name__"))
+    return module == __name__ or module.split(".")[0] in ("click", "rich")
+
+
 def _fail(message: str, status: int) -> int:
     with suppress(OSError):  # the terminal may be gone
         say("error: " + message)
-        for place in dict.fromkeys(signals.kept):
+        for place in signals.kept:
             say(f"note: what is finished is kept in {place}; the same command goes on where this one ended")
     return status
 
 
 class Interruption(Exception):  # noqa: N818 - it is no error
     """Exception for Ctrl-C or a request to end, so that all clean-up runs."""
-
-
-class Commands(click.Group):
-    """A group whose commands raise `Interruption` at Ctrl-C; click itself would print an empty line.
-
-    Parameters
-    ----------
-    modules : mapping
-        Module and attribute, "module:attribute", of each command that is imported when it is asked for.
-    """
-
-    def __init__(self, *args: Any, modules: Mapping[str, str] | None = None, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self._modules = modules or {}
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of all commands, sorted."""
-        return sorted({*super().list_commands(ctx), *self._modules})
-
-    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        """Return a command by its name; None if there is none."""
-        if name in self._modules and name not in self.commands:
-            module, _, attribute = self._modules[name].partition(":")
-            self.add_command(getattr(import_module(module), attribute), name)
-        return super().get_command(ctx, name)
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command that the context names."""
-        try:
-            with signals.raised():
-                return super().invoke(ctx)
-        except KeyboardInterrupt:
-            raise Interruption from None

@@ -1,6 +1,6 @@
 """The group of all commands of `todframes`, and its entry point.
 
-A command's module is imported when the command is asked for, and numpy when it runs.
+A command is made when it is asked for, and NumPy is imported when it runs.
 """
 
 from __future__ import annotations
@@ -11,36 +11,25 @@ from collections.abc import Sequence
 import click
 
 from todframes import __version__
-from todframes.cli.console import Commands, keep_libraries_to_one_thread, run
+from todframes.cli.commands import COMMANDS
+from todframes.cli.console import keep_libraries_to_one_thread, run
+from todframes.cli.runner import Commands
 
 MODULES = {
     name: f"todframes.cli.{where}"
     for name, where in {
         "accuracy": "studies:accuracy",
-        "calibrate": "calibrate:calibrate",
-        "chart": "chart:chart",
-        "compare": "compare:compare",
-        "enhancements": "compare:enhancements",
-        "experiment": "experiment:experiment",
-        "fit": "score:fit",
-        "import": "recordings:import_command",
-        "mtf": "mtf:mtf",
-        "naked-eye": "score:naked_eye",
-        "new": "new:new",
-        "noise": "noise:noise",
-        "range": "range:range_command",
-        "report": "checks:report_command",
-        "scenes": "scenes:scenes",
-        "score": "score:score",
+        "enhancements": "enhancements:enhancements",
+        "report": "report:report_command",
         "stability": "studies:stability",
-        "validate": "checks:validate",
     }.items()
 }
-"""Module and attribute of each command."""
+"""Module and attribute of each command that is not made of a call."""
 
 
 @click.group(
     cls=Commands,
+    table=COMMANDS,
     modules=MODULES,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )

@@ -9,23 +9,21 @@ import click
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.cli.console import echo, print_table, progress, say, staged
-from todframes.cli.options import json_option, quiet_option, seed_option
+from todframes.cli.runner import showing
 
 RECORDED = "recorded"
 """Name of the scene that needs a dataset."""
 
 
-@click.command()
-@json_option
-@click.option("--markdown", "as_markdown", is_flag=True, help="Print the page docs/stability.md.")
-@quiet_option
-def stability(*, as_json: bool, as_markdown: bool, quiet: bool) -> None:
+@click.command(params=[*showing("json quiet")])
+@click.option("--markdown", "as_markdown", is_flag=True, help="Print all cases as a page of Markdown.")
+def stability(*, json: bool, as_markdown: bool, quiet: bool) -> None:
     """Try extreme inputs: the expected value and its source, the computed value, and the number of right digits.
 
     Ends with status 1 if a case keeps fewer digits than required.
     """
     start = time.perf_counter()
-    if as_json and as_markdown:
+    if json and as_markdown:
         raise SettingsError("stability: found --json and --markdown, expected one of them")
     from todframes.report.result import Result
     from todframes.studies.stability.case import (
@@ -43,7 +41,7 @@ def stability(*, as_json: bool, as_markdown: bool, quiet: bool) -> None:
         for case in cases:
             outcomes.append(run_case(case))
             advance(1)
-    if as_json:
+    if json:
         result = Result.made("stability", start, cases=tuple(map(case_object, outcomes)))
         click.echo(result.to_json(), nl=False)
     elif as_markdown:
@@ -55,7 +53,7 @@ def stability(*, as_json: bool, as_markdown: bool, quiet: bool) -> None:
         raise DataError(short)
 
 
-@click.command()
+@click.command(params=[*showing("json quiet")])
 @click.option(
     "--scene", "names", multiple=True, metavar="NAME", help="A scene by name; repeatable.  [default: all]"
 )
@@ -69,12 +67,12 @@ def stability(*, as_json: bool, as_markdown: bool, quiet: bool) -> None:
     metavar="SECONDS",
     help="CPU time for the estimators of a scene. More shows smaller errors.",
 )
-@seed_option
+@click.option(
+    "--seed", "rng", type=click.IntRange(0), default=1, show_default=True, help="Seed of all random draws."
+)
 @click.option(
     "-o", "--out", metavar="OUT", help="Folder for accuracy.json, report.html, accuracy.md and pictures."
 )
-@json_option
-@quiet_option
 def accuracy(
     *,
     names: tuple[str, ...],
@@ -82,7 +80,7 @@ def accuracy(
     seconds: float,
     rng: int,
     out: str | None,
-    as_json: bool,
+    json: bool,
     quiet: bool,
 ) -> None:
     """Measure error against run time of several ways to compute a threshold.
@@ -128,7 +126,7 @@ def accuracy(
             scenes=tuple(map(accuracy_report.scene_result, measured)),
         )
         place.write(lambda: accuracy_report.files(result))
-    if as_json:
+    if json:
         click.echo(result.to_json(), nl=False)
         return
     for one in result.scenes:

@@ -220,7 +220,10 @@ def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
         slope = -slope
     if not is_contrast(dataset):
         return
-    if abs(slope - 1.0) > max(CONTRAST_ERROR, CERTAIN * error):
+    if one.signal == 0.0:
+        seen = "the frames show no triangle, the displayed contrast is 0"
+        yield Deviation("contrast_mismatch", 0.0, 1.0, seen, "check that the frames are those of the manifest")
+    elif abs(slope - 1.0) > max(CONTRAST_ERROR, CERTAIN * error):
         yield Deviation(
             "contrast_mismatch",
             slope,

@@ -24,6 +24,7 @@ from todframes.diagnosis.limits import (
     MOST_BLUR_PER_SIZE,
     MOST_SAMPLED,
     OFF_LEVEL,
+    ROUNDING,
     SAMPLED,
     SAMPLED_SHARE,
     SCATTER_ERRORS,
@@ -53,7 +54,7 @@ from todframes.frames.dataset import Dataset
 from todframes.frames.position import size_in_px
 from todframes.frames.surround import HOLE_IN_SIZES
 from todframes.frames.trials import Group, Trial, Trials
-from todframes.stimulus import ORIENTATIONS, Centre, Stimulus
+from todframes.stimulus import ORIENTATIONS, Centre, Stimulus, level_of
 
 if TYPE_CHECKING:
     from todframes.diagnosis.scene_backgrounds import SceneParts
@@ -113,7 +114,8 @@ class Inspection:
     saturated_share, crushed_share : float or None
         Shares of the triangle's pixels at full scale and at code 0; None without integer codes.
     peak_code, full_scale, code_step : int or None
-        Largest code read, largest code possible, and the smallest difference of codes that occur.
+        Largest code read, largest code possible, and the smallest difference of codes that occur; 1 where clean
+        frames have too few codes to show it.
     code_step_contrast, noise_contrast : float or None
         Contrast of that difference, and standard deviation of a pixel's contrast.
     level : float
@@ -197,13 +199,9 @@ def inspect(dataset: Dataset, trials: Sequence[Trial], *, centre: Centre = "cent
     return found
 
 
-CONTRAST_LEVELS = ("contrast", "weber_contrast")
-"""Names of levels that are the displayed contrast of the triangle."""
-
-
 def is_contrast(dataset: Dataset) -> bool:
     """Return whether the level of a dataset is the triangle's contrast, by its name."""
-    return dataset.experiment.level.strip().lower() in CONTRAST_LEVELS
+    return level_of(dataset.experiment.level).quantity == "contrast"
 
 
 def strengths(dataset: Dataset, level: FloatArray) -> FloatArray:
@@ -290,7 +288,6 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
     if of_group.scenes is not None:  # trials on one scene have the same luminance around their triangles
         ratio = np.array([ratio[np.array(names) == name].mean() for name in sorted(set(names))])
     scatter = float(ratio.std(ddof=1)) if len(ratio) > 1 else 0.0
-    codes = [sample.codes for sample in samples if sample.codes is not None]
     return Inspection(
         group=group,
         stimulus=stimulus,
@@ -311,7 +308,7 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
         ring_scatter=scatter,
         level=float(np.median(level)),
         noise_contrast=float(np.median([sample.noise for sample in samples])),
-        **_of_codes(codes),
+        **_of_codes([(sample.trial.level, sample.codes) for sample in samples if sample.codes is not None]),
         **_of_triangle(of_group, samples, strength, max(size_px / block_px, LEAST_SIZE), names),
     )
 
@@ -343,16 +340,27 @@ def _static_error(samples: Sequence[TrialSample], scatter: float, size: float) -
     return max(of_sectors, scatter * math.sqrt(pattern_variance / noise_variance))
 
 
-def _of_codes(codes: Sequence[Codes]) -> dict[str, Any]:
-    if not codes:
+def _of_codes(of_trials: Sequence[tuple[float, Codes]]) -> dict[str, Any]:
+    """Return what codes show, from the level and the codes of each trial.
+
+    A triangle of one code on a background of one shows its own contrast and no step of the codes, unless fainter
+    ones vanish: they are rounded to the background.
+    """
+    if not of_trials:
         return {}
+    codes = [one for _, one in of_trials]
+    faintest = min((level for level, one in of_trials if one.step), default=math.inf)
+    vanished = [level for level, one in of_trials if not one.step]
+    are_rounded = bool(vanished) and max(vanished) <= faintest < math.inf
+    steps = [(one.step, one.step_contrast) for one in codes if one.step and (are_rounded or not one.is_flat)]
+    steps = steps or [(1, one.bit_contrast) for one in codes]
     return {
         "saturated_share": float(np.mean([one.top_share for one in codes])),
         "crushed_share": float(np.mean([one.bottom_share for one in codes])),
         "peak_code": max(one.peak for one in codes),
         "full_scale": codes[0].full_scale,
-        "code_step": min(one.step for one in codes),
-        "code_step_contrast": float(np.median([one.step_contrast for one in codes])),
+        "code_step": min(step for step, _ in steps),
+        "code_step_contrast": float(np.median([contrast for _, contrast in steps])),
     }
 
 
@@ -370,7 +378,7 @@ class GroupTriangle(NamedTuple):
     error : ndarray, shape (4,)
         Standard errors of contrast, x, y and size (as a share): by noise, and by the spread over the trials.
     signal : float
-        Contrast in standard errors by noise alone.
+        Contrast in standard errors by noise alone; 0 if the frames show none.
     scenes : SceneParts or None
         The frames as background, triangle and noise, if they show scenes.
     """
@@ -424,6 +432,8 @@ class GroupTriangle(NamedTuple):
         of_noise = np.array([*(found.error((one, 1.0)) for one in (AMPLITUDE, X, Y)), found.size_error])
         alone = float(of_noise[0]) / math.sqrt(found.larger)
         signal = abs(found.shape.amplitude) / alone if alone > 0.0 else math.inf
+        if abs(found.shape.amplitude) * level.max() <= ROUNDING:
+            signal = 0.0
         return cls(images, found, each, middle, np.sqrt(np.square(of_noise) + excess), signal, scenes)
 
     @property
@@ -480,7 +490,7 @@ def _of_triangle(
     is_whole &= images.has_triangle or shape.variance <= (MOST_BLUR_PER_SIZE * size) ** 2
     seen = polarity * np.array([sample.seen for sample in samples])
     measured: dict[str, Any] = {
-        "contrast_slope": shape.amplitude,
+        "contrast_slope": shape.amplitude if signal else 0.0,
         "contrast_slope_error": float(error[0]) if is_whole else None,
         "signal": signal,
         **_unevenness(

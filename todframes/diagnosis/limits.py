@@ -102,6 +102,9 @@ WHOLE_IN_SIZES = 1.2
 LEAST_SIGNAL = 8.0
 """Least contrast of the triangle, in standard errors, for its place, size and orientation to be measured."""
 
+ROUNDING = 1e-6
+"""Contrast that equal frames may leave: luminance has single precision, 6e-8 of itself."""
+
 SCATTER_ERRORS = 5.0
 """Least scatter over trials that is more than noise, in standard errors."""
 

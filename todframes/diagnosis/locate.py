@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, FrameError, SettingsError
+from todframes.base.errors import DataError, FrameError
+from todframes.base.reading import convert
 from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
 from todframes.diagnosis.inspection import GroupTriangle, alike, is_contrast, noise_of_frames, strengths
 from todframes.diagnosis.limits import (
@@ -27,16 +28,15 @@ from todframes.diagnosis.limits import (
     STRONG,
 )
 from todframes.diagnosis.places import Template, chosen_places
-from todframes.diagnosis.triangle import Shape
+from todframes.diagnosis.triangle import Shape, multiplicity
 from todframes.diagnosis.whole_frames import MeanFrames, search
 from todframes.diagnosis.windows import TrialSample, measure_trial
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, DatasetWarning, Skipped
 from todframes.frames.position import from_centroid, size_in_px, to_centroid
 from todframes.frames.trials import Group, Trial, Trials, indices_by
+from todframes.parameters import Locate
 from todframes.stimulus import Centre
-
-Locate = Literal["group", "each"]
 
 
 class Location(NamedTuple):
@@ -116,8 +116,7 @@ def locate_triangles(
     SettingsError
         If `locate` is neither of the two.
     """
-    if locate not in get_args(Locate):
-        raise SettingsError(f"locate: found {locate!r}, expected {' or '.join(get_args(Locate))}")
+    convert(locate, Locate, "locate")
     advance = progress or (lambda _: None)
     trials = dataset.trials
     position_px, is_kept = trials.positions_px, np.ones(len(trials), bool)
@@ -441,7 +440,9 @@ def _isotropic(spectrum: FloatArray, length: int) -> FloatArray:
 
     n_rings = 16
     ring = np.minimum((2.0 * n_rings * distance(len(spectrum))).astype(int), n_rings)
-    power = np.bincount(ring.ravel(), spectrum.ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
+    weight = multiplicity(len(spectrum))
+    total, weights = (np.bincount(ring.ravel(), one.ravel()) for one in (weight * spectrum, weight))
+    power = total / np.maximum(weights, weight.min())  # a ring may be empty
     floor = 1e-3 * float(power.mean()) + 1e-12
     at = 2.0 * n_rings * distance(length) - 0.5
     return np.asarray(np.interp(at, np.arange(len(power)), np.maximum(power, floor)), np.float64)

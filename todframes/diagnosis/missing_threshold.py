@@ -29,15 +29,15 @@ from todframes.diagnosis.limits import (
     SIZES_SOUGHT,
     STRONG_SHARE,
 )
-from todframes.diagnosis.locate import Locate, Location, locate_triangles
+from todframes.diagnosis.locate import Location, locate_triangles
 from todframes.diagnosis.windows import measure_trial
 from todframes.frames.dataset import Dataset, WarningCode
 from todframes.frames.position import centroid_position, size_in_px
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.observers.interface import Observer
+from todframes.parameters import Decisions, Locate
 from todframes.psychometrics.fit import FitSettings, PsychometricFit
 from todframes.scoring.score import ScoredDataset, score_dataset
-from todframes.scoring.seen_trials import Decisions
 
 SIZE_UNITS = (
     (1000.0 * math.pi / 180.0, "Is size_mrad in degrees?"),

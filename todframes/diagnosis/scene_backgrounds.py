@@ -18,7 +18,7 @@ from todframes.base._typing import FloatArray
 from todframes.diagnosis.limits import LEAST_SCENES, MOST_OF_VIEW, VIEWED_TIMES
 from todframes.diagnosis.triangle import Images, TriangleFit, subtract
 from todframes.diagnosis.windows import TrialSample
-from todframes.frames.trials import Trials, indices_by
+from todframes.frames.trials import Trials
 from todframes.stimulus import HEIGHT_PER_SIZE
 
 
@@ -37,7 +37,7 @@ def whole_views(trials: Trials, strength: FloatArray, most: int) -> NDArray[np.i
         Number of trials that would be chosen on an even background; on scenes they are `VIEWED_TIMES` as many.
     """
     usable = []
-    for members in indices_by(trials.view_codes):
+    for _, members in trials.by_view():
         turns, levels = trials.quarter_turns[members], strength[members]
         if np.unique([turns, levels], axis=1).shape[1] > 1:
             usable.append(members[np.lexsort([turns, levels])])
@@ -56,7 +56,7 @@ def _evenly(n: int, most: int) -> NDArray[np.intp]:
 def view_middles(trials: Trials) -> list[tuple[float, float] | None]:
     """Return for each trial the mean stated place of its view: windows cut there show the same pixels."""
     places = trials.positions_px.copy()
-    for members in indices_by(trials.view_codes):
+    for _, members in trials.by_view():
         places[members] = places[members].mean(axis=0)
     return [None if math.isnan(x) else (x, y) for x, y in places.tolist()]
 

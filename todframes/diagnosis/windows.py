@@ -74,7 +74,9 @@ class Codes(NamedTuple):
     """Integer code values about the triangle.
 
     `top_share` and `bottom_share` are the shares of the triangle's pixels at full scale and at 0; `peak` is the
-    largest code read, `step` the smallest difference of codes that occur, and `step_contrast` its contrast.
+    largest code read, `step` the smallest difference of codes that occur (0 if there is but one code), and
+    `step_contrast` its contrast; `bit_contrast` is that of neighbouring codes. `is_flat` states whether the
+    background has a single code.
     """
 
     full_scale: int
@@ -83,6 +85,8 @@ class Codes(NamedTuple):
     peak: int
     step: int
     step_contrast: float
+    bit_contrast: float
+    is_flat: bool
 
 
 def measure_trial(
@@ -267,7 +271,7 @@ class _BlockMeans:
 
 
 class _CodeCounts:
-    """Counts of integer code values: of the whole window, and of the square that the triangle fills."""
+    """Counts of integer code values: of the whole window, and of the square about the triangle."""
 
     def __init__(self, triangle: TrianglePlace) -> None:
         self.square: tuple[Range, ...] = tuple(
@@ -275,24 +279,25 @@ class _CodeCounts:
             for at in (triangle.y_px, triangle.x_px)
         )
         self.counts: NDArray[np.intp] = np.zeros(0, np.intp)
-        self.inner = np.zeros(3, np.intp)
+        self.inner: NDArray[np.intp] = np.zeros(0, np.intp)
 
     def add(self, stored: NDArray[np.unsignedinteger], row: int, column: int) -> None:
-        full_scale = np.iinfo(stored.dtype).max
+        n_codes = np.iinfo(stored.dtype).max + 1
         if not self.counts.size:
-            self.counts = np.zeros(full_scale + 1, np.intp)
-        self.counts += np.bincount(stored.ravel(), minlength=full_scale + 1)
+            self.counts, self.inner = np.zeros((2, n_codes), np.intp)
+        self.counts += np.bincount(stored.ravel(), minlength=n_codes)
         (top, bottom), (left, right) = self.square
         part = stored[max(top - row, 0) : max(bottom - row, 0), max(left - column, 0) : max(right - column, 0)]
-        self.inner += np.array([part.size, np.count_nonzero(part == full_scale), np.count_nonzero(part == 0)])
+        self.inner += np.bincount(part.ravel(), minlength=n_codes)
 
     def found(self, dataset: Dataset, ring_cd_m2: float) -> Codes:
         used = np.flatnonzero(self.counts)
         full_scale = len(self.counts) - 1
-        step = int(np.diff(used).min()) if len(used) > 1 else full_scale
+        step = int(np.diff(used).min()) if len(used) > 1 else 0
         middle = int(np.searchsorted(np.cumsum(self.counts), self.counts.sum() / 2.0))
-        pair = np.clip(np.array([middle, middle + step]), 0, full_scale) / full_scale
-        low, high = dataset.display.luminance(pair.astype(np.float32).reshape(2, 1, 1))[:, 0]
-        n, n_top, n_bottom = (int(one) for one in self.inner)
-        contrast = float(high - low) / ring_cd_m2
-        return Codes(full_scale, n_top / max(n, 1), n_bottom / max(n, 1), int(used[-1]), step, contrast)
+        three = np.clip(np.array([middle, middle + step, middle + 1]), 0, full_scale) / full_scale
+        low, *highs = dataset.display.luminance(three.astype(np.float32).reshape(3, 1, 1)).ravel().tolist()
+        bottom, *_, top = (self.inner / max(int(self.inner.sum()), 1)).tolist()
+        step_contrast, bit_contrast = ((high - low) / ring_cd_m2 for high in highs)
+        is_flat = bool(np.count_nonzero(self.counts > self.inner) < 2)
+        return Codes(full_scale, top, bottom, int(used[-1]), step, step_contrast, bit_contrast, is_flat)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
-from todframes.base.reading import check_positive, spelling_hint
+from todframes.base.reading import check_values
 
 Eotf = Literal["linear", "srgb", "bt1886", "gamma", "lut"]
 
@@ -25,6 +26,10 @@ LARGEST_LUMINANCE_CD_M2 = 1e12
 
 PITCH_RANGE_MRAD = (1e-6, 1e6)
 """Smallest and largest pixel pitch accepted; others are a mistake in the input and might overflow."""
+
+Luminance = Annotated[float, Meta(gt=0.0, le=LARGEST_LUMINANCE_CD_M2)]
+
+OptionalPositive = Annotated[float | None, Meta(gt=0.0)]
 
 PITCH_TOLERANCE = 1e-3
 """Largest relative difference between two pitches that count as equal when both are given."""
@@ -97,45 +102,22 @@ class Display:
     """
 
     eotf: Eotf
-    background_luminance_cd_m2: float | BackgroundRule
-    white_luminance_cd_m2: float = 1.0
-    black_luminance_cd_m2: float = 0.0
-    pixel_pitch_mrad: float | None = None
-    pixel_pitch_mm: float | None = None
-    viewing_distance_mm: float | None = None
-    gamma: float | None = None
+    background_luminance_cd_m2: Annotated[float | BackgroundRule, Meta(gt=0.0)]
+    white_luminance_cd_m2: Luminance = 1.0
+    black_luminance_cd_m2: Annotated[float, Meta(ge=0.0)] = 0.0
+    pixel_pitch_mrad: OptionalPositive = None
+    pixel_pitch_mm: OptionalPositive = None
+    viewing_distance_mm: OptionalPositive = None
+    gamma: OptionalPositive = None
     lut: LuminanceTable | None = None
 
     def __post_init__(self) -> None:
-        if self.eotf not in get_args(Eotf):
-            hint = spelling_hint(str(self.eotf), get_args(Eotf))
-            raise SettingsError(f"eotf: found {self.eotf!r}, expected one of {', '.join(get_args(Eotf))}{hint}")
-        for name in (
-            "white_luminance_cd_m2",
-            "pixel_pitch_mrad",
-            "pixel_pitch_mm",
-            "viewing_distance_mm",
-            "gamma",
-        ):
-            if (value := getattr(self, name)) is not None:
-                check_positive(name, value)
-        if self.white_luminance_cd_m2 > LARGEST_LUMINANCE_CD_M2:
-            most = f"at most {LARGEST_LUMINANCE_CD_M2:g}"
-            raise SettingsError(f"white_luminance_cd_m2: found {self.white_luminance_cd_m2!r}, expected {most}")
-        if not 0.0 <= self.black_luminance_cd_m2 < self.white_luminance_cd_m2:
+        check_values(self)
+        if not self.black_luminance_cd_m2 < self.white_luminance_cd_m2:
             raise SettingsError(
-                f"black_luminance_cd_m2: found {self.black_luminance_cd_m2!r}, expected a number >= 0 and below "
+                f"black_luminance_cd_m2: found {self.black_luminance_cd_m2!r}, expected less than "
                 f"white_luminance_cd_m2 ({self.white_luminance_cd_m2!r})"
             )
-        background = self.background_luminance_cd_m2
-        if isinstance(background, str):
-            if background not in get_args(BackgroundRule):
-                raise SettingsError(
-                    f"background_luminance_cd_m2: found {background!r}, expected a number or one of "
-                    f"{', '.join(get_args(BackgroundRule))}"
-                )
-        else:
-            check_positive("background_luminance_cd_m2", background)
         for name in ("gamma", "lut"):
             if (self.eotf == name) != (getattr(self, name) is not None):
                 wanted = "is missing" if self.eotf == name else "is given but not used"

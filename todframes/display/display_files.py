@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from todframes.base.errors import DataError, SettingsError
-from todframes.base.locations import Location
 from todframes.base.reading import (
     SETTINGS_SUFFIX,
     check_keys,
@@ -34,6 +33,7 @@ from todframes.base.reading import (
     settings_path,
     table_beside,
 )
+from todframes.base.remote import Location
 from todframes.base.safe_text import csv_text
 from todframes.display.display import Display, LuminanceTable
 
@@ -82,7 +82,7 @@ def find_display(
     try:
         path_inside(resolved(folder), asked, f"{where}:")
     except DataError as error:
-        raise SettingsError(error.marked) from None
+        raise SettingsError(str(error)) from None
     return read_display(folder / asked)
 
 

@@ -17,7 +17,6 @@ an algorithm. An algorithm of clips takes the frames of a whole trial, and those
 from __future__ import annotations
 
 import inspect
-import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -29,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, SettingsError
-from todframes.base.reading import check_keys, check_positive, check_warm_up, convert, toml_value
+from todframes.base.reading import Positive, WarmUpFrames, check_keys, check_values, convert, toml_value
 from todframes.base.user_code import in_words
 
 Domain = Literal["code_value", "luminance"]
@@ -76,20 +75,15 @@ class Declaration:
     """
 
     domain: Domain = "code_value"
-    magnification: float | str = 1.0
+    magnification: Positive | str = 1.0
     each_channel: bool = False
     writes: bool = True
     clip: bool = False
-    warm_up_frames: int | str = 0
+    warm_up_frames: WarmUpFrames | str = 0
     library: str = ""
 
     def __post_init__(self) -> None:
-        if self.domain not in get_args(Domain):
-            raise SettingsError(f"domain: found {self.domain!r}, expected one of {', '.join(get_args(Domain))}")
-        if not isinstance(self.magnification, str):
-            check_positive("magnification", self.magnification)
-        if not isinstance(self.warm_up_frames, str):
-            check_warm_up("warm_up_frames", self.warm_up_frames)
+        check_values(self)
         if self.warm_up_frames != 0 and not self.clip:
             raise SettingsError(f"warm_up_frames: found {self.warm_up_frames!r} without clip, expected 0")
 
@@ -392,12 +386,8 @@ def values_of(
     values = {name: one.default for name, one in known.items()} | dict(given or {}) | assigned
     magnification = algorithm.declaration.magnification
     if isinstance(magnification, str):
-        found = values.get(magnification)
-        if not (isinstance(found, int | float) and 0 < found < math.inf):
-            raise SettingsError(
-                f"{where}: magnification {magnification!r}: found {found!r}, expected a number > 0"
-            )
+        convert(values.get(magnification), Positive, f"{where}: magnification {magnification!r}")
     warm_up = algorithm.declaration.warm_up_frames
     if isinstance(warm_up, str):
-        check_warm_up(f"{where}: warm_up_frames {warm_up!r}", values.get(warm_up))
+        convert(values.get(warm_up), WarmUpFrames, f"{where}: warm_up_frames {warm_up!r}")
     return values

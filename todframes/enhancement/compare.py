@@ -36,11 +36,13 @@ from todframes.enhancement.enhanced_frame import (
 )
 from todframes.enhancement.finding import find_enhancement
 from todframes.enhancement.image_quality import psnr_db
-from todframes.frames.dataset import Dataset, Gaze, Skipped
+from todframes.enhancement.repeatability import RepeatedFrames
+from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.position import check_places
 from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer, Readout
-from todframes.psychometrics.fit import MAX_RESAMPLES, CurveName, FitSettings
+from todframes.parameters import CurveName, Decisions, Gaze, PlanName
+from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings
 from todframes.psychometrics.paired_bootstrap import (
     RatioDraws,
     ThresholdRatio,
@@ -50,7 +52,6 @@ from todframes.psychometrics.paired_bootstrap import (
     sets_of_backgrounds,
     threshold_ratio,
 )
-from todframes.scoring.error_budget import PlanName
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.retina_view import to_mean_place_px
 from todframes.scoring.score import (
@@ -63,9 +64,7 @@ from todframes.scoring.score import (
 )
 from todframes.scoring.seen_trials import (
     RATIO_STREAMS,
-    Decisions,
     Scoring,
-    SeenColumns,
     SeenTrial,
     SeenTrials,
     see,
@@ -114,10 +113,11 @@ class AlgorithmResult:
     geometric mean. Both are empty for the reference itself, and so is `responses`: for each group, the displayed
     contrast of the triangle level by level. `n_backgrounds` is the number of scenes that intervals and verdicts
     count as drawn from many; None if the dataset names none. `psnr_db` and `ssim` compare the displayed luminance
-    with the frames without noise, over all frames that have one; None if there are none. `n_clipped` is the number
-    of values beyond the display's range. `cpu_s` is the algorithm's own processor time over all frames in seconds,
-    `cpu_s_per_frame` that of a frame, and `memory_mb` the most memory that it needed for one; None if it was not
-    measured.
+    with the frames without noise, over all frames that have one; None if there are none. `edge_factor` is the
+    median of that of the frames. `repeat_difference` is the largest difference of pictures of the same frame, in
+    units of their mean luminance, 0 if they are the same. `n_clipped` is the number of values beyond the display's
+    range. `cpu_s` is the algorithm's own processor time over all frames in seconds, `cpu_s_per_frame` that of a
+    frame, and `memory_mb` the most memory that it needed for one; None if it was not measured.
     """
 
     enhancement: Enhancement
@@ -128,6 +128,8 @@ class AlgorithmResult:
     n_backgrounds: int | None
     psnr_db: float | None
     ssim: float | None
+    edge_factor: float
+    repeat_difference: float
     n_clipped: int
     cpu_s: float
     cpu_s_per_frame: float
@@ -204,6 +206,8 @@ def compare_observers(
         check_places(dataset, whole, observers[0].centre)
     reader, expected = TrialReader(algorithms, screen), decisions == "expected"
     gazes = tuple(gazes) or (dataset.gaze,)
+    repeated = RepeatedFrames(reader, dataset, whole)  # before all others: the first frame may be special
+    run = repeated.run(run or Run())
     # The plan considers frames after the algorithms too: what it leaves out is left out for all algorithms.
     plans = [
         plan_score(replace(dataset, gaze=gaze), whole, observer, name=plan_name, expected=expected, read=reader)
@@ -227,17 +231,19 @@ def compare_observers(
         kind=_SeenTrial,
         collect=collect,
         skip_bad_frames=skip_bad_frames,
-        run=run or Run(),
+        run=run,
         depends_on=(
             parts_of(algorithms),
             screen,
             sorted(measured),
             gazes,
             _parts(plans[1:]),
+            repeated.fingerprint,
         ),
         with_references=True,
         with_levels=True,
     )
+    repeated.finish(run)
     return tuple(
         _results(
             algorithms,
@@ -249,6 +255,7 @@ def compare_observers(
             seed=seed,
             fit_settings=fit_settings,
             screen=screen,
+            repeat_differences=repeated.differences,
         )
         for plan, columns in zip(plans, of_observer, strict=True)
     )
@@ -278,6 +285,7 @@ def _results(
     seed: int,
     fit_settings: FitSettings,
     screen: AlgorithmDisplay,
+    repeat_differences: Mapping[str, float],
 ) -> tuple[AlgorithmResult, ...]:
     """Fit and compare the scores of one observer."""
     scored = [replace(fit(one), skipped=tuple(skipped)) for one in seen]
@@ -301,6 +309,8 @@ def _results(
                 n_backgrounds=None if backgrounds is None else int(backgrounds.max()) + 1,
                 psnr_db=psnr_db(_mean(measured.squared_errors), data_range=white - black),
                 ssim=_mean(measured.ssims),
+                edge_factor=float(np.median(measured.edge_factors)),
+                repeat_difference=repeat_differences[algorithm.spec],
                 n_clipped=measured.n_clipped,
                 cpu_s=math.fsum(measured.cpu_s),
                 cpu_s_per_frame=_mean(measured.cpu_s) or 0.0,
@@ -388,7 +398,7 @@ class _Measurements:
 
     def __init__(self) -> None:
         self.squared_errors, self.ssims, self.cpu_s = array("d"), array("d"), array("d")
-        self.memory_mb = array("d")
+        self.memory_mb, self.edge_factors = array("d"), array("d")
         self.n_clipped = 0
 
     def add(self, one: FrameMeasurements) -> None:
@@ -399,6 +409,7 @@ class _Measurements:
         if one.memory_mb is not None:
             self.memory_mb.append(one.memory_mb)
         self.cpu_s.append(one.cpu_s)
+        self.edge_factors.append(one.edge_factor)
         self.n_clipped += one.n_clipped
 
 
@@ -409,21 +420,21 @@ class _ResultColumns:
     """
 
     def __init__(self, trials: Trials, n_algorithms: int) -> None:
-        self._seen = [SeenColumns(trials) for _ in range(n_algorithms)]
+        self._seen = [SeenTrials(trials) for _ in range(n_algorithms)]
         self.measured = [_Measurements() for _ in range(n_algorithms)]
         self.contrasts = np.full((len(trials), n_algorithms, len(ORIENTATIONS)), np.nan)
         self.is_seen = np.zeros(len(trials), bool)
 
     def put(self, row: int, found: _SeenTrial, seen: Sequence[SeenTrial], contrasts: FloatArray) -> None:
-        for columns, measured, one, of_frames in zip(self._seen, self.measured, seen, found.measured, strict=True):
-            columns.put(row, one)
+        for scores, measured, one, of_frames in zip(self._seen, self.measured, seen, found.measured, strict=True):
+            scores.put(row, one)
             for of_frame in of_frames:
                 measured.add(of_frame)
         self.contrasts[row], self.is_seen[row] = contrasts, True
 
     def seen(self) -> list[SeenTrials]:
         """Return the scores after each algorithm; an empty list if there are none."""
-        return [one for columns in self._seen if (one := columns.seen()) is not None]
+        return [one.usable() for one in self._seen if self.is_seen.any()]
 
 
 def _amplified(

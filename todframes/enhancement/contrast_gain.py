@@ -60,7 +60,7 @@ def measured_trials(trials: Trials, strongest: Mapping[GroupValues, float]) -> f
 
     On scenes that trials share, these are all trials of some views.
     """
-    shared = [(members, views_to_measure(trials.select(members))) for members in indices_by(trials.group_codes)]
+    shared = [(members, views_to_measure(trials.select(members))) for _, members in trials.by_group()]
     chosen = [members[rows] for members, rows in shared if rows is not None]
     if chosen and len(chosen) == len(shared):
         return frozenset(trials.numbers[np.concatenate(chosen)].tolist())
@@ -190,11 +190,10 @@ def contrast_responses(
     found: list[dict[GroupValues, tuple[LevelContrast, ...]]] = [{} for _ in range(contrasts.shape[1])]
     measured: NDArray[np.bool_] = np.all(np.isfinite(contrasts[..., 0]), axis=1)
     levels = trials.levels
-    for of_group in indices_by(trials.group_codes):
+    for group, of_group in trials.by_group():
         rows = of_group[measured[of_group]]
         if not len(rows):
             continue
-        group = trials.groups[trials.group_codes[rows[0]]]
         alone = contrasts_on_scenes(trials.select(rows), contrasts[rows], sharp_share=sharp_share())
         if alone is not None:
             for own, after, error in zip(found, alone.contrast.T, alone.gain_error.T, strict=True):

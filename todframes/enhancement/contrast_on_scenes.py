@@ -15,13 +15,14 @@ hardly differs between levels, they are those of a sharp triangle.
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.frames.trials import Trials, indices_by
+from todframes.frames.trials import Trials
 
 MEASURED_ON_SCENES = 48
 """Number of trials of a level, in the mean, whose contrast is measured on scenes."""
@@ -69,12 +70,11 @@ def views_to_measure(trials: Trials) -> NDArray[np.intp] | None:
     """
     if not trials.has_scenes:
         return None
-    codes, turns = trials.view_codes, trials.quarter_turns
-    views = [rows for rows in indices_by(codes) if len(np.unique(turns[rows])) > 1]
+    turns = trials.quarter_turns
+    found = [("" if view is None else view.scene, rows) for view, rows in trials.by_view()]
+    views = [rows for _, rows in sorted(found, key=itemgetter(0)) if len(np.unique(turns[rows])) > 1]
     if not views:
         return None
-    scenes = {code: "" if view is None else view.scene for code, view in enumerate(trials.views)}
-    views.sort(key=lambda rows: scenes[int(codes[rows[0]])])
     trials_a_view = np.mean([len(rows) for rows in views])
     most = max(round(MEASURED_ON_SCENES * len(np.unique(trials.levels)) / trials_a_view), 2)
     chosen = np.linspace(0, len(views) - 1, min(most, len(views))).round().astype(np.intp)
@@ -100,13 +100,13 @@ def contrasts_on_scenes(trials: Trials, contrasts: FloatArray, *, sharp_share: f
         None if the trials do not determine it: too few share their background, or have other levels.
     """
     level, of_level = np.unique(trials.levels, return_inverse=True)
-    views = indices_by(trials.view_codes)
+    views = trials.by_view()
     if not trials.has_scenes or len(level) > MOST_LEVELS:
         return None
     n_params, turns = len(KINDS[:3]) * len(level), trials.quarter_turns
     squares = np.zeros((len(views), n_params, n_params))
     products = np.zeros((len(views), n_params, contrasts.shape[1]))
-    for number, rows in enumerate(views):
+    for number, (_, rows) in enumerate(views):
         design = np.zeros((len(rows), 4, n_params))
         seen = np.empty((len(rows), 4, contrasts.shape[1]))
         for row, trial in enumerate(rows):
@@ -121,8 +121,7 @@ def contrasts_on_scenes(trials: Trials, contrasts: FloatArray, *, sharp_share: f
     contrast = _contrasts(squares.sum(axis=0), products.sum(axis=0), n_trials, sharp_share)
     if not np.isfinite(contrast).all():
         return None
-    scenes = [trials.views[trials.view_codes[rows[0]]] for rows in views]
-    names = ["" if one is None else one.scene for one in scenes]
+    names = ["" if view is None else view.scene for view, _ in views]
     block = np.unique(names, return_inverse=True)[1] if len(set(names)) >= FEW_SCENES else np.arange(len(views))
     block %= MOST_BLOCKS
     gain_error = np.full(contrast.shape, np.nan)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError, SettingsError, argument
-from todframes.base.locations import Location
 from todframes.base.reading import check_positive
+from todframes.base.remote import Location
 from todframes.display.display import Display
 from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
 from todframes.enhancement.image_quality import squared_error_and_ssim
@@ -31,7 +31,7 @@ from todframes.frames.contrast import (
 )
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import FULL_SCALE, FrameSource, read_frame
-from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, surround_window
+from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, background_factor, surround_window
 from todframes.frames.trials import FrameReference, Trial
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid
@@ -89,8 +89,8 @@ class EnhancedImage:
     `values` are code values, shape (rows, columns, channels), or luminance in cd/m², (rows, columns). There are
     `magnification` pixels for one of the frame along each axis. `n_clipped` is the number of values beyond the
     display's range; `cpu_s` is the algorithm's own processor time in seconds, and `memory_mb` the memory that it
-    needed, None if it was not measured. `brightening` is the factor by which an algorithm of clips changes the
-    border's luminance; None: that of this picture.
+    needed, None if it was not measured. `still` are pictures before and after an algorithm of clips that show how
+    it changes the background; None: the frame and this picture.
     """
 
     screen: AlgorithmDisplay
@@ -99,7 +99,7 @@ class EnhancedImage:
     n_clipped: int = 0
     cpu_s: float = 0.0
     memory_mb: float | None = None
-    brightening: float | None = None
+    still: tuple[EnhancedImage, EnhancedImage] | None = None
 
     def luminance(self) -> FloatArray:
         """Compute the luminance in cd/m², shape (rows, columns)."""
@@ -108,6 +108,10 @@ class EnhancedImage:
     def luminance_of(self, values: NDArray[np.floating]) -> FloatArray:
         """Compute the luminance of a part of `values`, in cd/m²."""
         return _luminance(self.screen.display, values)
+
+    def luminance_at(self, rows: slice, columns: slice) -> FloatArray:
+        """Compute the luminance of a rectangle of pixels, in cd/m²."""
+        return self.luminance_of(self.values[rows, columns])
 
     def border_luminance(self) -> float:
         """Compute the mean luminance over the outermost ring of pixels, in cd/m²."""
@@ -119,6 +123,13 @@ class EnhancedImage:
         return float(EnhancedImage(self.screen, ring).luminance().mean())
 
 
+class Brightening(NamedTuple):
+    """Factors by which an algorithm changes the luminance around the triangle and that of the outermost pixels."""
+
+    around: float = 1.0
+    ring: float = 1.0
+
+
 class CroppedImage(NamedTuple):
     """A part of a picture, and the middle of the undisplaced retina on it, in the picture's pixels."""
 
@@ -126,6 +137,7 @@ class CroppedImage(NamedTuple):
     x_px: float
     y_px: float
     pixel_pitch_mrad: float
+    brightening: Brightening
 
 
 class DecodedFrame:
@@ -263,22 +275,24 @@ class DecodedFrame:
             if rule == "frame_mean":
                 found.average(luminance)
         background: Background
+        brightening = Brightening()
         if rule == "surround":
             background = self._surround(picture, place.triangle)
-        elif rule == "border":
-            background = picture.border_luminance()
         elif rule == "frame_mean":
             background = found.sum / found.n_averaged
         else:
             given = given_background_cd_m2 if isinstance(rule, str) else rule
+            given = self._border_luminance if rule == "border" else given
             assert given is not None  # the manifest was checked for it
-            background = given * self._brightening(picture)
+            brightening = self._brightening(picture, place.triangle)
+            background = given * brightening.around
         check_contrast(found.largest, background)
         to_contrast = partial(_contrast, self.screen.display, background)
         patch = ContrastPatch(
             part, y.first, x.first, found.n_negative, to_contrast, luminance_at_triangle(background)
         )
-        return CroppedImage(patch.held(), x.centre_px, y.centre_px, self.screen.display.pitch_mrad / m)
+        pitch_mrad = self.screen.display.pitch_mrad / m
+        return CroppedImage(patch.held(), x.centre_px, y.centre_px, pitch_mrad, brightening)
 
     def _surround(self, picture: EnhancedImage, triangle: TrianglePlace) -> Surface:
         """Fit the luminance around the triangle in a picture."""
@@ -300,19 +314,22 @@ class DecodedFrame:
     def _border_luminance(self) -> float:
         return self.original.border_luminance()
 
-    def _brightening(self, picture: EnhancedImage) -> float:
-        """Compute the factor by which an algorithm changes the border's luminance, and so a given background."""
+    def _brightening(self, picture: EnhancedImage, triangle: TrianglePlace) -> Brightening:
+        """Measure how an algorithm changes the luminance of the background, which a given one follows."""
         if picture is self.original:
-            return 1.0
-        if picture.brightening is not None:
-            return picture.brightening
-        return picture.border_luminance() / _positive_border(self._border_luminance)
-
-
-def _positive_border(luminance_cd_m2: float) -> float:
-    if not luminance_cd_m2 > 0.0:
-        raise DataError(f"the frame's border has a luminance of {luminance_cd_m2:g} cd/m², expected > 0")
-    return luminance_cd_m2
+            return Brightening()
+        before, after = picture.still or (self.original, picture)
+        height, width = self.original.values.shape[:2]
+        around = background_factor(
+            before.luminance_at,
+            after.luminance_at,
+            triangle,
+            rows=(self.first_row, self.first_row + height),
+            columns=(self.first_column, self.first_column + width),
+            magnification=picture.magnification,
+        )
+        ring = before.border_luminance()
+        return Brightening(around, after.border_luminance() / ring if ring > 0.0 else around)
 
 
 def _luminance(display: Display, values: NDArray[np.floating]) -> FloatArray:
@@ -357,13 +374,15 @@ class FrameMeasurements(NamedTuple):
     """The measurements of a frame after an algorithm.
 
     `squared_error`, in (cd/m²)², and `ssim` compare the displayed luminance with the frame without noise; None if
-    there is none with as many pixels. `n_clipped` is the number of values beyond the display's range; `cpu_s` is
-    the algorithm's own processor time in seconds, and `memory_mb` the memory that it needed, None if it was not
-    measured.
+    there is none with as many pixels. `edge_factor` is the factor by which the algorithm changes the luminance of
+    the outermost pixels, divided by that around the triangle. `n_clipped` is the number of values beyond the
+    display's range; `cpu_s` is the algorithm's own processor time in seconds, and `memory_mb` the memory that it
+    needed, None if it was not measured.
     """
 
     squared_error: float | None
     ssim: float | None
+    edge_factor: float
     n_clipped: int
     cpu_s: float
     memory_mb: float | None
@@ -448,14 +467,33 @@ class TrialReader:
                         decoded.after(algorithm, self._meters[algorithm.spec]) if own is None else own[number]
                     )
                     part = decoded.crop(picture, place, frame.background_luminance_cd_m2, whole=whole)
-                    looked.append((part, self._measured(dataset, frame, picture)))
+                    looked.append((part, self._measured(dataset, frame, picture, part.brightening)))
             except FrameError:
                 raise
             except DataError as error:
-                raise FrameError(path, error.marked) from None
+                raise FrameError(path, str(error)) from None
             frames.append(looked)
             n_rows.append(height)
         return [_of_trial(of_algorithm, n_rows[0]) for of_algorithm in zip(*frames, strict=True)]
+
+    def pictures(self, dataset: Dataset, trial: Trial) -> Iterator[tuple[str, list[EnhancedImage]]]:
+        """Yield the picture of a trial's first frame after each algorithm, and of all frames after one of clips.
+
+        Raises
+        ------
+        DataError
+            If a frame cannot be used, or an algorithm fails with it.
+        """
+        of_clips = [one for one in self.algorithms if one.declaration.clip]
+        decoded = []
+        for frame in trial.frames if of_clips else trial.frames[:1]:
+            with dataset.open(frame, verify=True) as file:
+                decoded.append(DecodedFrame(file, self.screen))
+        for one in self.algorithms:
+            if not one.declaration.clip:
+                yield one.spec, [decoded[0].after(one, self._meters[one.spec])]
+        if of_clips:
+            yield from self._after_clips(dataset, trial, decoded, of_clips).items()
 
     def _placed(
         self,
@@ -493,7 +531,7 @@ class TrialReader:
                 try:
                     images.append(one.input_of(algorithm))
                 except DataError as error:
-                    raise FrameError(dataset.frame_path(frame), error.marked) from None
+                    raise FrameError(dataset.frame_path(frame), str(error)) from None
                 if images[-1].shape[:2] != images[0].shape[:2]:
                     raise FrameError(
                         dataset.frame_path(frame),
@@ -510,7 +548,7 @@ class TrialReader:
             try:
                 found[algorithm.spec] = self._after_clip(np.stack(images), judged, algorithm, frame_rate_hz)
             except DataError as error:
-                raise FrameError(path, error.marked) from None
+                raise FrameError(path, str(error)) from None
         return found
 
     def _after_clip(
@@ -518,25 +556,27 @@ class TrialReader:
     ) -> list[EnhancedImage]:
         """Return the pictures of the judged frames, the last ones, after an algorithm of clips.
 
-        Noise differs from frame to frame, so the border of one before and after an algorithm does not say how much
-        brighter that makes it. A clip in which each frame is the mean of all does.
+        Noise differs from frame to frame, so a frame before and after an algorithm does not show how much brighter
+        that makes it. A clip in which each frame is the mean of all does.
         """
         indices = np.arange(len(images) - len(judged), len(images))
         run = partial(algorithm.run_clip, images, indices, frame_rate_hz)
         (after, cpu_s), memory_mb = self._meters[algorithm.spec].measured(run)
-        brightening: list[float | None] = [None] * len(judged)
+        still: list[tuple[EnhancedImage, EnhancedImage] | None] = [None] * len(judged)
         rule = self.screen.display.background_luminance_cd_m2
-        if rule == "column" or not isinstance(rule, str):
+        if rule in ("border", "column") or not isinstance(rule, str):
             mean = images.mean(axis=0)
-            still, _ = algorithm.run_clip(np.stack([mean] * len(images)), indices, frame_rate_hz)
-            before = _positive_border(judged[0].shown(mean, 0.0, algorithm).border_luminance())
-            brightening = [judged[0].shown(one, 0.0, algorithm).border_luminance() / before for one in still]
+            stills, _ = algorithm.run_clip(np.stack([mean] * len(images)), indices, frame_rate_hz)
+            before = judged[0].shown(mean, 0.0, algorithm)
+            still = [(before, judged[0].shown(one, 0.0, algorithm)) for one in stills]
         return [
-            replace(one.shown(image, cpu_s / len(judged), algorithm, memory_mb), brightening=factor)
-            for one, image, factor in zip(judged, after, brightening, strict=True)
+            replace(one.shown(image, cpu_s / len(judged), algorithm, memory_mb), still=pair)
+            for one, image, pair in zip(judged, after, still, strict=True)
         ]
 
-    def _measured(self, dataset: Dataset, frame: FrameReference, picture: EnhancedImage) -> FrameMeasurements:
+    def _measured(
+        self, dataset: Dataset, frame: FrameReference, picture: EnhancedImage, brightening: Brightening
+    ) -> FrameMeasurements:
         path = dataset.reference_path(frame)
         error = ssim = None
         if path is not None:
@@ -544,7 +584,8 @@ class TrialReader:
             if picture.values.shape[:2] == reference.shape:
                 black, white = self.screen.luminance_range
                 error, ssim = squared_error_and_ssim(picture.luminance(), reference, data_range=white - black)
-        return FrameMeasurements(error, ssim, picture.n_clipped, picture.cpu_s, picture.memory_mb)
+        edge_factor = brightening.ring / brightening.around
+        return FrameMeasurements(error, ssim, edge_factor, picture.n_clipped, picture.cpu_s, picture.memory_mb)
 
     def _reference_luminance(self, path: Path, max_frame_mb: int) -> FloatArray:
         try:
@@ -552,7 +593,7 @@ class TrialReader:
         except FrameError:
             raise
         except DataError as error:
-            raise FrameError(path, error.marked) from None
+            raise FrameError(path, str(error)) from None
 
 
 LONGEST_INTERVAL = 1.5
@@ -590,5 +631,5 @@ def check_warm_up_there(dataset: Dataset, trial: Trial, algorithms: Sequence[Enh
 def _of_trial(frames: Sequence[tuple[CroppedImage, FrameMeasurements]], n_rows: int) -> EnhancedTrial:
     """Combine one algorithm's frames into a trial."""
     looked, measured = zip(*frames, strict=True)
-    patches, xs, ys, pitches = zip(*looked, strict=True)
+    patches, xs, ys, pitches, _ = zip(*looked, strict=True)
     return EnhancedTrial(Shown(patches, xs, ys, pitches[0], n_rows), measured)

@@ -42,6 +42,8 @@ def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
         If the file of a network cannot be used.
     """
     if not isinstance(spec, str):
+        if not callable(spec):
+            raise SettingsError(f"enhance: found {spec!r}, expected the name of an algorithm or a function")
         named = getattr(spec, "func", spec)
         name = f"{named.__module__}:{getattr(named, '__qualname__', type(named).__name__)}"
         found = described(name, name, _function(spec, f"enhance {name!r}"), f"enhance {name!r}")

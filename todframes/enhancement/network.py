@@ -1,14 +1,12 @@
 """Neural networks in ONNX files as algorithms: `onnx:MODEL.onnx`, with `MODEL.toml` beside it.
 
 A network takes and returns one picture of 1 or 3 channels; further inputs and one more channel have a constant
-value. Its layout, channels, size, scale and border are read from the model as far as the library reports them, and
-by running small pictures; settings say the rest.
+value. Its layout, channels, size, scale and border are read from the model and by running small pictures; settings
+say the rest.
 """
 
 from __future__ import annotations
 
-import hashlib
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -22,20 +20,15 @@ from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import SETTINGS_SUFFIX, check_keys, convert, read_file, read_toml
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.enhancement.algorithm import Image, algorithm, meaning, parameter
-from todframes.enhancement.network_probe import MOST_TILE_PX, Found, ProbeRequest, probe
+from todframes.enhancement.network_probe import MOST_TILE_PX, ProbeRequest, probe
 from todframes.enhancement.network_runtime import (
-    NAMES,
+    MOST_MODEL_MB,
     Layout,
     Model,
-    Runtime,
-    has_onnx_runtime,
     read_model,
     runtime_version,
 )
 from todframes.enhancement.tiles import Picture, in_tiles
-
-MOST_MODEL_MB = 1024
-"""Largest size of a model that is read, in units of 2**20 bytes."""
 
 WHOLE_PX = 1024
 """Largest side of a frame that a network which takes any size gets whole, if no tile is given."""
@@ -61,26 +54,29 @@ class Network:
     name : str
         Name of the file.
     content : bytes
+        The model with all its weights.
     version : str
-        Version of the library that runs it.
+        Version of ONNX Runtime, which runs it.
     size : (int or None, int or None)
         Rows and columns of its pictures; None: any.
+    lost_px : int
+        Input pixels at each side of a picture that have no output.
     """
 
     name: str
     content: bytes = field(repr=False)
     version: str = ""
     size: tuple[int | None, int | None] = (None, None)
+    lost_px: int = 0
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Network, (self.name, self.content, self.version, self.size)
+        return Network, (self.name, self.content, self.version, self.size, self.lost_px)
 
-    @algorithm(writes=False, magnification="scale", library="OpenCV: dnn, or ONNX Runtime")
+    @algorithm(writes=False, magnification="scale", library="ONNX Runtime")
     def enhanced(
         self,
         image: Image,
         *,
-        runtime: Annotated[Runtime, meaning("library that runs it")] | None = None,
         layout: Annotated[Layout, meaning("order of its axes: channels first or last")] | None = None,
         channels: Annotated[int, parameter(1, 3, what="channels that it takes, 1 or 3")] | None = None,
         order: Annotated[Literal["rgb", "bgr"], meaning("of three channels")] = "rgb",
@@ -91,20 +87,21 @@ class Network:
         | None = None,
         overlap_px: Annotated[int, parameter(0, 1024, unit="px", what="overlap of tiles")] | None = None,
         multiple_px: Annotated[int, parameter(1, 1024, unit="px", what="divisor of all sides")] | None = None,
-        border_px: Annotated[int, parameter(0, 512, unit="px", what="input pixels that each side loses")]
+        border_px: Annotated[int, parameter(0, 512, unit="px", what="mirrored pixels around each picture")]
         | None = None,
         inputs: Annotated[Constants, meaning("values of its other inputs by their names")] | None = None,
         constant_channel: Annotated[Constant, meaning("value of one more channel that it takes")] | None = None,
     ) -> Image:
         """Neural network of an ONNX file."""
-        assert runtime and layout and channels and scale and multiple_px  # as `tried` has found them
-        model = self._model(runtime)
+        assert layout and channels and scale and multiple_px and border_px is not None  # `tried` has found them
+        trimmed = round(scale * (border_px - self.lost_px))
 
         def run(picture: Picture) -> Picture:
             taken = picture[..., ::-1] if order == "bgr" else picture
             given = np.asarray(black + (white - black) * taken, np.float32)
-            (answer,) = model.apply(given, layout, inputs or {}, constant_channel)
+            (answer,) = self._model.apply(given, layout, inputs or {}, constant_channel)
             found = (np.moveaxis(answer, 0, 2) if layout == "nchw" else answer) - np.float32(black)
+            found = found[trimmed : len(found) - trimmed, trimmed : found.shape[1] - trimmed]
             return np.asarray((found[..., ::-1] if order == "bgr" else found) / np.float32(white - black))
 
         pictures = [image[..., None]] if image.ndim == 2 else [image]
@@ -112,14 +109,13 @@ class Network:
             pictures = [np.repeat(one, 3, axis=2) if one.shape[2] == 1 else one for one in pictures]
         else:
             pictures = [one[..., k : k + 1] for one in pictures for k in range(one.shape[2])]
-        border = border_px or 0
-        whole = [_multiple(length + 2 * border, multiple_px) for length in image.shape[:2]]
+        whole = [_multiple(length + 2 * border_px, multiple_px) for length in image.shape[:2]]
         sides = [
             fixed or (min(tile_px, length) if tile_px else length)
             for fixed, length in zip(self.size, whole, strict=True)
         ]
         found = [
-            _apply(run, one, (sides[0], sides[1]), overlap_px=overlap_px or 0, scale=scale, border_px=border)
+            _apply(run, one, (sides[0], sides[1]), overlap_px=overlap_px or 0, scale=scale, border_px=border_px)
             for one in pictures
         ]
         if image.ndim == 3 and channels == 3:
@@ -128,22 +124,10 @@ class Network:
         return greys[0] if len(greys) == 1 else np.stack(greys, axis=-1)
 
     @cached_property
-    def sha256(self) -> str:
-        """SHA-256 of the file."""
-        return hashlib.sha256(self.content).hexdigest()
-
-    @cached_property
-    def _of_threads(self) -> threading.local:
-        return threading.local()
-
-    def _model(self, runtime: Runtime) -> Model:
-        """Return the network as this thread runs it: OpenCV's runs one picture at a time."""
-        models: dict[str, Model] = vars(self._of_threads)
-        if runtime not in models:
-            if (found := runtime_version(runtime)) != self.version:
-                raise SettingsError(f"{NAMES[runtime]}: found version {found}, expected {self.version}")
-            models[runtime] = read_model(self.content, runtime)
-        return models[runtime]
+    def _model(self) -> Model:
+        if (found := runtime_version()) != self.version:
+            raise SettingsError(f"ONNX Runtime: found version {found}, expected {self.version}")
+        return read_model(self.content)
 
 
 def read_network(path: Path) -> Network:
@@ -176,7 +160,7 @@ def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -
     values : mapping
         The settings of `Network.enhanced` that are given; None: as the model has them.
     path : Path
-        File of the network, for messages.
+        File of the network; its weights may lie in files beside it.
     where : str
         Text that messages about settings begin with.
 
@@ -192,11 +176,12 @@ def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -
     given = ("layout", "channels", "multiple_px", "border_px", "black", "white", "constant_channel")
     asked = {name: values[name] for name in given} | {"inputs": values["inputs"] or {}}
     try:
-        runtime, properties = _first_to_run(network.content, asked, values["runtime"])
+        version = runtime_version()
+        properties, content = probe(network.content, path.parent, ProbeRequest(**asked))
     except SettingsError as error:
-        raise SettingsError(f"{where}: {error.marked}") from None
+        raise SettingsError(f"{where}: {error}") from None
     except DataError as error:
-        raise DataError(f"{path}: {error.marked}") from None
+        raise DataError(f"{path}: {error}") from None
     scale = values["scale"]
     if scale is not None and scale != properties.scale:
         raise SettingsError(f"{where}: scale: found {scale:g}, expected {properties.scale:g} as the model gives")
@@ -212,10 +197,20 @@ def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -
         tile = WHOLE_PX // multiple * multiple
     if tile and tile % multiple:
         raise SettingsError(f"{where}: tile_px: found {tile}, expected a multiple of {multiple}")
-    smallest = min(side or tile or MOST_TILE_PX for side in size) - 2 * properties.border_px
+    lost, border = properties.lost_px, values["border_px"]
+    border = lost if border is None else border
+    if border < lost:
+        raise SettingsError(f"{where}: border_px: found {border}, but the model loses {lost} px a side")
+    trimmed = properties.scale * (border - lost)
+    if abs(trimmed - round(trimmed)) > 1e-9:  # rounding of the scale
+        raise SettingsError(
+            f"{where}: border_px: found {border}, of which the model's scale of {properties.scale:g} makes "
+            f"{trimmed:g} output pixels, expected a whole number"
+        )
+    smallest = min(side or tile or MOST_TILE_PX for side in size) - 2 * border
     if smallest <= 0:
         raise SettingsError(
-            f"{where}: tile_px: found {tile}, but the model loses {properties.border_px} px a side"
+            f"{where}: border_px: found {border}, expected less than half a tile of {smallest + 2 * border} px"
         )
     overlap = values["overlap_px"]
     if overlap is None:
@@ -223,33 +218,15 @@ def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -
     if overlap > smallest // 2:
         raise SettingsError(f"{where}: overlap_px: found {overlap}, expected at most half a tile, {smallest // 2}")
     resolved = dict(values) | {
-        "runtime": runtime,
         "layout": properties.layout,
         "channels": properties.channels,
         "scale": properties.scale,
         "tile_px": tile,
         "overlap_px": overlap,
         "multiple_px": multiple,
-        "border_px": properties.border_px,
+        "border_px": border,
     }
-    return replace(network, version=runtime_version(runtime), size=size), resolved
-
-
-def _first_to_run(content: bytes, asked: Mapping[str, Any], runtime: Runtime | None) -> tuple[Runtime, Found]:
-    """Return the first library that runs a network, or the one that is asked for, and what it has found."""
-    if runtime is not None:
-        runtime_version(runtime)
-        return runtime, probe(content, ProbeRequest(runtime, **asked))
-    try:
-        return "opencv", probe(content, ProbeRequest("opencv", **asked))
-    except DataError as error:
-        problem = error.marked
-    if not has_onnx_runtime():
-        raise DataError(f'{problem}; ONNX Runtime may: pip install "todframes[onnx]"')
-    try:
-        return "onnxruntime", probe(content, ProbeRequest("onnxruntime", **asked))
-    except DataError as error:
-        raise DataError(problem if problem == error.marked else f"{problem}; {error.marked}") from None
+    return replace(network, content=content, version=version, size=size, lost_px=lost), resolved
 
 
 def _apply(

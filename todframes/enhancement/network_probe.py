@@ -1,7 +1,7 @@
 """Trial of a neural network in a process of its own: a damaged or hostile file may crash it, or never end.
 
 `probe` starts the process, `python -m todframes.enhancement.network_probe`. It reads the model from its standard
-input, runs small pictures through it, and writes what it has found as JSON.
+input, runs small pictures through it, and writes what it has found as MessagePack.
 """
 
 from __future__ import annotations
@@ -13,24 +13,23 @@ import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from math import prod
+from pathlib import Path
 
 import msgspec
 import numpy as np
-from msgspec.structs import replace
 
 from todframes.base.errors import DataError, SettingsError, TodframesError
 from todframes.base.reading import check_keys
 from todframes.enhancement.network_runtime import (
     FLOATS,
     KINDS,
-    NAMES,
     Input,
     Layout,
     Model,
-    Runtime,
     in_one_line,
     read_model,
     reason,
+    with_weights,
 )
 from todframes.jobs.start import ENVIRONMENT
 
@@ -54,14 +53,10 @@ PICTURE_CHANNELS = (1, 3)
 CHANNELS = (*PICTURE_CHANNELS, 2, 4)
 """Numbers of channels that a network may take: those of a picture, and one more of one value."""
 
-EMPTY = "<empty>"
-"""Type of an input of which OpenCV reports nothing but its name."""
-
 
 class ProbeRequest(msgspec.Struct, frozen=True):
     """The settings of a network as far as the user has given them; None: read them from the model."""
 
-    runtime: Runtime
     layout: Layout | None = None
     channels: int | None = None
     multiple_px: int | None = None
@@ -76,7 +71,7 @@ class Found(msgspec.Struct, frozen=True, tag=True):
     """The properties of a network that runs.
 
     `rows` and `columns` are those of its pictures; None if it takes any size that is a multiple of `multiple_px`.
-    `scale` is the number of output pixels for one input pixel along each axis. `border_px` is the number of input
+    `scale` is the number of output pixels for one input pixel along each axis. `lost_px` is the number of input
     pixels at each side of a picture that have no output.
     """
 
@@ -86,7 +81,12 @@ class Found(msgspec.Struct, frozen=True, tag=True):
     columns: int | None
     multiple_px: int
     scale: float
-    border_px: int
+    lost_px: int
+
+
+class _Works(msgspec.Struct, frozen=True, tag=True):
+    found: Found
+    content: bytes
 
 
 class _Failed(msgspec.Struct, frozen=True, tag=True):
@@ -94,8 +94,20 @@ class _Failed(msgspec.Struct, frozen=True, tag=True):
     is_setting: bool
 
 
-def probe(content: bytes, request: ProbeRequest) -> Found:
+def probe(content: bytes, folder: Path, request: ProbeRequest) -> tuple[Found, bytes]:
     """Read a model and run small pictures through it in another process.
+
+    Parameters
+    ----------
+    content : bytes
+    folder : Path
+        Folder of the model's file, in which its weights may lie.
+    request : ProbeRequest
+
+    Returns
+    -------
+    (Found, bytes)
+        What the model takes and gives, and the model with all its weights.
 
     Raises
     ------
@@ -104,8 +116,7 @@ def probe(content: bytes, request: ProbeRequest) -> Found:
     SettingsError
         If a setting contradicts the model, or has to be given because the model does not say it.
     """
-    command = [sys.executable, "-m", __name__, msgspec.json.encode(request).decode()]
-    name = NAMES[request.runtime]
+    command = [sys.executable, "-m", __name__, msgspec.json.encode(request).decode(), str(folder)]
     try:
         done = subprocess.run(
             command,
@@ -116,14 +127,14 @@ def probe(content: bytes, request: ProbeRequest) -> Found:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        raise DataError(f"{name} did not finish small pictures within {TIME_LIMIT_S:g} s") from None
+        raise DataError(f"ONNX Runtime did not finish small pictures within {TIME_LIMIT_S:g} s") from None
     try:
-        found = msgspec.json.decode(done.stdout, type=Found | _Failed)
+        answer = msgspec.msgpack.decode(done.stdout, type=_Works | _Failed)
     except msgspec.MsgspecError:
-        raise DataError(f"{name} crashes with it ({_end(done.returncode)}); it may be damaged") from None
-    if isinstance(found, _Failed):
-        raise (SettingsError if found.is_setting else DataError)(found.problem)
-    return found
+        raise DataError(f"ONNX Runtime crashes with it ({_end(done.returncode)}); it may be damaged") from None
+    if isinstance(answer, _Failed):
+        raise (SettingsError if answer.is_setting else DataError)(answer.problem)
+    return answer.found, answer.content
 
 
 def _end(status: int) -> str:
@@ -145,25 +156,25 @@ def examine(model: Model, request: ProbeRequest) -> Found:
     if model.n_outputs != 1:
         raise DataError(f"has {model.n_outputs} outputs, expected one")
     if rows is not None and columns is not None:
-        scale, border = _scale_and_border(model, request, layout, channels, rows, columns)
-        return Found(layout, channels, rows, columns, 1, scale, border)
+        return Found(
+            layout, channels, rows, columns, 1, *_scale_and_loss(model, request, layout, channels, rows, columns)
+        )
     problem: DataError | None = None
     for multiple in MULTIPLES if request.multiple_px is None else (request.multiple_px,):
         side = multiple * max(1, SIDE_PX // multiple) + (multiple if multiple < SIDE_PX else 0)
         try:
             # Unequal sides show a network that cuts off borders or exchanges axes.
-            scale, border = _scale_and_border(
+            scale, lost = _scale_and_loss(
                 model, request, layout, channels, rows or side, columns or side + multiple
             )
-            if border:  # other sides show whether it is the same there
-                again = replace(request, border_px=border)
-                sides = rows or side + 3 * multiple, columns or side + 2 * multiple
-                if _scale_and_border(model, again, layout, channels, *sides) != (scale, border):
-                    raise DataError("loses another number of pixels for pictures of another size")
+            # Other sides show whether it is the same there.
+            sides = rows or side + 3 * multiple, columns or side + 2 * multiple
+            if lost and _scale_and_loss(model, request, layout, channels, *sides) != (scale, lost):
+                raise DataError("loses another number of pixels for pictures of another size")
         except DataError as error:
             problem = problem or error
             continue
-        return Found(layout, channels, rows, columns, multiple, scale, border)
+        return Found(layout, channels, rows, columns, multiple, scale, lost)
     assert problem is not None
     raise problem
 
@@ -172,9 +183,7 @@ def _shape(model: Model, request: ProbeRequest) -> tuple[Layout, int, int | None
     """Return layout, channels, rows and columns of a network's pictures."""
     _check_inputs(model.inputs, request.inputs)
     kind, sides = model.picture_input(request.inputs)[1:]
-    if kind == EMPTY:
-        sides = (None,) * 4
-    elif kind not in FLOATS.values():
+    if kind not in FLOATS.values():
         raise DataError(f"takes values of {kind}, expected 32-bit numbers")
     if len(sides) != 4 or sides[0] not in (1, None):
         raise DataError(
@@ -200,12 +209,8 @@ def _shape(model: Model, request: ProbeRequest) -> tuple[Layout, int, int | None
     return layout, channels, rows, columns
 
 
-def _check_inputs(inputs: tuple[Input, ...] | None, constants: Mapping[str, float]) -> None:
+def _check_inputs(inputs: tuple[Input, ...], constants: Mapping[str, float]) -> None:
     """Raise an error unless all inputs of a network but one have constant values that they can take."""
-    if inputs is None:
-        if constants:
-            raise DataError("inputs: this version of OpenCV does not say which inputs the model has")
-        return
     if not inputs:
         raise DataError("has no inputs, expected one: a picture")
     names = in_one_line(", ".join(one.name for one in inputs))
@@ -247,15 +252,14 @@ def _shown(shape: tuple[int | None, ...]) -> str:
     return " × ".join("any" if side is None else str(side) for side in shape)
 
 
-def _scale_and_border(
+def _scale_and_loss(
     model: Model, request: ProbeRequest, layout: Layout, channels: int, rows: int, columns: int
 ) -> tuple[float, int]:
     """Run a picture and return output pixels for one input pixel, and input pixels that each side loses."""
     ramp = np.linspace(0.25, 0.75, rows * columns).reshape(rows, columns, 1)
     values = request.black + (request.white - request.black) * np.repeat(ramp, channels, axis=2)
     try:
-        found = model.apply(values.astype(np.float32), layout, request.inputs, request.constant_channel)
-        shape: tuple[int, ...] = found.shape  # OpenCV may give None
+        shape = model.apply(values.astype(np.float32), layout, request.inputs, request.constant_channel).shape
     except MemoryError:
         raise DataError(f"needs more memory than there is for {rows} × {columns} pixels") from None
     except Exception as error:
@@ -266,36 +270,40 @@ def _scale_and_border(
             f"gives shape {shape} for {rows} × {columns} pixels, expected one picture of 1 or 3 channels in the "
             "same layout"
         )
-    border = request.border_px or 0
-    if request.border_px is None and sides[0] * columns != sides[1] * rows and rows != columns:
-        # Output sides are scale · (side − 2 · border).
-        lost = rows - sides[0] * (columns - rows) / (sides[1] - sides[0]) if sides[1] > sides[0] else -1.0
-        border = int(lost / 2) if lost > 0 and lost % 2 == 0 else 0
-    inner = rows - 2 * border, columns - 2 * border
-    if min(inner) <= 0:
-        raise SettingsError(f"border_px: found {border}, expected less than half of {min(rows, columns)}")
-    if sides[0] * inner[1] != sides[1] * inner[0]:
+    # Output sides are scale · (side − 2 · lost).
+    candidates = [
+        lost
+        for lost in range((min(rows, columns) + 1) // 2)
+        if sides[0] * (columns - 2 * lost) == sides[1] * (rows - 2 * lost)
+    ]
+    if not candidates:
         raise DataError(
             f"gives {sides[0]} × {sides[1]} pixels for {rows} × {columns}, expected the same proportions, but "
             "for borders of equal width"
         )
-    return sides[0] / inner[0], border
+    lost = candidates[0]
+    if rows == columns:  # all are possible: up to the border that is given, a whole scale is the likely one
+        likely = candidates[: (request.border_px or 0) + 1]
+        lost = next((one for one in likely if sides[0] % (rows - 2 * one) == 0), 0)
+    return sides[0] / (rows - 2 * lost), lost
 
 
 def main() -> None:
-    """Read a model from standard input and write what it is to standard output, as JSON."""
+    """Read a model from standard input and write what it is to standard output, as MessagePack."""
     answer = os.dup(1)
     os.dup2(2, 1)  # libraries may print
     _limit_memory()
     request = msgspec.json.decode(sys.argv[1], type=ProbeRequest)
-    found: Found | _Failed
+    found: _Works | _Failed
     try:
-        found = examine(read_model(sys.stdin.buffer.read(), request.runtime), request)
+        content = with_weights(sys.stdin.buffer.read(), Path(sys.argv[2]))
+        found = _Works(examine(read_model(content), request), content)
     except TodframesError as error:
-        found = _Failed(error.marked, isinstance(error, SettingsError))
+        found = _Failed(str(error), isinstance(error, SettingsError))
     except MemoryError:
         found = _Failed("needs more memory than there is", is_setting=False)
-    os.write(answer, msgspec.json.encode(found))
+    with os.fdopen(answer, "wb") as file:
+        file.write(msgspec.msgpack.encode(found))
     os._exit(0)  # nothing of the library runs any more
 
 

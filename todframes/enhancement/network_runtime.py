@@ -1,14 +1,11 @@
-"""Neural networks of ONNX files, as OpenCV or ONNX Runtime runs them, and what each reports of their inputs.
-
-OpenCV 5 does not compare the shape of a picture with that of a model: with another number of channels a
-convolution reads beyond its memory. So nothing may be run whose number of channels is not known.
-"""
+"""Neural networks of ONNX files as ONNX Runtime runs them, and the inputs that it reports."""
 
 from __future__ import annotations
 
+import importlib
 import re
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -17,10 +14,10 @@ from numpy.typing import NDArray
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.user_code import in_words
 
-Runtime = Literal["opencv", "onnxruntime"]
 Layout = Literal["nchw", "nhwc"]
 
-NAMES: dict[Runtime, str] = {"opencv": "OpenCV", "onnxruntime": "ONNX Runtime"}
+MOST_MODEL_MB = 1024
+"""Largest size of a model with its weights, in units of 2**20 bytes."""
 
 LONGEST_REASON = 200
 """Number of characters of a library's message that are shown."""
@@ -28,20 +25,9 @@ LONGEST_REASON = 200
 ELSEWHERE = re.compile(rb"[\x00\x08]location")
 """Key of a tensor whose values are in another file, behind its length in one byte or in several."""
 
-_GRAPH_INPUTS = re.compile(r"main_graph: \{.*?inputs: \[(.*?)\n\s*\],?\n\s*outputs:", re.DOTALL)
-_INPUT = re.compile(r'^\s*"(.*)",? // <Input> (\S+?)(?:C1)?(?: \[([^\]]*)\])?$', re.MULTILINE)
-"""Name, type and shape of an input in the text of `cv2.dnn.Net.dump`, OpenCV 5."""
+FLOATS = {"tensor(float)": "float32", "tensor(float16)": "float16"}
 
-FLOATS = {"CV_32F": "float32", "CV_16F": "float16", "tensor(float)": "float32", "tensor(float16)": "float16"}
-
-KINDS = FLOATS | {
-    "CV_64F": "float64",
-    "CV_32S": "int32",
-    "CV_64S": "int64",
-    "tensor(double)": "float64",
-    "tensor(int32)": "int32",
-    "tensor(int64)": "int64",
-}
+KINDS = FLOATS | {"tensor(double)": "float64", "tensor(int32)": "int32", "tensor(int64)": "int64"}
 """NumPy's names of the types that an input may have."""
 
 
@@ -69,21 +55,19 @@ class Model(NamedTuple):
 
     Attributes
     ----------
-    inputs : tuple of Input or None
-        None if the library does not report them.
+    inputs : tuple of Input
     n_outputs : int
     run : callable
-        Function of the arrays of all inputs by their names that returns the first output. The name of a single
-        input may be empty.
+        Function of the arrays of all inputs by their names that returns the first output.
     """
 
-    inputs: tuple[Input, ...] | None
+    inputs: tuple[Input, ...]
     n_outputs: int
     run: Callable[[Mapping[str, NDArray[Any]]], NDArray[np.float32]]
 
     def picture_input(self, constants: Mapping[str, float]) -> Input:
         """Return the input that takes the picture: the first that has no constant value."""
-        return next(one for one in self.inputs or [Input("", "float32", (None,) * 4)] if one.name not in constants)
+        return next(one for one in self.inputs if one.name not in constants)
 
     def apply(
         self,
@@ -115,137 +99,71 @@ class Model(NamedTuple):
         axes = np.moveaxis(picture, 2, 0) if layout == "nchw" else picture
         arrays: dict[str, NDArray[Any]] = {
             one.name: one.filled(constants[one.name], layout, rows, columns)
-            for one in self.inputs or ()
+            for one in self.inputs
             if one.name in constants
         }
         arrays[self.picture_input(constants).name] = np.ascontiguousarray(axes, np.float32)[None]
         return self.run(arrays)
 
 
-def read_model(content: bytes, runtime: Runtime) -> Model:
-    """Read a network from the bytes of an ONNX file.
+def with_weights(content: bytes, folder: Path) -> bytes:
+    """Return the bytes of a model with all its weights, also those that lie in files beside it.
+
+    Files are read from the folder alone: the package onnx refuses links, `..` and absolute paths.
+
+    Raises
+    ------
+    DataError
+        If a file cannot be read, lies elsewhere, or model and weights are too large.
+    SettingsError
+        If the package onnx is not installed.
+    """
+    if not ELSEWHERE.search(content):
+        return content
+    onnx = _imported("onnx")
+    n_bytes, helper = len(content), onnx.external_data_helper
+    try:
+        model = onnx.load_model_from_string(content)
+        for tensor in helper._get_all_tensors(model):
+            if helper.uses_external_data(tensor):
+                helper.load_external_data_for_tensor(tensor, str(folder))
+                del tensor.external_data[:]
+                tensor.data_location = onnx.TensorProto.DEFAULT
+                n_bytes += len(tensor.raw_data)
+            if n_bytes > MOST_MODEL_MB * 2**20:  # thousands of tensors may name the same file
+                raise DataError(f"is longer than {MOST_MODEL_MB} MB with its weights, the limit for such files")
+        return bytes(model.SerializeToString())
+    except (MemoryError, DataError):
+        raise
+    except Exception as error:
+        raise DataError(
+            "its weights in other files cannot be read, expected them in its folder and no links "
+            f"({reason(error)})"
+        ) from None
+
+
+def read_model(content: bytes) -> Model:
+    """Read a network from the bytes of an ONNX file, which has all its weights.
 
     A damaged file can crash the process: `network_probe` reads each file in a process of its own first.
 
     Raises
     ------
     DataError
-        If the library cannot read it, or parts of it are in other files.
+        If ONNX Runtime cannot read it, or parts of it are in other files.
     SettingsError
         If ONNX Runtime is not installed.
     """
     if ELSEWHERE.search(content):
-        # OpenCV reads any file that a model names: one might show what the file holds.
-        raise DataError(
-            "keeps its weights in another file, expected all in one; write it again with "
-            "onnx.save(onnx.load(FILE), NEW_FILE)"
-        )
-    return {"opencv": _by_opencv, "onnxruntime": _by_onnx_runtime}[runtime](content)
-
-
-def runtime_version(runtime: Runtime) -> str:
-    """Return the version of a library. Raises SettingsError if it is not installed."""
-    if runtime == "opencv":
-        import cv2
-
-        return str(cv2.__version__)
-    return str(_onnx_runtime().__version__)
-
-
-def has_onnx_runtime() -> bool:
-    """Return whether ONNX Runtime is installed."""
-    try:
-        _onnx_runtime()
-    except SettingsError:
-        return False
-    return True
-
-
-def reason(error: BaseException) -> str:
-    """Return the message of a library in one line, without the places in its own code."""
-    said = getattr(error, "err", None)
-    return in_one_line(" ".join(str(said).split()) if said else in_words(error))
-
-
-def in_one_line(text: str) -> str:
-    """Return a text of a model or a library without letters that cannot be printed, and not too long."""
-    text = "".join(one if one.isprintable() else "?" for one in text)
-    return text if len(text) <= LONGEST_REASON else f"{text[:LONGEST_REASON]}…"
-
-
-def _by_opencv(content: bytes) -> Model:
-    import cv2
-
-    with _quiet():
-        try:
-            net = cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8))
-            names = net.getUnconnectedOutLayersNames()
-        except (cv2.error, SystemError, UnicodeDecodeError) as error:
-            raise DataError(f"OpenCV cannot read it ({reason(error)})") from None
-        inputs = None
-        with suppress(cv2.error, UnicodeDecodeError):  # of OpenCV 4, which needs a picture first
-            inputs = _reported(net.dump())
-
-    def run(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
-        with _quiet():
-            for name, values in arrays.items():
-                values = values.astype(np.float32) if values.dtype == np.float16 else values
-                net.setInput(values, name if len(arrays) > 1 else "")
-            return np.asarray(net.forward())
-
-    return Model(inputs, len(names), run)
-
-
-def _reported(text: str) -> tuple[Input, ...] | None:
-    """Return the inputs in a network's description by OpenCV; None if it has none, as before OpenCV 5."""
-    found = _GRAPH_INPUTS.search(text)
-    if found is None:
-        return None
-    return tuple(
-        Input(name, KINDS.get(kind, kind), tuple(_side(one) for one in shape.split(" x ") if shape))
-        for name, kind, shape in _INPUT.findall(found[1])
-    )
-
-
-def _side(text: str) -> int | None:
-    return int(text) if text.isascii() and text.isdigit() and int(text) else None
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep OpenCV from writing errors to the terminal that are raised as well."""
-    import cv2
-
-    # OpenCV 4 has the function elsewhere than OpenCV 5.
-    set_level = cv2.setLogLevel if hasattr(cv2, "setLogLevel") else cv2.utils.logging.setLogLevel
-    before = set_level(0)
-    try:
-        yield
-    finally:
-        set_level(before)
-
-
-def _onnx_runtime() -> Any:
-    try:
-        import onnxruntime
-    except ImportError:
-        raise SettingsError(
-            "runtime: ONNX Runtime is not installed; install todframes with the extra: pip install "
-            '"todframes[onnx]"'
-        ) from None
-    return onnxruntime
-
-
-def _by_onnx_runtime(content: bytes) -> Model:
-    import cv2
-
-    library = _onnx_runtime()
+        # ONNX Runtime might read any file that a model names, and a picture could show what the file holds.
+        raise DataError("keeps values other than weights in another file, expected all in one")
+    library = _imported("onnxruntime")
     options = library.SessionOptions()
-    # Workers have one thread, and OpenCV knows it.
-    options.intra_op_num_threads, options.inter_op_num_threads = max(1, cv2.getNumThreads()), 1
+    # The same numbers and times in workers, which share the processors, and without them.
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     options.use_deterministic_compute = True
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.load_model_format", "ONNX")  # its own format is checked less
     try:
         session = library.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:
@@ -265,3 +183,28 @@ def _by_onnx_runtime(content: bytes) -> Model:
         return np.asarray(session.run(None, given)[0], np.float32)
 
     return Model(inputs, len(session.get_outputs()), run)
+
+
+def runtime_version() -> str:
+    """Return the version of ONNX Runtime. Raises SettingsError if it is not installed."""
+    return str(_imported("onnxruntime").__version__)
+
+
+def reason(error: BaseException) -> str:
+    """Return the message of a library in one line."""
+    return in_one_line(in_words(error))
+
+
+def in_one_line(text: str) -> str:
+    """Return a text of a model or a library without letters that cannot be printed, and not too long."""
+    text = "".join(one if one.isprintable() else "?" for one in text)
+    return text if len(text) <= LONGEST_REASON else f"{text[:LONGEST_REASON]}…"
+
+
+def _imported(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise SettingsError(
+            f'networks need the package {name}, which is not installed; run: pip install "todframes[onnx]"'
+        ) from None

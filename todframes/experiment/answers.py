@@ -13,7 +13,6 @@ import csv
 import errno
 import os
 import re
-import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -25,24 +24,20 @@ import msgspec
 from msgspec import Meta
 
 from todframes.base.errors import DataError, OutputError, SettingsError, argument
-from todframes.base.output import open_own, write_file
+from todframes.base.output import locked, write_file
 from todframes.base.reading import MAX_CSV_MB, number, number_or_text, read_file
-from todframes.base.safe_text import FORMULA_STARTS, csv_text
+from todframes.base.safe_text import csv_text, without_quote
 from todframes.experiment.monitor import Monitor
 from todframes.frames.trials import Group
+from todframes.parameters import Method
 from todframes.psychometrics.counts import COLUMNS as COUNT_COLUMNS
 from todframes.stimulus import Orientation
-
-if sys.platform != "win32":
-    import fcntl
 
 SCHEMA = 1
 """Version of the format of the sidecar."""
 
 MAX_SIDECAR_MB = 4
 """Largest size of a sidecar that is read, in units of 2**20 bytes."""
-
-Method = Literal["constant", "quest"]
 
 Phase = Literal["practice", "main"]
 
@@ -335,7 +330,7 @@ def read_rows(path: Path, dataset: ShownDataset) -> tuple[TrialRow, ...]:
         raise DataError(f"{path}: not CSV of UTF-8 ({error})") from None
     if not lines:
         return ()
-    found = tuple(_without_quote(name) for name in lines[0])
+    found = tuple(without_quote(name) for name in lines[0])
     if found == tuple(name for name in expected if name != "flag"):
         expected = found
     if found != expected:
@@ -379,14 +374,14 @@ def _row(row: dict[str, str], level: str, group_by: tuple[str, ...], where: str)
     made = TrialRow(
         number=whole("trial"),
         phase=phase,
-        frame=_without_quote(row["frame"]),
+        frame=without_quote(row["frame"]),
         sha256=row["sha256"],
         orientation=orientation,
         response=None if response == NO_RESPONSE else Orientation(response),
         response_time_ms=time_ms,
         flag=flag,
         level=number(row[level], f"{where}: {level}", positive=True),
-        group=tuple(number_or_text(_without_quote(row[name])) for name in group_by),
+        group=tuple(number_or_text(without_quote(row[name])) for name in group_by),
         size_mrad=number(row["size_mrad"], f"{where}: size_mrad", positive=True),
         dither_seed=whole("dither_seed"),
         clipped_px=whole("clipped_px"),
@@ -402,11 +397,6 @@ def _row(row: dict[str, str], level: str, group_by: tuple[str, ...], where: str)
 def flag_of(response_time_ms: float | None) -> Flag | None:
     """Return the flag that a response time alone gives; None is the time of a trial without a response."""
     return "too_fast" if response_time_ms is not None and response_time_ms < LEAST_RESPONSE_MS else None
-
-
-def _without_quote(text: str) -> str:
-    """Return a text without the mark that `csv_text` puts before texts that a spreadsheet would compute."""
-    return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA_STARTS) else text
 
 
 # Writing -------------------------------------------------------------------------------------------------------
@@ -439,16 +429,16 @@ class AnswerFile:
         self.path = path
         self.rows: list[TrialRow] = []
         try:
-            self._file = open_own(path)
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o600)
         except OSError as error:
             raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
         try:
-            if os.fstat(self._file).st_nlink > 1:
-                raise OutputError(f"{path}: has another name as well (a hard link), expected a file of its own")
-            self._lock()
-        except BaseException:
+            locked(self._file)
+        except BlockingIOError:
             os.close(self._file)
-            raise
+            raise OutputError(
+                f"{path}: another server is writing this session; end it, or take another {argument.subject}"
+            ) from None
 
     def __enter__(self) -> Self:
         return self
@@ -490,18 +480,6 @@ class AnswerFile:
         values = _values(row, self._dataset)
         self._append(csv_text([[values[name] for name in self._columns]]).encode())
         self.rows.append(row)
-
-    def _lock(self) -> None:
-        if sys.platform == "win32":
-            return
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise OutputError(
-                f"{self.path}: another server is writing this session; end it, or take another {argument.subject}"
-            ) from None
-        except OSError:
-            pass  # a file system without locks
 
     def _cut(self) -> int:
         """Cut a last line that was torn off; return the number of bytes that stay."""

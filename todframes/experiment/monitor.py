@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
-from todframes.base.reading import check_positive
+from todframes.base.reading import Positive, check_values
 
 N_CODES = 256
 """Number of code values of a monitor: 8 bits a channel."""
@@ -123,28 +124,23 @@ class Monitor:
         If a value contradicts another or is out of range.
     """
 
-    pixel_pitch_mm: float
-    viewing_distance_mm: float
-    pixel_pitch_mrad: float
-    background_code: int
+    pixel_pitch_mm: Positive
+    viewing_distance_mm: Positive
+    pixel_pitch_mrad: Positive
+    background_code: Annotated[int, Meta(ge=1, le=N_CODES - 1)]
     background_relative: float
     background_luminance_cd_m2: float | None = None
     gamma: float | None = None
     lut: tuple[tuple[float, float], ...] | None = None
     black_relative: float = 0.0
-    bits: int = 8
+    bits: Literal[8] = 8
     dither: bool = True
     device_pixel_ratio: float = 1.0
     screen_px: tuple[int, int] = (0, 0)
     viewport_px: tuple[int, int] = (0, 0)
 
     def __post_init__(self) -> None:
-        for name in ("pixel_pitch_mm", "viewing_distance_mm", "pixel_pitch_mrad"):
-            check_positive(name, getattr(self, name))
-        if self.bits != 8:
-            raise SettingsError(f"bits: found {self.bits!r}, expected 8")
-        if not 0 < self.background_code < N_CODES:
-            raise SettingsError(f"background_code: found {self.background_code!r}, expected 1 to {N_CODES - 1}")
+        check_values(self)
         # The luminance of the code is what counts; 1e-6 is what a file written with fewer digits may differ by.
         found = float(self.luminance_of_code()[self.background_code])
         if not math.isclose(found, self.background_relative, rel_tol=1e-6):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError, SettingsError, argument
-from todframes.base.locations import Location
+from todframes.base.remote import Location
 from todframes.display.display import Display
 from todframes.experiment.answers import Session, TrialRow, at_eye
 from todframes.experiment.monitor import Monitor
@@ -27,8 +27,9 @@ from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_imag
 from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.files import FrameSource
 from todframes.frames.memory import ArrayFrame
-from todframes.frames.trials import FrameReference, Group, Trial, Trials, indices_by
+from todframes.frames.trials import FrameReference, Group, Trial, Trials
 from todframes.observers.interface import Observer, Readout
+from todframes.parameters import Free
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
 from todframes.psychometrics.noise_fit import MOST_CERTAIN, AnswerTable, NoiseFit, fit_noise, joined
 from todframes.psychometrics.observer_curve import GUESS_RATE
@@ -38,8 +39,6 @@ from todframes.scoring.score import check_seen, groups_of, settings_of_experimen
 from todframes.scoring.seen_trials import Scoring, see, trial_viewing
 from todframes.scoring.work import Run, see_trials
 from todframes.stimulus import Stimulus
-
-Free = Literal["lapse", "blur"]
 
 NOISE, NOISE_SD, BLUR, EFFICIENCY = (
     "internal_noise",
@@ -237,8 +236,7 @@ class AnsweredTrials:
         return AnswerTable(ln_noise, np.log(blurs), logit)
 
     def _by_stimulus(self) -> list[tuple[NDArray[np.intp], Sequence[Readout]]]:
-        codes = self.trials.stimulus_codes
-        return [(rows, self.readouts[self.trials.stimuli[codes[rows[0]]]]) for rows in indices_by(codes)]
+        return [(rows, self.readouts[stimulus]) for stimulus, rows in self.trials.by_stimulus()]
 
 
 def answered_trials(
@@ -284,13 +282,12 @@ def answered_trials(
     rows = np.array(sorted(found), np.intp)
     trials = check_seen(dataset, seen.trials.select(rows), skipped)
     answers = session.main_rows()
-    stimuli = {trials.stimuli[code] for code in set(trials.stimulus_codes.tolist())}
     return AnsweredTrials(
         subject=session.subject,
         trials=trials,
         is_correct=np.array([answers[row].is_correct for row in rows]),
         deviations=np.array([found[row] for row in rows]),
-        readouts={stimulus: [_readout(plan, stimulus) for plan in plans] for stimulus in stimuli},
+        readouts={stimulus: [_readout(plan, stimulus) for plan in plans] for stimulus in trials.stimuli},
         skipped=tuple(skipped),
     )
 

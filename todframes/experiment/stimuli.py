@@ -72,7 +72,7 @@ def trial_image(dataset: Dataset, trial: Trial) -> TrialImage:
             except FrameError:
                 raise
             except TodframesError as error:
-                raise FrameError(file.path, error.marked) from None
+                raise FrameError(file.path, str(error)) from None
         if total is not None and total.shape != contrast.shape:
             raise FrameError(
                 file.path,

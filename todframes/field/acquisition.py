@@ -12,14 +12,15 @@ Contrast falls and thresholds rise with range, so there is one such range at mos
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import ArrayLike
 
-from todframes.base._typing import FloatArray, Json
+from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.field.atmosphere import Atmosphere
 from todframes.field.target import Target
@@ -30,9 +31,6 @@ Road = Literal["tod", "cycles"]
 Limit = Literal["contrast", "resolution", "air"]
 
 Status = Literal["ok", "beyond_curve", "nearer_than_curve", "beyond_air_table", "never_reached"]
-
-KRange = tuple[float, float | None, tuple[float | None, float | None] | None]
-"""A divisor k of a TOD's sizes, the range with it, and its 95 % interval."""
 
 PROBABILITIES = (0.5, 0.75, 0.9)
 """Probabilities at which ranges are reported."""
@@ -103,59 +101,68 @@ def _root(rises: Callable[[float], float], low: float, high: float) -> float:
     return 0.5 * (low + high)
 
 
-class Gains(NamedTuple):
-    """Gain in range, as a share, by a tenth more contrast, resolution, or transparency of the air."""
+Ends = tuple[float | None, float | None]
 
-    contrast: float
-    resolution: float
-    air: float
-
-    @property
-    def limit(self) -> Limit:
-        """The factor whose improvement gains most."""
-        return LIMITS[int(np.argmax(self))]
+Numbers = tuple[float, ...]
 
 
-class TaskRange(NamedTuple):
+class TaskRange(Struct, frozen=True, kw_only=True):
     """The range at which a task is done with a probability.
 
     `range_km` is None if it is not on the curve: it then is at least `at_least_km` or at most `at_most_km`, as far
-    as these are known, and `status` says why. An end of `range_ci95_km` is None if the curve leaves it open; the
-    whole is None if the curve has no errors, or both ends are open. `kappa` is k, or N in line pairs.
+    as these are known, and `status` says why. `probability` is None at a TOD's own criterion if that is not known.
+    An end of `range_ci95_km` is None if the curve leaves it open; the whole is None if the curve has no errors, or
+    both ends are open. `kappa` is k, or N in line pairs; None if no number of line pairs is enough in the time to
+    search. Gains in range are those by a tenth more contrast, resolution, or transparency of the air; `limited_by`
+    names the largest.
     """
 
     task: str
     criterion: float
-    probability: float
-    kappa: float | None
-    range_km: float | None
-    range_ci95_km: tuple[float | None, float | None] | None
+    probability: float | None
+    kappa: float | None = None
+    range_km: float | None = None
+    range_ci95_km: Ends | None = None
     status: Status
-    at_least_km: float | None
-    at_most_km: float | None
-    gains: Gains | None
+    at_least_km: float | None = None
+    at_most_km: float | None = None
+    limited_by: Limit | None = None
+    gain_contrast_percent: float | None = None
+    gain_resolution_percent: float | None = None
+    gain_air_percent: float | None = None
 
 
-class TaskCurve(NamedTuple):
-    """Probability of a task against range: `range_km`, `probability`, `low` and `high` have shape (m,).
+class TaskCurve(Struct, frozen=True, kw_only=True):
+    """Probability of a task against range, with the ends of its 95 % band.
 
     `bound` has 1 where the probability is at least that, because the curve ends at a smaller detail; -1 where it
-    is at most that; 0 elsewhere. `limit` names what limits the range there.
+    is at most that; 0 elsewhere. `limited_by` names what limits the range there.
     """
 
     task: str
-    criterion: float
-    range_km: FloatArray
-    probability: FloatArray
-    low: FloatArray | None
-    high: FloatArray | None
-    bound: FloatArray
-    limit: tuple[Limit, ...]
+    range_km: Numbers
+    probability: Numbers
+    low: Numbers | None
+    high: Numbers | None
+    bound: Numbers
+    limited_by: tuple[Limit, ...]
 
-    def json(self) -> Json:
-        """Return task, range, probability and its band as values of JSON."""
-        arrays = {name: getattr(self, name) for name in ("range_km", "probability", "low", "high")}
-        return {"task": self.task} | {name: None if one is None else one.tolist() for name, one in arrays.items()}
+    @classmethod
+    def of(
+        cls, task: str, limited_by: tuple[Limit, ...], band: Sequence[FloatArray | None], **arrays: FloatArray
+    ) -> TaskCurve:
+        """Return the curve of some arrays and the two ends of its band."""
+        low, high = (None if one is None else tuple(one.tolist()) for one in band)
+        numbers: Any = {name: tuple(one.tolist()) for name, one in arrays.items()}
+        return cls(task=task, limited_by=limited_by, low=low, high=high, **numbers)
+
+
+class RangeAtK(Struct, frozen=True, kw_only=True):
+    """Range of a TOD at its own criterion for a divisor k of its sizes, with its 95 % interval."""
+
+    k: float
+    range_km: float | None
+    range_ci95_km: Ends | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -196,12 +203,12 @@ class Acquisition:
         return dict((self.target.k or {}) if self.road == "tod" else self.target.n50_cycles)
 
     @property
-    def own_probability(self) -> float:
-        """Probability of the criterion itself: 50 %, or the proportion correct of a TOD's thresholds."""
-        return 0.5 if self.road == "cycles" else self.curve.p_correct or math.nan
+    def own_probability(self) -> float | None:
+        """Probability of the criterion itself: 50 %, or the proportion correct of a TOD's thresholds, if known."""
+        return 0.5 if self.road == "cycles" else self.curve.p_correct
 
     @property
-    def probabilities(self) -> tuple[float, ...]:
+    def probabilities(self) -> tuple[float | None, ...]:
         """Probabilities at which ranges are known; for a TOD they are proportions correct."""
         if self.road == "cycles" or self.curve.psychometric is not None:
             return PROBABILITIES
@@ -232,12 +239,14 @@ class Acquisition:
         -------
         (ndarray of shape (n,), float, float)
             Ranges in km: 0 nearer than the curve's first point, infinity beyond its last or beyond the table of
-            the air; and the ranges of these two ends.
+            the air; and the ranges of these two ends. If the table ends before the first point, the contrast at
+            its end shows which: thresholds do not fall with frequency.
         """
         knots = self.curve.per_mrad * self.target.size_m / kappa
         end = min(float(knots[-1]), self.atmosphere.longest_km)
         if end <= knots[0]:
-            return np.full(len(ln_threshold), np.inf), float(knots[0]), end
+            is_seen = self.ln_contrast(end) >= ln_threshold[:, 0]
+            return np.where(is_seen, np.inf, 0.0), float(knots[0]), end
         first = self._first_crossing(knots, ln_threshold, _divided(knots[knots < end], end))
         if np.isfinite(first[0]) and first[0] > 0.0:
             first[0] = self._refined(knots, ln_threshold[:1], float(first[0]), end)
@@ -261,18 +270,30 @@ class Acquisition:
             near, width = float(np.clip(found[0], low, high)), (high - low) / (2 * CELLS)
         return near
 
-    def task_range(self, task: str, probability: float) -> TaskRange:
+    def task_range(self, task: str, probability: float | None) -> TaskRange:
         """Return the range of a task at a probability, with its interval and what limits it."""
         criterion = self.criteria[task]
         kappa = self._kappa(criterion, probability)
         if kappa is None:
-            return TaskRange(task, criterion, probability, None, None, None, "never_reached", None, None, None)
+            return TaskRange(task=task, criterion=criterion, probability=probability, status="never_reached")
         found, first, end = self.crossing(kappa, self.threshold_curves(probability))
         interval = self._interval(found[1:])
         range_km = float(found[0])
         if 0.0 < range_km < np.inf:
             gains = self._gains(range_km, kappa, self.threshold_curves(probability)[0])
-            return TaskRange(task, criterion, probability, kappa, range_km, interval, "ok", None, None, gains)
+            return TaskRange(
+                task=task,
+                criterion=criterion,
+                probability=probability,
+                kappa=kappa,
+                range_km=range_km,
+                range_ci95_km=interval,
+                status="ok",
+                limited_by=LIMITS[int(np.argmax(gains))],
+                gain_contrast_percent=100.0 * gains[0],
+                gain_resolution_percent=100.0 * gains[1],
+                gain_air_percent=100.0 * gains[2],
+            )
         least = most = None
         if range_km == 0.0:
             never = math.log(self.target.signal) < self.threshold_curves(probability)[0, 0]
@@ -281,14 +302,23 @@ class Acquisition:
         else:
             last = float(self.curve.per_mrad[-1]) * self.target.size_m / kappa
             status = "beyond_curve" if last <= self.atmosphere.longest_km else "beyond_air_table"
-            least = end if end >= first else None
+            least = end
             if self.curve.unreached_per_mrad is not None:
                 most = self.curve.unreached_per_mrad * self.target.size_m / kappa
-        return TaskRange(task, criterion, probability, kappa, None, interval, status, least, most, None)
+        return TaskRange(
+            task=task,
+            criterion=criterion,
+            probability=probability,
+            kappa=kappa,
+            range_ci95_km=interval,
+            status=status,
+            at_least_km=least,
+            at_most_km=most,
+        )
 
-    def _kappa(self, criterion: float, probability: float) -> float | None:
+    def _kappa(self, criterion: float, probability: float | None) -> float | None:
         """Return k, or the line pairs that a probability needs; None if no number is enough in the time."""
-        if self.road == "tod":
+        if self.road == "tod" or probability is None:
             return criterion
         time_s = self.target.search_time_s
         if time_s is None:
@@ -298,7 +328,7 @@ class Acquisition:
         unlimited = _root(lambda p: float(with_search(p, time_s)) - probability, 0.0, 1.0)
         return criterion * cycles_ratio(unlimited) if unlimited < 1.0 else None
 
-    def _interval(self, drawn_km: FloatArray) -> tuple[float | None, float | None] | None:
+    def _interval(self, drawn_km: FloatArray) -> Ends | None:
         """Return the middle 95 % of drawn ranges; an end off the curve is None."""
         if self.curve.ln_sd is None:
             return None
@@ -306,8 +336,8 @@ class Acquisition:
         low, high = map(_on_curve, ends)
         return None if low is None and high is None else (low, high)
 
-    def _gains(self, range_km: float, kappa: float, ln_threshold: FloatArray) -> Gains:
-        """Return what a tenth more of each factor gains, from the slopes of both sides of the equation.
+    def _gains(self, range_km: float, kappa: float, ln_threshold: FloatArray) -> tuple[float, float, float]:
+        """Return what a tenth more of each of `LIMITS` gains, from the slopes of both sides of the equation.
 
         With s = d ln(threshold) / d ln(frequency) and a = −d ln(contrast) / d ln(range), a tenth more contrast
         gains 0.1 / (s + a), resolution s times that, and air a times that.
@@ -315,7 +345,7 @@ class Acquisition:
         frequency = np.array([range_km * kappa / self.target.size_m])
         slope, air = self._slopes(np.array([range_km]), frequency, ln_threshold)
         both = max(float(slope[0] + air[0]), LEAST_SLOPE)
-        return Gains(GAIN / both, GAIN * float(slope[0]) / both, GAIN * float(air[0]) / both)
+        return GAIN / both, GAIN * float(slope[0]) / both, GAIN * float(air[0]) / both
 
     def _slopes(
         self, range_km: FloatArray, frequency: FloatArray, ln_threshold: FloatArray
@@ -343,17 +373,9 @@ class Acquisition:
         ln_threshold = self.threshold_curves()
         margin = self.ln_contrast(ranges) - ln_threshold @ weights
         probability = psychometric.probability(margin, np.vstack([psychometric.beta, self.betas]), weights)
-        low, high = self._ends(probability[1:])
-        return TaskCurve(
-            task=task,
-            criterion=k,
-            range_km=ranges,
-            probability=probability[0],
-            low=low,
-            high=high,
-            bound=np.where(frequency < places[0], 1.0, np.where(frequency > places[-1], -1.0, 0.0)),
-            limit=self._limits(ranges, frequency, ln_threshold[0]),
-        )
+        bound = np.where(frequency < places[0], 1.0, np.where(frequency > places[-1], -1.0, 0.0))
+        limited_by, band = self._limits(ranges, frequency, ln_threshold[0]), self._ends(probability[1:])
+        return TaskCurve.of(task, limited_by, band, range_km=ranges, probability=probability[0], bound=bound)
 
     def _of_bars(self, ranges: FloatArray) -> tuple[TaskCurve, ...]:
         """Return the probabilities from the highest frequency that is resolved, N = f(contrast) · size / R.
@@ -377,8 +399,11 @@ class Acquisition:
 
         found = []
         for task, n50 in self.criteria.items():
-            low, high = (None if one is None else probability(one, n50) for one in ends)
-            found.append(TaskCurve(task, n50, ranges, probability(resolved[0], n50), low, high, bound, limit))
+            band, p = (
+                [None if one is None else probability(one, n50) for one in ends],
+                probability(resolved[0], n50),
+            )
+            found.append(TaskCurve.of(task, limit, band, range_km=ranges, probability=p, bound=bound))
         return tuple(found)
 
     def _ends(self, drawn: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
@@ -394,13 +419,14 @@ class Acquisition:
         largest = np.argmax(np.stack([np.ones(ranges.size), slope, air]), axis=0)
         return tuple(LIMITS[place] for place in largest.tolist())
 
-    def against_k(self) -> list[KRange]:
+    def against_k(self) -> tuple[RangeAtK, ...]:
         """Return k, range and 95 % interval for divisors k of a TOD at its own criterion; None off the curve."""
         found = []
         for k in K_SHOWN.tolist():
             ranges, _, _ = self.crossing(k, self.threshold_curves())
-            found.append((k, _on_curve(float(ranges[0])), self._interval(ranges[1:])))
-        return found
+            range_km, interval = _on_curve(float(ranges[0])), self._interval(ranges[1:])
+            found.append(RangeAtK(k=k, range_km=range_km, range_ci95_km=interval))
+        return tuple(found)
 
 
 def _on_curve(range_km: float) -> float | None:

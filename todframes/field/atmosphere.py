@@ -43,6 +43,8 @@ FOLDER = Path(__file__).with_name("atmospheres")
 KOSCHMIEDER = 3.912
 """−ln 0.02: visibility · extinction of daylight, at a threshold contrast of 2 % (Koschmieder 1924)."""
 
+Wavelength = Annotated[float, Meta(ge=0.1, le=100.0)]
+
 LARGEST_RANGE_KM = 1000.0
 """Largest range accepted in a table; larger ones are a mistake in the input, such as ranges in m."""
 
@@ -84,13 +86,13 @@ class Atmosphere:
     """
 
     extinction_per_km: Annotated[float | None, Meta(ge=1e-3, le=100.0)] = None
-    range_km: tuple[float, ...] | None = None
-    transmission: tuple[float, ...] | None = None
+    range_km: tuple[Annotated[float, Meta(gt=0.0, le=LARGEST_RANGE_KM)], ...] | None = None
+    transmission: tuple[Annotated[float, Meta(gt=0.0, le=1.0)], ...] | None = None
     visibility_km: Annotated[float | None, Meta(ge=0.01, le=1e3)] = None
     relative_humidity: Annotated[float | None, Meta(ge=0.0, le=1.0)] = None
     air_temperature_c: Annotated[float | None, Meta(ge=-90.0, le=60.0)] = None
     sky_to_ground_ratio: Annotated[float | None, Meta(ge=0.01, le=1e3)] = None
-    band_um: tuple[float, float] | None = None
+    band_um: tuple[Wavelength, Wavelength] | None = None
     title: str = ""
     source: str = ""
 
@@ -108,10 +110,8 @@ class Atmosphere:
             raise SettingsError(f"{missing}: is missing, expected both relative_humidity and air_temperature_c")
         if self.is_humidity_form and self.visibility_km is None:
             raise SettingsError("visibility_km: is missing, expected it beside relative_humidity")
-        if self.band_um is not None and not 0.1 <= self.band_um[0] < self.band_um[1] <= 100.0:
-            raise SettingsError(
-                f"band_um: found {list(self.band_um)}, expected two rising wavelengths from 0.1 to 100 µm"
-            )
+        if self.band_um is not None and self.band_um[0] >= self.band_um[1]:
+            raise SettingsError(f"band_um: found {list(self.band_um)}, expected two rising wavelengths in µm")
         if (self.range_km is None) != (self.transmission is None):
             missing = "range_km" if self.range_km is None else "transmission"
             raise SettingsError(f"{missing}: is missing, expected range_km and transmission of a table")
@@ -188,12 +188,8 @@ class Atmosphere:
 def _check_table(ranges: tuple[float, ...], transmission: tuple[float, ...]) -> None:
     if len(transmission) != len(ranges) or not ranges:
         raise SettingsError(f"transmission: found {len(transmission)} values, expected {len(ranges)}, one a range")
-    if not all(0.0 < one <= LARGEST_RANGE_KM for one in ranges) or not (np.diff(ranges) > 0.0).all():
-        raise SettingsError(
-            f"range_km: found {_few(ranges)}, expected rising ranges above 0 and up to {LARGEST_RANGE_KM:g} km"
-        )
-    if not all(0.0 < one <= 1.0 for one in transmission):
-        raise SettingsError(f"transmission: found {_few(transmission)}, expected values above 0 and up to 1")
+    if not (np.diff(ranges) > 0.0).all():
+        raise SettingsError(f"range_km: found {_few(ranges)}, expected rising ranges")
     for place in np.flatnonzero(np.diff(transmission) > 0.0)[:1].tolist():
         raise SettingsError(
             f"transmission: grows from {transmission[place]:.3g} at {ranges[place]:g} km to "
@@ -261,9 +257,9 @@ def _from_modtran(table: dict[str, Any], where: str) -> dict[str, Any]:
     height, visibility, band = (convert(table[name], kind, f"{where}: {name}") for name, kind in names.items())
     try:
         ranges, transmissions = modtran_table(
-            band_um=band,  # type: ignore[arg-type]
-            visibility_km=visibility,  # type: ignore[arg-type]
-            height_m=height,  # type: ignore[arg-type]
+            band_um=band,
+            visibility_km=visibility,
+            height_m=height,
         )
     except SettingsError as error:
         raise SettingsError(f"{where}: {error}") from None
@@ -277,7 +273,7 @@ def _as_transmission(table: dict[str, Any], where: str) -> dict[str, Any]:
     names = ("extinction_per_km", "range_km")
     depths, ranges = (convert(table.get(one, []), column, f"{where}: {one}") for one in names)
     table = {key: value for key, value in table.items() if key != "extinction_per_km"}
-    pairs = zip(depths, ranges, strict=False)  # type: ignore[call-overload]
+    pairs = zip(depths, ranges, strict=False)
     return table | {"transmission": [math.exp(-extinction * range_km) for extinction, range_km in pairs]}
 
 

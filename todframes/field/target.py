@@ -13,20 +13,19 @@ k = { recognition = 4.0 }    # for a TOD
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import (
     check_values,
     from_table,
     read_described,
     settings_path,
-    spelling_hint,
 )
 
 SCHEMA = 1
@@ -45,14 +44,14 @@ N50_CYCLES: dict[CriterionName, dict[str, float]] = {
 "stanag": nippon.zaidan.info/seikabutsu/1998/00222, page 096. "johnson": Johnson 1958 as later sources print it.
 """
 
-N50_RANGE_CYCLES = (0.1, 100.0)
-"""Smallest and largest number of line pairs that a criterion may have; others are a mistake in the input."""
+Cycles = Annotated[float, Meta(ge=0.1, le=100.0)]
+"""Number of line pairs of a criterion; others are a mistake in the input."""
 
 R46_RESOLUTIONS = 8.0
 """Size of the critical object of UN R46 in resolutions of the camera (2003/97/EC, Annex I)."""
 
-K_RANGE = (0.1, 100.0)
-"""Smallest and largest divisor k of the target's size; others are a mistake in the input."""
+Divisor = Annotated[float, Meta(ge=0.1, le=100.0)]
+"""Divisor k of the target's size; others are a mistake in the input."""
 
 Quantity = Literal["delta_t_k", "contrast"]
 
@@ -99,8 +98,8 @@ class Target:
     contrast: Annotated[float | None, Meta(ge=-1.0, le=100.0)] = None
     reflectance: Annotated[float | None, Meta(ge=0.0, le=1.0)] = None
     background_reflectance: Annotated[float | None, Meta(ge=0.0, le=1.0)] = None
-    cycles: str | dict[str, float] = "stanag"
-    k: dict[str, float] | None = None
+    cycles: CriterionName | Mapping[str, Cycles] = "stanag"
+    k: Mapping[str, Divisor] | None = None
     cycles_per_size: Annotated[float | None, Meta(ge=0.1, le=10.0)] = None
     search_time_s: Annotated[float | None, Meta(ge=0.01, le=1e5)] = None
     view_deg: Annotated[float | None, Meta(ge=0.1, le=179.0)] = None
@@ -110,15 +109,9 @@ class Target:
 
     def __post_init__(self) -> None:
         check_values(self)
-        if isinstance(self.cycles, str) and self.cycles not in N50_CYCLES:
-            names = get_args(CriterionName)
-            raise SettingsError(
-                f"cycles: found {self.cycles!r}, expected one of {', '.join(names)}, or a table of tasks and line "
-                f"pairs{spelling_hint(self.cycles, names)}"
-            )
-        _check_tasks("cycles", self.n50_cycles, N50_RANGE_CYCLES)
-        if self.k is not None:
-            _check_tasks("k", self.k, K_RANGE)
+        for name in ("cycles", "k"):
+            if getattr(self, name) == {}:
+                raise SettingsError(f"{name}: found no task, expected a table such as {{ recognition = 3.0 }}")
         if self.k is not None and self.cycles_per_size is not None:
             raise SettingsError("k: found it and cycles_per_size, expected one of them")
         if (self.view_deg is None) != (self.lines is None):
@@ -173,22 +166,14 @@ class Target:
     @property
     def n50_cycles(self) -> dict[str, float]:
         """N50 of each task, in line pairs across the target."""
-        return N50_CYCLES[self.cycles] if isinstance(self.cycles, str) else self.cycles  # type: ignore[index]
-
-
-def _check_tasks(name: str, tasks: Mapping[str, float], limits: tuple[float, float]) -> None:
-    low, high = limits
-    if not tasks:
-        raise SettingsError(f"{name}: found no task, expected a table such as {{ recognition = 3.0 }}")
-    for task, value in tasks.items():
-        if not low <= value <= high:
-            raise SettingsError(f"{name}.{task}: found {value!r}, expected a number from {low:g} to {high:g}")
+        return N50_CYCLES[self.cycles] if isinstance(self.cycles, str) else dict(self.cycles)
 
 
 def chosen_target(target: Target | Path | str, **changes: Any) -> Target:
     """Return a target, or that of a name or file, with those of the changes that are not None.
 
-    `k` and `cycles` may be numbers: the criterion of one task, which has the number as its name.
+    `k` and `cycles` may be numbers, `cycles` also as a text with commas: each is the criterion of a task, which
+    has the number as its name.
 
     Raises
     ------
@@ -196,8 +181,17 @@ def chosen_target(target: Target | Path | str, **changes: Any) -> Target:
         If there is no such target, or a value is refused.
     """
     for name, unit in (("k", "k {}"), ("cycles", "{} line pairs")):
-        if isinstance(value := changes.get(name), int | float):
-            changes[name] = {unit.format(f"{value:g}"): float(value)}
+        value = changes.get(name)
+        if isinstance(value, str) and value[:1].isdigit():
+            try:
+                value = [float(part) for part in value.split(",")]
+            except ValueError:
+                expected = "expected a name, or numbers with commas between them"
+                raise SettingsError(f"{getattr(argument, name)}: found {value!r}, {expected}") from None
+        if isinstance(value, int | float):
+            value = [value]
+        if isinstance(value, Sequence) and not isinstance(value, str):
+            changes[name] = {unit.format(f"{one:g}"): float(one) for one in value}
     changes = {name: value for name, value in changes.items() if value is not None}
     found = find_target(target)
     return replace(found, **changes) if changes else found

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
-from todframes.base.normal import NORMAL_95
 from todframes.base.reading import check_columns, read_table
 from todframes.field.target import Quantity
+from todframes.psychometrics.bootstrap import NORMAL_95
 
 Pattern = Literal["triangle", "bars"]
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from todframes.base.errors import DataError, OutputError
-from todframes.base.locations import RemotePath
+from todframes.base.remote import RemotePath
 from todframes.frames.dataset import MANIFEST_FILE, Dataset
 
 COLUMN = "sha256"

@@ -154,7 +154,7 @@ def read_contrast(
     except FrameError:
         raise
     except DataError as error:
-        raise FrameError(file.path, error.marked) from None
+        raise FrameError(file.path, str(error)) from None
     if is_small:
         contrast = displayed_contrast(kept, background, top, left)
         return ContrastPatch(contrast, top, left, found.n_negative, None, luminance_at_triangle(background))
@@ -198,7 +198,7 @@ def check_pixels(file: FrameSource, display: Display, frame: FrameReference, tri
     except FrameError:
         raise
     except DataError as error:
-        raise FrameError(file.path, error.marked) from None
+        raise FrameError(file.path, str(error)) from None
 
 
 def _extremes(stored: NDArray[Any]) -> NDArray[Any]:

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shlex
-import threading
-from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import Annotated, Literal, NamedTuple
 
-from todframes.base.errors import DataError, FrameError, RemoteError, SettingsError
-from todframes.base.locations import Location, RemotePath, location
+from msgspec import Meta
+
+from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.base.reading import (
     check_columns,
     check_fields,
-    check_keys,
-    check_whole,
+    check_time,
+    check_values,
+    convert,
     from_table,
     number,
     number_or_text,
@@ -27,19 +26,21 @@ from todframes.base.reading import (
     read_toml,
     resolved,
     spelling_hint,
+    without_schema,
 )
+from todframes.base.remote import Location, RemotePath, entity_tag, list_folder, location
 from todframes.base.safe_text import in_utf8
 from todframes.display.display import Display
 from todframes.display.display_files import display_of_table, find_display
 from todframes.frames.files import (
-    MAX_FRAME_MB,
     FrameFile,
     FrameSource,
     check_max_frame_mb,
     frame_sha256,
     has_own_checksums,
 )
-from todframes.frames.trials import FrameReference, SceneView, Trial, Trials, TrialsBuilder, joined
+from todframes.frames.trials import FrameReference, Group, SceneView, Trial, Trials, TrialsBuilder, joined
+from todframes.parameters import MAX_FRAME_MB, FrameLimit, Gaze
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 SCHEMA = 1
@@ -67,16 +68,13 @@ MOST_PLACES = 4096
 CLIP_COLUMN, TIME_COLUMN, JUDGED_COLUMN = "clip", "time_s", "judged"
 """Names of the manifest columns with a frame's continuous recording, its time there, and whether it is judged."""
 
-MOST_REMEMBERED = 1024
-"""Number of files behind URLs of which a thread remembers what it read."""
+HEADERS_READ = 16
+"""Number of frames, spread over the trials, of which the header is read for warnings; up to twice as many."""
 
 ORIENTATION_OF = {one.value: one for one in ORIENTATIONS}
 
 MOST_ROWS, MOST_BAD_ROWS = 20_000_000, 100_000
 """Largest number of rows of a manifest, and of those that cannot be used: each has a message."""
-
-LEAST_SLOTS = 1024
-"""Number of slots of a new index; a power of 2."""
 
 
 class Skipped(NamedTuple):
@@ -86,23 +84,26 @@ class Skipped(NamedTuple):
     error: str
 
 
-Gaze = Literal["tracked", "fixed"]
-"""Direction of the observer's gaze: it follows a triangle that moves, or stays at its mean place in the trial."""
-
 WarningCode = Literal[
     "above_contrast_1",
     "background_mismatch",
     "background_uneven",
     "bit_depth",
+    "channels_chosen",
     "coarse_codes",
     "contrast_mismatch",
     "crushed",
+    "edge_brightness",
     "flipped",
     "levels_to_add",
+    "lossy_compression",
+    "metadata_ignored",
     "mirrored",
     "mixed_frame_sizes",
     "mixed_sizes",
     "not_proportional",
+    "not_repeatable",
+    "numerical_error",
     "orientation_mismatch",
     "polarity_mismatch",
     "position_offset",
@@ -139,10 +140,10 @@ class Experiment:
 
     level: str
     group_by: tuple[str, ...] = ()
-    places: int = 1
+    places: Annotated[int, Meta(ge=1, le=MOST_PLACES)] = 1
 
     def __post_init__(self) -> None:
-        check_whole("places", self.places, 1, MOST_PLACES)
+        check_values(self)
         for name in (self.level, *self.group_by):
             if not name.strip():
                 raise SettingsError(f"level, group_by: found {name!r}, expected the name of a manifest column")
@@ -189,8 +190,7 @@ class Dataset:
     gaze: Gaze = field(default="tracked", kw_only=True)
 
     def __post_init__(self) -> None:
-        if self.gaze not in get_args(Gaze):
-            raise SettingsError(f"gaze: found {self.gaze!r}, expected one of {', '.join(get_args(Gaze))}")
+        convert(self.gaze, Gaze, "gaze")
         object.__setattr__(self, "trials", Trials.of(self.trials))
 
     @property
@@ -201,7 +201,7 @@ class Dataset:
     @property
     def n_frames(self) -> int:
         """Number of frames in the manifest, those in bad rows and those that are not judged included."""
-        return self.trials.n_frames + self.trials.n_unjudged_frames + len(self.bad_rows)
+        return self.trials.n_frames + len(self.trials.unjudged_frames) + len(self.bad_rows)
 
     def frame_path(self, frame: FrameReference) -> Location:
         """Return the path or URL of the frame."""
@@ -239,119 +239,53 @@ class Dataset:
         return None if frame.reference is None else self.path / frame.reference
 
 
-class RemoteContents:
-    """Knowledge of a process about the contents of files behind URLs: listings of folders, and what was read.
+class _Listings(dict[RemotePath, dict[str, str | None] | None]):
+    """Entity tags of files behind URLs, by folder and name; a folder is listed when it is first looked up.
 
-    Each folder is listed once, when a file of it is first asked about. A copy that is pickled is empty, so that a
-    dataset that goes to another process stays small.
+    A copy that is pickled is empty, so that a dataset that goes to another process stays small.
     """
 
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._listed: dict[RemotePath, dict[str, str | None] | None] = {}
-        self._of_thread = threading.local()
+    def __missing__(self, folder: RemotePath) -> dict[str, str | None] | None:
+        self[folder] = list_folder(folder)
+        return self[folder]
 
-    def __reduce__(self) -> tuple[type[RemoteContents], tuple[()]]:
-        return RemoteContents, ()
-
-    def listed(self, folder: RemotePath) -> dict[str, str | None] | None:
-        """Return the entity tags of the files of a folder by name; None if it cannot be listed."""
-        from todframes.base.remote import list_folder
-
-        with self._lock:
-            if folder not in self._listed:
-                self._listed[folder] = list_folder(folder)
-            return self._listed[folder]
-
-    def read(self, path: RemotePath) -> bytes:
-        """Return the bytes of a file, and remember which they were for `take_id`.
-
-        Raises
-        ------
-        FrameError, RemoteError
-            If it cannot be read.
-        """
-        from todframes.base.remote import read_content
-
-        try:
-            content = read_content(path)
-        except RemoteError:
-            raise
-        except OSError as error:
-            raise FrameError(path, f"cannot be opened: {error.strerror}") from None
-        ids = self._ids
-        while len(ids) >= MOST_REMEMBERED:
-            del ids[next(iter(ids))]
-        ids[path] = _id_of_tag(path, content.tag) or hashlib.sha256(content.data).hexdigest()
-        return content.data
-
-    def take_id(self, path: RemotePath) -> str | None:
-        """Return, once, the id of the bytes that this thread last read of a file; None if it is not remembered."""
-        return self._ids.pop(path, None)
-
-    @property
-    def _ids(self) -> dict[RemotePath, str]:
-        if not hasattr(self._of_thread, "ids"):
-            self._of_thread.ids = {}
-        ids: dict[RemotePath, str] = self._of_thread.ids
-        return ids
+    def __reduce__(self) -> tuple[type[_Listings], tuple[()]]:
+        return _Listings, ()
 
 
 @dataclass(frozen=True, slots=True)
 class RemoteDataset(Dataset):
-    """A dataset behind a URL: each opening of a frame is one request; no frame is kept, or written to a disk."""
+    """A dataset behind a URL: a frame is copied to a temporary folder while it is open."""
 
     path: RemotePath
-    contents: RemoteContents = field(default_factory=RemoteContents, compare=False, repr=False)
+    listings: _Listings = field(default_factory=_Listings, compare=False, repr=False)
 
     def has_frame(self, frame: FrameReference) -> bool:
         """Return whether the frame's file exists; True if its folder cannot be listed."""
         path = self.path / frame.path
-        listed = self.contents.listed(path.parent)
+        listed = self.listings[path.parent]
         return listed is None or path.name in listed
 
-    def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:
+    def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:  # noqa: ARG002 - tags are cheap
         """Return a text that changes whenever the bytes of the frame do.
 
-        Of files on S3 and web servers it is made of the URL and the entity tag that the server gives the bytes:
-        of a frame that was just read, the tag that came with them; else the tag in the folder's listing, which is
-        made once, or that of the file. Without a tag it is the SHA-256 of the bytes.
+        It is made of the URL and the entity tag that the server gives the bytes, in the listing of the folder or
+        for the file; without a tag it is the SHA-256 of the bytes.
 
         Raises
         ------
         FrameError
-            If the file cannot be read, or was not read by this thread.
+            If the file cannot be read.
         RemoteError
             If the server cannot be reached, or the file may not be read.
         """
         path = self.path / frame.path
-        if is_read:
-            found = self.contents.take_id(path)
-            if found is None:
-                raise FrameError(path, "was not read by this thread, so its content is not known")
-            return found
-        from todframes.base.remote import entity_tag
-
-        listed = self.contents.listed(path.parent) or {}
-        try:
-            tag = listed[path.name] if path.name in listed else entity_tag(path)
-        except FileNotFoundError as error:
-            raise FrameError(path, f"cannot be read: {error.strerror}") from None
-        return _id_of_tag(path, tag) or frame_sha256(path)
-
-    def open(self, frame: FrameReference, *, verify: bool = False) -> FrameSource:
-        """Open a frame; raise FrameError if it cannot be used."""
-        path = self.path / frame.path
-        content, sha256 = self.contents.read(path), frame.sha256 if verify else None
-        return FrameFile(path, content=content, sha256=sha256, max_frame_mb=self.max_frame_mb)
+        listed = self.listings[path.parent] or {}
+        tag = listed[path.name] if path.name in listed else entity_tag(path)
+        return frame_sha256(path) if tag is None else f"{path} {tag}"
 
 
-def _id_of_tag(path: RemotePath, tag: str | None) -> str | None:
-    """Return the id of the bytes of a file; None without a tag. Servers may give two files the same tag."""
-    return None if tag is None else f"{path} {tag}"
-
-
-def load_dataset(path: Location | str, *, max_frame_mb: int = MAX_FRAME_MB) -> Dataset:
+def load_dataset(path: Location | str, *, max_frame_mb: FrameLimit = MAX_FRAME_MB) -> Dataset:
     """Read and check `dataset.toml` and `manifest.csv`; no frame is opened.
 
     Parameters
@@ -359,7 +293,8 @@ def load_dataset(path: Location | str, *, max_frame_mb: int = MAX_FRAME_MB) -> D
     path : path or str
         The dataset's folder, or its URL: "s3://lab/archive".
     max_frame_mb : int
-        Largest decoded size of a frame in 2**20 bytes: all channels, in their own pixel types.
+        Largest decoded size of a frame in 2**20 bytes, all channels in their own pixel types; a larger one is
+        refused before it is decoded.
 
     Returns
     -------
@@ -402,11 +337,8 @@ def _read_settings(path: Location) -> tuple[Display, Experiment]:
     try:
         path_inside(resolved(path.parent), path.name, f"{path}:")
     except DataError as error:
-        raise SettingsError(error.marked) from None
-    content = read_toml(path)
-    check_keys(content, ["schema", "display", "experiment"], str(path))
-    if content.get("schema") != SCHEMA:
-        raise SettingsError(f"{path}: schema: found {content.get('schema')!r}, expected {SCHEMA}")
+        raise SettingsError(str(error)) from None
+    content = without_schema(read_toml(path), SCHEMA, ["display", "experiment"], str(path))
     asked, experiment = content.get("display"), content.get("experiment")
     if not isinstance(experiment, dict):
         raise SettingsError(f"{path}: table [experiment] is missing")
@@ -462,10 +394,11 @@ class _Manifest:
         self.spoilt: set[str] = set()
         self.real_folders: dict[str, str] = {}
         self.stimuli: dict[tuple[str, int], Stimulus] = {}
+        self.groups: dict[Group, Group] = {}
         self.found = TrialsBuilder()
-        self.names, self.real_paths = _Index(), _Index()
-        # For each real path: the line, and the frame in `found`, or the row in `bad_rows` counted back from -1.
-        self.lines, self.frames = array("q"), array("i")
+        self.index_of: dict[str, int] = {}
+        # The line of each real path, so that no frame is there twice.
+        self.lines: dict[str, int] = {}
         # The time of each clip's last frame, and how often a bad row has broken the clip.
         self.last_s: dict[str, float] = {}
         self.n_breaks: dict[str, int] = {}
@@ -476,7 +409,6 @@ class _Manifest:
         _, header = next(rows)
         self._check_columns(header)
         for number_of_row, (where, row) in enumerate(rows):
-            n_paths = len(self.real_paths)
             try:
                 check_fields(row, len(header), where)
                 made = self._trial(row, where, number_of_row)
@@ -484,7 +416,6 @@ class _Manifest:
                     self._add(made, where, joins="trial" in header)
                 else:
                     self.found.append_unjudged(made.frames[0])
-                frame = self.found.n_frames - 1
             except DataError as error:
                 if len(self.bad_rows) == MOST_BAD_ROWS:
                     raise DataError(
@@ -495,20 +426,17 @@ class _Manifest:
                     self.spoilt.add(name)
                 if clip := (row.get(CLIP_COLUMN) or "").strip():
                     self.n_breaks[clip] = self.n_breaks.get(clip, 0) + 1
-                frame = -len(self.bad_rows)
-            if len(self.real_paths) > n_paths:
-                self.lines.append(int(where.rpartition(" ")[2]))
-                self.frames.append(frame)
         return self.found.trials()
 
     def _add(self, trial: Trial, where: str, *, joins: bool) -> None:
         """Add a trial, or its frame to the trial of the same name; without `joins` no two have the same."""
-        index = self.names.number(trial.name, self.found.name) if joins else len(self.found)
+        index = self.index_of.setdefault(trial.name, len(self.found)) if joins else len(self.found)
         if index == len(self.found):
             self.found.append(trial)
         else:
-            first, clip = self.found.without_frames(index), self.found.clip(index)
-            trial, frame = joined(first, clip, trial)
+            first = self.found[index]
+            clip = first.frames[0].clip
+            trial, frame = joined(first, trial)
             self._check_joined(first, trial, where)
             if frame.clip != clip and first.name not in self.spoilt:
                 raise DataError(
@@ -546,6 +474,7 @@ class _Manifest:
         if reference is not None:
             path_inside(self.folder, reference, f"{where}: {REFERENCE_COLUMN}", self.real_folders)
         clip, time_s = self._clip(row, where)
+        group = tuple(number_or_text(row[name]) for name in self.experiment.group_by)
         return Trial(
             number=row_number,
             name=(row.get("trial") or "").strip() or frame,
@@ -553,7 +482,7 @@ class _Manifest:
             orientation=orientation,
             stimulus=self._stimulus(row["size_mrad"], polarity, where),
             level=number(row[self.experiment.level], f"{where}: {self.experiment.level}", positive=True),
-            group=tuple(number_or_text(row[name]) for name in self.experiment.group_by),
+            group=self.groups.setdefault(group, group),
             x_px=x_px,
             y_px=y_px,
             view=view,
@@ -589,7 +518,7 @@ class _Manifest:
             return None, None
         if not row[TIME_COLUMN].strip():
             raise DataError(f"{where}: found clip {clip!r} without {TIME_COLUMN}, expected both or none")
-        time_s = number(row[TIME_COLUMN], f"{where}: {TIME_COLUMN}")
+        time_s = check_time(f"{where}: {TIME_COLUMN}", number(row[TIME_COLUMN], f"{where}: {TIME_COLUMN}"))
         last_s = self.last_s.get(clip)
         if last_s is not None and time_s <= last_s:
             raise DataError(
@@ -613,22 +542,17 @@ class _Manifest:
         if os.sep == "/" and "\\" in frame and not self._is_there(frame):
             written = frame.replace("\\", "/")
             raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
-        n_paths = len(self.real_paths)
         path = path_inside(self.folder, frame, f"{where}: frame", self.real_folders)
-        first = self.real_paths.number(path, self._real_path)
-        if first < n_paths:
-            raise DataError(f"{where}: frame {frame} is there already, in line {self.lines[first]}")
+        inside = path.removeprefix(f"{self.folder}{os.sep}")
+        inside = frame if inside == frame else inside  # one text in memory
+        if inside in self.lines:
+            raise DataError(f"{where}: frame {frame} is there already, in line {self.lines[inside]}")
+        self.lines[inside] = int(where.rpartition(" ")[2])
         return frame
 
     def _is_there(self, frame: str) -> bool:
         """Return whether there is a local file of this name."""
         return isinstance(self.folder, str) and os.path.lexists(os.path.join(self.folder, frame))  # noqa: PTH118
-
-    def _real_path(self, number_of_path: int) -> str:
-        """Return a path in `real_paths`, made again from the manifest's."""
-        frame = self.frames[number_of_path]
-        name = self.found.path(frame) if frame >= 0 else self.bad_rows[-1 - frame].frame
-        return path_inside(self.folder, name, "", self.real_folders)
 
     def _stimulus(self, size: str, polarity: int, where: str) -> Stimulus:
         found = self.stimuli.get((size, polarity))
@@ -662,51 +586,12 @@ class _Manifest:
         }
 
 
-class _Index:
-    """Numbers distinct texts in their order, without keeping the texts: some 20 bytes for each.  It is exact: if
-    the hashes of two texts are equal, the earlier text is made again and compared.
-    """
-
-    # A dict of the texts takes 168 bytes for each, and one of their hashes 115, in about the same time.
-
-    def __init__(self) -> None:
-        self._hashes = array("q")
-        self._slots = array("i", [-1]) * LEAST_SLOTS
-
-    def __len__(self) -> int:
-        return len(self._hashes)
-
-    def number(self, text: str, text_of: Callable[[int], str]) -> int:
-        """Return the number of a text. A new text gets the number of texts before it. `text_of` makes the text of
-        a number."""
-        found, hashes, slots = hash(text), self._hashes, self._slots
-        last = len(slots) - 1
-        slot = found & last
-        while (count := slots[slot]) >= 0:
-            if hashes[count] == found and text_of(count) == text:
-                return count
-            slot = (slot + 1) & last
-        slots[slot] = len(hashes)
-        hashes.append(found)
-        if 2 * len(hashes) > len(slots):
-            self._grow()
-        return len(hashes) - 1
-
-    def _grow(self) -> None:
-        last = 4 * len(self._slots) - 1
-        slots = self._slots = array("i", [-1]) * (last + 1)
-        for count, found in enumerate(self._hashes):
-            slot = found & last
-            while slots[slot] >= 0:
-                slot = (slot + 1) & last
-            slots[slot] = count
-
-
 def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetWarning]:
-    """Return the warnings about a dataset that make results from these trials less certain.
+    """Return the warnings about the files of a dataset that make results from these trials less certain.
 
-    The only warning is `unverified_frames`. It counts the frames that have no checksum in the manifest and whose
-    file format has none either: PNG files contain checksums of their own, EXR files do not.
+    `unverified_frames` counts the frames that have no checksum in the manifest and whose file format has none
+    either: PNG files contain checksums of their own, EXR files do not. The others are those of the headers of
+    a few frames: see `HeaderWarning`.
 
     Parameters
     ----------
@@ -716,7 +601,7 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
     Returns
     -------
     list of DatasetWarning
-        Empty if every frame is checked, or if the frames are in memory.
+        Empty if the frames are in memory.
 
     Raises
     ------
@@ -730,8 +615,9 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
         for frame in trial.frames:
             n_frames += 1
             unverified += frame.sha256 is None and not has_own_checksums(dataset.frame_path(frame))
+    found = _header_warnings(dataset, trials)
     if not unverified:
-        return []
+        return found
     is_remote = isinstance(dataset.path, RemotePath)
     folder = "FOLDER" if is_remote else in_utf8(shlex.quote(str(dataset.path)))
     message = (
@@ -739,4 +625,29 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
         "files, and damage to them would change thresholds unseen; add checksums with "
         f"`todframes validate {folder} --add-sha256`" + (" on a local copy, and upload it" if is_remote else "")
     )
-    return [DatasetWarning("unverified_frames", {}, message, found=unverified, expected=0)]
+    return [*found, DatasetWarning("unverified_frames", {}, message, found=unverified, expected=0)]
+
+
+def _header_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetWarning]:
+    """Return the warnings of the headers of frames spread over the trials; `found` is the share that has them.
+
+    Frames that cannot be read are left out: scoring reports them.
+    """
+    messages: dict[WarningCode, list[str]] = {}
+    n_read = 0
+    for index in range(0, len(trials), max(len(trials) // HEADERS_READ, 1)):
+        frame = trials[index].frames[0]
+        try:
+            with dataset.open(frame) as file:
+                warnings = file.header.warnings
+        except FrameError:
+            continue
+        n_read += 1
+        for code, message in warnings:
+            messages.setdefault(code, []).append(f"{in_utf8(frame.path)}: {message}")
+    return [
+        DatasetWarning(
+            code, {}, f"{alike[0]} ({len(alike)} of {n_read} frames looked at)", len(alike) / n_read, 0.0
+        )
+        for code, alike in messages.items()
+    ]

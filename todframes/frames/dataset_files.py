@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from todframes.base.reading import toml_text
-from todframes.base.safe_text import csv_text, in_utf8
+from todframes.base.safe_text import FORMULA_STARTS, csv_text, in_utf8
 from todframes.frames.dataset import MANIFEST_FILE, SCHEMA, SETTINGS_FILE, Experiment
 
 
@@ -25,7 +25,8 @@ def write_dataset_files(
     folder : Path
         Folder of the dataset, with the table of luminances that `display` may name.
     rows : iterable of mapping
-        A row of the manifest for each frame, by column; all have the columns of the first, in its order.
+        A row of the manifest for each frame, by column; all have the columns of the first, in its order. Texts are
+        marked as by `csv_text`; a name of a frame that a spreadsheet would compute gets `./` and stays a name.
     display : mapping
         The table [display]; `table_of_display` returns it.
     experiment : Experiment
@@ -36,8 +37,9 @@ def write_dataset_files(
     n_rows = 0
     with (folder / MANIFEST_FILE).open("w", encoding="utf-8", newline="") as file:
         for row in rows:
-            lines = [row.values()] if n_rows else [row, row.values()]
-            file.write(in_utf8(csv_text(lines, as_it_is=True)))  # names of recordings may be no UTF-8
+            name = str(row["frame"])
+            values = {**row, "frame": f"./{name}" if name.startswith(FORMULA_STARTS) else name}.values()
+            file.write(in_utf8(csv_text([values] if n_rows else [row, values])))  # names may be no UTF-8
             n_rows += 1
     of_experiment: dict[str, object] = {"level": experiment.level, "group_by": list(experiment.group_by)}
     if experiment.places > 1:

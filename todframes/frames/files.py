@@ -1,4 +1,4 @@
-"""Reading and writing of EXR and PNG frame files; of other modules only `recordings.images` calls OpenImageIO."""
+"""Reading of picture files, and writing of EXR and PNG frames; no other module calls OpenImageIO."""
 
 from __future__ import annotations
 
@@ -8,21 +8,20 @@ import os
 import re
 import stat
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, Protocol, Self, get_args
+from typing import Any, BinaryIO, Literal, NamedTuple, Protocol, Self, get_args
 
 import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base.errors import FrameError, OutputError, RemoteError, SettingsError, argument
-from todframes.base.locations import Location, RemotePath, location
-
-PathLike = str | os.PathLike[str]
+from todframes.base.remote import Location, RemotePath, local_file, location
+from todframes.parameters import MAX_FRAME_MB, PathLike
 
 Range = tuple[int, int]
 
@@ -31,14 +30,14 @@ PixelType = Literal["half", "float", "uint8", "uint16"]
 READ_AT_ONCE = 2**14
 """Number of bytes that are read at a time of a file whose checksums are compared."""
 
+PNG_BLOCK = 2**20
+"""Number of bytes of a chunk of a PNG that are read at a time."""
+
 MAX_SIDE_PX = 32768
 """Largest number of rows or columns of a frame."""
 
 MAX_CHANNELS = 256
 """Largest number of channels of a frame file."""
-
-MAX_FRAME_MB = 256
-"""Default of the largest frame that is decoded: all channels, in their own pixel types. One MB is 2**20 bytes."""
 
 BAND_VALUES = 2**19
 """Number of values, of all channels, that are decoded at a time, unless one chunk of the file holds more."""
@@ -58,26 +57,44 @@ NUMPY_TYPES: dict[PixelType, Any] = {
     "half": np.float16, "float": np.float32, "uint8": np.uint8, "uint16": np.uint16
 }  # fmt: skip
 
+READ_AS: dict[str, PixelType] = {one: one for one in NUMPY_TYPES} | {"int16": "float", "double": "float"}
+"""Types of values, by those in the file. 32-bit floats do not hold integers of 32 bits, which are refused."""
+
 FULL_SCALE: dict[PixelType, int] = {"uint8": 255, "uint16": 65535}
 """Stored value of code value 1, by integer pixel type."""
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 """First bytes of every PNG file."""
 
-OTHER_FORMATS = {
-    rb"\xff\xd8\xff": "JPEG",
+FORMATS = {
+    rb"\x76\x2f\x31\x01": "EXR",
+    re.escape(PNG_SIGNATURE): "PNG",
     rb"II[*+]\0|MM\0[*+]": "TIFF",
+    rb"SDPX|XPDS": "DPX",
+    rb"P[1-6]\s": "PNM",
+    rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51": "JPEG 2000",
+    rb"\xff\xd8\xff": "JPEG",
     rb"BM": "BMP",
     rb"GIF8": "GIF",
     rb"RIFF....WEBP": "WebP",
     rb"RIFF....AVI |....ftyp|\x1a\x45\xdf\xa3": "video",
-    rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51": "JPEG 2000",
     rb"#\?RADIANCE": "Radiance HDR",
-    rb"SDPX|XPDS": "DPX",
     rb"SIMPLE  =": "FITS",
     rb"version https://": "Git LFS pointer",
 }
-"""Patterns of the first bytes of files that are taken for frames, and their names."""
+"""Patterns of the first bytes of files that are taken for pictures, and the names of their formats."""
+
+N_START = 16
+"""Number of bytes that these patterns need."""
+
+PICTURE_FORMATS = {
+    "EXR": "openexr", "PNG": "png", "TIFF": "tiff", "DPX": "dpx", "PNM": "pnm", "JPEG 2000": "jpeg2000",
+    "JPEG": "jpeg",
+}  # fmt: skip
+"""Formats that are read, and OpenImageIO's names of them."""
+
+FRAME_FORMATS = ("EXR", "PNG")
+"""Formats of the frames of a dataset."""
 
 CONVERT = "convert it without loss, integers to PNG, floating-point values to EXR"
 
@@ -87,6 +104,30 @@ OTHER_ADVICE = {
     "Git LFS pointer": "the frame itself is not here; fetch it with git lfs pull",
 }
 """Advice for formats that need more than a conversion."""
+
+LOSSY_TIFF = (6, 7, 34712, 34887, 34892, 50001, 50002, 52546)
+"""Compressions of TIFF that can change pixels: JPEG, JPEG 2000, LERC, WebP and JPEG XL, by their numbers."""
+
+LOSSY_EXR = ("b44", "dwa")
+"""Beginnings of the compressions of EXR that change pixels; pxr24 changes 32-bit floats."""
+
+REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+"""Chromaticities of Rec. 709: red, green, blue, white, as in an EXR. `Display` weighs channels by them."""
+
+LARGEST_CHROMATICITY_ERROR = 0.002
+"""Difference from these within which they are the same: the white point is 0.3127 or 0.31271, by the author."""
+
+LARGEST_ASPECT_ERROR = 0.005
+"""Difference of a pixel's sides that files have from rounding their resolution to whole numbers."""
+
+MAIN_LAYERS = frozenset(("rgb", "rgba", "beauty", "combined", "color", "colour", "main", "final"))
+"""Words in the names of layers and parts of an EXR that have the picture; others have normals, depth, masks."""
+
+MAX_EXR_HEADER = 2**24
+"""Largest number of bytes of the headers of an EXR: OpenEXR holds an attribute in memory several times."""
+
+MAX_DPX_USER_DATA = 2**20
+"""Largest number of bytes of user data in a DPX. SMPTE 268M, section 5.3."""
 
 _LAYOUT_ATTRIBUTES = ("oiio:", "openexr:", "compression")
 
@@ -126,6 +167,13 @@ def code_values(stored: NDArray[Any]) -> NDArray[np.float32]:
     return values
 
 
+class HeaderWarning(NamedTuple):
+    """A property of a file that makes its pixels doubtful: a code, and a sentence about the effect."""
+
+    code: Literal["lossy_compression", "channels_chosen", "metadata_ignored"]
+    message: str
+
+
 @dataclass(frozen=True, slots=True)
 class FrameHeader:
     """The size, pixel type, channels and text attributes of a frame file.
@@ -133,7 +181,8 @@ class FrameHeader:
     `height` and `width` are the size of the whole frame in pixels. `first_row`, `first_column`, `n_rows` and
     `n_columns` are the rectangle of it that the file has pixels for: the part of an EXR's data window within its
     display window. `channels` names the one or three channels that are read, `pixel_type` is the widest of their
-    types. `attributes` are the file's text attributes, without those about the layout of pixels.
+    types. `attributes` are the file's text attributes, without those about the layout of pixels. `full_scale` is
+    the largest value that the file can hold, None for floating-point values.
     """
 
     height: int
@@ -145,6 +194,8 @@ class FrameHeader:
     channels: tuple[str, ...]
     pixel_type: PixelType
     attributes: dict[str, str]
+    full_scale: int | None = None
+    warnings: tuple[HeaderWarning, ...] = ()
 
 
 class FrameSource(Protocol):
@@ -175,15 +226,17 @@ class FrameSource(Protocol):
 
 
 class FrameFile:
-    """An open frame file: its `header` is read at once, its pixels are read on request.
+    """An open picture file: its `header` is read at once, its pixels are read on request.
 
     Use it in a `with` statement and in one thread; each thread opens the file itself. The format is recognised
-    from the content, not from the extension. A file behind a URL is read once, into memory, and decoded there.
+    from the content, not from the extension. A file behind a URL is copied to a temporary folder while it is open.
 
     Parameters
     ----------
     path : path, RemotePath or URL
-        An EXR or PNG file.
+        A file of one of `formats`.
+    formats : collection of str
+        Those that are read, of `PICTURE_FORMATS`; by default those of frames, EXR and PNG.
     content : bytes, optional
         The bytes of the file, if they are in memory already; `path` then only names it.
     sha256 : str, optional
@@ -194,7 +247,7 @@ class FrameFile:
     Raises
     ------
     FrameError
-        If the file is missing, unreadable, neither EXR nor PNG, damaged, too large, deep, or without channels to
+        If the file is missing, unreadable, of another format, damaged, too large, deep, or without channels to
         use, or has another checksum.
     RemoteError
         If the file is behind a URL that cannot be reached or may not be read.
@@ -204,6 +257,7 @@ class FrameFile:
         self,
         path: PathLike | RemotePath,
         *,
+        formats: Collection[str] = FRAME_FORMATS,
         content: bytes | None = None,
         sha256: str | None = None,
         max_frame_mb: int = MAX_FRAME_MB,
@@ -213,15 +267,15 @@ class FrameFile:
         with ExitStack() as stack:
             try:
                 self._opened = local = _local(self.path, content, stack)
-                format_name = _recognise(local, sha256)
+                self._format = _recognise(local, formats, sha256)
                 # Options make an EXR three times as slow to open and have no effect on it.
-                options = (_OPEN_OPTIONS,) if format_name == "png" else ()
-                allow_frames(max_frame_mb)
+                options = () if self._format == "EXR" else (_OPEN_OPTIONS,)
+                _allow_frames(max_frame_mb)
                 self._image: Any = oiio.ImageInput.open(str(local), *options)
-                if self._image is None or self._image.format_name() != format_name:
+                if self._image is None or self._image.format_name() != PICTURE_FORMATS[self._format]:
                     raise FrameError(self.path, f"cannot be opened: {self._reason()}")
                 stack.callback(self._image.close)
-                self.header = self._read_header()
+                self.header = self._read_header(0)
             except RemoteError:
                 raise
             except FrameError as error:
@@ -242,6 +296,21 @@ class FrameFile:
         """Type of the values of `Frame.stored`."""
         stored_type: np.dtype[Any] = np.dtype(NUMPY_TYPES[self.header.pixel_type])
         return stored_type
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """All attributes of the page, by OpenImageIO's names."""
+        return {one.name: one.value for one in self._spec.extra_attribs}
+
+    def pages(self) -> Iterator[FrameHeader]:
+        """Yield the header of each page, once; after it, `header` and `read` are those of that page.
+
+        An EXR has one page: its parts are not pages.
+        """
+        yield self.header
+        while self._format != "EXR" and self._image.seek_subimage(self._part + 1, 0):
+            self.header = self._read_header(self._part + 1)
+            yield self.header
 
     def read(self, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
         """Decode a rectangle of the frame, and no more of the file than the chunks or tiles that it touches.
@@ -296,7 +365,7 @@ class FrameFile:
     def _band_rows(self, top: int, bottom: int) -> Iterator[Range]:
         """Yield ranges of rows that end where chunks or tiles end."""
         spec = self._spec
-        per_chunk = spec.tile_height or (1 if self._image.format_name() == "png" else MOST_ROWS_PER_CHUNK)
+        per_chunk = spec.tile_height or (1 if self._format == "PNG" else MOST_ROWS_PER_CHUNK)
         per_chunk = spec.get_int_attribute("oiio:RowsPerChunk", per_chunk) or per_chunk
         n_chunks = BAND_VALUES // (spec.width * spec.nchannels * per_chunk)
         step, origin = max(n_chunks, 1) * per_chunk, spec.y - self._top
@@ -305,11 +374,19 @@ class FrameFile:
             yield top, end
             top = end
 
-    def _read_header(self) -> FrameHeader:
-        self._part, self._channels = self._choose_channels()
+    def _read_header(self, page: int) -> FrameHeader:
+        others = ""
+        if self._format == "EXR":
+            self._part, self._channels, others = self._choose_channels()
+        else:
+            n_channels = self._image.spec().nchannels
+            if n_channels > 4:
+                expected = "grey or R, G, B, with or without alpha"
+                raise FrameError(self.path, f"found {n_channels} channels, expected {expected}")
+            self._part, self._channels = page, [0, 1, 2] if n_channels > 2 else [0]
         self._spec = spec = self._image.spec()
         self._left, self._top, width, height = spec.full_x, spec.full_y, spec.full_width, spec.full_height
-        if self._image.format_name() == "png":  # the offset of a PNG is its position on a printed page
+        if self._format != "EXR":  # the offset of a PNG or TIFF is its position on a printed page
             self._left, self._top, width, height = spec.x, spec.y, spec.width, spec.height
         sides = spec.width, spec.height, width, height
         if min(sides) < 1 or max(sides) > MAX_SIDE_PX or spec.depth > 1:
@@ -317,8 +394,18 @@ class FrameFile:
             raise FrameError(self.path, f"found {found}, expected sides of 1 to {MAX_SIDE_PX} and depth 1")
         check_decoded_size(self.path, max(spec.image_bytes(True), spec.tile_bytes(True)), self._max_frame_mb)
         types = sorted({str(spec.channelformat(channel)) for channel in self._channels})
-        if types not in (["half"], ["float"], ["float", "half"], ["uint8"], ["uint16"]):
-            raise FrameError(self.path, f"pixel type {types}, expected one of {', '.join(NUMPY_TYPES)}")
+        self._file_type = "float" if types == ["float", "half"] else " ".join(types)
+        if self._file_type not in READ_AS:
+            raise FrameError(self.path, f"pixel type {types}, expected one of {', '.join(READ_AS)}")
+        pixel_type = READ_AS[self._file_type]
+        if spec.get_int_attribute("tiff:PhotometricInterpretation", 1) == 0 and pixel_type != "uint8":
+            # OpenImageIO inverts values of up to 8 bits and no others; no standard says which float is white.
+            bits = spec.get_int_attribute("oiio:BitsPerSample")
+            raise FrameError(
+                self.path,
+                f"0 is white in this TIFF of {bits} bits (MINISWHITE), expected black; invert its values and "
+                "write it as MINISBLACK",
+            )
         first_row, first_column = max(0, spec.y - self._top), max(0, spec.x - self._left)
         n_rows = min(height, spec.y - self._top + spec.height) - first_row
         n_columns = min(width, spec.x - self._left + spec.width) - first_column
@@ -327,29 +414,75 @@ class FrameFile:
         channels = tuple(spec.channelnames[channel] for channel in self._channels)
         texts = ((one.name, value) for one in spec.extra_attribs if isinstance(value := one.value, str))
         attributes = {name: text for name, text in texts if not name.startswith(_LAYOUT_ATTRIBUTES)}
-        pixel_type: Any = types[0]
+        warnings = [*self._loss(), *_ignored(spec, len(channels))]
+        if others:
+            message = f"the EXR has several pictures: {others}; write the right one alone"
+            warnings.append(HeaderWarning("channels_chosen", message))
         return FrameHeader(
-            height, width, first_row, first_column, n_rows, n_columns, channels, pixel_type, attributes
-        )
+            height, width, first_row, first_column, n_rows, n_columns, channels, pixel_type, attributes,
+            self._full_scale(), tuple(warnings),
+        )  # fmt: skip
 
-    def _choose_channels(self) -> tuple[int, list[int]]:
-        """Select the first part with channels to read; return its number and those channels."""
-        found: list[str] = []
-        while self._image.seek_subimage(len(found), 0):
-            spec = self._image.spec()
-            chosen = [] if spec.deep else _luminance_or_rgb(spec.channelnames)
-            if chosen:
-                return len(found), chosen
-            found.append(("deep " if spec.deep else "") + " ".join(spec.channelnames))
-        if len(found) == 1 and spec.nchannels == 1 and not spec.deep and self._image.seek_subimage(0, 0):
-            return 0, [0]
-        names = "; ".join(found)[:200]
-        raise FrameError(self.path, f"found channels {names}; expected Y, or R, G and B, or only one")
+    def _choose_channels(self) -> tuple[int, list[int], str]:
+        """Return the part of an EXR with the picture, its channels there, and which of several pictures it is.
+
+        R, G, B come before Y; channels without a layer come first, then layers and parts that `MAIN_LAYERS` names.
+        """
+        pictures: list[tuple[int, bool, int, str, list[int]]] = []
+        names: list[str] = []
+        while self._image.seek_subimage(len(names), 0):
+            part, spec = len(names), self._image.spec()
+            of_part = spec.get_string_attribute("oiio:subimagename")
+            for layer, kind, channels in () if spec.deep else _pictures(spec.channelnames):
+                is_one = spec.get_int_attribute("oiio:subimages", 1) == 1
+                name = layer if is_one else f"{of_part} {layer}".strip()
+                words = re.findall(r"[a-z]+", name.lower())
+                rank = 0 if not name else 1 if MAIN_LAYERS.intersection(words) else 2
+                pictures.append((rank, kind == "Y", part, f"{kind} of {name}" if name else kind, channels))
+            names.append(("deep " if spec.deep else "") + " ".join(spec.channelnames))
+        if not pictures and len(names) == 1 and " " not in names[0] and self._image.seek_subimage(0, 0):
+            return 0, [0], ""
+        if not pictures:
+            raise FrameError(
+                self.path, f"found channels {'; '.join(names)[:200]}; expected Y, or R, G and B, or only one"
+            )
+        pictures.sort()
+        _, _, part, chosen, channels = pictures[0]
+        self._image.seek_subimage(part, 0)
+        others = ", ".join(name for *_, name, _ in pictures[1:])[:200]
+        return part, channels, f"{chosen} is read, not {others}" if others else ""
+
+    def _full_scale(self) -> int | None:
+        """Return the largest value that the page can hold: of its bits, or the one that a PNM declares."""
+        if READ_AS[self._file_type] not in FULL_SCALE:
+            return None
+        if self._format == "PNM":
+            return _pnm_maximum(self._opened)
+        bits = self._spec.get_int_attribute("oiio:BitsPerSample", 0)
+        return int(2**bits - 1) if 8 < bits < 16 else FULL_SCALE[READ_AS[self._file_type]]
+
+    def _loss(self) -> Iterator[HeaderWarning]:
+        """Yield a warning if the compression of the page can change pixels."""
+        spec, name = self._spec, self._spec.get_string_attribute("compression")
+        is_lossy = {
+            "EXR": name.startswith(LOSSY_EXR) or (name[:5] == "pxr24" and self._file_type == "float"),
+            "TIFF": spec.get_int_attribute("tiff:Compression", 1) in LOSSY_TIFF,
+            "JPEG": True,
+        }
+        if self._format == "JPEG 2000":
+            is_lossy["JPEG 2000"] = _is_irreversible(self._opened)
+        if is_lossy.get(self._format):
+            what = f"{self._format} by {name}" if self._format in ("EXR", "TIFF") else self._format
+            yield HeaderWarning(
+                "lossy_compression",
+                f"{what} changes pixels: faint triangles and noise are not what the camera saw; record TIFF, PNG "
+                "or EXR without loss",
+            )
 
     def _decode(self, top: int, bottom: int, left: int, right: int) -> NDArray[Any]:
         """Decode the pixels of a rectangle of the frame, as stored."""
         spec, first_channel = self._spec, min(self._channels)
-        what = first_channel, max(self._channels) + 1, self.header.pixel_type
+        what = first_channel, max(self._channels) + 1, self._file_type
         y_begin, y_end = top + self._top - spec.y, bottom + self._top - spec.y
         x_begin, x_end = left + self._left - spec.x, right + self._left - spec.x
         if spec.tile_width:
@@ -364,11 +497,18 @@ class FrameFile:
             raise FrameError(self.path, f"rows {top} to {bottom - 1} cannot be decoded: {self._reason()}")
         stored = stored[y_begin - y : y_end - y, x_begin - x : x_end - x]
         picks = [channel - first_channel for channel in self._channels]
-        return np.asarray(stored if picks == list(range(stored.shape[2])) else stored[..., picks])
+        stored = np.asarray(stored if picks == list(range(stored.shape[2])) else stored[..., picks])
+        full_scale, largest = self.header.full_scale, FULL_SCALE.get(self.header.pixel_type)
+        if full_scale is None or largest is None or full_scale == largest:
+            return stored.astype(self.stored_type, copy=False)
+        # OpenImageIO stretches values to 8 or 16 bits: those of a PNM by a factor, others by bits below them.
+        if self._format == "PNM":
+            return np.rint(stored * (full_scale / largest)).astype(stored.dtype)
+        return np.asarray(stored >> (16 - full_scale.bit_length()))
 
     def _reason(self) -> str:
         """Return OpenImageIO's error message; it names a file in memory by a path of this process."""
-        return openimageio_reason(self._image, self._max_frame_mb).replace(str(self._opened), str(self.path))
+        return _openimageio_reason(self._image, self._max_frame_mb).replace(str(self._opened), str(self.path))
 
 
 def check_max_frame_mb(max_frame_mb: int) -> int:
@@ -393,7 +533,7 @@ def _too_large(found_mb: float, max_frame_mb: int) -> str:
     )
 
 
-def allow_frames(max_frame_mb: int) -> None:
+def _allow_frames(max_frame_mb: int) -> None:
     """Let OpenImageIO decode frames of a size; its limit is that of the process, the largest one asked for."""
     if max_frame_mb > oiio.get_int_attribute("limits:imagesize_MB"):
         oiio.attribute("limits:imagesize_MB", max_frame_mb)
@@ -440,13 +580,10 @@ def frame_sha256(path: PathLike | RemotePath) -> str:
     """Compute the SHA-256 of a file, as 64 hexadecimal digits. Raises FrameError if it cannot be read."""
     path = location(path)
     try:
-        if isinstance(path, RemotePath):
-            from todframes.base.remote import read_content
-
-            return hashlib.sha256(read_content(path).data).hexdigest()
-        _check_is_file(path)
-        with path.open("rb") as file:
-            return _sha256(file)
+        with local_file(path) as local:
+            _check_is_file(local)
+            with local.open("rb") as file:
+                return _sha256(file)
     except RemoteError:
         raise
     except OSError as error:
@@ -470,20 +607,15 @@ def has_own_checksums(path: PathLike | RemotePath) -> bool:
 
 
 def _local(path: Location, content: bytes | None, stack: ExitStack) -> Path:
-    """Return a local path of a file. A file behind a URL, or whose content is given, is in memory.
-
-    The memory is given back when `stack` is closed.
-    """
+    """Return a local path of a file until `stack` is closed; given content is written to a temporary file."""
     if content is None:
-        if not isinstance(path, RemotePath):
-            return path_in_utf8(path, stack)
-        from todframes.base.remote import read_content
+        return path_in_utf8(stack.enter_context(local_file(path)), stack)
+    import tempfile
 
-        content = read_content(path).data
-    memory = stack.enter_context(os.fdopen(os.memfd_create("frame"), "wb"))
-    memory.write(content)
-    memory.flush()
-    return Path(f"/proc/self/fd/{memory.fileno()}")
+    folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="todframes-"))
+    local = Path(folder) / "content"
+    local.write_bytes(content)
+    return local
 
 
 def path_in_utf8(path: Path, stack: ExitStack) -> Path:
@@ -499,12 +631,10 @@ def path_in_utf8(path: Path, stack: ExitStack) -> Path:
     return path
 
 
-def _check_is_file(path: Path) -> int:
-    """Return the size of a file in bytes; refuse a pipe, which could block its reader for ever."""
-    status = path.stat()
-    if not stat.S_ISREG(status.st_mode):
+def _check_is_file(path: Path) -> None:
+    """Raise FrameError if a file is a folder, or a pipe, which could block its reader for ever."""
+    if not stat.S_ISREG(path.stat().st_mode):
         raise FrameError(path, "found a folder or device, expected an EXR or PNG file")
-    return status.st_size
 
 
 def _sha256(file: BinaryIO) -> str:
@@ -515,40 +645,121 @@ def _sha256(file: BinaryIO) -> str:
     return digest.hexdigest()
 
 
-def _recognise(path: Path, sha256: str | None) -> str:
-    """Return OpenImageIO's name of the format, recognised from the content, which must have the checksum."""
-    size = _check_is_file(path)
+def format_of(start: bytes) -> str | None:
+    """Return the name of the format of a file that starts with these `N_START` bytes; None if it is not known."""
+    return next((name for pattern, name in FORMATS.items() if re.match(pattern, start, re.DOTALL)), None)
+
+
+def _recognise(path: Path, formats: Collection[str], sha256: str | None) -> str:
+    """Return the format of a file, one of `formats`, from its content, which must have the checksum."""
+    _check_is_file(path)
     with path.open("rb", READ_AT_ONCE) as file:
         if sha256 is not None:
             if (found := _sha256(file)) != sha256:
                 raise FrameError(path, f"sha256 is {found}, the manifest says {sha256}")
             file.seek(0)
-        start = file.read(len(PNG_SIGNATURE))
-        if start[:4] == b"\x76\x2f\x31\x01":
-            return "openexr"
-        if start == PNG_SIGNATURE:
-            _check_png(path, file, size)
-            return "png"
-        start += file.read(8)
-    for signature, name in OTHER_FORMATS.items():
-        if re.match(signature, start, re.DOTALL):
-            raise FrameError(path, f"is a {name} file, expected EXR or PNG: {OTHER_ADVICE.get(name, CONVERT)}")
-    found = f"a file that starts with {start[:8]!r}" if start else "an empty file"
-    raise FrameError(path, f"found {found}, expected EXR or PNG")
+        start = file.read(N_START)
+        name, expected = format_of(start), " or ".join(formats)
+        if name is None:
+            found = f"a file that starts with {start[:8]!r}" if start else "an empty file"
+            raise FrameError(path, f"found {found}, expected {expected}")
+        if name not in formats:
+            raise FrameError(path, f"is a {name} file, expected {expected}: {OTHER_ADVICE.get(name, CONVERT)}")
+        if name in _CHECKS:
+            _CHECKS[name](path, file)
+    return name
 
 
-def _check_png(path: Path, file: BinaryIO, size: int) -> None:
+def _check_png(path: Path, file: BinaryIO) -> None:
     """Raise FrameError if a chunk is damaged; libpng would also print on standard error."""
-    kind, end = b"", len(PNG_SIGNATURE)
+    kind, end, size = b"", file.seek(len(PNG_SIGNATURE)), os.fstat(file.fileno()).st_size
     while kind != b"IEND":
         length = int.from_bytes(file.read(4), "big")
         end += length + 12
         if end > size:
             raise FrameError(path, "the PNG is truncated or damaged: a chunk reaches beyond the end of the file")
-        chunk = memoryview(file.read(length + 8))
-        kind = bytes(chunk[:4])
-        if zlib.crc32(chunk[:-4]) != int.from_bytes(chunk[-4:], "big"):
+        kind = file.read(4)
+        checksum = zlib.crc32(kind)
+        while length:  # a chunk can claim 2 GB
+            checksum = zlib.crc32(block := file.read(min(length, PNG_BLOCK)), checksum)
+            length -= len(block)
+        if checksum != int.from_bytes(file.read(4), "big"):
             raise FrameError(path, f"the PNG is damaged: chunk {kind!r} does not match its checksum")
+
+
+def _check_exr(path: Path, file: BinaryIO) -> None:
+    """Raise FrameError if the headers of an EXR are too large, which a small sparse file can claim."""
+    file.seek(4)
+    is_multipart = int.from_bytes(file.read(4), "little") & 0x1000
+    n_bytes = 8
+    while True:
+        file.seek(n_bytes)
+        name, _, rest = file.read(2 * 256 + 4).partition(b"\0")
+        if not name:
+            if not is_multipart or rest[:1] in (b"", b"\0"):
+                return
+            n_bytes += 1
+            continue
+        kind, _, rest = rest.partition(b"\0")
+        n_bytes += len(name) + len(kind) + 6 + int.from_bytes(rest[:4], "little")
+        if n_bytes > MAX_EXR_HEADER:
+            raise FrameError(path, f"its header claims {n_bytes} bytes, expected at most {MAX_EXR_HEADER}")
+
+
+def _check_dpx(path: Path, file: BinaryIO) -> None:
+    """Raise FrameError if a DPX claims more user data than its standard allows."""
+    file.seek(0)
+    start = file.read(36)
+    n_bytes = int.from_bytes(start[32:36], "big" if start[:1] == b"S" else "little")
+    if MAX_DPX_USER_DATA < n_bytes < 2**32 - 1:  # all bits are set in a number that is not known
+        raise FrameError(path, f"claims {n_bytes} bytes of user data, expected at most {MAX_DPX_USER_DATA}")
+
+
+_CHECKS = {"PNG": _check_png, "EXR": _check_exr, "DPX": _check_dpx}
+"""Checks of a file before OpenImageIO opens it."""
+
+
+def _pnm_maximum(path: Path) -> int:
+    with path.open("rb") as file:
+        start = file.read(4096)
+    if start[:2] in (b"P1", b"P4"):
+        return 255  # OpenImageIO makes 0 and 255 of the two values of a bitmap
+    numbers = re.match(rb"P[2356](?:\s|#[^\n]*\n)+\d+(?:\s|#[^\n]*\n)+\d+(?:\s|#[^\n]*\n)+(\d+)\s", start)
+    if numbers is None:
+        raise FrameError(path, "the header of the PNM has no largest value in its first 4096 bytes")
+    return int(numbers[1])
+
+
+def _is_irreversible(path: Path) -> bool:
+    """Return whether a JPEG 2000 has the wavelet 9-7, whose numbers are rounded. ITU-T T.800, annex A.6.1."""
+    with path.open("rb") as file:
+        content = file.read(2**20)
+    at = content.find(b"\xff\x4f\xff\x51") + 2
+    while content[at : at + 1] == b"\xff" and content[at + 1] != 0x52:
+        at += 2 + int.from_bytes(content[at + 2 : at + 4], "big")
+    return content[at + 13 : at + 14] == b"\0"
+
+
+def _ignored(spec: Any, n_channels: int) -> Iterator[HeaderWarning]:
+    """Yield a warning if a file states something about its pixels that is not used."""
+    stated = []
+    if (orientation := spec.get_int_attribute("Orientation", 1)) not in (0, 1):
+        stated.append(f"orientation {orientation} (turned or mirrored)")
+    aspect = spec.get_float_attribute("PixelAspectRatio", 1.0)
+    if aspect > 0.0 and abs(aspect - 1.0) > LARGEST_ASPECT_ERROR:
+        stated.append(f"a pixel aspect ratio of {aspect:.4g}")
+    if (white := spec.get_float_attribute("whiteLuminance", 0.0)) > 0.0:
+        stated.append(f"whiteLuminance {white:.4g} cd/m²")
+    primaries = spec.getattribute("chromaticities")
+    is_known = primaries is None or np.allclose(primaries, REC_709, rtol=0.0, atol=LARGEST_CHROMATICITY_ERROR)
+    if n_channels > 1 and not is_known:
+        stated.append("chromaticities other than those of Rec. 709")
+    if stated:
+        yield HeaderWarning(
+            "metadata_ignored",
+            f"the file states {', '.join(stated)}, which is not used: pixels are read as stored, and shown as "
+            "squares in the light of a display; convert the file if it means another picture",
+        )
 
 
 def _not_finite(stored: NDArray[Any]) -> NDArray[np.bool_] | None:
@@ -578,23 +789,21 @@ def _whole_tiles(begin: int, end: int, tile: int, size: int) -> Range:
 
 
 @lru_cache
-def _luminance_or_rgb(names: tuple[str, ...]) -> list[int]:
-    """Return the indices of Y, or else of R, G and B, in the first layer that has them; empty if none has.
-
-    Channels without a layer come first.
-    """
+def _pictures(names: tuple[str, ...]) -> list[tuple[str, str, list[int]]]:
+    """Return the layers with a picture, RGB or Y, and its channels. A Y beside an X is part of a vector."""
     layers: dict[str, dict[str, int]] = {"": {}}
     for channel, name in enumerate(names):
-        layer, _, kind = name.upper().rpartition(".")
-        layers.setdefault(layer, {}).setdefault(kind, channel)
-    for kinds in layers.values():
-        for wanted in ("Y", "RGB"):
-            if all(kind in kinds for kind in wanted):
-                return [kinds[kind] for kind in wanted]
-    return []
+        layer, _, kind = name.rpartition(".")
+        layers.setdefault(layer, {}).setdefault(kind.upper(), channel)
+    return [
+        (layer, wanted, [kinds[kind] for kind in wanted])
+        for layer, kinds in layers.items()
+        for wanted in ("RGB", "Y")
+        if all(kind in kinds for kind in wanted) and (wanted == "RGB" or "X" not in kinds)
+    ]
 
 
-def openimageio_reason(source: Any, max_frame_mb: int = MAX_FRAME_MB) -> str:
+def _openimageio_reason(source: Any, max_frame_mb: int = MAX_FRAME_MB) -> str:
     """Return OpenImageIO's error message in one line; `source` is None if no input or output was created.
 
     Its own limit of a frame is the largest that this process has been given, so the message names `max_frame_mb`.
@@ -700,7 +909,7 @@ def _write(
     output = oiio.ImageOutput.create(str(path))
     written = output is not None and output.open(str(path), spec) and output.write_image(stored)
     if output is None or not output.close() or not written or output.has_error:
-        raise FrameError(path, openimageio_reason(output))
+        raise FrameError(path, _openimageio_reason(output))
 
 
 def _to_stored(path: Path, values: ArrayLike, pixel_type: PixelType) -> NDArray[Any]:

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base.errors import DataError, FrameError
-from todframes.base.locations import Location
+from todframes.base.reading import check_time
+from todframes.base.remote import Location
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset, Experiment
 from todframes.frames.files import Frame, FrameHeader, FrameSource, Range, clip_rectangle
@@ -176,8 +177,8 @@ def memory_dataset(
         if index == len(builder):
             builder.append(made)
             continue
-        first = builder.without_frames(index)
-        made, frame = joined(first, builder.clip(index), made)
+        first = builder[index]
+        made, frame = joined(first, made)
         if made[3:] != first[3:]:
             raise DataError(f"trial {names[k]!r}: frame {k} shows another stimulus than the trial's other frames")
         builder.append_frame(index, frame)
@@ -213,7 +214,7 @@ def _clips(
                 f"time_s[{k}]: found {time:g}, expected more than that of the frame before in the clip"
             )
         if name is not None:
-            last_s[name] = time
+            last_s[name] = check_time(f"time_s[{k}]", time)
     return clips, [None if name is None else time for name, time in zip(clips, times, strict=True)]
 
 

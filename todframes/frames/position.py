@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 from todframes.base.errors import FrameError
-from todframes.base.locations import Location
+from todframes.base.remote import Location
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import FrameHeader
 from todframes.frames.trials import FrameReference, Trial

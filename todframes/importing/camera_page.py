@@ -266,10 +266,10 @@ def _cut(recording: Recording, regions: Sequence[Region]) -> list[Recording]:
 
 
 def _moved_px(measured: Sequence[MeasuredEdges]) -> list[float]:
-    """Return how far the markers' edges of each frame are from their median place, root mean square."""
+    """Return how far the markers' edges of each frame are from their median place, in the median of the edges."""
     places = np.array([one.places_px for one in measured])
     away = ((places - np.nanmedian(places, axis=0)) ** 2).sum(axis=-1)
-    return [float(one) for one in np.sqrt(np.nanmean(away, axis=1))]
+    return [float(one) for one in np.sqrt(np.nanmedian(away, axis=1))]
 
 
 def _places(page: Page, geometry: Geometry) -> FloatArray:

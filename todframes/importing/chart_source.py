@@ -52,6 +52,10 @@ LARGEST_ROLL_DEGREES = 30.0
 MOST_ERROR_PX = 0.1
 """Standard error of the triangles' places from which there is a warning."""
 
+RISE_PER_SQUARE = 0.4
+"""Relative rise of a threshold of the pyramid by triangles that are misplaced, per square of arcmin on the
+display: the largest that was measured for sharp triangles of 2 and 4 mrad, up to 0.4 arcmin."""
+
 MOST_LENS_STRETCH = 1.03
 """Stretch by the lens from which a triangle is another one."""
 
@@ -73,6 +77,19 @@ FIRST_FRAMES = 8
 MOST_MOVED = 0.03
 """Motion of the chart besides that by a zoom, in diagonals of the frame, from which it is no zoom."""
 
+FEWEST_INTERVALS = 8
+"""Number of intervals between frames from which it is seen whether they vary."""
+
+MOST_OFF_MULTIPLE, MOST_OFF = 0.2, 0.1
+"""Distance of an interval from a whole multiple of the usual one, relative to that, from which no missing frames
+explain it; and the largest share of such intervals in a film of a constant frame rate."""
+
+MOST_NAMED = 8
+"""Number of lost pages that a note names."""
+
+MOST_TRANSITION = 3
+"""Frames in a row that a transition of two pages spoils: in more of them, something hides a marker."""
+
 MOST_SOLVED = 16
 """Frames of a recording, from its beginning to its end, from which its lens is solved."""
 
@@ -93,12 +110,14 @@ MOST_UNEVEN_CHANGES = 0.2
 class RecordingReport:
     """The content of a recording: numbers of frames, kept or left out for each reason, and its clips.
 
-    `n_without_markers` are frames in which the four markers were not found, `n_transition` those with markers of
-    two pages or with a share of another page, `n_other_page` those with the chart's key but a page that it does
+    `n_without_markers` are frames in which the four markers were not found, or one cannot be read in more than
+    `MOST_TRANSITION` frames in a row; `n_transition` those with markers of two pages or with a share of another
+    page, `n_other_page` those with the chart's key but a page that it does
     not have, `n_rolled` those turned too far, `n_camera_page` those of a page without triangles. `n_doubled` are
     equal to the frame before, bit by bit, and kept. `n_off_frame` and `n_cut` count triangles that do not lie on
     the frame, and windows that its border cuts.
     `page_duration_s` is the mean time from a page to the next by the times of the frames, None if not regular.
+    `frame_rate_varies` states that the intervals between frames are longer without missing frames.
     `place_error_px` is the standard error of the triangles' places, `size_error` that of their sizes, relative,
     and `lens` the lens that they were placed through; None for one that bends nothing. `lens_unsolved` states that
     the edges of the markers fit none, an ideal one included.
@@ -121,6 +140,7 @@ class RecordingReport:
     size_error: float | None = None
     lens: dict[str, object] | None = None
     lens_unsolved: bool = False
+    frame_rate_varies: bool = False
     zoom_from: str | None = None
     misfit_px: float | None = None
     other_keys: dict[int, int] = field(default_factory=dict)
@@ -228,8 +248,12 @@ class ChartSource:
     ) -> Iterator[ClipFrame]:
         last: NDArray[np.generic] | None = None
         seen: Sighting | None = None
+        n_unclear = 0
+        times_s = array("d")
         for frame, before in frames_with_those_before(recording, self._warm_up_frames):
             report.n_frames += 1
+            if frame.time_s is not None:
+                times_s.append(frame.time_s)
             if last is not None and _is_same(last, frame.values):
                 report.n_doubled += 1
             else:
@@ -238,6 +262,11 @@ class ChartSource:
             report.most_markers, report.misfit_px = finder.most_found, finder.misfit_px
             if self._progress is not None:
                 self._progress(1)
+            if seen is not None and page_of(seen.ids) is None:
+                n_unclear += 1
+                continue
+            _count_unclear(n_unclear, report)
+            n_unclear = 0
             page = self._page(seen, finder.key, report)
             if page is not None and seen is not None:
                 placed = self._placed(page, seen.geometry)
@@ -256,6 +285,8 @@ class ChartSource:
                 )
                 self._n_placed += len(placed)
                 yield ClipFrame(page, frame.time_s, frame.source, parts, seen.modules, before)
+        _count_unclear(n_unclear, report)
+        report.frame_rate_varies = rate_varies(np.diff(times_s))
 
     def _page(self, seen: Sighting | None, searched_key: int | None, report: RecordingReport) -> int | None:
         if seen is None:
@@ -265,9 +296,7 @@ class ChartSource:
                 report.add_other_key(searched_key)
             return None
         found = page_of(seen.ids)
-        if found is None:
-            report.n_transition += 1
-            return None
+        assert found is not None
         page, key = found
         if key != self.chart.key:
             report.add_other_key(key)
@@ -516,6 +545,7 @@ class ChartSource:
             return max((float(clip[name]) for clip in clips), key=abs)  # type: ignore[arg-type]
 
         n_unread = report.n_without_markers + report.n_transition
+        n_gaps = sum(int(str(clip["n_gaps"])) for clip in clips)
         residual, error_px = worst("residual_px"), report.place_error_px or 0.0
         lens = "an ideal lens" if report.lens is None else f"a lens of the {report.lens['model']} model"
         if report.lens_unsolved:
@@ -527,8 +557,9 @@ class ChartSource:
         elif residual > MOST_RESIDUAL_PX:
             yield RecordingWarning(
                 "residual",
-                f"{where}triangles may be placed wrong by {max(error_px, residual):.2g} px (rms); the markers' "
-                f"edges lie {residual:.2g} px off a flat chart behind {lens}: the chart is bent, or the frames "
+                f"{where}triangles may be placed wrong by {max(error_px, residual):.2g} px (rms), "
+                f"{_rise_words(max(error_px, residual) * self._pitch_mrad)}; the markers' edges lie "
+                f"{residual:.2g} px off a flat chart behind {lens}: the chart is bent, or the frames "
                 "are noisy or blurred; film the chart larger, or nearer to the middle of the frame",
             )
         elif error_px > MOST_ERROR_PX:
@@ -536,7 +567,8 @@ class ChartSource:
             yield RecordingWarning(
                 "few_points",
                 f"{where}the {n_markers} markers have too few points to determine the distortion: they fit "
-                f"{lens}, but also others that place triangles {error_px:.2g} px (rms) elsewhere; film "
+                f"{lens}, but also others that place triangles {error_px:.2g} px (rms) elsewhere, "
+                f"{_rise_words(error_px * self._pitch_mrad)}; film "
                 + ("a chart with markers along its borders, " if n_markers == len(CORNERS) else "the chart ")
                 + "larger, or nearer to the middle of the frame",
             )
@@ -583,11 +615,18 @@ class ChartSource:
                 "their noise does not average out",
             ),
             (
-                sum(int(str(clip["n_gaps"])) for clip in clips),
+                0 if report.frame_rate_varies else n_gaps,
                 "dropped_frames",
                 f"gaps of more than {GAP:g} frames, where frames are missing"
                 + f" or show no page clearly ({n_unread} of {report.n_frames} do not)" * bool(n_unread)
                 + "; no trial goes across them",
+            ),
+            (
+                n_gaps if report.frame_rate_varies else 0,
+                "variable_frame_rate",
+                f"gaps of more than {GAP:g} frames, because the frame rate varies"
+                + f" or frames show no page clearly ({n_unread} of {report.n_frames} do not)" * bool(n_unread)
+                + "; no trial goes across them; record at a constant frame rate",
             ),
         ):
             if n_found:
@@ -625,12 +664,24 @@ class ChartSource:
         }
         if not scales:
             return
+        if (lost := self._lost_pages()) is not None:
+            yield lost
         least, most = min(scales, key=scales.__getitem__), max(scales, key=scales.__getitem__)
         if (ratio := scales[most] / scales[least]) > EQUAL_SCALES:
             yield (
                 f"{most} shows the chart {ratio:.3g} times as large as {least}: triangles of one size are "
                 "displayed with several, and share a curve; import recordings one by one for a curve each"
             )
+
+    def _lost_pages(self) -> str | None:
+        """Return which pages no recording is seen to show; None if there are none."""
+        pages = [one.number for one in self.chart.pages if one.triangles]
+        shown = {clip.page for clip in self.clips}
+        lost = [page for page in pages if page not in shown]
+        if not lost:
+            return None
+        numbers = ", ".join(map(str, lost[:MOST_NAMED])) + ", …" * (len(lost) > MOST_NAMED)
+        return f"pages with triangles that were not found: {len(lost)} of the chart's {len(pages)} ({numbers})"
 
 
 class _Reach(NamedTuple):
@@ -673,6 +724,21 @@ class _Measured:
         motion = math.hypot(*(float(np.std(self._values[name])) for name in ("x_px", "y_px")))
         self.medians["motion_px"] = round(motion, 6)
         self._values = {}
+
+
+def _count_unclear(n_frames: int, report: RecordingReport) -> None:
+    """Count frames in a row whose markers name no page."""
+    if n_frames > MOST_TRANSITION:
+        report.n_without_markers += n_frames
+    else:
+        report.n_transition += n_frames
+
+
+def _rise_words(shift_mrad: float) -> str:
+    """Return what misplaced triangles do to a threshold; `shift_mrad` is an angle on the display."""
+    shift_arcmin = math.degrees(shift_mrad / 1e3) * 60.0
+    share = RISE_PER_SQUARE * min(shift_arcmin, 1.0) ** 2
+    return f"which raises thresholds by up to {100 * share:.2g} %" + " and more" * (shift_arcmin > 1.0)
 
 
 def _lens_words(lens: dict[str, object] | None) -> str:
@@ -755,6 +821,21 @@ def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> floa
         return None
     regular_s = [one for one in steps_s if abs(one - usual_s) <= 1.5 * frame_s]
     return fmean(regular_s) if len(regular_s) >= (1.0 - MOST_UNEVEN_CHANGES) * len(steps_s) else None
+
+
+def rate_varies(intervals_s: FloatArray) -> bool:
+    """Return whether the frame rate of a film varies: longer intervals do not come from missing frames alone.
+
+    Where frames are missing, an interval is a whole multiple of the usual one, and the next one is the usual one
+    again.
+    """
+    if len(intervals_s) < FEWEST_INTERVALS or not (intervals_s > 0.0).all():
+        return False
+    multiples = intervals_s / np.median(intervals_s)
+    is_off = np.abs(multiples - np.maximum(np.rint(multiples), 1.0)) > MOST_OFF_MULTIPLE
+    is_long = multiples[:-1] > GAP
+    goes_on = is_long & (np.abs(multiples[1:] / multiples[:-1] - 1.0) < MOST_OFF_MULTIPLE)
+    return bool(is_off.mean() > MOST_OFF or goes_on.sum() > 0.5 * is_long.sum())
 
 
 def _is_same(one: NDArray[np.generic], other: NDArray[np.generic]) -> bool:

@@ -16,6 +16,8 @@ from todframes.display.display import Display
 from todframes.display.display_files import LUT_FILE, find_display, table_of_display
 from todframes.frames.dataset import MANIFEST_FILE, SETTINGS_FILE, Experiment
 from todframes.frames.dataset_files import write_dataset_files
+from todframes.parameters import ColumnName, DisplayName, Pattern
+from todframes.recordings.recording import natural_order
 from todframes.stimulus import ORIENTATIONS
 
 NOT_FROM_NAMES = ("frame", "sha256", "reference_frame")
@@ -50,26 +52,32 @@ class FramesFound(NamedTuple):
 
 def new_dataset(
     dataset: Path | str,
-    pattern: str,
+    pattern: Pattern,
     *,
-    display: Display | str = "reference_sdr",
-    level: str = "contrast",
+    display: Display | DisplayName = "reference_sdr",
+    level: ColumnName = "contrast",
 ) -> FramesFound:
-    """Make a folder of frames a dataset: write `manifest.csv` and `dataset.toml` from the names of its files.
+    """Make a folder of frames a dataset: write manifest.csv and dataset.toml from the names of its files.
 
     Parameters
     ----------
     dataset : path
         Folder that exists; the frames are in it or in folders below.
     pattern : str
-        Path of the frames relative to `dataset`. `{size_mrad}`, `{orientation}` and the level have to be in it.
-        Other names in braces become columns, too; columns of a manifest keep their meaning. `*` stands for any
-        text that is ignored. Neither matches a slash. Numbers may have a point, a comma or a p before the
-        decimals; an orientation is a word or its first letter.
+        Path of the frames relative to the folder, with the columns of the manifest in braces, as in
+        'frames/s{size_mrad}_c{contrast}_{orientation}_{n}.png'; * stands for any text. size_mrad is √(area) as
+        displayed, in mrad at the eye, and orientation one of up, right, down, left, or its first letter. Numbers
+        may be written 0.05, 0,05 or 0p05.
+
+        Size, orientation and the level have to be in it. Other names in braces become columns, too; columns of a
+        manifest keep their meaning. Neither `*` nor a name matches a slash.
     display : Display or str
-        Display, the name of one, or a file that describes one; its numbers are written into `dataset.toml`.
+        Display that shows the frames: reference_sdr, reference_linear, srgb_monitor, tod_2001, or a TOML file; all
+        are in docs/displays.md. Its numbers are written into dataset.toml.
+
+        A `Display` is taken as well.
     level : str
-        Name of the stimulus strength in the pattern.
+        Column with the stimulus strength.
 
     Returns
     -------
@@ -190,13 +198,9 @@ def _values(texts: Mapping[str, str], level: str, where: str) -> dict[str, str]:
 def _files(folder: Path, pattern: str) -> Iterator[str]:
     """Yield the paths of the files that a pattern may mean, relative to the folder: numbers in their order."""
     fixed = _FIELD.split(pattern)[0].rpartition("/")[0]
-
-    def by_number(path: str) -> list[tuple[int, str]]:
-        return [(int(part) if part.isdecimal() else -1, part) for part in re.split(r"([0-9]+)", path)]
-
     found = []
     for parent, folders, files in os.walk(folder / fixed):
         folders[:] = [name for name in folders if not name.startswith(".")]
         inside = os.path.relpath(parent, folder)
         found += [Path(inside, name).as_posix() for name in files if not name.startswith(".")]
-    yield from sorted(set(found) - {SETTINGS_FILE, MANIFEST_FILE}, key=by_number)
+    yield from natural_order(set(found) - {SETTINGS_FILE, MANIFEST_FILE})

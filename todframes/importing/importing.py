@@ -10,14 +10,14 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from todframes import __version__
-from todframes.base.errors import DataError, SettingsError, argument, for_reader
+from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.output import Going, new_folder, remove_others, store_path
-from todframes.base.reading import check_positive, check_warm_up
+from todframes.base.reading import WarmUpFrames, check_positive, convert
 from todframes.base.safe_text import in_utf8, one_line
 from todframes.diagnosis.findings import place_deviations
 from todframes.diagnosis.inspection import inspect
@@ -26,7 +26,6 @@ from todframes.display.display import Display
 from todframes.display.display_files import find_display, table_of_display
 from todframes.frames.dataset import Dataset, Experiment, load_dataset
 from todframes.frames.dataset_files import write_dataset_files
-from todframes.frames.files import MAX_FRAME_MB
 from todframes.importing.chart_source import ChartSource
 from todframes.importing.clips import TIME_TOLERANCE, Clip, ClipFrame
 from todframes.importing.filmed_trials import (
@@ -40,10 +39,23 @@ from todframes.importing.schedule import read_schedule
 from todframes.importing.schedule_source import ScheduleSource
 from todframes.importing.windows import WindowWriter
 from todframes.jobs.store import Store
+from todframes.parameters import (
+    MAX_FRAME_MB,
+    Angle,
+    ColumnName,
+    DatasetFolder,
+    DisplayName,
+    Duration,
+    FrameCount,
+    FrameLimit,
+    Limits,
+    NamedTable,
+    PathLike,
+    Rate,
+)
 from todframes.recordings.opening import open_recordings
 from todframes.recordings.recording import (
     GAP,
-    INTEGRATION_TIME_S,
     Recording,
     RecordingWarning,
     code_range,
@@ -59,11 +71,12 @@ LARGEST_IMBALANCE = 3.0
 CAUSES: Mapping[str, str] = {"position_scatter": "shake", "turned": "rolled"}
 """Warnings of recordings that explain what the frames of the dataset show."""
 
+UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
+"""Units of a time in a text, in seconds."""
+
 DEFAULT_LEVEL = "contrast"
 
 REPORT_FILE = "import.json"
-
-PathLike = str | os.PathLike[str]
 
 
 class Source(Protocol):
@@ -127,63 +140,74 @@ class Imported:
 def import_recordings(
     recordings: PathLike | Sequence[PathLike] | Sequence[Recording],
     *,
-    out: PathLike,
-    chart: PathLike | None = None,
-    schedule: PathLike | None = None,
-    display: str | Display = "reference_sdr",
-    integration_time_s: float | Literal["all"] = INTEGRATION_TIME_S,
+    out: DatasetFolder,
+    chart: NamedTable | None = None,
+    schedule: NamedTable | None = None,
+    display: DisplayName | Display = "reference_sdr",
+    integration_time_s: Duration | float = 0.1,
     steady: bool = False,
-    warm_up_frames: int = 0,
-    value_range: tuple[float, float] | None = None,
-    frames_per_second: float | None = None,
-    max_frame_mb: int = MAX_FRAME_MB,
-    ifov_mrad: float | None = None,
-    level: str | None = None,
+    warm_up_frames: FrameCount = 0,
+    value_range: Limits | None = None,
+    frames_per_second: Rate | None = None,
+    max_frame_mb: FrameLimit = MAX_FRAME_MB,
+    ifov_mrad: Angle | None = None,
+    level: ColumnName | None = None,
     restart: bool = False,
     keep_store: bool = False,
     tell: Callable[[str], None] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Imported:
-    """Make a dataset from recordings of a chart, or with a schedule, as `todframes import` does.
+    """Make a dataset from recordings that show a chart of `todframes chart`, or what a schedule says.
+
+    The markers of the chart show which page a frame shows and where its triangles are; windows are cut about them,
+    with values untouched. `todframes score` reads the dataset; import.json in it lists what was found.
 
     Parameters
     ----------
     recordings : path, or sequence of path or of Recording
-        Files and folders: videos, image sequences, camera raw, radiometric files, arrays. Or the return value of
-        `open_recordings`.
+        Videos, image files and folders of them, camera raw, thermal and NumPy files.
+
+        The return value of `open_recordings` is taken as well.
     out : path
         Folder of the dataset, new or empty.
     chart : path, optional
-        The `chart.toml` of the chart that was recorded; either it or `schedule`.
+        chart.toml of the recorded chart; either it or `schedule`.
     schedule : path, optional
-        CSV file that states what each part of the recordings shows.
+        CSV file with what each part of the recordings shows, instead of a chart: columns file, start_s, end_s,
+        orientation, size_mrad, the level; x_px, y_px if known.
     display : str or Display
-        Display that shows the frames: the name of one of this package, a TOML file, or a `Display`.
-    integration_time_s : float or "all"
-        Time in which the observer averages frames. With "all", each clip is one trial. Otherwise each frame
-        without a time is a trial by itself.
+        Display that shows the frames: reference_sdr, reference_linear, srgb_monitor, tod_2001, or a TOML file; all
+        are in docs/displays.md.
+
+        A `Display` is taken as well.
+    integration_time_s : float or str
+        Time in which the observer averages frames: in s, or with the unit, as in "100 ms"; or all: each clip is
+        one trial. Each frame without a time is a trial by itself.
     steady : bool
-        Let the windows follow the triangle by whole pixels within a trial. This removes shake that the camera
-        would not have in use.
+        Let windows follow the triangle by whole pixels within a trial, against shake that the camera in use does
+        not have.
     warm_up_frames : int
-        Number of recorded frames before each run of trials that are written too, in the window of its first frame,
-        for algorithms of clips. They are not judged, and show what was recorded: the page before, its transition.
-        So many frames are held in memory.
+        Recorded frames before each run of trials, which are not judged: for filters of several frames.
+
+        They are written in the window of the first frame of the run, and show what was recorded: the page before,
+        its transition. So many frames are held in memory.
     value_range : (float, float), optional
-        Recorded values that the display shows black and white. Needed for values without a white: temperatures.
+        Recorded values that the display shows black and white; needed for temperatures and counts.
     frames_per_second : float, optional
-        Frame rate, in place of the times in the files.
+        Frames in a second, in place of what the files say.
     max_frame_mb : int
-        Largest size of a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a pixel.
+        Largest decoded size of a frame in 2**20 bytes, all channels in their own pixel types, at least 8 bytes a
+        pixel.
     ifov_mrad : float, optional
-        With a schedule: angle of a recorded pixel at the camera; sizes in mrad are then angles at the camera.
-        Without it they are angles on the display.
+        With a schedule: angle of a recorded pixel at the camera in mrad; sizes in the schedule are then angles
+        there. Default: they are angles on the display.
     level : str, optional
         With a schedule: column of the stimulus strength. Default: contrast.
     restart : bool
-        Begin anew even if an earlier call with the same `out` was interrupted. Otherwise the windows that it has
-        written are not written again; the recordings are read again from their beginning, as the frames of a video
-        follow from those before.
+        Begin anew, and forget what an interrupted run has finished.
+
+        Otherwise the windows that it has written are not written again; the recordings are read again from their
+        beginning, as the frames of a video follow from those before.
     keep_store : bool
         Keep the list of finished windows after the dataset is complete.
     tell : function of a text, optional
@@ -204,11 +228,9 @@ def import_recordings(
     OutputError
         If `out` cannot be written.
     """
-    if (chart is None) == (schedule is None):
-        found = "neither" if chart is None else "both"
-        raise SettingsError(f"chart, schedule: found {found}, expected one, which says what is shown")
-    time_s = _checked_time(integration_time_s)
-    check_warm_up(argument.warm_up_frames, warm_up_frames)
+    check_source(chart, schedule)
+    time_s = checked_time(integration_time_s)
+    convert(warm_up_frames, WarmUpFrames, argument.warm_up_frames)
     _check_settings(ifov_mrad, level, has_schedule=schedule is not None)
     shown = find_display(display)
     pitch_mrad = shown.display.pitch_mrad
@@ -272,9 +294,8 @@ def import_recordings(
         )
         dataset = load_dataset(folder, max_frame_mb=max_frame_mb)
         to_report += tuple(_of_frames(dataset, {code for code, _ in to_report}))
-        warnings = tuple(RecordingWarning(code, for_reader(message)) for code, message in to_report)
+        warnings = tuple(RecordingWarning(*warning) for warning in to_report)
         notes = (*source.notes(), *_of_time(opened, time_s), *_of_warm_up(division, warm_up_frames))
-        notes = tuple(map(for_reader, notes))
         n_clips = sum(clip.n_trials > 0 for clip in source.clips)
         report = {
             "version": __version__,
@@ -295,6 +316,14 @@ def import_recordings(
         notes=notes,
         warnings=warnings,
     )
+
+
+def check_source(chart: PathLike | None, schedule: PathLike | None) -> None:
+    """Raise SettingsError unless exactly one of both says what recordings show."""
+    if (chart is None) == (schedule is None):
+        found = "neither" if chart is None else "both"
+        expected = f"expected one of {argument.chart} and {argument.schedule}, which says what is shown"
+        raise SettingsError(f"import: found {found}, {expected}")
 
 
 def open_for_import(
@@ -328,15 +357,22 @@ def open_for_import(
     return tuple(opened)
 
 
-def _checked_time(integration_time_s: float | str) -> float | None:
+def checked_time(integration_time_s: float | str) -> float | None:
     """Return the integration time in seconds; None for "all"."""
-    if integration_time_s == "all":
+    text = str(integration_time_s).strip()
+    if text == "all":
         return None
-    if isinstance(integration_time_s, str) or not (math.isfinite(integration_time_s) and integration_time_s > 0):
+    number = text.rstrip("ms ")
+    try:
+        time_s = float(number) * UNITS_S[text[len(number) :].strip()]
+    except (ValueError, KeyError):
+        time_s = math.nan
+    if not (math.isfinite(time_s) and time_s > 0):
         raise SettingsError(
-            f"{argument.integration_time_s}: found {integration_time_s!r}, expected a time > 0, or all"
+            f"{argument.integration_time_s}: found {integration_time_s!r}, expected a time > 0, such as 0.1 s, or "
+            "all"
         )
-    return integration_time_s
+    return time_s
 
 
 def _check_settings(ifov_mrad: float | None, level: str | None, *, has_schedule: bool) -> None:

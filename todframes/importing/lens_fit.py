@@ -9,7 +9,7 @@ distance from those of the other models as well, as far as these are likely.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.importing.geometry import Geometry
-from todframes.importing.lens import PARAMETERS, Lens, LensModel
+from todframes.importing.lens import Lens, LensModel
 
 MOST_STEPS, CONVERGED_PX = 15, 1e-3
 """Steps of Gauss and Newton, and the largest motion of an edge after which there is no further one."""
@@ -35,6 +35,9 @@ TRIED: tuple[tuple[LensModel, int], ...] = (
 before. More are tried only if the first one explains something, as it does for any lens: where it does not, others
 would follow what shifts edges in another way, such as a colour mosaic."""
 
+FIRST: tuple[tuple[LensModel, int], ...] = (("polynomial", 1), ("polynomial", 2), ("fisheye", 1))
+"""Models and numbers of coefficients that are tried before a recording has been read."""
+
 USUAL: dict[LensModel, tuple[float, ...]] = {
     "polynomial": (math.inf, 0.1, 0.02, 0.02, 0.05, 0.002, 0.002),
     "fisheye": (math.inf, 0.02, 0.02, 0.05, 0.02),
@@ -42,15 +45,23 @@ USUAL: dict[LensModel, tuple[float, ...]] = {
 """Standard deviations of the coefficients among lenses, in the order of `PARAMETERS`: edges that do not
 determine a coefficient leave it near 0."""
 
+MOST_WEIGHINGS, WEIGHED = 5, 0.5
+"""Number of times that coefficients are weighed against the usual ones, and the ratio of an edge's variance to the
+one weighed with from which they are not weighed again: a model of fewer coefficients may leave far more than edges
+are off."""
+
 LEAST_ERROR_PX = 0.01
 """Error of an edge that remains however many frames are averaged: pixels are no points."""
+
+LEAST_LEFT = 0.05
+"""Least share of the variance of an edge's error that counts as left by a fit: below it, nothing is seen of it."""
 
 LARGEST_CONDITION = 1e12
 """Largest ratio of the squared precisions of two combinations of coefficients: beyond, the edges determine
 none."""
 
 USEFUL = 0.9
-"""Residual with a lens relative to that without, below which the lens is used while a recording is read."""
+"""Residual with another coefficient relative to that without, below which it is used while a recording is read."""
 
 MOST_PLACED = 4
 """Number of frames for whose triangles the error is computed."""
@@ -195,6 +206,7 @@ class LensFit:
         return math.sqrt(float((self.left_px**2).sum()) / max(n_free, 1))
 
 
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # all results are checked to be finite
 def solve(
     pieces: Pieces,
     measured: Sequence[MeasuredEdges],
@@ -275,26 +287,16 @@ def solve(
     return None
 
 
-def first_lens(pieces: Pieces, measured: Sequence[MeasuredEdges], shape: tuple[int, ...]) -> Lens | None:
-    """Return a lens of few coefficients that leaves the least of the edges' distances; None if no lens is of
-    use."""
-    rows, columns = shape[:2]
-    plain = solve(pieces, measured, None, 0)
-    least, lens = (math.inf, None) if plain is None else (plain.residual_px * USEFUL, None)
-    for model in PARAMETERS:
-        fit = solve(pieces, measured, Lens.ideal(model, (rows, columns)), 1)
-        if fit is not None and fit.residual_px < least:
-            least, lens = fit.residual_px, fit.lens
-    return lens
+def first_fits(pieces: Pieces, measured: Sequence[MeasuredEdges], shape: tuple[int, ...]) -> list[LensFit]:
+    """Return the fits of an ideal lens and of lenses of few coefficients, the best first.
 
-
-def with_lenses(pieces: Pieces, measured: MeasuredEdges, shape: tuple[int, ...]) -> Iterator[Geometry]:
-    """Yield the geometries of one frame with a lens of one coefficient, for each model."""
+    Another coefficient has to be of use.
+    """
     rows, columns = shape[:2]
-    for model in PARAMETERS:
-        fit = solve(pieces, [measured], Lens.ideal(model, (rows, columns)), 1)
-        if fit is not None:
-            yield fit.geometries[0]
+    fits = [solve(pieces, measured, None, 0)]
+    for model, free in FIRST:
+        fits.append(solve(pieces, measured, Lens.ideal(model, (rows, columns)), free))
+    return sorted((fit for fit in fits if fit is not None), key=lambda fit: fit.residual_px / USEFUL**fit.free)
 
 
 Places = Callable[[Geometry], FloatArray]
@@ -344,8 +346,16 @@ def choose_lens(
             if before is None
             else [one._replace(start=geometry) for one, geometry in zip(measured, before.geometries, strict=True)]
         )
+        fit = None
         variance_px2 = before.edge_variance_px2 if before is not None else 0.0
-        fit = solve(pieces, starts, start, free, edge_variance_px2=variance_px2)
+        for _ in range(MOST_WEIGHINGS):
+            again = solve(pieces, starts, start, free, edge_variance_px2=variance_px2)
+            if again is None:
+                break
+            fit = again
+            if before is None or fit.edge_variance_px2 > WEIGHED * variance_px2:
+                break
+            variance_px2 = fit.edge_variance_px2
         if fit is not None:
             ladders[model].append(fit)
     fits = [*([] if ideal is None else [ideal]), *ladders["polynomial"], *ladders["fisheye"]]
@@ -370,11 +380,15 @@ def _variance(pieces: Pieces, fit: LensFit, placed: Sequence[tuple[int, Places]]
     """Return the variances of the places of the triangles of all frames, (triangle, 3).
 
     What is left of an edge is alike in all frames if the camera stands still, so that it is an error of the edge
-    and not of a frame: the residuals of a piece are summed over the frames before they are squared.
+    and not of a frame: the residuals of a piece are summed over the frames before they are squared. The pieces of
+    one edge share its black and white, so that noise moves them alike: their residuals are summed, too.
+    A square is divided by the share of an edge's error that the fit leaves (HC2, MacKinnon & White 1985).
     """
-    n_pieces = fit.n_pieces
+
+    def by_edge(of_pieces: FloatArray) -> FloatArray:
+        return np.asarray(of_pieces.reshape(*of_pieces.shape[:-1], -1, pieces.per_edge).sum(axis=-1))
+
     usual = np.array(USUAL[fit.lens.model][: fit.free]) if fit.lens is not None else np.zeros(0)
-    n_known = np.count_nonzero(np.isinf(usual))
     of_knowledge = (fit.weights * np.where(np.isinf(usual), 0.0, usual)) ** 2
     of_lens = np.einsum("vni,vn->ni", fit.scores, fit.left_px) @ fit.covariance
     of_pieces = fit.scores.sum(axis=0).T
@@ -395,11 +409,13 @@ def _variance(pieces: Pieces, fit: LensFit, placed: Sequence[tuple[int, Places]]
             net += _derivative(place, *lenses)
         own = np.einsum("tij,jn->tin", by_view, influence * left)
         shared = np.einsum("tij,nj->tin", net, of_lens)
-        of_edges = ((own + shared) ** 2).sum(axis=-1) * n_pieces / max(n_pieces - 9 - n_known, 1)
+        hat = np.linalg.pinv(fit.influence[k]) @ fit.influence[k]
+        hat += of_pieces.T @ fit.covariance @ of_pieces / len(fit.geometries)
+        explained = np.diagonal(by_edge(by_edge(hat).T)) / pieces.per_edge
+        of_edges = (by_edge(own + shared) ** 2 / np.maximum(1.0 - explained, LEAST_LEFT)).sum(axis=-1)
         # An error that an edge has in all frames is not seen in what is left if the lens can follow it.
-        by_edge = np.einsum("tij,jn->tin", by_view, influence) + net @ (fit.covariance @ of_pieces)
-        by_edge = by_edge.reshape(*by_edge.shape[:2], -1, pieces.per_edge).sum(axis=-1)
-        of_edges += LEAST_ERROR_PX**2 * (by_edge**2).sum(axis=-1)
+        by_piece = np.einsum("tij,jn->tin", by_view, influence) + net @ (fit.covariance @ of_pieces)
+        of_edges += LEAST_ERROR_PX**2 * (by_edge(by_piece) ** 2).sum(axis=-1)
         variances.append(of_edges + (net @ fit.covariance) ** 2 @ of_knowledge)
     return np.concatenate(variances)
 

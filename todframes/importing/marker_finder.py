@@ -12,7 +12,7 @@ that is hidden, or beyond the frame, is left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import product
 from typing import Any, NamedTuple
@@ -36,13 +36,13 @@ from todframes.charts.markers import (
 from todframes.importing.geometry import Geometry, fit_geometry
 from todframes.importing.lens import Lens
 from todframes.importing.lens_fit import (
+    USEFUL,
     MeasuredEdges,
     Pieces,
     corner_pieces,
-    first_lens,
+    first_fits,
     measured_edges,
     solve,
-    with_lenses,
 )
 
 PIECES, POINTS = 3, 6
@@ -217,7 +217,7 @@ class MarkerFinder:
                 break
             seen = again
             self._recent = [seen.edges]
-            self.lens = first_lens(self.pieces, [self._near(seen.edges)], grey.shape) or self.lens
+            self.lens = self._first_lens([seen.edges], grey.shape) or self.lens
             self._last = self._through_lens(self.pieces, self._near(seen.edges))
         return seen
 
@@ -231,9 +231,15 @@ class MarkerFinder:
         self._n_seen += 1
         self._recent = [*self._recent, seen.edges][-MOST_RECENT:]
         is_turn = self._n_seen & (self._n_seen - 1) == 0
-        if is_turn and (self.lens is not None or seen.geometry.residual_px > NOTICED_PX):
-            self.lens = first_lens(self.pieces, [self._near(one) for one in self._recent], shape)
+        lens = self.lens or seen.geometry.lens
+        if is_turn and (lens is not None or seen.geometry.residual_px > NOTICED_PX):
+            self.lens = self._first_lens(self._recent, shape)
             self._last = self._through_lens(self.pieces, self._near(seen.edges))
+
+    def _first_lens(self, recent: Sequence[SeenEdges], shape: tuple[int, ...]) -> Lens | None:
+        """Estimate the lens from the edges in some frames; None if none is of use."""
+        fits = first_fits(self.pieces, [self._near(one) for one in recent], shape)
+        return fits[0].lens if fits else None
 
     def _near(self, edges: SeenEdges) -> MeasuredEdges:
         """Return the places of edges, without those so far from where they were looked for that a profile reaches
@@ -246,7 +252,11 @@ class MarkerFinder:
         return measured._replace(places_px=np.where(is_near[:, None], measured.places_px, np.nan))
 
     def _search(self, grey: NDArray[np.float32]) -> Sighting | None:
-        """Search the whole frame, and its mirror image unless something was found the right way round before."""
+        """Search the whole frame, and its mirror image unless something was found the right way round before.
+
+        Where a lens bends the chart, an edge half a module beside the line on which it is looked for is missed, or
+        another one is taken for it. So the edges are looked for through each lens that the corners may show.
+        """
         self.n_searched += 1
         eight_bits = _eight_bits(grey)
         for way in self._ways:
@@ -256,19 +266,25 @@ class MarkerFinder:
             self.most_found = max(self.most_found, n_corners)
             if len(known) < ENOUGH_MARKERS:
                 continue
+            best: Sighting | None = None
             for start in self._starts(known, np.array([corners[k] for k in known]), grey.shape):
                 seen = self._sighting(grey, start)
-                if seen is not None:
-                    self._ways = [one for one in self._ways if one[1] == way[1]]
-                    return seen
-                if n_corners == len(CORNERS):
-                    away = start.to_px(self._corners_mm[known]) - np.array([corners[k] for k in known])
-                    misfit = math.sqrt(float((away**2).sum(axis=-1).mean()))
-                    self.misfit_px = min(misfit, self.misfit_px or math.inf)
+                if seen is None:
+                    if n_corners == len(CORNERS):
+                        away = start.to_px(self._corners_mm[known]) - np.array([corners[k] for k in known])
+                        misfit = math.sqrt(float((away**2).sum(axis=-1).mean()))
+                        self.misfit_px = min(misfit, self.misfit_px or math.inf)
+                elif best is None or seen.geometry.residual_px < USEFUL * best.geometry.residual_px:
+                    best = seen
+                if best is not None and best.geometry.residual_px <= NOTICED_PX:
+                    break
+            if best is not None:
+                self._ways = [one for one in self._ways if one[1] == way[1]]
+                return best
         return None
 
     def _starts(self, known: list[int], corners_px: FloatArray, shape: tuple[int, ...]) -> Iterator[Geometry]:
-        """Yield geometries that fit the corners of markers: without a lens, and with one."""
+        """Yield geometries that fit the corners of markers: without a lens, and with one, the best lens first."""
         try:
             plain = fit_geometry(self._corners_mm[known], corners_px)
         except DataError:
@@ -280,7 +296,8 @@ class MarkerFinder:
             yield self._through_lens(pieces, measured)
         yield plain
         if len(known) >= len(CORNERS):
-            yield from with_lenses(pieces, measured, shape)
+            fits = first_fits(pieces, [measured], shape)
+            yield from (fit.geometries[0] for fit in fits if fit.lens is not None)
 
     def _detected(self, image: NDArray[np.uint8], times: int, mirrored: bool) -> dict[int, FloatArray]:
         """Return the corners of the markers that ArUco finds, (4, 2) each, by the number of the marker."""
@@ -327,6 +344,8 @@ class MarkerFinder:
             ids.append(nearest if is_marker else -1)
             patterns[k] = _all_bits()[nearest] if is_marker else bits
         geometry, edges = self._edges.without_neighbours(grey, edges, patterns[: len(hidden)])
+        if not self._edges.belong(geometry):
+            return None
         return Sighting(geometry, tuple(ids), modules[: len(CORNERS)], edges)
 
     def _read(self, grey: NDArray[np.float32], geometry: Geometry, there: NDArray[np.bool_]) -> FloatArray:
@@ -417,9 +436,8 @@ class MarkerEdges:
 
         `hidden` marks the markers, (n,), that do not count.
         """
-        geometry, edges, module_px = start, None, 0.0
+        geometry, edges = start, None
         for _ in range(MOST_STEPS):
-            module_px = geometry.scale_px_per_mm(self.pieces.middle_mm) * self._module_mm
             shifts = self._shifts_px(grey, geometry, hidden)
             if shifts is None:
                 return None
@@ -430,7 +448,12 @@ class MarkerEdges:
             if moved_px < CONVERGED_PX:
                 break
         assert edges is not None
-        return (geometry, edges) if geometry.residual_px <= LARGEST_RESIDUAL * module_px else None
+        return (geometry, edges) if self.belong(geometry) else None
+
+    def belong(self, geometry: Geometry) -> bool:
+        """Return whether the residual of a geometry is small enough for markers of one chart."""
+        module_px = geometry.scale_px_per_mm(self.pieces.middle_mm) * self._module_mm
+        return geometry.residual_px <= LARGEST_RESIDUAL * module_px
 
     def _shifts_px(
         self, grey: NDArray[np.float32], geometry: Geometry, hidden: NDArray[np.bool_]

@@ -1,139 +1,34 @@
-"""The engine of one machine: processes, each with a pool of its own."""
+"""The engine of one machine: a pool of processes."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
+import sys
+import tempfile
 import threading
-from collections.abc import Callable, Mapping
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import contextmanager
 from functools import partial
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any
 
 from todframes.base.errors import TodframesError, argument
 from todframes.base.user_code import searched_last
-from todframes.jobs import worker
-from todframes.jobs.batches import ExecutorEngine, Killed
+from todframes.jobs.batches import DeadWorkerError, PoolEngine
 from todframes.jobs.start import starting_processes
-from todframes.jobs.worker import Done, Unfit
-
-BATCH_S = 0.5
-"""Time that a batch is meant to take."""
-
-BATCHES_PER_PROCESS = 2
-"""Largest number of batches of a process: the one that it works on, and the next."""
+from todframes.jobs.worker import Done, UnfitError, do_batch_of_file
 
 
-class Processes(Executor):
-    """Executor of processes of this machine, each with a pool of its own: one that dies takes only its own tasks.
+class ProcessEngine(PoolEngine):
+    """The engine of processes of this machine, which start with the first batches.
 
-    A process is started when there is a task for it, and again after it has died. Each imports the script that
-    runs, so a script calls below `if __name__ == "__main__":`. All end with this process, however it ends.
-
-    Parameters
-    ----------
-    n_processes : int
-    """
-
-    def __init__(self, n_processes: int) -> None:
-        self._set_ups: dict[str, Callable[[], object]] = {}
-        self._processes = [_Process() for _ in range(n_processes)]
-
-    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Make the process with the fewest tasks call a function.
-
-        Raises
-        ------
-        TodframesError
-            If a process has died as it started.
-        """
-        process = min(self._processes, key=lambda one: len(one.tasks))
-        return process.submit(self._set_ups, partial(function, *args, **kwargs))
-
-    def set_up(self, name: str, function: Callable[[], object]) -> None:
-        """Make each process call a function once before the tasks that are submitted from now on."""
-        self._set_ups[name] = function
-
-    def tear_down(self, name: str, function: Callable[[], object]) -> None:
-        """Make each process that has called the function of `set_up` call another one."""
-        if self._set_ups.pop(name, None) is not None:
-            for process in self._processes:
-                process.tear_down(name, function)
-
-    def check(self) -> None:
-        """Raise TodframesError if a process has died as it started."""
-        for process in self._processes:
-            process.check()
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: ARG002
-        """End all processes at once."""
-        for process in self._processes:
-            process.end()
-
-
-class _Process:
-    """A process, which starts with its first task, and the tasks that it has."""
-
-    def __init__(self) -> None:
-        self.tasks: set[Future[Any]] = set()
-        self._pool: ProcessPoolExecutor | None = None
-
-    def submit(self, set_ups: Mapping[str, Callable[[], object]], task: Callable[[], Any]) -> Future[Any]:
-        """Make the process do a task, and before it the `set_ups` that it has not done."""
-        while True:
-            pool = self._pool or self._start()
-            try:
-                for name in set_ups.keys() - self._set_up:
-                    pool.submit(set_ups[name])
-                    self._set_up.add(name)
-                future = pool.submit(task)
-            except BrokenProcessPool:  # it has died
-                self.check()
-                self.end()
-                continue
-            self.tasks.add(future)
-            future.add_done_callback(self.tasks.discard)
-            return future
-
-    def tear_down(self, name: str, function: Callable[[], object]) -> None:
-        """Make the process call a function if it has done the set-up of this name."""
-        if self._pool is not None and name in self._set_up:
-            self._set_up.remove(name)
-            with suppress(BrokenProcessPool):
-                self._pool.submit(function)
-
-    def check(self) -> None:
-        """Raise TodframesError if the process has died as it started."""
-        if self._pool is not None and self._started.done() and self._started.exception() is not None:
-            raise TodframesError(
-                "workers: a process could not start; a script must call this below "
-                '`if __name__ == "__main__":`, and there must be memory for all'
-            )
-
-    def end(self) -> None:
-        """End the process at once."""
-        if self._pool is not None:
-            self._child.kill()
-            self._pool.shutdown(cancel_futures=True)
-            self._pool = None
-
-    def _start(self) -> ProcessPoolExecutor:
-        context = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads
-        self._set_up: set[str] = set()
-        with starting_processes():
-            others = set(multiprocessing.active_children())
-            self._pool = ProcessPoolExecutor(1, context, initializer=_end_with_parent)
-            self._started = self._pool.submit(os.getpid)
-            self._child: BaseProcess
-            (self._child,) = set(multiprocessing.active_children()) - others
-        return self._pool
-
-
-class ProcessEngine(ExecutorEngine):
-    """The engine of processes of this machine.
+    Each process imports the script that runs, so a script calls below `if __name__ == "__main__":`. All end with
+    this process, however it ends.
 
     Parameters
     ----------
@@ -141,34 +36,84 @@ class ProcessEngine(ExecutorEngine):
         Number of processes.
     """
 
-    name, batch_s, batches_per_worker = argument.workers, BATCH_S, BATCHES_PER_PROCESS
+    name, batch_s, batches_per_worker = "workers", 0.5, 2
 
     def __init__(self, n_workers: int) -> None:
-        super().__init__(n_workers)
-        self._processes = Processes(n_workers)
+        super().__init__(min(n_workers, 61) if sys.platform == "win32" else n_workers)  # Windows waits for 61
+        self._pool: ProcessPoolExecutor | None = None
+        self._processes: set[BaseProcess] = set()
 
     def close(self) -> None:
-        """End the processes."""
-        self._processes.shutdown()
+        """End the processes at once."""
+        if self._pool is not None:
+            for process in self._processes:
+                process.kill()
+            self._pool.shutdown(cancel_futures=True)
+            self._pool = None
+            self._processes.clear()
 
-    def _begin(self, key: str, work: bytes) -> None:
-        self._processes.set_up(key, partial(worker.receive, key, work, searched_last()))
+    @contextmanager
+    def _sent(self, work: bytes) -> Iterator[Callable[[bytes], Future[Done]]]:
+        in_flight: set[Future[Done]] = set()
+        with tempfile.TemporaryDirectory(prefix="todframes-") as folder:
+            path = Path(folder, "work")
+            try:
+                path.write_bytes(pickle.dumps((work, searched_last())))
+            except OSError as error:
+                raise TodframesError(f"{path}: cannot be written ({error.strerror})") from None
 
-    def _submit(self, key: str, items: bytes) -> Future[Any]:
-        return self._processes.submit(worker.do_batch, key, items)
+            def submit(items: bytes) -> Future[Done]:
+                future = self._submit(partial(do_batch_of_file, str(path), items))
+                in_flight.add(future)
+                future.add_done_callback(in_flight.discard)
+                return future
 
-    def _outcome(self, future: Future[Any]) -> Done | Killed:
+            try:
+                yield submit
+            finally:
+                if in_flight:  # nobody waits for their results, and they may write files
+                    self.close()
+
+    def _submit(self, task: Callable[[], Any]) -> Future[Any]:
+        """Submit a task; the pool and its processes start with their tasks."""
         try:
-            outcome: Done | Unfit = future.result()
+            with starting_processes():
+                others = set(multiprocessing.active_children())
+                if self._pool is None:
+                    context = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads
+                    self._pool = ProcessPoolExecutor(self.n_workers, context, initializer=_end_with_parent)
+                    self._first = self._pool.submit(os.getpid)
+                future = self._pool.submit(task)
+                self._processes |= set(multiprocessing.active_children()) - others
         except BrokenProcessPool:
-            self._processes.check()
-            return Killed(1)
-        if isinstance(outcome, Unfit):
-            raise TodframesError(f"workers: {outcome.problem}; an observer of one's own must be in a file")
-        return outcome
+            raise self._broken() from None
+        except OSError as error:
+            raise TodframesError(
+                f"{argument.workers}: a process could not start ({error.strerror}); take fewer workers, or "
+                "raise the limits of the shell (ulimit)"
+            ) from None
+        return future
 
-    def _end(self, key: str) -> None:
-        self._processes.tear_down(key, partial(worker.forget, key))
+    def _outcome(self, future: Future[Done]) -> Done:
+        try:
+            return future.result()
+        except BrokenProcessPool:
+            raise self._broken() from None
+        except UnfitError as error:
+            raise TodframesError(
+                f"{argument.workers}: {error}; an observer of one's own must be in a file"
+            ) from None
+
+    def _broken(self) -> Exception:
+        """Return the error about a pool of which a process has died, at its start or later."""
+        has_started = self._first.exception() is None
+        self.close()
+        if has_started:
+            return DeadWorkerError()
+        return TodframesError(
+            f"{argument.workers}: a process could not start; a script must call this below "
+            '`if __name__ == "__main__":`, and there must be memory for all'
+        )
 
 
 def _end_with_parent() -> None:

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 
-from todframes.base.errors import TodframesError
-from todframes.jobs.work import ITEMS_PER_TASK, Engine, Lost, Work
+from todframes.jobs.work import ITEMS_PER_TASK, Engine, Work
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store
@@ -63,7 +62,7 @@ def run_stored(
     *,
     engine: Engine,
     store: Store | None = None,
-) -> Generator[tuple[int, Result | Lost], None, None]:
+) -> Generator[tuple[int, Result], None, None]:
     """Yield the result of each item with its place in `items`: first those in the store, then the others as done.
 
     Results are kept in the store in the batches in which they come. An empty store is begun as soon as the run is
@@ -105,7 +104,7 @@ def run_stored(
         for keyed_batch in keyed_batches:
             store.add(_rows(work, keyed_batch))
             for number, one in keyed_batch:
-                yield number, one if isinstance(one, Lost) else one.result
+                yield number, one.result
             n_done += len(keyed_batch)
             elapsed = time.perf_counter() - started
             if not keyed.records and elapsed > max(LOOKED_AT_S, WORTH_S * n_done / len(left)):
@@ -122,12 +121,12 @@ def _decoded(work: StoredWork[Item, Result], encoded: bytes) -> Result | None:
 
 
 def _rows(
-    work: StoredWork[Item, Result], batch: Sequence[tuple[int, KeyedResult[Result] | Lost]]
+    work: StoredWork[Item, Result], batch: Sequence[tuple[int, KeyedResult[Result]]]
 ) -> list[tuple[bytes, bytes]]:
     """Return the keys and encoded results of a batch that are to be kept."""
     rows = []
     for _, one in batch:
-        if not isinstance(one, Lost) and one.key is not None:
+        if one.key is not None:
             encoded = work.encode(one.result)
             if encoded is not None:
                 rows.append((one.key, encoded))
@@ -175,14 +174,14 @@ class Keyed(Generic[Item, Result]):
 
         return do
 
-    def lost(self, item: Item) -> TodframesError:
-        """Return the error about an item whose process died with it."""
-        return self.work.lost(item)
+    def name(self, item: Item) -> str:
+        """Return what messages call an item."""
+        return self.work.name(item)
 
 
 def _found(
     work: StoredWork[Item, Result], items: Sequence[Item], engine: Engine, store: Store
-) -> Generator[tuple[int, Result | Lost], None, Sequence[int]]:
+) -> Generator[tuple[int, Result], None, Sequence[int]]:
     """Yield the results that the store has; return the places of the other items."""
 
     def result_of(key: bytes) -> Result | None:
@@ -204,7 +203,7 @@ def _found(
     with closing(engine.run(_Keys(work), ((place, items[place]) for place in unread))) as batches:
         for batch in batches:
             for place, of_content in batch:
-                result = None if of_content is None or isinstance(of_content, Lost) else result_of(of_content)
+                result = None if of_content is None else result_of(of_content)
                 if result is None:
                     left.append(place)
                 else:
@@ -222,6 +221,6 @@ class _Keys(Generic[Item]):
         """Return the function of an item that returns its key."""
         return partial(self.work.key, is_done=False)
 
-    def lost(self, item: Item) -> TodframesError:
-        """Return the error about an item whose process died with it."""
-        return self.work.lost(item)
+    def name(self, item: Item) -> str:
+        """Return what messages call an item."""
+        return self.work.name(item)

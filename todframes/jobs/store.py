@@ -8,7 +8,7 @@ import os
 import struct
 from array import array
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from todframes.base import signals
 from todframes.base.errors import OutputError
-from todframes.base.output import locked, open_own
+from todframes.base.output import locked
 
 IntArray = NDArray[np.int64]
 
@@ -45,7 +45,7 @@ class Store:
     Parameters
     ----------
     path : Path
-        The file; neither it nor its folder need exist. A link of this name is not followed.
+        The file; neither it nor its folder need exist.
     name : str
         Name of the place in messages.
     tell : function of a text, optional
@@ -70,7 +70,7 @@ class Store:
     @property
     def is_begun(self) -> bool:
         """True if the store holds results, or is about to."""
-        return self._file is not None or os.path.lexists(self.path)
+        return self._file is not None or self.path.exists()
 
     def begin(self) -> None:
         """Open the file and make it if there is none; one that is damaged is used up to the damage.
@@ -84,9 +84,8 @@ class Store:
             return
         with self._as_output_error():
             self.path.parent.mkdir(mode=0o700, exist_ok=True)
-            if os.path.lexists(self.path) and not self._is_own():
-                self.path.unlink()  # a name, never what it leads to
-            file = io.FileIO(open_own(self.path), "r+")
+            self.path.touch(mode=0o600)
+            file = io.FileIO(self.path, "r+")
             try:
                 locked(file.fileno())
                 self._read(file)
@@ -94,7 +93,7 @@ class Store:
                 file.close()
                 raise
             self._file = file
-        signals.kept.append(self.name)
+        self._note()
 
     def get(self, key: bytes) -> bytes | None:
         """Return the result that was added last under a key; None if there is none."""
@@ -138,6 +137,18 @@ class Store:
                 raise
         for key, result in results:
             self._found(key, HEAD.size + len(key) + len(result))
+        self._note()
+
+    def forget(self) -> None:
+        """Remove all results, if there are any."""
+        if self.is_begun:
+            self.begin()
+            assert self._file is not None
+            with self._as_output_error():
+                self._file.truncate(0)
+                self._file.seek(0)
+                self._read(self._file)
+            self._sorted = None
 
     def __len__(self) -> int:
         """Return the number of results; one that was added twice counts twice."""
@@ -152,14 +163,18 @@ class Store:
         self._tell = None
 
     def close(self) -> None:
-        """Close the file; the next use opens it again."""
+        """Close the file, and remove it if it holds no result; the next use opens it again."""
         if self._file is not None:
             self._file.close()
             self._file = None
+            if not self._hashes:
+                with suppress(OSError):
+                    self.path.unlink()
 
-    def _is_own(self) -> bool:
-        status = self.path.lstat()
-        return self.path.is_file() and not self.path.is_symlink() and status.st_nlink == 1
+    def _note(self) -> None:
+        """Let a message at the end name the place, if it has results."""
+        if self._hashes and self.name not in signals.kept:
+            signals.kept.append(self.name)
 
     def _read(self, file: io.FileIO) -> None:
         """Find the records of the file, and cut off everything behind the last good one."""

@@ -1,12 +1,12 @@
-"""The work of a run, the engines that do it, and the items that are lost with their process."""
+"""The work of a run, and the engines that do it."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Generator, Iterable
 from itertools import islice
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
-from todframes.base.errors import TodframesError
 from todframes.base.signals import raise_again
 
 Item = TypeVar("Item", contravariant=True)
@@ -16,12 +16,8 @@ R = TypeVar("R")
 
 ITEMS_PER_TASK = 16
 """Number of items that are done at a time if the work has no `items_at_once`."""
-
-
-class Lost(NamedTuple):
-    """The result of an item whose process died with it, alone; `error` names the item."""
-
-    error: TodframesError
+LONGEST_TASK_S = 0.5
+"""Time after which the calling thread gives what is finished, to be shown and kept."""
 
 
 class Work(Protocol[Item, Result]):
@@ -36,8 +32,8 @@ class Work(Protocol[Item, Result]):
         """Return the function of an item; it is made once in each process and called from any thread."""
         ...
 
-    def lost(self, item: Item) -> TodframesError:
-        """Return the error about an item whose process died with it."""
+    def name(self, item: Item) -> str:
+        """Return what messages call an item."""
         ...
 
 
@@ -52,9 +48,7 @@ class Engine(Protocol):
     is_local: bool
     dashboard: str | None
 
-    def run(
-        self, work: Work[T, R], items: Iterable[tuple[int, T]]
-    ) -> Generator[list[tuple[int, R | Lost]], None, None]:
+    def run(self, work: Work[T, R], items: Iterable[tuple[int, T]]) -> Generator[list[tuple[int, R]], None, None]:
         """Yield the results of numbered items with their numbers, in batches, in any order.
 
         Items are asked for as they are needed, few ahead. An exception of the function ends the run: it is raised
@@ -72,10 +66,18 @@ class LocalEngine:
 
     def run(
         self, work: Work[Item, Result], items: Iterable[tuple[int, Item]]
-    ) -> Generator[list[tuple[int, Result | Lost]], None, None]:
+    ) -> Generator[list[tuple[int, Result]], None, None]:
         """Yield lists of items that are finished, as (number, result)."""
         function = work.function()
         items, n = iter(items), getattr(work, "items_at_once", ITEMS_PER_TASK)
-        while task := list(islice(items, n)):
+        while True:
             raise_again()
-            yield [(number, function(item)) for number, item in task]
+            finished: list[tuple[int, Result]] = []
+            started = time.perf_counter()
+            for number, item in islice(items, n):
+                finished.append((number, function(item)))
+                if time.perf_counter() - started > LONGEST_TASK_S:
+                    break
+            if not finished:
+                return
+            yield finished

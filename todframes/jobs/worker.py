@@ -12,10 +12,10 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
-from todframes import __version__
-from todframes.base.errors import TodframesError
+from todframes.base.errors import TodframesError, in_command
 from todframes.base.user_code import in_words, search_last
 from todframes.jobs.start import THREADS_ENVIRONMENT
 
@@ -28,17 +28,8 @@ LONGEST_BATCH_S = 5.0
 """Time after which a batch ends; the items that are left come back."""
 
 
-class Versions(NamedTuple):
-    """The versions that have to be the same in the client and in a worker."""
-
-    python: str
-    todframes: str
-
-
-class Unfit(NamedTuple):
-    """The answer of a process that cannot do the work."""
-
-    problem: str
+class UnfitError(Exception):
+    """Exception of a process that cannot do the work."""
 
 
 class Done(NamedTuple):
@@ -70,11 +61,6 @@ _making = threading.Lock()
 """Lock held while a function is made: once, by the first thread that needs it."""
 
 
-def versions() -> Versions:
-    """Return the versions of this process."""
-    return Versions("{}.{}".format(*sys.version_info), __version__)
-
-
 def receive(key: str, work: bytes, folders: Sequence[str] = ()) -> None:
     """Keep a pickled work under a key, and the folders that are to be searched last for its modules."""
     _received[key] = work, folders
@@ -86,24 +72,32 @@ def forget(key: str) -> None:
     _functions.pop(key, None)
 
 
-def do_batch(key: str, items: bytes) -> Done | Unfit:
+def do_batch_of_file(path: str, items: bytes) -> Done:
+    """Do the items of a batch by the work of a file, which holds what `receive` takes; drop the work before."""
+    if path not in _received:
+        _received.clear()
+        _functions.clear()
+        receive(path, *pickle.loads(Path(path).read_bytes()))
+    return do_batch(path, items)
+
+
+def do_batch(key: str, items: bytes) -> Done:
     """Do the items of a batch, a pickled list, by the work with a key.
 
     The batch ends at the first exception, and after `LONGEST_BATCH_S`.
+
+    Raises
+    ------
+    UnfitError
+        If the work cannot be loaded here.
     """
     try:
         function = _function(key)
     except TodframesError as error:
         return Done(pickle.dumps([]), 0, 0.0, _portable(error))
     except Exception as error:  # of a class that is not installed here, or of a user's code
-        return Unfit(f"cannot load the work ({in_words(error)})")
+        raise UnfitError(f"cannot load the work ({in_words(error)})") from None
     return _do(function, pickle.loads(items))
-
-
-def different_versions(found: Versions, expected: Versions) -> str:
-    """Return a sentence about versions that differ."""
-    ours, theirs = (f"Python {one.python} and todframes {one.todframes}" for one in (expected, found))
-    return f"found {theirs}, expected {ours}"
 
 
 def keep_libraries_to_one_thread() -> None:
@@ -123,7 +117,9 @@ def _function(key: str) -> Callable[[Any], Any]:
         if key not in _functions:
             work, folders = _received[key]
             search_last(folders)
-            _functions[key] = pickle.loads(work).function()
+            loaded, is_command = pickle.loads(work)
+            with in_command(is_command):
+                _functions[key] = in_command(is_command)(loaded.function())
         return _functions[key]
 
 

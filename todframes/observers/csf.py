@@ -20,7 +20,7 @@ from msgspec import Meta
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
-from todframes.base.reading import check_values
+from todframes.base.reading import Positive, check_values
 from todframes.observers.eye import MRAD_PER_DEG, pupil_of
 from todframes.observers.interface import (
     MODELFEST_CD_M2,
@@ -168,12 +168,15 @@ class CsfSettings:
     template: Literal["matched", "ideal"] = "matched"
     external_noise_deg: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
     external_noise_exponent: Annotated[float, Meta(ge=0.0, le=4.0)] = 0.0
-    external_noise_spectrum: tuple[tuple[float, float], ...] | Literal["frames"] = ()
+    external_noise_spectrum: tuple[tuple[Positive, Positive], ...] | Literal["frames"] = ()
     efficiency: Annotated[float, Meta(ge=1e-6, le=1e6)] = 1.0
 
     def __post_init__(self) -> None:
         check_values(self)
-        _check_spectrum(self.external_noise_spectrum)
+        if self.external_noise_spectrum != FRAMES:
+            frequency = [pair[0] for pair in self.external_noise_spectrum]
+            if sorted(set(frequency)) != frequency:
+                raise SettingsError("external_noise_spectrum: expected pairs with ascending frequencies")
         if self.retina_pitch_mrad > LARGEST_PITCH_MRAD:
             nyquist = MRAD_PER_DEG / (2.0 * self.retina_pitch_mrad)
             raise SettingsError(
@@ -440,23 +443,6 @@ class CsfObserver(ObserverWithSettings):
         """Answer with the largest score, ties at random."""
         scores = self.literal_scores(contrast, stimulus, rng)
         return ORIENTATIONS[int(rng.choice(np.flatnonzero(scores == scores.max())))]
-
-
-def _check_spectrum(spectrum: object) -> None:
-    """Raise SettingsError unless a spectrum is "frames" or has ascending frequencies and densities above 0."""
-    if spectrum in (FRAMES, ()):
-        return
-    try:
-        frequency, density = np.array(spectrum, dtype=np.float64).T
-        is_good = bool(np.isfinite([frequency, density]).all() and (density > 0.0).all() and frequency[0] > 0.0)
-        is_good = is_good and bool((np.diff(frequency) > 0.0).all())
-    except (TypeError, ValueError):
-        is_good = False
-    if not is_good:
-        raise SettingsError(
-            "external_noise_spectrum: expected frames, or pairs of a frequency and a density above 0, frequencies "
-            "ascending"
-        )
 
 
 def _interpolated(frequency: FloatArray, spectrum: FloatArray) -> FloatArray:

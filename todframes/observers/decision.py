@@ -24,10 +24,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
-from todframes.base.normal import normal_cdf
 
 _ANSWERS = np.arange(4)[:, None]
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
@@ -246,7 +246,7 @@ def orthants(limit: FloatArray, angle: FloatArray) -> FloatArray:
 def _orthant(limit: FloatArray, geometry: _Geometry) -> FloatArray:
     """Compute Φ₃ of the limits b (..., answer, 3) by Plackett's identity, from independence on."""
     b = limit[..., None]
-    probability: FloatArray = normal_cdf(limit).prod(axis=-1)
+    probability: FloatArray = ndtr(limit).prod(axis=-1)
     for pair, (i, j) in enumerate(PAIRS):
         # (b_i² − 2ρ b_i b_j + b_j²) / 2(1 − ρ²) without cancellation.
         exponent = (limit[..., i, None] + limit[..., j, None]) ** 2 * geometry.sum_factor[:, :, pair]
@@ -256,7 +256,7 @@ def _orthant(limit: FloatArray, geometry: _Geometry) -> FloatArray:
         u += b[..., 1, :] * cut[..., 1, :]
         u += b[..., 2, :] * cut[..., 2, :]
         density = np.exp(np.negative(exponent, out=exponent), out=exponent)
-        density *= normal_cdf(u)
+        density *= ndtr(u)
         density *= geometry.weight[:, :, pair]
         probability += density.sum(axis=-1)
     return probability

@@ -62,16 +62,16 @@ class GaborPyramid:
 
     levels: int
     kernel_a: float = 0.375
-    orientations: int = 8
+    orientations: Annotated[int, Meta(ge=2, le=32)] = 8
     wavelength_samples: Annotated[float, Meta(ge=2.5, le=16.0)] = 4.0
     bandwidth_octaves: Annotated[float, Meta(ge=0.5, le=3.0)] = 1.0
     elongation: Annotated[float, Meta(ge=0.25, le=4.0)] = 1.0
     phases: Phases = "both"
 
     def __post_init__(self) -> None:
-        if self.orientations % 2 or not 2 <= self.orientations <= 32:
-            raise SettingsError(f"orientations: found {self.orientations}, expected an even number from 2 to 32")
         check_values(self)
+        if self.orientations % 2:
+            raise SettingsError(f"orientations: found {self.orientations}, expected an even number from 2 to 32")
 
     @property
     def signs(self) -> tuple[int, ...]:

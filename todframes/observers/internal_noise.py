@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import ndtr, owens_t
 
 from todframes.base._typing import FloatArray
-from todframes.base.normal import normal_cdf
 from todframes.observers.decision import OTHERS, PAIRS
 
 _Order = tuple[int, int, int]
@@ -157,7 +157,7 @@ def _fourth_derivatives(b: FloatArray, rho: FloatArray) -> dict[_Order, FloatArr
         gain = {i: (r_ik - r * r_jk) * precision, j: (r_jk - r * r_ik) * precision}
         left = np.sqrt(np.maximum(1.0 - gain[i] * r_ik - gain[j] * r_jk, _NEARLY_PLANE))
         u = (limit[k] - gain[i] * limit[i] - gain[j] * limit[j]) / left
-        third, at_third = normal_cdf(u), _density(u)
+        third, at_third = ndtr(u), _density(u)
         fall = {n: gain[n] / left for n in (i, j)}  # −∂u/∂b_n
         pull = {i: (limit[i] - r * limit[j]) * precision, j: (limit[j] - r * limit[i]) * precision}
         of_pair = np.exp(-(limit[i] * pull[i] + limit[j] * pull[j]) / 2.0) * np.sqrt(precision) / (2.0 * math.pi)
@@ -195,13 +195,11 @@ def _both_below(limit: FloatArray, rho: FloatArray, i: int, j: int, k: int) -> F
 
 def _bivariate(h: FloatArray, k: FloatArray, rho: FloatArray) -> FloatArray:
     """Compute Φ₂ by Owen's T function (Owen 1956)."""
-    from scipy.special import owens_t
-
     root = np.sqrt(np.maximum((1.0 - rho) * (1.0 + rho), _NEARLY_PLANE))
     h, k = (np.where(x == 0.0, 1e-300, x) for x in (h, k))
     with np.errstate(over="ignore"):
         beyond_h, beyond_k = (k - rho * h) / (h * root), (h - rho * k) / (k * root)
-    below = (normal_cdf(h) + normal_cdf(k)) / 2.0 - owens_t(h, beyond_h) - owens_t(k, beyond_k)
+    below = (ndtr(h) + ndtr(k)) / 2.0 - owens_t(h, beyond_h) - owens_t(k, beyond_k)
     return np.asarray(below - np.where((h > 0.0) == (k > 0.0), 0.0, 0.5))
 
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError
+from todframes.base.reading import check_values
 
 BORDER = 4
 """Number of zeros around the part that is not zero: the filters of the pyramid reach two samples."""
@@ -38,14 +39,11 @@ class LaplacianPyramid:
     Burt & Adelson 1983, eqs. 1-8.
     """
 
-    levels: int
-    kernel_a: float = 0.375
+    levels: Annotated[int, Meta(ge=0)]
+    kernel_a: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.375
 
     def __post_init__(self) -> None:
-        if self.levels < 0:
-            raise SettingsError(f"levels: found {self.levels}, expected a number >= 0")
-        if not 0.0 <= self.kernel_a <= 1.0:
-            raise SettingsError(f"kernel_a: found {self.kernel_a!r}, expected a number in [0, 1]")
+        check_values(self)
 
     def build(self, image: FloatArray) -> list[FloatArray]:
         """Compute bands 0 ... levels - 1 and the residual of an image of any shape (rows, columns)."""

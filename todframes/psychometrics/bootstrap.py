@@ -8,11 +8,13 @@ from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from todframes.base._typing import FloatArray
-from todframes.base.normal import NORMAL_95, normal_cdf
 from todframes.psychometrics.likelihood import CHI2_95, CurveModel, binomial_loglik
 
+NORMAL_95 = 1.959963984540054
+"""Half-width of the central 95 % of a standard normal distribution."""
 CURVE_TRIALS = 5
 PLUS_TRIALS = 4
 ANSWER_TOLERANCE, PROBABILITY_TOLERANCE = 1e-4, 1e-8
@@ -126,7 +128,7 @@ def threshold_interval(
     skew = (observed.n_trials * relative**3 * third).sum()
     acceleration = np.clip(skew / max(6 * variance**1.5, 1e-300), -0.1, 0.1)
     tails = bias + NORMAL_95 * np.array([-1.0, 1.0])
-    ranks = normal_cdf(bias + tails / np.maximum(1 - acceleration * tails, 0.1)) * (resamples + 1)
+    ranks = ndtr(bias + tails / np.maximum(1 - acceleration * tails, 0.1)) * (resamples + 1)
     draws.sort()
     low = min(draws[max(math.floor(ranks[0]) - 1, 0)], estimate)
     high = max(draws[min(math.ceil(ranks[1]) - 1, resamples - 1)], estimate)

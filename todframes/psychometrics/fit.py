@@ -13,20 +13,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import check_values
+from todframes.parameters import CurveName
 from todframes.psychometrics.bootstrap import Observed, crossing_of_points, threshold_interval
 from todframes.psychometrics.likelihood import SLOPE_RANGE, CurveModel, binomial_loglik
 from todframes.psychometrics.observer_curve import GUESS_RATE, SMALLEST_CEILING, ObserverModel
 from todframes.psychometrics.weibull import WeibullModel
 
-CurveName = Literal["observer", "weibull"]
 Status = Literal["ok", "extrapolated", "never_reached", "always_exceeded", "too_few_levels"]
 EXTRAPOLATION_FACTOR = 2.0
 MIN_RESAMPLES, MAX_RESAMPLES = 40, 100_000
@@ -59,32 +60,29 @@ class FitSettings:
         If a value is out of its range, or the criterion not between guess rate and 1 − lapse rate.
     """
 
-    guess_rate: float = 0.25
-    lapse_rate: float | None = None
-    lapse_rate_max: float = 0.05
-    slope_spread: float | None = 0.2
+    guess_rate: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.25
+    lapse_rate: Annotated[float | None, Meta(ge=0.0)] = None
+    lapse_rate_max: Annotated[float, Meta(ge=0.0)] = 0.05
+    slope_spread: Annotated[float | None, Meta(ge=1e-3)] = 0.2
     p_correct: float = 0.75
-    resamples: int = 2000
+    resamples: Annotated[int, Meta(ge=0, le=MAX_RESAMPLES)] = 2000
 
     def __post_init__(self) -> None:
         check_values(self)
-        _require("guess_rate", self.guess_rate, 0 <= self.guess_rate < 1, "0 <= guess_rate < 1")
-        room = f"0 to below 1 - guess_rate = {1 - self.guess_rate:g}"
-        for key, lapse_rate in (("lapse_rate", self.lapse_rate), ("lapse_rate_max", self.lapse_rate_max)):
-            if lapse_rate is not None:
-                _require(key, lapse_rate, 0 <= lapse_rate < 1 - self.guess_rate, room)
-        top = 1 - (self.lapse_rate or 0.0)
-        between = f"strictly between guess_rate = {self.guess_rate:g} and 1 - lapse_rate = {top:g}"
-        _require("p_correct", self.p_correct, self.guess_rate < self.p_correct < top, between)
-        if self.slope_spread is not None:
-            _require("slope_spread", self.slope_spread, self.slope_spread >= 1e-3, "a number, 0.001 or more")
-        enough = self.resamples == 0 or MIN_RESAMPLES <= self.resamples <= MAX_RESAMPLES
-        _require("resamples", self.resamples, enough, f"0 (no interval) or {MIN_RESAMPLES} to {MAX_RESAMPLES}")
-
-
-def _require(key: str, found: object, holds: bool, expected: str) -> None:
-    if not holds:
-        raise SettingsError(f"{key}: found {found!r}, expected {expected}")
+        most = 1.0 - self.guess_rate
+        for name in ("lapse_rate", "lapse_rate_max"):
+            if (value := getattr(self, name)) is not None and value >= most:
+                raise SettingsError(f"{name}: found {value!r}, expected 0 to below 1 - guess_rate = {most:g}")
+        top = 1.0 - (self.lapse_rate or 0.0)
+        if not self.guess_rate < self.p_correct < top:
+            raise SettingsError(
+                f"p_correct: found {self.p_correct!r}, expected strictly between guess_rate = "
+                f"{self.guess_rate:g} and 1 - lapse_rate = {top:g}"
+            )
+        if 0 < self.resamples < MIN_RESAMPLES:
+            raise SettingsError(
+                f"resamples: found {self.resamples}, expected 0 (no interval) or at least {MIN_RESAMPLES}"
+            )
 
 
 @dataclass(frozen=True, slots=True)

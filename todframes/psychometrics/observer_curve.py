@@ -15,9 +15,9 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import ndtr
 
 from todframes.base._typing import FloatArray
-from todframes.base.normal import normal_cdf
 from todframes.psychometrics.likelihood import CurveModel
 
 GUESS_RATE = 0.25
@@ -54,7 +54,7 @@ def _cubics() -> FloatArray:
     d_prime = np.arange(LARGEST_D_PRIME * _KNOTS_PER_UNIT + 1)[:, None] / _KNOTS_PER_UNIT
     t = np.arange(-LARGEST_D_PRIME - 10.0, 10.0, 0.1)
     density = np.exp(-(t**2) / 2.0)
-    others, own = normal_cdf(-(t + d_prime)), normal_cdf(t + d_prime)
+    others, own = ndtr(-(t + d_prime)), ndtr(t + d_prime)
     wrong = density * others * (1.0 + own + own**2)  # 1 − Φ³ without cancellation
     slope = -3.0 * density * own**2 * np.exp(-((t + d_prime) ** 2) / 2.0) / math.sqrt(2.0 * math.pi)
     scale = 0.1 / math.sqrt(2.0 * math.pi)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import FloatArray
+from todframes.parameters import CurveName
 from todframes.psychometrics.bootstrap import (
     ANSWER_TOLERANCE,
     CURVE_TRIALS,
@@ -31,7 +32,6 @@ from todframes.psychometrics.bootstrap import (
 )
 from todframes.psychometrics.fit import (
     EXTRAPOLATION_FACTOR,
-    CurveName,
     FitSettings,
     PsychometricFit,
     curve_model,

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, TypeVar
 
-Status = Literal["ok", "never_reached", "always_exceeded"]
+Status = Literal["ok", "never_reached", "always_exceeded", "too_uncertain"]
 IMPOSSIBLE: Literal["impossible"] = "impossible"
 """Status of a threshold that cannot be computed."""
+
+TOO_UNCERTAIN: Literal["too_uncertain"] = "too_uncertain"
+"""Status of a threshold whose numerical error is above `LARGEST_ERROR`."""
+
+LARGEST_ERROR = 0.3
+"""Largest numerical error of a threshold, as a share of it."""
 
 Crossing = tuple[Status, float | None]
 LEVEL_RANGE = (1e-6, 1e9)
@@ -34,6 +40,16 @@ class ComputedThreshold:
     status: Status | Literal["impossible"]
     threshold: float | None = None
     numerical_error: float | None = None
+
+
+T = TypeVar("T", bound=ComputedThreshold)
+
+
+def if_known(found: T) -> T:
+    """Return the threshold, or its absence if its numerical error is above `LARGEST_ERROR`."""
+    if found.threshold is None or (found.numerical_error or 0.0) <= LARGEST_ERROR * found.threshold:
+        return found
+    return replace(found, status=TOO_UNCERTAIN, threshold=None, numerical_error=None)
 
 
 def crossing(

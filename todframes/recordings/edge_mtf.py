@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import DataError, SettingsError
-from todframes.base.normal import NORMAL_95
+from todframes.psychometrics.bootstrap import NORMAL_95
 from todframes.recordings.mtf_table import mtf50_of
 
 Box = tuple[int, int, int, int]

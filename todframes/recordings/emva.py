@@ -18,9 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, argument, for_reader
+from todframes.base.errors import DataError, argument
 from todframes.recordings.emva_xml import EmvaCamera
 from todframes.recordings.noise3d import (
+    DRIFT_ERRORS,
     MOST_SATURATED,
     STATIC,
     FrameSums,
@@ -29,17 +30,21 @@ from todframes.recordings.noise3d import (
     checked_region,
     combinations,
     estimate,
+    fit_drift,
 )
 from todframes.recordings.recording import Recording, RecordingWarning
 
 QUANTISATION_VARIANCE = 1.0 / 12.0
-"""Variance of rounding to whole numbers."""
+"""Variance of rounding, in steps². A step is 1 DN, or more if the values have gaps: 12 bits in files of 16."""
 
 LEAST_DARK_VARIANCE = 0.24
-"""Temporal dark variance in DN² below which rounding decides it. EMVA 1288 release 4.0 linear."""
+"""Temporal dark variance in steps² below which rounding decides it. EMVA 1288 release 4.0 linear."""
 
 LEAST_DARK_SD = 0.4
-"""Dark noise in DN that is then stated, as a bound. EMVA 1288 release 4.0 linear."""
+"""Dark noise in steps that is then stated, as a bound. EMVA 1288 release 4.0 linear."""
+
+LARGEST_ROUNDING = 0.5
+"""Largest error of rounding in steps, and so of the standard deviation of a pattern that no noise smooths."""
 
 FITTED = 0.7
 """Part of the saturation signal up to which gain and responsivity are fitted. EMVA 1288 release 4.0 linear."""
@@ -50,6 +55,9 @@ LINEAR = (0.05, 0.95)
 SATURATED_VARIANCE = 0.8
 """Temporal variance beyond saturation, relative to the largest: by noise alone, a pair of 64 x 64 pixels falls to
 that once in 10¹⁰; behind a full well or the end of the scale it falls to nearly nothing."""
+
+FEWEST_BENT, LEAST_RANGE = 4, 0.2
+"""Number of stacks, and range of their signals relative to the largest, from which a bend is told from scatter."""
 
 FEWEST_OF_SERIES = 3
 """Number of stacks with as many frames from which they are the series of photon transfer."""
@@ -66,6 +74,18 @@ MISFIT_PROBABILITY = 0.01
 LARGEST_GAIN_ERROR = 0.02
 """Relative standard error of a widened gain, above which there is a warning. The three public reference sets have
 0.007, 0.003 and, for a camera with an offset at faint light, 0.03."""
+
+WARNED_BEND, LARGEST_BEND = 0.05, 0.5
+"""Relative change of the gain by a bent response above which there is a warning, and the largest one that
+intervals take in. The camera of a public reference set has 0.047."""
+
+LARGEST_DRIFT = 0.01
+"""Change of a stack's mean from its first frame to its last, relative to the signal, above which there is a
+warning: the mean of the stack is then up to half of it away from the light that was measured."""
+
+LARGEST_UNEVENNESS = 1.2
+"""PRNU relative to that without a smooth surface, above which there is a warning. Light that falls by 3 % to the
+corners does that to a PRNU of 0.8 %. The public reference sets have 1.5 to 1.8, as it changes by 1.3 to 5 %."""
 
 LINES = {
     "row_noise_electrons": "tv",
@@ -125,8 +145,14 @@ class StackNoise:
         Variance of the mean image.
     spatial, row, column, pixel : float
         Spatial variance without what temporal noise leaves in the mean, and its parts. They can be below zero.
-    saturated : float
-        Share of values at the end of the scale.
+    smooth : float
+        Part of the spatial variance that is a surface of second order across the frame.
+    change : float
+        Change of the mean from the first frame to the last; 0 if noise and flicker explain it.
+    saturated, crushed : float
+        Shares of values at the end of the scale, and at black.
+    step : int
+        Greatest common divisor of the differences of values; 0 if they are no whole numbers.
     """
 
     name: str
@@ -141,7 +167,11 @@ class StackNoise:
     row: float
     column: float
     pixel: float
+    smooth: float
+    change: float
     saturated: float
+    crushed: float
+    step: int
     squares: Mapping[str, float]
     degrees: Mapping[str, int]
     shape: tuple[int, int]
@@ -208,6 +238,8 @@ class EmvaNoise:
         By increasing signal.
     bright, dark : StackNoise
         Stacks of the spatial measurement.
+    rounding_variance : float
+        Variance of rounding in DN².
     bits : int or None
     exposure_ms : float or None
         That of the spatial measurement.
@@ -238,6 +270,7 @@ class EmvaNoise:
     points: tuple[TransferPoint, ...]
     bright: StackNoise
     dark: StackNoise
+    rounding_variance: float
     bits: int | None
     exposure_ms: float | None
     warnings: tuple[RecordingWarning, ...]
@@ -274,17 +307,6 @@ class EmvaNoise:
             bits=self.bits,
             exposure_ms=self.exposure_ms,
         )
-
-    def snr(self, electrons: FloatArray, *, with_spatial: bool = False) -> FloatArray:
-        """Return the signal-to-noise ratio of a pixel by its mean number of electrons, η μ_p for μ_p photons.
-
-        EMVA 1288 release 4.0 linear: η μ_p / √(σ_d² + σ_q² / K² + η μ_p), and with the spatial parts DSNU² and
-        (PRNU η μ_p)² under the root.
-        """
-        variance = self.dark_noise.value**2 + QUANTISATION_VARIANCE / self.system_gain.value**2 + electrons
-        if with_spatial:
-            variance = variance + self.dsnu.value**2 + (self.prnu.value / 100.0 * electrons) ** 2
-        return np.asarray(electrons / np.sqrt(variance))
 
     def xml_values(self) -> dict[str, float | int | None]:
         """Return the results by the names of EMVA's XML, in its units."""
@@ -416,7 +438,7 @@ def _measured(
     recording = stack.recording
     left, top, width, height = checked_region(recording, region)
     sums: FrameSums | None = None
-    n_saturated = 0
+    n_saturated = n_crushed = step = 0
     for frame in recording.frames():
         values = frame.values
         if values.ndim != 2:
@@ -424,7 +446,10 @@ def _measured(
         values = values[top : top + height, left : left + width]
         if full_scale is not None:
             n_saturated += int(np.count_nonzero(values >= full_scale))
+            n_crushed += int(np.count_nonzero(values <= recording.zero))
         grey = values.astype(np.float64)
+        if step != 1 and (grey == np.rint(grey)).all():
+            step = int(np.gcd.reduce((grey - grey[0, 0]).astype(np.int64), axis=None, initial=step))
         sums = sums or FrameSums(grey)
         sums.add(grey)
         if progress is not None:
@@ -446,7 +471,8 @@ def _measured(
     _check_exposure(stack, means, temporal, v * h, darkest)
     # EMVA 1288 release 4.0 linear: variances of the mean image, of its rows and of its columns, each with
     # its share of the other parts and of the temporal noise, are solved for the three parts.
-    measured, left_over = (of["v"] + of["h"] + of["vh"]) / (t * v * h), stack_variance / t
+    # Changes of the whole frame leave nothing in the pattern: their variance, in that of the stack, is left out.
+    measured, left_over = (of["v"] + of["h"] + of["vh"]) / (t * v * h), temporal / t
     of_rows, of_columns = of["v"] / (t * h * v), of["h"] / (t * v * h)
     row, column, pixel = np.linalg.solve(
         [[1.0, 0.0, 1.0 / h], [0.0, 1.0, 1.0 / v], [1.0, 1.0, 1.0]],
@@ -465,11 +491,34 @@ def _measured(
         row=row,
         column=column,
         pixel=pixel,
+        smooth=_smooth_variance(sums.mean_image()),
+        change=_change(means, math.sqrt(temporal / (v * h))),
         saturated=n_saturated / (t * v * h),
+        crushed=n_crushed / (t * v * h),
+        step=step,
         squares=squares,
         degrees=degrees,
         shape=(v, h),
     )
+
+
+def _smooth_variance(image: FloatArray) -> float:
+    """Return the variance of the surface of second order that is fitted to an image by least squares."""
+    y, x = np.meshgrid(*(np.linspace(-1.0, 1.0, n) for n in image.shape), indexing="ij")
+    terms = np.stack([x, y, x * x, x * y, y * y]).reshape(5, -1)
+    terms -= terms.mean(axis=1, keepdims=True)
+    product = terms @ (image - image.mean()).ravel()
+    return float(product @ np.linalg.lstsq(terms @ terms.T, product)[0]) / image.size
+
+
+def _change(means: FloatArray, error: float) -> float:
+    """Return the change of the means of frames from the first to the last; 0 if noise or flicker explain it.
+
+    `error` is the standard error of a mean by the noise of pixels. Two frames do not tell flicker from drift.
+    """
+    drift = fit_drift(means, [])
+    change, scatter = (means[-1] - means[0], 0.0) if drift is None else (drift.change, drift.change_error)
+    return float(change) if abs(change) > max(DRIFT_ERRORS * scatter, MIXED_ERRORS * error) else 0.0
 
 
 def _check_exposure(
@@ -561,6 +610,26 @@ def _drawn(stack: StackNoise, rng: np.random.Generator) -> _Draws:
     return _Draws(temporal, spatial, stack.mean + math.sqrt(of_mean / (t * v * h)) * rng.standard_normal(DRAWS))
 
 
+class _Gain(NamedTuple):
+    """The system gain, draws of it, and the factor from the line's gain to that of a faint signal."""
+
+    value: float
+    draws: FloatArray
+    to_faint: float
+
+    def electrons(self, value: float, draws: FloatArray, power: int = 1) -> Estimate:
+        """Return a quantity in DN, or in DN² with a power of 2, in electrons."""
+        return _estimate(value / self.value**power, draws / self.draws**power, self.to_faint**-power)
+
+
+class _Response(NamedTuple):
+    """Responsivity and quantum efficiency, and draws of the latter."""
+
+    responsivity: Estimate
+    efficiency: Estimate
+    efficiencies: FloatArray
+
+
 def _evaluated(
     points: list[TransferPoint],
     series: list[TransferPoint],
@@ -576,9 +645,76 @@ def _evaluated(
     rng = np.random.default_rng(SEED)
     drawn = {id(one): _drawn(one, rng) for one in (*of_dark, *(point.bright for point in points))}
     fitted = [one for one in points if one.is_fitted]
-    warnings: list[RecordingWarning] = []
+    gain, misfit, bend = _gain(fitted, drawn)
+    response = _response(fitted, drawn, gain, rng)
 
-    # K is the slope of variance against signal, both above dark.
+    step = math.gcd(*(one.step for one in (*of_dark, *(point.bright for point in points))))
+    darkest = min(of_dark, key=lambda one: (one.exposure_ms or 0.0, -one.n_frames))
+    of_darkest = drawn[id(darkest)].temporal
+    dark_sd, rounding = math.sqrt(darkest.temporal), QUANTISATION_VARIANCE * step**2
+    dark_noise = gain.electrons(
+        math.sqrt(max(darkest.temporal - rounding, 0.0)), np.sqrt(np.maximum(of_darkest - rounding, 0.0))
+    )
+    of_bright, of_spatial_dark = drawn[id(spatial.bright)], drawn[id(spatial.dark)]
+    dsnu = gain.electrons(
+        math.sqrt(max(spatial.dark.spatial, 0.0)), np.sqrt(np.maximum(of_spatial_dark.spatial, 0.0))
+    )
+    currents = [_dark_current(of_dark, gain, rng, name, n) for name, n in (("mean", 1), ("temporal", 2))]
+    if darkest.temporal < LEAST_DARK_VARIANCE * step**2:
+        largest = LEAST_DARK_SD * step / gain.value
+        dark_noise, currents = Estimate(largest, (0.0, largest)), [None, None]
+    if spatial.dark.temporal < LEAST_DARK_VARIANCE * step**2:
+        reach = LARGEST_ROUNDING * step / gain.value
+        dsnu = Estimate(dsnu.value, (max(dsnu.value - reach, 0.0), dsnu.value + reach))
+    nonuniformities = np.sqrt(np.maximum(of_bright.spatial - of_spatial_dark.spatial, 0.0)) / (
+        of_bright.mean - of_spatial_dark.mean
+    )
+    slope = 1.0 + bend * spatial.signal / 3.0
+
+    electrons, capacity = _capacity(series, saturated, most, gain, response)
+    threshold = None
+    if response is not None:
+        threshold = _estimate(
+            (dark_sd / gain.value + 0.5) / response.efficiency.value,
+            (np.sqrt(of_darkest) / gain.draws + 0.5) / response.efficiencies,
+        )
+    warnings = (
+        *_about_gain(fitted, misfit, gain),
+        *_about_dark(of_dark, darkest, step),
+        *_about_light(points, spatial),
+        *_about_saturation(saturated, most, bits),
+    )
+    of_recordings = dict.fromkeys(one for stack in recordings for one in stack.recording.warnings)
+    return EmvaNoise(
+        system_gain=_estimate(gain.value, gain.draws, gain.to_faint),
+        inverse_gain=gain.electrons(1.0, np.ones(DRAWS)),
+        responsivity=None if response is None else response.responsivity,
+        quantum_efficiency=None if response is None else response.efficiency,
+        dark_noise_dn=_estimate(dark_sd, np.sqrt(of_darkest)),
+        dark_noise=dark_noise,
+        dark_current=currents[0],
+        dark_current_from_variance=currents[1],
+        dsnu=dsnu,
+        prnu=_estimate(100.0 * _prnu(spatial), 100.0 * nonuniformities, 1.0 / slope),
+        saturation_electrons=electrons,
+        saturation_photons=capacity,
+        sensitivity_threshold=threshold,
+        snr_max=None if electrons is None else math.sqrt(electrons.value),
+        dynamic_range=None if electrons is None else electrons.value / (dark_sd / gain.value + 0.5),
+        linearity_percent=_linearity(series, most),
+        is_saturation_reached=saturated is not None,
+        points=tuple(points),
+        bright=spatial.bright,
+        dark=spatial.dark,
+        rounding_variance=rounding,
+        bits=bits,
+        exposure_ms=spatial.bright.exposure_ms,
+        warnings=(*of_recordings, *(RecordingWarning(*warning) for warning in warnings)),
+    )
+
+
+def _gain(fitted: Sequence[TransferPoint], drawn: Mapping[int, _Draws]) -> tuple[_Gain, float, float]:
+    """Return K, the slope of variance against signal, both above dark; its misfit and the bend of the response."""
     signal, variance = (np.array([getattr(one, name) for one in fitted]) for name in ("signal", "variance"))
     signals = np.array([drawn[id(one.bright)].mean - drawn[id(one.dark)].mean for one in fitted])
     variances = np.array([drawn[id(one.bright)].temporal - drawn[id(one.dark)].temporal for one in fitted])
@@ -589,126 +725,151 @@ def _evaluated(
             f"{fitted[-1].bright.name}: its temporal variance is not above that of dark frames, so there is no "
             "photon transfer; expected raw values of a camera that is not saturated"
         )
-    misfit = _misfit(variance - gain * signal, variances)
-    gains = gain + misfit * (gains - gain)
-    warnings += _about_gain(fitted, misfit, float(np.std(gains)) / gain)
-    inverse = _estimate(1.0 / gain, 1.0 / gains)
+    errors = variances.std(axis=1)
+    misfit, bend = _misfit(signal, variance, errors), _bend(fitted, errors)
+    bent = 1.0 + bend * float((signal**3).sum() / (signal**2).sum())
+    return _Gain(gain, gain + misfit * (gains - gain), 1.0 / bent), misfit, bend
 
-    responsivity = efficiency = None
-    efficiencies: FloatArray | None = None
-    if all(one.bright.photons for one in fitted):
-        photons = np.array([one.bright.photons for one in fitted], np.float64)
-        slope = float(photons @ signal / (photons @ photons))
-        if len(fitted) > 1:
-            rest = signal - slope * photons
-            error = math.sqrt(float(rest @ rest) / (len(fitted) - 1) / float(photons @ photons))
-            slopes = slope + error * rng.standard_t(len(fitted) - 1, DRAWS)
-        else:
-            slopes = signals[0] / photons[0]
-        efficiencies = slopes / gains
-        responsivity, efficiency = _estimate(slope, slopes), _estimate(slope / gain, efficiencies)
 
-    darkest = min(of_dark, key=lambda one: (one.exposure_ms or 0.0, -one.n_frames))
-    of_darkest = drawn[id(darkest)].temporal
-    dark_sd = math.sqrt(darkest.temporal)
-    if darkest.temporal < LEAST_DARK_VARIANCE:
-        dark_noise = Estimate(LEAST_DARK_SD / gain, (0.0, LEAST_DARK_SD / gain))
-        warnings.append(
-            RecordingWarning(
-                "quantised",
-                f"the temporal variance of dark frames ({darkest.temporal:.2g} DN²) is below "
-                f"{LEAST_DARK_VARIANCE}: rounding decides it, and the dark noise is an upper bound; record with "
-                "more gain or bits",
-            )
-        )
+def _response(
+    fitted: Sequence[TransferPoint], drawn: Mapping[int, _Draws], gain: _Gain, rng: np.random.Generator
+) -> _Response | None:
+    """Return the slope of the signal against photons; None without photons."""
+    if not all(one.bright.photons for one in fitted):
+        return None
+    photons, signal = np.array([(one.bright.photons, one.signal) for one in fitted], np.float64).T
+    slope = float(photons @ signal / (photons @ photons))
+    if len(fitted) > 1:
+        rest = signal - slope * photons
+        error = math.sqrt(float(rest @ rest) / (len(fitted) - 1) / float(photons @ photons))
+        slopes = slope + error * rng.standard_t(len(fitted) - 1, DRAWS)
     else:
-        dark_noise = _estimate(
-            math.sqrt(darkest.temporal - QUANTISATION_VARIANCE) / gain,
-            np.sqrt(np.maximum(of_darkest - QUANTISATION_VARIANCE, 0.0)) / gains,
-        )
-
-    of_bright, of_spatial_dark = drawn[id(spatial.bright)], drawn[id(spatial.dark)]
-    dsnu = _estimate(
-        math.sqrt(max(spatial.dark.spatial, 0.0)) / gain, np.sqrt(np.maximum(of_spatial_dark.spatial, 0.0)) / gains
-    )
-    nonuniformity = math.sqrt(max(spatial.bright.spatial - spatial.dark.spatial, 0.0)) / spatial.signal
-    nonuniformities = np.sqrt(np.maximum(of_bright.spatial - of_spatial_dark.spatial, 0.0)) / (
-        of_bright.mean - of_spatial_dark.mean
-    )
-
-    electrons, capacity = _capacity(series, saturated, most, gain, gains, efficiency, efficiencies)
-    if saturated is None:
-        where = "not known" if electrons is None else f"that of the end of the scale ({most:.5g} DN above dark)"
-        hint = "" if bits is not None else f", or give {argument.bits} if the camera has fewer bits than its files"
-        warnings.append(
-            RecordingWarning(
-                "saturation_not_reached",
-                f"the variance still rises at the brightest stack: saturation is {where}; add brighter stacks"
-                f"{hint}",
-            )
-        )
-    threshold = None
-    if efficiency is not None and efficiencies is not None:
-        threshold = _estimate(
-            (dark_sd / gain + 0.5) / efficiency.value, (np.sqrt(of_darkest) / gains + 0.5) / efficiencies
-        )
-    of_recordings = dict.fromkeys(one for stack in recordings for one in stack.recording.warnings)
-    return EmvaNoise(
-        system_gain=_estimate(gain, gains),
-        inverse_gain=inverse,
-        responsivity=responsivity,
-        quantum_efficiency=efficiency,
-        dark_noise_dn=_estimate(dark_sd, np.sqrt(of_darkest)),
-        dark_noise=dark_noise,
-        dark_current=_dark_current(of_dark, gain, gains, rng, "mean", 1),
-        dark_current_from_variance=_dark_current(of_dark, gain, gains, rng, "temporal", 2),
-        dsnu=dsnu,
-        prnu=_estimate(100.0 * nonuniformity, 100.0 * nonuniformities),
-        saturation_electrons=electrons,
-        saturation_photons=capacity,
-        sensitivity_threshold=threshold,
-        snr_max=None if electrons is None else math.sqrt(electrons.value),
-        dynamic_range=None if electrons is None else electrons.value / (dark_sd / gain + 0.5),
-        linearity_percent=_linearity(series, most),
-        is_saturation_reached=saturated is not None,
-        points=tuple(points),
-        bright=spatial.bright,
-        dark=spatial.dark,
-        bits=bits,
-        exposure_ms=spatial.bright.exposure_ms,
-        warnings=(*of_recordings, *(RecordingWarning(code, for_reader(text)) for code, text in warnings)),
-    )
+        slopes = (drawn[id(fitted[0].bright)].mean - drawn[id(fitted[0].dark)].mean) / photons[0]
+    return _Response(_estimate(slope, slopes), gain.electrons(slope, slopes), slopes / gain.draws)
 
 
-def _estimate(value: float, draws: FloatArray) -> Estimate:
+def _estimate(value: float, draws: FloatArray, factor: float = 1.0) -> Estimate:
+    """Return a value with its 95 % interval, which reaches as far as that of the value times a factor."""
     low, high = np.quantile(draws, (0.025, 0.975)).tolist()
-    return Estimate(value, (low, high))
+    return Estimate(value, (low * min(factor, 1.0), high * max(factor, 1.0)))
 
 
-def _misfit(rest: FloatArray, variances: FloatArray) -> float:
-    """Return the factor by which points scatter more about the line than their noise explains; at least 1."""
+def _prnu(point: TransferPoint, *, of_smooth: bool = True) -> float:
+    """Return the photo response nonuniformity relative to the signal, with or without smooth surfaces."""
+    bright, dark = (one.spatial - (0.0 if of_smooth else one.smooth) for one in (point.bright, point.dark))
+    return math.sqrt(max(bright - dark, 0.0)) / point.signal
+
+
+def _bend(fitted: Sequence[TransferPoint], errors: FloatArray) -> float:
+    """Return the bend of the camera's response: b in variance = K signal (1 + b signal); 0 if noise explains it.
+
+    `errors` are those of the variances. For a response of g(x) = x (1 + a x) that is nearly straight, signal over
+    photons is in proportion to 1 + a signal; variance over signal, K g'² x / g, to 1 + 3 a signal; and a pattern
+    over the signal, g' x / g, is 1 + a signal. With photons a comes from the means, without from the variances.
+    """
+    from scipy.special import stdtrit
+
+    n = len(fitted)
+    signal = np.array([one.signal for one in fitted])
+    if n < FEWEST_BENT or np.ptp(signal) < LEAST_RANGE * signal.max():
+        return 0.0
+    photons = [one.bright.photons for one in fitted]
+    has_photons = all(photons)
+    ratio = signal / photons if has_photons else np.array([one.variance for one in fitted]) / signal
+    weights = (signal / (1.0 if has_photons else errors)) ** 2
+    x = signal - weights @ signal / weights.sum()
+    slope = float(weights @ (x * ratio) / (weights @ x**2))
+    line = weights @ ratio / weights.sum() + slope * x
+    at_zero = float(line[0] - slope * signal[0])
+    scatter = math.sqrt(float(weights @ (ratio - line) ** 2) / (n - 2)) if has_photons else 1.0
+    limit = float(stdtrit(n - 2 if has_photons else math.inf, 1.0 - MISFIT_PROBABILITY / 2.0))
+    if at_zero <= 0.0 or abs(slope) <= limit * scatter / math.sqrt(float(weights @ x**2)):
+        return 0.0
+    largest = LARGEST_BEND / float(signal.max())
+    return float(np.clip((3.0 if has_photons else 1.0) * slope / at_zero, -largest, largest))
+
+
+def _misfit(signal: FloatArray, variance: FloatArray, errors: FloatArray) -> float:
+    """Return the factor by which variances scatter more about their best line than errors explain; at least 1."""
     from scipy.special import gammaincc
 
-    n = len(rest)
+    n = len(signal)
     if n < 3:
         return 1.0
-    chi2 = float((rest**2 / variances.var(axis=1)).sum())
+    x, y = signal / errors, variance / errors
+    chi2 = float(((y - x * (x @ y) / (x @ x)) ** 2).sum())
     is_likely = float(gammaincc((n - 1) / 2.0, chi2 / 2.0)) > MISFIT_PROBABILITY
     return 1.0 if is_likely else math.sqrt(chi2 / (n - 1))
 
 
-def _about_gain(fitted: Sequence[TransferPoint], misfit: float, error: float) -> Iterator[RecordingWarning]:
+def _about_gain(fitted: Sequence[TransferPoint], misfit: float, gain: _Gain) -> Iterator[RecordingWarning]:
+    """Yield warnings about the line of photon transfer."""
+    error, bent = float(np.std(gain.draws)) / gain.value, abs(gain.to_faint - 1.0)
     if misfit > 1.0 and error > LARGEST_GAIN_ERROR:
         yield RecordingWarning(
             "not_linear",
             f"variances scatter {misfit:.2g} times as much about the line of photon transfer as noise alone: the "
             "camera is not linear, or its values are processed; the intervals are widened by as much",
         )
+    elif bent > WARNED_BEND:
+        yield RecordingWarning(
+            "not_linear",
+            f"the response is bent, and the gain {100.0 * bent:.2g} % away from that of faint light: the camera "
+            "is not linear, or the stated photons are wrong; the intervals are widened by as much",
+        )
     if len(fitted) == 1:
         yield RecordingWarning(
             "one_exposure",
             "the gain is from one bright stack: its interval has the noise, but not what a camera that is not "
             "quite linear changes; record several exposures up to saturation",
+        )
+
+
+def _about_dark(of_dark: Sequence[StackNoise], darkest: StackNoise, step: int) -> Iterator[RecordingWarning]:
+    """Yield warnings about dark stacks that are cut or rounded."""
+    crushed = max(of_dark, key=lambda one: one.crushed)
+    if crushed.crushed > MOST_SATURATED:
+        yield RecordingWarning(
+            "saturated",
+            f"{100.0 * crushed.crushed:.2g} % of the values of {crushed.name} are black, the end of the scale: "
+            "dark noise, DSNU and dark current come out too small; raise the black level (offset) of the camera",
+        )
+    if darkest.temporal < LEAST_DARK_VARIANCE * step**2:
+        yield RecordingWarning(
+            "quantised",
+            f"the temporal variance of dark frames ({darkest.temporal:.2g} DN²) is below "
+            f"{LEAST_DARK_VARIANCE * step**2:g}: rounding decides it; the dark noise is an upper bound, the DSNU "
+            f"uncertain by half a step ({step} DN) and the dark current not known; record with more gain or bits",
+        )
+
+
+def _about_light(points: Sequence[TransferPoint], spatial: TransferPoint) -> Iterator[RecordingWarning]:
+    """Yield warnings about light that changes within a stack or across the frame."""
+    least = points[-1].signal / 2.0  # fainter stacks count little
+    share, name = max((abs(one.change) / max(at.signal, least), one.name) for at in points for one in at[:2])
+    if share > LARGEST_DRIFT:
+        yield RecordingWarning(
+            "drift",
+            f"the mean of {name} changes by {100.0 * share:.2g} % of the signal from its first frame to its last: "
+            "quantum efficiency, responsivity and linearity are uncertain by half of it; warm lamp and camera up",
+        )
+    whole, even = _prnu(spatial), _prnu(spatial, of_smooth=False)
+    if whole > LARGEST_UNEVENNESS * even:
+        yield RecordingWarning(
+            "uneven_light",
+            f"brightness changes smoothly across the frame: the PRNU of {100.0 * whole:.3g} % contains it, and is "
+            f"{100.0 * even:.3g} % without a surface of second order; light the sensor evenly, or choose a region",
+        )
+
+
+def _about_saturation(saturated: int | None, most: float, bits: int | None) -> Iterator[RecordingWarning]:
+    """Yield a warning if no stack is saturated."""
+    if saturated is None:
+        where = f"that of the end of the scale ({most:.5g} DN above dark)" if math.isfinite(most) else "not known"
+        hint = "" if bits is not None else f", or give {argument.bits} if the camera has fewer bits than its files"
+        yield RecordingWarning(
+            "saturation_not_reached",
+            f"the variance still rises at the brightest stack: saturation is {where}; add brighter stacks{hint}",
         )
 
 
@@ -722,13 +883,7 @@ def _spatial_point(points: Sequence[TransferPoint], most: float) -> TransferPoin
 
 
 def _capacity(
-    points: Sequence[TransferPoint],
-    saturated: int | None,
-    most: float,
-    gain: float,
-    gains: FloatArray,
-    efficiency: Estimate | None,
-    efficiencies: FloatArray | None,
+    points: Sequence[TransferPoint], saturated: int | None, most: float, gain: _Gain, response: _Response | None
 ) -> tuple[Estimate | None, Estimate | None]:
     """Return the saturation capacity in electrons and in photons.
 
@@ -736,23 +891,19 @@ def _capacity(
     there by the gain.
     """
     photons = None if saturated is None else points[saturated].bright.photons
-    if photons is not None and efficiency is not None and efficiencies is not None:
-        return _estimate(photons * efficiency.value, photons * efficiencies), Estimate(photons)
+    if photons is not None and response is not None:
+        return _estimate(photons * response.efficiency.value, photons * response.efficiencies), Estimate(photons)
     if not math.isfinite(most):
         return None, None
-    electrons = _estimate(most / gain, most / gains)
-    if efficiency is None or efficiencies is None:
+    electrons = gain.electrons(most, np.full(DRAWS, most))
+    if response is None:
         return electrons, None
-    return electrons, _estimate(most / gain / efficiency.value, most / gains / efficiencies)
+    slope = response.responsivity.value
+    return electrons, _estimate(most / slope, most / (response.efficiencies * gain.draws))
 
 
 def _dark_current(
-    of_dark: Sequence[StackNoise],
-    gain: float,
-    gains: FloatArray,
-    rng: np.random.Generator,
-    quantity: str,
-    power: int,
+    of_dark: Sequence[StackNoise], gain: _Gain, rng: np.random.Generator, quantity: str, power: int
 ) -> Estimate | None:
     """Return electrons per second from the slope of a quantity of dark stacks over time; K's power converts it."""
     known = [one for one in _with_common_frames(of_dark) if one.exposure_ms is not None]
@@ -765,7 +916,7 @@ def _dark_current(
     rest = y - slope * x
     error = math.sqrt(float(rest @ rest) / (len(x) - 2) / float(x @ x))
     slopes = slope + error * rng.standard_t(len(x) - 2, DRAWS)
-    return _estimate(slope / gain**power, slopes / gains**power)
+    return gain.electrons(slope, slopes, power)
 
 
 def _linearity(points: Sequence[TransferPoint], most: float) -> tuple[float, float] | None:

@@ -219,6 +219,8 @@ def read_emva_xml(path: Path) -> EmvaCamera:
 
 def _results(path: Path) -> ElementTree.Element:
     content = read_file(path, most_mb=MAX_XML_MB)
+    if b"\0" in content:  # a document type in UTF-16 would pass the next check
+        raise DataError(f"{path}: has NUL bytes, as text in UTF-16 has; expected XML in UTF-8")
     if b"<!" in content.replace(b"<!--", b""):  # entities could become any amount of text
         raise DataError(f"{path}: has a document type or CDATA, expected plain XML of EMVA 1288 results")
     try:

@@ -12,7 +12,6 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
-from todframes.base.locations import Location
 from todframes.base.reading import MAX_CSV_MB, check_columns, number, read_table, read_text
 
 FrequencyUnit = Literal["cyc_per_pixel", "cyc_per_mrad", "cyc_per_mm"]
@@ -105,7 +104,7 @@ class MapperEdge(NamedTuple):
     table: MtfTable
 
 
-def read_mtf_table(path: Location, *, may_exceed_1: bool = False) -> MtfTable:
+def read_mtf_table(path: Path, *, may_exceed_1: bool = False) -> MtfTable:
     """Return the MTF in a CSV file.
 
     The file has one column of `FREQUENCIES`, and `mtf`, or `mtf_tangential` and `mtf_sagittal`; `mtf` may have its
@@ -113,7 +112,7 @@ def read_mtf_table(path: Location, *, may_exceed_1: bool = False) -> MtfTable:
 
     Parameters
     ----------
-    path : Path or RemotePath
+    path : Path
     may_exceed_1 : bool
         Accept an MTF above 1, as that of a camera which sharpens. No lens or detector has one.
 
@@ -145,7 +144,7 @@ def read_mtf_table(path: Location, *, may_exceed_1: bool = False) -> MtfTable:
     return table
 
 
-def _frequency_column(header: Sequence[str], path: Location) -> str:
+def _frequency_column(header: Sequence[str], path: Path) -> str:
     given = [name for name in FREQUENCIES if name in header]
     if len(given) > 1:
         raise DataError(f"{path}: found columns {' and '.join(given)}, expected one of them")

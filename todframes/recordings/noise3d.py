@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, SettingsError, argument, for_reader
+from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import toml_text
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning
@@ -43,6 +43,9 @@ MOST_SATURATED = 1e-3
 
 SMALLEST_STEPS = 0.5
 """Standard deviation in steps of the recording, below which quantisation determines the result."""
+
+DRIFT_ERRORS = 5.0
+"""Standard errors of a drift from which it counts."""
 
 Region = tuple[int, int, int, int]
 
@@ -228,7 +231,7 @@ class Noise3D:
             **self._line_ratios(("row_noise_ratio", "tv"), ("column_noise_ratio", "th"), whole=1.0),
             **self._line_ratios(("row_pattern_ratio", "v"), ("column_pattern_ratio", "h"), whole=fixed_ratio),
         }
-        hint = for_reader(f"netd_mk is not known: give {argument.mk_per_count}")
+        hint = f"netd_mk is not known: give {argument.mk_per_count}"
         return toml_text({"noise": noise}, comment=hint if per_unit is None else "")
 
 
@@ -533,7 +536,7 @@ def _warnings(noise: Noise3D, gathered: _Gathered) -> Iterator[RecordingWarning]
             "its size; record with more bits or gain",
         )
     drift = noise.drift
-    if drift is not None and abs(drift.change) > 5 * drift.change_error and "tvh" in noise.parts:
+    if drift is not None and abs(drift.change) > DRIFT_ERRORS * drift.change_error and "tvh" in noise.parts:
         pixel = noise.parts["tvh"].sd
         if abs(drift.change) > pixel / 2:
             yield RecordingWarning(

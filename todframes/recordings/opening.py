@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, FrameError
-from todframes.base.reading import read_table
-from todframes.frames.files import MAX_FRAME_MB, PathLike, check_max_frame_mb
+from todframes.base.reading import check_time, path_inside, read_table, resolved
+from todframes.frames.files import PICTURE_FORMATS, check_max_frame_mb, format_of
+from todframes.parameters import MAX_FRAME_MB, PathLike
 from todframes.recordings import arrays, cedip, images, radiometric, raw, video
 from todframes.recordings.recording import (
     TIMES_FILE,
@@ -156,9 +157,10 @@ def _times_s(path: Path, files: Sequence[Path]) -> dict[str, float]:
     Raises
     ------
     DataError
-        If the file cannot be read, names a file twice or that is not there, leaves one out, or a time is not later
-        than that of the still before, in the natural order of names.
+        If the file cannot be read, leads out of its folder, leaves a file out, names one twice or one that is not
+        there, or a time is not later than that of the still before, in the natural order of names.
     """
+    path_inside(resolved(path.parent), path.name, f"{path.parent}:")
     _, rows = read_table(path, ["file", "time_s"])
     times_s: dict[str, float] = {}
     names = {one.name for one in files}
@@ -167,7 +169,8 @@ def _times_s(path: Path, files: Sequence[Path]) -> dict[str, float]:
         if name not in names or name in times_s:
             what = "a second time" if name in times_s else f"but {path.parent} has no such file"
             raise DataError(f"{row.where}: file: found {name}, {what}, expected each of its files once")
-        (times_s[name],) = row.numbers(["time_s"])
+        (time_s,) = row.numbers(["time_s"])
+        times_s[name] = check_time(f"{row.where}: time_s", time_s)
     missing = next((one.name for one in files if one.name not in times_s), None)
     if missing is not None:
         raise DataError(f"{path}: found no time of {missing}, expected one of each file in the folder")
@@ -193,7 +196,7 @@ def _kind(path: Path) -> Kind:
         return "camera raw"
     if radiometric.is_radiometric(path, start):
         return "radiometric"
-    if images.format_of(start) is not None:
+    if format_of(start) in PICTURE_FORMATS:
         return "image"
     if cedip.is_cedip(start):
         return "Cedip film"

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from itertools import chain, pairwise
 from pathlib import Path
 from statistics import fmean, median
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar
 
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, FrameError, SettingsError, argument
-from todframes.base.reading import check_positive
+
+P = TypeVar("P", str, Path)
 
 INTEGRATION_TIME_S = 0.1
 """Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
@@ -26,6 +27,7 @@ the pixel format of a video is known from a decoded frame only."""
 GAP = 1.5
 """Interval between frames, in frames, from which frames are missing."""
 
+LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 1e-9, 1e9
 TIMES_FILE = "times.csv"
 """File in a folder of stills that has their times."""
 
@@ -114,9 +116,7 @@ class CodeRange:
     high: float
 
 
-def code_range(
-    recording: Recording, asked: tuple[float, float] | None, name: str = argument.value_range
-) -> CodeRange:
+def code_range(recording: Recording, asked: tuple[float, float] | None, name: str = "value_range") -> CodeRange:
     """Return the range of a recording: the one asked for, or black and white of the recording.
 
     `name` is that of the argument that asks for it.
@@ -126,6 +126,7 @@ def code_range(
     SettingsError
         If the recording has no white and none is asked for, or two numbers that do not ascend.
     """
+    name = getattr(argument, name)
     if asked is not None:
         if not -math.inf < asked[0] < asked[1] < math.inf:
             raise SettingsError(f"{name}: found {asked[0]:g}:{asked[1]:g}, expected LOW:HIGH, the lower one first")
@@ -165,17 +166,21 @@ class StillReader(Protocol):
 
 
 def check_rate(frames_per_second: float | None) -> float | None:
-    """Return a frame rate. Raises SettingsError if it is not a positive number."""
-    if frames_per_second is not None:
-        check_positive(argument.frames_per_second, frames_per_second)
+    """Return a frame rate. Raises SettingsError if no recording can have it."""
+    if frames_per_second is not None and not LOWEST_RATE_HZ <= frames_per_second <= HIGHEST_RATE_HZ:
+        raise SettingsError(
+            f"{argument.frames_per_second}: found {frames_per_second!r}, expected a number from "
+            f"{LOWEST_RATE_HZ:g} to {HIGHEST_RATE_HZ:g}"
+        )
     return frames_per_second
 
 
-def natural_order(paths: Iterable[Path]) -> list[Path]:
+def natural_order(paths: Iterable[P]) -> list[P]:
     """Sort paths by name with numbers in order of size: frame_9 before frame_10."""
 
-    def key(path: Path) -> list[tuple[int, str]]:
-        return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", str(path))]
+    def key(path: P) -> tuple[list[tuple[int, str]], str]:
+        parts = re.split(r"(\d+)", str(path))
+        return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts], str(path)
 
     return sorted(paths, key=key)
 

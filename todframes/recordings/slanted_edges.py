@@ -106,22 +106,22 @@ def measure_mtf(
     try:
         places = edges or [PlacedEdge(box, 0.0) for box in boxes or find_edges(whole)]
     except DataError as error:
-        raise DataError(f"{recording.path}: {error.marked}") from None
+        raise DataError(f"{recording.path}: {error}") from None
     problems = []
     for box, step_px in places:
         try:
             edge = {LUMA: measure_edge(whole, box, saturated=frames.saturated).without_steps(step_px)}
         except (DataError, SettingsError) as error:
             if boxes:
-                raise type(error)(f"{recording.path}: {error.marked}") from None
-            problems.append(error.marked)
+                raise type(error)(f"{recording.path}: {error}") from None
+            problems.append(str(error))
             continue
         for name in COLOURS if len(frames.colours) > 1 else ():
             try:
                 found = measure_edge(frames.colours[name], box, saturated=frames.saturated)
                 edge[name] = found.without_steps(step_px)
             except DataError as error:
-                problems.append(f"{name}: {error.marked}")
+                problems.append(f"{name}: {error}")
         measured.append(edge)
     if not measured:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""

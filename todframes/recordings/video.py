@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, FrameError, argument
-from todframes.frames.files import MAX_FRAME_MB, check_decoded_size
+from todframes.frames.files import check_decoded_size
+from todframes.parameters import MAX_FRAME_MB
 from todframes.recordings.recording import (
     BYTES_PER_PIXEL,
     RecordedFrame,

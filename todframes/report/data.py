@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct, field
-from msgspec.structs import force_setattr
 
-from todframes.base.errors import DataError, for_reader
+from todframes.base.errors import DataError
 from todframes.base.reading import read_file
 from todframes.base.safe_text import in_utf8, visible_json
+from todframes.report.wording import count, warning_text
 
 if TYPE_CHECKING:
     from todframes.diagnosis.missing_threshold import Explanation
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from todframes.frames.dataset import Dataset, Experiment
     from todframes.psychometrics.fit import PsychometricFit
     from todframes.psychometrics.threshold_search import ComputedThreshold
+    from todframes.report.figure import ReportFigure
+    from todframes.report.table import Table
     from todframes.scoring.score import GroupFit
 
 SCHEMA = 1
@@ -35,17 +37,6 @@ SCHEMA = 1
 MAX_MB = 64
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-
-CONTENT = {
-    "score": "fits",
-    "naked-eye": "fits",
-    "fit": "fits",
-    "curve": "fits",
-    "compare": "algorithms",
-    "accuracy": "scenes",
-    "calibrate": "persons",
-}
-"""Commands with a report, and the key that the result of each must have."""
 
 Positive = Annotated[float, Meta(gt=0)]
 
@@ -106,7 +97,7 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Quantity of `threshold`, `alpha` and the levels of `points`: contrast, snr, size_mrad.
     status : str
         "ok", or the problem with the threshold: "extrapolated", "never_reached", "always_exceeded",
-        "too_few_levels".
+        "too_few_levels", "too_uncertain".
     threshold : float or None
         Level at the raw proportion correct `p_correct`.
     threshold_ci95 : (float or None, float or None) or None
@@ -265,7 +256,10 @@ class Algorithm(Struct, frozen=True, kw_only=True):
     """An algorithm of `compare`; the reference has no ratios.
 
     `contrast_responses` has one item for each group. `n_scenes` is the number of scenes that the interval takes as
-    drawn from many; None if the dataset names none.
+    drawn from many; None if the dataset names none. `edge_factor` is the factor by which it changes the luminance
+    of a frame's outermost pixels, divided by that around the triangle: the median over the frames.
+    `repeat_difference` is the largest difference between pictures of the same frame, in units of their mean
+    luminance.
     """
 
     name: str
@@ -286,6 +280,8 @@ class Algorithm(Struct, frozen=True, kw_only=True):
     ssim: float | None = None
     ssim_change: float | None = None
     disagrees: tuple[str, ...] = ()
+    edge_factor: float | None = None
+    repeat_difference: float | None = None
     n_clipped: int | None = None
     cpu_s: float | None = None
     cpu_ms_per_frame: float | None = None
@@ -377,6 +373,8 @@ def algorithms(dataset: Dataset, results: Sequence[AlgorithmResult]) -> tuple[Al
                 ssim=one.ssim,
                 **changes,
                 disagrees=() if verdict is None else _disagreeing(changes, verdict),
+                edge_factor=one.edge_factor,
+                repeat_difference=one.repeat_difference,
                 n_clipped=one.n_clipped,
                 cpu_s=round(one.cpu_s, 4),
                 cpu_ms_per_frame=round(1e3 * one.cpu_s_per_frame, 3),
@@ -674,19 +672,86 @@ class ResultWarning(Struct, frozen=True, kw_only=True):
     found: Any = None
     expected: Any = None
 
-    def __post_init__(self) -> None:
-        force_setattr(self, "message", for_reader(self.message))
+
+MOST_ALIKE = 10
+"""Largest number of warnings with the same code that are shown."""
 
 
-class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The content of `result.json`; `todframes.report.result.Result` adds the methods."""
+def warning_texts(warnings: Iterable[ResultWarning]) -> Iterator[str]:
+    """Yield the text of each warning, but only for the first groups of those with the same code, and a count."""
+    of_code: dict[str, list[ResultWarning]] = {}
+    for warning in warnings:
+        of_code.setdefault(warning.code, []).append(warning)
+    for code, alike in of_code.items():
+        for warning in alike[:MOST_ALIKE]:
+            yield warning_text(warning.group, warning.message)
+        if len(alike) > MOST_ALIKE:
+            yield f"… and {count(len(alike) - MOST_ALIKE, 'more warning')} with the code {code}"
+
+
+class Head(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Keys that the results of all commands have."""
 
     schema: int
     command: str
     version: str = field(default_factory=lambda: "?")
     versions: Record = field(default_factory=lambda: {})  # noqa: PIE807 - `dict` would be left out when empty
-    settings: Record = field(default_factory=lambda: {})  # noqa: PIE807
     seed: int | None = NULL
+    warnings: tuple[ResultWarning, ...] = EMPTY
+    run_time_s: float | None = NULL
+
+
+class Content(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
+    """What a feature gives to its `Result`: its fields are keys in JSON, beside those of `Head`.
+
+    The first table is that of a notebook, the first figure that of `plot`. Values for which JSON has no room, such
+    as images, may stand in `__dict__`; a result that was read has none.
+    """
+
+    settings: Record = field(default_factory=lambda: {})  # noqa: PIE807
+
+    json_file: ClassVar[str] = "result.json"
+    page_file: ClassVar[str] = "report.html"
+
+    @property
+    def name(self) -> str:
+        """Return the path or name of what was measured."""
+        return ""
+
+    def table(self) -> Table:
+        """Return the main table, all of whose columns `to_csv` and `to_dataframe` have."""
+        return self.tables()[0]
+
+    def tables(self) -> list[Table]:
+        """List the tables; a folded one is not printed, and closed on the page."""
+        return []
+
+    def sentences(self) -> list[str]:
+        """Return the findings in words, the answer first."""
+        return []
+
+    def remarks(self) -> list[str]:
+        """Return sentences about how the numbers were made, and how exact they are."""
+        return []
+
+    def figures(self) -> list[ReportFigure]:
+        """List the figures, the most important first."""
+        return []
+
+    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+        """Return the content of the files besides figures, page and JSON, by name: tables as CSV, and others."""
+        return {one.file: one.csv().encode() for one in self.tables() if one.file}
+
+    def found_in(self, folder: Path) -> None:
+        """Take what stands beside the JSON in its folder, when it is asked for."""
+
+    def check(self, where: str) -> None:
+        """Raise DataError, which begins with `where`, if what was read contradicts itself."""
+
+
+class ResultData(Content, frozen=True, kw_only=True):
+    """Thresholds, and what else the commands about them give; `Thresholds` adds the methods."""
+
     fits: tuple[Fit, ...] = EMPTY
     algorithms: tuple[Algorithm, ...] = ()
     observers: tuple[ComparedObserver, ...] = ()
@@ -695,20 +760,15 @@ class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
     persons: tuple[PersonResult, ...] = ()
     pooled: PersonResult | None = None
     equal_noise_p_value: Proportion | None = None
-    noise: Record | None = None
-    mtf: Record | None = None
-    acquisition: Record | None = field(default=None, name="range")
     data_range_cd_m2: float | None = None
     verdict: tuple[Any, ...] | str = ()
     plan: tuple[Record, ...] = ()
     dataset: DatasetRecord | str | None = None
     skipped: tuple[Record, ...] = EMPTY
-    warnings: tuple[ResultWarning, ...] = EMPTY
     negative_luminance_pixels: int | None = None
     located: tuple[Record, ...] | None = None
     examples: tuple[Example, ...] | None = None
     from_store: int | None = None
-    run_time_s: float | None = NULL
 
     @property
     def dataset_path(self) -> str | None:
@@ -721,7 +781,9 @@ class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
         return (*self.fits, *thresholds_of(self.algorithms))
 
 
-D = TypeVar("D", bound=ResultData)
+S = TypeVar("S", bound=Struct)
+
+T = TypeVar("T")
 
 
 def read_bytes(path: Path) -> bytes:
@@ -744,8 +806,13 @@ def json_file(content: object) -> bytes:
     return (visible_json(text) + "\n").encode()
 
 
-def decode(content: bytes, where: str, kind: type[D]) -> D:
-    """Return a result decoded from JSON and checked.
+def as_read(values: object, kind: type[T]) -> T:
+    """Return values as they are read from their JSON, to equal what is loaded: what is not finite becomes None."""
+    return msgspec.json.decode(msgspec.json.encode(values), type=kind)
+
+
+def decode(content: bytes, where: str, kind: type[S]) -> S:
+    """Return the keys of a result that a record has, decoded from JSON and checked.
 
     Parameters
     ----------
@@ -754,39 +821,24 @@ def decode(content: bytes, where: str, kind: type[D]) -> D:
     where : str
         Name of the file; every message begins with it.
     kind : type
-        `ResultData` or a subclass.
+        `Head`, or a subclass of `Content`.
 
     Raises
     ------
     DataError
-        If it is not JSON, has another schema or is of a command without a report, or lacks a key that the report
-        needs.
+        If it is not JSON, or a value is not of its type.
     """
     try:
-        result = msgspec.json.decode(content.removeprefix(b"\xef\xbb\xbf"), type=kind)
+        return msgspec.json.decode(content.removeprefix(b"\xef\xbb\xbf"), type=kind)
     except msgspec.ValidationError as error:
         raise DataError(f"{where}: {_in_words(str(error))}") from None
     except UnicodeDecodeError:
         raise DataError(f"{where}: not UTF-8, expected a result in JSON") from None
     except (msgspec.DecodeError, RecursionError) as error:
         raise DataError(f"{where}: not a result in JSON ({error})") from None
-    if result.schema != SCHEMA:
-        raise DataError(f"{where}: schema: found {result.schema}, expected {SCHEMA}")
-    if result.command not in CONTENT:
-        hint = "; its thresholds are in mrtd.csv, which `todframes range` reads" * (result.command == "mrtd")
-        raise DataError(f"{where}: command: found {result.command!r}, expected one of {', '.join(CONTENT)}{hint}")
-    if not getattr(result, CONTENT[result.command]):
-        raise DataError(f"{where}: {CONTENT[result.command]}: found none, expected at least one")
-    _check_fits(result.fits, f"{where}: fits")
-    _check_fits(result.thresholds[len(result.fits) :], f"{where}: fits of all algorithms")
-    for number, example in enumerate(result.examples or ()):
-        for picture in example.pictures:
-            if not picture.png.startswith(PNG_SIGNATURE + b"\0\0\0\rIHDR"):
-                raise DataError(f"{where}: examples[{number}]: picture {picture.name!r} is no PNG")
-    return result
 
 
-def _check_fits(fits: Sequence[Fit], where: str) -> None:
+def check_fits(fits: Sequence[Fit], where: str) -> None:
     """Raise DataError unless all fits have the same level and group columns, as one table needs."""
     for number, fit in enumerate(fits):
         for name, found, expected in (

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,21 +22,17 @@ from todframes.report.data import (
     SceneResult,
     each_observer,
 )
+from todframes.report.figure import ReportFigure
 from todframes.report.figure_style import (
     INK,
     PAPER,
-    STYLE,
     CurveStyle,
     add_colour_bar,
     add_legend,
     colour_scale,
     curve_style,
     label_text,
-    new_figure,
     plain_ticks,
-    png_file,
-    style,
-    svg_file,
     within,
 )
 from todframes.report.summary import by_curve, size_column
@@ -56,7 +51,6 @@ from todframes.report.wording import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 MOST_CURVES = 24
@@ -75,72 +69,6 @@ FIELD_LABEL_EM = (8.8, 5.8)
 
 NO_THRESHOLD_MARKERS = {"never_reached": "x", "always_exceeded": "v"}
 """Markers of places without a threshold by status; another status has a plus sign."""
-
-
-class ReportFigure(NamedTuple):
-    """A figure to be drawn, for the page and as a PNG.
-
-    `note` explains how to read it; `file` is the name of the PNG, or "" if only the page shows it.
-    """
-
-    title: str
-    note: str
-    draw: Callable[[Axes], None]
-    file: str = ""
-
-    def figure(self) -> Figure:
-        """Return the picture as a figure of its own, in the style of all figures."""
-        figure, axes = new_figure()
-        self.draw(axes)
-        return figure
-
-    def png(self) -> bytes:
-        """Return the picture as a PNG with its title above and its note below."""
-        with style():
-            figure = self.figure()
-            figure.axes[0].set_title(label_text(self.title))
-            return save_png(figure, self.note)
-
-    def svg(self) -> bytes:
-        """Return the picture as an SVG file with its title above and its note below."""
-        import matplotlib as mpl
-
-        with style(), mpl.rc_context({"svg.hashsalt": self.file}):
-            figure = self.figure()
-            figure.axes[0].set_title(label_text(self.title))
-            _add_note(figure, self.note)
-            return svg_file(figure)
-
-
-def save_png(figure: Figure, note: str = "") -> bytes:
-    """Return the PNG of a figure with a note below it, inside `style`; the same figure gives the same bytes."""
-    _add_note(figure, note)
-    return png_file(figure, dpi=160)
-
-
-def figure_png(figure: Figure) -> bytes:
-    """Return the PNG of a figure that was made in `style`."""
-    with style():
-        return save_png(figure)
-
-
-def _add_note(figure: Figure, note: str) -> None:
-    if note:
-        figure.supxlabel(textwrap.fill(note, 95), fontsize="x-small", x=0.02, ha="left")
-
-
-def drawn(draw: Callable[[Axes], None], ax: Axes | None) -> Axes:
-    """Draw into the given axes, or those of a new pyplot figure, over the user's settings. Returns the axes."""
-    import matplotlib as mpl
-
-    look: Any = STYLE
-    with mpl.rc_context(look):
-        if ax is None:
-            from matplotlib import pyplot
-
-            _, ax = pyplot.subplots(layout="constrained")
-        draw(ax)
-    return ax
 
 
 def pictures(result: ResultData) -> list[ReportFigure]:
@@ -307,12 +235,15 @@ def draw_tod(axes: Axes, fits: Sequence[Fit]) -> None:
     assert name is not None
     size, unit = quantity(name), unit_of(name)
     curves = list(by_curve([fit for fit in fits if fit.threshold is not None]).items())[:MOST_CURVES]
+    of_algorithm = _styles(dict.fromkeys(fit.group.get("algorithm") for fit in fits))
     _label_tod_axes(axes, name, fits[0].level)
-    drawn = [
-        place
-        for number, (label, curve) in enumerate(curves)
-        for place in _draw_tod_curve(axes, curve, name, label, curve_style(number, len(curves)))
-    ]
+    drawn = []
+    for number, (label, curve) in enumerate(curves):
+        line_style = curve_style(number, len(curves))
+        if len(of_algorithm) > 1:
+            own = of_algorithm[curve[0].group.get("algorithm")]
+            line_style = own if len(curves) <= len(of_algorithm) else line_style._replace(colour=own.colour)
+        drawn += _draw_tod_curve(axes, curve, name, label, line_style)
     if 1 < len(curves) <= MOST_IN_LEGEND:
         add_legend(axes)
     inverse = sorted({place.x for place in drawn})
@@ -325,6 +256,11 @@ def draw_tod(axes: Axes, fits: Sequence[Fit]) -> None:
     top.set_xticks(named, [f"{1.0 / x:g}" for x in named])
     top.minorticks_off()
     _temperature_axis(axes, drawn)
+
+
+def _styles(algorithms: Collection[object]) -> dict[object, CurveStyle]:
+    """Return the style of each algorithm by its name: one for all figures, with the reference and without it."""
+    return {name: curve_style(number, len(algorithms)) for number, name in enumerate(algorithms)}
 
 
 class _Place(NamedTuple):
@@ -485,9 +421,10 @@ def draw_ratios(axes: Axes, algorithms: Sequence[Algorithm]) -> None:
     others = [one for one in algorithms if one.ratios][:MOST_IN_LEGEND]
     compared = [{_ratio_label(ratio): ratio for ratio in (*one.ratios, one.overall) if ratio} for one in others]
     labels = list(dict.fromkeys(label for ratios in compared for label in ratios))[:MOST_CURVES]
+    styles = _styles([one.name for one in algorithms])
     axes.set_yscale("log")
     for number, (one, ratios) in enumerate(zip(others, compared, strict=True)):
-        line_style, shift = curve_style(number, len(others)), 0.6 * ((number + 0.5) / len(others) - 0.5)
+        line_style, shift = styles[one.name], 0.6 * ((number + 0.5) / len(others) - 0.5)
         points: Json = {"color": line_style.colour, "marker": line_style.marker, "ls": ""}
         axes.plot([], [], label=label_text(one.name), **points)
         for place, label in enumerate(labels):
@@ -531,9 +468,10 @@ def draw_responses(axes: Axes, algorithms: Sequence[Algorithm]) -> None:
     others = [one for one in algorithms if one.contrast_responses][:MOST_IN_LEGEND]
     axes.set_xscale("log")
     axes.set_yscale("log")
+    styles = _styles([one.name for one in algorithms])
     ends: list[float] = []
-    for number, one in enumerate(others):
-        line_style = curve_style(number, len(others))
+    for one in others:
+        line_style = styles[one.name]
         style: Json = {"color": line_style.colour, "marker": line_style.marker, "ms": 4}
         axes.plot([], [], label=label_text(one.name), **style)
         for response in one.contrast_responses[:MOST_CURVES]:

@@ -7,53 +7,44 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from todframes.base._typing import Json
-from todframes.report import calibration, tables
-from todframes.report.data import DatasetRecord, Example, Record, ResultData, Thumbnail, each_observer
+from todframes.report import tables
+from todframes.report.data import Content, Example, Head, ResultData, Thumbnail, warning_texts
+from todframes.report.figure import ReportFigure
 from todframes.report.figure_style import style
-from todframes.report.figures import ReportFigure, pictures
-from todframes.report.summary import cautions, remarks, verdict
 from todframes.report.svg import inline_svg
 from todframes.report.table import HIDDEN, Table, markup
-from todframes.report.wording import group_phrase, level_name, plain, warning_text
+from todframes.report.wording import group_phrase, level_name, path_name, plain
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-    from matplotlib.figure import Figure
 
 
 MOST_FIGURES = 12
 
-TITLES = {
-    "score": "TOD thresholds of display frames",
-    "curve": "TOD curve of a sensor",
-    "naked-eye": "Thresholds of the naked eye",
-    "fit": "Fitted psychometric functions",
-    "compare": "Enhancements compared",
-    "accuracy": "Error against run time",
-    "calibrate": "Internal noise of people",
-}
 
-
-def page(result: ResultData) -> str:
-    """Return the HTML page of a result."""
+def page(title: str, result: Head, data: Content) -> str:
+    """Return the HTML page of a result: the answer first, and folded how it was made."""
+    shown = [one for one in data.tables() if not one.is_folded]
+    folded = [*(one for one in data.tables() if one.is_folded), tables.settings(result, data).folded()]
+    examples = (data.examples or ()) if isinstance(data, ResultData) else ()
+    run_time = [] if result.run_time_s is None else [f"Run time {plain(result.run_time_s)} s."]
     content = {
-        "title": TITLES[result.command],
-        "about": _about(result),
-        "warnings": [warning_text(warning.group, warning.message) for warning in result.warnings],
-        "verdict": [*verdict(result), *cautions(result)],
-        "figures": figure_items(pictures(result)),
-        "tables_shown": _tables(result),
-        "examples": _examples([one for one in result.examples or () if not _is_whole(one)]),
-        "without": _examples([one for one in result.examples or () if _is_whole(one)]),
-        "remarks": [f"Run time {plain(result.run_time_s)} s."] * (result.run_time_s is not None) + remarks(result),
-        "details": _details(result),
+        "title": title,
+        "about": path_name(data.name),
+        "verdict": data.sentences(),
+        "warnings": [*warning_texts(result.warnings)],
+        "figures": figure_items(data.figures()),
+        "tables_shown": [*map(table_item, shown)],
+        "examples": _examples([one for one in examples if not _is_whole(one)]),
+        "without": _examples([one for one in examples if _is_whole(one)]),
+        "remarks": run_time + data.remarks(),
+        "details": [*map(table_item, folded)],
         "version": result.version,
         "can_be_made_again": True,
     }
@@ -83,13 +74,6 @@ def _shown(text: str) -> str:
     return HIDDEN.sub("\ufffd", text)
 
 
-def _about(result: ResultData) -> str:
-    """Return the name of the dataset or sensor that the result is about."""
-    sensor = result.settings.get("sensor")
-    name = sensor.get("name") if isinstance(sensor, dict) else None
-    return str(result.dataset_path or name or "")
-
-
 def figure_items(drawn: Sequence[ReportFigure]) -> list[Json]:
     """List figures for the page, up to `MOST_FIGURES`."""
     with style():
@@ -103,36 +87,9 @@ def figure_items(drawn: Sequence[ReportFigure]) -> list[Json]:
         ]
 
 
-def _tables(result: ResultData) -> list[Json]:
-    """List the tables under the figures: those of the terminal, then more, which the reader opens."""
-    if result.persons:
-        folded = tables.points(result)
-        items = [table_item(one) for one in calibration.all_tables(result)]
-        return [*items, *([] if folded is None else [table_item(folded, folded=True)])]
-    found = []
-    answers = tables.answers(result)
-    if result.algorithms:
-        measures = tables.measures(result.algorithms)
-        found += [table_item(tables.ratios(one, observer)) for observer, one in each_observer(result)]
-        found.append(table_item(measures.without_details()))
-        found += [table_item(replace(measures, title="Details of the algorithms"), folded=True)]
-        responses = tables.contrast_responses(result.algorithms)
-        found += [table_item(responses, folded=True)] if responses is not None else []
-    elif result.thresholds:
-        found.append(table_item(tables.thresholds(result).without_details()))
-    found += [table_item(answers)] if answers is not None else []
-    if result.thresholds:
-        found.append(table_item(tables.thresholds(result, "Details of the thresholds"), folded=True))
-    points = tables.points(result)
-    found += [table_item(points, folded=True)] if points is not None else []
-    for scene in result.scenes:
-        found += [table_item(one, folded=bool(n)) for n, one in enumerate(tables.scene_tables(scene))]
-    return found
-
-
-def table_item(table: Table, *, folded: bool = False) -> Json:
-    """Return a table for the page, with its CSV; the reader opens it if it is `folded`."""
-    return {"table": table, "csv": "data:text/csv;charset=utf-8," + quote(table.csv()), "folded": folded}
+def table_item(table: Table) -> Json:
+    """Return a table for the page, with its CSV; the reader opens it if it is folded."""
+    return {"table": table, "csv": "data:text/csv;charset=utf-8," + quote(table.csv())}
 
 
 def _examples(examples: Sequence[Example]) -> list[Json]:
@@ -183,43 +140,15 @@ def _tile(picture: Thumbnail) -> Json:
     }
 
 
-def _details(result: ResultData) -> list[Json]:
-    """List the tables about how the result was made; the reader opens those that are `folded`."""
-    records: list[tuple[str, str, Sequence[Record], bool]] = [
-        ("Frames left out", "skipped.csv", result.skipped, False),
-        ("Positions found", "located.csv", result.located or (), True),
-    ]
-    found = [
-        table_item(tables.records_table(caption, file, rows), folded=folded)
-        for caption, file, rows, folded in records
-        if rows
-    ]
-    found += (
-        [table_item(tables.plan(result), folded=True)]
-        if result.plan or any(fit.plan for fit in result.fits)
-        else []
-    )
-    if isinstance(result.dataset, DatasetRecord):
-        found.append(table_item(tables.dataset(result.dataset), folded=True))
-    return [*found, table_item(tables.settings(result), folded=True)]
-
-
-def notebook_html(result: ResultData) -> str:
-    """Return the self-contained HTML that a notebook shows for a result: sentences, table and first figure."""
-    table = tables.ratios(result.algorithms) if result.algorithms else tables.thresholds(result)
-    drawn = [(one.figure, f"{one.title}. {one.note}") for one in pictures(result)[:1]]
-    return notebook_page(verdict(result), table.without_details(), drawn)
-
-
-def notebook_page(
-    sentences: Sequence[str], table: Table, figures: Sequence[tuple[Callable[[], Figure], str]]
-) -> str:
-    """Return self-contained HTML of sentences, a table and figures, each with a label."""
+def notebook_page(sentences: Sequence[str], shown: Sequence[Table], figures: Sequence[ReportFigure]) -> str:
+    """Return the self-contained HTML that a notebook shows: sentences, the first table and the first figure."""
     text = "".join(f"<p>{markup(sentence)}</p>" for sentence in sentences)
-    content = table.html()
+    content = "".join(table.without_details().html() for table in shown[:1])
     # Names inside a drawing are valid in the whole notebook, so another result must have other names.
     name = f"tod-{zlib.crc32((text + content).encode()):08x}"
     with style():
-        svg = "".join(inline_svg(figure(), name=name, label=_shown(label)) for figure, label in figures)
+        svg = "".join(
+            inline_svg(one.figure(), name=name, label=_shown(f"{one.title}. {one.note}")) for one in figures[:1]
+        )
     paper = "--paper: var(--jp-layout-color0, Canvas); max-width: 40rem"
     return f'<div style="{paper}">{text}{content}{svg}</div>'

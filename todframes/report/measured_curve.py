@@ -12,17 +12,10 @@ from todframes.field.target import Quantity
 from todframes.field.threshold_curve import Psychometric, RangeWarning, ThresholdCurve, ln_sd_of_interval
 from todframes.report.data import Fit, ResultData
 from todframes.report.wording import unit_of, value_text
+from todframes.stimulus import LEVELS, level_of
 
 SIZES = ("object_size_mrad", "size_mrad", "size_detectors")
 """Columns of sizes, the best first. `size_mrad` is as displayed: it is in the field only for the eye itself."""
-
-LEVELS: dict[str, tuple[Quantity, float]] = {
-    "contrast": ("contrast", 1.0),
-    "weber_contrast": ("contrast", 1.0),
-    "delta_t_k": ("delta_t_k", 1.0),
-    "delta_t_mk": ("delta_t_k", 1e-3),
-}
-"""Levels that are contrasts of the field: the quantity, and the factor to it."""
 
 NAMELESS = "level"
 """Level of counts, whose quantity nobody has named."""
@@ -156,14 +149,14 @@ def _pitch_mrad(sensor: Any) -> float:
 def _level(fits: Sequence[Fit], where: str) -> tuple[Quantity, float]:
     """Return the quantity of the thresholds and the factor to it; that of an SNR is its ΔT."""
     level = fits[0].level
-    if level in LEVELS:
-        return LEVELS[level]
+    known = level_of(level)
+    if known.quantity is not None:
+        return known.quantity, known.factor
     if level == "snr" and all(one.delta_t_mk is not None for one in fits if one.threshold is not None):
         return "delta_t_k", 1e-3
     hint = "; netd_mk in the table [noise] of SENSOR.toml gives ΔT" if level == "snr" else ""
-    raise DataError(
-        f"{where}: found thresholds in {level}, expected one of {', '.join(LEVELS)}, or SNR with a NETD{hint}"
-    )
+    names = ", ".join(name for name, one in LEVELS.items() if one.quantity)
+    raise DataError(f"{where}: found thresholds in {level}, expected one of {names}, or SNR with a NETD{hint}")
 
 
 def _threshold(fit: Fit) -> float:

@@ -1,19 +1,18 @@
-"""A measured MTF as numbers, sentences, a picture and files: of slanted edges, or read from a table."""
+"""A measured MTF as tables, sentences, figures and files: of slanted edges, or read from a table."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+from msgspec import Struct
 
-from todframes import __version__
 from todframes.base._typing import FloatArray, Json
+from todframes.base.errors import DataError
 from todframes.recordings.edge_mtf import FREQUENCY_CYC_PER_PIXEL, EdgeMtf, EdgeValue
 from todframes.recordings.mtf_table import (
     MAPPER_PER_CYC_PER_PIXEL,
@@ -25,18 +24,16 @@ from todframes.recordings.mtf_table import (
 )
 from todframes.recordings.recording import RecordingWarning
 from todframes.recordings.slanted_edges import LUMA, RecordingMtf
-from todframes.report.data import ResultWarning
-from todframes.report.figure_style import COLOURS, INK, label_text, style
-from todframes.report.figures import ReportFigure, figure_png
-from todframes.report.html import figure_items, notebook_page, render, table_item
+from todframes.report.data import Content, ResultWarning, as_read
+from todframes.report.figure import ReportFigure
+from todframes.report.figure_style import COLOURS, INK
 from todframes.report.mtf_figure import MtfLine, draw_mtf
-from todframes.report.result import Plotting, Result
+from todframes.report.result import Result
 from todframes.report.table import Column, Table
-from todframes.report.wording import interval_phrase, plain
+from todframes.report.wording import count, interval_phrase, path_name, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 UNITS: dict[FrequencyUnit, str] = {
@@ -51,7 +48,7 @@ LINE_COLOURS = {"red": COLOURS[5], "green": COLOURS[2], "blue": COLOURS[0], "tan
 """Colours of curves; of others they follow in the order of `COLOURS`."""
 
 SHOWN_ROWS = 16
-"""Number of frequencies in the terminal, about: every eighth of the Nyquist frequency for slanted edges."""
+"""Number of frequencies that are shown, about: every eighth of the Nyquist frequency for slanted edges."""
 
 HOW_MEASURED = (
     "Distances of pixels from the edge make a finely sampled profile, whose derivative has the MTF as its Fourier "
@@ -59,15 +56,41 @@ HOW_MEASURED = (
     "profile in means over a pixel, relative to the contrast."
 )
 
-BOX_KEYS = ("x_px", "y_px", "width_px", "height_px")
-
 MOST_LINES = 12
 """Largest number of edges that the figure shows beside their mean."""
 
+Ends = tuple[float | None, float | None]
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MtfResult(Plotting):
-    """A measured MTF, with methods that make text, figures and files of it. `plot` draws it with its 95 % band.
+Curve = tuple[float, ...]
+
+
+class EdgeRecord(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """An edge in one colour, as in `edges.csv`."""
+
+    edge: int
+    colour: str | None = None
+    x_px: int | float | None = None
+    y_px: int | float | None = None
+    width_px: int | None = None
+    height_px: int | None = None
+    angle_deg: float | None = None
+    normal_deg: float | None = None
+    bend_px: float | None = None
+    dark: float | None = None
+    bright: float | None = None
+    noise_percent: float | None = None
+    mtf50_cyc_per_pixel: float | None = None
+    mtf50_cyc_per_pixel_ci95: Ends | None = None
+    mtf_at_nyquist: float | None = None
+    mtf_at_nyquist_ci95: Ends | None = None
+    overshoot: float | None = None
+    overshoot_ci95: Ends | None = None
+    undershoot: float | None = None
+    undershoot_ci95: Ends | None = None
+
+
+class MtfNumbers(Struct, frozen=True, kw_only=True):
+    """The key `mtf` of the result.
 
     Attributes
     ----------
@@ -75,276 +98,204 @@ class MtfResult(Plotting):
         Path of the recording or table.
     unit : {"cyc_per_pixel", "cyc_per_mrad", "cyc_per_mm"}
         Unit of the frequencies.
-    frequency : ndarray (n,)
-    mtf : ndarray (n,)
+    frequency, mtf : tuple of float
         Mean over all edges; of a table with tangential and sagittal values only, their mean.
-    lower, upper : ndarray (n,) or None
+    mtf_lower, mtf_upper : tuple of float or None
         Ends of the 95 % band of `mtf`, for the noise of the pixels.
-    others : dict of ndarray (n,)
+    others : dict of tuple of float
         Further curves by name: means of "red", "green", "blue"; "tangential", "sagittal"; or "edge 1", "edge 2".
-    edges : tuple of dict
-        A record for each edge and colour, as in `edges.csv`.
-    measured : RecordingMtf or None
-        All that was measured, with the profiles of edges; None for a table.
+    mtf50, mtf50_ci95
+        Frequency at which the MTF falls to 0.5; None if it stays above. An end is None where the band does.
+    mtf_at_nyquist, mtf_at_nyquist_ci95
+        MTF at 0.5 cycles/pixel; None if frequencies are not those of pixels or end before.
+    n_frames : int or None
+        None for a table.
     is_light : bool
         Whether values were converted to the luminance of a display.
-    noted : tuple of RecordingWarning
-        Facts that make the MTF less certain, from which `warnings` are made.
+    edges : tuple of EdgeRecord
+        A record for each edge and colour, as in `edges.csv`.
     """
 
     source: str
     unit: FrequencyUnit
-    frequency: FloatArray
-    mtf: FloatArray
-    lower: FloatArray | None = None
-    upper: FloatArray | None = None
-    others: dict[str, FloatArray] = field(default_factory=dict)
-    edges: tuple[Json, ...] = ()
-    measured: RecordingMtf | None = None
+    frequency: Curve
+    mtf: Curve
+    mtf_lower: Curve | None = None
+    mtf_upper: Curve | None = None
+    others: dict[str, Curve] = {}
+    mtf50: float | None
+    mtf50_ci95: Ends | None
+    nyquist_cyc_per_pixel: float | None
+    mtf_at_nyquist: float | None
+    mtf_at_nyquist_ci95: Ends | None
+    n_frames: int | None = None
     is_light: bool = False
-    noted: tuple[RecordingWarning, ...] = ()
-    started: float
+    edges: tuple[EdgeRecord, ...] = ()
 
-    def __repr__(self) -> str:
-        return f"<MTF of {self.source}: {' '.join(self.sentences())}>"
 
-    @property
-    def mtf50(self) -> float | None:
-        """Frequency at which the MTF falls to 0.5; None if it stays above."""
-        return mtf50_of(self.frequency, self.mtf)
+class Mtf(Content, frozen=True, kw_only=True):
+    """A measured MTF.
 
-    @property
-    def mtf50_ci95(self) -> tuple[float | None, float | None] | None:
-        """95 % interval of `mtf50`; an end is None where the band does not cross 0.5. None without a band."""
-        if self.lower is None or self.upper is None:
-            return None
-        return mtf50_of(self.frequency, self.lower), mtf50_of(self.frequency, self.upper)
+    Attributes
+    ----------
+    mtf : MtfNumbers
+    measured : RecordingMtf or None
+        All that was measured, with the profiles of edges; None for a table, and for a result that was read.
+    """
 
-    @property
-    def mtf_at_nyquist(self) -> float | None:
-        """MTF at 0.5 cycles/pixel; None if frequencies are not those of pixels or end before."""
-        if self.unit != "cyc_per_pixel" or self.frequency[-1] < NYQUIST_CYC_PER_PIXEL:
-            return None
-        return float(np.interp(NYQUIST_CYC_PER_PIXEL, self.frequency, self.mtf))
+    mtf: MtfNumbers
+
+    measured: ClassVar[RecordingMtf | None] = None
 
     @property
-    def mtf_at_nyquist_ci95(self) -> tuple[float, float] | None:
-        """95 % interval of `mtf_at_nyquist`; None without a band."""
-        if self.mtf_at_nyquist is None or self.lower is None or self.upper is None:
-            return None
-        ends = (self.lower, self.upper)
-        low, high = (float(np.interp(NYQUIST_CYC_PER_PIXEL, self.frequency, one)) for one in ends)
-        return low, high
+    def name(self) -> str:
+        """Return the path of the recording or table."""
+        return self.mtf.source
 
-    @property
-    def warnings(self) -> tuple[ResultWarning, ...]:
-        """Properties of the recording or table that make the MTF less certain, each with a code."""
-        return tuple(ResultWarning(code=one.code, message=one.message) for one in self.noted)
-
-    def short_table(self) -> Table:
-        """Return the table of about `SHOWN_ROWS` frequencies, as the command prints it."""
-        return self.table(max((len(self.frequency) - 1) // SHOWN_ROWS, 1))
-
-    def table(self, step: int = 1) -> Table:
-        """Return the table of every `step`-th frequency, whose CSV `sensor_sim` reads."""
-        names = [f"frequency_{self.unit}", RADIAL, "mtf_lower", "mtf_upper"]
-        values: list[Any] = [self.frequency, self.mtf, self.lower, self.upper]
-        for name, curve in self.others.items():
-            names.append(f"mtf_{name.replace(' ', '_')}")
-            values.append(curve)
-        known = {name: one.tolist() for name, one in zip(names, values, strict=True) if one is not None}
+    def table(self) -> Table:
+        """Return all frequencies, whose CSV `sensor_sim` reads."""
+        found = self.mtf
+        curves = {RADIAL: found.mtf, "mtf_lower": found.mtf_lower, "mtf_upper": found.mtf_upper}
+        curves |= {f"mtf_{name.replace(' ', '_')}": curve for name, curve in found.others.items()}
+        known = {f"frequency_{found.unit}": found.frequency} | {
+            name: one for name, one in curves.items() if one is not None
+        }
         records = [dict(zip(known, row, strict=True)) for row in zip(*known.values(), strict=True)]
+        frequency, *names = known
         columns = [
-            Column(key=names[0], header=UNITS[self.unit], decimals=4 if self.unit == "cyc_per_pixel" else None),
+            Column(key=frequency, header=UNITS[found.unit], decimals=4 if found.unit == "cyc_per_pixel" else None),
             *(
-                Column(key=name, header=name.removeprefix("mtf_").replace("_", " "), decimals=3, rank=k >= 4)
-                for k, name in enumerate(names[1:], 1)
+                Column(
+                    key=name,
+                    header=name.removeprefix("mtf_").replace("_", " "),
+                    decimals=3,
+                    rank=k * (name not in (RADIAL, "mtf_lower", "mtf_upper")),
+                )
+                for k, name in enumerate(names, 1)
             ),
         ]
-        columns = [one for one in columns if one.key in known]
-        return Table.of(f"MTF of {self.source}", "mtf.csv", columns, records[::step])
+        return Table.of(f"MTF of {path_name(found.source)}", "mtf.csv", columns, records)
 
-    def edge_table(self, *, has_intervals: bool = False) -> Table | None:
-        """Return a row for each edge and colour; None for a table that names no edges.
+    def tables(self) -> list[Table]:
+        """List some frequencies, the edges, and folded all frequencies."""
+        whole = self.table()
+        step = max((len(whole.records) - 1) // SHOWN_ROWS, 1)
+        some = replace(whole, file="", records=whole.records[::step])
+        return [some, *self._edge_tables(), replace(whole, title="All frequencies").folded()]
 
-        With `has_intervals` all intervals are shown, in place of the boxes.
-        """
-        if not self.edges:
-            return None
-        headers = {"mtf50_cyc_per_pixel": "MTF50", "mtf_at_nyquist": "Nyquist", "angle_deg": "angle (°)"}
-        headers |= {"noise_percent": "noise (%)", "bend_px": "bend (px)"}
-        if has_intervals:
-            headers |= {"mtf50_cyc_per_pixel": "MTF50 (cycles/pixel)", "mtf_at_nyquist": "MTF at Nyquist"}
-            headers |= {key: f"{key} (of contrast)" for key in ("overshoot", "undershoot")}
-            headers |= {f"{key}_ci95": "95 % interval" for key in ("mtf_at_nyquist", "overshoot", "undershoot")}
-            not_shown = [*BOX_KEYS, "bend_px", "noise_percent"]
-        else:
-            not_shown = ["mtf_at_nyquist_ci95", "overshoot_ci95", "undershoot_ci95"]
+    def _edge_tables(self) -> list[Table]:
+        if not self.mtf.edges:
+            return []
+        headers = {
+            "mtf50_cyc_per_pixel": "MTF50",
+            "mtf_at_nyquist": "Nyquist",
+            "angle_deg": "angle (°)",
+            "noise_percent": "noise (%)",
+            "bend_px": "bend (px)",
+        }
         ranks = {"width_px": 3, "height_px": 3, "noise_percent": 2, "bend_px": 2, "undershoot": 1}
-        keys = dict.fromkeys(key for one in self.edges for key in one)
+        ranks |= {f"{key}_ci95": 4 for key in ("mtf_at_nyquist", "overshoot", "undershoot")}
+        keys = EdgeRecord.__struct_fields__
         columns = [
             Column(
                 key=key,
-                header=headers.get(key, ""),
+                header="95 % interval" if key.endswith("_ci95") else headers.get(key, ""),
                 digits=3,
                 interval=key if key.endswith("_ci95") else "",
-                in_file_only=key in ("normal_deg", "dark", "bright", *not_shown),
+                in_file_only=key in ("normal_deg", "dark", "bright"),
                 is_name=key == "edge",
                 rank=ranks.get(key, 0),
             )
             for key in keys
         ]
-        columns = [
-            Column(key=one.key, header="95 % interval", digits=3, interval=one.key)
-            if one.key == "mtf50_cyc_per_pixel_ci95"
-            else one
-            for one in columns
-        ]
-        return Table.of("Edges", "edges.csv", columns, self.edges).without_empty_columns()
+        records = [{key: getattr(one, key) for key in keys} for one in self.mtf.edges]
+        return [Table.of("Edges, MTF50 in cycles/pixel", "edges.csv", columns, records).without_empty_columns()]
 
     def sentences(self) -> list[str]:
         """Return the findings in words."""
-        unit = UNITS[self.unit]
-        mtf50, ends = self.mtf50, self.mtf50_ci95
-        if mtf50 is None:
-            found = [f"The MTF stays above 0.5 up to {plain(float(self.frequency[-1]))} {unit}."]
+        found, unit = self.mtf, UNITS[self.mtf.unit]
+        if found.mtf50 is None:
+            texts = [f"The MTF stays above 0.5 up to {plain(found.frequency[-1])} {unit}."]
         else:
-            within = "" if ends is None else f" ({interval_phrase(ends, 3)})"
-            found = [f"MTF50 {plain(mtf50, 3)}{within} {unit}."]
-        if (nyquist := self.mtf_at_nyquist) is not None:
-            at_nyquist = self.mtf_at_nyquist_ci95
-            within = "" if at_nyquist is None else f" ({interval_phrase(at_nyquist, 3)})"
-            found.append(f"MTF {plain(nyquist, 3)}{within} at the Nyquist frequency, 0.5 cycles/pixel.")
-        if self.measured is not None:
-            n_edges, n = len(self.measured.edges), self.measured.n_frames
-            found.append(f"Mean of {n_edges} edge{'s' * (n_edges > 1)} in {n} frame{'s' * (n > 1)}.")
-            found.append(
+            texts = [f"MTF50 {plain(found.mtf50, 3)}{_within(found.mtf50_ci95)} {unit}."]
+        if found.mtf_at_nyquist is not None:
+            within = _within(found.mtf_at_nyquist_ci95)
+            texts.append(
+                f"MTF {plain(found.mtf_at_nyquist, 3)}{within} at the Nyquist frequency, 0.5 cycles/pixel."
+            )
+        if found.n_frames is not None:
+            n_edges = len({one.edge for one in found.edges})
+            texts.append(f"Mean of {count(n_edges, 'edge')} in {count(found.n_frames, 'frame')}.")
+            texts.append(
                 "Measured is the luminance of the display."
-                if self.is_light
+                if found.is_light
                 else "The values were taken as proportional to light."
             )
-        return found
+        return texts
 
-    def to_json(self) -> bytes:
-        """Return one JSON object of the same form as the results of other commands, with the key `mtf`."""
-        ends, at_nyquist = self.mtf50_ci95, self.mtf_at_nyquist_ci95
-        found: Json = {
-            "source": self.source,
-            f"frequency_{self.unit}": self.frequency.tolist(),
-            "mtf": self.mtf.tolist(),
-            "mtf_lower": None if self.lower is None else self.lower.tolist(),
-            "mtf_upper": None if self.upper is None else self.upper.tolist(),
-            "others": {name: one.tolist() for name, one in self.others.items()},
-            f"mtf50_{self.unit}": self.mtf50,
-            f"mtf50_{self.unit}_ci95": None if ends is None else list(ends),
-            "nyquist_cyc_per_pixel": NYQUIST_CYC_PER_PIXEL if self.unit == "cyc_per_pixel" else None,
-            "mtf_at_nyquist": self.mtf_at_nyquist,
-            "mtf_at_nyquist_ci95": None if at_nyquist is None else list(at_nyquist),
-            "n_frames": None if self.measured is None else self.measured.n_frames,
-            "edges": list(self.edges),
-        }
-        return Result.made("mtf", self.started, mtf=found, warnings=self.warnings).to_json()
+    def remarks(self) -> list[str]:
+        """Return how edges are measured."""
+        return [] if self.mtf.n_frames is None else [HOW_MEASURED]
 
-    def figure(self) -> Figure:
-        """Return a figure of the MTF; for a recording also of the edge profiles and of where the edges are."""
-        from matplotlib.figure import Figure
-
-        with style():
-            n = 1 if self.measured is None else 3
-            figure = Figure(figsize=(4.8 * n, 3.6) if n > 1 else (5.6, 4.2), layout="constrained")
-            axes, *more = np.atleast_1d(figure.subplots(1, n))
-            self.draw(axes)
-            if self.measured is not None:
-                _draw_profiles(more[0], self.measured)
-                _draw_places(more[1], self.measured)
-            figure.suptitle(label_text(Path(self.source).name), fontsize="medium")
-        return figure
-
-    def to_html(self) -> str:
-        """Return one self-contained HTML page, the content of `report.html`."""
-        edges = self.edge_table(has_intervals=True)
-        content: Json = {
-            "title": "MTF of a camera" if self.measured is not None else "MTF from a table",
-            "about": self.source,
-            "warnings": [one.message for one in self.warnings],
-            "verdict": self.sentences(),
-            "figures": figure_items(self._pictures()),
-            "tables_shown": [table_item(self.short_table() if edges is None else edges)],
-            "examples": [],
-            "without": [],
-            "remarks": [] if self.measured is None else [HOW_MEASURED],
-            "details": [table_item(self.table(), folded=True)],
-            "version": __version__,
-            "can_be_made_again": False,
-        }
-        return render(content)
-
-    def _pictures(self) -> list[ReportFigure]:
-        """List the figures, the most important first."""
-        band = "" if self.lower is None else " The band is that of 95 % for the noise of the pixels."
-        found = [ReportFigure("MTF", f"Mean and single curves.{band}", self.draw)]
+    def figures(self) -> list[ReportFigure]:
+        """List the MTF; of a new measurement also where the edges are, and their profiles."""
+        band = "" if self.mtf.mtf_lower is None else " The band is that of 95 % for the noise of the pixels."
+        found = [ReportFigure("MTF", f"Mean and single curves.{band}", self._draw, "mtf.png")]
         if self.measured is not None:
-            places = partial(_draw_places, measured=self.measured)
+            boxes = partial(_draw_boxes, measured=self.measured)
             profiles = partial(_draw_profiles, measured=self.measured)
+            note = "The box about each edge that was measured, with its number."
+            found.append(ReportFigure("Edges", note, boxes, "edges.png"))
             found.append(
-                ReportFigure("Edges", "The box about each edge that was measured, with its number.", places)
+                ReportFigure("Edge profiles", "Means along each edge, in its colour.", profiles, "profiles.png")
             )
-            found.append(ReportFigure("Edge profiles", "Means along each edge, in its colour.", profiles))
         return found
 
-    def files(self) -> dict[str, bytes]:
-        """Return the content of all files by name; one of MTF Mapper's form for frequencies of pixels."""
-        edges = self.edge_table()
-        return {
-            "mtf.csv": self.table().csv().encode(),
-            **({} if edges is None else {edges.file: edges.csv().encode()}),
-            "mtf.png": figure_png(self.figure()),
-            **self._mapper_file(),
-            "report.html": self.to_html().encode(),
-            "result.json": self.to_json(),
-        }
+    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+        """Return the tables; and one of MTF Mapper's form for frequencies of pixels."""
+        return {**super().files(), **self._mapper_file()}
 
-    def _repr_html_(self) -> str:
-        table = self.edge_table() or self.short_table()
-        return notebook_page(self.sentences(), table, [(self.figure, "MTF")])
-
-    def draw(self, axes: Axes) -> None:
-        """Draw into axes in the style that is set; `plot` sets that of all figures."""
-        band = None if self.lower is None or self.upper is None else (self.lower, self.upper)
-        is_mean = any(name.startswith("edge") for name in self.others)
-        label = "mean" if is_mean else "MTF"
-        lines = [MtfLine(label=label, mtf=self.mtf, band=band, style={"color": INK, "lw": 2.0})]
-        for k, (name, curve) in enumerate(list(self.others.items())[:MOST_LINES]):
+    def _draw(self, axes: Axes) -> None:
+        found = self.mtf
+        band = None if found.mtf_lower is None or found.mtf_upper is None else (found.mtf_lower, found.mtf_upper)
+        label = "mean" if any(name.startswith("edge") for name in found.others) else "MTF"
+        lines = [MtfLine(label=label, mtf=found.mtf, band=band, style={"color": INK, "lw": 2.0})]
+        for k, (name, curve) in enumerate(list(found.others.items())[:MOST_LINES]):
             colour = LINE_COLOURS.get(name, COLOURS[k % len(COLOURS)])
             lines.append(MtfLine(label=name, mtf=curve, style={"color": colour, "lw": 1.0}))
         draw_mtf(
             axes,
-            self.frequency,
+            found.frequency,
             lines,
-            end=float(self.frequency[-1]),
-            marks={"Nyquist": NYQUIST_CYC_PER_PIXEL} if self.unit == "cyc_per_pixel" else {},
-            xlabel=f"frequency ({UNITS[self.unit]})",
+            end=found.frequency[-1],
+            marks={"Nyquist": NYQUIST_CYC_PER_PIXEL} if found.unit == "cyc_per_pixel" else {},
+            xlabel=f"frequency ({UNITS[found.unit]})",
             ylabel="MTF",
         )
 
     def _mapper_file(self) -> dict[str, bytes]:
         """Return `edge_sfr_values.txt` with each edge, or `raw_sfr_values.txt` with the curve of a table."""
-        if self.unit != "cyc_per_pixel":
+        found, measured = self.mtf, self.measured
+        if found.unit != "cyc_per_pixel":
             return {}
         frequency = np.arange(MAPPER_PER_CYC_PER_PIXEL) / MAPPER_PER_CYC_PER_PIXEL
-        if self.measured is None:
-            if self.frequency[-1] < frequency[-1]:
+        if measured is None:
+            if found.n_frames is not None or found.frequency[-1] < frequency[-1]:
                 return {}
-            values = np.interp(frequency, self.frequency, self.mtf, left=1.0)
+            values = np.interp(frequency, found.frequency, found.mtf, left=1.0)
             return {"raw_sfr_values.txt": _line([0.0, *values])}
-        rows, columns = self.measured.image.shape
+        rows, columns = measured.image.shape
         lines = []
-        for number, by_colour in enumerate(self.measured.edges, 1):
+        for number, by_colour in enumerate(measured.edges, 1):
             edge = by_colour[LUMA]
             x, y = edge.centre_px
             radial_deg = math.degrees(math.atan2(y - (rows - 1) / 2, x - (columns - 1) / 2))
             lines.append(_line([number, x, y, edge.angle_deg, radial_deg, *edge.mtf[: len(frequency)]]))
         return {"edge_sfr_values.txt": b"".join(lines)}
+
+
+def _within(ends: Ends | None) -> str:
+    return "" if ends is None else f" ({interval_phrase(ends, 3)})"
 
 
 def _line(values: Sequence[float]) -> bytes:
@@ -356,10 +307,9 @@ def _draw_profiles(axes: Axes, measured: RecordingMtf) -> None:
         edge = by_colour[LUMA]
         axes.plot(edge.distance_px, edge.profile, color=COLOURS[k % len(COLOURS)], lw=1.0)
     axes.set(xlabel="distance from the edge (pixels)", ylabel="profile, 0 dark and 1 bright")
-    axes.set_title("Edge profiles", fontsize="medium")
 
 
-def _draw_places(axes: Axes, measured: RecordingMtf) -> None:
+def _draw_boxes(axes: Axes, measured: RecordingMtf) -> None:
     from matplotlib.patches import Rectangle
 
     low, high = np.percentile(measured.image, (0.5, 99.5))
@@ -369,13 +319,52 @@ def _draw_places(axes: Axes, measured: RecordingMtf) -> None:
         colour = COLOURS[k % len(COLOURS)]
         axes.add_patch(Rectangle((left - 0.5, top - 0.5), width, height, fill=False, edgecolor=colour, lw=1.2))
         axes.annotate(str(k + 1), (left, top), (2, -2), textcoords="offset points", va="top", color=colour)
-    axes.set_title("Edges", fontsize="medium")
     axes.grid(visible=False)
 
 
-def measured_result(
-    measured: RecordingMtf, source: str, *, is_light: bool, started: float | None = None
-) -> MtfResult:
+def _result(
+    source: str,
+    *,
+    unit: FrequencyUnit,
+    frequency: FloatArray,
+    mtf: FloatArray,
+    band: tuple[FloatArray, FloatArray] | None = None,
+    others: Mapping[str, FloatArray],
+    edges: Sequence[Json] = (),
+    measured: RecordingMtf | None = None,
+    is_light: bool = False,
+    warnings: Sequence[RecordingWarning],
+    started: float,
+) -> Result[Mtf]:
+    """Return the result of curves over frequency, with what follows from them."""
+    has_nyquist = unit == "cyc_per_pixel" and frequency[-1] >= NYQUIST_CYC_PER_PIXEL
+
+    def at_nyquist(curve: FloatArray) -> float | None:
+        return float(np.interp(NYQUIST_CYC_PER_PIXEL, frequency, curve)) if has_nyquist else None
+
+    numbers = {
+        "source": source,
+        "unit": unit,
+        "frequency": frequency.tolist(),
+        "mtf": mtf.tolist(),
+        "mtf_lower": None if band is None else band[0].tolist(),
+        "mtf_upper": None if band is None else band[1].tolist(),
+        "others": {name: one.tolist() for name, one in others.items()},
+        "mtf50": mtf50_of(frequency, mtf),
+        "mtf50_ci95": None if band is None else [mtf50_of(frequency, end) for end in band],
+        "nyquist_cyc_per_pixel": NYQUIST_CYC_PER_PIXEL if unit == "cyc_per_pixel" else None,
+        "mtf_at_nyquist": at_nyquist(mtf),
+        "mtf_at_nyquist_ci95": [at_nyquist(end) for end in band] if band is not None and has_nyquist else None,
+        "n_frames": None if measured is None else measured.n_frames,
+        "is_light": is_light,
+        "edges": edges,
+    }
+    of_codes = [ResultWarning(code=one.code, message=one.message) for one in warnings]
+    made = Result.made("mtf", started, warnings=of_codes, mtf=as_read(numbers, MtfNumbers))
+    return made if measured is None else made.holding(measured=measured)
+
+
+def measured_result(measured: RecordingMtf, source: str, *, is_light: bool, started: float) -> Result[Mtf]:
     """Return the result of a measurement that began at a time of `time.perf_counter`."""
     mean = measured.means[LUMA]
     others = {name: one.mtf for name, one in measured.means.items() if name != LUMA}
@@ -388,19 +377,18 @@ def measured_result(
     ]
     if len(measured.means) == 1:
         edges = [{key: value for key, value in one.items() if key != "colour"} for one in edges]
-    return MtfResult(
-        source=source,
+    return _result(
+        source,
         unit="cyc_per_pixel",
         frequency=FREQUENCY_CYC_PER_PIXEL,
         mtf=mean.mtf,
-        lower=mean.lower,
-        upper=mean.upper,
+        band=(mean.lower, mean.upper),
         others=others,
-        edges=tuple(edges),
+        edges=edges,
         measured=measured,
         is_light=is_light,
-        noted=measured.warnings,
-        started=time.perf_counter() if started is None else started,
+        warnings=measured.warnings,
+        started=started,
     )
 
 
@@ -433,24 +421,23 @@ def _record(number: int, colour: str, edge: EdgeMtf) -> Json:
     return values
 
 
-def table_result(table: MtfTable, source: str, *, started: float) -> MtfResult:
+def table_result(table: MtfTable, source: str, *, started: float) -> Result[Mtf]:
     """Return the result of a table that was read."""
     others = {name.removeprefix("mtf_"): one for name, one in table.curves.items() if name != RADIAL}
     mtf = table.curves.get(RADIAL)
-    return MtfResult(
-        source=source,
+    return _result(
+        source,
         unit=table.unit,
         frequency=table.frequency,
         mtf=np.mean(list(others.values()), 0) if mtf is None else mtf,
-        lower=table.lower,
-        upper=table.upper,
+        band=None if table.lower is None or table.upper is None else (table.lower, table.upper),
         others=others,
-        noted=_of_table(table),
+        warnings=_of_table(table),
         started=started,
     )
 
 
-def mapper_result(edges: Sequence[MapperEdge], source: str, *, started: float) -> MtfResult:
+def mapper_result(edges: Sequence[MapperEdge], source: str, *, started: float) -> Result[Mtf]:
     """Return the result of the edges in a file of MTF Mapper, which all have the same number of frequencies.
 
     Raises
@@ -458,8 +445,6 @@ def mapper_result(edges: Sequence[MapperEdge], source: str, *, started: float) -
     DataError
         If they have not.
     """
-    from todframes.base.errors import DataError
-
     lengths = sorted({len(one.table.frequency) for one in edges})
     if len(lengths) > 1:
         raise DataError(
@@ -475,14 +460,14 @@ def mapper_result(edges: Sequence[MapperEdge], source: str, *, started: float) -
         nyquist = float(np.interp(NYQUIST_CYC_PER_PIXEL, frequency, curve))
         values = {"mtf50_cyc_per_pixel": mtf50_of(frequency, curve), "mtf_at_nyquist": nyquist}
         records.append({"edge": number, **place, "angle_deg": one.angle_deg, **values})
-    return MtfResult(
-        source=source,
+    return _result(
+        source,
         unit="cyc_per_pixel",
         frequency=frequency,
         mtf=mean,
         others={f"edge {k}": one for k, one in enumerate(curves, 1)} if len(curves) > 1 else {},
-        edges=tuple(records),
-        noted=_of_table(table),
+        edges=records,
+        warnings=_of_table(table),
         started=started,
     )
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from todframes.report.table import LongRecords, Table, field_text
 
@@ -43,40 +40,20 @@ def parquet_parts(table: Table) -> Iterator[bytes]:
     with ParquetWriter(sink, schema) as writer:
         group: list[Any] = []
         for block in records.blocks():
-            arrays = [
-                pa.Array.from_buffers(types[kind], len(block[name]), _buffers(block[name], kind))
+            columns = {
+                name: pa.array(
+                    map(field_text, block[name]) if kind is str else block[name], types[kind], from_pandas=True
+                )
                 for name, kind in records.kinds.items()
-            ]
-            group.append(pa.record_batch(arrays, schema=schema))
+            }
+            group.append(pa.table(columns, schema=schema))
             if sum(map(len, group)) >= ROWS_A_GROUP:
-                writer.write_table(pa.Table.from_batches(group))
+                writer.write_table(pa.concat_tables(group))
                 group = []
                 yield sink.taken()
         if group:
-            writer.write_table(pa.Table.from_batches(group))
+            writer.write_table(pa.concat_tables(group))
     yield sink.taken()
-
-
-def _buffers(values: Sequence[Any], kind: type) -> list[Any]:
-    """Return the buffers of an Arrow array: validity, in which None and NaN are null, and values.
-
-    `pyarrow.array` would import pandas, which takes a second.
-    """
-    import pyarrow as pa
-
-    if kind is str:
-        texts = [field_text(value).encode() for value in values]
-        offsets = np.cumsum([0, *map(len, texts)], dtype=np.int32)
-        return [None, pa.py_buffer(offsets), pa.py_buffer(b"".join(texts))]
-    found: NDArray[Any]
-    if kind is float:
-        found = np.array(values, np.float64)  # None becomes NaN
-        is_valid = ~np.isnan(found)
-    else:
-        is_valid = np.array([value is not None for value in values], np.bool_)
-        found = np.array([value or 0 for value in values], kind)
-    data = np.packbits(found, bitorder="little") if kind is bool else found
-    return [pa.py_buffer(np.packbits(is_valid, bitorder="little")), pa.py_buffer(data)]
 
 
 class _Sink(io.RawIOBase):

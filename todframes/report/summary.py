@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from todframes.report.advice import not_proportional
 from todframes.report.data import (
     NO_DIFFERENCE,
     Algorithm,
@@ -42,6 +43,7 @@ NO_THRESHOLD = {
 COMPUTED = {
     "never_reached": "{criterion} is never reached, however strong the signal",
     "always_exceeded": "{criterion} is always exceeded, however weak the signal",
+    "too_uncertain": "its numerical error is too large (too uncertain)",
 }
 """Reasons for a missing threshold, by status, if levels are computed without limit instead of shown."""
 
@@ -82,13 +84,13 @@ def verdict(result: ResultData) -> list[str]:
 
 
 def _sentences_of(result: ResultData) -> list[str]:
-    if result.command == "accuracy":
+    if result.scenes:
         return timed(result.scenes)
     if result.persons:
         from todframes.report.calibration import sentences
 
         return sentences(result)
-    computed = result.command in ("curve", "naked-eye")
+    computed = not any(fit.n_trials for fit in result.thresholds)
     curves = by_curve(result.thresholds)
     texts = [
         sentence
@@ -236,7 +238,7 @@ def _paragraph(one: Algorithm, reference: Algorithm) -> str:
             if verdict in verdicts
         ]
         text += f"; {'; '.join(texts)}"
-    sentences = [text, *_beyond_gain(whole)]
+    sentences = [text, *_beyond_gain(one, whole)]
     for reason, groups in _without_ratio(one, reference).items():
         where = f"At {group_phrases(groups)} " if groups[0] else ""
         sentences.append(f"{where}{reason}" if where else reason[0].upper() + reason[1:])
@@ -249,10 +251,18 @@ def _paragraph(one: Algorithm, reference: Algorithm) -> str:
     return ". ".join(sentences) + "."
 
 
-def _beyond_gain(ratio: Ratio) -> list[str]:
-    """Return a sentence on an algorithm that helps: whether it does more than a plain gain of the same amount."""
+def _beyond_gain(one: Algorithm, ratio: Ratio) -> list[str]:
+    """Return a sentence on an algorithm that helps: whether it does more than a plain gain of the same amount.
+
+    Where its gain is another near the threshold, no plain gain is of the same amount.
+    """
     if ratio.verdict not in ("better", "mixed") or ratio.beyond_gain is None or ratio.beyond_gain_ci95 is None:
         return []
+    if not_proportional([one]):
+        return [
+            "Whether it does more than amplify stays open: its contrast gain near the threshold is not that at "
+            "the highest level"
+        ]
     low, high = ratio.beyond_gain_ci95
     if high is not None and high < 1.0:
         amount = "more than"

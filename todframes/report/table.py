@@ -170,12 +170,16 @@ class LongRecords(Sequence[Mapping[str, Any]]):
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Columns and records with a title; `file` is the name of the CSV file."""
+    """Columns and records with a title; `file` is the name of the CSV file.
+
+    A folded table is not printed, and closed on the page.
+    """
 
     title: str
     file: str
     columns: tuple[Column, ...]
     records: Sequence[Mapping[str, Any]]
+    is_folded: bool = False
 
     @classmethod
     def of(
@@ -184,6 +188,10 @@ class Table:
         """Return a table; a column given as text is its key, with all else by default."""
         made = (Column(key=one) if isinstance(one, str) else one for one in columns)
         return cls(title, file, tuple(made), records if isinstance(records, LongRecords) else tuple(records))
+
+    def folded(self) -> Table:
+        """Return the table as a folded one."""
+        return replace(self, is_folded=True)
 
     def without_empty_columns(self, *but: str) -> Table:
         """Return the table without the columns in which no record has a value; columns named in `but` are kept."""

@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from todframes.report.data import (
     Algorithm,
+    Content,
     DatasetRecord,
     Estimator,
     Fit,
     Group,
+    Head,
     Record,
     ResultData,
     SceneResult,
 )
 from todframes.report.table import BLOCK, EXACT, Column, LongRecords, Table, field_text
-from todframes.report.wording import column_heading, group_phrase, level_heading, plain, threshold_heading
-from todframes.stimulus import ORIENTATIONS, Stimulus
+from todframes.report.wording import (
+    column_heading,
+    group_phrase,
+    level_heading,
+    path_name,
+    plain,
+    threshold_heading,
+)
+from todframes.stimulus import ORIENTATIONS
 
 if TYPE_CHECKING:
-    from todframes.base._typing import FloatArray
     from todframes.enhancement.compare import AlgorithmResult
     from todframes.frames.dataset import Dataset
-    from todframes.frames.trials import Trials
     from todframes.scoring.score import ScoredDataset
 
 THRESHOLD_COLUMNS = (
@@ -352,17 +358,18 @@ def records_table(title: str, file: str, records: Sequence[Record]) -> Table:
     return Table.of(title, file, dict.fromkeys(key for record in records for key in record), records)
 
 
-def settings(result: ResultData) -> Table:
+def settings(head: Head, content: Content) -> Table:
     """Make the table of a result's settings and versions; names of nested settings are joined with dots."""
     made: Record = {
-        "command": result.command,
-        "dataset": result.dataset_path,
-        "seed": result.seed,
-        "version": result.version,
-        **_flat(result.versions, "versions."),
-        "run_time_s": result.run_time_s,
+        "command": head.command,
+        "name": content.name or None,
+        "seed": head.seed,
+        "version": head.version,
+        **_flat(head.versions, "versions."),
+        "run_time_s": head.run_time_s,
     }
-    made = {name: value for name, value in made.items() if value is not None} | _flat(result.settings, "settings.")
+    made = {name: value for name, value in made.items() if value is not None}
+    made |= _flat(content.settings, "settings.")
     # Values are texts, because this table shows all digits on screen too.
     return _names_and_values("Settings, seed and versions", "settings.csv", made)
 
@@ -386,7 +393,11 @@ def dataset(record: DatasetRecord) -> Table:
 
 
 def _names_and_values(title: str, file: str, values: Record) -> Table:
-    rows: list[Record] = [{"name": name, "value": field_text(value) or None} for name, value in values.items()]
+    """Make a table of names and values; of an absolute path it has the last part."""
+    rows: list[Record] = [
+        {"name": name, "value": field_text(path_name(value) if isinstance(value, str) else value) or None}
+        for name, value in values.items()
+    ]
     return Table.of(title, file, ["name", "value"], rows)
 
 
@@ -416,60 +427,53 @@ def _trials(
 ) -> tuple[list[str], LongRecords]:
     """Return the names of the columns and the records of scored trials, each part with some texts in front."""
     more, first = parts[0]
-    kinds = {**dict.fromkeys(more, str), **{name: kind for name, (kind, _) in _columns(dataset, first).items()}}
+    groups = [dict(zip(dataset.experiment.group_by, group, strict=True)) for group in first.trials.groups]
+    kinds = trial_kinds([*more, *_block(dataset, first, slice(0))], groups)
 
     def blocks() -> Iterator[dict[str, list[Any]]]:
         for texts, scored in parts:
-            columns, of_part = _columns(dataset, scored), scored.trials
-            for start in range(0, len(of_part), BLOCK):
-                rows = slice(start, start + BLOCK)
-                these = of_part[rows]
-                block = {name: [text] * len(these) for name, text in texts.items()}
-                yield block | {name: values(these, rows) for name, (_, values) in columns.items()}
+            for start in range(0, len(scored.trials), BLOCK):
+                block = _block(dataset, scored, slice(start, start + BLOCK))
+                yield {name: [text] * len(block["trial"]) for name, text in texts.items()} | block
 
     return list(kinds), LongRecords(kinds, sum(len(scored.trials) for _, scored in parts), blocks)
 
 
-Values = Callable[["Trials", slice], list[Any]]
-"""Function of some trials, and of their rows in the arrays of `ScoredDataset`, that returns a value for each."""
+TRIAL_KINDS = {
+    **dict.fromkeys(("algorithm", "trial", "orientation", "answer"), str),
+    **dict.fromkeys(("n_frames", "polarity"), int),
+}
+"""Columns of scored trials that are texts or whole numbers; the others are groups or numbers."""
 
 
-def _columns(dataset: Dataset, scored: ScoredDataset) -> dict[str, tuple[type, Values]]:
-    """Return the type and the values of each column of scored trials."""
-    turns = [one.value for one in ORIENTATIONS]
-    groups = scored.trials.groups
-    numbers = {
-        **{f"displacement_{axis}_samples": scored.displacement_samples[:, k] for k, axis in enumerate("xy")},
-        **{f"score_{orientation}": scored.scores[:, k] for k, orientation in enumerate(ORIENTATIONS)},
-        **{f"p_{orientation}": scored.probabilities[:, k] for k, orientation in enumerate(ORIENTATIONS)},
-    }
+def trial_kinds(names: Iterable[str], groups: Sequence[Group]) -> dict[str, type]:
+    """Return the type of each column of scored trials; that of a group is a text if one of its values is."""
+    texts = {name for group in groups for name, value in group.items() if isinstance(value, str)}
+    kinds = TRIAL_KINDS | {name: float for group in groups for name in group} | dict.fromkeys(texts, str)
+    return {name: kinds.get(name, float) for name in names}
+
+
+def _block(dataset: Dataset, scored: ScoredDataset, rows: slice) -> dict[str, list[Any]]:
+    """Return the columns of some scored trials."""
+    trials, turns = scored.trials[rows], [one.value for one in ORIENTATIONS]
+    displaced = scored.displacement_samples[rows].T.tolist()
+    stimuli = [trials.stimuli[k] for k in trials.stimulus_codes.tolist()]
+    groups = [trials.groups[k] for k in trials.group_codes.tolist()]
     return {
-        "trial": (str, lambda trials, _: list(trials.names())),
-        "n_frames": (int, lambda trials, _: trials.frame_counts.tolist()),
-        "orientation": (str, lambda trials, _: [turns[k] for k in trials.quarter_turns.tolist()]),
-        "size_mrad": (float, lambda trials, _: [one.size_mrad for one in _stimuli(trials)]),
-        "polarity": (int, lambda trials, _: [one.polarity for one in _stimuli(trials)]),
-        dataset.experiment.level: (float, lambda trials, _: trials.levels.tolist()),
-        **{
-            name: (float if all(isinstance(group[k], float) for group in groups) else str, partial(_of_group, k))
-            for k, name in enumerate(dataset.experiment.group_by)
-        },
-        **{name: (float, partial(_of_array, values)) for name, values in numbers.items()},
-        "answer": (str, lambda _, rows: [turns[k] for k in scored.answers[rows].tolist()]),
-        "p_correct": (float, partial(_of_array, scored.p_correct)),
+        "trial": list(trials.names()),
+        "n_frames": trials.frame_counts.tolist(),
+        "orientation": [turns[k] for k in trials.quarter_turns.tolist()],
+        "size_mrad": [one.size_mrad for one in stimuli],
+        "polarity": [one.polarity for one in stimuli],
+        dataset.experiment.level: trials.levels.tolist(),
+        **{name: [group[k] for group in groups] for k, name in enumerate(dataset.experiment.group_by)},
+        "displacement_x_samples": displaced[0],
+        "displacement_y_samples": displaced[1],
+        **{f"score_{turn}": scored.scores[rows, k].tolist() for k, turn in enumerate(turns)},
+        **{f"p_{turn}": scored.probabilities[rows, k].tolist() for k, turn in enumerate(turns)},
+        "answer": [turns[k] for k in scored.answers[rows].tolist()],
+        "p_correct": scored.p_correct[rows].tolist(),
     }
-
-
-def _stimuli(trials: Trials) -> list[Stimulus]:
-    return [trials.stimuli[k] for k in trials.stimulus_codes.tolist()]
-
-
-def _of_group(column: int, trials: Trials, _: slice) -> list[Any]:
-    return [trials.groups[k][column] for k in trials.group_codes.tolist()]
-
-
-def _of_array(values: FloatArray, _: Trials, rows: slice) -> list[Any]:
-    return list(values[rows].tolist())
 
 
 # Scenes of an accuracy study -----------------------------------------------------------------------------------

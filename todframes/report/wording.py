@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TypeVar
+
+from todframes.stimulus import level_of
 
 T = TypeVar("T")
 
@@ -93,23 +96,14 @@ def group_phrases(groups: Sequence[Mapping[str, float | str]]) -> str:
     return "; ".join(map(group_phrase, groups))
 
 
-LEVEL_NAMES = {
-    "snr": ("SNR", ""),
-    "size_mrad": ("size", "mrad"),
-    "delta_t_k": ("ΔT", "K"),
-    "delta_t_mk": ("ΔT", "mK"),
-}
-"""Names and units of stimulus strengths, by column."""
-
-
 def level_name(level: str) -> str:
     """Return the name of a stimulus strength for a sentence."""
-    return LEVEL_NAMES.get(level, (level, ""))[0]
+    return level_of(level).name
 
 
 def level_heading(level: str) -> str:
     """Return the name of a stimulus strength with its unit, for a column or an axis."""
-    name, unit = LEVEL_NAMES.get(level, (level, ""))
+    name, unit, *_ = level_of(level)
     return f"{name} ({unit})" if unit else name
 
 
@@ -128,6 +122,11 @@ def interval_phrase(bounds: tuple[float | None, float | None], digits: int = 3) 
         one = plain(high if low is None else low, digits)
         return f"open below, to {one}" if low is None else f"from {one}, open above"
     return f"{plain(low, digits)} to {plain(high, digits)}"
+
+
+def path_name(text: str) -> str:
+    """Return the last part of an absolute path; other texts as they are."""
+    return Path(text).name if Path(text).is_absolute() else text
 
 
 def listed(parts: Iterable[str]) -> str:

@@ -122,8 +122,9 @@ def _periodogram(dataset: Dataset, trial: Trial, centre: Centre) -> tuple[FloatA
             f"{math.ceil(2.5 * outer * size_in_px(trial, dataset.display.pitch_mrad))} or more along each side"
         )
     windowed = window * (contrast - (window * contrast).sum() / window.sum())
-    density = np.abs(np.fft.rfft2(windowed)) ** 2 * (pitch_deg**2 / weight)
-    fx, fy = np.fft.rfftfreq(width, pitch_deg), np.fft.fftfreq(height, pitch_deg)[:, None]
+    # All signs of both frequencies: half a plane holds those of one axis twice as often as those of the other.
+    density = np.abs(np.fft.fft2(windowed)) ** 2 * (pitch_deg**2 / weight)
+    fx, fy = np.fft.fftfreq(width, pitch_deg), np.fft.fftfreq(height, pitch_deg)[:, None]
     density *= (np.sinc(fx * pitch_deg) * np.sinc(fy * pitch_deg)) ** 2  # pixels are held over their area
     frequency = np.hypot(fx, fy)
     resolved = 1.5 / (min(height, width) * pitch_deg)

@@ -9,14 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import for_reader
-
-PlanName = Literal["needed", "full"]
 
 LEFT_OUT_SHARE = 0.5
 """Share of the tolerance for the stages that are left out; the rest is for the number of trials."""
@@ -56,7 +53,7 @@ def plan_object(steps: Sequence[Step], places: float) -> list[dict[str, Any]]:
         {
             "stage": step.stage,
             "kept": step.kept,
-            "why": for_reader(step.why),
+            "why": step.why,
             "bound": step.bound,
             "saves_s": round(step.saves_once_s + max(step.saves_s, 0.0) * places, 3),
         }

@@ -18,7 +18,7 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, check_whole
 from todframes.frames.dataset import MOST_PLACES
 from todframes.observers.interface import Observer, Readout, SteppedObserver
-from todframes.psychometrics.threshold_search import ComputedThreshold, find_crossing
+from todframes.psychometrics.threshold_search import ComputedThreshold, find_crossing, if_known
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus, coverage
 
 NODES = (6, 8, 12, 16, 24, 32, 48)
@@ -156,7 +156,7 @@ def acuity(
     SettingsError
         If the observer is not linear, or a value is out of range.
     """
-    pitch = observer.grid(Stimulus(1.0)).pitch_mrad
+    pitch = observer.grid(Stimulus(1e-6)).pitch_mrad  # of a size that every grid holds
     sizes = (SIZE_RANGE_SAMPLES[0] * pitch, SIZE_RANGE_SAMPLES[1] * pitch)
 
     def threshold(nodes: int) -> ComputedThreshold:
@@ -193,18 +193,18 @@ def _with_step_error(
     differs from `p_correct` at the threshold; its slope there turns the difference into one of the threshold. The
     error grows as the square of the pitch, times a factor that varies with the places of edges between samples: it
     is the difference from a retina of s times the pitch, divided by |1 - s²| (Richardson). A quarter of the pitch
-    leaves next to nothing.
+    leaves next to nothing. A threshold with too large an error is none.
     """
     if found.threshold is None or not isinstance(observer, SteppedObserver):
-        return found
+        return if_known(found)
     step, other = _other_step(observer, Stimulus(largest_mrad))
     if other is None:
         return replace(found, numerical_error=None)
     below, at, above = (proportion(other, factor * found.threshold) for factor in (1.0 / SPAN, 1.0, SPAN))
     slope = (above - below) / ((SPAN - 1.0 / SPAN) * found.threshold)
-    change = abs(at - p_correct) / slope
+    change = abs(at - p_correct) / slope if slope > 0.0 else math.inf
     left = step**2 if step > FINE_STEP else 0.0
-    return replace(found, numerical_error=change / abs(1.0 - left) + (found.numerical_error or 0.0))
+    return if_known(replace(found, numerical_error=change / abs(1.0 - left) + (found.numerical_error or 0.0)))
 
 
 def _other_step(observer: SteppedObserver, stimulus: Stimulus) -> tuple[float, Observer | None]:
@@ -292,7 +292,7 @@ def _responses(observer: Observer, size_mrad: float, nodes: int, places: int = 1
 def _size_samples(observer: Observer, size_mrad: float) -> float:
     """Convert a size to retina samples; SettingsError if it is not > 0, or so large that it takes minutes."""
     check_positive(argument.size_mrad, size_mrad)
-    pitch = observer.grid(Stimulus(1.0)).pitch_mrad
+    pitch = observer.grid(Stimulus(size_mrad)).pitch_mrad
     most = SIZE_RANGE_SAMPLES[1]
     if size_mrad / pitch > most * (1.0 + 1e-9):
         raise SettingsError(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import cast
@@ -20,7 +20,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import FrameError, SettingsError, argument
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import check_place
-from todframes.frames.trials import Trial, Trials, indices_by
+from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import (
     PYRAMID_LEVELS,
     Observer,
@@ -30,7 +30,13 @@ from todframes.observers.interface import (
     omitted_part,
 )
 from todframes.observers.retina import RetinaGrid
-from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change
+from todframes.parameters import PlanName
+from todframes.scoring.error_budget import (
+    LEFT_OUT_SHARE,
+    SAFETY,
+    Step,
+    decision_change,
+)
 from todframes.scoring.retina_view import Reader, Shown, read_as_it_is, retina_image
 from todframes.stimulus import ORIENTATIONS, Stimulus, bounding_box_offset
 
@@ -97,7 +103,7 @@ class ScorePlan:
         half_width = self.stimuli[stimulus].half_width
         return readout if readout is None or half_width is None else readout.cropped(half_width)
 
-    def bound(self, stimuli: set[Stimulus]) -> float:
+    def bound(self, stimuli: Iterable[Stimulus]) -> float:
         """Return the bound on the change of P(correct) by all that is left out with these stimuli."""
         return max(math.fsum(self.stimuli[stimulus].bounds.values()) for stimulus in stimuli)
 
@@ -133,7 +139,7 @@ def plan_score(
     ScorePlan
     """
     trials = Trials.of(trials)
-    of_stimulus = {trials.stimuli[trials.stimulus_codes[one[0]]]: one for one in indices_by(trials.stimulus_codes)}
+    of_stimulus = dict(trials.by_stimulus())
     pitch, places = dataset.display.pitch_mrad, dataset.experiment.places
     if name == "full" or not expected or places > 1:
         full = name == "full" and isinstance(observer, TruncatedObserver)

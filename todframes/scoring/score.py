@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator, Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,32 +17,28 @@ from todframes.base.errors import DataError, SettingsError
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, Experiment, Skipped
 from todframes.frames.position import candidate_places, check_places
-from todframes.frames.trials import Group, Trials, indices_by
+from todframes.frames.trials import Group, Trials
 from todframes.observers.interface import Observer, Readout, joint_noise_covariance
-from todframes.psychometrics.fit import CurveName, FitSettings, PsychometricFit, fit_trials
+from todframes.parameters import CurveName, Decisions, PlanName
+from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
 from todframes.psychometrics.replicates import REPLICATES, half_width_95
-from todframes.scoring.error_budget import PlanName, Step
+from todframes.scoring.error_budget import Step
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.seen_trials import (
     FIT_STREAMS,
     PLACE_STREAMS,
-    Decisions,
     Scoring,
-    SeenColumns,
     SeenTrial,
     SeenTrials,
     score_trial,
 )
 from todframes.scoring.work import Run, see_trials
-from todframes.stimulus import Stimulus
+from todframes.stimulus import Stimulus, level_of
 
 S = TypeVar("S", bound=Sized)
 
 MOST_DISPLACEMENTS = 64
 """Largest number of displacements of each trial in each replicate."""
-
-SIGNAL_WORDS = ("contrast", "snr")
-"""Words in the names of levels that the signal in a frame is proportional to."""
 
 DEFAULT_TOLERANCE = 2e-3
 """Relative tolerance of thresholds for the plan if no tolerance is given."""
@@ -179,18 +175,18 @@ def score_dataset(
     scoring = Scoring(dataset, plan, decisions, seed, displacements=0 if tolerance is None else 1)
     run = run or Run()
 
-    def see(scoring: Scoring, trials: Trials, run: Run) -> tuple[SeenTrials | None, list[Skipped]]:
-        columns = SeenColumns(trials)
+    def see(scoring: Scoring, trials: Trials, run: Run) -> tuple[SeenTrials, list[Skipped]]:
+        seen = SeenTrials(trials)
         unread = see_trials(
             scoring,
             trials,
             score_trial,
             kind=SeenTrial,
-            collect=columns.put,
+            collect=seen.put,
             skip_bad_frames=skip_bad_frames,
             run=run,
         )
-        return columns.seen(), unread
+        return seen.usable(), unread
 
     seen, unread = see(scoring, whole, run)
     skipped += unread
@@ -214,7 +210,7 @@ def score_dataset(
                     seen.trials.select(rows),
                     replace(run, progress=None),
                 )
-                if more is not None and len(more) == len(rows):  # no frame has gone meanwhile
+                if len(more) == len(rows):  # no frame has gone meanwhile
                     looks.append(more)
             decided = fit(seen, looks)
     return replace(decided, skipped=tuple(skipped))
@@ -244,8 +240,8 @@ def settings_of_experiment(settings: FitSettings | None, experiment: Experiment)
     Nor do they if the triangle's place is unknown: curves are then steeper, the more places there are.
     """
     settings = settings or FitSettings()
-    is_signal = any(word in experiment.level.lower() for word in SIGNAL_WORDS)
-    return settings if is_signal and experiment.places == 1 else replace(settings, slope_spread=None)
+    is_known = level_of(experiment.level).is_signal and experiment.places == 1
+    return settings if is_known else replace(settings, slope_spread=None)
 
 
 def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[Trials, list[Skipped]]:
@@ -267,7 +263,7 @@ def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[Trials, l
     return check_seen(dataset, usable, skipped), skipped
 
 
-def check_seen(dataset: Dataset, seen: S | None, skipped: Sequence[Skipped]) -> S:
+def check_seen(dataset: Dataset, seen: S, skipped: Sequence[Skipped]) -> S:
     """Return the trials that were seen; raise DataError if no trial could be used."""
     if not seen:
         raise DataError(f"{dataset.path}: no frame can be scored; the first: {skipped[0].error}")
@@ -291,10 +287,7 @@ def _displacement_step(numbers: Sequence[int]) -> Step:
 
 def groups_of(trials: Trials) -> list[tuple[Group, NDArray[np.intp]]]:
     """Return the groups of trials, numbers before texts, and the indices of each group's trials."""
-    found = [
-        (trials.groups[trials.group_codes[indices[0]]], indices) for indices in indices_by(trials.group_codes)
-    ]
-    return sorted(found, key=lambda one: [(isinstance(value, str), value) for value in one[0]])
+    return sorted(trials.by_group(), key=lambda one: [(isinstance(value, str), value) for value in one[0]])
 
 
 def fit_groups(
@@ -323,67 +316,56 @@ def fit_groups(
         Trials in the order of the manifest; `skipped` is empty.
     """
     trials, n = seen.trials, len(seen)
-    correct = trials.quarter_turns
     again = [np.searchsorted(trials.numbers, look.trials.numbers) for look in looks]
     of_look = np.zeros(n, np.int16)  # 0: the first one
     for number, rows in enumerate(again):
         of_look[rows] = number + 1
     first = np.flatnonzero(of_look == 0)
     parts = [(first, seen if not looks else seen.select(first)), *zip(again, looks, strict=True)]
-    displaced, scores, probabilities = np.full((n, 2), np.nan), np.empty((n, 4)), np.full((n, 4), np.nan)
-    p_correct, bounds, place_errors = np.full(n, np.nan), np.zeros(n), np.zeros(n)
-    background, seconds = np.empty(n), np.empty(n)
+    table = np.empty(n, _DECIDED)
     p_each: dict[int, FloatArray] = {}
-    has_places = seen.place_scores.shape[2] > 0
     for number, (rows, part) in enumerate(parts):
-        if not len(rows):
-            continue
-        if part.displacement_samples.shape[1] == 1:
-            displaced[rows] = part.displacement_samples[:, 0]
-        scores[rows] = part.scores.mean(axis=1)
-        background[rows], seconds[rows] = part.background_luminance_cd_m2, part.seconds
-        p_each[number] = _decide(plan, part, correct[rows], rows, probabilities, bounds, place_errors)
-        p_correct[rows] = p_each[number].mean(axis=1)
-    answers = probabilities.argmax(axis=1)
+        if len(rows):
+            table[rows], p_each[number] = _decided(plan, part)
+    has_places = seen["place_scores"].shape[2] > 0
+    answers = table["probabilities"].argmax(axis=1)
     if not expected:
-        answers = _drawn_at_places(plan, seen, seed) if has_places else seen.answer
-        p_correct = (answers == correct).astype(np.float64)
-        p_each, bounds = {0: p_correct[:, None]}, np.zeros(n)
+        answers = _drawn_at_places(plan, seen, seed) if has_places else seen["answer"]
+        table["p_correct"] = answers == trials.quarter_turns
+        p_each, table["bound"] = {0: table["p_correct"][:, None]}, 0.0
     fits, scenes = [], trials.scene_numbers
     for number, (group, rows) in enumerate(groups_of(trials)):
         started = time.perf_counter()
-        level = trials.levels[rows]
+        level, p_correct = trials.levels[rows], table["p_correct"][rows]
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FIT_STREAMS, number)))
-        fit = fit_trials(level, p_correct[rows], curve=curve, settings=fit_settings, rng=rng)
+        fit = fit_trials(level, p_correct, curve=curve, settings=fit_settings, rng=rng)
         if scenes is not None:
-            fit = _over_scenes(fit, level, p_correct[rows], scenes[rows], fit_settings, rng)
+            fit = _over_scenes(fit, level, p_correct, scenes[rows], fit_settings, rng)
         look = int(of_look[rows[0]])
         p_of_rows = p_each[look][np.searchsorted(parts[look][0], rows)]
         fits.append(
             GroupFit(
                 group=group,
                 fit=fit,
-                non_gaussian_bound=float(bounds[rows].max()),
-                left_out_bound=plan.bound(
-                    {trials.stimuli[code] for code in set(trials.stimulus_codes[rows].tolist())}
-                ),
+                non_gaussian_bound=float(table["bound"][rows].max()),
+                left_out_bound=plan.bound(trials.select(rows).stimuli),
                 numerical_error=_numerical_error(level, p_of_rows, fit, fit_settings),
                 n_displacements=p_of_rows.shape[1],
-                background_luminance_cd_m2=sum(background[rows].tolist()) / len(rows),
-                run_time_s=sum(seconds[rows].tolist()) + time.perf_counter() - started,
-                places_error=float(place_errors[rows].max()) if has_places else None,
+                background_luminance_cd_m2=sum(table["background_luminance_cd_m2"][rows].tolist()) / len(rows),
+                run_time_s=sum(table["seconds"][rows].tolist()) + time.perf_counter() - started,
+                places_error=float(table["place_error"][rows].max()) if has_places else None,
             )
         )
     return ScoredDataset(
         trials=trials,
-        displacement_samples=displaced,
-        scores=scores,
-        probabilities=probabilities,
+        displacement_samples=table["displacement_samples"],
+        scores=table["scores"],
+        probabilities=table["probabilities"],
         answers=answers.astype(np.intp),
-        p_correct=p_correct,
+        p_correct=table["p_correct"],
         fits=tuple(fits),
         skipped=(),
-        n_negative=int(sum(part.n_negative.sum() for _, part in parts)),
+        n_negative=int(sum(part["n_negative"].sum() for _, part in parts)),
         plan=(*plan.steps, _displacement_step([p.shape[1] for p in p_each.values()])),
     )
 
@@ -412,40 +394,48 @@ def _over_scenes(
     )
 
 
-def _decide(
-    plan: ScorePlan,
-    seen: SeenTrials,
-    correct: NDArray[np.intp],
-    places: NDArray[np.intp],
-    probabilities: FloatArray,
-    bounds: FloatArray,
-    place_errors: FloatArray,
-) -> FloatArray:
-    """Compute the probability of the correct answer with each displacement.
+_DECIDED = np.dtype(
+    [
+        ("displacement_samples", "f8", 2),
+        ("scores", "f8", 4),
+        ("probabilities", "f8", 4),
+        *((name, "f8") for name in ("p_correct", "bound", "place_error", "background_luminance_cd_m2", "seconds")),
+    ]
+)
+"""Type of a row of decided trials: means over displacements; the bound on the error of the probabilities from
+taking the noise as Gaussian; and their largest standard error if the place is unknown, else 0."""
 
-    The probability of each answer, its error bound and, if the triangle's place is unknown, its standard error are
-    written to `places` of the last three arguments.
+
+def _decided(plan: ScorePlan, seen: SeenTrials) -> tuple[NDArray[Any], FloatArray]:
+    """Return a row of `_DECIDED` for each trial, and the probability of the correct answer with each displacement.
+
+    Probabilities are NaN if the observer is not linear, and displacements if there are several.
     """
-    n, n_displacements, _ = seen.deviations.shape
-    n_places = seen.place_scores.shape[2]
-    p_each = np.full((n, n_displacements), np.nan)
-    for members in indices_by(seen.trials.stimulus_codes):
-        stimulus = seen.trials.stimuli[seen.trials.stimulus_codes[members[0]]]
+    displaced, n_places = seen["displacement_samples"], seen["place_scores"].shape[2]
+    n, n_displacements, _ = displaced.shape
+    table, p_each = np.zeros(n, _DECIDED), np.full((n, n_displacements), np.nan)
+    table["displacement_samples"] = displaced[:, 0] if n_displacements == 1 else np.nan
+    table["scores"], table["probabilities"] = seen["scores"].mean(axis=1), np.nan
+    for name in ("background_luminance_cd_m2", "seconds"):
+        table[name] = seen[name]
+    correct = seen.trials.quarter_turns
+    for stimulus, members in seen.trials.by_stimulus():
         readout = plan.observer_of(stimulus).readout(stimulus)
         if readout is None:
             continue
-        bounds[places[members]] = readout.non_gaussian_bound if not n_places else readout.place_bound(n_places)
+        table["bound"][members] = readout.place_bound(n_places) if n_places else readout.non_gaussian_bound
         for start in range(0, len(members), DECIDED_AT_A_TIME):
             rows = members[start : start + DECIDED_AT_A_TIME]
             if n_places:
                 answers, errors = _of_places(plan, stimulus, seen, rows)
-                place_errors[places[rows]] = errors.max(axis=(1, 2))
+                table["place_error"][rows] = errors.max(axis=(1, 2))
             else:
-                answers = readout.answer_probabilities(seen.deviations[rows].reshape(-1, 4))
+                answers = readout.answer_probabilities(seen["deviations"][rows].reshape(-1, 4))
                 answers = answers.reshape(len(rows), n_displacements, 4)
-            probabilities[places[rows]] = answers.mean(axis=1)
+            table["probabilities"][rows] = answers.mean(axis=1)
             p_each[rows] = np.take_along_axis(answers, correct[rows, None, None], axis=2)[..., 0]
-    return p_each
+    table["p_correct"] = p_each.mean(axis=1)
+    return table, p_each
 
 
 def _of_places(
@@ -455,7 +445,7 @@ def _of_places(
 
     Both arrays have shape (trial, displacement, 4).
     """
-    scores = seen.place_scores[rows]
+    scores = seen["place_scores"][rows]
     probability, error = np.empty((2, *scores.shape[:2], 4))
     for these, readout, joint in _noise_at_places(plan, stimulus, seen, rows):
         probability[these], error[these] = readout.place_probabilities(scores[these], joint)
@@ -470,14 +460,13 @@ def _drawn_at_places(plan: ScorePlan, seen: SeenTrials, seed: int) -> NDArray[np
     from todframes.observers.unknown_place import drawn_answers
 
     answers = np.empty(len(seen), np.intp)
-    for rows in indices_by(seen.trials.stimulus_codes):
-        stimulus = seen.trials.stimuli[seen.trials.stimulus_codes[rows[0]]]
+    for stimulus, rows in seen.trials.by_stimulus():
         for these, readout, joint in _noise_at_places(plan, stimulus, seen, rows):
             keys = seen.trials.numbers[rows[these]].tolist()
             streams = [np.random.SeedSequence(seed, spawn_key=(PLACE_STREAMS, number)) for number in keys]
             noise = readout.full_covariance if joint is None else joint
             answers[rows[these]] = drawn_answers(
-                seen.place_scores[rows[these], 0], noise, [np.random.default_rng(one) for one in streams]
+                seen["place_scores"][rows[these], 0], noise, [np.random.default_rng(one) for one in streams]
             )
     return answers
 
@@ -495,7 +484,7 @@ def _noise_at_places(
     steps = np.unique(seen.trials.place_steps_px[rows], return_inverse=True)
     for number, step_px in enumerate(steps[0].tolist()):
         step_mrad = step_px * plan.pixel_pitch_mrad
-        grid = candidate_places(0.0, 0.0, place=1, step_px=step_mrad, places=seen.place_scores.shape[2])
+        grid = candidate_places(0.0, 0.0, place=1, step_px=step_mrad, places=seen["place_scores"].shape[2])
         these = np.flatnonzero(steps[1] == number)
         yield these, readout, joint_noise_covariance(observer, readout, stimulus, grid)
 

@@ -5,27 +5,26 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
-from todframes.base.seeds import first_uniforms, random_stream
+from todframes.base.seeds import random_stream
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import place_offsets_px
 from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer, Readout
 from todframes.observers.internal_noise import inner_product
 from todframes.observers.retina import RetinaGrid, SummedWeights
+from todframes.parameters import Decisions
 from todframes.psychometrics.replicates import REPLICATES
 from todframes.scoring.plan import ScorePlan
 from todframes.scoring.retina_view import Shown, read_trial, retina_image
-
-Decisions = Literal["expected", "sampled"]
 
 NO_ANSWER = -1
 """Answer of a trial for which none was drawn."""
@@ -70,72 +69,48 @@ class SeenTrial(NamedTuple):
     place_scores: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class SeenTrials:
-    """The observer's scores of many trials with equal numbers of displacements. Each trial is a row of the
-    arrays."""
+    """The observer's scores of many trials with equal numbers of displacements, set in any order.
 
-    trials: Trials
-    displacement_samples: FloatArray
-    scores: FloatArray
-    deviations: FloatArray
-    answer: NDArray[np.intp]
-    n_negative: NDArray[np.int64]
-    background_luminance_cd_m2: FloatArray
-    seconds: FloatArray
-    place_scores: FloatArray
+    `seen["scores"]` has the `SeenTrial.scores` of each trial, and so for its other attributes.
+    """
+
+    def __init__(self, trials: Trials, table: NDArray[Any] | None = None) -> None:
+        self.trials, self._table = trials, table
+        self._is_seen = np.full(len(trials), table is not None)
 
     def __len__(self) -> int:
-        return len(self.answer)
+        return len(self.trials)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        assert self._table is not None
+        return np.asarray(self._table[name])
+
+    def put(self, row: int, seen: SeenTrial) -> None:
+        """Set the scores of a trial; all trials have as many displacements as the first."""
+        if self._table is None:
+            values = [(name, np.asarray(value)) for name, value in seen._asdict().items()]
+            row_type = np.dtype([(name, value.dtype, value.shape) for name, value in values])
+            self._table = np.zeros(len(self.trials), row_type)
+        self._table[row], self._is_seen[row] = seen, True
+
+    def usable(self) -> SeenTrials:
+        """Return the trials whose scores were set, in the order of the trials."""
+        return self if self._is_seen.all() else self.select(np.flatnonzero(self._is_seen))
 
     def select(self, rows: NDArray[np.intp]) -> SeenTrials:
         """Return some of the trials, by row."""
-        columns = (getattr(self, name)[rows] for name in SeenTrial._fields)
-        return SeenTrials(self.trials.select(rows), *columns)
+        return SeenTrials(self.trials.select(rows), None if self._table is None else self._table[rows])
 
     def amplified(self, gain: FloatArray) -> SeenTrials:
         """Return the scores after a plain gain of contrast, one gain for each trial; scores are linear in
         contrast."""
-        each = gain[:, None, None]
-        return replace(
-            self,
-            scores=each * self.scores,
-            deviations=each * self.deviations,
-            place_scores=each[..., None] * self.place_scores,
-        )
-
-
-class SeenColumns:
-    """Columns that are filled with the scores of trials in any order.
-
-    Parameters
-    ----------
-    trials : Trials
-    """
-
-    def __init__(self, trials: Trials) -> None:
-        self._trials = trials
-        self._columns: dict[str, NDArray[Any]] = {}
-        self._is_seen = np.zeros(len(trials), bool)
-
-    def put(self, row: int, seen: SeenTrial) -> None:
-        """Set the scores of a trial; all trials have as many displacements as the first."""
-        if not self._columns:
-            for name, value in seen._asdict().items():
-                one = np.asarray(value)
-                self._columns[name] = np.zeros((len(self._trials), *one.shape), one.dtype)
-        for name, value in zip(self._columns, seen, strict=True):
-            self._columns[name][row] = value
-        self._is_seen[row] = True
-
-    def seen(self) -> SeenTrials | None:
-        """Return the trials whose scores were set, in the order of the trials; None if there are none."""
-        if not self._columns:
-            return None
-        if self._is_seen.all():
-            return SeenTrials(self._trials, **self._columns)
-        rows = np.flatnonzero(self._is_seen)
-        return SeenTrials(self._trials.select(rows), **{name: v[rows] for name, v in self._columns.items()})
+        assert self._table is not None
+        table = self._table.copy()
+        for name in ("scores", "deviations", "place_scores"):
+            scores = table[name].T
+            scores *= gain
+        return SeenTrials(self.trials, table)
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +243,7 @@ def score_trial(scoring: Scoring, trial: Trial, readout: Readout | None) -> Seen
 
 def _displacements(scoring: Scoring, trial: Trial, jitter: float) -> FloatArray:
     if not scoring.displacements:
-        return -jitter + 2.0 * jitter * first_uniforms(scoring.seed, TRIAL_STREAMS, trial.number)[None]
+        return -jitter + 2.0 * jitter * random_stream(scoring.seed, TRIAL_STREAMS, trial.number).random((1, 2))
     key = (DISPLACEMENT_STREAMS, scoring.displacements, trial.number)
     shifts = np.random.default_rng(np.random.SeedSequence(scoring.seed, spawn_key=key)).random((REPLICATES, 1, 2))
     evenly = (shifts + np.arange(scoring.displacements)[:, None] * KRONECKER_STEPS_2D) % 1.0

@@ -23,7 +23,7 @@ from todframes.frames.files import frame_sha256
 from todframes.frames.position import check_place
 from todframes.frames.trials import FrameReference, Trial, Trials
 from todframes.jobs.run import run_stored
-from todframes.jobs.work import Engine, LocalEngine, Lost
+from todframes.jobs.work import Engine, LocalEngine
 from todframes.observers.interface import Readout
 from todframes.scoring.seen_trials import Scoring
 from todframes.stimulus import Stimulus
@@ -123,17 +123,16 @@ class TrialWork(Generic[T]):
                 try:
                     readout = readout_of(trial.stimulus)
                 except SettingsError as error:  # an error about this row's size
-                    raise FrameError(scoring.dataset.frame_path(trial.frames[0]), error.marked) from None
+                    raise FrameError(scoring.dataset.frame_path(trial.frames[0]), str(error)) from None
                 return _ENCODER.encode(self.show(scoring, trial, readout))
             except FrameError as error:
                 return Unusable(error)
 
         return show
 
-    def lost(self, item: Trial) -> FrameError:
-        """Return the error about a trial whose process died with it."""
-        path = self.scoring.dataset.frame_path(item.frames[0])
-        return FrameError(path, "the process that read this frame died, each time it was tried; look at this file")
+    def name(self, item: Trial) -> str:
+        """Return the path of a trial's first frame."""
+        return str(self.scoring.dataset.frame_path(item.frames[0]))
 
     @cached_property
     def identity(self) -> bytes | None:
@@ -277,7 +276,7 @@ def see_trials(
     unusable: dict[int, FrameError] = {}
     in_order = trials.select(order)
     for number, found in run_stored(work, in_order, engine=run.engine, store=store):
-        if isinstance(found, Unusable | Lost):
+        if isinstance(found, Unusable):
             error = found.error
             assert isinstance(error, FrameError)
             if not skip_bad_frames:

@@ -6,13 +6,23 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from todframes.base.locations import Location
 from todframes.base.reading import read_text
 from todframes.base.seeds import Rng, seed_of
-from todframes.experiment.answers import Method, flagged
+from todframes.experiment.answers import flagged
 from todframes.experiment.order import n_main_trials
 from todframes.experiment.session import SessionDesign, open_sitting
 from todframes.frames.dataset import Dataset, load_dataset
+from todframes.parameters import (
+    AnswersFolder,
+    Method,
+    NamedTable,
+    PersonId,
+    Port,
+    Seconds,
+    Seed,
+    Share,
+    WholeNumber,
+)
 from todframes.web import check_installed
 
 MAX_CONSENT_MB = 1
@@ -39,69 +49,77 @@ class SessionProgress(NamedTuple):
 
 
 def run_experiment(
-    dataset: Location | str | Dataset,
-    answers: Path | str,
+    dataset: Path | str | Dataset,
+    answers: AnswersFolder,
     *,
-    subject: str | None = None,
+    subject: PersonId | None = None,
     method: Method | None = None,
-    trials: int | None = None,
-    practice: int | None = None,
-    practice_correct: float | None = None,
-    break_every: int | None = None,
-    time_limit_s: float | None = None,
+    trials: WholeNumber | None = None,
+    practice: WholeNumber | None = None,
+    practice_correct: Share | None = None,
+    break_every: WholeNumber | None = None,
+    time_limit_s: Seconds | None = None,
     background: float | None = None,
     dither: bool | None = None,
     include_flagged: bool | None = None,
-    rng: Rng | None = None,
-    consent: Path | str | None = None,
+    rng: Seed | Rng | None = None,
+    consent: NamedTable | None = None,
     contact: str | None = None,
     host: str = "127.0.0.1",
-    port: int = 0,
+    port: Port = 0,
     open_browser: bool = True,
     tell: Callable[[str], None] = print,
     warn: Callable[[str], None] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> SessionProgress:
-    """Serve a page on which a person does the test on the frames of a dataset, as `todframes experiment` does.
+    """Open a page in the browser on which a person says where the triangles of a dataset point.
 
-    The call returns when Ctrl-C is pressed, or the process is asked to end. The same call continues a session that
-    is not finished.
+    Each answer is on the disk before the next triangle is shown. The same command or call goes on with a session
+    that is not finished. Ctrl-C ends the server.
 
     Parameters
     ----------
     dataset : path, str or Dataset
-        Folder with dataset.toml, manifest.csv and frames, its URL, or the return value of `load_dataset`.
+        Folder with dataset.toml, manifest.csv and frames, or its URL, such as s3://lab/archive.
+
+        The return value of `load_dataset` is taken as well.
     answers : path
-        Folder for the answers, of this and other people; made if it does not exist.
+        Folder for the answers of people; it is made if it does not exist.
     subject : str, optional
-        Anonymous id, letters and digits. Default: that of the only session that is not finished, or a random one.
+        Anonymous id of the person: letters and digits. Default: that of the only session that is not finished, or
+        a random one.
     method : {"constant", "quest"}, optional
-        Show trials of the dataset in random order (default), or let QUEST+ choose the level.
+        Show the trials of the dataset in random order, or let QUEST+ choose the level. Default: constant.
     trials : int, optional
-        Number of trials that count. Default: all of the dataset; for quest 60 a group.
-    practice, break_every : int, optional
-        Number of trials with feedback before, default 8, and of trials between breaks, default 60; 0 for none.
+        Number of trials that count. Default: all; for quest 60 a group.
+    practice : int, optional
+        Trials with feedback before the test, 0 for none. Default: 8.
     practice_correct : float, optional
-        Share of the practice trials that has to be correct; otherwise they are repeated. Default: 0.75.
+        Share of the practice that has to be correct; else it is repeated. Default: 0.75.
+    break_every : int, optional
+        Trials between breaks, 0 for none. Default: 60.
     time_limit_s : float, optional
-        Time in which to answer. Default: no limit.
+        Time to answer in s. Default: none.
     background : float, optional
         Luminance of the background over that of white. Default: 0.5.
     dither : bool, optional
-        Show a luminance between two code values by a mixture of pixels of both. Default: True.
+        Show a luminance between two code values by pixels of both. Otherwise show the nearest code value.
     include_flagged : bool, optional
-        Count answers that came within 150 ms, or while the page was hidden or had lost the focus, as all others.
-        Default: False; their trials are shown again later.
+        Count answers within 150 ms, or while the page was hidden or had lost the focus, as all others.
+
+        Without it, their trials are shown again later.
     rng : int, SeedSequence or Generator, optional
         Seed of the order. Default: a random one.
     consent : path, optional
-        File of the text that the person is to agree to. Default: a text of this package.
+        Text to which the person has to agree. Default: a text of this package.
     contact : str, optional
-        Name and address for questions and withdrawal, for the text of this package and the last screen.
-    host, port : str, int
-        Address or name of this machine to listen at; port 0 is a free one.
+        Name and address for questions and withdrawal.
+    host : str
+        Address or name of this machine to listen at.
+    port : int
+        Port to listen at. 0 is a free one.
     open_browser : bool
-        Whether to open the page in the browser.
+        Open the page in the browser. Otherwise print the address only.
     tell : function of a text
         Called with the address of the page when the server listens. Nobody can open the page without this address.
     warn : function of a text, optional
@@ -137,21 +155,23 @@ def run_experiment(
         seed=None if rng is None else seed_of(rng),
     )
     from todframes.web.experiment import experiment_app
-    from todframes.web.server import Launch, serve
+    from todframes.web.server import open_listener, serve
 
-    launch = Launch(host=host, port=port, open_browser=open_browser)
     data = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
     text = None if consent is None else read_text(Path(consent), most_mb=MAX_CONSENT_MB)
-    with open_sitting(
-        data,
-        answers,
-        subject=subject,
-        design=design,
-        consent_text=text,
-        contact=contact,
-        progress=progress,
-    ) as sitting:
-        serve(experiment_app(sitting), launch, tell=tell, warn=warn)
+    with (
+        open_listener(host, port) as listener,
+        open_sitting(
+            data,
+            answers,
+            subject=subject,
+            design=design,
+            consent_text=text,
+            contact=contact,
+            progress=progress,
+        ) as sitting,
+    ):
+        serve(experiment_app(sitting), listener, host=host, open_browser=open_browser, tell=tell, warn=warn)
     rows, record = sitting.rows, sitting.record
     n_answered = sum(row.phase == "main" for row in rows)
     return SessionProgress(record.subject, n_answered, n_main_trials(record, rows), sum(flagged(rows).values()))

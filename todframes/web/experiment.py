@@ -18,7 +18,7 @@ from todframes.experiment.answers import NO_RESPONSE
 from todframes.experiment.monitor import Calibration, MonitorError
 from todframes.experiment.session import Sitting, StepError
 from todframes.stimulus import Orientation
-from todframes.web.pages import JSON, EmptyRequest, call, error_of, json_bytes, page
+from todframes.web.pages import EmptyRequest, call, error_of, json_answer, page
 
 STATUS = {StepError: 409, MonitorError: 422, OutputError: 507}
 """HTTP status for each kind of error; after 507 the page repeats its request until there is room on the disk."""
@@ -79,4 +79,4 @@ def _refused(_: Request, error: Exception) -> Response:
     """Return the line of an error, with the status of its kind and, of a refused monitor, the reason."""
     status = next(status for kind, status in STATUS.items() if isinstance(error, kind))
     reason = {"reason": error.reason} if isinstance(error, MonitorError) else {}
-    return Response(json_bytes(error_of(error) | reason), status, media_type=JSON)
+    return json_answer(error_of(error) | reason, status)

@@ -1,14 +1,11 @@
-"""Parts of all pages: files from a fixed list, calls with JSON in both directions, errors of one line."""
+"""Parts of all pages: their files, calls with JSON in both directions, errors of one line."""
 
 from __future__ import annotations
 
 import asyncio
-import gzip
 import re
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from typing import TypeVar
@@ -16,16 +13,16 @@ from typing import TypeVar
 import msgspec
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import Request
-from starlette.responses import Response
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
-from starlette.types import Lifespan, Receive, Scope, Send
+from starlette.types import Lifespan
 
-from todframes.base.errors import SettingsError, TodframesError, in_command
+from todframes.base.errors import SettingsError, TodframesError
 from todframes.base.safe_text import visible
-
-SHARED_FILES = ("base.css", "server.js", "icon.svg", "uplot/uPlot.iife.min.js", "uplot/uPlot.min.css")
-"""Files of the folder `static` that all pages may load, as `/static/NAME`."""
 
 CONTENT_TYPES = {
     "css": "text/css; charset=utf-8",
@@ -34,7 +31,8 @@ CONTENT_TYPES = {
     "svg": "image/svg+xml",
 }
 
-JSON = "application/json"
+MOST_BODY_BYTES = 2**20
+"""Largest body of a request."""
 
 LEAST_COMPRESSED_BYTES = 4096
 
@@ -46,7 +44,7 @@ class EmptyRequest(msgspec.Struct):
 
 
 def page(folder: Traversable, calls: Sequence[Route], lifespan: Lifespan[Starlette] | None = None) -> Starlette:
-    """Return an app that serves the files of a folder and answers calls.
+    """Return an app that serves the files of a folder, those that all pages share, and calls.
 
     The files are read now: the path of a request is compared with their names, and never looked up on the disk.
 
@@ -60,34 +58,24 @@ def page(folder: Traversable, calls: Sequence[Route], lifespan: Lifespan[Starlet
         Makes the context in which the server runs.
     """
     shared = files("todframes.web") / "static"
-    routes = [_file(f"/static/{name.rpartition('/')[2]}", shared / name) for name in SHARED_FILES]
-    for file in folder.iterdir():
-        if file.name.rpartition(".")[2] in CONTENT_TYPES:
-            routes.append(_file("/" if file.name == "index.html" else f"/static/{file.name}", file))
-    app = Starlette(
-        routes=[*routes, *calls],
-        lifespan=lifespan,
-        exception_handlers={TodframesError: error_answer},
-    )
-    app.router.redirect_slashes = False
-    return app
+    routes = list(calls)
+    for file in (*shared.iterdir(), *(shared / "uplot").iterdir(), *folder.iterdir()):
+        if (media_type := CONTENT_TYPES.get(file.name.rpartition(".")[2])) is not None:
+            path = "/" if file.name == "index.html" else f"/static/{file.name}"
+            routes.append(_file(path, file.read_bytes(), media_type))
+    compression = Middleware(GZipMiddleware, minimum_size=LEAST_COMPRESSED_BYTES, compresslevel=1)
+    handlers = {
+        TodframesError: error_answer,
+        ClientDisconnect: lambda *_: Response(status_code=400),  # in place of a traceback in the terminal
+    }
+    return Starlette(routes=routes, middleware=[compression], lifespan=lifespan, exception_handlers=handlers)
 
 
-def _file(path: str, file: Traversable) -> Route:
-    content, media_type = file.read_bytes(), CONTENT_TYPES[file.name.rpartition(".")[2]]
-
-    async def endpoint(request: Request) -> Response:
-        return _answer(request, content, media_type)
+def _file(path: str, content: bytes, media_type: str) -> Route:
+    async def endpoint(_: Request) -> Response:
+        return Response(content, media_type=media_type)
 
     return Route(path, endpoint)
-
-
-def _answer(request: Request, content: bytes, media_type: str) -> Response:
-    """Return an answer, compressed if it is long and the browser accepts that."""
-    if len(content) < LEAST_COMPRESSED_BYTES or "gzip" not in request.headers.get("accept-encoding", ""):
-        return Response(content, media_type=media_type)
-    small = gzip.compress(content, compresslevel=1, mtime=0)
-    return Response(small, media_type=media_type, headers={"Content-Encoding": "gzip"})
 
 
 def call(path: str, kind: type[T], function: Callable[[T], object]) -> Route:
@@ -98,16 +86,13 @@ def call(path: str, kind: type[T], function: Callable[[T], object]) -> Route:
     decoder = msgspec.json.Decoder(kind)
 
     async def endpoint(request: Request) -> Response:
-        asked = _decoded(decoder, await request.body())
-        found = await run_in_threadpool(function, asked)
-        return _answer(request, json_bytes(found), JSON)
+        asked = await _decoded(request, decoder)
+        return json_answer(await run_in_threadpool(function, asked))
 
     return Route(path, endpoint, methods=["POST"])
 
 
-def stream(
-    path: str, kind: type[T], function: Callable[[T, Callable[[], bool]], Iterator[object]], executor: Executor
-) -> Route:
+def stream(path: str, kind: type[T], function: Callable[[T, Callable[[], bool]], Iterator[object]]) -> Route:
     """Return the route of a POST whose answer has a line of JSON for each item of an iterator, sent at once.
 
     Parameters
@@ -116,34 +101,64 @@ def stream(
     kind : type
         Type of the JSON body.
     function : function
-        Takes the body and a function that returns whether the client is still connected; returns the iterator. It
-        is called in the event loop, and must not take long.
-    executor : Executor
-        Computes the items of a request one after the other, in one thread.
+        Takes the body and a function that returns whether the client is still connected; returns the iterator,
+        whose items are computed in one thread. It is called in the event loop, and must not take long.
 
-    Errors before the first item are answered as by `call`; one that comes later is a line of its own.
+    Errors of the function are answered as by `call`; one that an item raises is a line of its own.
     """
     decoder = msgspec.json.Decoder(kind)
 
-    class Stream:
-        """An ASGI app, as the response begins only with the first line, and the client may leave before."""
+    async def endpoint(request: Request) -> Response:
+        asked = await _decoded(request, decoder)
+        is_gone = threading.Event()
+        lines = _lines(function(asked, lambda: not is_gone.is_set()), is_gone)
+        # With an encoding of its own it is not compressed, which would hold lines back.
+        headers = {"Content-Encoding": "identity"}
+        return StreamingResponse(lines, media_type="application/x-ndjson", headers=headers)
 
-        async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-            asked = _decoded(decoder, await Request(scope, receive).body())
-            is_gone = threading.Event()
-            watch = asyncio.create_task(_set_when_gone(receive, is_gone))
-            try:
-                items = function(asked, lambda: not is_gone.is_set())
-                await _send_lines(items, executor, send)
-            finally:
-                is_gone.set()
-                watch.cancel()
-
-    return Route(path, Stream(), methods=["POST"])
+    return Route(path, endpoint, methods=["POST"])
 
 
-def _decoded(decoder: msgspec.json.Decoder[T], body: bytes) -> T:
-    """Return what the body of a request holds; raise SettingsError if it is not of the decoder's type."""
+async def _lines(items: Iterator[object], is_gone: threading.Event) -> AsyncIterator[bytes]:
+    """Yield a line of JSON for each item; set the event when nobody asks for further lines."""
+    loop, computed = asyncio.get_running_loop(), asyncio.Queue[object]()
+
+    def put(item: object) -> None:
+        loop.call_soon_threadsafe(computed.put_nowait, item)
+
+    def compute() -> None:
+        try:
+            for item in items:
+                put(item)
+        except TodframesError as error:
+            put(error_of(error))
+        finally:
+            put(None)
+
+    computing = loop.run_in_executor(None, compute)
+    try:
+        while (item := await computed.get()) is not None:
+            yield msgspec.json.encode(item) + b"\n"
+        await computing  # raises a defect
+    finally:
+        is_gone.set()
+
+
+async def _decoded(request: Request, decoder: msgspec.json.Decoder[T]) -> T:
+    """Return what the body of a request holds.
+
+    Raises
+    ------
+    SettingsError
+        If it is not of the decoder's type.
+    HTTPException
+        If it is too large.
+    """
+    body = bytearray()
+    async for part in request.stream():
+        body += part
+        if len(body) > MOST_BODY_BYTES:
+            raise HTTPException(413, f"The body is too large; expected at most {MOST_BODY_BYTES} bytes.")
     try:
         return decoder.decode(body)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
@@ -152,58 +167,18 @@ def _decoded(decoder: msgspec.json.Decoder[T], body: bytes) -> T:
         raise SettingsError("the request is not valid: nested too deep") from None
 
 
-async def _set_when_gone(receive: Receive, is_gone: threading.Event) -> None:
-    while (await receive())["type"] != "http.disconnect":
-        pass
-    is_gone.set()
-
-
-async def _send_lines(items: Iterator[object], executor: Executor, send: Send) -> None:
-    loop, found = asyncio.get_running_loop(), asyncio.Queue[bytes | None]()
-
-    def work() -> None:
-        try:
-            for item in items:
-                put(json_bytes(item) + b"\n")
-        finally:
-            put(None)
-
-    def put(line: bytes | None) -> None:
-        with suppress(RuntimeError):  # the loop has ended
-            loop.call_soon_threadsafe(found.put_nowait, line)
-
-    async def send_line(line: bytes, *, more: bool = True) -> None:
-        await send({"type": "http.response.body", "body": line, "more_body": more})
-
-    computed = loop.run_in_executor(executor, work)
-    line = await found.get()
-    if line is None:
-        await computed  # raises what came before the first line
-    headers = [(b"content-type", b"application/x-ndjson")]
-    await send({"type": "http.response.start", "status": 200, "headers": headers})
-    while line is not None:
-        await send_line(line)
-        line = await found.get()
-    try:
-        await computed
-    except TodframesError as error:
-        await send_line(json_bytes(error_of(error)) + b"\n")
-    await send_line(b"", more=False)
-
-
-def json_bytes(value: object) -> bytes:
-    """Return a value as JSON; numbers that are not finite become null."""
-    return msgspec.json.encode(value)
+def json_answer(value: object, status: int = 200) -> Response:
+    """Return an answer in JSON; numbers that are not finite become null."""
+    return Response(msgspec.json.encode(value), status, media_type="application/json")
 
 
 def error_of(error: Exception) -> dict[str, str | None]:
     """Return the line of an error, and the key of SENSOR.toml that it names, such as "optics.aperture_mm"."""
-    with in_command(is_on_page=True):
-        line = visible(str(error))
+    line = visible(str(error))
     found = re.search(r"\[(\w+)\]: (\w+)(?:: | is missing)", line) or re.match(r"(\w+)\.(\w+): found ", line)
     return {"error": line, "key": f"{found[1]}.{found[2]}" if found else None}
 
 
 def error_answer(_: Request, error: Exception) -> Response:
     """Return status 422 and `error_of` the error."""
-    return Response(json_bytes(error_of(error)), 422, media_type=JSON)
+    return json_answer(error_of(error), 422)

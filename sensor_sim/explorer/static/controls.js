@@ -180,6 +180,7 @@ class Field {
     if (this.#field.kind === "sizes") return readSizes(text);
     const value = parsed(text);
     if (Number.isNaN(value)) throw new Error(`Found ${text.trim() ? `“${text}”` : "nothing"}, expected a number.`);
+    if (!Number.isFinite(value)) throw new Error(`Found ${text}, which is too large; expected a smaller number.`);
     if (this.#field.kind === "integer" && !Number.isInteger(value)) {
       throw new Error(`Found ${text}, expected a whole number.`);
     }
@@ -246,7 +247,7 @@ const isSame = (one, other) => JSON.stringify(one) === JSON.stringify(other);
 
 function readSizes(text) {
   const sizes = text.split(/[\s,;]+/).filter((part) => part !== "").map(parsed);
-  if (!sizes.length || sizes.length > MOST_SIZES || !sizes.every((size) => size > 0)) {
+  if (!sizes.length || sizes.length > MOST_SIZES || !sizes.every((size) => size > 0 && Number.isFinite(size))) {
     throw new Error(`Expected 1 to ${MOST_SIZES} sizes above 0, such as 2, 3, 4.`);
   }
   return [...new Set(sizes)].sort((a, b) => a - b);

@@ -22,7 +22,7 @@ const SHARES = { internal: "Internal noise", detector: "Detector noise", samplin
 const MTF_ROWS = 13;
 
 /** What the table has in place of a threshold, by status. */
-const MISSING = { never_reached: "never reached", always_exceeded: "always exceeded" };
+const MISSING = { never_reached: "never reached", always_exceeded: "always exceeded", too_uncertain: "too uncertain" };
 
 class Explorer {
   #fields;
@@ -315,7 +315,11 @@ class Explorer {
       const missing = curve.thresholds.filter((one) => one.status === status);
       return missing.length && `${text}: ${missing.map((one) => plain(one[SIZES[view.unit]])).join(", ")} ${view.unit}`;
     };
-    const found = [without("never_reached", "× Never reached"), without("always_exceeded", "Always exceeded")];
+    const found = [
+      without("never_reached", "× Never reached"),
+      without("always_exceeded", "Always exceeded"),
+      without("too_uncertain", "Too uncertain"),
+    ];
     byId("never").textContent = found.filter(Boolean).join("; ");
     this.#showPins(view);
   }
@@ -338,12 +342,17 @@ class Explorer {
   #showLimits(limits) {
     byId("sentence").textContent = limits.sentence;
     const present = Object.entries(SHARES).filter(([name]) => limits[name] > 0);
-    const parts = present.map(([name, label]) => {
-      const part = element("span", { className: name }, `${label} ${Math.round(100 * limits[name])} %`);
+    const parts = present.map(([name]) => {
+      const part = element("span", { className: name });
       part.style.flexGrow = limits[name];
       return part;
     });
     byId("shares").replaceChildren(...parts);
+    const labels = present.map(([name, label]) => [
+      element("span", { className: `line ${name}` }),
+      `${label} ${Math.round(100 * limits[name])} % `,
+    ]);
+    byId("shares-key").replaceChildren(...labels.flat());
   }
 
   #summary() {

@@ -19,15 +19,15 @@ export async function downloadPlot(path, body) {
   download(file, Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)));
 }
 
-/** Return what the server draws of curves: pinned ones, and the drawn one. */
+/** Return what the server draws of curves: pinned ones by their numbers, and the drawn one, whose number is 0. */
 export function plotOf(pins, { curve, state }, view, format) {
   const named = [
-    ...pins.map((pin) => ({ label: `${pin.number}: ${pin.state.sensor.name}`, thresholds: pin.thresholds })),
-    { label: state.sensor.name, thresholds: curve.thresholds },
+    ...pins.map(({ number, state: { sensor }, thresholds }) => ({ number, label: `${number}: ${sensor.name}`, thresholds })),
+    { number: 0, label: state.sensor.name, thresholds: curve.thresholds },
   ];
-  const curves = named.map(({ label, thresholds }) => {
+  const curves = named.map(({ number, label, thresholds }) => {
     const rows = points(thresholds, view).filter((one) => one.value !== null);
-    return { label, x: rows.map((one) => one.x), y: rows.map((one) => one.value), error: rows.map((one) => one.error) };
+    return { number, label, x: rows.map((one) => one.x), y: rows.map((one) => one.value), error: rows.map((one) => one.error) };
   });
   const never = points(curve.thresholds, view).filter((one) => one.status === "never_reached");
   return {
@@ -40,9 +40,9 @@ export function plotOf(pins, { curve, state }, view, format) {
   };
 }
 
-/** Return the thresholds of the drawn curve, and of those that are pinned, as CSV with all digits. */
+/** Return the thresholds of the drawn curve, and of those that are pinned, as CSV with all digits, without lists. */
 export function csvOf(pins, { curve }) {
-  const keys = Object.keys(curve.thresholds[0]);
+  const keys = Object.keys(curve.thresholds[0]).filter((key) => !Array.isArray(curve.thresholds[0][key]));
   const rows = [["now", curve.thresholds], ...pins.map((pin) => [pin.number, pin.thresholds])].flatMap(
     ([name, thresholds]) => thresholds.map((one) => [name, ...keys.map((key) => one[key] ?? "")].join(",")),
   );

@@ -113,23 +113,31 @@ const widthKey = (state) => WIDTHS.find((key) => isGiven(state, key));
 
 const fill = (state) => valueOf(state, widthKey(state)) / valueOf(state, pitchKey(state));
 
-/** Return aperture × angular width of a detector, in mm · mrad: the square is the light that it gathers. */
+/**
+ * Return aperture × angular width of a detector, in mm · mrad: the square is the light that it gathers. Without an
+ * aperture, which measured optics may lack, it is that of 1 mm.
+ */
 function gathered({ sensor: { optics, detector } }) {
-  const aperture_mm = optics.f_number ? optics.focal_length_mm / optics.f_number : optics.aperture_mm;
+  const aperture_mm = optics.f_number ? optics.focal_length_mm / optics.f_number : (optics.aperture_mm ?? 1);
   return aperture_mm * (detector.width_mrad ?? (detector.width_um ?? detector.pitch_um) / optics.focal_length_mm);
 }
 
 const netdConstant = (state) => (valueOf(state, NETD) ?? 0) * gathered(state) ** 2;
 
-/** Return f-number, focal length and λF/d of a state, in words; of lengths on the chip also the pitch as an angle. */
+/** Return f-number, focal length and λF/d of a state, as far as known, in words; of lengths on the chip also the angle. */
 export function opticsInWords({ sensor, chip_pitch_um }) {
   const { optics, detector } = sensor;
   const pitch_um = detector.pitch_um ?? (optics.focal_length_mm ? detector.pitch_mrad * optics.focal_length_mm : chip_pitch_um);
   const focal_mm = optics.focal_length_mm ?? pitch_um / detector.pitch_mrad;
   const fNumber = optics.f_number ?? focal_mm / optics.aperture_mm;
   const ratio = (optics.wavelength_um * fNumber) / pitch_um;
-  const angle = detector.pitch_um ? `pitch ${plain(rounded2(pitch_um / focal_mm))} mrad, ` : "";
-  return `${angle}f/${plain(rounded2(fNumber))}, focal length ${plain(rounded2(focal_mm))} mm, λF/d ${plain(rounded2(ratio))}`;
+  const parts = [
+    [detector.pitch_um, `pitch ${plain(rounded2(pitch_um / focal_mm))} mrad`],
+    [fNumber, `f/${plain(rounded2(fNumber))}`],
+    [focal_mm, `focal length ${plain(rounded2(focal_mm))} mm`],
+    [ratio, `λF/d ${plain(rounded2(ratio))}`],
+  ];
+  return parts.flatMap(([isKnown, text]) => (isKnown ? [text] : [])).join(", ");
 }
 
 const rounded2 = (value) => Number(value.toPrecision(value >= 100 ? 3 : 2));

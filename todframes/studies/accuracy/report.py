@@ -7,6 +7,7 @@ from todframes.report.data import Estimator, SceneResult, SpeedRatio
 from todframes.report.figures import pictures
 from todframes.report.result import Result
 from todframes.report.tables import scene_tables
+from todframes.report.thresholds import Thresholds
 from todframes.report.wording import plain
 from todframes.studies.accuracy.measure import MeasuredScene
 
@@ -46,20 +47,20 @@ def _renamed(content: Json) -> Json:
     return {"threshold_error": content.pop("error"), **content}
 
 
-def files(result: Result) -> dict[str, bytes]:
+def files(result: Result[Thresholds]) -> dict[str, bytes]:
     """Make what `-o` writes, by file name: the result, its page, a page of Markdown, a picture for each scene."""
     return {
-        **{one.file: one.png() for one in pictures(result)},
+        **{one.file: one.png() for one in pictures(result.data)},
         "accuracy.md": page(result).encode(),
         "report.html": result.to_html().encode(),
         "accuracy.json": result.to_json(),
     }
 
 
-def page(result: Result, *, folder: str = "") -> str:
+def page(result: Result[Thresholds], *, folder: str = "") -> str:
     """Write everything as a page of Markdown whose pictures lie in `folder`."""
     blocks = [INTRODUCTION.format(seconds=result.settings["seconds"], version=result.version)]
-    drawn = {one.title: one.file for one in pictures(result)}
+    drawn = {one.title: one.file for one in pictures(result.data)}
     for scene in result.scenes:
         estimators, *others = scene_tables(scene)
         blocks += [f"## {scene.heading}", scene.description]

@@ -7,6 +7,7 @@ or mpmath at 50 digits. Packages name functions that make cases under the entry-
 from __future__ import annotations
 
 import math
+import time
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -26,6 +27,9 @@ MPMATH = "mpmath, 50 digits: "
 
 MOST_DIGITS = 16.0
 """Digits of double precision, which exact results have."""
+
+CPU_S = 10.0
+"""CPU time within which each case must end, three times what the slowest takes."""
 
 SHOWN_DIGITS = 12
 """Digits shown in documents; more are a matter of the machine."""
@@ -78,13 +82,16 @@ def find_cases() -> list[Case]:
 
 
 def run_case(case: Case) -> Outcome:
-    """Compute a case. Any warning or exception is its result, and the case falls short."""
+    """Compute a case. A warning, an exception and more than `CPU_S` of CPU time are its result; it falls short."""
+    started = time.process_time()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             came = case.compute()
     except Exception as error:
-        return Outcome(case, f"{type(error).__name__}: {' '.join(str(error).split())}", None, False)
+        came = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    if (cpu_s := time.process_time() - started) > CPU_S:
+        came = f"{cpu_s:.0f} s of CPU time, expected at most {CPU_S:g}"
     if isinstance(case.expected, str) or isinstance(came, str):
         return Outcome(case, came, None, isinstance(came, str) and came == case.expected)
     digits = digits_kept(case.expected, came, scale=case.scale)
@@ -207,10 +214,8 @@ PAGE = """\
 # Stability in the extremes
 
 `todframes stability` tries inputs from the edge of what can occur, {number} of them, and fails if one keeps
-fewer digits than required. It takes half a minute and 2 GB; the tests run the same cases. This command makes
-the page:
-
-    todframes stability --markdown > docs/stability.md
+fewer digits than required or takes more than ten seconds of CPU time. All take half a minute and 2 GB; the
+tests run the same cases.
 
 The expected values come from sources outside of the code under test: closed forms, laws that hold exactly, and
 numbers that mpmath gave at 50 digits, which `tests/test_stability_references.py` computes again by other methods.

@@ -14,13 +14,14 @@ from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
 from todframes.observers.decision import answer_probabilities
-from todframes.studies.stability import fits_and_frames, observer
+from todframes.studies.stability import fits_and_frames, observer, observers_and_field
 from todframes.studies.stability.case import MPMATH, Case
 
 
 def cases() -> list[Case]:
     """List all cases of todframes."""
-    return [*decision_cases(), *observer.cases(), *fits_and_frames.cases()]
+    further = [*observers_and_field.observer_cases(), *observers_and_field.field_cases()]
+    return [*decision_cases(), *observer.cases(), *fits_and_frames.cases(), *further]
 
 
 def circulant(beside: float, opposite: float) -> FloatArray:

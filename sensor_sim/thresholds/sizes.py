@@ -1,0 +1,86 @@
+"""Sizes of triangles for a sensor: those asked for, as angles or in detectors, or those that suit it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+
+from sensor_sim.chain.sampling import field_detectors
+from sensor_sim.chain.sensor import Sensor
+from sensor_sim.thresholds.predict import FoldedChain
+from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import distinct_numbers
+from todframes.observers.interface import Observer, described
+from todframes.stimulus import Stimulus
+
+LADDER_DETECTORS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 24.0, 32.0)
+"""Sizes from which those of a sensor are chosen: the smallest one that has a threshold, and the next ones."""
+
+SIZES_CHOSEN = 5
+"""Number of sizes that are chosen."""
+
+
+def computed_sizes(sensor: Sensor, observer: Observer) -> Iterator[float]:
+    """Yield the sizes of the ladder that are not too large for the sensor's field and the observer's retina."""
+    for size in LADDER_DETECTORS:
+        try:
+            field_detectors(sensor, size)
+            observer.grid(Stimulus(size * sensor.display.detector_pitch_mrad))
+        except SettingsError:
+            if size == LADDER_DETECTORS[0]:
+                raise
+            return
+        yield size
+
+
+def smallest_size(sensor: Sensor, observer: Observer, *, p_correct: float, places: int, seed: int) -> float | None:
+    """Return the smallest size of the ladder at which the observer reaches a criterion; None if there is none."""
+    chain_of: Callable[[float], FoldedChain] = partial(FoldedChain, sensor, observer)
+    if places > 1:
+        from sensor_sim.thresholds.places import UnknownPlaceChain
+
+        chain_of = partial(UnknownPlaceChain, sensor, observer, places=places)
+    for size in computed_sizes(sensor, observer):
+        if chain_of(size).unreached(p_correct, seed) is None:
+            return size
+    return None
+
+
+def sizes_in_detectors(
+    sensor: Sensor,
+    size_detectors: Sequence[float],
+    size_mrad: Sequence[float],
+    observer: Observer | None = None,
+    *,
+    p_correct: float = 0.75,
+    places: int = 1,
+    seed: int = 1,
+) -> list[float]:
+    """Return sizes in detectors: those asked for, or the smallest one that has a threshold and the next ones.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    size_detectors, size_mrad : sequence of float
+        Sizes √(area) in detector pitches, or as angles at the camera; one of them or none.
+    observer, p_correct, places, seed
+        Observer, by default `pyramid`, and criterion of the threshold, for sizes that are chosen. If none has one,
+        they are the largest.
+
+    Raises
+    ------
+    SettingsError
+        If both are given, or a size is not a positive number or is there twice.
+    """
+    if len(size_detectors) and len(size_mrad):
+        both = f"{argument.size_detectors} and {argument.size_mrad}"
+        raise SettingsError(f"found {both}, expected one of them, or none for sizes that suit the sensor")
+    if len(size_mrad):
+        angles = distinct_numbers(argument.size_mrad, size_mrad)
+        return [float(f"{angle / sensor.detector.pitch_mrad:.6g}") for angle in angles]
+    if len(size_detectors):
+        return distinct_numbers(argument.size_detectors, size_detectors)
+    judge = observer or described("pyramid")[0]
+    smallest = smallest_size(sensor, judge, p_correct=p_correct, places=places, seed=seed)
+    sizes = list(computed_sizes(sensor, judge))
+    return sizes[-SIZES_CHOSEN:] if smallest is None else sizes[sizes.index(smallest) :][:SIZES_CHOSEN]

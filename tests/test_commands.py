@@ -1,0 +1,188 @@
+"""Commands are made of the descriptions of calls: the reader of these, and the options of each command."""
+
+from __future__ import annotations
+
+import inspect
+from importlib import import_module
+from typing import Any
+
+import click
+import pytest
+
+from sensor_sim.cli import COMMANDS as SENSOR_COMMANDS
+from sensor_sim.cli import cli as sensor_cli
+from todframes import parameters
+from todframes.cli.commands import COMMANDS
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.cli.runner import LOADING
+from todframes.cli.signature import REQUIRED, read_call
+
+TABLE = (*COMMANDS.values(), *SENSOR_COMMANDS.values())
+CALLS = sorted({LOADING, *(call for one in TABLE for call in (one.call, one.also) if call)})
+
+OPTIONS = """
+todframes accuracy: --scene --dataset --time --seed -o --json --quiet
+todframes calibrate: ANSWERS DATASET -o --free --subject --include-flagged --observer --p-correct --set
+    --observer-settings --seed --on-error --max-frame-mb --workers --strict --json --quiet
+todframes chart: --for --distance-m --sizes-mrad --contrasts --delta-t-k --repeats --polarity --seed --name
+    --marker-mm --markers --camera-page --width-px --height-px --display --pixel-pitch-mm --bits --eotf
+    --gamma --white-luminance-cd-m2 --black-luminance-cd-m2 --background-luminance-cd-m2 --page-duration-s
+    --paper --margin-mm --reflectances --paper-reflectance --black-reflectance --background-reflectance
+    --plate-mm -o --quiet
+todframes compare: DATASET --enhance -o --white --allow-clipping --explain --verbose --json --quiet --strict
+    --decisions --curve --plan --seed --locate --gaze --on-error --max-frame-mb --workers --cluster
+    --restart --keep-store --observer --internal-noise --p-correct --set --observer-settings
+todframes enhancements: --json
+todframes experiment: DATASET -o --subject --method --trials --practice --practice-correct --break-every
+    --time-limit --consent --contact --background --no-dither --include-flagged --seed --max-frame-mb --host
+    --port --no-browser
+todframes fit: COUNTS --p-correct --set --seed --verbose --json
+todframes import: RECORDINGS --chart --schedule -o --display --integration-time --steady --warm-up --range
+    --frames-per-second --ifov-mrad --level --max-frame-mb --restart --keep-store --quiet
+todframes mtf: RECORDING -o --box --chart --display --max-frame-mb --strict --json --quiet
+todframes naked-eye: --contrast --size-mrad --places -o --verbose --json --quiet --observer --internal-noise
+    --p-correct --set --observer-settings
+todframes new: DATASET --from --display --level
+todframes noise: RECORDING -o --dark --emva --exposure-ms --photons --bits --region --patch --chart --signal
+    --mk-per-count --frames-per-second --max-frame-mb --sensor --strict --json --quiet
+todframes range: RESULT --target --atmosphere -o --k --cycles --cycles-per-size --search-time --group
+    --magnification --seed --verbose --strict --json
+todframes report: RESULT -o
+todframes scenes: BACKGROUNDS --size-mrad --contrast -o --places --place-step-mrad --trials --darker
+    --blur-px --windows --frames --turns --dim --display --range --seed --max-frame-mb --quiet
+todframes score: DATASET -o --tolerance --explain --verbose --json --quiet --strict --decisions --curve
+    --plan --seed --locate --gaze --on-error --max-frame-mb --workers --cluster --restart --keep-store
+    --observer --internal-noise --p-correct --set --observer-settings
+todframes stability: --json --markdown --quiet
+todframes validate: DATASET --add-sha256 --max-frame-mb --strict --json
+sensor-sim curve: SENSOR --size-detectors --size-mrad --luminance --places --tolerance --plan --seed -o
+    --explain --verbose --json --quiet --observer --internal-noise --p-correct --set --observer-settings
+sensor-sim explore: SENSOR --target --atmosphere --k --observer --internal-noise --p-correct --set
+    --observer-settings --host --port --no-browser
+sensor-sim mrtd: SENSOR --frequency-nyquist --size-detectors --against --direction --lloyd-snr
+    --ttp-delta-t-k --ttp-width-deg --tolerance --seed -o --json --quiet --observer --internal-noise
+    --p-correct --set --observer-settings
+sensor-sim mtf: SENSOR -o --json
+sensor-sim new: --emva --thermal --preset --focal-length-mm --f-number --pitch-um --netd-mk --wavelength-um
+    --exposure-ms --luminance --name -o
+sensor-sim simulate: SENSOR --size-detectors --size-mrad --snr --contrast --trials --motion --warm-up --seed
+    -o --format --allow-clipping --stages --background --background-pixels --background-range --turns
+    --workers --quiet --cluster --restart --keep-store
+sensor-sim sweep: SENSOR --size-detectors --vary --design --sample --keep-fill-factor --couple-netd
+    --minimise --maximise --acuity-snr --acuity-delta-t-mk --target --atmosphere --k --places --tolerance
+    --plan --seed --workers -o --json --quiet --observer --internal-noise --p-correct --set
+    --observer-settings --cluster --restart --keep-store
+"""
+"""Arguments and options of each command; a command begins a line."""
+
+
+def commands_of(group: click.Group) -> dict[str, click.Command]:
+    context = click.Context(group)
+    found = {name: group.get_command(context, name) for name in group.list_commands(context)}
+    return {name: one for name, one in found.items() if one is not None}
+
+
+GROUPS = {"todframes": commands_of(cli), "sensor-sim": commands_of(sensor_cli)}
+
+
+def shown_name(parameter: click.Parameter) -> str:
+    name = "-o" if "-o" in parameter.opts else parameter.opts[0]
+    return name.upper() if isinstance(parameter, click.Argument) else name
+
+
+def test_each_command_has_its_options() -> None:
+    found = {
+        f"{program} {name}": sorted(map(shown_name, command.params))
+        for program, commands in GROUPS.items()
+        for name, command in commands.items()
+    }
+    lines = [line.partition(": ") for line in OPTIONS.strip().replace("\n    ", " ").splitlines()]
+    assert found == {name: sorted(names.split()) for name, _, names in lines}
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_a_call_is_read_as_python_reads_it(call: str) -> None:
+    """By the source alone, and by the imported function: names, defaults and annotations."""
+    module, _, name = call.partition(":")
+    function = getattr(import_module(module), name)
+    expected = inspect.signature(function).parameters
+    found = read_call(call).parameters
+    assert [*found] == [*expected]
+    for parameter in found.values():
+        of_python = expected[parameter.name]
+        if of_python.default is inspect.Parameter.empty:
+            assert parameter.default is REQUIRED
+        elif not callable(of_python.default):
+            assert parameter.default == of_python.default
+        assert parameter.annotation.replace('"', "'") == str(of_python.annotation).replace('"', "'")
+        assert parameter.text, f"{name}: {parameter.name} is not described"
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_kinds_of_values_are_those_that_the_call_imports(call: str) -> None:
+    """A name in an annotation that is one of `parameters` is that one in the module of the call, too."""
+    names = vars(import_module(call.partition(":")[0]))
+    for parameter in read_call(call).parameters.values():
+        for word in set(parameter.annotation.replace("[", " ").replace("]", " ").replace(",", " ").split()):
+            if hasattr(parameters, word) and word in names:
+                assert names[word] is getattr(parameters, word), (call, word)
+
+
+def value_of(annotation: str) -> Any:
+    return read_call("todframes.calls.score:score").parameters["plan"]._replace(annotation=annotation).value
+
+
+@pytest.mark.parametrize(
+    ("annotation", "kind", "choices", "is_list"),
+    [
+        ("Tolerance | None", float, (), False),
+        ("bool", bool, (), False),
+        ("Locate | bool", str, ("group", "each"), False),
+        ("float | Numbers", float, (), True),
+        ("Literal[8, 4, 1]", int, (8, 4, 1), False),
+        ("str | Observer", str, (), False),
+    ],
+)
+def test_kinds_of_values(annotation: str, kind: type, choices: tuple[Any, ...], is_list: bool) -> None:
+    value = value_of(annotation)
+    assert (value.kind, value.choices, value.is_list) == (kind, choices, is_list)
+
+
+def test_a_kind_that_no_command_line_can_write_is_an_error() -> None:
+    """Otherwise its option would be missing, and nobody would see it."""
+    with pytest.raises(TypeError, match=r"score: plan: a command line has no form for Observer \| None"):
+        value_of("Observer | None")
+
+
+@pytest.mark.parametrize(
+    ("line", "name", "value"),
+    [
+        ("compare D --enhance none --gaze tracked,fixed", "gaze", ["tracked", "fixed"]),
+        ("compare D --enhance none --enhance tv", "enhance", ("none", "tv")),
+        ("compare D --enhance none --observer pyramid,csf", "observer", ["pyramid", "csf"]),
+        ("score --locate D", "locate", "group"),
+        ("score D --locate each", "locate", "each"),
+        ("score D", "workers", None),
+        ("mtf a.npy b.npy --box 1,2,3,4 --box 5,6,7,8", "boxes", ((1, 2, 3, 4), (5, 6, 7, 8))),
+        ("noise a.npy --patch 1,2,3,4=0.5", "patches", (((1, 2, 3, 4), 0.5),)),
+        ("noise --emva a.txt", "recording", ()),
+        ("range R --target nato --atmosphere a.toml --group a=b", "group", (("a", "b"),)),
+        ("experiment D -o A --no-dither", "dither", False),
+        ("experiment D -o A", "dither", None),
+        ("scenes skimage --size-mrad 1,2 --contrast 0.5 -o D", "size_mrad", [1.0, 2.0]),
+        ("import a.mkv --range 2:5 -o D", "value_range", (2.0, 5.0)),
+        ("chart --for print --distance-m 1 --sizes-mrad 1 --polarity -1 -o C", "polarity", -1),
+    ],
+)
+def test_values_on_a_command_line(line: str, name: str, value: object) -> None:
+    command, *arguments = line.split()
+    found = GROUPS["todframes"][command].make_context(command, arguments).params[name]
+    assert found == value
+
+
+def test_a_mistyped_command_has_a_hint(capsys) -> None:
+    assert run(cli, ["scor"]) == 2
+    assert capsys.readouterr().err == "error: No such command 'scor'. Did you mean 'score'?\n"
+    assert run(sensor_cli, ["xyz"]) == 2
+    assert capsys.readouterr().err == "error: No such command 'xyz'.\n"

@@ -1,0 +1,192 @@
+"""The results of all commands come back from JSON, and have tables, sentences, files and a page."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+import sensor_sim as ss
+import todframes as tod
+from sensor_sim import result_files
+from todframes.base.output import FILES_OF_COMMAND
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.report.result import KINDS, Result, read_result
+
+CAMERA = Path(__file__).parents[1] / "sample_frames" / "staring_camera.toml"
+
+OF_SENSORS = {"sensor-mtf": {"mtf.csv", "mtf.png", "mtf.html", "mtf.json"}, "mrtd": result_files.MRTD}
+
+MADE: dict[str, Callable[[Path], Result[Any]]] = {}
+
+
+def made(make: Callable[[Path], Result[Any]]) -> Callable[[Path], Result[Any]]:
+    """Note a function that makes the result of the command of its name in a folder."""
+    MADE[make.__name__.replace("_", "-")] = make
+    return make
+
+
+@made
+def noise(folder: Path) -> Result[Any]:
+    np.save(folder / "a.npy", np.random.default_rng(1).normal(100.0, 2.0, (8, 16, 16)))
+    patches = {(0, 0, 4, 4): 0.0, (8, 8, 4, 4): 1.0, (4, 8, 4, 4): 2.0}
+    return tod.noise(folder / "a.npy", signal=3.0, mk_per_count=10.0, frames_per_second=50.0, patches=patches)
+
+
+@made
+def emva(folder: Path) -> Result[Any]:
+    rng = np.random.default_rng(1)
+    for name, electrons in (("dark", 0.0), ("bright", 1000.0)):
+        frames = 10.0 + 0.5 * (rng.poisson(electrons, (4, 32, 32)) + rng.normal(0.0, 4.0, (4, 32, 32)))
+        np.save(folder / f"{name}.npy", np.round(frames).astype(np.uint16))
+    return tod.emva_noise(bright=[folder / "bright.npy"], dark=[folder / "dark.npy"], bits=12)
+
+
+@made
+def mtf(folder: Path) -> Result[Any]:
+    y, x = np.mgrid[:64, :64] - 32.0
+    np.save(folder / "edge.npy", 0.2 + 0.6 * ndtr((x * np.cos(0.1) + y * np.sin(0.1)) / 0.7))
+    return tod.mtf(folder / "edge.npy", boxes=[(0, 0, 64, 64)])
+
+
+@made
+def range(_: Path) -> Result[Any]:  # noqa: A001 - the name of the command
+    sizes = [0.2, 0.4, 0.8] * 4
+    levels = [factor * 0.02 / size for factor in (0.5, 1.0, 2.0, 4.0) for size in sizes[:3]]
+    correct = [12] * 3 + [24] * 3 + [36] * 3 + [40] * 3
+    of_sizes = tod.fit_counts(levels, correct, [40] * 12, groups={"size_mrad": sizes})
+    return tod.acquisition_range(of_sizes, target="nato_daylight", atmosphere="visible_23km", k=3.0)
+
+
+@made
+def sensor_mtf(_: Path) -> Result[Any]:
+    return ss.mtf(CAMERA)
+
+
+@made
+def mrtd(_: Path) -> Result[Any]:
+    return ss.mrtd(CAMERA, frequency_nyquist=[0.8, 1.2], size_detectors=[6.0, 8.0], tolerance=0.1)
+
+
+@pytest.fixture(scope="module")
+def result_of(tmp_path_factory, results_of_commands) -> Callable[[str], Result[Any]]:
+    """Function that gives the result of a command; each is made once."""
+    folder, found = tmp_path_factory.mktemp("inputs"), dict[str, Result[Any]]()
+
+    def give(command: str) -> Result[Any]:
+        if command not in found:
+            if command in MADE:
+                found[command] = MADE[command](folder)
+            else:
+                found[command] = read_result(json.dumps(results_of_commands[command]).encode(), "result")
+        return found[command]
+
+    return give
+
+
+COMMANDS = sorted(set(KINDS) - {"calibrate"})  # whose result takes persons, as tests of `calibrate` have
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_result_comes_back_from_its_json(result_of, command: str) -> None:
+    result = result_of(command)
+    again = read_result(result.to_json(), "result.json")
+    assert again == result and again.to_json() == result.to_json()
+    assert [one.title for one in again.tables()] == [one.title for one in result.tables()]
+    assert again.summary() == result.summary()
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_result_has_a_table_sentences_and_a_figure(result_of, command: str) -> None:
+    result = result_of(command)
+    first, *_ = result.tables()
+    assert not first.is_folded and len(first.records) and first.title
+    assert result.sentences() and all(one.endswith(".") for one in result.sentences())
+    assert result.summary().splitlines()[0] == result.sentences()[0] and result.sentences()[0] in repr(result)
+    assert result.plot().has_data()
+    notebook = result._repr_html_()
+    assert "<table" in notebook and "<svg" in notebook
+
+
+@pytest.fixture(scope="module")
+def page_of(result_of) -> Callable[[str], str]:
+    """Function that gives the page of a command's result; each is made once."""
+    return cache(lambda command: result_of(command).to_html())
+
+
+def values(root: ElementTree.Element, *names: str) -> list[str]:
+    return [value for element in root.iter() for name, value in element.attrib.items() if name in names]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_page_is_whole_and_loads_nothing(page_of, command: str) -> None:
+    page = page_of(command)
+    root = ElementTree.fromstring(page)
+    assert page.startswith("<!DOCTYPE html>\n") and root.tag == "html" and root.get("lang") == "en"
+    ids = values(root, "id")
+    assert len(ids) == len(set(ids))
+    references = {*values(root, "aria-labelledby"), *re.findall(r"url\(#([^)]*)\)", page)}
+    links = values(root, "href", "src", "data", "action")
+    references |= {one[1:] for one in links if one.startswith("#")}
+    assert references <= set(ids)
+    assert all(one.startswith(("data:", "#")) for one in links)
+    assert not {"script", "iframe", "object", "form", "base"} & {element.tag for element in root.iter()}
+    assert not re.search(r"url\((?!#)|@import|https?://", page)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_page_states_the_answer_first_and_names_no_folder(page_of, command: str, tmp_path: Path) -> None:
+    """Whoever gets it does not learn where the data were; the JSON has the path as it was given."""
+    page = page_of(command)
+    marks = ['class="verdict"', 'class="warnings"', "<figure>", "<table", "How it was made", "<details>"]
+    places = [page.index(mark) for mark in marks if mark in page]
+    assert places == sorted(places)
+    assert str(tmp_path.parent) not in page and str(Path.home()) not in page
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_page_can_be_read_by_those_who_do_not_see_it(page_of, command: str) -> None:
+    root = ElementTree.fromstring(page_of(command))
+    levels = [int(element.tag[1]) for element in root.iter() if re.fullmatch("h[1-6]", element.tag)]
+    assert levels[0] == 1 and levels.count(1) == 1
+    assert all(below - above <= 1 for above, below in pairwise(levels))
+    for table in root.iter("table"):
+        assert table[0].tag == "caption" and "".join(table[0].itertext()).strip()
+        assert all(header.get("scope") in ("col", "row") for header in table.iter("th"))
+    for picture in root.iter("img"):
+        assert picture.get("alt")
+    for drawing in root.iter("svg"):
+        assert drawing.get("role") == "img" and drawing.get("aria-label")
+
+
+@pytest.mark.parametrize("command", sorted(MADE))
+def test_files_of_a_result_make_it_again(result_of, command: str, tmp_path: Path, capsys) -> None:
+    result = result_of(command)
+    result.save(tmp_path / "out")
+    files = {one.name for one in (tmp_path / "out").iterdir()}
+    assert files >= {
+        result.data.json_file,
+        result.data.page_file,
+        *(one.file for one in result.tables() if one.file),
+    }
+    assert files >= {one.file for one in result.figures()}
+    assert files <= {*(FILES_OF_COMMAND | OF_SENSORS)[command], "result.json"}
+    assert tod.load_result(tmp_path / "out" / result.data.json_file) == result
+    page = (tmp_path / "out" / result.data.page_file).read_text(encoding="utf-8")
+    assert page == result.to_html()
+    assert run(cli, ["report", str(tmp_path / "out" / result.data.json_file)]) == 0
+    capsys.readouterr()
+    again = (tmp_path / "out" / result.data.page_file).read_text(encoding="utf-8")
+    # Images of a recording are not in the JSON; all else is.
+    assert again.partition("<figure>")[0] == page.partition("<figure>")[0]
+    assert again[again.index("<table") :] == page[page.index("<table") :]

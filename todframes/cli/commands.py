@@ -1,0 +1,299 @@
+"""The commands of `todframes` that are made of calls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from todframes.base.errors import DataError
+from todframes.cli.console import ProblemLines, check_strict, echo, print_sentences, say, warning_lines
+from todframes.cli.options import P_CORRECT, SETTINGS, make_fit
+from todframes.cli.runner import Command
+
+if TYPE_CHECKING:
+    from todframes.report.table import Table
+
+PASSES = {None: 1, "group": 2, "each": 3}
+"""Number of times that each trial is read, by the value of `--locate`."""
+
+FILES_SHOWN = 3
+"""Number of files that do not match whose names `new` prints."""
+
+
+def _reads(given: dict[str, Any]) -> int:
+    return len(given["dataset"].trials) * PASSES[given.get("locate")]
+
+
+def _scored(result: Any, given: dict[str, Any]) -> str:
+    data = result.data
+    fits = data.algorithms[0].fits if data.algorithms else data.fits
+    return f"{given['dataset'].path}: {sum(one.n_trials for one in fits)} trials"
+
+
+def _answers(given: dict[str, Any]) -> int:
+    """Return the number of answers of the persons, for each observer."""
+    from todframes.experiment.answers import read_answers
+
+    subjects = given.get("subjects", ())
+    sessions = read_answers(Path(given["answers"]), include_flagged=given.get("include_flagged", False))
+    counts = (len(one.main_rows()) for one in sessions if not subjects or one.subject in subjects)
+    return sum(counts) * len(given["observer"])
+
+
+def _calibrated(result: Any) -> Iterable[Table]:
+    from todframes.report.calibration import all_tables
+
+    return all_tables(result.data)
+
+
+def _verdict(result: Any) -> Iterable[str]:
+    from todframes.report.summary import verdict
+
+    return verdict(result.data)
+
+
+def _show_new(result: Any, given: dict[str, Any], _: dict[str, Any]) -> None:
+    from todframes.report.wording import count
+
+    folder, unmatched = Path(given["dataset"]), result.unmatched
+    if unmatched:
+        names = ", ".join(unmatched[:FILES_SHOWN]) + (", …" if len(unmatched) > FILES_SHOWN else "")
+        say(f"note: {count(len(unmatched), 'file')} beside the frames without a match, left out: {names}")
+    echo(f"written: {folder / 'dataset.toml'}, and {folder / 'manifest.csv'}: {count(result.n_frames, 'frame')}")
+    display = given.get("display", "reference_sdr")
+    echo(f"The display is {display}. Check frames, sizes and display: todframes validate {folder}")
+
+
+def _make_darker(given: dict[str, Any], further: dict[str, Any]) -> None:
+    if further.get("darker"):
+        given["polarity"] = -1
+
+
+def _show_scenes(made: Any, given: dict[str, Any], shown: dict[str, Any]) -> None:
+    from todframes.backdrops.making import ROUNDING
+    from todframes.report.wording import count
+
+    def measured(contrast: float) -> str:
+        return f"{contrast:.2g}" if contrast > ROUNDING else "0"
+
+    if not shown["quiet"]:
+        for note in made.notes:
+            say(f"note: {note}")
+    sentences = [
+        f"{given['out']}: {count(made.n_frames, 'frame')} with {count(made.n_scenes, 'scene')}, {made.trials} of "
+        "each size and contrast",
+        "Orientation of the backgrounds by themselves: that of a triangle of contrast "
+        f"{measured(made.own_orientation)}; after turning {measured(made.own_orientation_left)} (each in "
+        "scenes.csv)",
+    ]
+    if made.dimmed < 1.0:
+        sentences.insert(1, f"Scenes are dimmed to {100.0 * made.dimmed:.3g} % of their luminance.")
+    print_sentences(sentences)
+
+
+def _read_counts(given: dict[str, Any], further: dict[str, Any]) -> None:
+    """Set the columns of the counts, and the settings of the fit."""
+    given["fit"] = make_fit(further)
+    import numpy as np
+
+    from todframes.psychometrics.counts import read_counts
+
+    curves = read_counts(Path(further["counts"]))
+    columns = np.concatenate([rows for _, rows in curves]).T
+    given |= dict(zip(("level", "n_correct", "n_trials"), columns, strict=True))
+    given["groups"] = {name: [group[name] for group, rows in curves for _ in rows] for name in curves[0][0]}
+
+
+def _open_recordings(given: dict[str, Any], _: dict[str, Any]) -> None:
+    from todframes.importing.importing import check_source, open_for_import
+
+    check_source(given.get("chart"), given.get("schedule"))
+    read = ("level", "frames_per_second", "max_frame_mb")
+    how = {name: given[name] for name in read if name in given}
+    given["recordings"] = open_for_import(given["recordings"], given.get("schedule"), **how)
+
+
+def _recorded_frames(given: dict[str, Any]) -> int | None:
+    numbers = [one.n_frames for one in given["recordings"]]
+    return None if None in numbers else sum(number or 0 for number in numbers)
+
+
+def _show_imported(done: Any, given: dict[str, Any], shown: dict[str, Any]) -> None:
+    from todframes.report.data import ResultWarning
+    from todframes.report.wording import count
+
+    if not shown["quiet"]:
+        for note in done.notes:
+            say(f"note: {note}")
+        for line in warning_lines([ResultWarning(**one._asdict()) for one in done.warnings]):
+            say(line)
+    trials = f"{count(done.n_trials, 'trial')} from {count(done.n_clips, 'clip')}"
+    print_sentences([f"{given['out']}: {done.n_frames} frames in {trials}"])
+
+
+def _list_problems(given: dict[str, Any], further: dict[str, Any]) -> None:
+    further["problems"] = ProblemLines()
+    given["problem"] = further["problems"].add
+
+
+def _show_validated(result: Any, given: dict[str, Any], shown: dict[str, Any]) -> None:
+    """Print the number of problems, or what was found to be good."""
+    from todframes.report.wording import count
+
+    data, problems = given["dataset"], given["problems"]
+    problems.close()
+    for line in warning_lines(result.warnings):
+        say(line)
+    if shown["json"]:
+        click.echo(result.to_json(), nl=False)
+    if problems.count:
+        raise DataError(f"{data.path}: {count(problems.count, 'problem')} found")
+    if not shown["json"]:
+        warnings, n_others = len(result.warnings), len(data.trials.unjudged_frames)
+        verdict = f"all readable; {count(warnings, 'warning')}" if warnings else "all good"
+        others = f" and {count(n_others, 'other')} in their clips" if n_others else ""
+        echo(f"{data.path}: {data.n_frames - n_others} frames in {len(data.trials)} trials{others}, {verdict}")
+        if "add_sha256" in given:
+            frames = [frame for trial in data.trials for frame in trial.frames]
+            n_missing = sum(one.sha256 is None for one in (*frames, *data.trials.unjudged_frames))
+            had = f"{data.n_frames - n_missing} had one, and agree"
+            echo(f"{data.path / 'manifest.csv'}: sha256 of {n_missing} frames added; {had}")
+    check_strict(result.warnings, shown["strict"])
+
+
+COMMANDS = {
+    "calibrate": Command(
+        "todframes.calls.calibrate:calibrate",
+        arguments="answers dataset",
+        showing="json quiet strict",
+        files="result.json, report.html, tables, a figure and observer.toml, the settings for score",
+        task="scoring",
+        total=_answers,
+        tables=_calibrated,
+        sentences=_verdict,
+        without="internal_noise",
+    ),
+    "chart": Command(
+        "todframes.charts.making:chart",
+        arguments="",
+        showing="quiet",
+        further=(
+            click.Option(
+                ["--paper"],
+                metavar="A4|A3|…|W,H",
+                help="Print: size of a sheet in landscape format: A4 to A0, or width and height in mm.  "
+                "[default: A3]",
+            ),
+        ),
+        without="lut paper_width_mm paper_height_mm",
+        body="todframes.cli.chart:chart",
+    ),
+    "compare": Command(
+        "todframes.calls.compare:compare",
+        arguments="dataset",
+        showing="explain verbose json quiet strict",
+        files="result.json, report.html, compare.csv, scores.csv, contrast_response.csv and pictures",
+        task="comparing",
+        total=_reads,
+        title=_scored,
+    ),
+    "experiment": Command(
+        "todframes.web.calls:run_experiment",
+        arguments="dataset",
+        showing="",
+        body="todframes.cli.experiment:experiment",
+    ),
+    "fit": Command(
+        "todframes.calls.fit:fit_counts",
+        arguments="",
+        showing="verbose json",
+        title=lambda _, given: given["counts"],
+        further=(click.Argument(["counts"], type=click.Path()), P_CORRECT, SETTINGS),
+        prepare=_read_counts,
+        text="COUNTS: CSV file with columns level, n_correct and n_trials; any other column names groups, with "
+        "one curve each. Settings (--set) are guess_rate, lapse_rate, lapse_rate_max, p_correct and resamples.",
+        without="level n_correct n_trials groups",
+    ),
+    "import": Command(
+        "todframes.importing.importing:import_recordings",
+        arguments="recordings",
+        showing="quiet",
+        task="importing",
+        total=_recorded_frames,
+        show=_show_imported,
+        prepare=_open_recordings,
+    ),
+    "mtf": Command(
+        "todframes.calls.mtf:mtf",
+        arguments="recording",
+        showing="json quiet strict",
+        files="report.html, result.json, mtf.csv, edges.csv, pictures and a text file of MTF Mapper's form",
+        task="reading",
+        is_timed=False,
+    ),
+    "naked-eye": Command(
+        "todframes.calls.naked_eye:naked_eye",
+        arguments="",
+        showing="verbose json quiet",
+        files="result.json, report.html and tod_curve.png",
+        task="computing",
+        total=lambda given: len(given.get("size_mrad") or given.get("contrast") or ()),
+        title=lambda *_: "Naked eye",
+    ),
+    "new": Command("todframes.importing.file_names:new_dataset", arguments="dataset", showing="", show=_show_new),
+    "noise": Command(
+        "todframes.calls.noise:noise",
+        arguments="recording",
+        showing="json quiet strict",
+        files="result.json, report.html, tables, pictures and sensor_noise.toml",
+        further=(
+            click.Option(
+                ["--sensor"], is_flag=True, help="Print the table [noise] of a SENSOR.toml and nothing else."
+            ),
+        ),
+        text="With --dark or --emva it is that of EMVA 1288: gain, dark noise, nonuniformities and saturation of "
+        "a linear camera, from bright and dark frames.",
+        without="bright",
+        also="todframes.calls.emva:emva_noise",
+        body="todframes.cli.noise:noise",
+    ),
+    "range": Command(
+        "todframes.calls.acquisition_range:acquisition_range",
+        arguments="result",
+        showing="verbose json strict",
+        files="result.json, report.html, ranges.csv, probability.csv and plots",
+        details="what a tenth more of each factor gains, and the range against k",
+    ),
+    "scenes": Command(
+        "todframes.backdrops.making:scenes",
+        arguments="backgrounds",
+        showing="quiet",
+        task="drawing",
+        show=_show_scenes,
+        further=(click.Option(["--darker"], is_flag=True, help="Triangles darker than the scene."),),
+        prepare=_make_darker,
+        without="polarity",
+    ),
+    "score": Command(
+        "todframes.calls.score:score",
+        arguments="dataset",
+        showing="explain verbose json quiet strict",
+        files="result.json, report.html, scores.csv and plots",
+        task="scoring",
+        total=_reads,
+        title=_scored,
+    ),
+    "validate": Command(
+        "todframes.calls.validate:validate",
+        arguments="dataset",
+        showing="json strict",
+        task="checking",
+        total=lambda given: len(given["dataset"].trials),
+        show=_show_validated,
+        prepare=_list_problems,
+    ),
+}
+"""Commands by name."""

@@ -1,0 +1,432 @@
+"""Commands made of calls: options from the calls' descriptions, and the way from the options to a result."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack, nullcontext
+from difflib import get_close_matches
+from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+from todframes.base import signals
+from todframes.base.errors import SettingsError, flag_of
+from todframes.cli.console import (
+    Interruption,
+    echo,
+    finish,
+    long_run,
+    opened_engine,
+    print_content,
+    print_end,
+    print_result,
+    print_table,
+    prints_go_to_stderr,
+    progress,
+    say,
+    staged,
+)
+from todframes.cli.options import (
+    LOCATE,
+    OBSERVER_OPTIONS,
+    Assigned,
+    LocatingCommand,
+    Separated,
+    make_observer,
+    make_observers,
+)
+from todframes.cli.signature import REQUIRED, Parameter, Value, read_call
+
+if TYPE_CHECKING:
+    from todframes.report.table import Table
+
+LOADING = "todframes.frames.dataset:load_dataset"
+"""Call that opens a dataset; its limit of memory is an option of the commands that read one."""
+
+OF_RUNNER = {"examples", "fit", "problem", "progress", "store", "tell", "ttp", "warn"}
+"""Parameters of calls that a command sets itself, or leaves as they are."""
+
+SHOWING = {
+    "explain": "Print what was kept and left out, why, and what that changes.",
+    "verbose": "Also print {}.",
+    "json": "Print one JSON object on standard output.",
+    "quiet": "No progress and no remarks on standard error.",
+    "strict": "End with status 1 if there is a warning; the output is whole all the same.",
+}
+"""Options that say how a result is shown, in the order of `--help`."""
+
+GOING_ON = {
+    "restart": "Begin anew, and forget what an interrupted run has finished.",
+    "keep_store": "Keep finished results in OUT, for later runs that share some of them.",
+}
+"""Options of the commands that can continue an interrupted run."""
+
+
+def resolved(name: str) -> Any:
+    """Return a function or command by its name, "module:function"."""
+    module, _, attribute = name.partition(":")
+    return getattr(import_module(module), attribute)
+
+
+class Command(NamedTuple):
+    """A command: the call that it is made of, and what is shown of the result.
+
+    Attributes
+    ----------
+    call : str
+        The call, "module:function".
+    arguments : str
+        Parameters that stand without a name on the command line.
+    showing : str
+        The options of `SHOWING` that apply.
+    files : str
+        What `-o` writes into a folder; empty if the command has no such option.
+    task : str
+        What the bar of the progress says.
+    total : function of the given values
+        The number at which the progress ends.
+    title : function of the result and the given values
+        Title of the table of thresholds, if the result has one.
+    tables : function of a result, optional
+        The tables of a result that does not list them itself.
+    sentences : function of a result
+        The sentences below these tables.
+    details : str
+        What `--verbose` adds.
+    is_timed : bool
+        Print the time that the command took.
+    show : function of a result, the given values and those of the showing options, optional
+        What prints the result, if it has no tables.
+    further : tuple
+        Arguments and options that are not parameters of the call.
+    prepare : function of the values for the call and those of these options
+        What sets the values for the call by them.
+    text : str
+        Paragraph of `--help` about these.
+    without : str
+        Parameters of the call, or options of an observer, that the command does not have.
+    also : str
+        Another call whose parameters are options, too; a body chooses between them.
+    body : str
+        "module:function" that does all this for a command: of the given values, those of the showing options, and
+        the folder for files.
+    """
+
+    call: str
+    arguments: str
+    showing: str
+    files: str = ""
+    task: str = ""
+    total: Callable[[dict[str, Any]], int | None] = lambda _: None
+    title: Callable[[Any, dict[str, Any]], str] | None = None
+    tables: Callable[[Any], Iterable[Table | None]] | None = None
+    sentences: Callable[[Any], Iterable[str]] = lambda result: result.sentences()
+    details: str = "the fitted curves, run times, and remarks on what the numbers leave out"
+    is_timed: bool = True
+    show: Callable[[Any, dict[str, Any], dict[str, Any]], None] | None = None
+    further: tuple[click.Parameter, ...] = ()
+    prepare: Callable[[dict[str, Any], dict[str, Any]], None] = lambda *_: None
+    text: str = ""
+    without: str = ""
+    also: str = ""
+    body: str = ""
+
+
+def make_command(name: str, command: Command) -> click.Command:
+    """Return the command that a table describes."""
+    described = read_call(command.call)
+    parameters, arguments = described.parameters, command.arguments.split()
+    if command.also:
+        parameters = parameters | {
+            key: one for key, one in read_call(command.also).parameters.items() if key not in parameters
+        }
+    left_out = {*arguments, *OF_RUNNER, *command.without.split()}
+    made: list[click.Parameter] = [_argument(parameters[one], command) for one in arguments]
+    if command.files:
+        made.append(click.Option(["-o", "--out"], metavar="OUT", help=f"Folder for {command.files}."))
+    for one in parameters.values():
+        if one.name not in left_out:
+            made.append(option(one, parameters))
+        if one.name == "observer":
+            made += (each for each in OBSERVER_OPTIONS if each.name not in {*parameters, *left_out})
+    made += command.further
+    if _opens_dataset(parameters):
+        made.append(option(read_call(LOADING).parameters["max_frame_mb"], parameters))
+    made += (_flag(key, text) for key, text in GOING_ON.items() if "store" in parameters)
+    made += showing(command.showing, command.details)
+    texts = [*described.paragraphs, command.text]
+    texts += (f"{_name(parameters[one])}: {parameters[one].text}" for one in arguments)
+    if command.files:
+        texts.append("Without -o nothing is written.")
+    kind = LocatingCommand if "locate" in parameters else click.Command
+    help_text = _for_commands("\n\n".join(filter(None, texts)), parameters)
+    return kind(name, params=made, callback=partial(_run, command), help=help_text)
+
+
+def showing(names: str, details: str = "") -> list[click.Option]:
+    """Return the options of `SHOWING` with some names; `details` says what `--verbose` adds."""
+    return [_flag(key, text.format(details)) for key, text in SHOWING.items() if key in names.split()]
+
+
+def _flag(name: str, text: str) -> click.Option:
+    return click.Option([flag_of(name), name], is_flag=True, help=text)
+
+
+class Commands(click.Group):
+    """A group of commands, each made when it is asked for.
+
+    They raise `Interruption` at Ctrl-C; click itself would print an empty line.
+
+    Parameters
+    ----------
+    table : mapping
+        Commands by name that are made of calls.
+    modules : mapping
+        Module and attribute, "module:attribute", of each other command.
+    """
+
+    def __init__(
+        self,
+        *args: Any,
+        table: Mapping[str, Command],
+        modules: Mapping[str, str] | None = None,
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(*args, **kwargs)
+        self._table, self._modules = table, modules or {}
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of all commands, sorted."""
+        return sorted({*super().list_commands(ctx), *self._table, *self._modules})
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        """Return a command by its name; None if there is none."""
+        if name not in self.commands:
+            if name in self._table:
+                self.add_command(make_command(name, self._table[name]))
+            elif name in self._modules:
+                self.add_command(resolved(self._modules[name]), name)
+        return super().get_command(ctx, name)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the list of commands. Options are not made for it: those of all take as long as NumPy."""
+
+        def listed(name: str) -> click.Command | None:
+            if name not in self._table:
+                return self.get_command(ctx, name)
+            described = read_call(self._table[name].call)
+            return click.Command(name, help=_for_commands(described.paragraphs[0], described.parameters))
+
+        found = {name: one for name in self.list_commands(ctx) if (one := listed(name))}
+        click.Group(commands=found).format_commands(ctx, formatter)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that the first argument names; an error names the nearest one."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError:
+            if args[0].startswith("-"):
+                raise
+            near = get_close_matches(args[0], self.list_commands(ctx), 1)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise click.UsageError(f"No such command {args[0]!r}.{hint}", ctx) from None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command that the context names."""
+        try:
+            with signals.raised():
+                return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise Interruption from None
+
+
+class Option(click.Option):
+    """An option whose text states the range of its values, beside the default."""
+
+    def get_help_extra(self, ctx: click.Context) -> Any:
+        """Return what stands in brackets behind the text, without the range."""
+        return {key: one for key, one in super().get_help_extra(ctx).items() if key != "range"}
+
+
+def option(parameter: Parameter, parameters: Mapping[str, Parameter]) -> click.Option:
+    """Return the option of a call's parameter; it has no value if none is given, so that the call has its own."""
+    value, default, flag = parameter.value, parameter.default, flag_of(parameter.name)
+    text = parameter.text
+    is_off = flag.startswith("--no-")
+    if default is True and not is_off:
+        raise TypeError(
+            f"{parameter.where}: expected an option --no-… in `errors.flag_of`, as the default is True"
+        )
+    if is_off:
+        start, _, text = text.partition("Otherwise ")[2].partition(" ")
+        text = f"{start.capitalize()} {text}"
+    text = _for_commands(text, parameters)
+    if value.is_repeated:
+        text = f"{text.removesuffix('.')}; repeatable."
+    if parameter.name == "locate":
+        text += f" Without a value: {LOCATE[0]}."
+    shown = _for_commands(parameter.default_text, parameters) or _default(default)
+    limits = [f"default: {shown}"] if shown else []
+    if value.form.low is not None:
+        limits.append(
+            f"x>={value.form.low}" if value.form.high is None else f"{value.form.low}<=x<={value.form.high}"
+        )
+    if limits:
+        text += f"  [{'; '.join(limits)}]"
+    names = [*(["-o"] if flag == "--out" else []), flag, parameter.name]
+    if value.kind is bool:
+        return click.Option(names, is_flag=True, flag_value=not is_off, default=None, help=text)
+    return Option(
+        names,
+        type=_type(value),
+        metavar=value.form.metavar or None,
+        multiple=value.is_repeated,
+        required=default is REQUIRED,
+        help=text,
+    )
+
+
+def _argument(parameter: Parameter, command: Command) -> click.Argument:
+    value = parameter.value
+    return click.Argument(
+        [parameter.name],
+        type=_type(value),
+        nargs=-1 if value.is_repeated else 1,
+        required=parameter.default is REQUIRED and not command.also,
+        metavar=_name(parameter),
+    )
+
+
+def _name(argument: Parameter) -> str:
+    """Return what stands for an argument in texts."""
+    value = argument.value
+    name = value.form.metavar or argument.name.upper()
+    return f"{name.removesuffix('S')}…" if value.is_repeated else name
+
+
+def _type(value: Value) -> click.ParamType:  # type: ignore[type-arg]  # click 8.2 takes none
+    """Return the type of click that reads a value."""
+    if value.key is not None:
+        return Assigned(value)
+    if value.is_list:
+        return Separated(value)
+    if value.choices:
+        return click.Choice(value.choices)
+    if value.kind is int and value.form.low is not None:
+        return click.IntRange(value.form.low, value.form.high)
+    types = {str: click.STRING, int: click.INT, float: click.FLOAT}
+    return types.get(value.kind, click.Path())
+
+
+def _default(default: Any) -> str:
+    """Return a default as a command line writes it; an empty text for none."""
+    if default is REQUIRED or isinstance(default, bool) or default in (None, ()):
+        return ""
+    return ",".join(map(_default, default)) if isinstance(default, tuple) else f"{default}".removesuffix(".0")
+
+
+def _for_commands(text: str, parameters: Mapping[str, Parameter]) -> str:
+    """Return a text of a call with options in place of the names of its parameters."""
+    return re.sub(r"`(\w+)`", lambda found: flag_of(found[1]) if found[1] in parameters else found[0], text)
+
+
+def _opens_dataset(parameters: Mapping[str, Parameter]) -> bool:
+    """Return whether a call takes a dataset that is open, and not only its folder."""
+    is_open = "dataset" in parameters and parameters["dataset"].annotation.endswith("Dataset")
+    return is_open and "max_frame_mb" not in parameters
+
+
+def _run(command: Command, **values: Any) -> None:
+    """Run a command's call with the values that were given, and show its result."""
+    given = {name: value for name, value in values.items() if value is not None and value != ()}
+    shown = {name: given.pop(name, False) for name in command.showing.split()}
+    further = {str(one.name): given.pop(str(one.name)) for one in command.further if one.name in given}
+    out, quiet = given.pop("out", None) if command.files else None, shown.get("quiet", False)
+    parameters = read_call(command.call).parameters
+    for name in given.keys() & parameters.keys():
+        if parameters[name].value.key is not None:
+            given[name] = _mapping(name, given[name])
+    command.prepare(given, further)
+    if command.body:
+        resolved(command.body)(given | further, shown, out)
+        return
+    if "observer" in parameters:
+        make = make_observers if parameters["observer"].value.is_list else make_observer
+        given.setdefault("observer", parameters["observer"].default)
+        given["observer"], fit = make(given, fitted="fit" in parameters)
+        given |= {"fit": fit} if "fit" in parameters else {"p_correct": fit.p_correct}
+    if "examples" in parameters:
+        given["examples"] = out is not None
+    if "tell" in parameters:
+        given["tell"] = echo if "open_browser" in parameters else None if quiet else say
+    if "warn" in parameters:
+        given["warn"] = say
+    call = resolved(command.call)
+    if _opens_dataset(parameters):
+        from todframes.frames.dataset import load_dataset
+
+        limit = {"max_frame_mb": given.pop("max_frame_mb")} if "max_frame_mb" in given else {}
+        given["dataset"] = load_dataset(given["dataset"], **limit)
+    has_progress = "progress" in parameters
+    total = command.total(given) if has_progress else None
+    with ExitStack() as stack:
+        if "store" in parameters:
+            place = stack.enter_context(long_run(out, given, quiet=quiet))
+        else:
+            place = stack.enter_context(staged(out))
+            if "cluster" in parameters:
+                stack.enter_context(opened_engine(given, quiet=quiet))
+        if "enhance" in parameters:
+            stack.enter_context(prints_go_to_stderr())
+        with progress(command.task, total, quiet=quiet) if has_progress else nullcontext() as advance:
+            result = call(**given, **({"progress": advance} if has_progress else {}))
+        if command.files:
+            place.write(result.files)
+    _show(command, result, given | further, shown, out)
+
+
+def _show(command: Command, result: Any, given: dict[str, Any], shown: dict[str, Any], out: str | None) -> None:
+    """Print the result of a command as the showing options ask for."""
+    quiet = shown.get("quiet", False)
+    if command.show is not None:
+        command.show(result, given, shown)
+        return
+    if command.title is not None:
+        finish(result, command.title(result, given), as_json=shown.pop("json"), out=out, **shown)
+        return
+    for one in () if quiet else getattr(getattr(result, "data", None), "skipped", ()):
+        say(f"skipped: {one['error']}")
+    as_json, verbose, is_strict = (shown.get(name, False) for name in ("json", "verbose", "strict"))
+    how: dict[str, Any] = {"out": out, "strict": is_strict, "is_timed": command.is_timed}
+    if command.tables is None:
+        print_result(result, as_json=as_json, verbose=verbose, quiet=quiet, **how)
+        return
+    warnings = getattr(result, "warnings", ())
+    if as_json:
+        print_content(result.to_json(), warnings, quiet=quiet, strict=is_strict)
+        return
+    for table in command.tables(result):
+        if table is not None:
+            print_table(table)
+    print_end(command.sentences(result), warnings, **how)
+
+
+def _mapping(name: str, pairs: Iterable[tuple[Any, Any]]) -> dict[Any, Any]:
+    """Return the pairs of a repeated option as a mapping.
+
+    Raises
+    ------
+    SettingsError
+        If a key is there twice.
+    """
+    found: dict[Any, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise SettingsError(f"{flag_of(name)}: found {key} twice, expected each key once")
+        found[key] = value
+    return found

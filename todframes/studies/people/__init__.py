@@ -1,1 +1,0 @@
-"""Observers held against published thresholds of people for other tasks than triangles."""
