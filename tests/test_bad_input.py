@@ -1076,9 +1076,9 @@ USAGES = {
     "contrast nan": ("naked-eye --contrast nan", ("contrast", "nan", "> 0")),
     "contrast huge": ("naked-eye --contrast 1e160", ("contrast", r"1e\+160", "at most 1e12")),
     "contrast infinite": ("naked-eye --contrast inf", ("contrast", "inf", "finite")),
-    "sizes text": ("naked-eye --size-mrad 1,two", ("--size-mrad", "1,two", "N[,N…]")),
-    "sizes with semicolon": ("naked-eye --size-mrad 1;2", ("--size-mrad", "1;2", "N[,N…]")),
-    "sizes with a gap": ("naked-eye --size-mrad 1,,2", ("--size-mrad", "1,,2", "N[,N…]")),
+    "sizes text": ("naked-eye --size-mrad 1,two", ("--size-mrad", "1,two", "commas")),
+    "sizes with semicolon": ("naked-eye --size-mrad 1;2", ("--size-mrad", "1;2", "commas")),
+    "sizes with a gap": ("naked-eye --size-mrad 1,,2", ("--size-mrad", "1,,2", "commas")),
     "size zero": ("naked-eye --size-mrad 0", ("size_mrad|--size-mrad", "0", "> 0")),
     "size negative after a good one": ("naked-eye --size-mrad 1,-1", ("size_mrad|--size-mrad", "-1", "> 0")),
     "size nan": ("naked-eye --size-mrad nan", ("size_mrad|--size-mrad", "nan", "> 0")),
@@ -1176,7 +1176,7 @@ def test_out_of_memory(make_dataset, todframes, tmp_path, monkeypatch):
 
 
 def test_sizes_empty(fails):
-    fails("naked-eye", "--size-mrad", "", status=BAD_SETTINGS, wanted=("--size-mrad", "''", "N[,N…]"))
+    fails("naked-eye", "--size-mrad", "", status=BAD_SETTINGS, wanted=("--size-mrad", "''", "commas"))
 
 
 def test_more_than_one_setting_in_an_assignment(fails):

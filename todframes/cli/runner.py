@@ -38,7 +38,7 @@ from todframes.cli.options import (
     make_observer,
     make_observers,
 )
-from todframes.cli.signature import REQUIRED, Parameter, Value, read_call
+from todframes.cli.signature import REQUIRED, Argument, Value, read_call
 
 if TYPE_CHECKING:
     from todframes.report.table import Table
@@ -253,7 +253,7 @@ class Option(click.Option):
         return {key: one for key, one in super().get_help_extra(ctx).items() if key != "range"}
 
 
-def option(parameter: Parameter, parameters: Mapping[str, Parameter]) -> click.Option:
+def option(parameter: Argument, parameters: Mapping[str, Argument]) -> click.Option:
     """Return the option of a call's parameter; it has no value if none is given, so that the call has its own."""
     value, default, flag = parameter.value, parameter.default, flag_of(parameter.name)
     text = parameter.text
@@ -291,7 +291,7 @@ def option(parameter: Parameter, parameters: Mapping[str, Parameter]) -> click.O
     )
 
 
-def _argument(parameter: Parameter, command: Command) -> click.Argument:
+def _argument(parameter: Argument, command: Command) -> click.Argument:
     value = parameter.value
     return click.Argument(
         [parameter.name],
@@ -302,7 +302,7 @@ def _argument(parameter: Parameter, command: Command) -> click.Argument:
     )
 
 
-def _name(argument: Parameter) -> str:
+def _name(argument: Argument) -> str:
     """Return what stands for an argument in texts."""
     value = argument.value
     name = value.form.metavar or argument.name.upper()
@@ -330,12 +330,12 @@ def _default(default: Any) -> str:
     return ",".join(map(_default, default)) if isinstance(default, tuple) else f"{default}".removesuffix(".0")
 
 
-def _for_commands(text: str, parameters: Mapping[str, Parameter]) -> str:
+def _for_commands(text: str, parameters: Mapping[str, Argument]) -> str:
     """Return a text of a call with options in place of the names of its parameters."""
     return re.sub(r"`(\w+)`", lambda found: flag_of(found[1]) if found[1] in parameters else found[0], text)
 
 
-def _opens_dataset(parameters: Mapping[str, Parameter]) -> bool:
+def _opens_dataset(parameters: Mapping[str, Argument]) -> bool:
     """Return whether a call takes a dataset that is open, and not only its folder."""
     is_open = "dataset" in parameters and parameters["dataset"].annotation.endswith("Dataset")
     return is_open and "max_frame_mb" not in parameters

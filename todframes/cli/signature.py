@@ -49,8 +49,8 @@ class Value(NamedTuple):
     key: Value | None = None
 
 
-class Parameter(NamedTuple):
-    """A parameter of a call. `default_text` has the default in words, if its value is None."""
+class Argument(NamedTuple):
+    """An argument of a call. `default_text` has the default in words, if its value is None."""
 
     name: str
     annotation: str
@@ -80,7 +80,7 @@ class Call(NamedTuple):
     """Description of a call: the paragraphs above its parameters, and these by name."""
 
     paragraphs: tuple[str, ...]
-    parameters: dict[str, Parameter]
+    parameters: dict[str, Argument]
 
 
 class _OfPython:
@@ -115,7 +115,7 @@ def read_call(call: str) -> Call:
     found = {}
     for argument, default in with_defaults:
         text, _, default_text = texts.get(argument.arg, "").partition(" Default: ")
-        found[argument.arg] = Parameter(
+        found[argument.arg] = Argument(
             name=argument.arg,
             annotation=ast.unparse(argument.annotation or ast.Constant(None)),
             default=REQUIRED if default is None else _constant(default, source),
