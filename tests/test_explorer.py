@@ -277,7 +277,7 @@ def test_the_command_computes_what_the_page_shows(tmp_path, monkeypatch):
     monkeypatch.setattr("sensor_sim.calls.curve.curve", curve)
     monkeypatch.chdir(tmp_path)
     assert run(cli, shlex.split(made["command"])[1:]) == 2
-    assert ss.load_sensor(asked["sensor"]) == SENSOR
+    assert asked["sensor"] == SENSOR
     assert (asked["size_detectors"], asked["p_correct"]) == ([2.5, 4.0], 0.8)
     assert asked["observer"].settings == PyramidSettings(internal_noise=0.35)
 
