@@ -27,7 +27,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from scipy.optimize import brentq
 
-from sensor_sim.calls.mrtd import mrtd
 from sensor_sim.chain.detector_noise import (
     delta_t_as_printed_mk,
     delta_t_mk,
@@ -35,11 +34,12 @@ from sensor_sim.chain.detector_noise import (
     k_factor,
     noise_parts,
 )
+from sensor_sim.chain.pictures import trial_stages
 from sensor_sim.chain.sensor import Sensor, load_sensor
 from sensor_sim.chain.simulation import Simulator, plan_trials
 from sensor_sim.chain.transfer import diffraction_mtf, pre_sample_mtf
-from sensor_sim.mrtd_report import BarsAt
-from sensor_sim.pictures import trial_stages
+from sensor_sim.four_bars.mrtd import mrtd
+from sensor_sim.four_bars.mrtd_result import BarsAt
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from todframes.observers.decision import answer_probability
 from todframes.observers.laplacian_pyramid import LaplacianPyramid

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sensor_sim.chain.dataset import write_dataset
 from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.chain.simulation import plan_trials
+from sensor_sim.frames.dataset import write_dataset
 from todframes.display.display import Display
 from todframes.frames.files import frame_sha256, write_frame
 from todframes.stimulus import ORIENTATIONS, coverage

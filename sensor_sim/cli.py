@@ -37,14 +37,14 @@ def _designs(given: dict[str, Any]) -> int:
 
 
 def _patterns(given: dict[str, Any]) -> int:
-    from sensor_sim.calls.mrtd import FREQUENCIES_NYQUIST, SIZES_DETECTORS
+    from sensor_sim.four_bars.mrtd import FREQUENCIES_NYQUIST, SIZES_DETECTORS
 
     sizes = given.get("size_detectors", SIZES_DETECTORS)
     return len(given.get("frequency_nyquist", FREQUENCIES_NYQUIST)) + len(sizes)
 
 
 def _show_written(written: Any, given: dict[str, Any], shown: dict[str, Any]) -> None:
-    from todframes.report.wording import count
+    from todframes.results.wording import count
 
     if written.clipped_share and not shown["quiet"]:
         say(f"note: {100 * written.clipped_share:.2g} % of the pixels were clipped")
@@ -64,7 +64,7 @@ def _show_sensor(text: str, given: dict[str, Any], _: dict[str, Any]) -> None:
 
 COMMANDS = {
     "curve": Command(
-        "sensor_sim.calls.curve:curve",
+        "sensor_sim.thresholds.curve:curve",
         arguments="sensor",
         showing="explain verbose json quiet",
         files="result.json, report.html and plots",
@@ -72,9 +72,11 @@ COMMANDS = {
         total=_sizes,
         title=lambda result, _: f"{result.settings['sensor']['name']}: TOD curve",
     ),
-    "explore": Command("sensor_sim.calls.explore:explore", arguments="sensor", showing="", show=lambda *_: None),
+    "explore": Command(
+        "sensor_sim.explorer.explore:explore", arguments="sensor", showing="", show=lambda *_: None
+    ),
     "mrtd": Command(
-        "sensor_sim.calls.mrtd:mrtd",
+        "sensor_sim.four_bars.mrtd:mrtd",
         arguments="sensor",
         showing="json quiet",
         files="result.json, report.html, mrtd.csv, mrtd.png and other tables",
@@ -82,14 +84,14 @@ COMMANDS = {
         total=_patterns,
     ),
     "mtf": Command(
-        "sensor_sim.calls.mtf:mtf",
+        "sensor_sim.chain.mtf:mtf",
         arguments="sensor",
         showing="json",
         files="mtf.json, mtf.html, mtf.csv and mtf.png",
         is_timed=False,
     ),
     "new": Command(
-        "sensor_sim.calls.new_sensor:new_sensor",
+        "sensor_sim.chain.new_sensor:new_sensor",
         arguments="",
         showing="",
         show=_show_sensor,
@@ -100,7 +102,7 @@ COMMANDS = {
         ),
     ),
     "simulate": Command(
-        "sensor_sim.calls.simulate:simulate",
+        "sensor_sim.frames.simulate:simulate",
         arguments="sensor",
         showing="quiet",
         task="simulating",
@@ -108,7 +110,7 @@ COMMANDS = {
         show=_show_written,
     ),
     "sweep": Command(
-        "sensor_sim.calls.sweep:sweep",
+        "sensor_sim.sweeps.sweep:sweep",
         arguments="sensor",
         showing="json quiet",
         files="sweep.csv, sweep.parquet, result.json, report.html and plots",

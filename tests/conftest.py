@@ -116,9 +116,9 @@ def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     For tests of other things. What figures show is tested in test_html_report.py and beside each command.
     """
     png = base64.b64decode(ONE_PIXEL)
-    monkeypatch.setattr("todframes.report.figure.ReportFigure.figure", lambda _: None)
-    monkeypatch.setattr("todframes.report.figure.ReportFigure.png", lambda _: png)
-    monkeypatch.setattr("todframes.report.html.inline_svg", lambda *_, **__: Markup("<svg></svg>"))
+    monkeypatch.setattr("todframes.results.figure.ReportFigure.figure", lambda _: None)
+    monkeypatch.setattr("todframes.results.figure.ReportFigure.png", lambda _: png)
+    monkeypatch.setattr("todframes.results.html.inline_svg", lambda *_, **__: Markup("<svg></svg>"))
 
 
 @dataclass

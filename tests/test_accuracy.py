@@ -19,7 +19,7 @@ from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.weibull import weibull, weibull_level
-from todframes.report.result import load_result
+from todframes.results.result import load_result
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.studies.accuracy import estimators
 from todframes.studies.accuracy import report as accuracy_report

@@ -13,10 +13,10 @@ import pytest
 from todframes import compare, score
 from todframes.frames.dataset import load_dataset
 from todframes.psychometrics.fit import FitSettings
-from todframes.report.data import DatasetRecord
-from todframes.report.result import load_result
-from todframes.report.tables import dataset as dataset_table
-from todframes.report.tables import thresholds
+from todframes.results.data import DatasetRecord
+from todframes.results.result import load_result
+from todframes.results.tables import dataset as dataset_table
+from todframes.results.tables import thresholds
 
 QUICK = FitSettings(resamples=0)
 

@@ -33,8 +33,8 @@ from todframes.frames.dataset import load_dataset
 from todframes.observers.oriented import OrientedObserver
 from todframes.psychometrics.likelihood import CHI2_95
 from todframes.psychometrics.noise_fit import AnswerTable, NoiseFit, fit_noise, joined, with_lapses
-from todframes.report.result import read_result
-from todframes.report.summary import verdict
+from todframes.results.result import read_result
+from todframes.results.summary import verdict
 from todframes.scoring.retina_view import Shown, retina_image
 from todframes.stimulus import Orientation, Stimulus
 

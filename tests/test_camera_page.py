@@ -14,10 +14,10 @@ from independent_camera import Chart as FilmedChart
 
 import todframes as tod
 from todframes.base.errors import DataError, SettingsError
+from todframes.camera.filmed_page import _moved_px
 from todframes.charts.layout import Chart, Edge, Page, read_chart
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.importing.camera_page import _moved_px
 from todframes.importing.geometry import Geometry
 from todframes.importing.lens_fit import MeasuredEdges
 

@@ -19,7 +19,7 @@ from todframes.cli.console import finish, print_table, run
 from todframes.cli.main import cli
 from todframes.frames.files import write_frame
 from todframes.psychometrics.fit import FitSettings
-from todframes.report.table import Column, Table
+from todframes.results.table import Column, Table
 
 
 @pytest.fixture

@@ -30,8 +30,8 @@ from todframes.observers.csf import CsfObserver
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
-from todframes.report.advice import edge_brightness, not_proportional
-from todframes.report.data import (
+from todframes.results.advice import edge_brightness, not_proportional
+from todframes.results.data import (
     Algorithm,
     ComparedObserver,
     ContrastPoint,
@@ -40,10 +40,10 @@ from todframes.report.data import (
     Ratio,
     algorithms,
 )
-from todframes.report.figure_style import new_figure, style
-from todframes.report.figures import pictures
-from todframes.report.result import Result
-from todframes.report.summary import comparison, comparisons
+from todframes.results.figure_style import new_figure, style
+from todframes.results.figures import pictures
+from todframes.results.result import Result
+from todframes.results.summary import comparison, comparisons
 from todframes.scoring.score import score_dataset
 from todframes.scoring.work import Run
 from todframes.stimulus import ORIENTATIONS, Stimulus, coverage

@@ -13,12 +13,12 @@ from scipy.ndimage import convolve, uniform_filter
 from scipy.special import ndtr
 
 import todframes as tod
+from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, NYQUIST, _without_noise, measure_edge
+from todframes.camera.mtf_table import read_mtf_mapper, read_mtf_table
+from todframes.camera.slanted_edges import find_edges
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.recordings.edge_mtf import FREQUENCY_CYC_PER_PIXEL, NYQUIST, _without_noise, measure_edge
-from todframes.recordings.mtf_table import read_mtf_mapper, read_mtf_table
-from todframes.recordings.slanted_edges import find_edges
-from todframes.report.wording import interval_phrase
+from todframes.results.wording import interval_phrase
 
 REAL = Path(__file__).parent / "recordings" / "slanted_edges"
 TO_NYQUIST = FREQUENCY_CYC_PER_PIXEL[: NYQUIST + 1]

@@ -17,9 +17,9 @@ from photon_camera import PhotonCamera
 
 import todframes as tod
 from todframes.base.errors import DataError
+from todframes.camera.emva_xml import EmvaCamera, emva_xml, read_emva_xml
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.recordings.emva_xml import EmvaCamera, emva_xml, read_emva_xml
 
 REAL = Path(__file__).parent / "recordings"
 

@@ -17,9 +17,9 @@ from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
-from todframes.report.data import Example, Thumbnail
-from todframes.report.examples import examples
-from todframes.report.thumbnails import ExamplePatch, pictures
+from todframes.results.data import Example, Thumbnail
+from todframes.results.examples import examples
+from todframes.results.thumbnails import ExamplePatch, pictures
 from todframes.scoring.score import score_dataset
 from todframes.stimulus import Stimulus
 

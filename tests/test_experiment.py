@@ -38,6 +38,8 @@ from todframes.experiment.answers import (
 )
 from todframes.experiment.monitor import Calibration, MonitorError
 from todframes.experiment.order import TrialOrder
+from todframes.experiment.run_experiment import run_experiment
+from todframes.experiment.served_page import experiment_app
 from todframes.experiment.session import SessionDesign, StepError, frames_sha256, open_sitting
 from todframes.experiment.stimuli import shown_codes, trial_image
 from todframes.frames.dataset import load_dataset
@@ -45,8 +47,6 @@ from todframes.frames.files import FrameFile
 from todframes.psychometrics.counts import read_counts
 from todframes.psychometrics.quest import QuestGrid
 from todframes.stimulus import Orientation
-from todframes.web.calls import run_experiment
-from todframes.web.experiment import experiment_app
 from todframes.web.server import open_listener
 
 MEASURES = Calibration(

@@ -32,6 +32,7 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 import sensor_sim as ss
+from sensor_sim.chain.pictures import trial_stages
 from sensor_sim.chain.sensor import NOISE_MODELS, TABLES, sensor_from, sensor_settings, sensor_toml
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.cli import cli
@@ -44,20 +45,19 @@ from sensor_sim.explorer.ranges import ThresholdSent, range_answer, range_from, 
 from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
 from sensor_sim.explorer.scaled import unit_of
 from sensor_sim.explorer.threshold_engine import Request, ThresholdEngine
-from sensor_sim.pictures import trial_stages
 from sensor_sim.sweeps.designs import numeric_keys
 from sensor_sim.sweeps.ranges import Aim
 from sensor_sim.thresholds.predict import PredictedThreshold
 from todframes.base.errors import DataError, SettingsError
-from todframes.calls.acquisition_range import acquisition_range
 from todframes.cli.console import run
+from todframes.field.acquisition_range import acquisition_range
 from todframes.field.atmosphere import find_atmosphere
 from todframes.field.target import find_target
 from todframes.observers.csf import CsfObserver, CsfSettings
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.weibull import weibull
-from todframes.report.figure_style import COLOURS
+from todframes.results.figure_style import COLOURS
 from todframes.stimulus import ORIENTATIONS
 from todframes.web import server
 from todframes.web.pages import error_of
@@ -274,7 +274,7 @@ def test_the_command_computes_what_the_page_shows(tmp_path, monkeypatch):
         asked.update(settings, sensor=ss.load_sensor(sensor))
         raise SettingsError("enough")
 
-    monkeypatch.setattr("sensor_sim.calls.curve.curve", curve)
+    monkeypatch.setattr("sensor_sim.thresholds.curve.curve", curve)
     monkeypatch.chdir(tmp_path)
     assert run(cli, shlex.split(made["command"])[1:]) == 2
     assert asked["sensor"] == SENSOR
@@ -680,7 +680,7 @@ def test_without_the_extra_the_command_is_one_line(capsys, monkeypatch):
 
 @pytest.mark.slow
 def test_the_packages_of_the_page_are_not_imported_without_it():
-    code = "import sys, todframes, sensor_sim, sensor_sim.cli, sensor_sim.calls.explore, todframes.web\n"
+    code = "import sys, todframes, sensor_sim, sensor_sim.cli, sensor_sim.explorer.explore, todframes.web\n"
     code += "sys.exit(bool({'starlette', 'uvicorn', 'anyio'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 

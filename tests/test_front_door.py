@@ -29,7 +29,7 @@ from todframes.base.errors import flag_of
 from todframes.base.output import ENTRY_POINT_GROUP
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.report.result import read_result
+from todframes.results.result import read_result
 
 ROOT = Path(__file__).parent.parent
 NAKED_EYE, ENHANCEMENT = ROOT / "sample_frames" / "naked_eye", ROOT / "sample_frames" / "enhancement"
@@ -363,7 +363,7 @@ FLAG_OR_ARGUMENT = re.compile(r"--[a-z]|\bargument\s*\.")
 WHOLE_COMMAND = re.compile(r"(todframes|sensor-sim) [a-z-]+ .*--")
 COMMANDS_ALONE = ("cli", "cli.py", "studies")
 """Rooms and modules that only commands use."""
-NO_SENTENCES = {"base/errors.py", "report/html.py", "report/svg.py", "explorer/routes.py"}
+NO_SENTENCES = {"base/errors.py", "results/html.py", "results/svg.py", "explorer/routes.py"}
 """Modules with a table of options, with variables of CSS, and with the parts of a command to copy."""
 
 

@@ -27,13 +27,13 @@ from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.psychometrics.observer_curve import observer_curve
-from todframes.report.data import Fit
-from todframes.report.figure_style import COLOURS
-from todframes.report.figures import by_field_map, draw_field_map, draw_psychometric, pictures
-from todframes.report.result import Result, read_result
-from todframes.report.summary import verdict
-from todframes.report.tables import thresholds
-from todframes.report.wording import phrase, quantity, threshold_heading, unit_of
+from todframes.results.data import Fit
+from todframes.results.figure_style import COLOURS
+from todframes.results.figures import by_field_map, draw_field_map, draw_psychometric, pictures
+from todframes.results.result import Result, read_result
+from todframes.results.summary import verdict
+from todframes.results.tables import thresholds
+from todframes.results.wording import phrase, quantity, threshold_heading, unit_of
 
 NASTY = [
     "<script>alert(1)</script>",

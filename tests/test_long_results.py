@@ -10,10 +10,10 @@ import pytest
 
 import todframes as tod
 from todframes.base.output import write_files
-from todframes.report import figures, table, tables
-from todframes.report import parquet as parquet_module
-from todframes.report.parquet import parquet_parts
-from todframes.report.table import LongRecords, Table
+from todframes.results import figures, table, tables
+from todframes.results import parquet as parquet_module
+from todframes.results.parquet import parquet_parts
+from todframes.results.table import LongRecords, Table
 
 KINDS = {"name": str, "n": int, "value": float}
 VALUES = {

@@ -19,8 +19,8 @@ from todframes.cli.main import cli
 from todframes.diagnosis import missing_threshold
 from todframes.frames.dataset import Dataset
 from todframes.frames.memory import memory_dataset
-from todframes.report.data import ResultWarning
-from todframes.report.result import read_result
+from todframes.results.data import ResultWarning
+from todframes.results.result import read_result
 from todframes.stimulus import ORIENTATIONS, coverage, vertices
 
 PITCH_MRAD, SIZE_PX, SIDE_PX = 0.25, 8.0, 64

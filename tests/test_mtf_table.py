@@ -9,9 +9,9 @@ import pytest
 
 import todframes as tod
 from todframes.base.errors import DataError
+from todframes.camera.mtf_table import read_mtf_mapper, read_mtf_table
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.recordings.mtf_table import read_mtf_mapper, read_mtf_table
 
 F = "frequency_cyc_per_pixel"
 

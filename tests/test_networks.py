@@ -44,7 +44,7 @@ from todframes.enhancement.network_probe import Found, ProbeRequest, examine, pr
 from todframes.enhancement.network_runtime import read_model, with_weights
 from todframes.enhancement.tiles import in_tiles
 from todframes.jobs.fingerprint import fingerprint
-from todframes.report.data import plain_value
+from todframes.results.data import plain_value
 
 
 @pytest.fixture

@@ -14,9 +14,9 @@ import todframes as tod
 from sensor_sim import cli
 from sensor_sim.chain.sensor import EXPLAINED, NOISE_MODELS, TABLES
 from todframes.base.errors import DataError, SettingsError
+from todframes.camera.emva_xml import emva_xml
 from todframes.cli.console import run
 from todframes.display.display_files import find_display
-from todframes.recordings.emva_xml import emva_xml
 
 
 def test_every_key_is_explained():

@@ -26,7 +26,7 @@ from todframes.observers.decision import answer_probabilities
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import resample
 from todframes.psychometrics.fit import FitSettings, fit_trials
-from todframes.report.wording import column_heading, group_phrase, group_phrases
+from todframes.results.wording import column_heading, group_phrase, group_phrases
 from todframes.stimulus import ORIENTATIONS, Stimulus
 
 CAMERA = '\nschema = 1\nname = "machine vision"\n' + LENS + PIXELS + PHOTONS + DISPLAY

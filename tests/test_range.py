@@ -22,12 +22,12 @@ from todframes.cli.main import cli
 from todframes.field.acquisition import acquire, cycles_ratio, transfer_probability, with_search
 from todframes.field.atmosphere import FOLDER as AIRS
 from todframes.field.atmosphere import find_atmosphere
+from todframes.field.measured_curve import _slope_error
+from todframes.field.range_result import range_words
 from todframes.field.target import FOLDER as TARGETS
 from todframes.field.target import find_target
 from todframes.field.threshold_curve import Psychometric, ThresholdCurve
-from todframes.report.data import FitPoint
-from todframes.report.measured_curve import _slope_error
-from todframes.report.range_report import range_words
+from todframes.results.data import FitPoint
 
 A_K, B_MRAD, SIGMA_PER_KM = 0.02, 1.0, 0.2
 NATO = tod.Target(size_m=2.3, delta_t_k=2.0)
@@ -521,7 +521,7 @@ def of_fits(level="contrast", column="object_size_mrad", **changes) -> tod.Resul
         for x in FREQUENCIES
     ]
     content = {"schema": 1, "command": "score", "fits": fits, "dataset": "somewhere"} | changes.get("result", {})
-    from todframes.report.result import read_result
+    from todframes.results.result import read_result
 
     return read_result(json.dumps(content).encode(), "result")
 

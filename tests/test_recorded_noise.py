@@ -15,10 +15,10 @@ import pytest
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.detector_noise import displayed_noise, unit_fixed_pattern
+from todframes.camera.noise3d import PARTS, combinations, estimate, fit_drift, measure_noise
 from todframes.charts.layout import Chart, Markers, Page, Patch, Triangle, write_chart
 from todframes.charts.markers import marker_bits, marker_ids
 from todframes.cli.main import main
-from todframes.recordings.noise3d import PARTS, combinations, estimate, fit_drift, measure_noise
 from todframes.recordings.opening import open_recordings
 
 AXES = {"t": 0, "v": 1, "h": 2}

@@ -27,14 +27,14 @@ from PIL import Image
 
 import todframes as tod
 from todframes.base.errors import DataError
+from todframes.camera.noise3d import measure_noise
+from todframes.camera.slanted_edges import measure_mtf
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.recordings import radiometric, raw
 from todframes.recordings.arrays import memory_recording
-from todframes.recordings.noise3d import measure_noise
 from todframes.recordings.opening import open_recordings
 from todframes.recordings.recording import natural_order
-from todframes.recordings.slanted_edges import measure_mtf
 
 RNG = np.random.default_rng(13)
 

@@ -17,7 +17,7 @@ import pytest
 
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.report.result import read_result
+from todframes.results.result import read_result
 
 pytestmark = pytest.mark.slow
 

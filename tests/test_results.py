@@ -21,7 +21,7 @@ from sensor_sim import result_files
 from todframes.base.output import FILES_OF_COMMAND
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.report.result import KINDS, Result, read_result
+from todframes.results.result import KINDS, Result, read_result
 
 CAMERA = Path(__file__).parents[1] / "sample_frames" / "staring_camera.toml"
 

@@ -20,10 +20,10 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from sensor_sim import cli
-from sensor_sim.chain.dataset import white_luminance_cd_m2, write_dataset
+from sensor_sim.chain.pictures import trial_stages
 from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
 from sensor_sim.chain.simulation import LARGEST_SIDE_PX, SimulatedTrial, Simulator, plan_trials
-from sensor_sim.pictures import trial_stages
+from sensor_sim.frames.dataset import white_luminance_cd_m2, write_dataset
 from todframes import __version__
 from todframes.base.errors import FrameError, SettingsError
 from todframes.base.signals import SIGNALS

@@ -12,8 +12,8 @@ import pytest
 
 from todframes.base.user_code import import_named
 from todframes.enhancement.finding import ENTRY_POINT_GROUP, find_enhancement
-from todframes.report.figure import save_png
-from todframes.report.figure_style import new_figure, style
+from todframes.results.figure import save_png
+from todframes.results.figure_style import new_figure, style
 
 STAR_LIKE = Path(__file__).parents[1] / "sample_frames" / "star_like.toml"
 

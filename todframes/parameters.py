@@ -6,7 +6,7 @@ The module is light, so that the commands know their options before NumPy is loa
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -25,6 +25,9 @@ class Form(NamedTuple):
 
 
 PathLike = str | os.PathLike[str]
+
+Progress = Callable[[int], None]
+"""Called with the number of parts that are done since the last call."""
 
 NamedFile = Annotated[Path | str, Form("NAME|FILE")]
 CameraFile = Annotated[Path | str, Form("CAMERA.xml")]

@@ -15,7 +15,7 @@ from todframes.base.errors import SettingsError
 from todframes.base.reading import path_inside, resolved
 
 if TYPE_CHECKING:
-    from todframes.recordings.mtf_table import FrequencyUnit
+    from todframes.camera.mtf_table import FrequencyUnit
 
 LARGEST_SHIFT_SAMPLES = 1.0
 """Distance of a PSF's centroid from the middle of its image, along each axis, that is corrected silently."""
@@ -175,11 +175,11 @@ def read_measured_mtf(file: str, folder: Path) -> MeasuredMtf:
     Raises
     ------
     DataError
-        If `todframes.recordings.mtf_table.read_mtf_table` refuses the file, or it lies in another folder.
+        If `todframes.camera.mtf_table.read_mtf_table` refuses the file, or it lies in another folder.
     SettingsError
         If the table stops early, or its frequencies are beyond all cameras.
     """
-    from todframes.recordings.mtf_table import DIRECTIONS, LARGEST_END, RADIAL, read_mtf_table
+    from todframes.camera.mtf_table import DIRECTIONS, LARGEST_END, RADIAL, read_mtf_table
 
     table = read_mtf_table(Path(path_inside(resolved(folder), file, "mtf:")))
     if not 1.0 / LARGEST_FREQUENCY <= table.frequency[-1] <= LARGEST_FREQUENCY:
@@ -216,7 +216,7 @@ def read_measured_psf(file: str, folder: Path) -> MeasuredPsf:
     SettingsError
         If the image has colours, negative values, is not normalised, off centre, cut off or too coarse.
     """
-    from todframes.recordings.mtf_table import LARGEST_END
+    from todframes.camera.mtf_table import LARGEST_END
     from todframes.recordings.opening import open_recordings
 
     recordings = open_recordings(path_inside(resolved(folder), file, "psf:"))

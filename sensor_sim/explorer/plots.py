@@ -11,10 +11,10 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from sensor_sim.mtf_report import SensorMtf
-from todframes.report.figure import ReportFigure
-from todframes.report.figure_style import COLOURS, INK, MARKERS, add_legend, label_text, plain_ticks
-from todframes.report.result import Result
+from sensor_sim.chain.mtf_result import SensorMtf
+from todframes.results.figure import ReportFigure
+from todframes.results.figure_style import COLOURS, INK, MARKERS, add_legend, label_text, plain_ticks
+from todframes.results.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

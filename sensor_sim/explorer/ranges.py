@@ -13,11 +13,11 @@ from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sensor import Sensor, sensor_settings
 from sensor_sim.sweeps.ranges import Aim
 from todframes.base.errors import SettingsError, argument
-from todframes.calls.acquisition_range import acquisition_range
+from todframes.field.acquisition_range import acquisition_range
+from todframes.field.range_result import FieldRange, range_words
 from todframes.psychometrics.threshold_search import ComputedThreshold, Status
-from todframes.report.data import Fit, FitPoint
-from todframes.report.range_report import FieldRange, range_words
-from todframes.report.result import Result
+from todframes.results.data import Fit, FitPoint
+from todframes.results.result import Result
 
 Value = Annotated[float, Meta(gt=0.0, le=1e12)]
 GUESS_RATE = 0.25

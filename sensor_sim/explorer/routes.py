@@ -21,6 +21,7 @@ from msgspec import Meta
 from starlette.applications import Starlette
 
 from sensor_sim.chain.detector_noise import delta_t_mk
+from sensor_sim.chain.mtf_result import sensor_mtf
 from sensor_sim.chain.sampling import field_detectors
 from sensor_sim.chain.sensor import SCHEMA, Sensor, sensor_from, sensor_settings, sensor_toml
 from sensor_sim.chain.simulation import SimulatedTrial
@@ -29,7 +30,6 @@ from sensor_sim.explorer.parameters import PageField, observer_fields, sensor_fi
 from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, file_of, mtf_plot
 from sensor_sim.explorer.ranges import Thresholds, check_aim, range_answer, range_from
 from sensor_sim.explorer.scaled import unit_of
-from sensor_sim.mtf_report import sensor_mtf
 from sensor_sim.sweeps.ranges import Aim
 from sensor_sim.thresholds.curve_plan import not_linear
 from sensor_sim.thresholds.predict import Level, PredictedThreshold
@@ -37,10 +37,10 @@ from sensor_sim.thresholds.sizes import SIZES_CHOSEN, computed_sizes
 from todframes import __version__
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys, from_table, parse_toml, toml_literal
+from todframes.field.range_result import FieldRange
 from todframes.observers.interface import Observer, adapted, described
 from todframes.psychometrics.fit import FitSettings
-from todframes.report.range_report import FieldRange
-from todframes.report.result import Result
+from todframes.results.result import Result
 from todframes.stimulus import ORIENTATIONS, Stimulus
 from todframes.web.pages import EmptyRequest, call, page, stream
 
@@ -474,7 +474,7 @@ def trial_pictures(asked: TrialAsked, sensor: Sensor) -> dict[str, Any]:
     SettingsError
         If a picture would have more than `MOST_PICTURE_PIXELS`.
     """
-    from sensor_sim.pictures import BLACK, FINE_PIXELS_PER_DETECTOR, STAGE_TITLES, WHITE, trial_stages
+    from sensor_sim.chain.pictures import BLACK, FINE_PIXELS_PER_DETECTOR, STAGE_TITLES, WHITE, trial_stages
 
     per_detector = max(FINE_PIXELS_PER_DETECTOR, sensor.display.pixels_per_detector)
     side = field_detectors(sensor, asked.size_detectors) * per_detector

@@ -11,13 +11,13 @@ from functools import partial
 
 import numpy as np
 
-from sensor_sim.calls.mrtd import mrtd
 from sensor_sim.chain.detector_noise import k_factor
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal, gaussian_kernel
 from sensor_sim.chain.sampling import TriangleSampler
 from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
 from sensor_sim.chain.simulation import Simulator
 from sensor_sim.chain.transfer import box_mtf, diffraction_mtf, gaussian_mtf
+from sensor_sim.four_bars.mrtd import mrtd
 from sensor_sim.thresholds.curve_plan import plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 from todframes.base._typing import FloatArray

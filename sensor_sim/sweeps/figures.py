@@ -14,8 +14,8 @@ from todframes import __version__
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
-from todframes.report.figure import ReportFigure
-from todframes.report.figure_style import (
+from todframes.results.figure import ReportFigure
+from todframes.results.figure_style import (
     COLOURS,
     INK,
     add_colour_bar,
@@ -25,9 +25,9 @@ from todframes.report.figure_style import (
     label_text,
     plain_ticks,
 )
-from todframes.report.html import figure_items, render, table_item
-from todframes.report.tables import records_table
-from todframes.report.wording import evenly, level_name
+from todframes.results.html import figure_items, render, table_item
+from todframes.results.tables import records_table
+from todframes.results.wording import evenly, level_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from sensor_sim.sweeps.figures import draw_curves, draw_front, draw_map, draw_range_map, page, pictures
 from sensor_sim.sweeps.tables import SweepData
 from todframes.base.output import write_folder
-from todframes.report.figure import drawn
-from todframes.report.parquet import has_parquet, parquet_parts
+from todframes.results.figure import drawn
+from todframes.results.parquet import has_parquet, parquet_parts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -22,9 +22,9 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys, check_positive
 from todframes.field.target import Quantity
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
-from todframes.report.data import json_file
-from todframes.report.table import BLOCK, Column, LongRecords, Table
-from todframes.report.wording import count, level_name, listed, plain, unknown_place
+from todframes.results.data import json_file
+from todframes.results.table import BLOCK, Column, LongRecords, Table
+from todframes.results.wording import count, level_name, listed, plain, unknown_place
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from timing import Row, best_s, process
 
-from todframes.report import figures
-from todframes.report.examples import MOST_EXAMPLES
-from todframes.report.figure_style import style
-from todframes.report.result import Result, read_result
-from todframes.report.thumbnails import DISPLAY_SIDE_PX, MOST_BANDS, RETINA_SIDE_PX
+from todframes.results import figures
+from todframes.results.examples import MOST_EXAMPLES
+from todframes.results.figure_style import style
+from todframes.results.result import Result, read_result
+from todframes.results.thumbnails import DISPLAY_SIDE_PX, MOST_BANDS, RETINA_SIDE_PX
 
 CURVES, LEVELS = 10, 9
 SAMPLE = Path(__file__).parents[2] / "sample_frames" / "naked_eye"

@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from camera_texts import DISPLAY, LENS, PHOTONS, PIXELS
 from test_measured_optics import write_psf
 
-from todframes.recordings.emva_xml import emva_xml
+from todframes.camera.emva_xml import emva_xml
 
 LONGEST_S = 30.0
 """Longest time of an enemy on a machine with other work; a curve of one size takes a second."""

@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from edges import diffraction, edge_image, gaussian, true_mtf
 
 from todframes.base.errors import DataError
-from todframes.recordings.edge_mtf import FREQUENCY_CYC_PER_PIXEL, NYQUIST, EdgeMtf, measure_edge
+from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, NYQUIST, EdgeMtf, measure_edge
 
 OPTICS = {
     "gaussian 0.5": gaussian(0.5),

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
-    Progress,
     background_of,
     described_each,
     each_once,
@@ -42,23 +41,24 @@ from todframes.parameters import (
     ObserverNames,
     OnError,
     PlanName,
+    Progress,
     Seed,
 )
 from todframes.psychometrics.fit import FitSettings
-from todframes.report.advice import edge_brightness, levels_to_add, not_proportional, not_repeatable
-from todframes.report.data import (
+from todframes.results.advice import edge_brightness, levels_to_add, not_proportional, not_repeatable
+from todframes.results.data import (
     ComparedObserver,
     algorithms,
     observer_names,
     thresholds_of,
 )
-from todframes.report.result import Result
+from todframes.results.result import Result
 from todframes.scoring.error_budget import plan_object
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store
     from todframes.parameters import Locate
-    from todframes.report.thresholds import Thresholds
+    from todframes.results.thresholds import Thresholds
 
 
 def compare(
@@ -169,8 +169,8 @@ def compare(
     from todframes.enhancement.compare import compare_observers
     from todframes.enhancement.enhanced_frame import AlgorithmDisplay
     from todframes.enhancement.finding import find_enhancement
-    from todframes.report import tables
-    from todframes.report.summary import comparison, comparisons
+    from todframes.results import tables
+    from todframes.results.summary import comparison, comparisons
     from todframes.scoring.score import fitted_curve
 
     fit = fit or FitSettings()
@@ -216,7 +216,7 @@ def compare(
         )
     ]
     if examples:
-        from todframes.report.examples import compare_examples
+        from todframes.results.examples import compare_examples
 
         more["examples"] = compare_examples(data, results, judge, screen)
     black, peak = screen.luminance_range

@@ -15,14 +15,14 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.parameters import Seed
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
-from todframes.report.advice import levels_to_add
-from todframes.report.data import (
+from todframes.results.advice import levels_to_add
+from todframes.results.data import (
     Fit,
 )
-from todframes.report.result import Result
+from todframes.results.result import Result
 
 if TYPE_CHECKING:
-    from todframes.report.thresholds import Thresholds
+    from todframes.results.thresholds import Thresholds
 
 
 def fit_counts(

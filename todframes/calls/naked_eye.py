@@ -7,18 +7,15 @@ import time
 import numpy as np
 
 from todframes.base.errors import SettingsError, argument
-from todframes.calls.shared import (
-    Progress,
-)
 from todframes.observers.interface import Observer, described
-from todframes.parameters import Numbers, ObserverName, PlaceCount, Probability
+from todframes.parameters import Numbers, ObserverName, PlaceCount, Probability, Progress
 from todframes.psychometrics.fit import FitSettings
-from todframes.report.advice import above_contrast_1, numerical_errors
-from todframes.report.data import (
+from todframes.results.advice import above_contrast_1, numerical_errors
+from todframes.results.data import (
     Fit,
 )
-from todframes.report.result import Result
-from todframes.report.thresholds import Thresholds
+from todframes.results.result import Result
+from todframes.results.thresholds import Thresholds
 
 
 def naked_eye(

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
-    Progress,
     background_of,
     each_once,
     in_memory,
@@ -37,24 +36,25 @@ from todframes.parameters import (
     ObserverName,
     OnError,
     PlanName,
+    Progress,
     Seed,
     Tolerance,
 )
 from todframes.psychometrics.fit import FitSettings
-from todframes.report.advice import levels_to_add, numerical_errors
-from todframes.report.data import (
+from todframes.results.advice import levels_to_add, numerical_errors
+from todframes.results.data import (
     Fit,
     ResultWarning,
     group_of,
 )
-from todframes.report.result import Result
+from todframes.results.result import Result
 from todframes.scoring.error_budget import plan_object
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store
     from todframes.parameters import Locate
-    from todframes.report.table import Table
-    from todframes.report.thresholds import Thresholds
+    from todframes.results.table import Table
+    from todframes.results.thresholds import Thresholds
 
 
 def score(
@@ -169,7 +169,7 @@ def score(
             run=run,
         )
     if examples:
-        from todframes.report import examples as drawing
+        from todframes.results import examples as drawing
 
         more["examples"] = drawing.examples(data, scored, judge)
     explained = {}
@@ -190,7 +190,7 @@ def score(
     record, shown_wrong = inspected(data, scored.trials, judge.centre)
 
     def trials() -> Table:
-        from todframes.report import tables
+        from todframes.results import tables
 
         return tables.trials(data, scored)
 

@@ -21,8 +21,8 @@ from todframes.frames.trials import Trial
 from todframes.jobs.engine import open_engine
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, described
-from todframes.parameters import Gaze, OnError
-from todframes.report.data import (
+from todframes.parameters import Gaze, OnError, Progress
+from todframes.results.data import (
     DatasetRecord,
     ResultWarning,
     group_of,
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from todframes.parameters import Locate
     from todframes.scoring.score import ScoredDataset
     from todframes.scoring.work import Run
-
-Progress = Callable[[int], None]
 
 
 @contextmanager

@@ -6,13 +6,14 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from todframes.calls.shared import Progress, inspected, loaded
+from todframes.calls.shared import inspected, loaded
 from todframes.frames.checksums import check_writable, write_sha256
 from todframes.frames.contrast import frame_problems, unjudged_problems
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import frame_sha256
-from todframes.report.result import Result
-from todframes.report.thresholds import Thresholds
+from todframes.parameters import Progress
+from todframes.results.result import Result
+from todframes.results.thresholds import Thresholds
 
 
 def validate(

@@ -33,6 +33,7 @@ from todframes.parameters import (
     NamedTable,
     Numbers,
     Polarity,
+    Progress,
     Reflectance,
     Seconds,
     Seed,
@@ -60,8 +61,6 @@ SETTINGS: dict[ChartKind, set[str]] = {
 
 SCREEN_DEFAULTS = {"width_px": 1920, "height_px": 1080, "page_duration_s": 1.0, "white_luminance_cd_m2": 100.0}
 """Settings of a monitor that need not be given."""
-
-Progress = Callable[[int], None]
 
 
 def chart(

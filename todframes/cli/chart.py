@@ -12,7 +12,7 @@ from todframes.cli.signature import read_call
 
 if TYPE_CHECKING:
     from todframes.charts.layout import Chart
-    from todframes.report.table import Table
+    from todframes.results.table import Table
 
 CALL = "todframes.charts.making:chart"
 
@@ -74,8 +74,8 @@ def _paper_mm(paper: str) -> tuple[float, float]:
 
 def _table(chart: Chart) -> Table:
     """Return a table with a row for each size and level of a chart."""
-    from todframes.report.table import Column, Table
-    from todframes.report.wording import count
+    from todframes.results.table import Column, Table
+    from todframes.results.wording import count
     from todframes.stimulus import SIDE_PER_SIZE
 
     records: dict[tuple[float, float], dict[str, Any]] = {}

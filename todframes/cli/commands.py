@@ -14,7 +14,7 @@ from todframes.cli.options import P_CORRECT, SETTINGS, make_fit
 from todframes.cli.runner import Command
 
 if TYPE_CHECKING:
-    from todframes.report.table import Table
+    from todframes.results.table import Table
 
 PASSES = {None: 1, "group": 2, "each": 3}
 """Number of times that each trial is read, by the value of `--locate`."""
@@ -44,19 +44,19 @@ def _answers(given: dict[str, Any]) -> int:
 
 
 def _calibrated(result: Any) -> Iterable[Table]:
-    from todframes.report.calibration import all_tables
+    from todframes.results.calibration import all_tables
 
     return all_tables(result.data)
 
 
 def _verdict(result: Any) -> Iterable[str]:
-    from todframes.report.summary import verdict
+    from todframes.results.summary import verdict
 
     return verdict(result.data)
 
 
 def _show_new(result: Any, given: dict[str, Any], _: dict[str, Any]) -> None:
-    from todframes.report.wording import count
+    from todframes.results.wording import count
 
     folder, unmatched = Path(given["dataset"]), result.unmatched
     if unmatched:
@@ -74,7 +74,7 @@ def _make_darker(given: dict[str, Any], further: dict[str, Any]) -> None:
 
 def _show_scenes(made: Any, given: dict[str, Any], shown: dict[str, Any]) -> None:
     from todframes.backdrops.making import ROUNDING
-    from todframes.report.wording import count
+    from todframes.results.wording import count
 
     def measured(contrast: float) -> str:
         return f"{contrast:.2g}" if contrast > ROUNDING else "0"
@@ -122,8 +122,8 @@ def _recorded_frames(given: dict[str, Any]) -> int | None:
 
 
 def _show_imported(done: Any, given: dict[str, Any], shown: dict[str, Any]) -> None:
-    from todframes.report.data import ResultWarning
-    from todframes.report.wording import count
+    from todframes.results.data import ResultWarning
+    from todframes.results.wording import count
 
     if not shown["quiet"]:
         for note in done.notes:
@@ -141,7 +141,7 @@ def _list_problems(given: dict[str, Any], further: dict[str, Any]) -> None:
 
 def _show_validated(result: Any, given: dict[str, Any], shown: dict[str, Any]) -> None:
     """Print the number of problems, or what was found to be good."""
-    from todframes.report.wording import count
+    from todframes.results.wording import count
 
     data, problems = given["dataset"], given["problems"]
     problems.close()
@@ -166,7 +166,7 @@ def _show_validated(result: Any, given: dict[str, Any], shown: dict[str, Any]) -
 
 COMMANDS = {
     "calibrate": Command(
-        "todframes.calls.calibrate:calibrate",
+        "todframes.experiment.calibrate:calibrate",
         arguments="answers dataset",
         showing="json quiet strict",
         files="result.json, report.html, tables, a figure and observer.toml, the settings for score",
@@ -201,7 +201,7 @@ COMMANDS = {
         title=_scored,
     ),
     "experiment": Command(
-        "todframes.web.calls:run_experiment",
+        "todframes.experiment.run_experiment:run_experiment",
         arguments="dataset",
         showing="",
         body="todframes.cli.experiment:experiment",
@@ -227,7 +227,7 @@ COMMANDS = {
         prepare=_open_recordings,
     ),
     "mtf": Command(
-        "todframes.calls.mtf:mtf",
+        "todframes.camera.measure_mtf:mtf",
         arguments="recording",
         showing="json quiet strict",
         files="report.html, result.json, mtf.csv, edges.csv, pictures and a text file of MTF Mapper's form",
@@ -245,7 +245,7 @@ COMMANDS = {
     ),
     "new": Command("todframes.importing.file_names:new_dataset", arguments="dataset", showing="", show=_show_new),
     "noise": Command(
-        "todframes.calls.noise:noise",
+        "todframes.camera.measure_noise:noise",
         arguments="recording",
         showing="json quiet strict",
         files="result.json, report.html, tables, pictures and sensor_noise.toml",
@@ -257,11 +257,11 @@ COMMANDS = {
         text="With --dark or --emva it is that of EMVA 1288: gain, dark noise, nonuniformities and saturation of "
         "a linear camera, from bright and dark frames.",
         without="bright",
-        also="todframes.calls.emva:emva_noise",
+        also="todframes.camera.measure_emva:emva_noise",
         body="todframes.cli.noise:noise",
     ),
     "range": Command(
-        "todframes.calls.acquisition_range:acquisition_range",
+        "todframes.field.acquisition_range:acquisition_range",
         arguments="result",
         showing="verbose json strict",
         files="result.json, report.html, ranges.csv, probability.csv and plots",

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from todframes.base.output import Going
     from todframes.jobs.store import Store
     from todframes.jobs.work import Engine
-    from todframes.report.data import ResultWarning
-    from todframes.report.result import Result
-    from todframes.report.table import Table
-    from todframes.report.thresholds import Thresholds
+    from todframes.results.data import ResultWarning
+    from todframes.results.result import Result
+    from todframes.results.table import Table
+    from todframes.results.thresholds import Thresholds
 
 
 STDOUT, STDERR = 1, 2
@@ -144,10 +144,10 @@ def finish(
     DataError
         If `strict` and there are warnings; everything is shown before.
     """
-    from todframes.report import tables
-    from todframes.report.data import each_observer
-    from todframes.report.summary import cautions, remarks
-    from todframes.report.wording import group_phrase
+    from todframes.results import tables
+    from todframes.results.data import each_observer
+    from todframes.results.summary import cautions, remarks
+    from todframes.results.wording import group_phrase
 
     data = result.data
     if not quiet:
@@ -259,7 +259,7 @@ def print_sentences(sentences: Iterable[str]) -> None:
 
 def warning_lines(warnings: Sequence[ResultWarning]) -> Iterator[str]:
     """Yield a line for each warning, but only for the first groups of those with the same code, and a count."""
-    from todframes.report.data import warning_texts
+    from todframes.results.data import warning_texts
 
     yield from (f"warning: {one}" for one in warning_texts(warnings))
 
@@ -267,7 +267,7 @@ def warning_lines(warnings: Sequence[ResultWarning]) -> Iterator[str]:
 def check_strict(warnings: Sequence[ResultWarning], strict: bool) -> None:
     """Raise DataError if there are warnings and they count as errors."""
     if strict and warnings:
-        from todframes.report.wording import count
+        from todframes.results.wording import count
 
         codes = ", ".join(dict.fromkeys(one.code for one in warnings))
         raise DataError(

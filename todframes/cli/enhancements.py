@@ -16,8 +16,8 @@ def enhancements(*, json: bool) -> None:
 
     from todframes import __version__
     from todframes.enhancement.finding import enhancement_names, find_enhancement
-    from todframes.report.data import SCHEMA, enhancement_record
-    from todframes.report.tables import enhancements as enhancements_table
+    from todframes.results.data import SCHEMA, enhancement_record
+    from todframes.results.tables import enhancements as enhancements_table
 
     found = []
     for name in enhancement_names():

@@ -10,8 +10,8 @@ from todframes.cli.console import echo, progress, say
 
 def experiment(given: dict[str, Any], *_: object) -> None:
     """Serve the page, and say how far the session is."""
+    from todframes.experiment.run_experiment import run_experiment
     from todframes.frames.dataset import load_dataset
-    from todframes.web.calls import run_experiment
 
     limit = {name: given.pop(name) for name in ("max_frame_mb",) if name in given}
     data = load_dataset(given.pop("dataset"), **limit)

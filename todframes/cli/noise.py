@@ -8,7 +8,7 @@ from todframes.base.errors import SettingsError, flag_of
 from todframes.cli.console import print_content, print_result, progress, staged
 
 if TYPE_CHECKING:
-    from todframes.report.result import Result
+    from todframes.results.result import Result
 
 OF_EMVA = {"exposure_ms", "photons", "bits"}
 OF_OTHERS = {"patches", "signal", "mk_per_count", "frames_per_second"}

@@ -19,8 +19,8 @@ def report_command(*, result: Path, out: str | None) -> None:
     One page with nothing else to load; the same bytes from the same result.
     """
     from todframes.base.output import write_file
-    from todframes.report.data import read_bytes
-    from todframes.report.result import read_result
+    from todframes.results.data import read_bytes
+    from todframes.results.result import read_result
 
     try:
         read = read_result(read_bytes(result), str(result))

@@ -41,7 +41,7 @@ from todframes.cli.options import (
 from todframes.cli.signature import REQUIRED, Argument, Value, read_call
 
 if TYPE_CHECKING:
-    from todframes.report.table import Table
+    from todframes.results.table import Table
 
 LOADING = "todframes.frames.dataset:load_dataset"
 """Call that opens a dataset; its limit of memory is an option of the commands that read one."""

@@ -25,7 +25,7 @@ def stability(*, json: bool, as_markdown: bool, quiet: bool) -> None:
     start = time.perf_counter()
     if json and as_markdown:
         raise SettingsError("stability: found --json and --markdown, expected one of them")
-    from todframes.report.result import Result
+    from todframes.results.result import Result
     from todframes.studies.stability.case import (
         case_object,
         find_cases,
@@ -91,8 +91,8 @@ def accuracy(
     start = time.perf_counter()
     from functools import partial
 
-    from todframes.report.result import Result
-    from todframes.report.tables import scene_tables
+    from todframes.results.result import Result
+    from todframes.results.tables import scene_tables
     from todframes.studies.accuracy import report as accuracy_report
     from todframes.studies.accuracy.estimators import StudyScene, find_scenes
     from todframes.studies.accuracy.measure import measure

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from todframes.base._typing import Json
-from todframes.report.data import Estimator, SceneResult, SpeedRatio
-from todframes.report.figures import pictures
-from todframes.report.result import Result
-from todframes.report.tables import scene_tables
-from todframes.report.thresholds import Thresholds
-from todframes.report.wording import plain
+from todframes.results.data import Estimator, SceneResult, SpeedRatio
+from todframes.results.figures import pictures
+from todframes.results.result import Result
+from todframes.results.tables import scene_tables
+from todframes.results.thresholds import Thresholds
+from todframes.results.wording import plain
 from todframes.studies.accuracy.measure import MeasuredScene
 
 NOTE = "* extrapolated along the measured 1/√N. Errors are root mean squares, that of a threshold relative."

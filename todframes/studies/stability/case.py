@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from todframes.base.errors import TodframesError
 from todframes.base.user_code import registered
-from todframes.report.table import Column, Table
+from todframes.results.table import Column, Table
 
 ENTRY_POINT_GROUP = "todframes.stability_cases"
 

@@ -1,0 +1,185 @@
+"""Pictures of a sensor's effect: one trial stage by stage, and frames at threshold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from sensor_sim.chain.sampling import sample_image
+from sensor_sim.chain.sensor import Detector, Sensor
+from sensor_sim.chain.simulation import SimulatedTrial, Simulator
+from todframes.base._typing import FloatArray
+from todframes.observers.interface import Observer
+from todframes.observers.retina import resample
+from todframes.results.data import Example, Fit
+from todframes.results.figure import save_png
+from todframes.results.figure_style import label_text, style
+from todframes.results.thumbnails import ExamplePatch, pictures
+from todframes.results.wording import evenly
+from todframes.stimulus import Orientation, Stimulus, bounding_box_offset, coverage
+
+FINE_PIXELS_PER_DETECTOR = 8
+
+MOST_EXAMPLES = 4
+"""Largest number of sizes of which a frame at threshold is drawn."""
+
+
+def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[str, FloatArray]:
+    """Return one trial at each stage of Figure 1 of the paper, in units of a large triangle's signal.
+
+    Returns
+    -------
+    dict of ndarray
+        "a_input", "b_optics" and "c_detector_response" on a scene grid of 8 pixels a detector; "d_samples" and
+        "e_noise" one pixel a detector; "f_hold" and "g_display" on the display's pixels.
+
+    Hogervorst et al. 2001, Figure 1.
+    """
+    simulator = Simulator(sensor, trial.size_detectors, seed=seed)
+    ((x, y),), (samples,) = simulator.samples([trial], noise=False)
+    _, (noisy,) = simulator.samples([trial])
+    (frame,) = simulator.frames([trial])
+    per_detector, field = sensor.display.pixels_per_detector, simulator.field
+    fine, n_fine = FINE_PIXELS_PER_DETECTOR, FINE_PIXELS_PER_DETECTOR * field
+    pitch_mrad = sensor.detector.pitch_mrad / fine
+    scene = coverage(
+        (n_fine, n_fine),
+        size_px=trial.size_detectors * fine,
+        x_px=(x + field / 2.0) * fine - 0.5,
+        y_px=(y + field / 2.0) * fine - 0.5,
+        orientation=trial.orientation,
+    )
+
+    def seen_through(width_mrad: float) -> FloatArray:
+        """Return the scene after the optics, averaged over a width at every fine pixel."""
+        detector = Detector(pitch_mrad=pitch_mrad, width_mrad=min(width_mrad, pitch_mrad))
+        image = sample_image(
+            scene,
+            pixel_pitch_mrad=pitch_mrad,
+            optics=sensor.optics,
+            detector=detector,
+            field_detectors=n_fine,
+            motion=sensor.motion,
+        )
+        if width_mrad <= pitch_mrad or sensor.optics.mtf_includes_detector:
+            return image
+        frequency = np.fft.fftfreq(n_fine, pitch_mrad)
+        box = np.sinc(frequency * width_mrad)
+        half = np.fft.rfft2(image) * box[:, None] * box[: n_fine // 2 + 1]
+        return np.asarray(np.fft.irfft2(half, s=image.shape))
+
+    contrast = frame.luminance_cd_m2 / sensor.display.background_luminance_cd_m2 - 1.0
+    unit = 1.0 if sensor.photons is None else trial.level
+    samples, noisy = samples / unit, noisy / unit
+    return {
+        "a_input": scene,
+        "b_optics": seen_through(pitch_mrad),
+        "c_detector_response": seen_through(sensor.detector.width_mrad),
+        "d_samples": samples,
+        "e_noise": noisy,
+        "f_hold": np.kron(noisy, np.ones((per_detector, per_detector))),
+        "g_display": contrast / sensor.display.gain / unit,
+    }
+
+
+def threshold_examples(
+    sensor: Sensor, observer: Observer, fits: Sequence[Fit], *, seed: int
+) -> tuple[Example, ...]:
+    """Draw a simulated frame at threshold for some sizes, as displayed and as the observer sees it.
+
+    Parameters
+    ----------
+    fits : sequence of Fit
+        Fits with levels in SNR, grouped by size_detectors.
+    """
+    known = [fit for fit in fits if fit.threshold is not None]
+    return tuple(_threshold_example(sensor, observer, fit, seed) for fit in evenly(known, MOST_EXAMPLES))
+
+
+class _WholeFrame(NamedTuple):
+    """The contrast of a whole frame, in one band."""
+
+    values: FloatArray
+    row: int = 0
+    column: int = 0
+
+    def bands(self) -> Iterator[_WholeFrame]:
+        yield self
+
+
+def _threshold_example(sensor: Sensor, observer: Observer, fit: Fit, seed: int) -> Example:
+    size, pitch_mrad = float(fit.group["size_detectors"]), sensor.display.pixel_pitch_mrad
+    assert fit.threshold is not None
+    trial = SimulatedTrial((0, 0, 0), size, fit.threshold, Orientation.UP)
+    (frame,) = Simulator(sensor, size, seed=seed).frames([trial])
+    contrast = frame.luminance_cd_m2 / sensor.display.background_luminance_cd_m2 - 1.0
+    stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
+    dx, dy = bounding_box_offset(trial.orientation) if observer.centre == "bounding_box" else (0.0, 0.0)
+    size_px = size * sensor.display.pixels_per_detector
+    retina = resample(
+        contrast,
+        observer.grid(stimulus),
+        x_px=frame.x_px + dx * size_px,
+        y_px=frame.y_px + dy * size_px,
+        pixel_pitch_mrad=pitch_mrad,
+    )
+    width_mrad, drawn = pictures(
+        [ExamplePatch(_WholeFrame(contrast), frame.x_px, frame.y_px)],
+        retina,
+        observer=observer,
+        stimulus=stimulus,
+        pixel_pitch_mrad=pitch_mrad,
+    )
+    return Example(
+        group=fit.group,
+        level=fit.level,
+        strength=trial.level,
+        orientation=trial.orientation.value,
+        width_mrad=width_mrad,
+        pictures=drawn,
+    )
+
+
+BLACK, WHITE = -1.0, 2.0
+"""Signals shown as black and as white in the pictures of stages, in units of a large triangle's signal."""
+
+STAGE_TITLES = {
+    "a_input": "a. scene",
+    "b_optics": "b. behind the optics",
+    "c_detector_response": "c. averaged over a detector",
+    "d_samples": "d. sampled",
+    "e_noise": "e. with noise",
+    "f_hold": "f. held",
+    "g_display": "g. as displayed",
+}
+
+
+def write_stages(folder: Path, sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> None:
+    """Write each stage of a trial as an 8-bit PNG, and all stages with labels as `stages.png`."""
+    from todframes.frames.files import write_frame
+
+    folder.mkdir()
+    found = trial_stages(sensor, trial, seed=seed)
+    for name, image in found.items():
+        grey = np.clip((image - BLACK) / (WHITE - BLACK), 0.0, 1.0)
+        write_frame(folder / f"{name}.png", grey, pixel_type="uint8")
+    label = "SNR" if sensor.level == "snr" else "contrast"
+    what = f"size {trial.size_detectors:g} detectors, {label} {trial.level:g}, apex {trial.orientation}"
+    (folder / "stages.png").write_bytes(_montage(found, f"{label_text(sensor.name)}: {what}"))
+
+
+def _montage(found: Mapping[str, FloatArray], title: str) -> bytes:
+    from matplotlib.figure import Figure
+
+    with style():
+        figure = Figure(figsize=(10.0, 5.6), layout="constrained")
+        for axes, (name, image) in zip(figure.subplots(2, 4).flat, found.items(), strict=False):
+            axes.imshow(image, cmap="gray", vmin=BLACK, vmax=WHITE, interpolation="nearest")
+            axes.set_title(STAGE_TITLES[name], fontsize="medium")
+        for axes in figure.axes:
+            axes.set_axis_off()
+        figure.suptitle(title)
+        return save_png(figure, "Black is −1 and white is 2 times the signal of a large triangle; grey 0.")

@@ -1,0 +1,1 @@
+"""The MRTD of a sensor, from patterns of four bars."""

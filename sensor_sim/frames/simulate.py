@@ -1,0 +1,212 @@
+"""The call `simulate`: a dataset of display frames of a sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+from sensor_sim.chain.sensor import Sensor, sensor_of
+from todframes.base.errors import SettingsError, argument
+from todframes.base.seeds import Rng, seed_of
+from todframes.parameters import (
+    Cluster,
+    Count,
+    DatasetFolder,
+    FrameCount,
+    FrameFormat,
+    Images,
+    Limits,
+    Numbers,
+    Seed,
+    SensorFile,
+    Speed,
+    Turns,
+)
+
+if TYPE_CHECKING:
+    from sensor_sim.frames.dataset import Written
+    from todframes.jobs.work import Engine
+    from todframes.parameters import FrameFormat, PathLike
+
+
+def simulate(
+    sensor: Sensor | SensorFile,
+    *,
+    size_detectors: Numbers = (),
+    size_mrad: Numbers = (),
+    snr: Numbers = (),
+    contrast: Numbers = (),
+    out: DatasetFolder,
+    trials: Count = 40,
+    motion_mrad_per_s: Speed | None = None,
+    warm_up_frames: FrameCount = 0,
+    rng: Seed | Rng = 1,
+    frame_format: FrameFormat = "exr",
+    allow_clipping: bool = False,
+    stages: bool = False,
+    background: Images | PathLike | Sequence[PathLike] | None = None,
+    background_pixels: float = 2.0,
+    background_range: Limits | None = None,
+    turns: Turns = 8,
+    workers: Count = 1,
+    cluster: Cluster | Engine | None = None,
+    restart: bool = False,
+    keep_store: bool = False,
+    tell: Callable[[str], None] | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Written:
+    """Make a dataset of display frames that `todframes score` reads.
+
+    Parameters
+    ----------
+    sensor : Sensor or path
+        File with optics, detector, noise, electronics and display of the sensor.
+
+        A `Sensor` is taken as well.
+    size_detectors : sequence of float
+        Sizes √(area) in detector pitches. Default: five, from the smallest one with a threshold on.
+    size_mrad : sequence of float
+        Sizes as angles at the camera in mrad, in place of `size_detectors`.
+    snr : sequence of float
+        Signals of a large triangle over the standard deviation of the noise of a sample.
+    contrast : sequence of float
+        Contrasts of the triangle against its background in place of `snr`, for a camera that counts photons.
+    out : path
+        Folder to make, new or empty.
+    trials : int
+        Frames of each size and level.
+    motion_mrad_per_s : float, optional
+        Make each trial a clip of single frames, as many as the eye integrates in 100 ms, in which the triangle
+        moves this fast in a random direction. Default: a trial is one frame, their mean.
+    warm_up_frames : int
+        Frames of the clip before each trial, which are not judged; above 0, trials are clips, too.
+    rng : int, SeedSequence or Generator
+        Seed of all random draws.
+    frame_format : {"exr", "png"}
+        Half-float EXR in cd/m², or 16-bit PNG.
+    allow_clipping : bool
+        Let PNG clip more than 1 % of the pixels.
+    stages : bool
+        Also write the stages of a trial with the highest level as pictures.
+    background : path or sequence of path, optional
+        Images of scenes behind the triangles, or folders of them. skimage stands for photographs that scikit-image
+        ships, skimage:camera,brick for two of them. Default: an even background.
+    background_pixels : float
+        Pixels of these images along a detector.
+    background_range : (float, float), optional
+        Values of these images for black and white; values between are proportional to light. Default: the images
+        are sRGB.
+    turns : {8, 4, 1}
+        Turned and mirrored versions in which each scene is shown: 4 are not mirrored, 1 is as it is.
+    workers : int
+        Processes that share the work.
+
+        With more than one, a script calls this below `if __name__ == "__main__":`, because they import the script.
+    cluster : str, optional
+        Work on a Dask cluster: the address of its scheduler, tcp://…, or local:N for N processes of this machine.
+    restart : bool
+        Begin anew, and forget what an interrupted run has finished.
+    keep_store : bool
+        Keep the list of finished frames after the dataset is complete.
+    tell : function of a text, optional
+        Called with a remark if an earlier call has finished some of the frames.
+    progress : function of an int, optional
+        Called with the number of trials that were just done.
+
+    Returns
+    -------
+    Written
+        Number of frames, `n_frames`, `clipped_share` of the pixels, and number of scenes, `n_scenes`.
+
+    Raises
+    ------
+    SettingsError
+        If a setting is invalid, or too many pixels would be clipped.
+    DataError, FrameError
+        If a background cannot be read, or all are too small, even or saturated. If only some are, these are left
+        out.
+    OutputError
+        If the place cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import sensor_sim as ss
+    >>> out = tempfile.mkdtemp()
+    >>> camera = "sample_frames/staring_camera.toml"
+    >>> ss.simulate(camera, size_detectors=[4], snr=[2, 8], trials=4, out=out).n_frames
+    8
+    """
+    seed = seed_of(rng)
+    from sensor_sim.chain.simulation import Filming, plan_trials
+    from sensor_sim.frames.dataset import write_dataset
+    from sensor_sim.thresholds.sizes import sizes_in_detectors
+    from todframes.base.output import Going, new_folder, store_path
+    from todframes.jobs.engine import open_engine
+    from todframes.jobs.store import Store
+
+    sensor = sensor_of(sensor)
+    levels, others = (snr, contrast) if sensor.level == "snr" else (contrast, snr)
+    if len(others) or not len(levels):
+        why = 'has no [noise] with model = "photon"' if sensor.level == "snr" else "counts photons"
+        expected = getattr(argument, sensor.level)
+        raise SettingsError(f"{sensor.level}: the sensor {why}; expected levels as {expected} and no others")
+    sizes = sizes_in_detectors(sensor, size_detectors, size_mrad)
+    filming = None
+    if motion_mrad_per_s is not None or warm_up_frames:
+        filming = Filming(0.0 if motion_mrad_per_s is None else float(motion_mrad_per_s), warm_up_frames).checked()
+    planned = plan_trials(sizes, [float(one) for one in levels], trials, sensor.level)
+    scenery = None
+    if background is not None:
+        from sensor_sim.chain.scenery import Scenery
+        from sensor_sim.chain.simulation import plan_on_scenes
+
+        if stages:
+            raise SettingsError(f"{argument.stages}: found it with {argument.background}, expected one of the two")
+        notes: list[str] = []
+        scenery = Scenery.opened(
+            sensor,
+            background,
+            sizes,
+            pixels_per_detector=background_pixels,
+            value_range=background_range,
+            turns=turns,
+            seed=seed,
+            farthest_detectors=0.0 if filming is None else float(abs(filming.travel_detectors(sensor)).max()),
+            note=notes.append,
+        )
+        planned = plan_on_scenes(planned, scenery)
+        if trials % scenery.balanced:
+            notes.append(
+                f"{trials} trials are no multiple of {scenery.balanced}: the turns of scenes are not balanced"
+            )
+        if tell is not None:
+            for note in notes:
+                tell(f"note: {note}")
+    going = Going(restart=restart, keep=keep_store)
+    with (
+        open_engine(cluster, workers) as engine,
+        new_folder(str(out), going=going) as folder,
+        closing(Store(store_path(folder), str(out), tell)) as store,
+    ):
+        written = write_dataset(
+            folder,
+            sensor,
+            planned,
+            seed=seed,
+            frame_format=frame_format,
+            allow_clipping=allow_clipping,
+            scenery=scenery,
+            filming=filming,
+            engine=engine,
+            store=store,
+            progress=progress,
+        )
+        if stages:
+            from sensor_sim.chain.pictures import write_stages
+
+            # The picture shows the trial with the most visible triangle.
+            clearest = max(planned, key=lambda trial: (trial.level, trial.size_detectors))
+            write_stages(folder / "stages", sensor, clearest, seed=seed)
+    return written

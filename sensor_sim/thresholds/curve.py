@@ -1,0 +1,295 @@
+"""The call `curve`: the TOD curve of a sensor, without drawing frames."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+
+from sensor_sim.chain.sensor import Scene, Sensor, sensor_of, sensor_settings
+from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import distinct_numbers
+from todframes.base.seeds import Rng, seed_of
+from todframes.observers.interface import Observer, described
+from todframes.parameters import (
+    Numbers,
+    ObserverName,
+    PlaceCount,
+    PlanName,
+    Probability,
+    Seed,
+    SensorFile,
+    Tolerance,
+)
+from todframes.psychometrics.fit import FitSettings
+from todframes.results.advice import numerical_errors
+from todframes.results.data import Fit, FitPoint, ResultWarning
+from todframes.results.result import Result
+from todframes.results.wording import listed, plain
+from todframes.scoring.error_budget import Step, plan_object
+
+if TYPE_CHECKING:
+    from sensor_sim.thresholds.predict import AtLight, FoldedChain
+    from todframes.results.thresholds import Thresholds
+
+ARCMIN_PER_MRAD = 180.0 * 60.0 / math.pi / 1000.0
+
+
+def curve(
+    sensor: Sensor | SensorFile,
+    *,
+    size_detectors: Numbers = (),
+    size_mrad: Numbers = (),
+    luminance_cd_m2: Numbers = (),
+    observer: ObserverName | Observer = "pyramid",
+    p_correct: Probability = 0.75,
+    places: PlaceCount = 1,
+    tolerance: Tolerance = 2e-3,
+    plan: PlanName = "needed",
+    rng: Seed | Rng = 1,
+    examples: bool = True,
+    progress: Callable[[float], None] | None = None,
+) -> Result[Thresholds]:
+    """Compute the TOD curve of a sensor, with no frame drawn.
+
+    Thresholds are SNR, and temperature where NETD is given. Those of a camera that counts photons are contrasts.
+
+    Parameters
+    ----------
+    sensor : Sensor or path
+        File with optics, detector, noise, electronics and display of the sensor.
+
+        A `Sensor` is taken as well.
+    size_detectors : sequence of float
+        Sizes √(area) in detector pitches, without repetitions. Default: five, from the smallest one with a
+        threshold on.
+    size_mrad : sequence of float
+        Sizes as angles at the camera in mrad, in place of `size_detectors`.
+    luminance_cd_m2 : sequence of float
+        For a camera that counts photons: luminances of the background in cd/m², without repetitions, with a curve
+        for each. Default: the luminance of its scene.
+    observer : str or Observer
+        Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
+        own, whose code is run. It must be linear.
+
+        An object is taken as well.
+    p_correct : float
+        Raw proportion correct at threshold.
+    places : int
+        Number of places, far apart, at which the triangle may be; with 1 its place is known.
+    tolerance : float
+        Relative error of the thresholds to reach.
+    plan : {"needed", "full"}
+        Leave out what the sensor does not need, or nothing.
+    rng : int, SeedSequence or Generator
+        Seed of the places of the triangle on the detectors.
+    examples : bool
+        Also draw a triangle at threshold, for the page.
+    progress : function of a float, optional
+        Called with the number of sizes that were just done, or with parts of one.
+
+    Returns
+    -------
+    todframes.Result
+        Thresholds in SNR, and in mK where the sensor's NETD is known; those of a camera that counts photons are
+        contrasts.
+
+    Raises
+    ------
+    SettingsError
+        If a setting is invalid, or the observer is not linear.
+
+    Examples
+    --------
+    >>> import sensor_sim as ss
+    >>> result = ss.curve("sample_frames/staring_camera.toml", size_detectors=[4, 6], tolerance=0.02)
+    >>> [round(one.threshold, 1) for one in result.thresholds]
+    [3.2, 1.1]
+    """
+    started, seed = time.perf_counter(), seed_of(rng)
+    from sensor_sim.thresholds.sizes import sizes_in_detectors
+
+    sensor = sensor_of(sensor)
+    if places != 1:
+        from sensor_sim.thresholds.places import check_places
+
+        check_places(sensor, places)
+    background = sensor.display.background_luminance_cd_m2
+    judge, settings = described(observer, lambda: background)
+    FitSettings(p_correct=p_correct)  # checks it
+    luminances = distinct_numbers(argument.luminance_cd_m2, luminance_cd_m2) if len(luminance_cd_m2) else []
+    scenes = _scenes(sensor, luminances)
+    asked: _Asked = {"p_correct": p_correct, "places": places, "seed": seed}
+    sizes = sizes_in_detectors(
+        replace(sensor, scene=scenes[0]) if scenes else sensor, size_detectors, size_mrad, judge, **asked
+    )
+    of_scenes: list[list[Fit]] = [[] for _ in scenes or (None,)]
+    unreached: dict[tuple[str, float | None], list[AtLight]] = {}
+    for size in sizes:
+        started_size = time.perf_counter()
+        done = 0.0
+
+        def advance(share: float) -> None:
+            nonlocal done
+            done += share
+            if progress is not None:
+                progress(share)
+
+        thresholds = _at_size(
+            sensor, scenes, judge, size, tolerance=tolerance, plan=plan, progress=advance, **asked
+        )
+        run_time_s = round((time.perf_counter() - started_size) / len(thresholds), 4)
+        for at_light, fits_of_scene in zip(thresholds, of_scenes, strict=True):
+            scene = at_light.chain.sensor.scene
+            luminance = scene.background_cd_m2 if luminances and scene is not None else None
+            group: dict[str, float | str] = {} if luminance is None else {"luminance_cd_m2": luminance}
+            fits_of_scene.append(_fit(at_light, group | {"size_detectors": size}, p_correct, run_time_s))
+            if at_light.found.highest is not None:
+                unreached.setdefault((at_light.found.reason, luminance), []).append(at_light)
+        advance(1.0 - done)
+    fits = [fit for fits_of_scene in of_scenes for fit in fits_of_scene]
+    more: dict[str, Any] = {}
+    if examples:
+        from sensor_sim.chain.pictures import threshold_examples
+
+        more["examples"] = threshold_examples(sensor, judge, fits, seed=seed)
+    settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance, "plan": plan}
+    settings |= {"places": places} if places > 1 else {}
+    never = (_never_reached(alike, judge, light, **asked) for (_, light), alike in unreached.items())
+    warnings = (*never, *numerical_errors(fits, tolerance))
+    return Result.made("curve", started, settings=settings, seed=seed, fits=tuple(fits), warnings=warnings, **more)
+
+
+class _Asked(TypedDict):
+    """Criterion, number of places and seed of a curve."""
+
+    p_correct: float
+    places: int
+    seed: int
+
+
+def _at_size(
+    sensor: Sensor,
+    scenes: Sequence[Scene],
+    observer: Observer,
+    size: float,
+    *,
+    tolerance: float,
+    plan: PlanName,
+    progress: Callable[[float], None],
+    **asked: Unpack[_Asked],
+) -> list[AtLight]:
+    """Return the thresholds of one size at each light; the only one where the sensor does not count photons."""
+    from sensor_sim.thresholds.curve_plan import plan_curve
+    from sensor_sim.thresholds.predict import LEFT_OUT_GROWS, AtLight, FoldedChain, predict_each, predict_threshold
+
+    def chain_at(scene: Scene | None) -> FoldedChain:
+        at_light = replace(sensor, scene=scene)
+        steps = plan_curve(
+            at_light,
+            observer,
+            size,
+            name=plan,
+            tolerance=tolerance / (1.0 if len(scenes) < 2 else LEFT_OUT_GROWS),
+            p_correct=p_correct,
+        )
+        return FoldedChain(at_light, observer, size, steps)
+
+    p_correct, places = asked["p_correct"], asked["places"]
+    search: dict[str, Any] = {"p_correct": p_correct, "tolerance": tolerance, "seed": asked["seed"]}
+    search["progress"] = progress
+    if scenes:
+        return predict_each(chain_at, scenes, **search)
+    chain = chain_at(None)
+    if places == 1:
+        found = predict_threshold(chain, **search)
+    else:
+        from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
+
+        known, chain = chain, UnknownPlaceChain(sensor, observer, size, places)
+        found = predict_at_unknown_place(chain, known, **search)
+    return [AtLight(found, chain, chain.plan.bound)]
+
+
+def _fit(at_light: AtLight, group: dict[str, float | str], p_correct: float, run_time_s: float) -> Fit:
+    """Return the record of a threshold."""
+    from sensor_sim.chain.detector_noise import delta_t_as_printed_mk, delta_t_mk
+
+    found, chain, bound = at_light
+    sensor, steps = chain.sensor, chain.plan
+    phases = Step("phases", True, f"{found.n_phases} trials, chosen to meet the tolerance")
+    warm = warm_as_printed = None
+    if found.threshold is not None and sensor.level == "snr" and sensor.noise.netd_mk is not None:
+        warm, warm_as_printed = (
+            float(convert(found.threshold, noise=sensor.noise)) for convert in (delta_t_mk, delta_t_as_printed_mk)
+        )
+    return Fit.of_computed(
+        group,
+        sensor.level,
+        p_correct,
+        found,
+        points=tuple(FitPoint(level, 0, p) for level, p in found.points),
+        n_phases=found.n_phases,
+        p_correct_error_bound=chain.non_gaussian_bound(found.threshold),
+        p_correct_left_out_bound=bound,
+        plan=tuple(plan_object((*steps.steps, phases), chain.drawing_s / steps.unit_s)),
+        delta_t_mk=warm,
+        delta_t_as_printed_mk=warm_as_printed,
+        run_time_s=run_time_s,
+    )
+
+
+def _never_reached(
+    alike: Sequence[AtLight], observer: Observer, luminance_cd_m2: float | None, **asked: Unpack[_Asked]
+) -> ResultWarning:
+    """Return the warning about sizes without a threshold for one reason: it, and the smallest size with one."""
+    from sensor_sim.thresholds.predict import HIDDEN, SATURATING
+    from sensor_sim.thresholds.sizes import LADDER_DETECTORS, smallest_size
+
+    chain = alike[0].chain
+    sensor, reason = chain.sensor, alike[0].found.reason
+    highest = tuple(one.found.highest or 0.0 for one in alike)
+    sizes = listed(f"{one.chain.size_detectors:.4g}" for one in alike)
+    largest = listed(f"{100.0 * one.chain.largest_sample:.2g}" for one in alike)
+    smallest = smallest_size(sensor, observer, **asked)
+    if smallest is None:
+        what = f"No size up to {LADDER_DETECTORS[-1]:g} detectors is enough"
+    else:
+        at_camera = plain(smallest * sensor.detector.pitch_mrad)
+        what = f"{smallest:g} detectors ({at_camera} mrad at the camera) are enough"
+        what += "; fewer may be on a display that shows detectors at a smaller angle" * (reason == HIDDEN)
+    strong = (
+        f"at the contrast of {plain(chain.largest_level)}" if reason == SATURATING else "however strong the signal"
+    )
+    arcmin = plain(sensor.display.detector_pitch_mrad * ARCMIN_PER_MRAD, 2)
+    shares = listed(f"{100.0 * p:.0f}" for p in highest)
+    criterion = f"{100.0 * asked['p_correct']:g} % correct is never reached at {sizes} detectors"
+    message = (
+        f"{criterion}: {strong}, about {shares} % of the answers are correct at most. The largest sample has "
+        f"{largest} % of the triangle's contrast, and a detector is {arcmin}′ wide at the eye: {reason}. {what}"
+    )
+    return ResultWarning(
+        code="never_reached",
+        group={} if luminance_cd_m2 is None else {"luminance_cd_m2": luminance_cd_m2},
+        message=message,
+        found=highest,
+        expected=asked["p_correct"],
+    )
+
+
+def _scenes(sensor: Sensor, luminances_cd_m2: Sequence[float]) -> list[Scene]:
+    """Return the lights of a camera that counts photons: its own, or some luminances; none for other sensors.
+
+    Raises
+    ------
+    SettingsError
+        If there are luminances for a sensor that does not count photons.
+    """
+    if sensor.scene is None:
+        if luminances_cd_m2:
+            needed = 'found for a sensor without [noise] model = "photon", expected none'
+            raise SettingsError(f"{argument.luminance_cd_m2}: {needed}")
+        return []
+    return [sensor.scene.at(luminance) for luminance in luminances_cd_m2] or [sensor.scene]

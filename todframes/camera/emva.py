@@ -1,0 +1,935 @@
+"""Noise of a camera as EMVA 1288 defines it: from pairs of bright and dark stacks at several exposures.
+
+The camera is linear: a pixel counts electrons, quantum efficiency times photons and dark current, and a digital
+value (DN) is the system gain K times their number. Photons arrive at random, so the variance of values over time
+rises with the signal at the slope K, which needs no known light: the photon transfer method. The equations are
+those of EMVA Standard 1288, release 4.0 linear. Intervals come from generalised pivotal quantities of the mean
+squares of each stack (Weerahandi 1993; Hannig, Iyer & Patterson 2006), which hold for sums, differences, ratios.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, argument
+from todframes.camera.emva_xml import EmvaCamera
+from todframes.camera.noise3d import (
+    DRIFT_ERRORS,
+    MOST_SATURATED,
+    STATIC,
+    FrameSums,
+    Region,
+    added,
+    checked_region,
+    combinations,
+    estimate,
+    fit_drift,
+)
+from todframes.recordings.recording import Recording, RecordingWarning
+
+QUANTISATION_VARIANCE = 1.0 / 12.0
+"""Variance of rounding, in steps². A step is 1 DN, or more if the values have gaps: 12 bits in files of 16."""
+
+LEAST_DARK_VARIANCE = 0.24
+"""Temporal dark variance in steps² below which rounding decides it. EMVA 1288 release 4.0 linear."""
+
+LEAST_DARK_SD = 0.4
+"""Dark noise in steps that is then stated, as a bound. EMVA 1288 release 4.0 linear."""
+
+LARGEST_ROUNDING = 0.5
+"""Largest error of rounding in steps, and so of the standard deviation of a pattern that no noise smooths."""
+
+FITTED = 0.7
+"""Part of the saturation signal up to which gain and responsivity are fitted. EMVA 1288 release 4.0 linear."""
+
+LINEAR = (0.05, 0.95)
+"""Parts of the saturation signal between which the linearity error is measured. EMVA 1288 release 4.0 linear."""
+
+SATURATED_VARIANCE = 0.8
+"""Temporal variance beyond saturation, relative to the largest: by noise alone, a pair of 64 x 64 pixels falls to
+that once in 10¹⁰; behind a full well or the end of the scale it falls to nearly nothing."""
+
+FEWEST_BENT, LEAST_RANGE = 4, 0.2
+"""Number of stacks, and range of their signals relative to the largest, from which a bend is told from scatter."""
+
+FEWEST_OF_SERIES = 3
+"""Number of stacks with as many frames from which they are the series of photon transfer."""
+
+DRAWS = 4000
+"""Number of draws of the pivotal quantities; the ends of an interval then vary by 2 % of its half-width."""
+
+SEED = 1288
+"""Seed of the draws, so that the same frames always give the same intervals."""
+
+MISFIT_PROBABILITY = 0.01
+"""Probability of a scatter about the line of photon transfer by noise alone, below which K's interval widens."""
+
+LARGEST_GAIN_ERROR = 0.02
+"""Relative standard error of a widened gain, above which there is a warning. The three public reference sets have
+0.007, 0.003 and, for a camera with an offset at faint light, 0.03."""
+
+WARNED_BEND, LARGEST_BEND = 0.05, 0.5
+"""Relative change of the gain by a bent response above which there is a warning, and the largest one that
+intervals take in. The camera of a public reference set has 0.047."""
+
+LARGEST_DRIFT = 0.01
+"""Change of a stack's mean from its first frame to its last, relative to the signal, above which there is a
+warning: the mean of the stack is then up to half of it away from the light that was measured."""
+
+LARGEST_UNEVENNESS = 1.2
+"""PRNU relative to that without a smooth surface, above which there is a warning. Light that falls by 3 % to the
+corners does that to a PRNU of 0.8 %. The public reference sets have 1.5 to 1.8, as it changes by 1.3 to 5 %."""
+
+LINES = {
+    "row_noise_electrons": "tv",
+    "column_noise_electrons": "th",
+    "row_pattern_electrons": "v",
+    "column_pattern_electrons": "h",
+}
+"""Keys of a SENSOR.toml for what rows and columns have in common, and the parts of the noise that they are."""
+
+MIXED_SIGNAL = 0.02
+"""Least step between frames of a stack, relative to the signal, by which two exposures are mixed. Lamps flicker by
+less; exposures that are closer than this bias the noise by less than their distance."""
+
+MIXED_ERRORS = 10.0
+"""The same in standard errors of a frame's mean, and in standard deviations of the frames on either side."""
+
+MIXED_SD = 0.5
+"""The same in standard deviations of a pixel over time, which counts for faint and dark frames."""
+
+
+class Estimate(NamedTuple):
+    """A number with its 95 % interval; None if there is none."""
+
+    value: float
+    ci95: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stack:
+    """Frames of one exposure and light.
+
+    `exposure_ms` and `photons`, the mean number of a pixel, are None if they are not known. With `is_levelled`, a
+    plane is taken from the mean image: light that falls off evenly, as behind a lens, is no nonuniformity.
+    """
+
+    recording: Recording
+    exposure_ms: float | None = None
+    photons: float | None = None
+    is_levelled: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StackNoise:
+    """Means and variances of a stack in DN and DN².
+
+    Attributes
+    ----------
+    name : str
+    n_frames : int
+    exposure_ms, photons : float or None
+    mean : float
+    temporal : float
+        Variance over time of a pixel, without changes of the whole frame: σ²_y of a pair of frames.
+    temporal_stack : float
+        The same with changes of the whole frame: σ²_y.stack.
+    spatial_measured : float
+        Variance of the mean image.
+    spatial, row, column, pixel : float
+        Spatial variance without what temporal noise leaves in the mean, and its parts. They can be below zero.
+    smooth : float
+        Part of the spatial variance that is a surface of second order across the frame.
+    change : float
+        Change of the mean from the first frame to the last; 0 if noise and flicker explain it.
+    saturated, crushed : float
+        Shares of values at the end of the scale, and at black.
+    step : int
+        Greatest common divisor of the differences of values; 0 if they are no whole numbers.
+    """
+
+    name: str
+    n_frames: int
+    exposure_ms: float | None
+    photons: float | None
+    mean: float
+    temporal: float
+    temporal_stack: float
+    spatial_measured: float
+    spatial: float
+    row: float
+    column: float
+    pixel: float
+    smooth: float
+    change: float
+    saturated: float
+    crushed: float
+    step: int
+    squares: Mapping[str, float]
+    degrees: Mapping[str, int]
+    shape: tuple[int, int]
+
+    def lines_dn(self) -> dict[str, float]:
+        """Return standard deviations of what the pixels of a row or column have in common, by SENSOR.toml's keys.
+
+        They are those of the analysis of variance; those whose 95 % interval begins at 0 are left out.
+        """
+        weights = combinations(self.n_frames, *self.shape)
+        found = {key: estimate(weights[part], self.squares, self.degrees) for key, part in LINES.items()}
+        return {key: one.sd for key, one in found.items() if one.ci95[0] > 0.0}
+
+
+class TransferPoint(NamedTuple):
+    """A bright stack and the dark one of its exposure; `is_fitted` if it counts for gain and responsivity."""
+
+    bright: StackNoise
+    dark: StackNoise
+    is_fitted: bool
+
+    @property
+    def signal(self) -> float:
+        """Mean above dark in DN."""
+        return self.bright.mean - self.dark.mean
+
+    @property
+    def variance(self) -> float:
+        """Temporal variance above dark in DN²."""
+        return self.bright.temporal - self.dark.temporal
+
+    @property
+    def snr(self) -> float:
+        """Signal relative to the temporal noise of a pixel."""
+        return self.signal / math.sqrt(self.bright.temporal) if self.bright.temporal > 0 else math.inf
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EmvaNoise:
+    """Noise of a camera as EMVA 1288 defines it.
+
+    Attributes
+    ----------
+    system_gain, inverse_gain : Estimate
+        K in DN per electron, and 1 / K.
+    responsivity, quantum_efficiency : Estimate or None
+        DN per photon, and electrons per photon; None without photons.
+    dark_noise_dn, dark_noise : Estimate
+        Temporal noise of a dark frame in DN, rounding included, and in electrons without it.
+    dark_current, dark_current_from_variance : Estimate or None
+        Electrons per second, from means and from variances; None with fewer than three dark exposures.
+    dsnu, prnu : Estimate
+        Dark signal nonuniformity in electrons, photo response nonuniformity in percent.
+    saturation_electrons, saturation_photons : Estimate or None
+        Capacity; without a maximum of the variance that of the end of the scale, None if that is not known.
+    sensitivity_threshold : Estimate or None
+        Number of photons at which the signal equals the noise.
+    snr_max, dynamic_range : float or None
+    linearity_percent : (float, float) or None
+        Smallest and largest deviation from the straight line.
+    is_saturation_reached : bool
+        The variance has a maximum within the stacks.
+    points : tuple of TransferPoint
+        By increasing signal.
+    bright, dark : StackNoise
+        Stacks of the spatial measurement.
+    rounding_variance : float
+        Variance of rounding in DN².
+    bits : int or None
+    exposure_ms : float or None
+        That of the spatial measurement.
+    warnings : tuple of RecordingWarning
+    background_electrons : Estimate or None
+        Electrons of the background of a filmed chart in a pixel; None without one.
+    background_cd_m2 : float or None
+        Its luminance, if the chart states it.
+    """
+
+    system_gain: Estimate
+    inverse_gain: Estimate
+    responsivity: Estimate | None
+    quantum_efficiency: Estimate | None
+    dark_noise_dn: Estimate
+    dark_noise: Estimate
+    dark_current: Estimate | None
+    dark_current_from_variance: Estimate | None
+    dsnu: Estimate
+    prnu: Estimate
+    saturation_electrons: Estimate | None
+    saturation_photons: Estimate | None
+    sensitivity_threshold: Estimate | None
+    snr_max: float | None
+    dynamic_range: float | None
+    linearity_percent: tuple[float, float] | None
+    is_saturation_reached: bool
+    points: tuple[TransferPoint, ...]
+    bright: StackNoise
+    dark: StackNoise
+    rounding_variance: float
+    bits: int | None
+    exposure_ms: float | None
+    warnings: tuple[RecordingWarning, ...]
+    background_electrons: Estimate | None = None
+    background_cd_m2: float | None = None
+
+    def with_background(self, name: str, luminance_cd_m2: float | None) -> EmvaNoise:
+        """Return the measurement with the electrons of a background, which a bright stack of this name shows."""
+        signal = next(one.signal for one in self.points if one.bright.name == name)
+        low, high = self.inverse_gain.ci95 or (math.nan, math.nan)
+        electrons = Estimate(signal * self.inverse_gain.value, (signal * low, signal * high))
+        return replace(self, background_electrons=electrons, background_cd_m2=luminance_cd_m2)
+
+    def camera(self) -> EmvaCamera:
+        """Return the figures that a model of the camera needs."""
+
+        def value(one: Estimate | None) -> float | None:
+            return None if one is None else one.value
+
+        current, gain = value(self.dark_current), self.system_gain.value
+        lines = {key: sd / gain for key, sd in self.dark.lines_dn().items()}
+        of_noise, of_pattern = (
+            math.hypot(*(one for key, one in lines.items() if kind in key)) for kind in ("noise", "pattern")
+        )
+        return EmvaCamera(
+            system_gain_dn_per_electron=gain,
+            dark_noise_electrons=math.sqrt(max(self.dark_noise.value**2 - of_noise**2, 0.0)),
+            quantum_efficiency=value(self.quantum_efficiency),
+            dark_current_electrons_per_s=None if current is None else max(current, 0.0),
+            dsnu_electrons=math.sqrt(max(self.dsnu.value**2 - of_pattern**2, 0.0)),
+            prnu_percent=self.prnu.value,
+            **lines,
+            full_well_electrons=value(self.saturation_electrons),
+            bits=self.bits,
+            exposure_ms=self.exposure_ms,
+        )
+
+    def xml_values(self) -> dict[str, float | int | None]:
+        """Return the results by the names of EMVA's XML, in its units."""
+
+        def value(one: Estimate | None, factor: float = 1.0) -> float | None:
+            return None if one is None else factor * one.value
+
+        snr_max, dynamic_range = self.snr_max, self.dynamic_range
+        least, most = self.linearity_percent or (None, None)
+        return {
+            "bits": self.bits,
+            "exposure": self.exposure_ms,
+            "QE": value(self.quantum_efficiency, 100.0),
+            "R": value(self.responsivity),
+            "K": self.system_gain.value,
+            "inverse_K": self.inverse_gain.value,
+            "sigma_y_dark": self.dark_noise_dn.value,
+            "sigma_d": self.dark_noise.value,
+            "u_p_min": value(self.sensitivity_threshold),
+            "u_p_sat": value(self.saturation_photons),
+            "u_e_sat": value(self.saturation_electrons),
+            "SNR_max": snr_max,
+            "SNR_max_dB": None if snr_max is None else 20.0 * math.log10(snr_max),
+            "SNR_max_bit": None if snr_max is None else math.log2(snr_max),
+            "DR": dynamic_range,
+            "DR_dB": None if dynamic_range is None else 20.0 * math.log10(dynamic_range),
+            "DR_bit": None if dynamic_range is None else math.log2(dynamic_range),
+            "LE_min": least,
+            "LE_max": most,
+            "sigma_2_y_stack": self.bright.temporal_stack,
+            "sigma_2_y_stack_dark": self.dark.temporal_stack,
+            "s_2_y_measured": self.bright.spatial_measured,
+            "s_2_y_measured_dark": self.dark.spatial_measured,
+            "s_2_y": self.bright.spatial,
+            "s_2_y_dark": self.dark.spatial,
+            "DSNU1288": self.dsnu.value,
+            "DSNU1288_DN": self.dsnu.value * self.system_gain.value,
+            "PRNU1288": self.prnu.value,
+            "u_I_mean": value(self.dark_current),
+            "u_I_var": value(self.dark_current_from_variance),
+        }
+
+
+def measure_emva(
+    bright: Sequence[Stack],
+    dark: Sequence[Stack],
+    *,
+    bits: int | None = None,
+    region: Region | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> EmvaNoise:
+    """Measure the noise of a camera from stacks of bright and dark frames.
+
+    Each bright stack is compared with the dark one of its exposure, or with the only dark one. The stacks of the
+    spatial measurement are those with the most frames, bright near half of saturation.
+
+    Parameters
+    ----------
+    bright, dark : sequence of Stack
+        At least one of each, with two frames or more.
+    bits : int, optional
+        Bits of a pixel. Default: from the recordings.
+    region : (int, int, int, int), optional
+        Left column, top row, width and height in pixels. Default: all.
+    progress : function of an int, optional
+        Called with 1 for each frame.
+
+    Raises
+    ------
+    SettingsError
+        If the region is not within the frame.
+    DataError
+        If a stack has one frame, colours, another size or frames of two exposures; if no bright stack has a dark
+        one; or if all bright stacks are saturated, or none is brighter than dark.
+    """
+    for what, stacks in (("bright", bright), ("dark", dark)):
+        if not stacks:
+            raise DataError(f"noise: found no {what} stack, expected one or more")
+    full_scale = _full_scale(bright, bits)
+    of_dark = [_measured(one, region, full_scale, None, progress) for one in dark]
+    darkest = min(one.mean for one in of_dark)
+    of_bright = [_measured(one, region, full_scale, darkest, progress) for one in bright]
+    shapes = {one.shape for one in (*of_dark, *of_bright)}
+    if len(shapes) > 1:
+        found = " and ".join(f"{columns} x {rows}" for rows, columns in sorted(shapes))
+        raise DataError(f"noise: found stacks of {found} pixels, expected one size")
+    pairs = sorted(((one, _dark_of(one, of_dark)) for one in of_bright), key=lambda pair: pair[0].mean)
+    points = [TransferPoint(one, other, False) for one, other in pairs]
+    faintest = points[0].bright
+    if faintest.saturated > MOST_SATURATED:
+        raise DataError(
+            f"{faintest.name}: {100 * faintest.saturated:.3g} % of its values are at the end of the scale"
+            + ", and all other stacks are brighter" * (len(points) > 1)
+            + "; expected a stack below saturation"
+        )
+    if points[-1].signal <= 0.0 or all(one.variance <= 0.0 for one in points):
+        raise DataError(
+            f"{points[-1].bright.name}: its mean is {points[-1].bright.mean:.4g} and that of dark frames "
+            f"{points[-1].dark.mean:.4g}, with no more noise; expected brighter frames; are they exchanged?"
+        )
+    series = _series(points)
+    saturated = _saturation(series)
+    if saturated is not None:
+        most = series[saturated].signal
+    else:
+        most = math.inf if full_scale is None else full_scale - points[0].dark.mean
+    good = [one for one in points if one.signal > 0.0 and one.bright.saturated <= MOST_SATURATED]
+    good = [one for one in good if one.signal <= FITTED * most] or good
+    fitted = [one for one in good if one in series] or good
+    points = [one._replace(is_fitted=one in fitted) for one in points]
+    return _evaluated(
+        points, _series(points), of_dark, _spatial_point(good, most),
+        bits=bits, most=most, saturated=saturated, recordings=[*bright, *dark],
+    )  # fmt: skip
+
+
+def _full_scale(bright: Sequence[Stack], bits: int | None) -> float | None:
+    return float(2**bits - 1) if bits is not None else bright[0].recording.full_scale
+
+
+def _measured(
+    stack: Stack,
+    region: Region | None,
+    full_scale: float | None,
+    darkest: float | None,
+    progress: Callable[[int], None] | None,
+) -> StackNoise:
+    """Return means and variances of a stack. `darkest` is the mean of dark frames, None for a dark stack."""
+    recording = stack.recording
+    left, top, width, height = checked_region(recording, region)
+    sums: FrameSums | None = None
+    n_saturated = n_crushed = step = 0
+    for frame in recording.frames():
+        values = frame.values
+        if values.ndim != 2:
+            raise DataError(f"{recording.path}: has colours, expected the raw values of one channel")
+        values = values[top : top + height, left : left + width]
+        if full_scale is not None:
+            n_saturated += int(np.count_nonzero(values >= full_scale))
+            n_crushed += int(np.count_nonzero(values <= recording.zero))
+        grey = values.astype(np.float64)
+        if step != 1 and (grey == np.rint(grey)).all():
+            step = int(np.gcd.reduce((grey - grey[0, 0]).astype(np.int64), axis=None, initial=step))
+        sums = sums or FrameSums(grey)
+        sums.add(grey)
+        if progress is not None:
+            progress(1)
+    if sums is None or sums.n < 2:
+        n = 0 if sums is None else sums.n
+        raise DataError(
+            f"{recording.path}: found {n} frame{'' if n == 1 else 's'} of this exposure, expected 2 or more: one "
+            "cannot separate temporal noise from fixed pattern"
+        )
+    if stack.is_levelled:
+        sums.level()
+    squares, degrees = sums.mean_squares()
+    t, v, h = sums.n, height, width
+    of = {name: squares[name] * degrees[name] for name in squares}
+    temporal = (of["tv"] + of["th"] + of["tvh"]) / ((t - 1) * v * h)
+    stack_variance = temporal + of["t"] / ((t - 1) * v * h)
+    means = np.array(sums.frame_means) + float(sums.reference.mean())
+    _check_exposure(stack, means, temporal, v * h, darkest)
+    # EMVA 1288 release 4.0 linear: variances of the mean image, of its rows and of its columns, each with
+    # its share of the other parts and of the temporal noise, are solved for the three parts.
+    # Changes of the whole frame leave nothing in the pattern: their variance, in that of the stack, is left out.
+    measured, left_over = (of["v"] + of["h"] + of["vh"]) / (t * v * h), temporal / t
+    of_rows, of_columns = of["v"] / (t * h * v), of["h"] / (t * v * h)
+    row, column, pixel = np.linalg.solve(
+        [[1.0, 0.0, 1.0 / h], [0.0, 1.0, 1.0 / v], [1.0, 1.0, 1.0]],
+        [of_rows - left_over / h, of_columns - left_over / v, measured - left_over],
+    ).tolist()
+    return StackNoise(
+        name=str(recording.path),
+        n_frames=t,
+        exposure_ms=stack.exposure_ms,
+        photons=stack.photons,
+        mean=float(means.mean()),
+        temporal=temporal,
+        temporal_stack=stack_variance,
+        spatial_measured=measured,
+        spatial=measured - left_over,
+        row=row,
+        column=column,
+        pixel=pixel,
+        smooth=_smooth_variance(sums.mean_image()),
+        change=_change(means, math.sqrt(temporal / (v * h))),
+        saturated=n_saturated / (t * v * h),
+        crushed=n_crushed / (t * v * h),
+        step=step,
+        squares=squares,
+        degrees=degrees,
+        shape=(v, h),
+    )
+
+
+def _smooth_variance(image: FloatArray) -> float:
+    """Return the variance of the surface of second order that is fitted to an image by least squares."""
+    y, x = np.meshgrid(*(np.linspace(-1.0, 1.0, n) for n in image.shape), indexing="ij")
+    terms = np.stack([x, y, x * x, x * y, y * y]).reshape(5, -1)
+    terms -= terms.mean(axis=1, keepdims=True)
+    product = terms @ (image - image.mean()).ravel()
+    return float(product @ np.linalg.lstsq(terms @ terms.T, product)[0]) / image.size
+
+
+def _change(means: FloatArray, error: float) -> float:
+    """Return the change of the means of frames from the first to the last; 0 if noise or flicker explain it.
+
+    `error` is the standard error of a mean by the noise of pixels. Two frames do not tell flicker from drift.
+    """
+    drift = fit_drift(means, [])
+    change, scatter = (means[-1] - means[0], 0.0) if drift is None else (drift.change, drift.change_error)
+    return float(change) if abs(change) > max(DRIFT_ERRORS * scatter, MIXED_ERRORS * error) else 0.0
+
+
+def _check_exposure(
+    stack: Stack, means: FloatArray, temporal: float, n_pixels: int, darkest: float | None
+) -> None:
+    """Refuse a stack whose frames have two exposures: sorted by their means, they fall into two groups."""
+    order = np.sort(means)
+    steps = np.diff(order)
+    place = int(steps.argmax())
+    within = max(float(np.std(one)) for one in (order[: place + 1], order[place + 1 :]))
+    signal = 0.0 if darkest is None else abs(float(np.median(means)) - darkest)
+    sd = math.sqrt(temporal)
+    least = (MIXED_SIGNAL * signal, MIXED_SD * sd, MIXED_ERRORS * sd / math.sqrt(n_pixels), MIXED_ERRORS * within)
+    if steps[place] > max(least):
+        low, high = float(order[: place + 1].mean()), float(order[place + 1 :].mean())
+        raise DataError(
+            f"{stack.recording.path}: frames have means about {low:.5g} ({place + 1} of them) and {high:.5g} "
+            f"({len(order) - place - 1}), expected one exposure in a stack; give each one as a stack of its own"
+        )
+
+
+def _dark_of(bright: StackNoise, dark: Sequence[StackNoise]) -> StackNoise:
+    """Return the dark stack of a bright one's exposure; of several, the one with the nearest number of frames."""
+    alike = [one for one in dark if one.exposure_ms == bright.exposure_ms]
+    if not alike and len({one.exposure_ms for one in dark}) == 1:
+        alike = list(dark)
+    if not alike:
+        at, *known = (
+            "unknown" if one.exposure_ms is None else f"{one.exposure_ms:g} ms" for one in (bright, *dark[:6])
+        )
+        raise DataError(
+            f"{bright.name}: found no dark frames for its exposure ({at}), expected {', '.join(known)}"
+        )
+    return min(alike, key=lambda one: abs(one.n_frames - bright.n_frames))
+
+
+def _series(points: Sequence[TransferPoint]) -> list[TransferPoint]:
+    """Return the points of photon transfer, those whose bright stacks are a series."""
+    bright = _with_common_frames([one.bright for one in points])
+    return [one for one in points if one.bright in bright]
+
+
+def _with_common_frames(stacks: Sequence[StackNoise]) -> list[StackNoise]:
+    """Return the stacks with the most common number of frames, if there are three; otherwise all.
+
+    The others are stacks of many frames for the spatial measurement, which the standard takes on its own.
+    """
+    ((n_frames, count),) = Counter(one.n_frames for one in stacks).most_common(1)
+    return [one for one in stacks if one.n_frames == n_frames or count < FEWEST_OF_SERIES]
+
+
+def _saturation(points: Sequence[TransferPoint]) -> int | None:
+    """Return the place of the largest temporal variance, the saturation point; None if nothing is saturated.
+
+    Behind it the variance falls, or values are at the end of the scale.
+    """
+    variances = [one.bright.temporal for one in points]
+    most = max(variances)
+    place = variances.index(most)
+    beyond = points[place + 1 :]
+    is_reached = any(
+        one.bright.temporal < SATURATED_VARIANCE * most or one.bright.saturated > MOST_SATURATED for one in beyond
+    )
+    return place if is_reached else None
+
+
+class _Draws(NamedTuple):
+    """Draws of the pivotal quantities of a stack: its temporal and spatial variance, and its mean."""
+
+    temporal: FloatArray
+    spatial: FloatArray
+    mean: FloatArray
+
+
+def _drawn(stack: StackNoise, rng: np.random.Generator) -> _Draws:
+    """Draw the expected mean squares that a stack may have, sums of squares over χ², and what follows."""
+    t, (v, h) = stack.n_frames, stack.shape
+    expected = {
+        name: square * stack.degrees[name] / rng.chisquare(stack.degrees[name], DRAWS)
+        for name, square in stack.squares.items()
+    }
+    temporal = expected["tv"] / h + expected["th"] / v + expected["tvh"] * (1.0 - 1.0 / h - 1.0 / v)
+    weights = combinations(t, v, h)
+    static = added([weights[name] for name in STATIC])
+    spatial = sum((weight * expected[name] for name, weight in static.items()), np.zeros(DRAWS))
+    # Without changes of the whole frame the mean square of frames would be that of rows and columns of a frame.
+    squares = stack.squares
+    of_mean = max(squares["t"], squares["tv"] + squares["th"] - squares["tvh"], squares["tvh"])
+    return _Draws(temporal, spatial, stack.mean + math.sqrt(of_mean / (t * v * h)) * rng.standard_normal(DRAWS))
+
+
+class _Gain(NamedTuple):
+    """The system gain, draws of it, and the factor from the line's gain to that of a faint signal."""
+
+    value: float
+    draws: FloatArray
+    to_faint: float
+
+    def electrons(self, value: float, draws: FloatArray, power: int = 1) -> Estimate:
+        """Return a quantity in DN, or in DN² with a power of 2, in electrons."""
+        return _estimate(value / self.value**power, draws / self.draws**power, self.to_faint**-power)
+
+
+class _Response(NamedTuple):
+    """Responsivity and quantum efficiency, and draws of the latter."""
+
+    responsivity: Estimate
+    efficiency: Estimate
+    efficiencies: FloatArray
+
+
+def _evaluated(
+    points: list[TransferPoint],
+    series: list[TransferPoint],
+    of_dark: list[StackNoise],
+    spatial: TransferPoint,
+    *,
+    bits: int | None,
+    most: float,
+    saturated: int | None,
+    recordings: Sequence[Stack],
+) -> EmvaNoise:
+    """Return the figures of EMVA 1288 from points of photon transfer and dark stacks."""
+    rng = np.random.default_rng(SEED)
+    drawn = {id(one): _drawn(one, rng) for one in (*of_dark, *(point.bright for point in points))}
+    fitted = [one for one in points if one.is_fitted]
+    gain, misfit, bend = _gain(fitted, drawn)
+    response = _response(fitted, drawn, gain, rng)
+
+    step = math.gcd(*(one.step for one in (*of_dark, *(point.bright for point in points))))
+    darkest = min(of_dark, key=lambda one: (one.exposure_ms or 0.0, -one.n_frames))
+    of_darkest = drawn[id(darkest)].temporal
+    dark_sd, rounding = math.sqrt(darkest.temporal), QUANTISATION_VARIANCE * step**2
+    dark_noise = gain.electrons(
+        math.sqrt(max(darkest.temporal - rounding, 0.0)), np.sqrt(np.maximum(of_darkest - rounding, 0.0))
+    )
+    of_bright, of_spatial_dark = drawn[id(spatial.bright)], drawn[id(spatial.dark)]
+    dsnu = gain.electrons(
+        math.sqrt(max(spatial.dark.spatial, 0.0)), np.sqrt(np.maximum(of_spatial_dark.spatial, 0.0))
+    )
+    currents = [_dark_current(of_dark, gain, rng, name, n) for name, n in (("mean", 1), ("temporal", 2))]
+    if darkest.temporal < LEAST_DARK_VARIANCE * step**2:
+        largest = LEAST_DARK_SD * step / gain.value
+        dark_noise, currents = Estimate(largest, (0.0, largest)), [None, None]
+    if spatial.dark.temporal < LEAST_DARK_VARIANCE * step**2:
+        reach = LARGEST_ROUNDING * step / gain.value
+        dsnu = Estimate(dsnu.value, (max(dsnu.value - reach, 0.0), dsnu.value + reach))
+    nonuniformities = np.sqrt(np.maximum(of_bright.spatial - of_spatial_dark.spatial, 0.0)) / (
+        of_bright.mean - of_spatial_dark.mean
+    )
+    slope = 1.0 + bend * spatial.signal / 3.0
+
+    electrons, capacity = _capacity(series, saturated, most, gain, response)
+    threshold = None
+    if response is not None:
+        threshold = _estimate(
+            (dark_sd / gain.value + 0.5) / response.efficiency.value,
+            (np.sqrt(of_darkest) / gain.draws + 0.5) / response.efficiencies,
+        )
+    warnings = (
+        *_about_gain(fitted, misfit, gain),
+        *_about_dark(of_dark, darkest, step),
+        *_about_light(points, spatial),
+        *_about_saturation(saturated, most, bits),
+    )
+    of_recordings = dict.fromkeys(one for stack in recordings for one in stack.recording.warnings)
+    return EmvaNoise(
+        system_gain=_estimate(gain.value, gain.draws, gain.to_faint),
+        inverse_gain=gain.electrons(1.0, np.ones(DRAWS)),
+        responsivity=None if response is None else response.responsivity,
+        quantum_efficiency=None if response is None else response.efficiency,
+        dark_noise_dn=_estimate(dark_sd, np.sqrt(of_darkest)),
+        dark_noise=dark_noise,
+        dark_current=currents[0],
+        dark_current_from_variance=currents[1],
+        dsnu=dsnu,
+        prnu=_estimate(100.0 * _prnu(spatial), 100.0 * nonuniformities, 1.0 / slope),
+        saturation_electrons=electrons,
+        saturation_photons=capacity,
+        sensitivity_threshold=threshold,
+        snr_max=None if electrons is None else math.sqrt(electrons.value),
+        dynamic_range=None if electrons is None else electrons.value / (dark_sd / gain.value + 0.5),
+        linearity_percent=_linearity(series, most),
+        is_saturation_reached=saturated is not None,
+        points=tuple(points),
+        bright=spatial.bright,
+        dark=spatial.dark,
+        rounding_variance=rounding,
+        bits=bits,
+        exposure_ms=spatial.bright.exposure_ms,
+        warnings=(*of_recordings, *(RecordingWarning(*warning) for warning in warnings)),
+    )
+
+
+def _gain(fitted: Sequence[TransferPoint], drawn: Mapping[int, _Draws]) -> tuple[_Gain, float, float]:
+    """Return K, the slope of variance against signal, both above dark; its misfit and the bend of the response."""
+    signal, variance = (np.array([getattr(one, name) for one in fitted]) for name in ("signal", "variance"))
+    signals = np.array([drawn[id(one.bright)].mean - drawn[id(one.dark)].mean for one in fitted])
+    variances = np.array([drawn[id(one.bright)].temporal - drawn[id(one.dark)].temporal for one in fitted])
+    gain = float(signal @ variance / (signal @ signal))
+    gains = (signals * variances).sum(axis=0) / (signals**2).sum(axis=0)
+    if gain <= 0.0:
+        raise DataError(
+            f"{fitted[-1].bright.name}: its temporal variance is not above that of dark frames, so there is no "
+            "photon transfer; expected raw values of a camera that is not saturated"
+        )
+    errors = variances.std(axis=1)
+    misfit, bend = _misfit(signal, variance, errors), _bend(fitted, errors)
+    bent = 1.0 + bend * float((signal**3).sum() / (signal**2).sum())
+    return _Gain(gain, gain + misfit * (gains - gain), 1.0 / bent), misfit, bend
+
+
+def _response(
+    fitted: Sequence[TransferPoint], drawn: Mapping[int, _Draws], gain: _Gain, rng: np.random.Generator
+) -> _Response | None:
+    """Return the slope of the signal against photons; None without photons."""
+    if not all(one.bright.photons for one in fitted):
+        return None
+    photons, signal = np.array([(one.bright.photons, one.signal) for one in fitted], np.float64).T
+    slope = float(photons @ signal / (photons @ photons))
+    if len(fitted) > 1:
+        rest = signal - slope * photons
+        error = math.sqrt(float(rest @ rest) / (len(fitted) - 1) / float(photons @ photons))
+        slopes = slope + error * rng.standard_t(len(fitted) - 1, DRAWS)
+    else:
+        slopes = (drawn[id(fitted[0].bright)].mean - drawn[id(fitted[0].dark)].mean) / photons[0]
+    return _Response(_estimate(slope, slopes), gain.electrons(slope, slopes), slopes / gain.draws)
+
+
+def _estimate(value: float, draws: FloatArray, factor: float = 1.0) -> Estimate:
+    """Return a value with its 95 % interval, which reaches as far as that of the value times a factor."""
+    low, high = np.quantile(draws, (0.025, 0.975)).tolist()
+    return Estimate(value, (low * min(factor, 1.0), high * max(factor, 1.0)))
+
+
+def _prnu(point: TransferPoint, *, of_smooth: bool = True) -> float:
+    """Return the photo response nonuniformity relative to the signal, with or without smooth surfaces."""
+    bright, dark = (one.spatial - (0.0 if of_smooth else one.smooth) for one in (point.bright, point.dark))
+    return math.sqrt(max(bright - dark, 0.0)) / point.signal
+
+
+def _bend(fitted: Sequence[TransferPoint], errors: FloatArray) -> float:
+    """Return the bend of the camera's response: b in variance = K signal (1 + b signal); 0 if noise explains it.
+
+    `errors` are those of the variances. For a response of g(x) = x (1 + a x) that is nearly straight, signal over
+    photons is in proportion to 1 + a signal; variance over signal, K g'² x / g, to 1 + 3 a signal; and a pattern
+    over the signal, g' x / g, is 1 + a signal. With photons a comes from the means, without from the variances.
+    """
+    from scipy.special import stdtrit
+
+    n = len(fitted)
+    signal = np.array([one.signal for one in fitted])
+    if n < FEWEST_BENT or np.ptp(signal) < LEAST_RANGE * signal.max():
+        return 0.0
+    photons = [one.bright.photons for one in fitted]
+    has_photons = all(photons)
+    ratio = signal / photons if has_photons else np.array([one.variance for one in fitted]) / signal
+    weights = (signal / (1.0 if has_photons else errors)) ** 2
+    x = signal - weights @ signal / weights.sum()
+    slope = float(weights @ (x * ratio) / (weights @ x**2))
+    line = weights @ ratio / weights.sum() + slope * x
+    at_zero = float(line[0] - slope * signal[0])
+    scatter = math.sqrt(float(weights @ (ratio - line) ** 2) / (n - 2)) if has_photons else 1.0
+    limit = float(stdtrit(n - 2 if has_photons else math.inf, 1.0 - MISFIT_PROBABILITY / 2.0))
+    if at_zero <= 0.0 or abs(slope) <= limit * scatter / math.sqrt(float(weights @ x**2)):
+        return 0.0
+    largest = LARGEST_BEND / float(signal.max())
+    return float(np.clip((3.0 if has_photons else 1.0) * slope / at_zero, -largest, largest))
+
+
+def _misfit(signal: FloatArray, variance: FloatArray, errors: FloatArray) -> float:
+    """Return the factor by which variances scatter more about their best line than errors explain; at least 1."""
+    from scipy.special import gammaincc
+
+    n = len(signal)
+    if n < 3:
+        return 1.0
+    x, y = signal / errors, variance / errors
+    chi2 = float(((y - x * (x @ y) / (x @ x)) ** 2).sum())
+    is_likely = float(gammaincc((n - 1) / 2.0, chi2 / 2.0)) > MISFIT_PROBABILITY
+    return 1.0 if is_likely else math.sqrt(chi2 / (n - 1))
+
+
+def _about_gain(fitted: Sequence[TransferPoint], misfit: float, gain: _Gain) -> Iterator[RecordingWarning]:
+    """Yield warnings about the line of photon transfer."""
+    error, bent = float(np.std(gain.draws)) / gain.value, abs(gain.to_faint - 1.0)
+    if misfit > 1.0 and error > LARGEST_GAIN_ERROR:
+        yield RecordingWarning(
+            "not_linear",
+            f"variances scatter {misfit:.2g} times as much about the line of photon transfer as noise alone: the "
+            "camera is not linear, or its values are processed; the intervals are widened by as much",
+        )
+    elif bent > WARNED_BEND:
+        yield RecordingWarning(
+            "not_linear",
+            f"the response is bent, and the gain {100.0 * bent:.2g} % away from that of faint light: the camera "
+            "is not linear, or the stated photons are wrong; the intervals are widened by as much",
+        )
+    if len(fitted) == 1:
+        yield RecordingWarning(
+            "one_exposure",
+            "the gain is from one bright stack: its interval has the noise, but not what a camera that is not "
+            "quite linear changes; record several exposures up to saturation",
+        )
+
+
+def _about_dark(of_dark: Sequence[StackNoise], darkest: StackNoise, step: int) -> Iterator[RecordingWarning]:
+    """Yield warnings about dark stacks that are cut or rounded."""
+    crushed = max(of_dark, key=lambda one: one.crushed)
+    if crushed.crushed > MOST_SATURATED:
+        yield RecordingWarning(
+            "saturated",
+            f"{100.0 * crushed.crushed:.2g} % of the values of {crushed.name} are black, the end of the scale: "
+            "dark noise, DSNU and dark current come out too small; raise the black level (offset) of the camera",
+        )
+    if darkest.temporal < LEAST_DARK_VARIANCE * step**2:
+        yield RecordingWarning(
+            "quantised",
+            f"the temporal variance of dark frames ({darkest.temporal:.2g} DN²) is below "
+            f"{LEAST_DARK_VARIANCE * step**2:g}: rounding decides it; the dark noise is an upper bound, the DSNU "
+            f"uncertain by half a step ({step} DN) and the dark current not known; record with more gain or bits",
+        )
+
+
+def _about_light(points: Sequence[TransferPoint], spatial: TransferPoint) -> Iterator[RecordingWarning]:
+    """Yield warnings about light that changes within a stack or across the frame."""
+    least = points[-1].signal / 2.0  # fainter stacks count little
+    share, name = max((abs(one.change) / max(at.signal, least), one.name) for at in points for one in at[:2])
+    if share > LARGEST_DRIFT:
+        yield RecordingWarning(
+            "drift",
+            f"the mean of {name} changes by {100.0 * share:.2g} % of the signal from its first frame to its last: "
+            "quantum efficiency, responsivity and linearity are uncertain by half of it; warm lamp and camera up",
+        )
+    whole, even = _prnu(spatial), _prnu(spatial, of_smooth=False)
+    if whole > LARGEST_UNEVENNESS * even:
+        yield RecordingWarning(
+            "uneven_light",
+            f"brightness changes smoothly across the frame: the PRNU of {100.0 * whole:.3g} % contains it, and is "
+            f"{100.0 * even:.3g} % without a surface of second order; light the sensor evenly, or choose a region",
+        )
+
+
+def _about_saturation(saturated: int | None, most: float, bits: int | None) -> Iterator[RecordingWarning]:
+    """Yield a warning if no stack is saturated."""
+    if saturated is None:
+        where = f"that of the end of the scale ({most:.5g} DN above dark)" if math.isfinite(most) else "not known"
+        hint = "" if bits is not None else f", or give {argument.bits} if the camera has fewer bits than its files"
+        yield RecordingWarning(
+            "saturation_not_reached",
+            f"the variance still rises at the brightest stack: saturation is {where}; add brighter stacks{hint}",
+        )
+
+
+def _spatial_point(points: Sequence[TransferPoint], most: float) -> TransferPoint:
+    """Return the point of the spatial measurement: most frames, and nearest to half of saturation."""
+    n_frames = max(one.bright.n_frames for one in points)
+    middle = most / 2.0 if math.isfinite(most) else points[-1].signal
+    return min(
+        (one for one in points if one.bright.n_frames == n_frames), key=lambda one: abs(one.signal - middle)
+    )
+
+
+def _capacity(
+    points: Sequence[TransferPoint], saturated: int | None, most: float, gain: _Gain, response: _Response | None
+) -> tuple[Estimate | None, Estimate | None]:
+    """Return the saturation capacity in electrons and in photons.
+
+    With photons it is their number at the saturation point, times the quantum efficiency; otherwise the signal
+    there by the gain.
+    """
+    photons = None if saturated is None else points[saturated].bright.photons
+    if photons is not None and response is not None:
+        return _estimate(photons * response.efficiency.value, photons * response.efficiencies), Estimate(photons)
+    if not math.isfinite(most):
+        return None, None
+    electrons = gain.electrons(most, np.full(DRAWS, most))
+    if response is None:
+        return electrons, None
+    slope = response.responsivity.value
+    return electrons, _estimate(most / slope, most / (response.efficiencies * gain.draws))
+
+
+def _dark_current(
+    of_dark: Sequence[StackNoise], gain: _Gain, rng: np.random.Generator, quantity: str, power: int
+) -> Estimate | None:
+    """Return electrons per second from the slope of a quantity of dark stacks over time; K's power converts it."""
+    known = [one for one in _with_common_frames(of_dark) if one.exposure_ms is not None]
+    seconds = np.array([one.exposure_ms for one in known], np.float64) / 1e3
+    if len(np.unique(seconds)) < 3:
+        return None
+    values = np.array([getattr(one, quantity) for one in known])
+    x, y = seconds - seconds.mean(), values - values.mean()
+    slope = float(x @ y / (x @ x))
+    rest = y - slope * x
+    error = math.sqrt(float(rest @ rest) / (len(x) - 2) / float(x @ x))
+    slopes = slope + error * rng.standard_t(len(x) - 2, DRAWS)
+    return gain.electrons(slope, slopes, power)
+
+
+def _linearity(points: Sequence[TransferPoint], most: float) -> tuple[float, float] | None:
+    """Return the smallest and largest deviation from the line of least relative deviation, in percent."""
+    used = [
+        (one.bright.photons, one.signal)
+        for one in points
+        if one.bright.photons and math.isfinite(most) and LINEAR[0] * most <= one.signal <= LINEAR[1] * most
+    ]
+    if len(used) < 3:
+        return None
+    photons, signal = np.array(used, np.float64).T
+    design = np.column_stack([np.ones_like(photons), photons]) / signal[:, None]
+    line = np.column_stack([np.ones_like(photons), photons]) @ np.linalg.lstsq(design, np.ones_like(signal))[0]
+    deviation = 100.0 * (signal - line) / line
+    return float(deviation.min()), float(deviation.max())

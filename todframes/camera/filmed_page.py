@@ -1,0 +1,346 @@
+"""The parts of a chart in a recording by which its camera is measured: grey patches, and slanted edges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, SettingsError, argument
+from todframes.camera.noise3d import FramePatch, Region
+from todframes.camera.slanted_edges import PlacedEdge, box_about
+from todframes.charts.layout import Chart, Edge, Page, Patch, read_chart
+from todframes.charts.markers import page_of
+from todframes.importing.clips import ClipFrame, clean_clips
+from todframes.importing.geometry import Geometry
+from todframes.importing.lens_fit import MeasuredEdges, choose_lens
+from todframes.importing.marker_finder import MarkerFinder, SeenEdges
+from todframes.importing.spool import Spool
+from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning
+
+INNER_SHARE = 0.7
+"""Part of a patch's width and height that is measured; the camera may blur the rest."""
+
+MOST_MOVED_PX = 0.2
+"""Distance of a frame's markers from their median place, from which the frame is left out: its chart has moved."""
+
+ENOUGH_FRAMES = 10
+"""Number of frames of the camera's page in one clip after which a film is not searched for a longer one."""
+
+MOST_SOLVED = 16
+"""Number of frames by which the lens is solved."""
+
+MOST_STEP_PX = 0.6
+"""Largest pixel of a monitor in pixels of the frame: its own MTF is then 0.86 at the Nyquist frequency, and 0.5 at
+twice that."""
+
+
+class CameraView(NamedTuple):
+    """A page of a chart in a recording, by which the camera is measured.
+
+    Attributes
+    ----------
+    recording : Recording
+        The frames that show the page, at rest.
+    patches : list of FramePatch
+        Upright rectangles within the patches, with luminance in cd/m² or reflectance as their levels.
+    edges : list of PlacedEdge
+        Slanted edges; none for a page of triangles.
+    is_luminance : bool
+        Whether the levels are luminances.
+    """
+
+    recording: Recording
+    patches: list[FramePatch]
+    edges: list[PlacedEdge]
+    is_luminance: bool
+
+    def stacks(self, dark: Recording) -> tuple[list[Recording], Recording]:
+        """Return the frames of each patch, all of one size, in memory; and those of a dark film at the first one.
+
+        Raises
+        ------
+        DataError
+            If a frame cannot be read, the dark film has frames of another size, or the films have colours.
+        """
+        if dark.shape != self.recording.shape:
+            (rows, columns), (of_film, across) = dark.shape, self.recording.shape
+            raise DataError(
+                f"{dark.path}: has {columns} x {rows} pixels, expected {across} x {of_film} as the film"
+            )
+        regions = np.array([one.region for one in self.patches])
+        width, height = regions[:, 2:].min(axis=0).tolist()
+        starts = (regions[:, :2] + (regions[:, 2:] - (width, height)) // 2).tolist()
+        of_patches = [
+            _cut(self.recording, [(left, top, width, height) for left, top in starts]),
+            _cut(dark, [(*starts[0], width, height)]),
+        ]
+        bright = [
+            replace(one, path=Path(f"{self.recording.path}: patch {number}"))
+            for number, one in enumerate(of_patches[0], 1)
+        ]
+        return bright, of_patches[1][0]
+
+
+def view_of_camera_page(
+    recording: Recording, chart: Path, *, needs_edges: bool = False, progress: Callable[[int], None] | None = None
+) -> CameraView:
+    """Find the patches and slanted edges of a chart in a recording.
+
+    They are those of the page for measuring a camera, in the first clip of some length that shows it. Of a printed
+    chart it may be another sheet, if the recording shows one sheet all the time.
+
+    Parameters
+    ----------
+    recording : Recording
+    chart : path
+        `chart.toml`, or its folder.
+    needs_edges : bool
+        Whether a page without edges is refused.
+    progress : function of an int, optional
+        Called with 1 for each frame that is searched.
+
+    Raises
+    ------
+    SettingsError
+        If the chart cannot be read, or has no markers or no such page.
+    DataError
+        If no such page of this chart is found, or the camera moves all the time.
+    """
+    layout = read_chart(chart)
+    if layout.markers is None:
+        option = argument.boxes if needs_edges else argument.patches
+        raise SettingsError(f"{chart}: a thermal chart has no markers; name its parts of the frame with {option}")
+    if needs_edges and not layout.has_camera_page:
+        raise SettingsError(
+            f"{chart}: has no page with slanted edges, expected a chart made with {argument.camera_page}; or name "
+            f"edges with {argument.boxes}"
+        )
+    seen = _SeenFilm(recording, layout)
+    if layout.has_camera_page:
+        clip = seen.clip(progress)
+        if clip is not None:
+            return seen.view(*clip)
+        if needs_edges or layout.kind == "screen":
+            keys = seen.other_keys - {layout.key}
+            other = f" (but a chart with the key {min(keys)})" if keys else ""
+            raise DataError(
+                f"{recording.path}: found no frame of the page of {chart} with slanted edges{other}, expected it "
+                "whole and sharp in the picture, with its four markers"
+            )
+    return seen.first(chart)
+
+
+class _SeenFilm:
+    """What the frames of a recording show of a chart."""
+
+    def __init__(self, recording: Recording, chart: Chart) -> None:
+        assert chart.markers is not None
+        self.recording, self.chart = recording, chart
+        self.finder = MarkerFinder(chart.markers.all_centres_mm, chart.markers.side_mm)
+        self.centres_mm = chart.markers.centres_mm
+        self.other_keys: set[int] = set()
+
+    def first(self, path: Path) -> CameraView:
+        """Return the view of the page that the first frame shows, for all frames."""
+        where = self.recording.path
+        frame = next(self.recording.frames())
+        seen = self.finder.look(frame.values)
+        found = None if seen is None else page_of(seen.ids)
+        if seen is None or found is None:
+            raise DataError(f"{where}: {frame.source}: found no page of a chart, expected its four markers")
+        page, key = found
+        if key != self.chart.key or page >= len(self.chart.pages):
+            raise DataError(
+                f"{where}: {frame.source}: found page {page} of the chart with the key {key}, expected one of the "
+                f"{len(self.chart.pages)} pages of {path} with the key {self.chart.key}"
+            )
+        patches = self.chart.pages[page].patches
+        if not patches:
+            raise DataError(f"{path}: page {page} has no patches; name parts of the frame with {argument.patches}")
+        is_luminance = self.chart.screen is not None
+        return CameraView(self.recording, _patches(patches, seen.geometry), [], is_luminance)
+
+    def clip(self, progress: Callable[[int], None] | None) -> tuple[Page, list[int], list[SeenEdges]] | None:
+        """Return the page of the longest clip of a page with edges, with the numbers and the edges of its frames.
+
+        The search ends with the first clip of `ENOUGH_FRAMES`.
+        """
+        edges: Spool[tuple[int, SeenEdges]] = Spool()
+        best: list[int] = []
+        present: list[int] = []
+        number = None
+        page = None
+        frames = clean_clips(self._clip_frames(edges, progress), key=self.chart.key, first_number=0)
+        for clip, frame in frames:
+            if clip.number != number:
+                if len(present) >= ENOUGH_FRAMES:
+                    break
+                number, present = clip.number, []
+            if self.chart.pages[clip.page].edges:
+                present.append(int(frame.source))
+                if len(present) > len(best):
+                    best, page = present, self.chart.pages[clip.page]
+        if page is None:
+            return None
+        wanted = set(best)
+        return page, best, [one for at, one in edges if at in wanted]
+
+    def _clip_frames(
+        self, edges: Spool[tuple[int, SeenEdges]], progress: Callable[[int], None] | None
+    ) -> Iterator[ClipFrame]:
+        """Yield the frames that show a page, named by their numbers; keep the edges of those for the camera."""
+        for number, frame in enumerate(self.recording.frames()):
+            seen = self.finder.look(frame.values)
+            if progress is not None:
+                progress(1)
+            found = None if seen is None else page_of(seen.ids)
+            if seen is None or found is None:
+                self.other_keys |= set() if self.finder.key is None else {self.finder.key}
+                continue
+            page, key = found
+            self.other_keys.add(key)
+            if key == self.chart.key and page < len(self.chart.pages):
+                if self.chart.pages[page].edges:
+                    edges.append((number, seen.edges))
+                yield ClipFrame(page, frame.time_s, str(number), (), seen.modules)
+
+    def view(self, page: Page, numbers: Sequence[int], edges: Sequence[SeenEdges]) -> CameraView:
+        """Return the view of a page in the frames of a clip in which the chart is at rest."""
+        pieces, path = self.finder.pieces, self.recording.path
+        measured = [one.measured(pieces) for one in edges]
+        moved_px = _moved_px(measured)
+        still = [k for k, one in enumerate(moved_px) if one <= MOST_MOVED_PX]
+        moves = f"the chart moves in {len(numbers) - len(still)} of the {len(numbers)} frames that show its page"
+        if len(still) < max(2, len(numbers) // 4) and len(numbers) > 1:
+            raise DataError(
+                f"{path}: {moves} with slanted edges, by up to {max(moved_px):.2g} px, expected camera and chart "
+                "at rest"
+            )
+        some = [still[k] for k in np.unique(np.linspace(0, len(still) - 1, MOST_SOLVED).round().astype(int))]
+        shape = self.recording.shape
+        choice = choose_lens(
+            pieces, [measured[k] for k in some], [lambda one: _places(page, one) for _ in some], shape
+        )
+        if choice is None:
+            raise DataError(
+                f"{path}: found the markers of the page with slanted edges, but they fit no flat chart"
+            )
+        geometry = choice.fit.geometries[len(some) // 2]
+        step_mm = None if self.chart.screen is None else self.chart.screen.pixel_pitch_mm
+        placed = _edges(page.edges, geometry, step_mm, shape, path)
+        kept = frozenset(numbers[k] for k in still)
+        warnings = self.recording.warnings
+        if len(still) < len(numbers):
+            left_out = f"{path}: {moves} with slanted edges; they were left out"
+            warnings += (RecordingWarning("moved", left_out),)
+        shown = replace(
+            self.recording, n_frames=len(kept), warnings=warnings, read=lambda: _only(self.recording, kept)
+        )
+        return CameraView(shown, _patches(page.patches, geometry), placed, self.chart.screen is not None)
+
+
+def _only(recording: Recording, numbers: frozenset[int]) -> Iterator[RecordedFrame]:
+    """Yield the frames with these numbers."""
+    for number, frame in enumerate(islice(recording.frames(), max(numbers) + 1)):
+        if number in numbers:
+            yield frame
+
+
+def _cut(recording: Recording, regions: Sequence[Region]) -> list[Recording]:
+    """Return the parts of a recording's frames as recordings in memory."""
+    parts: list[list[RecordedFrame]] = [[] for _ in regions]
+    for frame in recording.frames():
+        for part, (left, top, width, height) in zip(parts, regions, strict=True):
+            part.append(frame._replace(values=frame.values[top : top + height, left : left + width].copy()))
+    return [
+        replace(recording, shape=(height, width), n_frames=len(part), read=partial(iter, part))
+        for part, (_, _, width, height) in zip(parts, regions, strict=True)
+    ]
+
+
+def _moved_px(measured: Sequence[MeasuredEdges]) -> list[float]:
+    """Return how far the markers' edges of each frame are from their median place, in the median of the edges."""
+    places = np.array([one.places_px for one in measured])
+    away = ((places - np.nanmedian(places, axis=0)) ** 2).sum(axis=-1)
+    return [float(one) for one in np.sqrt(np.nanmedian(away, axis=1))]
+
+
+def _places(page: Page, geometry: Geometry) -> FloatArray:
+    """Return the places and sizes of the patches of a page, (n, 3), by which the error of a lens is judged."""
+    middles = np.array([(one.x_mm, one.y_mm) for one in page.patches])
+    sizes = [geometry.scale_px_per_mm(one) for one in middles]
+    return np.column_stack([geometry.to_px(middles), sizes])
+
+
+def _edges(
+    edges: Sequence[Edge], geometry: Geometry, step_mm: float | None, shape: tuple[int, int], path: Path
+) -> list[PlacedEdge]:
+    """Return the boxes about the edges of a page, and the steps of those that are stairs of a monitor's pixels.
+
+    Raises
+    ------
+    DataError
+        If the pixels of the monitor are too large for the picture, or it shows too little of the edges.
+    """
+    found = []
+    for edge in edges:
+        ends_px = geometry.to_px(edge.ends_mm)
+        dx, dy = (edge.ends_mm[1] - edge.ends_mm[0]).tolist()
+        across = np.array([-dy, dx]) / np.hypot(dx, dy) * edge.free_mm
+        # Where the next thing is on either side, and the other edges.
+        beside = [geometry.to_px(edge.ends_mm + sign * across) for sign in (1.0, -1.0)]
+        others = [geometry.to_px(one.ends_mm) for one in edges if one is not edge]
+        box = box_about(ends_px, [*others, *beside], shape)
+        step_px = 0.0
+        if step_mm is not None:
+            jacobian = geometry.jacobian(edge.ends_mm.mean(axis=0))
+            # The stairs go along the axis of the monitor that is nearer to the normal.
+            step = jacobian @ (step_mm * (np.array([1.0, 0.0]) if abs(dy) > abs(dx) else np.array([0.0, 1.0])))
+            normal = np.array([-1.0, 1.0]) * (ends_px[1] - ends_px[0])[::-1]
+            step_px = abs(float(step @ normal)) / float(np.linalg.norm(normal))
+            if step_px > MOST_STEP_PX:
+                raise DataError(
+                    f"{path}: a pixel of the monitor is {step_px:.2g} px wide in the frame, expected "
+                    f"{MOST_STEP_PX:g} at most: its width hides the camera's MTF; film from farther away"
+                )
+        if box is not None:
+            found.append(PlacedEdge(box, step_px))
+    if not found:
+        raise DataError(
+            f"{path}: the slanted edges are too short in the picture, expected 40 pixels and more; film the chart "
+            "larger"
+        )
+    return found
+
+
+def _patches(patches: Sequence[Patch], geometry: Geometry) -> list[FramePatch]:
+    return [FramePatch(_inner(patch, geometry), _level(patch)) for patch in patches]
+
+
+def _level(patch: Patch) -> float:
+    level = patch.luminance_cd_m2 if patch.reflectance is None else patch.reflectance
+    assert level is not None  # as its settings are checked
+    return level
+
+
+def _inner(patch: Patch, geometry: Geometry) -> Region:
+    """Return the pixels of an upright rectangle whose corners lie in the inner part of a patch."""
+    middle = np.array([patch.x_mm, patch.y_mm])
+    half_mm = np.array([patch.width_mm, patch.height_mm]) / 2
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    corners_px = geometry.to_px(middle + signs * half_mm)
+    middle_px: FloatArray = geometry.to_px(middle)
+    half_px = np.abs(corners_px - middle_px).max(axis=0)
+    # Where the corners of the rectangle that encloses the patch lie on it, in units of its own half sides.
+    there = (signs * half_px) @ np.linalg.inv(geometry.jacobian(middle)).T / half_mm
+    half_px *= INNER_SHARE / np.abs(there).max()
+    left, top = np.ceil(middle_px - half_px).astype(int)
+    right, bottom = np.floor(middle_px + half_px).astype(int)
+    return int(left), int(top), int(right - left + 1), int(bottom - top + 1)

@@ -1,0 +1,273 @@
+"""Slanted edges of a recording: found in the mean of its frames or given as boxes, and measured in each colour."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, SettingsError, argument
+from todframes.camera.edge_mtf import LEAST_SIDE_PX, Box, EdgeMtf, MtfBand, mean_band, measure_edge
+from todframes.display.display import REC_709_LUMINANCE_WEIGHTS, Display
+from todframes.recordings.recording import Recording, RecordingWarning
+
+LUMA, COLOURS = "luma", ("red", "green", "blue")
+"""Names of what is measured: the weighted sum of the colours, or a grey value; and each colour."""
+
+LEAST_LENGTH_PX = 40.0
+"""Least length of an edge that is found by itself."""
+
+END_PX = 6.0
+"""Length at either end of a found edge that is left out: corners are round there."""
+
+SAME_PX = 6.0
+"""Largest distance beside a line of points that belong to the same edge, which may be bent."""
+
+WIDTHS_PX = (32, 24, 18, 13)
+"""Widths beside a found edge, of which the first without other edges is taken."""
+
+MOST_EDGES = 64
+"""Largest number of edges that are found by themselves: the longest."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordingMtf:
+    """The MTF of a recording: of each edge and colour, and their means.
+
+    Attributes
+    ----------
+    n_frames : int
+        Number of frames whose mean was measured.
+    edges : tuple of dict of EdgeMtf
+        For each edge the MTF of each colour: "luma", and in colour "red", "green", "blue".
+    means : dict of MtfBand
+        Mean over the edges, by colour.
+    image : ndarray (rows, columns)
+        Mean of the frames as luma, or luminance where a display was given.
+    warnings : tuple of RecordingWarning
+    """
+
+    n_frames: int
+    edges: tuple[dict[str, EdgeMtf], ...]
+    means: dict[str, MtfBand]
+    image: FloatArray
+    warnings: tuple[RecordingWarning, ...]
+
+
+class PlacedEdge(NamedTuple):
+    """An edge whose place is known: a box about it, and the width of its steps if it is a stair of a monitor's
+    pixels, in pixels of the frame along the normal; 0 for a straight one."""
+
+    box: Box
+    step_px: float
+
+
+def measure_mtf(
+    recording: Recording,
+    *,
+    boxes: Sequence[Box] = (),
+    edges: Sequence[PlacedEdge] = (),
+    display: Display | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> RecordingMtf:
+    """Measure the MTF across slanted edges in the mean of a recording's frames.
+
+    Parameters
+    ----------
+    recording : Recording
+        Frames of a scene that does not move.
+    boxes : sequence of (int, int, int, int)
+        Left column, top row, width and height of the part of the frame about each edge. Without any, edges are
+        found.
+    edges : sequence of PlacedEdge
+        In place of boxes: edges of a chart. Those that cannot be measured are left out, as those that are found;
+        what their steps take from the MTF is divided out.
+    display : Display, optional
+        Display whose transfer function the values have been made for: luminance is measured then.
+    progress : function of an int, optional
+        Called with 1 for each frame.
+
+    Raises
+    ------
+    SettingsError
+        If a box is not within the frame or too small, or values without a white are to be displayed.
+    DataError
+        If a frame cannot be read, there is no edge, or a given one cannot be measured.
+    """
+    frames = _mean(recording, display, progress)
+    whole = frames.colours[LUMA]
+    warnings = list(recording.warnings)
+    measured = []
+    try:
+        places = edges or [PlacedEdge(box, 0.0) for box in boxes or find_edges(whole)]
+    except DataError as error:
+        raise DataError(f"{recording.path}: {error}") from None
+    problems = []
+    for box, step_px in places:
+        try:
+            edge = {LUMA: measure_edge(whole, box, saturated=frames.saturated).without_steps(step_px)}
+        except (DataError, SettingsError) as error:
+            if boxes:
+                raise type(error)(f"{recording.path}: {error}") from None
+            problems.append(str(error))
+            continue
+        for name in COLOURS if len(frames.colours) > 1 else ():
+            try:
+                found = measure_edge(frames.colours[name], box, saturated=frames.saturated)
+                edge[name] = found.without_steps(step_px)
+            except DataError as error:
+                problems.append(f"{name}: {error}")
+        measured.append(edge)
+    if not measured:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise DataError(f"{recording.path}: no edge can be measured: {problems[0]}{more}")
+    warnings += [RecordingWarning("edge_left_out", f"left out: {one}") for one in problems]
+    names = dict.fromkeys(name for edge in measured for name in edge)
+    means = {name: mean_band([edge[name] for edge in measured if name in edge]) for name in names}
+    return RecordingMtf(
+        n_frames=frames.n, edges=tuple(measured), means=means, image=whole, warnings=tuple(warnings)
+    )
+
+
+class _MeanFrame(NamedTuple):
+    """Means over frames by colour, and the pixels that were at an end of their scale in any frame."""
+
+    colours: dict[str, FloatArray]
+    saturated: NDArray[np.bool_] | None
+    n: int
+
+
+def _mean(recording: Recording, display: Display | None, progress: Callable[[int], None] | None) -> _MeanFrame:
+    white, black = recording.full_scale, recording.zero
+    if display is not None and white is None:
+        raise SettingsError(
+            f"{argument.display}: {recording.path} has values without a white, expected code values of a picture"
+        )
+    n, total, saturated = 0, np.zeros(()), np.zeros(recording.shape, bool)
+    for frame in recording.frames():
+        values = frame.values.astype(np.float64)
+        if white is not None:
+            at_end = (values <= black) | (values >= white)
+            saturated |= at_end if at_end.ndim == 2 else at_end.any(2)
+        if display is not None and white is not None:
+            code = np.clip((values - black) / (white - black), 0.0, 1.0)
+            channels = code[..., np.newaxis] if code.ndim == 2 else code
+            each = [display.luminance(channels[..., k : k + 1]) for k in range(channels.shape[2])]
+            values = each[0] if len(each) == 1 else np.stack(each, -1)
+        total = total + values
+        n += 1
+        if progress is not None:
+            progress(1)
+    mean = total / n
+    colours = {LUMA: mean if mean.ndim == 2 else mean @ REC_709_LUMINANCE_WEIGHTS}
+    if mean.ndim == 3 and np.ptp(mean, 2).any():  # grey pictures may be stored in three equal channels
+        colours |= {name: mean[..., k] for k, name in enumerate(COLOURS)}
+    return _MeanFrame(colours, None if white is None else saturated, n)
+
+
+class _Segment(NamedTuple):
+    """A straight line between two points (x, y)."""
+
+    x1: float
+    y1: float
+    x2: float
+    y2: float
+
+    @property
+    def length(self) -> float:
+        return math.hypot(self.x2 - self.x1, self.y2 - self.y1)
+
+    def points(self) -> FloatArray:
+        """Return points at most a pixel apart, (n, 2)."""
+        share = np.linspace(0.0, 1.0, int(self.length) + 2)[:, np.newaxis]
+        return np.array([self.x1, self.y1]) * (1.0 - share) + np.array([self.x2, self.y2]) * share
+
+    def coordinates(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far points are along the line, from its first end, and beside it."""
+        dx, dy = (self.x2 - self.x1) / self.length, (self.y2 - self.y1) / self.length
+        x, y = points[:, 0] - self.x1, points[:, 1] - self.y1
+        return x * dx + y * dy, np.abs(x * dy - y * dx)
+
+    def repeats(self, other: _Segment) -> bool:
+        """Return whether the line is a part of the same edge as another: beside it, and not beyond its ends."""
+        along, beside = other.coordinates(self.points())
+        return bool(beside.max() < SAME_PX and along.max() > 0.0 and along.min() < other.length)
+
+
+def find_edges(image: FloatArray) -> list[Box]:
+    """Return boxes about the straight edges of an image, the longest first.
+
+    Lines are found by OpenCV's line segment detector: Grompone von Gioi et al. 2012, "LSD: a line segment
+    detector", IPOL 2. A box leaves out the ends of its edge, and goes to the sides as far as there is no other.
+
+    Raises
+    ------
+    DataError
+        If there is no straight edge of at least `LEAST_LENGTH_PX`.
+    """
+    import cv2
+
+    low, high = np.percentile(image, (0.5, 99.5))
+    if not high > low:
+        raise DataError("found no edge: all values are the same")
+    grey = np.clip((image - low) / (high - low) * 255.0, 0.0, 255.0).astype(np.uint8)
+    lines = cv2.createLineSegmentDetector().detect(cv2.GaussianBlur(grey, (0, 0), 1.0))[0]
+    found = [] if lines is None else [_Segment(*map(float, line)) for line in lines.reshape(-1, 4)]
+    found.sort(key=lambda one: -one.length)
+    boxes: list[Box] = []
+    taken: list[_Segment] = []
+    points = [one.points() for one in found]
+    for one in found:
+        if one.length < LEAST_LENGTH_PX or len(boxes) == MOST_EDGES:
+            break
+        if not any(one.repeats(other) for other in taken):
+            taken.append(one)
+            box = _box(one, points, image.shape)
+            boxes += [] if box is None else [box]
+    if not boxes:
+        raise DataError(
+            f"found no straight edge of at least {LEAST_LENGTH_PX:g} pixels that stands alone, expected one; give "
+            f"the part of the frame with the edge: {argument.boxes}"
+        )
+    return boxes
+
+
+def box_about(ends_px: FloatArray, others_px: Sequence[FloatArray], shape: tuple[int, int]) -> Box | None:
+    """Return the widest box about an edge without others in it; None if there is none.
+
+    Parameters
+    ----------
+    ends_px : ndarray, shape (2, 2)
+        Its ends, (x, y).
+    others_px : sequence of ndarray, shape (2, 2)
+        Ends of other edges.
+    shape : (int, int)
+        Rows and columns of the frame.
+    """
+    line, *others = (_Segment(*map(float, one.ravel())) for one in (ends_px, *others_px))
+    return _box(line, [one.points() for one in (line, *others)], shape) if line.length >= LEAST_LENGTH_PX else None
+
+
+def _box(one: _Segment, points: Sequence[FloatArray], shape: tuple[int, ...]) -> Box | None:
+    """Return the widest box about an edge without points of other lines in it; None if there is none."""
+    rows, columns = shape
+    # All lines but those that go on where this one ends.
+    counts, every = np.array([len(some) for some in points]), np.concatenate(points)
+    farthest = np.maximum.reduceat(one.coordinates(every)[1], np.cumsum(counts) - counts)
+    rest = every[np.repeat(farthest >= SAME_PX, counts)]
+    is_upright = abs(one.y2 - one.y1) >= abs(one.x2 - one.x1)
+    inner = one.points()[[0, -1]]
+    ends = inner + END_PX / one.length * (inner[::-1] - inner)
+    for width in WIDTHS_PX:
+        margin = np.array([width, 0.0] if is_upright else [0.0, width])
+        first = np.maximum(np.ceil(ends.min(0) - margin), 0).astype(int)
+        last = np.minimum(np.floor(ends.max(0) + margin), [columns - 1, rows - 1]).astype(int)
+        is_free = not ((first <= rest) & (rest <= last)).all(1).any()
+        if is_free and (last - first + 1 >= LEAST_SIDE_PX).all():
+            return int(first[0]), int(first[1]), int(last[0] - first[0] + 1), int(last[1] - first[1] + 1)
+    return None

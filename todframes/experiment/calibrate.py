@@ -1,0 +1,243 @@
+"""The call `calibrate`: the internal noise, or the efficiency, that explains the answers of people."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msgspec.structs import replace as replace_struct
+
+from todframes.base.errors import DataError, SettingsError
+from todframes.base.seeds import Rng, seed_of
+from todframes.calls.shared import (
+    described_each,
+    is_skip,
+    loaded,
+    of_observer,
+    opened_run,
+)
+from todframes.frames.dataset import Dataset
+from todframes.observers.interface import Observer
+from todframes.parameters import Count, Free, ObserverNames, OnError, Progress, Seed, Subjects
+from todframes.psychometrics.fit import FitSettings
+from todframes.results.data import (
+    ComparedObserver,
+    DatasetRecord,
+    Fit,
+    Group,
+    PersonResult,
+    ResultWarning,
+    group_of,
+    observer_names,
+)
+from todframes.results.result import Result
+
+if TYPE_CHECKING:
+    from todframes.experiment.answers import Session
+    from todframes.experiment.person import Calibrated, GroupCurve, PersonFit
+    from todframes.parameters import Free
+    from todframes.results.thresholds import Thresholds
+
+
+def calibrate(
+    dataset: Path | str | Dataset,
+    answers: Path | str,
+    *,
+    observer: ObserverNames | Observer | Sequence[str | Observer] = "pyramid",
+    free: Sequence[Free] = (),
+    subjects: Subjects = (),
+    include_flagged: bool = False,
+    fit: FitSettings | None = None,
+    rng: Seed | Rng = 1,
+    on_error: OnError = "stop",
+    workers: Count = 1,
+    progress: Progress | None = None,
+) -> Result[Thresholds]:
+    """Fit the observer's internal noise, or its efficiency, to the answers of people to the frames of a dataset.
+
+    With several observers, the first lines say which explains each person better, by AIC.
+
+    Parameters
+    ----------
+    dataset : path, str or Dataset
+        The dataset that was shown: its folder or URL.
+
+        The return value of `load_dataset` is taken as well.
+    answers : path
+        Folder that `todframes experiment` wrote.
+    observer : str, Observer, or sequence of them
+        Observers by name: pyramid, csf or others that are linear and registered; or MODULE:CLASS, a class of your
+        own, whose code is run. The value of the noise or efficiency that is fitted is not used.
+
+        Objects are taken as well. The first is that of `persons`, the others of `observers`.
+    free : sequence of {"lapse", "blur"}
+        Fit the rate of lapses, or the blur of the templates, too.
+
+        The rate δ of lapses is up to `lapse_rate_max` of `fit`; the blur is the observer's
+        `template_blur_samples`, from a quarter to twice its value.
+    subjects : sequence of str
+        A person, by the id. Default: all.
+    include_flagged : bool
+        Count answers within 150 ms, or while the page was hidden or had lost the focus, as well.
+    fit : FitSettings, optional
+        Fixed and free parameters of the persons' own curves. A fixed `lapse_rate` is that of the model too.
+    rng : int, SeedSequence or Generator
+        Seed of the displacements of the retina and of repeated experiments.
+    on_error : {"stop", "skip"}
+        At a frame that cannot be used or has changed since: end with an error, or leave its trials out and list
+        them.
+    workers : int
+        Processes that share the work.
+
+        With more than one, a script calls this below `if __name__ == "__main__":`, because they import the script.
+    progress : function of an int, optional
+        Called with the number of trials that were just done.
+
+    Returns
+    -------
+    Result
+        Result whose `persons` have the internal noise, or the efficiency, of each person and the thresholds of the
+        model with it; `pooled` is for all persons together. `thresholds` are the persons' own, from their counts
+        alone.
+
+    Raises
+    ------
+    DataError, FrameError
+        If the answers are damaged or belong to another dataset, or a frame cannot be used or has changed since.
+    SettingsError
+        If a setting is invalid, or the observer's noise cannot be fitted.
+    """
+    started, seed = time.perf_counter(), seed_of(rng)
+    from todframes.experiment.answers import read_answers
+    from todframes.experiment.person import calibrate_persons
+    from todframes.experiment.psych_ds import DESCRIPTION_FILE as DESCRIPTION_NAME
+
+    if isinstance(dataset, str | Path) and (Path(dataset) / DESCRIPTION_NAME).exists():
+        raise SettingsError(f"dataset: {dataset} holds answers, expected calibrate(dataset, answers)")
+    fit = fit or FitSettings()
+    for name in free:
+        if name not in ("lapse", "blur"):
+            raise SettingsError(f"free: found {name!r}, expected lapse or blur")
+    sessions = read_answers(Path(answers), include_flagged=include_flagged)
+    known = {one.subject for one in sessions}
+    for subject in subjects:
+        if subject not in known:
+            raise DataError(f"{answers}: found no subject {subject!r}, expected one of {', '.join(sorted(known))}")
+    sessions = [one for one in sessions if not subjects or one.subject in subjects]
+    judges, each_settings = described_each(observer, lambda: _background_of(sessions))
+    data = loaded(dataset)
+    with opened_run(workers, None, None, progress) as run:
+        found, *others = (
+            calibrate_persons(
+                data,
+                sessions,
+                judge,
+                free=free,
+                fit_settings=fit,
+                seed=seed,
+                skip_bad_frames=is_skip(on_error),
+                run=run,
+            )
+            for judge in judges
+        )
+    level = data.experiment.level
+    fits = [
+        Fit.of_counts(_group_of_person(data, person, one), level, one.own)
+        for person in found.persons
+        for one in person.groups
+    ]
+    fitted = ("efficiency", "internal_noise", "internal_noise_sd", *(["template_blur_samples"] * ("blur" in free)))
+    settings, *other_settings = (
+        {name: value for name, value in own.items() if name not in fitted} for own in each_settings
+    )
+
+    def person_results(of_judge: Calibrated) -> tuple[list[PersonResult], PersonResult | None]:
+        is_efficiency = of_judge.fitted == "efficiency"
+        make = partial(_person_result, data, is_efficiency=is_efficiency, n_fitted=1 + len(set(free)))
+        return [make(one) for one in of_judge.persons], None if of_judge.pooled is None else make(of_judge.pooled)
+
+    persons, pooled = person_results(found)
+    further = []
+    for own_settings, of_judge in zip(other_settings, others, strict=True):
+        by_judge, together = person_results(of_judge)
+        further.append(ComparedObserver(settings=own_settings, persons=tuple(by_judge), pooled=together))
+    names = observer_names(settings, further) if further else [None]
+    return Result.made(
+        "calibrate",
+        started,
+        settings=settings | asdict(fit) | {"free": list(free), "include_flagged": include_flagged},
+        seed=seed,
+        fits=tuple(fits),
+        persons=tuple(persons),
+        pooled=pooled,
+        equal_noise_p_value=found.equal_noise_p_value,
+        dataset=DatasetRecord.of(data),
+        skipped=tuple(one._asdict() for one in found.skipped),
+        observers=tuple(further),
+        warnings=tuple(
+            warning
+            for name, one in zip(names, (found, *others), strict=True)
+            for warning in of_observer(name, (ResultWarning(**each._asdict()) for each in one.warnings()))
+        ),
+    )
+
+
+def _background_of(sessions: Sequence[Session]) -> float:
+    """Return the luminance of the monitors' background in cd/m²: the mean over sessions."""
+    found = [one.monitor.background_luminance_cd_m2 for one in sessions]
+    if None in found:
+        raise SettingsError(
+            "luminance_cd_m2: found background, which is not known: no photometer was read in the experiment; "
+            "expected a number"
+        )
+    return math.fsum(one for one in found if one is not None) / len(found)
+
+
+def _person_result(data: Dataset, person: PersonFit, *, is_efficiency: bool, n_fitted: int) -> PersonResult:
+    fit, is_known = person.fit, person.fit.status == "ok"
+    noise, efficiency = fit.noise, None
+    noise_ci95: tuple[float | None, float | None] = fit.noise_ci95
+    efficiency_ci95 = None
+    if is_efficiency:
+        efficiency, *ends = (None if one is None else one**-2 for one in (noise, *reversed(noise_ci95)))
+        efficiency_ci95 = ends[0], ends[1]
+        noise, noise_ci95 = None, (None, None)
+    level = data.experiment.level
+    predicted = [
+        replace_struct(
+            Fit.of_counts(_group_of_person(data, person, one), level, one.predicted),
+            threshold_ci95=one.predicted_ci95,
+        )
+        for one in person.groups
+        if one.predicted is not None
+    ]
+    return PersonResult(
+        subject=person.subject,
+        status=fit.status,
+        internal_noise=noise,
+        internal_noise_ci95=noise_ci95,
+        efficiency=efficiency,
+        efficiency_ci95=efficiency_ci95,
+        lapse_rate=fit.lapse_rate if is_known else None,
+        lapse_rate_ci95=fit.lapse_rate_ci95 if is_known else None,
+        template_blur_samples=fit.blur if is_known else None,
+        template_blur_samples_ci95=fit.blur_ci95 if is_known else None,
+        n_trials=person.n_trials,
+        n_correct=person.n_correct,
+        n_flagged=dict(person.n_flagged),
+        log_likelihood=fit.log_likelihood,
+        aic=2.0 * n_fitted - 2.0 * fit.log_likelihood,
+        deviance=fit.deviance,
+        deviance_p_value=fit.deviance_p_value,
+        n_cells=fit.n_cells,
+        predicted=tuple(predicted),
+    )
+
+
+def _group_of_person(data: Dataset, person: PersonFit, curve: GroupCurve) -> Group:
+    return {"subject": str(person.subject), **group_of(data, curve.group)}

@@ -1,0 +1,298 @@
+"""Warnings that follow from thresholds alone, whatever they were measured with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from todframes.results.data import Algorithm, ContrastPoint, Fit, ResultWarning
+from todframes.results.wording import listed, plain
+from todframes.stimulus import HEIGHT_PER_SIZE, level_of
+
+MISSED = 2.0
+"""Numerical error, in tolerances, beyond which the tolerance is missed: the error follows from eight replicates,
+and has an error of 27 % itself."""
+
+FEWEST_LEVELS_SHOWN = 3
+"""Smallest number of levels that show how fast a curve rises and whether it fits."""
+
+WIDEST_GAP = 4.0
+"""Largest ratio of the two levels about a threshold; farther apart they do not show how the curve rises."""
+
+ADDED_LEVELS = (0.7, 1.0, 1.4)
+"""Levels to add, in units of the estimated threshold: between 50 and 95 % correct for curves as steep as usual."""
+
+USUAL_SLOPE = 2.0
+"""Weibull slope that a threshold outside the levels is estimated with: that of a linear observer is near it."""
+
+SAME_LEVEL = 1.15
+"""Largest ratio of a level to add and one shown that counts as the same level."""
+
+SAME_GAIN, SURE_GAIN = 0.1, 3.0
+"""Relative difference of two contrast gains that counts as none, and standard errors beyond which it is sure."""
+
+SAME_AT_EDGE = 0.02
+"""Relative difference of an algorithm's factors at the edge of a frame and around the triangle that is none."""
+
+FEW_SCENES = "an end of the 95 % interval is open because scenes differ and are few"
+"""Reason for an open interval that more levels or trials on the same scenes would not close."""
+
+SMALL = "The size is below the acuity; take larger sizes"
+"""Reason why a size has a threshold contrast above 1."""
+
+APERTURE_SDS = 2.0
+"""Distance of a triangle's edges from its middle beyond which they are hardly seen, in standard deviations of the
+observer's aperture."""
+
+MOST_CONTRAST = 1000.0
+"""Largest threshold contrast for which levels are advised: displays show no more."""
+
+HELPS_FROM = 0.5
+"""Proportion correct from which stronger levels will help; below it something else may be wrong."""
+
+
+def above_contrast_1(
+    fits: Sequence[Fit], is_easier_if_smaller: Callable[[Fit], bool], aperture_sd_deg: float | None
+) -> tuple[ResultWarning, ...]:
+    """Return a warning for each threshold contrast above 1, which no triangle darker than its background has.
+
+    `is_easier_if_smaller` returns whether a smaller triangle has a lower threshold. `aperture_sd_deg` is the
+    standard deviation of the observer's aperture, if it has one.
+    """
+    wide = f"Smaller sizes are easier: {_wider(aperture_sd_deg)}; take smaller sizes"
+    return tuple(
+        ResultWarning(
+            code="above_contrast_1",
+            group=fit.group,
+            message=(
+                f"the threshold contrast of {plain(fit.threshold)} is above 1: no dark triangle has such a "
+                f"contrast, and a bright one has {plain(1.0 + fit.threshold)} times the luminance around it. "
+                f"{wide if is_easier_if_smaller(fit) else SMALL}"
+            ),
+            found=fit.threshold,
+            expected=1.0,
+        )
+        for fit in fits
+        if level_of(fit.level).quantity == "contrast" and fit.threshold is not None and fit.threshold > 1.0
+    )
+
+
+def _wider(aperture_sd_deg: float | None) -> str:
+    """Return that a triangle is too wide, with the aperture if it is known."""
+    aperture = "" if aperture_sd_deg is None else f" (aperture_sd_deg = {aperture_sd_deg:g})"
+    return f"the triangle is wider than what the observer looks at{aperture}"
+
+
+def _is_too_wide(fit: Fit, aperture_sd_deg: float | None) -> bool:
+    """Return whether levels leave a threshold open upwards, and the triangle's edges lie outside the aperture."""
+    size_mrad = fit.group.get("size_mrad")
+    strongest = max((one.level for one in fit.points), default=math.inf)
+    is_open = fit.status == "never_reached" or (fit.threshold or 0.0) > strongest
+    if aperture_sd_deg is None or not isinstance(size_mrad, float) or not is_open:
+        return False
+    edge_deg = math.degrees(HEIGHT_PER_SIZE / 3.0 * size_mrad / 1000.0)  # radius of the inscribed circle
+    return edge_deg > APERTURE_SDS * aperture_sd_deg
+
+
+def levels_to_add(fits: Sequence[Fit], aperture_sd_deg: float | None = None) -> tuple[ResultWarning, ...]:
+    """Return a warning for each threshold that the data leave open, with levels that would settle it.
+
+    Where scenes alone leave it open, the warning asks for more of them, and for no levels; where the triangle is
+    wider than the observer's aperture, whose standard deviation is `aperture_sd_deg`, for smaller sizes.
+
+    Nothing is said about other curves that stay near chance at all levels: stronger ones are not known to help.
+    """
+    found = []
+    for fit in fits:
+        levels: list[float] = []
+        if _is_too_wide(fit, aperture_sd_deg):
+            reason, advice = _wider(aperture_sd_deg), "take smaller sizes"
+        elif not (reason := _open_reason(fit)):
+            continue
+        elif reason == FEW_SCENES:
+            advice = "take more scenes"
+        elif (
+            level_of(fit.level).quantity == "contrast"
+            and fit.status != "always_exceeded"
+            and _estimate(fit) > MOST_CONTRAST
+        ):
+            advice = "no display shows the contrasts that are missing, take larger sizes"
+        else:
+            levels = _levels_near_threshold(fit)
+            near = listed(f"{level:g}" for level in levels) if levels else ""
+            advice = f"add levels near {near}" if levels else "show more trials"
+        shown = [point.level for point in fit.points]
+        message = f"{reason}; {advice}"
+        found.append(
+            ResultWarning(code="levels_to_add", group=fit.group, message=message, found=shown, expected=levels)
+        )
+    return tuple(found)
+
+
+def numerical_errors(fits: Sequence[Fit], tolerance: float | None) -> tuple[ResultWarning, ...]:
+    """Return a warning for each threshold that is too uncertain, or whose numerical error misses the tolerance.
+
+    Without a tolerance the error is not compared with one.
+    """
+    found = []
+    for fit in fits:
+        error = fit.threshold_numerical_error or fit.threshold_displacement_error or 0.0
+        share, message = error / (fit.threshold or math.inf), ""
+        if fit.status == "too_uncertain":
+            message = "the numerical error is more than 30 % of the threshold, so there is none"
+        elif tolerance is not None and share > MISSED * tolerance:
+            message = (
+                f"the numerical error of {plain(error, 1)} is {100 * share:.2g} % of the threshold, and the "
+                f"tolerance {100 * tolerance:g} %: the last digits are not sure"
+            )
+        if message:
+            found.append(
+                ResultWarning(
+                    code="numerical_error",
+                    group=fit.group,
+                    message=f"{message}; larger sizes have smaller errors",
+                    found=share or None,
+                    expected=tolerance,
+                )
+            )
+    return tuple(found)
+
+
+def not_proportional(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:
+    """Return a warning where an algorithm's gain of contrast is another at threshold than at the highest level.
+
+    A comparison with a plain gain, which has the gain of the highest level, then compares with a wrong one.
+    """
+    found = []
+    for one in algorithms:
+        for fit, response, ratio in zip(one.fits, one.contrast_responses, one.ratios, strict=False):
+            points = [point for point in response.points if point.gain is not None and point.gain > 0.0]
+            if ratio.beyond_gain is None or fit.threshold is None or len(points) < 2:
+                continue
+            near = min(points, key=lambda point, at=fit.threshold: abs(math.log(point.level / at)))  # type: ignore[misc]
+            top = points[-1]
+            if near.gain is None or top.gain is None or not _gains_differ(near, top):
+                continue
+            message = (
+                f"its gain of contrast is {plain(near.gain, 3)} ± {plain(near.gain_standard_error, 1)} near the "
+                f"threshold, at {near.level:.3g}, and {plain(top.gain, 3)} at the highest level: beyond_gain, "
+                "which takes the latter, does not hold; see the table of the contrast before and after"
+            )
+            group = {"algorithm": one.name} | fit.group
+            found.append(
+                ResultWarning(
+                    code="not_proportional", group=group, message=message, found=near.gain, expected=top.gain
+                )
+            )
+    return tuple(found)
+
+
+def edge_brightness(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:
+    """Return a warning for each algorithm that makes the edge of frames brighter or darker than the background."""
+    found = []
+    for one in algorithms:
+        if one.edge_factor is not None and abs(one.edge_factor - 1.0) > SAME_AT_EDGE:
+            kind = "brighter" if one.edge_factor > 1.0 else "darker"
+            message = (
+                "compared with what surrounds the triangle, it makes the outermost pixels of a frame "
+                f"{plain(100.0 * abs(one.edge_factor - 1.0), 2)} % {kind}, as a network does that takes pixels "
+                "beyond the frame as black. Contrast refers to what surrounds the triangle. If triangles lie near "
+                "the edge, take larger frames, or let the algorithm mirror them"
+            )
+            found.append(
+                ResultWarning(
+                    code="edge_brightness",
+                    group={"algorithm": one.name},
+                    message=message,
+                    found=one.edge_factor,
+                    expected=1.0,
+                )
+            )
+    return tuple(found)
+
+
+def not_repeatable(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:
+    """Return a warning for each algorithm that gave different pictures of the same frame."""
+    return tuple(
+        ResultWarning(
+            code="not_repeatable",
+            group={"algorithm": one.name},
+            message=(
+                f"its pictures of the same frame differ by up to {plain(100.0 * one.repeat_difference, 2)} % of "
+                "their mean luminance: it depends on chance, on other frames or on a file that has changed. Its "
+                "ratio holds for this run alone. Give it a fixed seed, declare it with clip if it needs earlier "
+                "frames, and leave its files as they are"
+            ),
+            found=one.repeat_difference,
+            expected=0.0,
+        )
+        for one in algorithms
+        if one.repeat_difference
+    )
+
+
+def _gains_differ(one: ContrastPoint, other: ContrastPoint) -> bool:
+    """Return whether two gains differ by more than is usual, and more than their errors allow."""
+    assert one.gain is not None
+    assert other.gain is not None
+    difference = abs(one.gain - other.gain)
+    error = math.hypot(one.gain_standard_error or 0.0, other.gain_standard_error or 0.0)
+    return difference > SAME_GAIN * other.gain and difference > SURE_GAIN * error
+
+
+def _open_reason(fit: Fit) -> str:
+    """Return what the levels of a fit leave open; "" if nothing."""
+    levels = [point.level for point in fit.points]
+    if not levels:
+        return ""
+    criterion = f"{100.0 * fit.p_correct:g} % correct"
+    if fit.status == "always_exceeded":
+        return f"all levels are above the threshold of {criterion}, the weakest is {levels[0]:.3g}"
+    if fit.status == "never_reached":
+        best = max(fit.points, key=lambda point: point.p_correct)
+        reached = f"at most {100.0 * best.p_correct:.0f} % correct is reached, at {best.level:.3g}"
+        return f"all levels are below the threshold of {criterion}: {reached}" * (best.p_correct >= HELPS_FROM)
+    if fit.status == "extrapolated" and fit.threshold is not None:
+        side = "below" if fit.threshold < levels[0] else "above"
+        return f"the threshold lies {side} all levels shown, {levels[0]:.3g} to {levels[-1]:.3g}"
+    if len(levels) < FEWEST_LEVELS_SHOWN:
+        return f"found {len(levels)} level{'s' * (len(levels) > 1)}, too few to see how the curve rises"
+    if fit.threshold is None:
+        return ""
+    below = max((level for level in levels if level <= fit.threshold), default=levels[0])
+    above = min((level for level in levels if level >= fit.threshold), default=levels[-1])
+    if above > WIDEST_GAP * below:
+        return f"no level lies between {below:.3g} and {above:.3g}, where the threshold is"
+    if fit.threshold_ci95 is not None and None in fit.threshold_ci95:
+        if fit.threshold_ci95_same_scenes is not None and None not in fit.threshold_ci95_same_scenes:
+            return FEW_SCENES
+        return "the data leave an end of the 95 % interval open"
+    return ""
+
+
+def _levels_near_threshold(fit: Fit) -> list[float]:
+    """Return levels about the threshold, or about an estimate of it, that are not among those shown."""
+    shown = [point.level for point in fit.points]
+    low = shown[-1] if fit.status == "never_reached" else 0.0
+    high = shown[0] if fit.status == "always_exceeded" else math.inf
+    wanted = [float(f"{step * _estimate(fit):.2g}") for step in ADDED_LEVELS]
+    return [
+        one
+        for one in wanted
+        if low < one < high and not any(one / SAME_LEVEL <= level <= one * SAME_LEVEL for level in shown)
+    ]
+
+
+def _estimate(fit: Fit) -> float:
+    """Return the threshold; without one, that of a curve of the usual slope through the nearest of the levels."""
+    if fit.threshold is not None:
+        return fit.threshold
+    nearest = fit.points[-1 if fit.status == "never_reached" else 0]
+    guess_rate = 0.25 if fit.guess_rate is None else fit.guess_rate
+
+    def distance(p_correct: float) -> float:
+        """Return level / α of a curve without lapses."""
+        share = (1.0 - min(max(p_correct, guess_rate + 0.05), 0.98)) / (1.0 - guess_rate)
+        return float((-math.log2(share)) ** (1.0 / USUAL_SLOPE))
+
+    return nearest.level * distance(fit.p_correct) / distance(nearest.p_correct)

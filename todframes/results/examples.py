@@ -1,0 +1,229 @@
+"""Pictures of a triangle at threshold: the frame as displayed, and the observer's images of it.
+
+The pictures are part of the result, so that a report can be made again without the frames.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.base._typing import FloatArray
+from todframes.diagnosis.whole_frames import block_means
+from todframes.frames.contrast import read_contrast
+from todframes.frames.dataset import Dataset
+from todframes.frames.position import centroid_position, size_in_px
+from todframes.frames.surround import TrianglePlace
+from todframes.frames.trials import Trial
+from todframes.observers.interface import Observer
+from todframes.results.data import Example, Thumbnail, group_of
+from todframes.results.thumbnails import ExamplePatch, pictures, png, reach_px_of, srgb
+from todframes.results.wording import evenly
+from todframes.scoring.retina_view import Shown, retina_image, view_trial
+from todframes.scoring.score import GroupFit, ScoredDataset
+from todframes.stimulus import Stimulus, vertices
+
+if TYPE_CHECKING:
+    from todframes.enhancement.compare import AlgorithmResult
+    from todframes.enhancement.enhanced_frame import AlgorithmDisplay
+
+MOST_EXAMPLES = 4
+
+MOST_SCENES = 8
+"""Largest number of scenes of a group of which a trial is drawn."""
+
+MOST_WITHOUT = 60
+"""Largest number of groups without a threshold whose strongest trial is drawn."""
+
+WHOLE_SIDE_PX = 384
+"""Largest side of the picture of a whole frame; a small frame is enlarged by a whole factor."""
+
+OUTLINE_BGR = (0, 128, 255)
+"""Colour of the expected triangle's outline: orange."""
+
+
+def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tuple[Example, ...]:
+    """Draw the trial nearest to threshold of up to `MOST_EXAMPLES` groups, and the strongest where there is none.
+
+    On scenes it is one of each scene of a group, up to `MOST_SCENES`.
+
+    Raises
+    ------
+    FrameError
+        If a frame can no longer be used.
+    """
+    known = [one for one in scored.fits if one.fit.threshold is not None]
+    found = []
+    drawn_places = [place for one in evenly(known, MOST_EXAMPLES) for place in _nearest_trials(scored, one)]
+    for place in drawn_places:
+        trial = scored.trials[place]
+        # The displacement is NaN if the trial was seen at several displacements.
+        dx, dy = np.nan_to_num(scored.displacement_samples[place]).tolist()
+        width_mrad, drawn = pictures(
+            _shown(dataset, trial, observer),
+            view_trial(dataset, trial, observer, (dx, dy)).contrast,
+            observer=observer,
+            stimulus=trial.stimulus,
+            pixel_pitch_mrad=dataset.display.pitch_mrad,
+        )
+        found.append(_example(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
+    for one in evenly([one for one in scored.fits if one.fit.threshold is None], MOST_WITHOUT):
+        trials = scored.trials
+        places = trials.indices_of_group(one.group)
+        place = int(places[np.argmax(trials.levels[places])])
+        trial = scored.trials[place]
+        width_mrad, drawn = _whole(dataset, trial, observer)
+        found.append(_example(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
+    return tuple(found)
+
+
+def _whole(dataset: Dataset, trial: Trial, observer: Observer) -> tuple[float, tuple[Thumbnail]]:
+    """Draw the whole frame of a trial with the outline of the expected triangle. Returns its width in mrad, too.
+
+    Grey is proportional to luminance between black and white, which leave out 0.2 % of the pixels each.
+    """
+    pitch_mrad = dataset.display.pitch_mrad
+    total: FloatArray | float = 0.0
+    for frame in trial.frames:
+        with dataset.open(frame) as file:
+            header = file.header
+            x, y = centroid_position(trial, header, observer.centre, pitch_mrad, frame)
+            patch = read_contrast(file, dataset.display, frame)
+        side = max(patch.values.shape[:2])
+        block_px = math.ceil(side / WHOLE_SIDE_PX)
+        total = total + block_means(patch, block_px) / len(trial.frames)
+    contrast = np.asarray(total)
+    black, white = np.percentile(contrast, [0.2, 99.8]).tolist()
+    white = max(white, black + 1e-3)
+    grey = np.rint(255.0 * srgb(np.clip((contrast - black) / (white - black), 0.0, 1.0))).astype(np.uint8)
+    enlarged = max(WHOLE_SIDE_PX // side, 1)
+    grey = grey.repeat(enlarged, axis=0).repeat(enlarged, axis=1)
+    image = np.ascontiguousarray(grey[..., None].repeat(3, axis=2))
+    corners = vertices(
+        size=trial.stimulus.size_mrad / pitch_mrad,
+        orientation=trial.orientation,
+        x=x - patch.column,
+        y=y - patch.row,
+    )
+    # OpenCV takes positions in 1/16 pixels; (0, 0) is the middle of the first pixel.
+    drawn = ((corners + 0.5) * enlarged / block_px - 0.5) * 16.0
+    points = np.clip(np.rint(drawn), -(2**20), 2**20).astype(np.int32)
+    cv2.polylines(image, [points], isClosed=True, color=OUTLINE_BGR, lineType=cv2.LINE_AA, shift=4)
+    return header.width * pitch_mrad, (Thumbnail("whole", png(image), white, black),)
+
+
+def _example(
+    dataset: Dataset,
+    trial: Trial,
+    p_correct: float,
+    width_mrad: float,
+    drawn: tuple[Thumbnail, ...],
+    algorithm: str | None = None,
+) -> Example:
+    return Example(
+        group=group_of(dataset, trial.group),
+        algorithm=algorithm,
+        level=dataset.experiment.level,
+        strength=trial.level,
+        orientation=trial.orientation.value,
+        p_correct=p_correct,
+        frame=trial.frames[0].path,
+        n_frames=len(trial.frames),
+        scene=None if trial.view is None else " ".join(filter(None, trial.view[:2])),
+        width_mrad=width_mrad,
+        pictures=drawn,
+    )
+
+
+def _nearest_trials(scored: ScoredDataset, one: GroupFit) -> list[int]:
+    """Return the index of the trial nearest to threshold, or on scenes that of each scene."""
+    trials = scored.trials
+    names = np.array(["" if view is None else view.scene for view in trials.views])[trials.view_codes]
+    members = trials.indices_of_group(one.group)
+    of_scenes = [members[names[members] == name] for name in dict.fromkeys(names[members].tolist())]
+    return [nearest_trial(scored, one, of_scene) for of_scene in evenly(of_scenes, MOST_SCENES)]
+
+
+def nearest_trial(scored: ScoredDataset, one: GroupFit, places: NDArray[np.intp] | None = None) -> int:
+    """Return the trial's index: level nearest to threshold, and of those P(correct) nearest to the criterion.
+
+    `places` are the indices to choose from, by default all of the group.
+    """
+    threshold, criterion = one.fit.threshold, one.fit.p_correct
+    assert threshold is not None
+    trials = scored.trials
+    places = trials.indices_of_group(one.group) if places is None else places
+    from_threshold = np.abs(np.log(trials.levels[places] / threshold))
+    from_criterion = np.abs(scored.p_correct[places] - criterion)
+    return int(places[np.lexsort([from_criterion, from_threshold])[0]])
+
+
+def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[ExamplePatch]:
+    """Read the part of each frame of a trial that surrounds the triangle."""
+    pitch_mrad = dataset.display.pitch_mrad
+    reach_px = reach_px_of(observer, trial.stimulus, pitch_mrad)
+    found = []
+    for frame in trial.frames:
+        with dataset.open(frame, verify=True) as file:
+            x, y = centroid_position(trial, file.header, observer.centre, pitch_mrad, frame)
+            rows, columns = ((round(place) - reach_px, round(place) + reach_px + 1) for place in (y, x))
+            triangle = TrianglePlace(x, y, size_in_px(trial, pitch_mrad))
+            patch = read_contrast(file, dataset.display, frame, rows, columns, triangle=triangle)
+            found.append(ExamplePatch(patch, x, y))
+    return found
+
+
+MOST_GROUPS, MOST_ALGORITHMS = 2, 6
+
+
+def compare_examples(
+    dataset: Dataset, results: Sequence[AlgorithmResult], observer: Observer, screen: AlgorithmDisplay
+) -> tuple[Example, ...]:
+    """Draw the trial nearest to the reference's threshold in up to two groups, after each of up to six algorithms.
+
+    All pictures of a group have the same white. Raises FrameError if a frame can no longer be used.
+    """
+    from todframes.enhancement.enhanced_frame import TrialReader
+
+    shown_results = results[:MOST_ALGORITHMS]
+    reader = TrialReader([one.enhancement for one in shown_results], screen)
+    reference = results[0].scored
+    found = []
+    for group in evenly([one for one in reference.fits if one.fit.threshold is not None], MOST_GROUPS):
+        place = nearest_trial(reference, group)
+        trial = reference.trials[place]
+        dx, dy = np.nan_to_num(reference.displacement_samples[place]).tolist()
+        after = reader(dataset, trial, observer, observer.grid(trial.stimulus), [(dx, dy)], whole=True)
+        draw = partial(_drawn, (dx, dy), observer, trial.stimulus)
+        white = max(draw(one)[1][0].scale or 0.0 for one in after)
+        for result, one in zip(shown_results, after, strict=True):
+            (here,) = np.flatnonzero(result.scored.trials.numbers == trial.number)
+            p_correct = float(result.scored.p_correct[here])
+            found.append(
+                _example(dataset, trial, p_correct, *draw(one, white=white), algorithm=result.enhancement.spec)
+            )
+    return tuple(found)
+
+
+def _drawn(
+    displacement_samples: tuple[float, float],
+    observer: Observer,
+    stimulus: Stimulus,
+    shown: Shown,
+    white: float | None = None,
+) -> tuple[float, tuple[Thumbnail, ...]]:
+    """Draw the display, retina image and bands after one algorithm."""
+    return pictures(
+        [ExamplePatch(*part) for part in zip(shown.patches, shown.x_px, shown.y_px, strict=True)],
+        retina_image(shown, observer.grid(stimulus), displacement_samples),
+        observer=observer,
+        stimulus=stimulus,
+        pixel_pitch_mrad=shown.pixel_pitch_mrad,
+        white=white,
+    )

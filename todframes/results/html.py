@@ -1,0 +1,154 @@
+"""Conversion of a result to one self-contained HTML page with text, figures, pictures and tables.
+
+The page is made from the result alone, so the same result gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Sequence
+from functools import cache
+from typing import TYPE_CHECKING
+from urllib.parse import quote
+
+from todframes.base._typing import Json
+from todframes.results import tables
+from todframes.results.data import Content, Example, Head, ResultData, Thumbnail, warning_texts
+from todframes.results.figure import ReportFigure
+from todframes.results.figure_style import style
+from todframes.results.svg import inline_svg
+from todframes.results.table import HIDDEN, Table, markup
+from todframes.results.wording import group_phrase, level_name, path_name, plain
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+
+MOST_FIGURES = 12
+
+
+def page(title: str, result: Head, data: Content) -> str:
+    """Return the HTML page of a result: the answer first, and folded how it was made."""
+    shown = [one for one in data.tables() if not one.is_folded]
+    folded = [*(one for one in data.tables() if one.is_folded), tables.settings(result, data).folded()]
+    examples = (data.examples or ()) if isinstance(data, ResultData) else ()
+    run_time = [] if result.run_time_s is None else [f"Run time {plain(result.run_time_s)} s."]
+    content = {
+        "title": title,
+        "about": path_name(data.name),
+        "verdict": data.sentences(),
+        "warnings": [*warning_texts(result.warnings)],
+        "figures": figure_items(data.figures()),
+        "tables_shown": [*map(table_item, shown)],
+        "examples": _examples([one for one in examples if not _is_whole(one)]),
+        "without": _examples([one for one in examples if _is_whole(one)]),
+        "remarks": run_time + data.remarks(),
+        "details": [*map(table_item, folded)],
+        "version": result.version,
+        "can_be_made_again": True,
+    }
+    return render(content)
+
+
+def render(content: Json) -> str:
+    """Return the page of some content: the values that the template `report.html.j2` names."""
+    return _environment().get_template("report.html.j2").render(content)
+
+
+@cache
+def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    return Environment(
+        loader=PackageLoader("todframes.results"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=lambda value: _shown(value) if type(value) is str else value,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def _shown(text: str) -> str:
+    return HIDDEN.sub("\ufffd", text)
+
+
+def figure_items(drawn: Sequence[ReportFigure]) -> list[Json]:
+    """List figures for the page, up to `MOST_FIGURES`."""
+    with style():
+        return [
+            {
+                "svg": inline_svg(one.figure(), name=f"figure-{number}", label=_shown(f"{one.title}. {one.note}")),
+                "title": one.title,
+                "note": one.note,
+            }
+            for number, one in enumerate(drawn[:MOST_FIGURES], 1)
+        ]
+
+
+def table_item(table: Table) -> Json:
+    """Return a table for the page, with its CSV; the reader opens it if it is folded."""
+    return {"table": table, "csv": "data:text/csv;charset=utf-8," + quote(table.csv())}
+
+
+def _examples(examples: Sequence[Example]) -> list[Json]:
+    """List the examples by group, with a row of pictures for each algorithm."""
+    groups: dict[str, Json] = {}
+    for one in examples:
+        label = group_phrase(one.group)
+        groups.setdefault(label, {"label": label, "rows": []})["rows"].append(
+            {"algorithm": one.algorithm or "", "about": _about_example(one), "tiles": [*map(_tile, one.pictures)]}
+        )
+    return list(groups.values())
+
+
+def _is_whole(one: Example) -> bool:
+    """Return whether an example is a whole frame, of a group without a threshold."""
+    return any(picture.name == "whole" for picture in one.pictures)
+
+
+def _about_example(one: Example) -> str:
+    parts = [
+        f"apex {one.orientation}" if one.orientation else "",
+        f"{level_name(one.level)} {plain(one.strength)}" if one.strength is not None else "",
+        f"P(correct) {plain(one.p_correct, 2)}" if one.p_correct is not None else "",
+        f"{plain(one.width_mrad)} mrad wide" if one.width_mrad is not None else "",
+        f"mean of {one.n_frames} frames" if (one.n_frames or 1) > 1 else "",
+        f"scene {one.scene}" if one.scene else "",
+        one.frame or "",
+    ]
+    return ", ".join(part for part in parts if part)
+
+
+def _tile(picture: Thumbnail) -> Json:
+    scale = ""
+    if picture.scale is not None and picture.name == "display":
+        scale = f"white: {plain(1.0 + picture.scale)} × background"
+    elif picture.scale is not None and picture.black is not None:
+        scale = f"black: {plain(1.0 + picture.black)}, white: {plain(1.0 + picture.scale)} × background"
+    elif picture.scale is not None:
+        scale = f"white: {plain(picture.scale, 2)}"
+    names = {"display": "as displayed", "retina": "on the retina", "whole": "whole frame"}
+    return {
+        "source": "data:image/png;base64," + base64.b64encode(picture.png).decode(),
+        "width": int.from_bytes(picture.png[16:20]),
+        "height": int.from_bytes(picture.png[20:24]),
+        "name": names.get(picture.name, picture.name),
+        "scale": scale,
+        "large": picture.name in ("display", "whole"),
+    }
+
+
+def notebook_page(sentences: Sequence[str], shown: Sequence[Table], figures: Sequence[ReportFigure]) -> str:
+    """Return the self-contained HTML that a notebook shows: sentences, the first table and the first figure."""
+    text = "".join(f"<p>{markup(sentence)}</p>" for sentence in sentences)
+    content = "".join(table.without_details().html() for table in shown[:1])
+    # Names inside a drawing are valid in the whole notebook, so another result must have other names.
+    name = f"tod-{zlib.crc32((text + content).encode()):08x}"
+    with style():
+        svg = "".join(
+            inline_svg(one.figure(), name=name, label=_shown(f"{one.title}. {one.note}")) for one in figures[:1]
+        )
+    paper = "--paper: var(--jp-layout-color0, Canvas); max-width: 40rem"
+    return f'<div style="{paper}">{text}{content}{svg}</div>'

@@ -1,0 +1,283 @@
+"""The result of a command or call: its numbers, and methods that make tables, figures and files of them."""
+
+from __future__ import annotations
+
+import platform
+import sys
+import time
+from collections.abc import Iterable
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeVar
+
+import msgspec
+
+from todframes import __version__
+from todframes.base.errors import DataError
+from todframes.results.data import SCHEMA, Content, Head, ResultWarning, decode, json_file, read_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
+
+    from todframes.results.table import Table
+
+
+LIBRARIES = ("numpy", "scipy", "OpenImageIO", "cv2", "skimage")
+
+C = TypeVar("C", bound=Content)
+
+
+class Kind(NamedTuple):
+    """The result of a command: title of its page, "module:class" of its content, and a key that this must have."""
+
+    title: str
+    content: str
+    key: str
+
+    @property
+    def content_class(self) -> type[Content]:
+        """The class of the content."""
+        module, _, name = self.content.partition(":")
+        found: type[Content] = getattr(import_module(module), name)
+        return found
+
+
+THRESHOLDS = "todframes.results.thresholds:Thresholds"
+
+KINDS = {
+    "score": Kind("TOD thresholds of display frames", THRESHOLDS, "fits"),
+    "naked-eye": Kind("Thresholds of the naked eye", THRESHOLDS, "fits"),
+    "fit": Kind("Fitted psychometric functions", THRESHOLDS, "fits"),
+    "curve": Kind("TOD curve of a sensor", THRESHOLDS, "fits"),
+    "compare": Kind("Enhancements compared", THRESHOLDS, "algorithms"),
+    "accuracy": Kind("Error against run time", THRESHOLDS, "scenes"),
+    "calibrate": Kind("Internal noise of people", THRESHOLDS, "persons"),
+    "noise": Kind("Noise of a camera", "todframes.camera.noise_result:RecordedNoise", "noise"),
+    "emva": Kind("Noise of a camera by EMVA 1288", "todframes.camera.emva_result:Emva", "noise"),
+    "sensor-mtf": Kind("MTF of a sensor", "sensor_sim.chain.mtf_result:SensorMtf", "mtf"),
+    "mrtd": Kind("Four bars and triangles of a sensor", "sensor_sim.four_bars.mrtd_result:SensorMrtd", "bars"),
+    "range": Kind("Range in the field", "todframes.field.range_result:FieldRange", "numbers"),
+    "mtf": Kind("MTF of a camera", "todframes.camera.mtf_result:Mtf", "mtf"),
+}
+"""Results that have a page and can be read again, by command."""
+
+
+class Result(Head, Generic[C], frozen=True, kw_only=True):
+    """What a command or call found, with methods that make text, figures, files and a page of it.
+
+    All calls that measure or compute return one, and `load_result` reads it back. Attributes of `data` are those
+    of the result too: `result.thresholds` is `result.data.thresholds`.
+
+    Attributes
+    ----------
+    data : Content
+        The numbers of the command; its fields are keys in `result.json`, among them `settings`.
+    warnings : tuple of ResultWarning
+        Facts that make the numbers less certain.
+    command, version, seed, run_time_s
+        How the numbers were made.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> result = tod.score("sample_frames/naked_eye")
+    >>> [(one.group["size_mrad"], round(one.threshold, 3)) for one in result.thresholds]
+    [(0.6, 0.305), (0.9, 0.163), (1.4, 0.104), (2.4, 0.071)]
+    """
+
+    data: C
+
+    @classmethod
+    def made(
+        cls,
+        command: str,
+        started: float,
+        *,
+        seed: int | None = None,
+        warnings: Iterable[ResultWarning] = (),
+        **content: Any,
+    ) -> Result[Any]:
+        """Return a new result of a command, with the run time since `started` and the versions of libraries."""
+        used = {name: sys.modules[name].__version__ for name in LIBRARIES if name in sys.modules}
+        kind: Any = KINDS.get(command, KINDS["score"]).content_class
+        return Result(
+            schema=SCHEMA,
+            command=command,
+            version=__version__,
+            versions={"python": platform.python_version(), "todframes": __version__, **used},
+            run_time_s=round(time.perf_counter() - started, 4),
+            seed=seed,
+            warnings=tuple(warnings),
+            data=kind(**content),
+        )
+
+    def holding(self, **values: Any) -> Self:
+        """Return a copy whose `data` has values for which JSON has no room."""
+        data = msgspec.structs.replace(self.data)
+        data.__dict__.update(values)
+        return msgspec.structs.replace(self, data=data)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.data, name)
+
+    @property
+    def title(self) -> str:
+        """The title of the page."""
+        return KINDS[self.command].title if self.command in KINDS else self.command
+
+    def __repr__(self) -> str:
+        return f"<Result of {self.command}: {' '.join(self.data.sentences())}>"
+
+    def _repr_html_(self) -> str:
+        from todframes.results.html import notebook_page
+
+        return notebook_page(self.data.sentences(), self.data.tables(), self.data.figures())
+
+    def table(self) -> Table:
+        """Return the main table."""
+        return self.data.table()
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the main table as a pandas DataFrame; an interval becomes two columns.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        return self.data.table().to_dataframe()
+
+    def to_csv(self) -> str:
+        """Return the main table as the text of a CSV file; columns as in `to_dataframe`."""
+        return self.data.table().csv()
+
+    def summary(self) -> str:
+        """Return the findings and warnings as sentences, a line each, as the page states them."""
+        from todframes.results.wording import warning_text
+
+        warnings = (f"warning: {warning_text(one.group, one.message)}" for one in self.warnings)
+        return "\n".join([*self.data.sentences(), *warnings])
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the main figure.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Axes to draw into. Default: a new figure.
+
+        Returns
+        -------
+        matplotlib Axes
+
+        Raises
+        ------
+        DataError
+            If there is nothing to draw.
+        """
+        from todframes.results.figure import drawn
+
+        for figure in self.data.figures():
+            return drawn(figure.draw, ax)
+        raise DataError(f"plot: the result of {self.command} has nothing to draw")
+
+    def to_json(self) -> bytes:
+        """Return the result as indented JSON, the content of `result.json`."""
+        head: dict[str, Any] = msgspec.to_builtins(
+            Head(**{name: getattr(self, name) for name in Head.__struct_fields__})
+        )
+        return json_file(head | msgspec.to_builtins(self.data))
+
+    def to_html(self) -> str:
+        """Return the result as one self-contained HTML page, the content of `report.html`."""
+        from todframes.results.html import page
+
+        return page(self.title, self, self.data)
+
+    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+        """Return the content of all files by name: tables, pictures, `report.html`, `result.json`.
+
+        Long tables come in parts, each made when it is asked for.
+        """
+        return {
+            **self.data.files(),
+            **{one.file: one.png() for one in self.data.figures() if one.file},
+            self.data.page_file: self.to_html().encode(),
+            self.data.json_file: self.to_json(),
+        }
+
+    def save(self, folder: Path | str) -> None:
+        """Write the files that the command writes with `-o`, each whole or not at all.
+
+        Parameters
+        ----------
+        folder : path
+            Folder, which is made if only its parent exists. Files of an earlier result are replaced.
+
+        Raises
+        ------
+        OutputError
+            If the place cannot be written.
+        """
+        from todframes.base.output import write_folder
+
+        write_folder(folder, self.files())
+
+
+def load_result(path: Path | str) -> Result[Any]:
+    """Return a result that a command or `Result.save` wrote.
+
+    Parameters
+    ----------
+    path : path
+        `result.json`, or its folder. Trials are read from `scores.csv` beside it when they are asked for.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, or is not a result.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import todframes as tod
+    >>> folder = tempfile.mkdtemp()
+    >>> tod.fit_counts([0.1, 0.2, 0.4, 0.8], [12, 18, 30, 38], [40, 40, 40, 40]).save(folder)
+    >>> len(tod.load_result(folder).thresholds)
+    1
+    """
+    path = Path(path)
+    if (path / "result.json").is_file():
+        path /= "result.json"
+    result = read_result(read_bytes(path), str(path))
+    result.data.found_in(path.parent)
+    return result
+
+
+def read_result(content: bytes, where: str) -> Result[Any]:
+    """Return a result decoded from its JSON and checked.
+
+    Raises
+    ------
+    DataError
+        If it is not JSON, has another schema or is of another command, or lacks a key that its page needs. The
+        message begins with `where`.
+    """
+    head = decode(content, where, Head)
+    if head.schema != SCHEMA:
+        raise DataError(f"{where}: schema: found {head.schema}, expected {SCHEMA}")
+    kind = KINDS.get(head.command)
+    if kind is None:
+        raise DataError(f"{where}: command: found {head.command!r}, expected one of {', '.join(KINDS)}")
+    data = decode(content, where, kind.content_class)
+    if not getattr(data, kind.key):
+        raise DataError(f"{where}: {kind.key}: found none, expected at least one")
+    data.check(where)
+    return Result(**msgspec.structs.asdict(head), data=data)

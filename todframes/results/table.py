@@ -1,0 +1,386 @@
+"""Table class with five forms of output: terminal, CSV, Markdown, HTML and pandas DataFrame."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from html import escape
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+import msgspec
+
+from todframes.base.safe_text import csv_text, visible
+from todframes.results.wording import interval_phrase, plain
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from rich.console import Group
+
+
+BLOCK = 4096
+"""Number of rows of a long table that are made, and written, at a time."""
+
+LONGEST_TABLE = 200
+"""Largest number of rows in the HTML form; the CSV has all rows."""
+
+EXACT = 15
+"""Number of digits of a number that is shown unrounded."""
+
+MOST_COLUMNS = 10
+"""Largest number of columns that the HTML form shows side by side on a page of middling width."""
+
+LEAST_TEXT_WIDTH = 16
+"""Least width, in letters, to which a column of long texts is wrapped in the terminal."""
+
+LEAST_WORD_WIDTH = 10
+"""The same where the terminal would be too narrow otherwise: "difference" and "open above" fit."""
+
+HIDDEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
+"""Pattern of characters that HTML does not allow or that change the direction of the text beside them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """Key, header and number format of a table's column.
+
+    Attributes
+    ----------
+    key : str
+        Key of the column's values in the records, and the column's name in CSV.
+    header : str
+        Heading on screen; by default the key in words.
+    digits : int
+        Significant digits on screen.
+    decimals : int, optional
+        Digits after the decimal point on screen, instead of `digits`.
+    sign : str
+        Text in front of each number on screen.
+    none : str
+        Text on screen if a record has no value.
+    interval : str
+        Prefix of the two CSV names of a column of pairs; "" if values are not pairs.
+    rank : int
+        Order of omission: a terminal too narrow for all columns drops the highest rank first, but never rank 0.
+    in_file_only : bool
+        Whether only the CSV and the DataFrame have the column.
+    is_detail : bool
+        Whether the terminal shows the column only if asked for details.
+    wraps : bool
+        Whether long texts are wrapped in the terminal.
+    bound_if : str
+        Key of a flag in the records: if it is set, the number on screen is an upper bound, with "<".
+    is_name : bool
+        Whether the values identify rows: the column is also shown with the details, and as first column the
+        terminal shows a repeated value once.
+    """
+
+    key: str
+    header: str = ""
+    digits: int = 4
+    decimals: int | None = None
+    sign: str = ""
+    none: str = "–"
+    interval: str = ""
+    rank: int = 0
+    in_file_only: bool = False
+    is_detail: bool = False
+    wraps: bool = False
+    bound_if: str = ""
+    is_name: bool = False
+
+    @property
+    def heading(self) -> str:
+        """The heading on screen."""
+        return self.header or self.key.replace("_", " ")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the column, or of its two ends, in CSV."""
+        return (f"{self.interval}_low", f"{self.interval}_high") if self.interval else (self.key,)
+
+    def text(self, value: Any) -> str:
+        """Return a value as text for a reader."""
+        match value:
+            case None:
+                return self.none
+            case bool():
+                return "yes" if value else "no"
+            case float() if self.decimals is not None:
+                return f"{value:.{self.decimals}f}"
+            case float() if self.digits < EXACT:
+                return self.sign + plain(value, self.digits)
+            case float():
+                return f"{value:.15g}"
+            case tuple() if self.interval:
+                return interval_phrase(value, self.digits)
+            case str() | int():
+                return str(value)
+            case _:
+                return msgspec.json.encode(value).decode()
+
+
+class LongRecords(Sequence[Mapping[str, Any]]):
+    """Records that are made from columns, block by block, each time they are read: not all are in memory at once.
+
+    Parameters
+    ----------
+    kinds : mapping of str to type
+        Type of the values of each column: str, bool, int or float.
+    n : int
+        Number of records.
+    blocks : function
+        Function that returns an iterator over mappings of all keys, in the order of `kinds`, to lists of values.
+    """
+
+    def __init__(
+        self, kinds: Mapping[str, type], n: int, blocks: Callable[[], Iterator[Mapping[str, Sequence[Any]]]]
+    ) -> None:
+        self.kinds = kinds
+        self.blocks = blocks
+        self._n = n
+
+    def __len__(self) -> int:
+        return self._n
+
+    def __iter__(self) -> Iterator[Mapping[str, Any]]:
+        for block in self.blocks():
+            for values in zip(*block.values(), strict=True):
+                yield dict(zip(block, values, strict=True))
+
+    @overload
+    def __getitem__(self, index: int) -> Mapping[str, Any]: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Mapping[str, Any], ...]: ...
+    def __getitem__(self, index: int | slice) -> Mapping[str, Any] | tuple[Mapping[str, Any], ...]:
+        places = range(self._n)[index]
+        if isinstance(places, int):
+            return next(islice(self, places, None))
+        first, last = min(places, default=0), max(places, default=-1)
+        part = list(islice(self, first, last + 1))
+        return tuple(part[place - first] for place in places)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Sequence):
+            return NotImplemented
+        return len(self) == len(other) and all(one == two for one, two in zip(self, other, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Columns and records with a title; `file` is the name of the CSV file.
+
+    A folded table is not printed, and closed on the page.
+    """
+
+    title: str
+    file: str
+    columns: tuple[Column, ...]
+    records: Sequence[Mapping[str, Any]]
+    is_folded: bool = False
+
+    @classmethod
+    def of(
+        cls, title: str, file: str, columns: Iterable[Column | str], records: Iterable[Mapping[str, Any]]
+    ) -> Table:
+        """Return a table; a column given as text is its key, with all else by default."""
+        made = (Column(key=one) if isinstance(one, str) else one for one in columns)
+        return cls(title, file, tuple(made), records if isinstance(records, LongRecords) else tuple(records))
+
+    def folded(self) -> Table:
+        """Return the table as a folded one."""
+        return replace(self, is_folded=True)
+
+    def without_empty_columns(self, *but: str) -> Table:
+        """Return the table without the columns in which no record has a value; columns named in `but` are kept."""
+        used = {key for record in self.records for key, value in record.items() if value is not None}
+        return replace(self, columns=tuple(one for one in self.columns if one.key in used or one.key in but))
+
+    def without_details(self) -> Table:
+        """Return the table with details in its file only, as a terminal shows it by default."""
+        columns = (replace(one, in_file_only=one.in_file_only or one.is_detail) for one in self.columns)
+        return replace(self, columns=tuple(columns))
+
+    def is_numeric(self, column: Column) -> bool:
+        """Return whether the values of a column are numbers or intervals."""
+        values = (record.get(column.key) for record in self.records)
+        return all(
+            value is None or (isinstance(value, int | float | tuple) and not isinstance(value, bool))
+            for value in values
+        )
+
+    def rows(self, columns: Sequence[Column]) -> list[list[str]]:
+        """Return the cells of some columns as text for a reader, row by row."""
+        return [
+            ["< " * bool(record.get(one.bound_if)) + one.text(record.get(one.key)) for one in columns]
+            for record in self.records
+        ]
+
+    def csv(self) -> str:
+        """Return all columns as CSV; numbers have all their digits, and no text is a formula."""
+        return "".join(self.csv_parts())
+
+    def csv_parts(self) -> Iterator[str]:
+        """Yield the CSV in parts, the rows of long records in blocks."""
+        yield csv_text([[name for column in self.columns for name in column.names]])
+        if isinstance(self.records, LongRecords):
+            kinds = {one.key: self.records.kinds[one.key] for one in self.columns}
+            for block in self.records.blocks():
+                columns = (_fields(block[key], kind) for key, kind in kinds.items())
+                yield csv_text(zip(*columns, strict=True))
+        else:
+            yield csv_text(
+                [field_text(value) for column in self.columns for value in _ends(column, record)]
+                for record in self.records
+            )
+
+    def markdown(self) -> str:
+        """Return the shown columns as a table in GitHub's Markdown."""
+        shown = [one for one in self.columns if not one.in_file_only]
+        rule = ["---:" if self.is_numeric(one) else "---" for one in shown]
+        lines = [[one.heading for one in shown], rule, *self.rows(shown)]
+        return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+    @property
+    def n_rows_hidden(self) -> int:
+        """Number of rows that the HTML form leaves out."""
+        return max(0, len(self.records) - LONGEST_TABLE)
+
+    def html(self, caption_id: str = "") -> str:
+        """Return the shown columns of the first rows as an HTML `table` element; its caption has the given id."""
+        shown = [one for one in self.columns if not one.in_file_only]
+        kinds = [' class="number"' if self.is_numeric(one) else "" for one in shown]
+        heads = "".join(
+            f'<th scope="col"{kind}>{markup(one.heading)}</th>' for one, kind in zip(shown, kinds, strict=True)
+        )
+        body = []
+        for row in replace(self, records=self.records[:LONGEST_TABLE]).rows(shown):
+            first, *others = (
+                f' data-label="{markup(one.heading)}"{kind}>{markup(text)}'
+                for one, kind, text in zip(shown, kinds, row, strict=True)
+            )
+            cells = "".join(f"<td{cell}</td>" for cell in others)
+            body.append(f'<tr><th scope="row"{first}</th>{cells}</tr>')
+        lines = "\n".join(body)
+        mark = f' id="{caption_id}"' if caption_id else ""
+        wide = ' class="wide"' if len(shown) > MOST_COLUMNS else ""
+        head = f"<table{wide}>\n<caption{mark}>{markup(self.title)}</caption>\n<thead><tr>{heads}</tr></thead>"
+        return f"{head}\n<tbody>\n{lines}\n</tbody>\n</table>"
+
+    def to_dataframe(self) -> DataFrame:
+        """Return all columns as a pandas DataFrame; an interval becomes two columns.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        try:
+            from pandas import DataFrame
+        except ImportError as error:
+            raise ImportError("a DataFrame needs pandas, which is not installed: pip install pandas") from error
+        names = [name for column in self.columns for name in column.names]
+        rows = [[value for column in self.columns for value in _ends(column, record)] for record in self.records]
+        return DataFrame(rows, columns=names)
+
+    def terminal(self, width: int, *, details: bool = False) -> Group:
+        """Lay out the table for a terminal. A narrow one shows fewer columns, but no number is cut or broken.
+
+        Parameters
+        ----------
+        width : int
+            Number of letters in a line.
+        details : bool
+            Show the columns that identify rows and those that are details, instead of the others.
+
+        Returns
+        -------
+        rich Group
+            Title and table, to be printed on a console that is wide enough.
+        """
+        from rich.box import SIMPLE_HEAD
+        from rich.console import Group
+        from rich.table import Table as RichTable
+        from rich.text import Text
+
+        shown = [one for one in self.columns if not one.in_file_only and (one.is_name or one.is_detail == details)]
+        while True:
+            rows = [list(map(visible, row)) for row in self.rows(shown)]
+            cells = zip(*rows, strict=True) if rows else [()] * len(shown)
+            cells = list(cells)
+            for narrowness in range(3):
+                least, most = zip(*map(partial(_widths, narrowness=narrowness), shown, cells), strict=True)
+                # Each column has two letters of padding; one letter is between columns and one at each end.
+                room = width - sum(least) - 3 * len(shown) - 1
+                if room >= 0:
+                    break
+            rank = max(one.rank for one in shown)
+            if room >= 0 or not rank:
+                break
+            shown = [one for one in shown if one.rank < rank]
+        # Cells are Text, not str: names are data, and rich would read brackets in them as markup.
+        table = RichTable(box=SIMPLE_HEAD)
+        # Short columns get their full width first; then long texts, the longest before the others.
+        widths = list(least)
+        for place in sorted(range(len(shown)), key=lambda k: (1, -most[k]) if shown[k].wraps else (0, most[k])):
+            more = max(min(most[place] - least[place], room), 0)
+            widths[place] += more
+            room -= more
+        for column, letters in zip(shown, widths, strict=True):
+            side: Literal["left", "right"] = "right" if self.is_numeric(column) else "left"
+            table.add_column(
+                Text(visible(column.heading)), justify=side, vertical="top", width=letters, overflow="fold"
+            )
+        before = None
+        for first, *others in rows:
+            # A name that equals that of the row above is not written again.
+            repeated = shown[0].is_name and first == before
+            table.add_row(*map(Text, ["" if repeated else first, *others]))
+            before = first
+        return Group(Text(visible(self.title), style="bold"), table)
+
+
+def _widths(column: Column, cells: Iterable[str], *, narrowness: int) -> tuple[int, int]:
+    """Return a column's least width, with header and long texts wrapped, and its full width, in letters.
+
+    In a narrow table, 1, intervals with an open end are wrapped too; in a narrower one, 2, they and all texts but
+    names are wrapped to fewer letters.
+    """
+    from rich.cells import cell_len
+
+    cells = list(cells)
+    longest = max(map(cell_len, cells), default=0)
+    header = max(map(cell_len, column.heading.split()), default=1)
+    text_width = LEAST_TEXT_WIDTH if narrowness < 2 or column.is_name else LEAST_WORD_WIDTH
+    least = min(longest, text_width) if column.wraps else longest
+    if column.interval and narrowness:  # "from 0.2, open above"
+        least = max((min(cell_len(one), text_width) if "," in one else cell_len(one) for one in cells), default=0)
+    return max(least, header), max(longest, cell_len(column.heading))
+
+
+def markup(text: str) -> str:
+    """Return a text escaped for HTML."""
+    return escape(HIDDEN.sub("\ufffd", text))
+
+
+def _ends(column: Column, record: Mapping[str, Any]) -> tuple[Any, ...]:
+    value = record.get(column.key)
+    return (value or (None, None)) if column.interval else (value,)
+
+
+def _fields(values: Sequence[Any], kind: type) -> Sequence[object]:
+    """Return the values of a column as CSV fields: what `field_text` gives, numbers still to be written."""
+    if kind is float:
+        return [None if value != value else value for value in values]
+    return values if kind is int else [field_text(value) for value in values]
+
+
+def field_text(value: object) -> str:
+    """Return a value as a CSV field: all digits of a number, nothing for None and NaN."""
+    if value is None or value != value:
+        return ""
+    if isinstance(value, str):
+        return value
+    return repr(value) if isinstance(value, float) else msgspec.json.encode(value).decode()
