@@ -930,6 +930,11 @@ def test_what_is_no_algorithm_is_refused_in_a_line(make_dataset, asked) -> None:
         tod.compare(make_dataset(contrasts=(0.2,)).path, asked)
 
 
+def test_no_algorithm_is_an_error(make_dataset) -> None:
+    with pytest.raises(SettingsError, match="enhance: found none, expected one algorithm or more"):
+        tod.compare(make_dataset(contrasts=(0.2,)).path, [])
+
+
 @pytest.mark.parametrize("asked", ["gaussian:sigma=1", builtin.gaussian])
 def test_a_single_algorithm_needs_no_list(make_dataset, asked) -> None:
     data = make_dataset(suffix=".png", contrasts=(0.1, 0.2)).path

@@ -15,6 +15,7 @@ import todframes as tod
 from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor
 from sensor_sim.cli import cli
 from sensor_sim.four_bars.mrtd_result import lloyd_mrtd_mk, sensor_ttp
+from sensor_sim.thresholds import bars
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.field.ttp import TtpSettings, at_the_eye, contrast_threshold, cycles_of_contrast
@@ -39,6 +40,24 @@ def test_thresholds_in_mk_are_those_of_the_triangles_rule(found):
     assert found.bars[2].status == found.bars[2].best_status == "never_reached"
     assert found.bars[2].mrtd_mk is None
     assert found.sentences()[1] == "No contrast is enough from 2 times the Nyquist frequency on."
+
+
+def test_thresholds_that_miss_the_tolerance_have_a_warning(monkeypatch):
+    monkeypatch.setattr(bars, "PLACES", bars.PLACES[:1])
+    missed = ss.mrtd(SENSOR, **FEW | {"tolerance": 1e-4})
+    warnings = [one for one in missed.warnings if one.code == "numerical_error"]
+    assert [one.group for one in warnings if "lower frequencies" in one.message] == [
+        {"frequency_nyquist": 1.0},
+        {"frequency_nyquist": 1.2},
+    ]
+    for one, warning in zip(missed.bars, warnings, strict=False):
+        assert warning.found == one.threshold_snr_error / one.threshold_snr > 2e-4
+
+
+def test_warnings_about_triangles_are_those_of_curve():
+    found = ss.mrtd(SENSOR, **FEW | {"frequency_nyquist": [1.2], "size_detectors": [1.0]})
+    assert found.tod[0].status == "never_reached"
+    assert [one.code for one in found.warnings] == ["never_reached"]
 
 
 def test_lloyds_form_of_a_sensor_without_blur():

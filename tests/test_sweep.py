@@ -88,6 +88,17 @@ def test_numbers_are_those_of_the_curve(swept) -> None:
             assert (row["status"], row["n_phases"]) == (fit.status, fit.n_phases)
 
 
+def test_thresholds_that_miss_the_tolerance_are_counted(swept) -> None:
+    numbers = swept.swept
+    error = np.where(np.isfinite(numbers.threshold), 1e-3 * numbers.threshold, np.nan)
+    exact = replace(swept, swept=replace(numbers, numerical_error=error.copy()))
+    assert "tolerance" not in " ".join(exact.sentences())
+    error[0, 1] = 0.3 * numbers.threshold[0, 1]
+    missed = replace(swept, swept=replace(numbers, numerical_error=error))
+    wanted = "1 threshold misses the tolerance of 10 %: the numerical error is up to 30 %."
+    assert wanted in " ".join(missed.sentences())
+
+
 def test_designs_that_differ_in_noise_alone_are_computed_once(swept) -> None:
     assert swept.swept.n_computed == 8  # 2 apertures × 2 observers × 2 sizes, for 8 designs
     rows = list(swept.records())

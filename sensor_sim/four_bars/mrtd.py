@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
-from sensor_sim.four_bars.mrtd_result import LLOYD_FACTOR, SensorMrtd, bars_at, sensor_ttp
+from sensor_sim.four_bars.mrtd_result import LLOYD_FACTOR, BarsAt, SensorMrtd, bars_at, sensor_ttp
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, convert
 from todframes.base.seeds import Rng, seed_of
@@ -24,7 +24,8 @@ from todframes.parameters import (
     SignalToNoise,
     Tolerance,
 )
-from todframes.results.data import Record, as_read
+from todframes.results.advice import missed_tolerance
+from todframes.results.data import Fit, Group, Record, ResultWarning, as_read
 from todframes.results.result import Result
 
 FREQUENCIES_NYQUIST = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.4)
@@ -147,18 +148,25 @@ def mrtd(
         )
     nyquist = sensor.detector.nyquist_cyc_per_mrad
     chains = [BarChain(sensor, judge, one * nyquist, against=against, direction=direction) for one in of_nyquist]
-    bars = []
+    bars: list[BarsAt] = []
+    warnings: tuple[ResultWarning, ...] = ()
     for one, chain in zip(of_nyquist, chains, strict=True):
         averaged, best = chain.averaged(p_correct, tolerance=tolerance, seed=seed), chain.best(p_correct)
         bars.append(bars_at(one * nyquist, averaged, best, sensor, lloyd_snr=lloyd_snr))
+        group: Group = {"frequency_nyquist": one}
+        missed = missed_tolerance(
+            averaged.snr, averaged.numerical_error, tolerance, group=group, exact="lower frequencies"
+        )
+        warnings += () if missed is None else (missed,)
         if progress is not None:
             progress(1)
-    tod = ()
+    tod: tuple[Fit, ...] = ()
     if len(size_detectors):
         shown: dict[str, Any] = {"observer": judge, "p_correct": p_correct, "tolerance": tolerance}
-        tod = curve(
+        triangles = curve(
             sensor, size_detectors=size_detectors, rng=seed, examples=False, progress=progress, **shown
-        ).fits
+        )
+        tod, warnings = triangles.fits, (*warnings, *triangles.warnings)
     noise = sensor.noise
     settings |= {
         "against": against,
@@ -179,11 +187,12 @@ def mrtd(
         "mrtd",
         started,
         seed=seed,
+        warnings=warnings,
         sensor=sensor.name,
         nyquist_cyc_per_mrad=nyquist,
         settings=as_read(settings, Record),
         bars=tuple(bars),
-        tod=tuple(tod),
+        tod=tod,
         ttp=None
         if noise.netd_mk is None
         else sensor_ttp(

@@ -22,6 +22,7 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys, check_positive
 from todframes.field.target import Quantity
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
+from todframes.results.advice import MISSED
 from todframes.results.data import json_file
 from todframes.results.table import BLOCK, Column, LongRecords, Table
 from todframes.results.wording import count, level_name, listed, plain, unknown_place
@@ -442,6 +443,16 @@ class SweepData:
             first = next(row for row, one in enumerate(swept.status) if one[0] == IMPOSSIBLE)
             why = f"design {first + 1}: {swept.reason[first][0]}"
             found.append(f"{count(impossible, 'design')} cannot be made or computed; the first is {why}.")
+        with np.errstate(invalid="ignore"):
+            share = swept.numerical_error / swept.threshold
+            missed = share > MISSED * self.settings["tolerance"]
+        if missed.any():
+            verb = "misses" if missed.sum() == 1 else "miss"
+            found.append(
+                f"{count(int(missed.sum()), 'threshold')} {verb} the tolerance of "
+                f"{100 * self.settings['tolerance']:g} %: the numerical error is up to "
+                f"{100 * share[missed].max():.2g} %. Larger sizes have smaller errors."
+            )
         beyond = [one.at_least_km for one in self.ranges or () if math.isfinite(one.at_least_km)]
         if beyond:
             found.append(

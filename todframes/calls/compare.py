@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
+from todframes.base.errors import SettingsError, argument
 from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
     background_of,
@@ -177,6 +178,8 @@ def compare(
     if isinstance(enhance, str) or not isinstance(enhance, Iterable):
         enhance = [enhance]
     found = [find_enhancement(one) for one in enhance]
+    if not found:
+        raise SettingsError(f"{argument.enhance}: found none, expected one algorithm or more")
     gazes = gazes_of(gaze)
     data = replace(loaded(dataset), gaze=gazes[0])
     judges, each_settings = described_each(observer, lambda: background_of(data))

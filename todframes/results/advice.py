@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from todframes.results.data import Algorithm, ContrastPoint, Fit, ResultWarning
+from todframes.results.data import Algorithm, ContrastPoint, Fit, Group, ResultWarning
 from todframes.results.wording import listed, plain
 from todframes.stimulus import HEIGHT_PER_SIZE, level_of
 
@@ -136,26 +136,32 @@ def numerical_errors(fits: Sequence[Fit], tolerance: float | None) -> tuple[Resu
     """
     found = []
     for fit in fits:
-        error = fit.threshold_numerical_error or fit.threshold_displacement_error or 0.0
-        share, message = error / (fit.threshold or math.inf), ""
+        error = fit.threshold_numerical_error or fit.threshold_displacement_error
+        warning = missed_tolerance(fit.threshold, error, tolerance, group=fit.group, exact="larger sizes")
         if fit.status == "too_uncertain":
-            message = "the numerical error is more than 30 % of the threshold, so there is none"
-        elif tolerance is not None and share > MISSED * tolerance:
             message = (
-                f"the numerical error of {plain(error, 1)} is {100 * share:.2g} % of the threshold, and the "
-                f"tolerance {100 * tolerance:g} %: the last digits are not sure"
+                "the numerical error is more than 30 % of the threshold, so there is none; larger sizes have "
             )
-        if message:
-            found.append(
-                ResultWarning(
-                    code="numerical_error",
-                    group=fit.group,
-                    message=f"{message}; larger sizes have smaller errors",
-                    found=share or None,
-                    expected=tolerance,
-                )
-            )
+            message += "smaller errors"
+            warning = ResultWarning(code="numerical_error", group=fit.group, message=message, expected=tolerance)
+        if warning is not None:
+            found.append(warning)
     return tuple(found)
+
+
+def missed_tolerance(
+    threshold: float | None, error: float | None, tolerance: float | None, *, group: Group, exact: str
+) -> ResultWarning | None:
+    """Return a warning if the numerical error of a threshold misses the tolerance. `exact` names what has smaller
+    errors."""
+    share = (error or 0.0) / (threshold or math.inf)
+    if tolerance is None or share <= MISSED * tolerance:
+        return None
+    message = (
+        f"the numerical error of {plain(error, 1)} is {100 * share:.2g} % of the threshold, and the tolerance "
+        f"{100 * tolerance:g} %: the last digits are not sure; {exact} have smaller errors"
+    )
+    return ResultWarning(code="numerical_error", group=group, message=message, found=share, expected=tolerance)
 
 
 def not_proportional(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:
