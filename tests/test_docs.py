@@ -13,6 +13,7 @@ import tomllib
 from pathlib import Path
 from typing import get_args
 
+import click
 import numpy as np
 import pytest
 
@@ -291,6 +292,29 @@ def test_no_warning_has_a_code_of_its_own() -> None:
         if keyword.arg == "code" and isinstance(keyword.value, ast.Constant)
     }
     assert {"levels_to_add"} <= codes <= set(get_args(WarningCode))
+
+
+@pytest.mark.oracle
+def test_each_command_and_each_key_has_its_page() -> None:
+    """The pages that are made when the site is built: every option with its text, every key with its meaning."""
+    pytest.importorskip("numpydoc", reason="the pages need the docs extra")
+    from command_pages import commands_of, descriptions, pages
+
+    from todframes.results.data import Algorithm, Fit, Head
+    from todframes.results.result import KINDS
+
+    made = pages()
+    for program, group in COMMANDS.items():
+        for name, command in commands_of(group).items():
+            text = made[f"commands/{program}-{name}.md"]
+            terms = re.findall(r"^`(-.*)`\n: \S", text, re.MULTILINE)
+            options = [one.opts[-1] for one in command.params if isinstance(one, click.Option)]
+            assert [re.search(r"--[\w-]+", term)[0] for term in terms] == options, name
+            assert f"[`{program} {name}`]" in made[f"commands/{program}.inc"]
+    for record in {Head, Fit, Algorithm, *(kind.content_class for kind in KINDS.values())}:
+        known = descriptions(record)
+        assert not [one for one in record.__struct_fields__ if not known.get(one)], record
+    assert "| `gamma` | number or null | Parameters α, β, γ and δ" in made["commands/keys.inc"]
 
 
 def test_own_observer_by_its_module(folder: Path, capsys) -> None:

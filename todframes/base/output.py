@@ -417,11 +417,11 @@ def _files_of_result(path: Path) -> set[str]:
         file = path / LAST_OF_RESULT
         if file.is_file() and file.stat().st_size <= LARGEST_RESULT_MB * 2**20:
             result = msgspec.json.decode(file.read_bytes(), type=_Result)
-            return {part for part in _files_of_command(result.command) if (path / part).is_file()}
+            return {part for part in files_of_command(result.command) if (path / part).is_file()}
     return set()
 
 
-def _files_of_command(command: str) -> Collection[str]:
+def files_of_command(command: str) -> Collection[str]:
     """Return the names of the files that a command of this or another package writes beside `result.json`."""
     if command in FILES_OF_COMMAND:
         return FILES_OF_COMMAND[command]

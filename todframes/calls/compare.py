@@ -107,7 +107,7 @@ def compare(
         Objects are taken as well. The first is that of `algorithms`, the others of `observers`, and `verdict`
         begins with where they disagree.
     white : float
-        Code value that algorithms take as white.
+        Code value that algorithms take as white; for EXR in cd/m² give the display's white.
     allow_clipping : bool
         Clip values beyond the display's range in the output of an algorithm; without it they are an error.
     decisions : {"expected", "sampled"}
@@ -130,7 +130,8 @@ def compare(
         Where the observer looks while a triangle moves: at its place in each frame (tracked), or at its mean place
         in the trial, so that it sees the motion as blur (fixed); or both.
     on_error : {"stop", "skip"}
-        At a frame or row that cannot be used: end with an error, or go on and list it among the skipped ones.
+        At a frame or row that cannot be used: end with an error, or go on and list it among the skipped ones. A
+        trial that cannot be used with one algorithm is left out for all.
     workers : int
         Processes that share the work.
 

@@ -136,6 +136,7 @@ class Emva(Content, frozen=True, kw_only=True):
     Attributes
     ----------
     noise : EmvaKey
+        The numbers, under the key `emva1288`.
     measured : EmvaNoise or None
         The measurement; None for a result that was read.
     """

@@ -77,7 +77,33 @@ class SignalTransfer(Struct, frozen=True, kw_only=True):
 
 
 class NoiseNumbers(Struct, frozen=True, kw_only=True):
-    """The key `noise` of the result."""
+    """The key `noise` of the result.
+
+    Attributes
+    ----------
+    recording, unit : str
+        Path of the recording, and the unit of its values: "code", "counts" or "celsius".
+    n_frames, frames_per_second
+        Number of frames, and their rate if it is known.
+    region : tuple of int
+        Part of the frame that was measured: left column, top row, width, height.
+    mean : float
+        Mean value.
+    parts : dict of Part
+        The seven parts of the noise: t, v, h, tv, th, vh, tvh.
+    dynamic, fixed_pattern : Part or None
+        tv, th and tvh together; v, h and vh together.
+    fixed_pattern_ratio : dict or None
+        Fixed pattern divided by dynamic noise: `ratio` and `ratio_ci95`.
+    drift : Line or None
+        Drift of the mean.
+    mk_per_unit : float or None
+        Temperature difference in mK for one unit of the values.
+    snr : tuple of Snr
+        With `--signal`: the ratio for each difference of values.
+    patches, signal_transfer
+        With `--patch` or `--chart`: the patches, and the straight line through their means.
+    """
 
     recording: str
     unit: str
@@ -102,6 +128,7 @@ class RecordedNoise(Content, frozen=True, kw_only=True):
     Attributes
     ----------
     noise : NoiseNumbers
+        The numbers.
     measured : Noise3D or None
         The measurement with its images; None for a result that was read.
     """

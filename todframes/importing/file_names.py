@@ -59,6 +59,8 @@ def new_dataset(
 ) -> FramesFound:
     """Make a folder of frames a dataset: write manifest.csv and dataset.toml from the names of its files.
 
+    A manifest.csv or dataset.toml that is there is not replaced. Files that do not match are listed and left out.
+
     Parameters
     ----------
     dataset : path
@@ -67,10 +69,8 @@ def new_dataset(
         Path of the frames relative to the folder, with the columns of the manifest in braces, as in
         'frames/s{size_mrad}_c{contrast}_{orientation}_{n}.png'; * stands for any text. size_mrad is √(area) as
         displayed, in mrad at the eye, and orientation one of up, right, down, left, or its first letter. Numbers
-        may be written 0.05, 0,05 or 0p05.
-
-        Size, orientation and the level have to be in it. Other names in braces become columns, too; columns of a
-        manifest keep their meaning. Neither `*` nor a name matches a slash.
+        may be written 0.05, 0,05 or 0p05. Size, orientation and the level have to be in it; any other name becomes
+        a column, and columns of a manifest keep their meaning. Neither * nor a name matches a slash.
     display : Display or str
         Display that shows the frames: reference_sdr, reference_linear, srgb_monitor, tod_2001, or a TOML file; all
         are in docs/displays.md. Its numbers are written into dataset.toml.

@@ -96,8 +96,9 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     level : str
         Quantity of `threshold`, `alpha` and the levels of `points`: contrast, snr, size_mrad.
     status : str
-        "ok", or the problem with the threshold: "extrapolated", "never_reached", "always_exceeded",
-        "too_few_levels", "too_uncertain".
+        "ok", the threshold lies within the levels shown; "extrapolated", outside of them but near; or there is no
+        threshold: "never_reached" and "always_exceeded", the curve stays below or above the criterion;
+        "too_few_levels", fewer than two; "too_uncertain", its numerical error is above 30 %.
     threshold : float or None
         Level at the raw proportion correct `p_correct`.
     threshold_ci95 : (float or None, float or None) or None
@@ -108,14 +109,26 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Error of a computed threshold, and half the 95 % interval over displacements of the retina.
     curve : str or None
         Psychometric function of the threshold, "observer" or "weibull"; None for a threshold that was computed.
+    n_trials : int
+        Number of trials.
+    n_displacements, n_phases : int or None
+        Number of displacements of the retina in each trial, and of positions on the detectors.
+    plan : tuple of dict
+        The plan of this threshold, as in the result.
+    run_time_s : float or None
+        Time for this threshold; with several workers, the sum over them.
     points_threshold : float or None
-        Level at which the points themselves cross the criterion.
+        Level at which the points themselves cross the criterion; None for sampled decisions, fewer than three
+        levels, or fewer than three trials at a level.
     weibull_threshold : float or None
         Threshold of the Weibull curve, which `threshold` is too if `curve` is "weibull".
     alpha, beta, guess_rate, lapse_rate : float or None
-        Parameters α, β, γ and δ of the Weibull curve, Hogervorst et al. 2001, eq. 3; `gamma` and `delta` in JSON.
+        Parameters α, β, γ and δ of the Weibull curve p(x) = (1−δ) − (1−δ−γ)·2^−(x/α)^β, Hogervorst et al. 2001,
+        eq. 3; `gamma` and `delta` in JSON. α is not the 75 % point.
     observer_curve : CurveParameters or None
-        Parameters of the observer's curve.
+        Parameters of the observer's curve, 1/d′² = (α/x)^(2β) + 1/d_max².
+    p_correct : float
+        Raw proportion correct that defines the threshold.
     points : tuple of FitPoint
         Proportion correct at each level.
     p_correct_error_bound, p_correct_left_out_bound : float or None
@@ -127,7 +140,7 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Threshold as a temperature difference in mK, SNR · NETD / k: the noise of a displayed sample is NETD / k.
     delta_t_as_printed_mk : float or None
         Temperature difference by eq. 4 of Hogervorst et al. 2001 as printed, SNR · NETD · k, in mK.
-    answers : tuple of tuple of float, or None
+    answers, answers_from_level : tuple of tuple of float, or None
         If there is no threshold: numbers of answers, expected or drawn, in the trials at `answers_from_level` and
         above. A row for each orientation shown, a column for each answered: up, right, down, left.
     background_luminance_cd_m2 : float or None
@@ -255,11 +268,43 @@ class ContrastResponse(Struct, frozen=True, kw_only=True):
 class Algorithm(Struct, frozen=True, kw_only=True):
     """An algorithm of `compare`; the reference has no ratios.
 
-    `contrast_responses` has one item for each group. `n_scenes` is the number of scenes that the interval takes as
-    drawn from many; None if the dataset names none. `edge_factor` is the factor by which it changes the luminance
-    of a frame's outermost pixels, divided by that around the triangle: the median over the frames.
-    `repeat_difference` is the largest difference between pictures of the same frame, in units of their mean
-    luminance.
+    Attributes
+    ----------
+    name, spec : str
+        Short name, and the text of `--enhance`.
+    what, library, domain : str or None
+        Its description, the library that does the work, and the values that it takes.
+    parameters : dict
+        Values of its parameters.
+    magnification : float
+        Factor by which it enlarges the frame.
+    fits : tuple of Fit
+        Thresholds with the algorithm.
+    ratios : tuple of Ratio
+        Ratio of the thresholds in each group.
+    overall : Ratio or None
+        The same for the geometric mean of all groups, if there are several.
+    verdict : str or None
+        That of `overall`, or of the only group.
+    contrast_responses : tuple of ContrastResponse
+        Displayed contrast before and after the algorithm, in each group.
+    n_scenes : int or None
+        Number of scenes that the interval takes as drawn from many; None if the dataset names none.
+    psnr_db, psnr_change_db, ssim, ssim_change : float or None
+        PSNR and SSIM against `reference_frame`, and their changes by the algorithm.
+    disagrees : tuple of str
+        Those of psnr and ssim that contradict the verdict.
+    edge_factor : float or None
+        Factor by which it changes the luminance of a frame's outermost pixels, divided by that around the
+        triangle: the median over the frames.
+    repeat_difference : float or None
+        Largest difference between pictures of the same frame, in units of their mean luminance.
+    n_clipped : int or None
+        Number of values that were clipped.
+    cpu_s, cpu_ms_per_frame : float or None
+        Processor time of the algorithm over all frames, and for a frame.
+    memory_mb : float or None
+        Memory that it needs for a frame.
     """
 
     name: str
@@ -453,7 +498,22 @@ def enhancement_record(algorithm: Enhancement) -> Record:
 
 
 class Estimator(Struct, frozen=True, kw_only=True):
-    """A method to compute a threshold, with its CPU time and error at each budget."""
+    """A method to compute a threshold, with its CPU time and error at each budget.
+
+    Attributes
+    ----------
+    name, label : str
+        Name, and how it is shown.
+    set_up_cpu_s : float or None
+        CPU time before the first trial.
+    slope, slope_standard_error : float or None
+        Slope of ln(error) against ln(CPU time).
+    points : tuple of dict
+        For each budget: `trials` of an estimate, `repeats` behind the errors, `cpu_s`, `wall_s`, `p_correct_error`
+        and `threshold_error` (relative).
+    cpu_s_at : tuple of dict
+        `cpu_s` at a `threshold_error`, or None; `extrapolated`, `at_most`.
+    """
 
     name: str
     label: str | None = None
@@ -480,7 +540,25 @@ class SpeedRatio(Struct, frozen=True, kw_only=True):
 
 
 class SceneResult(Struct, frozen=True, kw_only=True):
-    """The result of `accuracy` for one scene."""
+    """The result of `accuracy` for one scene.
+
+    Attributes
+    ----------
+    name, title, description, level : str
+        The scene, and the quantity of its threshold.
+    threshold, threshold_bound : float or None
+        Converged value, and the half-width of its error.
+    slope : float or None
+        dP(correct) / d ln(level) at the threshold.
+    p_correct_error_bound : float or None
+        Bound on the error of P(correct) from noise that is not Gaussian.
+    estimators : tuple of Estimator
+        The ways to compute the threshold.
+    variants : tuple of dict
+        The closed form with something changed: `label`, `cpu_ratio`, `p_correct_change`, `threshold_change`.
+    speed_ratios : tuple of SpeedRatio
+        CPU time of the literal Monte Carlo over that of the fastest closed form.
+    """
 
     name: str
     title: str | None = None
@@ -569,7 +647,11 @@ class Thumbnail(Struct, frozen=True):
 
 
 class Example(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A trial near threshold, the frame as displayed and the observer's images of it; or a strong trial, whole."""
+    """A trial near threshold, the frame as displayed and the observer's images of it; or a strong trial, whole.
+
+    There is one for each of at most four groups; a group without a threshold has its strongest trial. `pictures`
+    are PNG in base64.
+    """
 
     group: Group
     algorithm: str | None = None
@@ -690,7 +772,25 @@ def warning_texts(warnings: Iterable[ResultWarning]) -> Iterator[str]:
 
 
 class Head(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Keys that the results of all commands have."""
+    """Keys that the results of all commands have.
+
+    Attributes
+    ----------
+    schema : int
+        Number of the form of the JSON, 1.
+    command : str
+        Command or call that made the result.
+    version : str
+        Version of todframes.
+    versions : dict
+        Versions of Python, todframes and the libraries that were used.
+    seed : int or None
+        Seed of the random draws.
+    warnings : tuple of ResultWarning
+        Facts that make the result less certain. A command also prints each, with `--json` on standard error.
+    run_time_s : float or None
+        Run time in s.
+    """
 
     schema: int
     command: str
@@ -706,6 +806,11 @@ class Content(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
 
     The first table is that of a notebook, the first figure that of `plot`. Values for which JSON has no room, such
     as images, may stand in `__dict__`; a result that was read has none.
+
+    Attributes
+    ----------
+    settings : dict
+        All settings, defaults included.
     """
 
     settings: Record = field(default_factory=lambda: {})  # noqa: PIE807
@@ -750,7 +855,50 @@ class Content(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
 
 
 class ResultData(Content, frozen=True, kw_only=True):
-    """Thresholds, and what else the commands about them give; `Thresholds` adds the methods."""
+    """Thresholds, and what else the commands about them give; `Thresholds` adds the methods.
+
+    Attributes
+    ----------
+    fits : tuple of Fit
+        A threshold for each group; empty for `compare`, `accuracy` and `stability`. Of `calibrate`, each person's
+        own thresholds, with `subject` in their group.
+    algorithms : tuple of Algorithm
+        Of `compare`: an object for each algorithm, the reference `none` first.
+    observers : tuple of ComparedObserver
+        What the second and further observers or gazes find.
+    scenes : tuple of SceneResult
+        Of `accuracy`: an object for each scene.
+    cases : tuple of dict
+        Of `stability`: an object for each case.
+    persons : tuple of PersonResult
+        Of `calibrate`: an object for each person.
+    pooled : PersonResult or None
+        Of `calibrate` with several people: all answers together.
+    equal_noise_p_value : float or None
+        p-value of the likelihood-ratio test that all people have the same noise.
+    data_range_cd_m2 : float or None
+        Range of luminance for PSNR and SSIM.
+    verdict : tuple of str
+        A sentence for each algorithm.
+    plan : tuple of dict
+        What was kept and left out: `stage`, `kept`, `why`, `bound` on P(correct), `saves_s`.
+    dataset : DatasetRecord, str or None
+        Dataset of `score`, `compare` and `calibrate`; results of earlier versions have the folder alone.
+    skipped : tuple of dict
+        Frames or trials that were left out, and why.
+    negative_luminance_pixels : int or None
+        Number of pixels of the display with a luminance below zero.
+    located : tuple of dict or None
+        With `--locate`, an object for each group: `x_px`, `y_px`, `standard_error_px`, `moved_px` (displacement
+        from the positions of the manifest, which stay if the standard error is None), and `arrangement`: those of
+        the codes `polarity_mismatch`, `mirrored`, `flipped` and `turned` that apply. With `each`, `n_located` of
+        `n_trials` trials have a position of their own, with the standard deviation `scatter_px`; from `sure_level`
+        on, single positions are known to 0.09 mrad.
+    examples : tuple of Example or None
+        With `-o`: pictures of trials near threshold.
+    from_store : int or None
+        Number of results that an earlier, interrupted run had computed.
+    """
 
     fits: tuple[Fit, ...] = EMPTY
     algorithms: tuple[Algorithm, ...] = ()
