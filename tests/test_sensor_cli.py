@@ -291,6 +291,14 @@ def test_sizes_in_mrad_are_angles_at_the_camera(sensor_sim, sensor_file, tmp_pat
         assert {row["size_detectors"] for row in csv.DictReader(file)} == {"4.0"}
 
 
+@pytest.mark.parametrize("more", [("curve",), ("simulate", "--snr", "4", "-o", "never")])
+def test_an_angle_that_is_too_large_is_named_as_it_was_given(sensor_sim, sensor_file, more):
+    command, *others = more
+    status, _, (error,) = sensor_sim(command, sensor_file, "--size-mrad", "0.8,100", *others)
+    assert status == 2
+    assert error == "error: --size-mrad: found 100, 500 detectors, expected at most 255"
+
+
 def test_curve_without_netd_has_no_temperatures(sensor_sim, sensor_file):
     sensor_file.write_text(SENSOR.replace("netd_mk = 25.0\n", ""), encoding="utf-8")
     assert "ΔT" not in sensor_sim(*curve(sensor_file))[1]

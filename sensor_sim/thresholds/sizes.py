@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
-from sensor_sim.chain.sampling import field_detectors
+from sensor_sim.chain.sampling import field_detectors, field_sampler
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.predict import FoldedChain
 from todframes.base.errors import SettingsError, argument
@@ -70,17 +70,29 @@ def sizes_in_detectors(
     Raises
     ------
     SettingsError
-        If both are given, or a size is not a positive number or is there twice.
+        If both are given, a size is not a positive number or is there twice, or an angle is too large to compute.
     """
     if len(size_detectors) and len(size_mrad):
         both = f"{argument.size_detectors} and {argument.size_mrad}"
         raise SettingsError(f"found {both}, expected one of them, or none for sizes that suit the sensor")
     if len(size_mrad):
-        angles = distinct_numbers(argument.size_mrad, size_mrad)
-        return [float(f"{angle / sensor.detector.pitch_mrad:.6g}") for angle in angles]
+        return [_in_detectors(angle, sensor) for angle in distinct_numbers(argument.size_mrad, size_mrad)]
     if len(size_detectors):
         return distinct_numbers(argument.size_detectors, size_detectors)
     judge = observer or described("pyramid")[0]
     smallest = smallest_size(sensor, judge, p_correct=p_correct, places=places, seed=seed)
     sizes = list(computed_sizes(sensor, judge))
     return sizes[-SIZES_CHOSEN:] if smallest is None else sizes[sizes.index(smallest) :][:SIZES_CHOSEN]
+
+
+def _in_detectors(size_mrad: float, sensor: Sensor) -> float:
+    size = float(f"{size_mrad / sensor.detector.pitch_mrad:.6g}")
+    try:
+        field_sampler(sensor, size)
+    except SettingsError as error:
+        start = f"{argument.size_detectors}: found {size:g}, "
+        if not str(error).startswith(start):
+            raise
+        found = f"{argument.size_mrad}: found {size_mrad:g}, {size:g} detectors, "
+        raise SettingsError(found + str(error).removeprefix(start)) from None
+    return size
