@@ -9,8 +9,9 @@ nothing with the package. A width is that of the page without the lens, in per c
 part of the free margin, to the right and downwards, by which the page lies beside the middle. `--k2-share` adds
 k2 = S · k1, and `--noise` noise of so many per cent of white. A case is one page in two frames.
 
-A case is a fault if the command fails although all markers in the corners lie in the frame, or if triangles are
-misplaced by more than 0.1 px; with noise by three times the stated error, too. Warnings of NumPy are faults.
+A case is a fault if the command fails although the frame shows all markers in the corners, each at least 25 pixels
+wide, or if triangles are misplaced by more than 0.1 px; with noise by three times the stated error, too. Warnings
+of NumPy are faults.
 Prints a line for each fault, and at the end how many cases were right to 0.05 px, refused, misplaced by more than
 three stated errors, and warned of. Exits with 1 if there was a fault.
 """
@@ -47,6 +48,7 @@ WIDTHS = range(50, 98)
 PLACES = (0.0, 0.5, 0.9)
 MARGIN_PX = 4.0
 RIGHT_PX, MOST_MISPLACED_PX, MOST_RATIO = 0.05, 0.1, 3.0
+LEAST_SIDE_PX = 25.0
 SEED = 32
 
 
@@ -60,9 +62,10 @@ class Case(NamedTuple):
 
 class Outcome(NamedTuple):
     """How far triangles are misplaced, and by how much import says; or its error. NaN without a picture of all
-    markers in the corners."""
+    markers in the corners, whose shortest side is `side_px`."""
 
     case: Case
+    side_px: float
     away_px: float = math.nan
     stated_px: float = math.nan
     codes: str = ""
@@ -70,9 +73,9 @@ class Outcome(NamedTuple):
 
 
 def is_fault(one: Outcome, noise: float = 0.0) -> bool:
-    """Return whether triangles are not found, or misplaced: in noise, by more than is said."""
+    """Return whether triangles should be found and are not, or misplaced: in noise, by more than is said."""
     said_px = MOST_RATIO * one.stated_px if noise else 0.0
-    return bool(one.error) or one.away_px > max(MOST_MISPLACED_PX, said_px)
+    return bool(one.error and one.side_px >= LEAST_SIDE_PX) or one.away_px > max(MOST_MISPLACED_PX, said_px)
 
 
 def tried(case: Case, folder: Path, k2_share: float, noise: float) -> Outcome:
@@ -86,36 +89,42 @@ def tried(case: Case, folder: Path, k2_share: float, noise: float) -> Outcome:
         electrons=electrons,
         read_noise=electrons * noise / 100.0 if noise else 6.0,
     )
-    if not shows_all_corners(film):
-        return Outcome(case)
+    side_px = shortest_side_px(film)
+    if not side_px:
+        return Outcome(case, side_px)
     with tempfile.TemporaryDirectory() as made, warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         try:
             done = imported(film, film.write(Path(made) / "film.mkv"), integration_time_s="all")
         except (TodframesError, RuntimeWarning) as error:
-            return Outcome(case, error=str(error).rsplit("film.mkv: ", maxsplit=1)[-1])
+            return Outcome(case, side_px, error=str(error).rsplit("film.mkv: ", maxsplit=1)[-1])
         try:
             away_px = misplacement_px(film, done.path)
         except ValueError:
             away_px = math.inf  # by more than three pixels
         (report,) = json.loads((done.path / "import.json").read_text(encoding="utf-8"))["found"]
         codes = ", ".join(sorted({code for code, _ in done.warnings} - {"clock"}))
-        return Outcome(case, away_px, report["place_error_px"] or math.inf, codes)
+        return Outcome(case, side_px, away_px, report["place_error_px"] or math.inf, codes)
 
 
-def shows_all_corners(film: Film) -> bool:
-    """Return whether the frame shows the markers in the corners whole, with the white about them."""
+def shortest_side_px(film: Film) -> float:
+    """Return the shortest side of the markers in the corners; 0 if the frame does not show them whole, with the
+    white about them."""
     content, lens = film.chart.content, film.bending
     assert lens is not None
     centres = [content["markers"][name] for name in ("top_left", "top_right", "bottom_right", "bottom_left")]
-    reach = content["markers"]["side_mm"] * 4.5 / 7.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    corners_mm = np.concatenate([np.array([one["x_mm"], one["y_mm"]]) + reach for one in centres])
+    middles_mm = np.array([[one["x_mm"], one["y_mm"]] for one in centres])[:, None, :]
+    square_mm = content["markers"]["side_mm"] / 2.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    corners_mm = np.stack([middles_mm + square_mm, middles_mm + 9.0 / 7.0 * square_mm]).reshape(-1, 2)
     corners = corners_mm / content["screen"]["pixel_pitch_mm"] - 0.5
     seen = np.column_stack([corners, np.ones(len(corners))]) @ film.matrix.T
     ideal = seen[:, :2] / seen[:, 2:]
     radii = np.linspace(0.0, np.linalg.norm(ideal - lens.middle, axis=1).max() / lens.half_diagonal, 200)
     bent, farthest = lens.bent(ideal), np.array([lens.width, lens.height]) - 1 - MARGIN_PX
-    return bool(((bent > MARGIN_PX) & (bent < farthest)).all() and (np.diff(lens.radius(radii)) > 0.0).all())
+    if not (((bent > MARGIN_PX) & (bent < farthest)).all() and (np.diff(lens.radius(radii)) > 0.0).all()):
+        return 0.0
+    markers = bent.reshape(2, 4, 4, 2)[0]
+    return float(np.linalg.norm(markers - np.roll(markers, 1, axis=1), axis=2).min())
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -151,9 +160,13 @@ def main(arguments: Sequence[str]) -> int:
     placed = [one for one in outcomes if one.away_px >= 0.0]
     beyond = [one for one in placed if one.away_px > max(RIGHT_PX, MOST_RATIO * one.stated_px)]
     refused = sum(bool(one.error) for one in outcomes)
+    narrow = sum(bool(one.error) and one.side_px < LEAST_SIDE_PX for one in outcomes)
     n_faults = sum(is_fault(one, asked.noise) for one in outcomes)
     print(f"{len(outcomes)} of {len(cases)} lenses, {len(placed) + refused} with all corners in the frame:")
-    print(f"right to {RIGHT_PX} px: {sum(one.away_px <= RIGHT_PX for one in placed)}; refused: {refused}")
+    print(
+        f"right to {RIGHT_PX} px: {sum(one.away_px <= RIGHT_PX for one in placed)}; refused: {refused},"
+        f" {narrow} of them with markers less than {LEAST_SIDE_PX:g} px wide"
+    )
     silent = sum(not one.codes for one in beyond)
     print(f"misplaced beyond three stated errors: {len(beyond)}, without a warning {silent}")
     farthest_px = max((one.away_px for one in placed), default=math.nan)
