@@ -1,4 +1,4 @@
-"""Makes the pictures of frames_go_wrong.md: python docs/make_mishap_figures.py [FOLDER].
+"""Makes the pictures of warnings.md: python docs/make_mishap_figures.py [FOLDER].
 
 Pictures go to FOLDER/frames_go_wrong, by default in the folder of this script. The recordings are those of
 tests/mishaps, with stronger triangles and less noise.

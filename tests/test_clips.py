@@ -705,10 +705,10 @@ def test_a_gap_before_a_trial(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_documented_smear_is_what_the_filter_does(capsys) -> None:
-    page = (Path(__file__).parent.parent / "docs" / "enhancement.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parent.parent / "docs" / "clips.md").read_text(encoding="utf-8")
     code, text = (
         re.search(rf"^```{kind} smear\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)[1]
         for kind in ("python", "text")
     )
-    exec(compile(code, "enhancement.md", "exec"), {})
+    exec(compile(code, "clips.md", "exec"), {})
     assert capsys.readouterr().out == text

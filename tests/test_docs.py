@@ -180,13 +180,20 @@ def page_with_its_file(name: str, folder: Path) -> str:
     return text
 
 
-def test_commands_of_the_page_on_noise(folder: Path, capsys) -> None:
-    text = page("camera_noise.md")
+@pytest.mark.parametrize(
+    ("name", "file", "shown"),
+    [
+        ("camera_noise.md", "noise_of_wall", "SNR"),
+        ("emva.md", "emva_of_camera", "system gain K             0.2797   DN/e⁻"),
+    ],
+)
+def test_commands_of_the_pages_on_noise(folder: Path, capsys, name: str, file: str, shown: str) -> None:
+    text = page(name)
     run_code(*blocks(text, "python"))
     for command in blocks(text, "sh"):
         run_commands(command)
-    assert (folder / "noise_of_wall" / "sensor_noise.toml").is_file()
-    assert "SNR" in capsys.readouterr().out
+    assert (folder / file / "sensor_noise.toml").is_file()
+    assert shown in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -258,8 +265,8 @@ def test_frames_go_wrong_and_right_again(capsys) -> None:
 
 
 def test_each_warning_has_a_section_and_its_picture() -> None:
-    text = page("frames_go_wrong.md")
-    sections = dict(re.findall(r"^#### `(\w+)`\n\n(.*)$", text, re.MULTILINE))
+    text = page("warnings.md")
+    sections = dict(re.findall(r"^### `(\w+)`\n\n(.*)$", text, re.MULTILINE))
     assert sorted(sections) == sorted(get_args(WarningCode))
     pictures = {code: re.search(r"\((.*)\.png\)$", line) for code, line in sections.items()}
     assert {code for code, found in pictures.items() if not found} == {

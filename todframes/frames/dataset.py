@@ -114,7 +114,7 @@ WarningCode = Literal[
     "turned",
     "unverified_frames",
 ]
-"""Codes of all warnings; each is explained in docs/frames_go_wrong.md."""
+"""Codes of all warnings; each is explained in docs/warnings.md."""
 
 
 class DatasetWarning(NamedTuple):
