@@ -96,13 +96,17 @@ def test_any_iterable_and_a_page_with_examples():
         (
             [frame()],
             {"orientation": "upwards"},
-            r"orientation\[0\]: found 'upwards', expected up, right",
+            r"frame 0: orientation: found 'upwards', expected up, right",
         ),
-        ([frame()], {"level": 0.0}, r"level\[0\]: found 0\.0, expected a finite number > 0"),
-        ([frame()], {"size_mrad": [np.nan]}, r"size_mrad\[0\]: found nan, expected a finite number > 0"),
-        ([frame()], {"polarity": 2}, r"polarity\[0\]: found 2, expected 1 or -1"),
-        ([frame()], {"position": (np.inf, 1.0)}, r"position: found NaN or infinity, expected x and y in pixels"),
-        ([frame()] * 2, {"trial": ["a", "a"], "level": [0.1, 0.2]}, r"trial 'a': frame 1 shows another stimulus"),
+        ([frame()], {"level": 0.0}, r"frame 0: contrast: found '0', expected a finite number > 0"),
+        ([frame()], {"size_mrad": [np.nan]}, r"frame 0: size_mrad: found 'nan', expected a finite number > 0"),
+        ([frame()], {"polarity": 2}, r"frame 0: polarity: found '2', expected 1 or -1"),
+        ([frame()], {"position": (np.inf, 1.0)}, r"frame 0: x_px: found 'inf', expected a finite number"),
+        (
+            [frame()] * 2,
+            {"trial": ["a", "a"], "level": [0.1, 0.2]},
+            r"frame 1: contrast: found 0.2, expected 0.1 as in the other",
+        ),
     ],
 )
 def test_arguments_that_cannot_be(frames, changes, message):

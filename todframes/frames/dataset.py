@@ -316,8 +316,8 @@ def load_dataset(path: Location | str, *, max_frame_mb: FrameLimit = MAX_FRAME_M
     if isinstance(path, Path) and not os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises for a name that is too long
         raise DataError(f"{path}: not a folder; expected a dataset with dataset.toml and manifest.csv")
     display, experiment = _read_settings(path / SETTINGS_FILE)
-    manifest = _Manifest(path, display, experiment)
-    trials = manifest.trials()
+    manifest = Manifest(path, display, experiment)
+    trials = manifest.read()
     if not trials and not manifest.bad_rows:
         raise DataError(f"{manifest.path}: no frames; expected a row a frame below the header")
     kind: type[Dataset] = RemoteDataset if isinstance(path, RemotePath) else Dataset
@@ -382,12 +382,15 @@ def pair_in(
     return number(texts[0], f"{where}: {first}"), number(texts[1], f"{where}: {second}")
 
 
-class _Manifest:
-    """Reader of the manifest: it checks the rows, gathers frames into trials and records the bad rows."""
+class Manifest:
+    """Reader of the rows of a manifest: it checks them, and gathers frames into trials.
 
-    def __init__(self, folder: Location, display: Display, experiment: Experiment) -> None:
-        self.folder = resolved(folder)
-        self.path = folder / MANIFEST_FILE
+    Without a folder, frames are in no file, and their names are not paths.
+    """
+
+    def __init__(self, folder: Location | None, display: Display, experiment: Experiment) -> None:
+        self.folder = None if folder is None else resolved(folder)
+        self.path = Path("in memory") if folder is None else folder / MANIFEST_FILE
         self.experiment = experiment
         self.needs_background = display.background_luminance_cd_m2 == "column"
         self.bad_rows: list[Skipped] = []
@@ -403,19 +406,17 @@ class _Manifest:
         self.last_s: dict[str, float] = {}
         self.n_breaks: dict[str, int] = {}
 
-    def trials(self) -> Trials:
+    def read(self) -> Trials:
+        """Return the trials of the file; bad rows are recorded in place of an exception."""
+        assert self.folder is not None
         path_inside(self.folder, self.path.name, f"{self.path}:")
         rows = read_csv(self.path, most_rows=MOST_ROWS)
         _, header = next(rows)
-        self._check_columns(header)
+        self.check_columns(header)
         for number_of_row, (where, row) in enumerate(rows):
             try:
                 check_fields(row, len(header), where)
-                made = self._trial(row, where, number_of_row)
-                if self._is_judged(row, where):
-                    self._add(made, where, joins="trial" in header)
-                else:
-                    self.found.append_unjudged(made.frames[0])
+                self.add(row, where, number_of_row)
             except DataError as error:
                 if len(self.bad_rows) == MOST_BAD_ROWS:
                     raise DataError(
@@ -428,7 +429,15 @@ class _Manifest:
                     self.n_breaks[clip] = self.n_breaks.get(clip, 0) + 1
         return self.found.trials()
 
-    def _add(self, trial: Trial, where: str, *, joins: bool) -> None:
+    def add(self, row: Mapping[str, str], where: str, row_number: int) -> None:
+        """Add the frame of a row; raise DataError, whose message begins with `where`, if the row is wrong."""
+        trial = self._trial(row, where, row_number)
+        if self._is_judged(row, where):
+            self._join(trial, where, joins="trial" in row)
+        else:
+            self.found.append_unjudged(trial.frames[0])
+
+    def _join(self, trial: Trial, where: str, *, joins: bool) -> None:
         """Add a trial, or its frame to the trial of the same name; without `joins` no two have the same."""
         index = self.index_of.setdefault(trial.name, len(self.found)) if joins else len(self.found)
         if index == len(self.found):
@@ -445,7 +454,8 @@ class _Manifest:
                 )
             self.found.append_frame(index, frame)
 
-    def _check_columns(self, found: Mapping[str, str]) -> None:
+    def check_columns(self, found: Mapping[str, object]) -> None:
+        """Raise DataError if a column is missing."""
         needed = ["frame", "orientation", "size_mrad", self.experiment.level, *self.experiment.group_by]
         if self.needs_background:
             needed.append(BACKGROUND_COLUMN)
@@ -471,7 +481,7 @@ class _Manifest:
         place, step_px = self._place(row, where) if self.experiment.places > 1 else (None, None)
         sha256 = (row.get("sha256") or "").strip().lower() or None
         reference = (row.get(REFERENCE_COLUMN) or "").strip() or None
-        if reference is not None:
+        if reference is not None and self.folder is not None:
             path_inside(self.folder, reference, f"{where}: {REFERENCE_COLUMN}", self.real_folders)
         clip, time_s = self._clip(row, where)
         group = tuple(number_or_text(row[name]) for name in self.experiment.group_by)
@@ -539,6 +549,8 @@ class _Manifest:
         return found == "1"
 
     def _frame_path(self, frame: str, where: str) -> str:
+        if self.folder is None:
+            return frame
         if os.sep == "/" and "\\" in frame and not self._is_there(frame):
             written = frame.replace("\\", "/")
             raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base.errors import DataError, FrameError
-from todframes.base.reading import check_time
 from todframes.base.remote import Location
 from todframes.display.display import Display
-from todframes.frames.dataset import Dataset, Experiment
+from todframes.frames.dataset import Dataset, Experiment, Manifest
 from todframes.frames.files import Frame, FrameHeader, FrameSource, Range, clip_rectangle
-from todframes.frames.trials import FrameReference, Trial, TrialsBuilder, joined
-from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
+from todframes.frames.trials import FrameReference
 
 OIIO_TYPES: dict[str, Any] = {"uint8": "uint8", "uint16": "uint16", "float16": "half"}
 """Pixel type by NumPy type; other floating-point arrays are held as "float", 32 bits."""
@@ -134,103 +131,47 @@ def memory_dataset(
         If there are no frames, or an argument has the wrong number of values or a value out of range.
     """
     images = [np.asarray(frame) for frame in frames]
-    n = len(images)
-    if not n:
+    if not images:
         raise DataError("frames: found none, expected at least one")
-    orientations = _column("orientation", orientation, n)
-    levels, sizes = _numbers("level", level, n), _numbers("size_mrad", size_mrad, n)
-    polarities = _column("polarity", polarity, n)
-    groups = {"size_mrad": sizes} if group is None else {name: _column(name, v, n) for name, v in group.items()}
-    places: list[tuple[float | None, float | None]] = [(None, None)] * n
+    columns: dict[str, Any] = dict({"size_mrad": size_mrad} if group is None else group)
+    experiment = Experiment(level=level_name, group_by=tuple(columns))
+    names = [f"frame {k}" for k in range(len(images))]
+    columns |= {level_name: level, "size_mrad": size_mrad, "orientation": orientation, "polarity": polarity}
+    columns |= {"frame": names, "trial": range(len(images)) if trial is None else trial}
+    columns |= {name: v for name, v in (("clip", clip), ("time_s", time_s), ("judged", judged)) if v is not None}
     if position is not None:
-        centres = np.broadcast_to(np.asarray(position, np.float64), (n, 2))
-        if not np.isfinite(centres).all():
-            raise DataError("position: found NaN or infinity, expected x and y in pixels")
-        places = [(x, y) for x, y in centres.tolist()]
-    names = [str(one) for one in (range(n) if trial is None else _column("trial", trial, n))]
-    clips, times = _clips(clip, time_s, n)
-    is_judged = _column("judged", True if judged is None else judged, n)
-    builder, index_of = TrialsBuilder(), dict[str, int]()
-    arrays: dict[str, NDArray[Any]] = {}
-    for k, image in enumerate(images):
-        path = f"frame {k}"
-        arrays[path] = image
-        if orientations[k] not in ORIENTATIONS:
-            raise DataError(f"orientation[{k}]: found {orientations[k]!r}, expected up, right, down or left")
-        if polarities[k] not in (1, -1):
-            raise DataError(f"polarity[{k}]: found {polarities[k]!r}, expected 1 or -1")
-        made = Trial(
-            number=k,
-            name=names[k],
-            frames=(FrameReference(path, None, None, None, clips[k], times[k]),),
-            orientation=Orientation(orientations[k]),
-            stimulus=Stimulus(sizes[k], int(polarities[k])),
-            level=levels[k],
-            group=tuple(v if isinstance(v, str) else float(v) for v in (column[k] for column in groups.values())),
-            x_px=places[k][0],
-            y_px=places[k][1],
-        )
-        if not is_judged[k]:
-            builder.append_unjudged(made.frames[0])
-            continue
-        index = index_of.setdefault(names[k], len(builder))
-        if index == len(builder):
-            builder.append(made)
-            continue
-        first = builder[index]
-        made, frame = joined(first, made)
-        if made[3:] != first[3:]:
-            raise DataError(f"trial {names[k]!r}: frame {k} shows another stimulus than the trial's other frames")
-        builder.append_frame(index, frame)
-    if not len(builder):
+        columns["x_px"], columns["y_px"] = np.broadcast_to(np.asarray(position, np.float64), (len(images), 2)).T
+    texts = [_texts(name, values, len(images)) for name, values in columns.items()]
+    manifest = Manifest(None, display, experiment)
+    manifest.check_columns(columns)
+    for number, row in enumerate(zip(*texts, strict=True)):
+        manifest.add(dict(zip(columns, row, strict=True)), names[number], number)
+    trials = manifest.found.trials()
+    if not trials:
         raise DataError("judged: found no frame that is judged, expected at least one")
-    experiment = Experiment(level=level_name, group_by=tuple(groups))
     return MemoryDataset(
         path=Path("in memory"),
         display=display,
         experiment=experiment,
-        trials=builder.trials(),
+        trials=trials,
         bad_rows=(),
         spoilt=frozenset(),
         manifest_sha256=None,
-        arrays=arrays,
+        arrays=dict(zip(names, images, strict=True)),
     )
 
 
-def _clips(
-    clip: Sequence[str | None] | str | None, time_s: Sequence[float] | None, n: int
-) -> tuple[list[str | None], list[float | None]]:
-    """Return the clip of each frame and its time there; the frames of a clip must stand in the order of time."""
-    if clip is None:
-        return [None] * n, [None] * n
-    if time_s is None:
-        raise DataError("clip: found it without time_s, expected both or none")
-    clips: list[str | None] = _column("clip", clip, n)
-    times = [float(one) for one in _column("time_s", time_s, n)]
-    last_s: dict[str, float] = {}
-    for k, (name, time) in enumerate(zip(clips, times, strict=True)):
-        if name is not None and not time > last_s.get(name, -math.inf):
-            raise DataError(
-                f"time_s[{k}]: found {time:g}, expected more than that of the frame before in the clip"
-            )
-        if name is not None:
-            last_s[name] = check_time(f"time_s[{k}]", time)
-    return clips, [None if name is None else time for name, time in zip(clips, times, strict=True)]
-
-
-def _column(name: str, values: Any, n: int) -> list[Any]:
-    """Return one value a frame, from a single value for all frames or a sequence."""
+def _texts(name: str, values: Any, n: int) -> list[str]:
+    """Return one value a frame as in a manifest, from a single value for all frames or a sequence."""
     if isinstance(values, str) or not np.ndim(values):
-        return [values] * n
+        values = [values] * n
     column = values.tolist() if isinstance(values, np.ndarray) else list(values)
     if len(column) != n:
         raise DataError(f"{name}: found {len(column)} values, expected {n}, one a frame")
-    return column
+    return [_text(one.item() if isinstance(one, np.generic) else one) for one in column]
 
 
-def _numbers(name: str, values: Any, n: int) -> list[float]:
-    column = [float(value) for value in _column(name, values, n)]
-    for k, value in enumerate(column):
-        if not (math.isfinite(value) and value > 0):
-            raise DataError(f"{name}[{k}]: found {value!r}, expected a finite number > 0")
-    return column
+def _text(value: object) -> str:
+    if isinstance(value, bool) or (isinstance(value, float) and value.is_integer()):
+        value = int(value)
+    return "" if value is None else str(value)
