@@ -3,14 +3,17 @@
     python tests/campaigns/freeze.py inputs FOLDER              # makes FOLDER/inputs once, with the version before
     python tests/campaigns/freeze.py keep FOLDER                # keeps what all cases give, in FOLDER/base
     python tests/campaigns/freeze.py compare FOLDER [--only W]  # prints the differences; status 1 if there are any
+    python tests/campaigns/freeze.py compare FOLDER --kept FOLDER   # with what `keep` has kept there
 
 The cases stand in `freeze_cases.txt`: a line with `=` in front makes inputs; of one with `~`, which prints times,
-only the words are compared. Numbers are equal to 1e-9; pictures and pages are compared by name alone.
+only the words are compared. Values of JSON are compared key by key, cells of CSV by column; numbers are equal to
+1e-9. Pictures and pages are compared by name alone.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import math
 import os
@@ -20,14 +23,16 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from itertools import count
 from pathlib import Path
 
 CASES = Path(__file__).resolve().with_name("freeze_cases.txt").read_text(encoding="utf-8").splitlines()
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_frames"
 NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w])")
 MEASURED = re.compile(
-    r'"(cpu_s\w*|\w*elapsed\w*|memory_mb|date|time|\w*version\w*|started\w*|run_time_s|saves_s|cpu_ms_per_frame)"'
+    r"cpu_s\w*|\w*elapsed\w*|memory_mb|date|time|\w*version\w*|started\w*|run_time_s|saves_s|cpu_ms_per_frame"
 )
 TEXTS = {".json", ".csv", ".toml", ".txt", ".md"}
 
@@ -79,59 +84,72 @@ def result_of(name: str, line: str, inputs: Path, kept: Path) -> None:
                 shutil.copy(path, to)
 
 
-def without_times(value: object) -> object:
-    if isinstance(value, dict):
-        return {k: without_times(v) for k, v in value.items() if not MEASURED.fullmatch(f'"{k}"')}
-    return [without_times(one) for one in value] if isinstance(value, list) else value
-
-
-def without_measured_columns(text: str) -> str:
-    rows = [one.split(",") for one in text.splitlines()]
-    kept = [k for k, name in enumerate(rows[0]) if not MEASURED.fullmatch(f'"{name}"')]
-    return "\n".join(",".join(row[k] for k in kept if k < len(row)) for row in rows)
-
-
-def pieces(path: Path, *, words_only: bool) -> tuple[list[str], list[float]]:
-    text = path.read_text(encoding="utf-8", errors="replace")
-    text = re.sub(r"/tmp/\w+", "TMP", re.sub(r"^\d[\d.]* (m?s|min)$", "", text, flags=re.MULTILINE))
-    if path.suffix == ".csv" and MEASURED.search(text.partition("\n")[0].replace(",", '","')):
-        text = without_measured_columns(text)
-    blocks = text.split("\n", 2) if path.name == "streams.txt" else ["", "", text]
+def values_of(path: Path, *, words_only: bool) -> dict[str, object]:
+    """Return what a file states: values of JSON by their keys, cells of CSV by row and column, words by line."""
+    text = re.sub(r"/tmp/\w+", "TMP", path.read_text(encoding="utf-8", errors="replace"))
+    found: dict[str, object] = {}
+    if path.name == "streams.txt":
+        found["status"] = text.split("\n", 2)[1]
+        shown, _, remarks = text.split("\n", 2)[2].rpartition("\n--\n")
+        add_text(found, remarks, words_only=words_only)
+        text = shown
+    if path.suffix == ".csv":
+        add(found, list(csv.DictReader(text.splitlines())), "row")
+        return found
     try:
-        content, _, rest = blocks[2].partition("\n\n--\n") if path.name == "streams.txt" else (text, "", "")
-        value = without_times(json.loads(content))
-        text = "\n".join([*blocks[:2], json.dumps(value, indent=1), rest])
-    except (ValueError, IndexError):
-        pass
-    numbers = [] if words_only else [float(one) for one in NUMBER.findall(text)]
-    return re.sub(r"[ ─]+", " ", NUMBER.sub("#", text)).splitlines(), numbers
-
-
-def differences(name: str, before: Path, after: Path, *, words_only: bool) -> list[str]:
-    found = []
-    names = {
-        str(p.relative_to(root)) for root in (before / name, after / name) for p in root.rglob("*") if p.is_file()
-    }
-    for file in sorted(names):
-        one, other = before / name / file, after / name / file
-        if not (one.exists() and other.exists()):
-            found.append(f"{name}/{file}: only {'before' if one.exists() else 'after'}")
-            continue
-        (words, numbers), (words_2, numbers_2) = (pieces(p, words_only=words_only) for p in (one, other))
-        if words != words_2:
-            gone, new = [w for w in words if w not in words_2], [w for w in words_2 if w not in words]
-            found.append(
-                f"{name}/{file}: " + " | ".join([*(f"- {w}" for w in gone[:6]), *(f"+ {w}" for w in new[:6])])
-            )
-        elif len(numbers) != len(numbers_2):
-            found.append(f"{name}/{file}: other count of numbers")
-        elif bad := [
-            (a, b)
-            for a, b in zip(numbers, numbers_2, strict=True)
-            if not math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-12)
-        ]:
-            found.append(f"{name}/{file}: {len(bad)} numbers, first {bad[0]}")
+        add(found, json.loads(text), "")
+    except ValueError:
+        add_text(found, text, words_only=words_only)
     return found
+
+
+def add(found: dict[str, object], value: object, key: str) -> None:
+    """Add a value of JSON, or those in it, but for measured times."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            if not MEASURED.fullmatch(str(name)):
+                add(found, inner, f"{key}.{name}")
+    elif isinstance(value, list):
+        for number, inner in enumerate(value):
+            add(found, inner, f"{key}[{number}]")
+    else:
+        found[key] = value
+
+
+def add_text(found: dict[str, object], text: str, *, words_only: bool) -> None:
+    """Add the lines of a text by their words, and the numbers between these; the same line may come again."""
+    for line in text.splitlines():
+        words = re.sub(r"[ ─]+", " ", NUMBER.sub("#", line))
+        numbers = [] if words_only or re.fullmatch("#? ?(m?s|min|h)?", words) else NUMBER.findall(line)
+        key = next(key for k in count() if (key := f"{words} ({k})") not in found)
+        found[key] = None
+        found |= {f"{key}, number {k}": number for k, number in enumerate(numbers)}
+
+
+def is_same(one: object, other: object) -> bool:
+    """Return whether two values are equal, numbers to 1e-9."""
+    try:
+        return one == other or math.isclose(float(one), float(other), rel_tol=1e-9, abs_tol=1e-12)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return False
+
+
+def differences(name: str, before: Path, after: Path, *, words_only: bool) -> Iterator[str]:
+    """Yield what is gone, new and other in the files of a case, a line for each kind and key."""
+    roots = before / name, after / name
+    for file in sorted({str(p.relative_to(root)) for root in roots for p in root.rglob("*") if p.is_file()}):
+        if not all((root / file).exists() for root in roots):
+            yield f"{file}: only {'before' if (roots[0] / file).exists() else 'after'}"
+            continue
+        one, other = (values_of(root / file, words_only=words_only) for root in roots)
+        found: dict[str, list[str]] = {}
+        for key in dict.fromkeys([*one, *other]):
+            if key in one and key in other and is_same(one[key], other[key]):
+                continue
+            kind = "gone" if key not in other else "new" if key not in one else "other"
+            shown = f"{one.get(key, '')} -> {other.get(key, '')}" if kind == "other" else ""
+            found.setdefault(re.sub(r"\[\d+\]", "[]", f"{kind} {key}"), []).append(shown)
+        yield from (f"{file}: {key} {all_of[0][:160]} ({len(all_of)})" for key, all_of in found.items())
 
 
 def main() -> None:
@@ -139,6 +157,7 @@ def main() -> None:
     parser.add_argument("what", choices=["inputs", "keep", "compare"])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", default="", help="run the cases whose line has this text")
+    parser.add_argument("--kept", type=Path, help="folder of another `keep` in place of a new run")
     given = parser.parse_args()
     if given.what == "inputs":
         make_inputs(given.folder / "inputs")
@@ -148,14 +167,17 @@ def main() -> None:
     cases = [one for one in cases if given.only in one[1]]
     with tempfile.TemporaryDirectory() as text:
         kept = given.folder / "base" if given.what == "keep" else Path(text)
-        with ThreadPoolExecutor(2) as pool:
-            list(pool.map(lambda one: result_of(one[0], one[1], given.folder / "inputs", kept), cases))
+        if given.kept is not None:
+            kept = given.kept / "base"
+        else:
+            with ThreadPoolExecutor(2) as pool:
+                list(pool.map(lambda one: result_of(one[0], one[1], given.folder / "inputs", kept), cases))
         if given.what == "keep":
             print(f"{len(cases)} cases kept")
             return
         n_other = 0
         for name, line, words_only in cases:
-            found = differences(name, given.folder / "base", kept, words_only=words_only)
+            found = list(differences(name, given.folder / "base", kept, words_only=words_only))
             n_other += bool(found)
             if found:
                 print(f"{name} {shlex.quote(line)}", *found, sep="\n   ")
