@@ -27,7 +27,7 @@ from todframes.frames.trials import FrameReference, SceneView, Trial, Trials
 from todframes.jobs.engine import open_engine
 from todframes.jobs.fingerprint import fingerprint
 from todframes.observers.csf import CsfObserver
-from todframes.observers.interface import Readout
+from todframes.observers.interface import Observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import edge_brightness, not_proportional
@@ -591,21 +591,13 @@ def test_draws_are_common_and_do_not_depend_on_workers(make_dataset) -> None:
             assert np.array_equal(ours.scored.displacement_samples, one[0].scored.displacement_samples)
 
 
-class Contrarian:
+class Contrarian(Observer):
     """An observer that is not linear: it looks for the brightest of four halves, with a little noise."""
 
-    settings_type = PyramidSettings
-    centre = "centroid"
     position_jitter_samples = 0.5
-
-    def __init__(self, settings: PyramidSettings) -> None:
-        del settings
 
     def grid(self, stimulus: Stimulus):
         return STEADY.grid(stimulus)
-
-    def readout(self, stimulus: Stimulus) -> Readout | None:
-        del stimulus
 
     def respond(self, contrast: np.ndarray, stimulus: Stimulus, rng: np.random.Generator):
         del stimulus
@@ -617,7 +609,7 @@ class Contrarian:
 def test_an_observer_that_is_not_linear(make_dataset) -> None:
     """Its answers are drawn, with the same noise for all algorithms."""
     made = make_dataset(suffix=".png", contrasts=(0.05, 0.1, 0.2, 0.4), repeats=8)
-    observer = Contrarian(PyramidSettings())
+    observer = Contrarian()
     results = compare(
         made.path, "own_enhancements:same", "own_enhancements:gain", observer=observer, decisions="sampled"
     )

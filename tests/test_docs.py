@@ -328,6 +328,8 @@ def test_own_observer_by_its_module(folder: Path, capsys) -> None:
     text = page("own_observer.md")
     (folder / "retina_samples.py").write_text(blocks(text, "python")[0], encoding="utf-8")
     run_commands(blocks(text, "sh module")[0])
+    (folder / "checked.py").write_text("\n".join(blocks(text, "python")), encoding="utf-8")
+    runpy.run_path(str(folder / "checked.py"))  # the check has nothing to report
     sys.modules.pop("retina_samples", None)
     assert " 8 " in capsys.readouterr().out
 

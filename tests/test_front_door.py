@@ -332,7 +332,7 @@ def test_own_observer_from_a_module(working_folder: Path, commanded) -> None:
     [
         ("nowhere_at_all:Mine", "module 'nowhere_at_all' cannot be imported .ModuleNotFoundError"),
         ("math:Mine", "math: unknown key 'Mine'"),
-        ("math:sqrt", "found no observer, expected a class with a settings_type"),
+        ("math:sqrt", "found no observer, expected a subclass of todframes.Observer"),
     ],
 )
 def test_observers_that_are_none(name: str, message: str) -> None:

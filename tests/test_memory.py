@@ -192,7 +192,7 @@ def test_what_does_not_fit_is_told_before_its_readout_is_made(
     def too_large(*_):
         raise AssertionError("a readout was made")
 
-    monkeypatch.setattr(PyramidObserver, "_readout", too_large)
+    monkeypatch.setattr(PyramidObserver, "make_readout", too_large)
     status, _, errors = todframes("score", made.path, "--on-error", on_error)
     assert (status, len(errors)) == (1, 1)
     assert "smaller than the triangle of 300 mrad" in errors[0]

@@ -165,7 +165,7 @@ def test_sensor_without_netd_has_thresholds_in_snr():
         ({"lloyd_snr": -1.0}, "lloyd_snr: found -1.0"),
         ({"ttp_delta_t_k": math.nan}, "ttp_delta_t_k: found nan"),
         ({"tolerance": 0.0}, "tolerance: found 0.0"),
-        ({"observer": "informative"}, "observer: HotellingObserver judges triangles only"),
+        ({"observer": "informative"}, "observer: HotellingObserver with these settings judges triangles only"),
     ],
 )
 def test_settings_that_make_no_curve(changes, message):

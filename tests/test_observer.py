@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+import re
 from typing import Any
 
 import numpy as np
 import pytest
 
+import todframes as tod
 from todframes.base.errors import SettingsError
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
@@ -17,7 +19,7 @@ from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
 from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.scoring.naked_eye import acuity, contrast_threshold, proportion_correct
-from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
+from todframes.stimulus import Orientation, Stimulus, coverage
 
 
 def registered() -> list[str]:
@@ -86,145 +88,134 @@ def observer() -> PyramidObserver:
     return PyramidObserver()
 
 
-# One contract for every observer that is registered.
+# The contract: `check_observer` tests the observers of this package, and reports each fault of others.
 
 
-@pytest.fixture(params=[*((name, {}) for name in registered()), *NOT_LINEAR], ids=str)
-def any_observer(request: pytest.FixtureRequest) -> Observer:
-    return make(*request.param)
+@pytest.mark.parametrize(("name", "changes"), [*((name, {}) for name in registered()), *NOT_LINEAR], ids=str)
+def test_the_contract(name: str, changes: dict[str, Any]) -> None:
+    assert tod.check_observer(make(name, changes)) == []
+    assert changes or tod.check_observer(find_observer(name)) == tod.check_observer(name) == []
 
 
-@pytest.fixture(params=registered())
-def linear_observer(request: pytest.FixtureRequest) -> Observer:
-    observer = make(request.param, {})
-    if observer.readout(Stimulus(1.0)) is None:
-        pytest.skip("not linear")
-    return observer
+@dataclasses.dataclass
+class Loose:
+    centre: str = "apex"
 
 
-def test_settings_are_a_frozen_dataclass(any_observer: Observer) -> None:
-    kind = type(any_observer).settings_type
-    assert dataclasses.is_dataclass(kind)
-    assert kind.__dataclass_params__.frozen
+class Bare(tod.Observer):
+    """What an observer needs: a grid and answers, here those of the pyramid."""
+
+    paper = PyramidObserver(position_jitter_samples=0.0)
+
+    def grid(self, stimulus: Stimulus) -> RetinaGrid:
+        return self.paper.grid(stimulus)
+
+    def respond(self, contrast: np.ndarray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
+        return self.paper.respond(contrast, stimulus, rng)
 
 
-def test_a_copy_in_another_process_sees_the_same(any_observer: Observer) -> None:
-    stimulus = Stimulus(0.5)
-    image = np.random.default_rng(0).normal(size=(any_observer.grid(stimulus).side,) * 2)
-    first, copy = (
-        [one.respond(image, stimulus, np.random.default_rng(seed)) for seed in range(5)]
-        for one in (any_observer, pickle.loads(pickle.dumps(any_observer)))
+def faulty(**members: Any) -> type[tod.Observer]:
+    return type("Faulty", (Bare,), members)
+
+
+def with_readout(**changes: Any) -> type[tod.Observer]:
+    """An observer whose readout has some attributes computed from those of the pyramid's."""
+
+    def make_readout(self: Bare, stimulus: Stimulus) -> tod.Readout:
+        readout = self.paper.readout(stimulus)
+        return dataclasses.replace(
+            readout, **{name: change(getattr(readout, name)) for name, change in changes.items()}
+        )
+
+    return faulty(make_readout=make_readout)
+
+
+class Forgetful(Bare):
+    def __init__(self, settings: Any = None) -> None:
+        super().__init__(settings)
+        self.turns = 1
+
+    def respond(self, contrast: np.ndarray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
+        return super().respond(np.rot90(contrast, self.turns - 1).copy(), stimulus, rng)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return super().__getstate__() | {"turns": 2}
+
+
+FREE_RNG = np.random.default_rng(0)
+DOUBLE_FIRST = np.array([2.0, 1.0, 1.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("observer", "sentence"),
+    [
+        (PyramidSettings(), "PyramidSettings is no subclass of todframes.Observer"),
+        (int, "int is no subclass of todframes.Observer"),
+        (type("Needy", (Bare,), {"__init__": lambda _: None}), "cannot be made: TypeError"),
+        (faulty(settings_type=int), "settings_type is <class 'int'>, expected a dataclass"),
+        (faulty(settings_type=Loose), "settings_type Loose can be changed, expected @dataclass"),
+        (faulty(settings_type=Loose), "centre is 'apex', expected 'centroid'"),
+        (faulty(position_jitter_samples=-1.0), "position_jitter_samples is -1.0, expected a number >= 0"),
+        (faulty(grid=lambda *_: 9), "grid returns int, expected a RetinaGrid"),
+        (faulty(grid=lambda *_: RetinaGrid(9, 0.1)), "grid is 0.9 mrad wide for a triangle of 1 mrad"),
+        (tod.Observer(), "The check of grid ended with NotImplementedError"),
+        (faulty(respond=lambda *_: "up"), "respond returns 'up', expected one of ORIENTATIONS"),
+        (
+            faulty(respond=lambda self, image, stimulus, rng: self.paper.respond(-image, stimulus, rng)),
+            "to a plain triangle, brighter than the background, that points up",
+        ),
+        (
+            faulty(respond=lambda self, image, stimulus, _: self.paper.respond(image, stimulus, FREE_RNG)),
+            "respond draws other answers with the same generator",
+        ),
+        (faulty(settings_type=PyramidSettings, respond=lambda *_: 1 / 0), "answers ended with ZeroDivisionError"),
+        (faulty(unpicklable=None, __getstate__=lambda _: {"f": lambda: 0}), "The check of copy ended with"),
+        (Forgetful(), "A pickled copy draws other answers"),
+        (faulty(make_readout=lambda *_: 3), "readout returns int, expected a Readout or None"),
+        (with_readout(deviations=lambda d: d[:3]), "deviations of shape \\(3, 65, 65\\)"),
+        (with_readout(deviations=lambda d: d + 1e-3), "The four images of deviations do not sum to 0"),
+        (with_readout(noise_covariance=np.triu), "noise_covariance is not symmetric"),
+        (with_readout(noise_covariance=lambda c: -c), "noise_covariance has a negative eigenvalue"),
+        (with_readout(noise_covariance=lambda c: c + c[0, 0]), "The rows of noise_covariance do not sum to 0"),
+        (with_readout(deviations=lambda d: d[[1, 0, 2, 3]]), "An image turned clockwise by 90°"),
+        (
+            with_readout(deviations=lambda d: d + 0.01 * np.array([1.0, -1.0, 1.0, -1.0])[:, None, None]),
+            "A uniform field is no guess",
+        ),
+        (with_readout(deviations=np.abs), "A darker triangle on the negative image has other scores"),
+        (with_readout(deviations=np.negative), "does not make its answer surer"),
+        (with_readout(noise_covariance=lambda c: 9.0 * c), "respond draws other answers than the readout expects"),
+    ],
+)  # fmt: skip
+def test_a_fault_has_a_sentence(observer: Any, sentence: str) -> None:
+    sentences = tod.check_observer(observer)
+    assert re.search(sentence, " ".join(sentences)), sentences
+
+
+def test_what_an_observer_need_not_do() -> None:
+    """A grid and answers are enough; the other abilities are missing, and say so."""
+    observer, stimulus = Bare(), Stimulus(1.0)
+    assert tod.check_observer(observer) == []
+    assert (observer.centre, observer.position_jitter_samples) == ("centroid", 0.0)
+    assert observer.with_extra_level() is observer
+    assert observer.activity(np.zeros((9, 9))) == ()
+    assert observer.readout(stimulus) is observer.omitted_bands(stimulus) is None
+    assert observer.with_fewer_levels(stimulus) is observer.with_retina_step(0.5) is None
+    assert (
+        observer.noise_between_places(stimulus, (1.0, 0.0)) is observer.detection(np.ones((3, 3)), 1.0, 9) is None
     )
-    assert first == copy
-    readout, of_copy = any_observer.readout(stimulus), pickle.loads(pickle.dumps(any_observer)).readout(stimulus)
-    assert (readout is None) == (of_copy is None)
+    with pytest.raises(SettingsError, match="it is not linear; the probability of its answers cannot be computed"):
+        observer.linear_readout(stimulus)
 
 
-def test_grid_has_a_middle_and_holds_the_triangle(any_observer: Observer) -> None:
-    for size in (0.05, 1.0, 20.0):
-        grid = any_observer.grid(Stimulus(size))
-        assert grid.side % 2 == 1
-        assert grid.width_mrad > 2 * 0.8774 * size  # the apex, 2/3 of the height from the middle, both ways
-
-
-def test_readout_is_consistent(linear_observer: Observer) -> None:
-    readout = linear_observer.readout(Stimulus(1.0))
-    side = readout.grid.side
-    assert readout.deviations.shape == (4, side, side)
-    covariance = readout.noise_covariance
-    assert np.array_equal(covariance, covariance.T)
-    # Deviations from the mean of the four: they and their noise sum to nothing.
-    scale = np.abs(readout.deviations).max()
-    assert np.abs(readout.deviations.sum(axis=0)).max() < 1e-12 * scale
-    assert np.abs(covariance.sum(axis=0)).max() < 1e-12 * covariance.max()
-    assert np.linalg.eigvalsh(covariance).min() > -1e-12 * covariance.max()
-
-
-def test_answers_are_right_when_the_triangle_is_plain(any_observer: Observer) -> None:
-    for polarity in (1, -1):
-        stimulus = Stimulus(2.0, polarity)
-        grid = any_observer.grid(stimulus)
-        for orientation in ORIENTATIONS:
-            seen = 1e4 * polarity * triangle_on(grid, 2.0, orientation)
-            assert any_observer.respond(seen, stimulus, np.random.default_rng(1)) is orientation
-
-
-def test_answers_depend_on_the_generator_alone(any_observer: Observer) -> None:
-    stimulus = Stimulus(1.0)
-    seen = 0.1 * triangle_on(any_observer.grid(stimulus), 1.0, Orientation.UP)
-    runs = [
-        [any_observer.respond(seen, stimulus, rng) for _ in range(20)]
-        for rng in (np.random.default_rng(5), np.random.default_rng(5))
-    ]
-    assert runs[0] == runs[1]
-    assert len(set(runs[0])) > 1
-
-
-def test_a_pickled_observer_answers_as_before(any_observer: Observer) -> None:
-    """As it is sent to the workers of a cluster, with its caches filled."""
-    stimulus = Stimulus(1.0)
-    seen = 0.1 * triangle_on(any_observer.grid(stimulus), 1.0, Orientation.UP)
-    any_observer.readout(stimulus)
-    copy = pickle.loads(pickle.dumps(any_observer))
-    assert (copy.readout(stimulus) is None) == (any_observer.readout(stimulus) is None)
-    runs = [
-        [one.respond(seen, stimulus, rng) for _ in range(5)]
-        for one, rng in ((any_observer, np.random.default_rng(5)), (copy, np.random.default_rng(5)))
-    ]
-    assert runs[0] == runs[1]
-
-
-def test_a_quarter_turn_permutes_the_scores(linear_observer: Observer) -> None:
-    readout = linear_observer.readout(Stimulus(1.0))
-    for seed in range(5):
-        image = np.random.default_rng(seed).normal(size=(readout.grid.side,) * 2)
-        scores = readout.scores(image)
-        for turns in range(1, 4):
-            turned = readout.scores(np.rot90(image, -turns).copy())
-            assert np.allclose(turned, np.roll(scores, turns), rtol=0.0, atol=1e-12)
-
-
-def test_a_uniform_field_is_a_guess(linear_observer: Observer) -> None:
-    readout = linear_observer.readout(Stimulus(1.0))
-    uniform = np.full((readout.grid.side,) * 2, 0.37)
-    probabilities = answer_probabilities(readout.score_deviations(uniform), readout.noise_covariance)
-    assert np.allclose(probabilities, 0.25, atol=1e-9)
-
-
-def test_a_darker_triangle_is_a_brighter_one_on_the_negative(linear_observer: Observer) -> None:
-    dark, bright = (linear_observer.readout(Stimulus(1.0, polarity)) for polarity in (-1, 1))
-    image = np.random.default_rng(1).normal(size=(bright.grid.side,) * 2)
-    assert np.allclose(dark.score_deviations(-image), bright.score_deviations(image), rtol=1e-12, atol=1e-14)
-    assert np.allclose(dark.noise_covariance, bright.noise_covariance, rtol=1e-12)
-
-
-def test_more_contrast_is_easier(linear_observer: Observer) -> None:
-    readout = linear_observer.readout(Stimulus(1.0))
-    steps, up = np.geomspace(1e-3, 10.0, 41), triangle_on(readout.grid, 1.0, Orientation.UP)
-    answers = answer_probabilities(steps[:, None] * readout.score_deviations(up), readout.noise_covariance)
-    threshold = steps[np.argmax(answers[:, Orientation.UP.quarter_turns] > 0.75)]
-    contrasts = threshold * np.geomspace(0.01, 6.0, 12)
-    for orientation in ORIENTATIONS:
-        deviations = readout.score_deviations(triangle_on(readout.grid, 1.0, orientation))
-        answers = answer_probabilities(contrasts[:, None] * deviations, readout.noise_covariance)
-        correct = answers[:, orientation.quarter_turns]
-        assert (np.diff(correct) > 0.0).all()
-        assert correct[0] < 0.27 and correct[-1] > 0.99
-
-
-N_ANSWERS = 150
-
-
-def test_answers_are_as_frequent_as_computed(linear_observer: Observer) -> None:
-    """Pearson's statistic of four counts exceeds 16.27 for one seed in a thousand (χ², 3 degrees of freedom)."""
-    stimulus = Stimulus(1.0)
-    readout, rng = linear_observer.readout(stimulus), np.random.default_rng(3)
-    seen = 0.1 * triangle_on(readout.grid, 1.0, Orientation.RIGHT, dx=0.2)
-    expected = N_ANSWERS * readout.answer_probabilities(readout.score_deviations(seen))
-    assert expected.min() > 5.0
-    answers = [linear_observer.respond(seen, stimulus, rng).quarter_turns for _ in range(N_ANSWERS)]
-    counts = np.bincount(answers, minlength=4)
-    assert (np.square(counts - expected) / expected).sum() < 16.27
+def test_the_last_four_readouts_are_kept_and_not_pickled() -> None:
+    observer = PyramidObserver()
+    first = observer.readout(Stimulus(0.3))
+    assert observer.readout(Stimulus(0.3)) is first
+    assert pickle.loads(pickle.dumps(observer)).readout(Stimulus(0.3)) is not first
+    for size in (0.4, 0.5, 0.6, 0.7):
+        observer.readout(Stimulus(size))
+    assert observer.readout(Stimulus(0.3)) is not first
 
 
 # The observers of this package: their folded path is their literal one.

@@ -203,17 +203,18 @@ def test_proportion_correct_is_the_mean_over_random_phases(settings, snr):
     assert abs(proportion - literal.mean()) < 4 * error
 
 
-class LopsidedObserver:
+class LopsidedObserver(Observer):
     """The pyramid observer with two weaker corners, that is surer of some answers than of others."""
 
-    centre = "centroid"
+    position_jitter_samples = 0.5
 
     def __init__(self, position_jitter_samples: float) -> None:
+        super().__init__()
         self.position_jitter_samples = position_jitter_samples
         self.pyramid = PyramidObserver()
         self.grid = self.pyramid.grid
 
-    def readout(self, stimulus: Stimulus) -> Readout:
+    def make_readout(self, stimulus: Stimulus) -> Readout:
         readout = self.pyramid.readout(stimulus)
         place = np.linspace(-4.0, 4.0, readout.grid.side)  # about one at the triangle's edge
         gain = 1.0 + 0.8 * np.tanh(np.multiply.outer(place, place)) + 0.2 * np.tanh(place)
@@ -272,8 +273,8 @@ def test_a_spot_of_100_detectors_points_nowhere(size, observer):
 class MirroredObserver(LopsidedObserver):
     """The same as it looks in a mirror: left is right."""
 
-    def readout(self, stimulus: Stimulus) -> Readout:
-        readout = super().readout(stimulus)
+    def make_readout(self, stimulus: Stimulus) -> Readout:
+        readout = super().make_readout(stimulus)
         deviations = np.ascontiguousarray(readout.deviations[MIRRORED, :, ::-1])
         return replace(
             readout, deviations=deviations, noise_covariance=readout.noise_covariance[MIRRORED][:, MIRRORED]

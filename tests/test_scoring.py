@@ -10,7 +10,7 @@ from todframes.diagnosis.locate import locate_triangles
 from todframes.frames.dataset import Experiment, load_dataset
 from todframes.frames.files import read_frame, write_frame
 from todframes.jobs.engine import open_engine
-from todframes.observers.interface import Readout
+from todframes.observers.interface import Observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.naked_eye import contrast_threshold
@@ -171,21 +171,11 @@ def test_sampled_answers_are_right_as_often_as_expected(make_dataset) -> None:
     assert abs(sampled.p_correct.sum() - expected.p_correct.sum()) < bound
 
 
-class Guesser:
+class Guesser(Observer):
     """An observer that is not linear, the least that one must offer."""
-
-    settings_type = PyramidSettings
-    centre = "centroid"
-    position_jitter_samples = 0.0
-
-    def __init__(self, settings: PyramidSettings) -> None:
-        del settings
 
     def grid(self, stimulus: Stimulus):
         return STEADY.grid(stimulus)
-
-    def readout(self, stimulus: Stimulus) -> Readout | None:
-        del stimulus
 
     def respond(self, contrast: np.ndarray, stimulus: Stimulus, rng: np.random.Generator):
         del contrast, stimulus
@@ -194,11 +184,11 @@ class Guesser:
 
 def test_an_observer_that_is_not_linear_answers_itself(make_dataset) -> None:
     path = make_dataset(repeats=3).path
-    scored = score(path, Guesser(PyramidSettings()), decisions="sampled")
+    scored = score(path, Guesser(), decisions="sampled")
     assert np.isnan(scored.scores).all()
     assert len(set(scored.answers)) == 4
     with pytest.raises(SettingsError, match="this observer is not linear"):
-        score(path, Guesser(PyramidSettings()))
+        score(path, Guesser())
 
 
 def test_frames_smaller_than_the_field_go_on_as_background(make_dataset) -> None:
@@ -249,7 +239,7 @@ def test_the_curve_is_the_observer_s_for_its_probabilities_only(make_dataset) ->
     with pytest.raises(SettingsError, match=r"curve: found 'observer' with sampled decisions, expected 'weibull'"):
         score(path, PyramidObserver(), decisions="sampled", curve="observer")
     with pytest.raises(SettingsError, match="this observer is not linear"):
-        score(path, Guesser(PyramidSettings()), curve="observer")
+        score(path, Guesser(), curve="observer")
 
 
 def test_levels_of_size_give_the_acuity(make_dataset) -> None:

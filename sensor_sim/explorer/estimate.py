@@ -44,7 +44,7 @@ from sensor_sim.thresholds.sharing import Shared
 from todframes.base._typing import FloatArray
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid
-from todframes.psychometrics.replicates import half_width_95
+from todframes.scoring.error_budget import half_width_95
 from todframes.stimulus import ORIENTATIONS
 
 LATTICES = 5

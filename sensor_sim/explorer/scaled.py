@@ -14,7 +14,7 @@ from sensor_sim.thresholds.curve_plan import is_symmetric, not_linear
 from sensor_sim.thresholds.sharing import Kept
 from todframes.base._typing import FloatArray
 from todframes.observers.csf import CsfObserver
-from todframes.observers.interface import Observer, OmittedWeights, Readout, TruncatedObserver
+from todframes.observers.interface import KEPT, Observer, OmittedWeights, Readout
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import RetinaGrid
@@ -69,7 +69,7 @@ class Weights(NamedTuple):
         return np.stack([np.rot90(self.images[0], -k) for k in range(4)])
 
 
-class ScaledObserver:
+class ScaledObserver(Observer):
     """A linear observer as a curve needs it, with its internal noise scaled.
 
     Parameters
@@ -87,12 +87,25 @@ class ScaledObserver:
     def __init__(self, make: Callable[[], Observer], name: Hashable, scale: float, kept: Kept[Any]) -> None:
         self.name, self._make, self._scale, self._kept = name, make, scale, kept
         self._base = make()
-        self.centre: Centre = self._base.centre
-        self.position_jitter_samples = self._base.position_jitter_samples
+
+    @property
+    def centre(self) -> Centre:
+        """Point of the triangle on which the grid's middle lies."""
+        return self._base.centre
+
+    @property
+    def position_jitter_samples(self) -> float:
+        """Largest displacement of the grid, in retina samples."""
+        return self._base.position_jitter_samples
+
+    @property
+    def omitted_part(self) -> str:  # type: ignore[override] # of the class elsewhere
+        """Name of what the readout omits."""
+        return self._base.omitted_part
 
     def times(self, factor: float) -> ScaledObserver:
         """Return the observer with its internal noise scaled once more."""
-        return scaled(self._make, self.name, factor * self._scale, self._kept)
+        return ScaledObserver(self._make, self.name, factor * self._scale, self._kept)
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
         """Return the retina samples that the observer looks at."""
@@ -148,9 +161,36 @@ class ScaledObserver:
         """Return the readout on the whole retina, not scaled; none if the observer is not linear."""
         base = self._make()
         readout = base.readout(stimulus)
-        if hasattr(base.readout, "cache_clear"):
-            base.readout.cache_clear()  # the observer refers to itself through it, and would live on for long
+        vars(base).pop(KEPT, None)  # the readout and the observer refer to each other, and would live on for long
         return [] if readout is None else [_Whole(readout)]
+
+    def with_extra_level(self) -> ScaledObserver:
+        """Return the observer with one extra level; itself if it has none."""
+        base = self._make()
+        if base.with_extra_level() is base:
+            return self
+        return self._variant("more", lambda base: base.with_extra_level())
+
+    def with_fewer_levels(self, stimulus: Stimulus) -> ScaledObserver | None:
+        """Return the observer with one level fewer; None if that is not possible."""
+        if self._make().with_fewer_levels(stimulus) is None:
+            return None
+        return self._variant("fewer", lambda base: base.with_fewer_levels(stimulus))
+
+    def _variant(self, name: str, change: Callable[[Observer], Observer | None]) -> ScaledObserver:
+        make = self._make
+
+        def make_variant() -> Observer:
+            return cast("Observer", change(make()))
+
+        return ScaledObserver(make_variant, (self.name, name), self._scale, self._kept)
+
+    def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
+        """Estimate what the readout omits."""
+        omitted = self._make().omitted_bands(stimulus)
+        if omitted is None:
+            return None
+        return omitted._replace(noise_covariance=self._scale**2 * omitted.noise_covariance)
 
 
 class _Whole(NamedTuple):
@@ -159,38 +199,3 @@ class _Whole(NamedTuple):
     @property
     def nbytes(self) -> int:
         return self.readout.deviations.nbytes
-
-
-class ScaledTruncatedObserver(ScaledObserver):
-    """A `ScaledObserver` of a `TruncatedObserver`."""
-
-    def with_extra_level(self) -> ScaledObserver:
-        """Return the observer with one extra level."""
-        return self._variant("more", lambda base: base.with_extra_level())
-
-    def with_fewer_levels(self, stimulus: Stimulus) -> ScaledObserver | None:
-        """Return the observer with one level fewer; None if that is not possible."""
-        if cast("TruncatedObserver", self._make()).with_fewer_levels(stimulus) is None:
-            return None
-        return self._variant("fewer", lambda base: base.with_fewer_levels(stimulus))
-
-    def _variant(self, name: str, change: Callable[[TruncatedObserver], Observer | None]) -> ScaledObserver:
-        make = self._make
-
-        def make_variant() -> Observer:
-            return cast("Observer", change(cast("TruncatedObserver", make())))
-
-        return scaled(make_variant, (self.name, name), self._scale, self._kept)
-
-    def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
-        """Estimate what the readout omits."""
-        omitted = cast("TruncatedObserver", self._make()).omitted_bands(stimulus)
-        if omitted is None:
-            return None
-        return omitted._replace(noise_covariance=self._scale**2 * omitted.noise_covariance)
-
-
-def scaled(make: Callable[[], Observer], name: Hashable, scale: float, kept: Kept[Any]) -> ScaledObserver:
-    """Return a `ScaledObserver`, truncated if the observer is."""
-    kind = ScaledTruncatedObserver if isinstance(make(), TruncatedObserver) else ScaledObserver
-    return kind(make, name, scale, kept)

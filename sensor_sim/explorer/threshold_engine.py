@@ -31,7 +31,7 @@ from sensor_sim.explorer.estimate import (
     seen_samples,
 )
 from sensor_sim.explorer.limits import Shares, decision_shares
-from sensor_sim.explorer.scaled import ScaledObserver, Unit, scaled
+from sensor_sim.explorer.scaled import ScaledObserver, Unit
 from sensor_sim.sweeps.work import as_computed
 from sensor_sim.thresholds.curve_plan import CurvePlan, plan_curve
 from sensor_sim.thresholds.predict import (
@@ -148,7 +148,7 @@ class ThresholdEngine:
         pickled, noise_sd = request.observer
         scale = noise_sd / (sensor.display.gain if request.level == "snr" else 1.0)
         sensor = replace(sensor, display=replace(sensor.display, gain=1.0))
-        observer = scaled(partial(pickle.loads, pickled), pickled, scale, self._kept["readouts"])
+        observer = ScaledObserver(partial(pickle.loads, pickled), pickled, scale, self._kept["readouts"])
         rough, fine = request.tolerances
         todo: list[tuple[float, int, _Task, Hashable, _OnLattices]] = []
         for index, size in request.sizes:

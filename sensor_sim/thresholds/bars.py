@@ -27,11 +27,11 @@ from sensor_sim.thresholds.predict import PLACES, STEP, Lattice
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.four_bars import WIDTHS, FourBars
-from todframes.observers.interface import Observer, PatternObserver, TruncatedObserver
+from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid
 from todframes.parameters import Against, Direction
-from todframes.psychometrics.replicates import REPLICATES, half_width_95
 from todframes.psychometrics.threshold_search import Status, crossing
+from todframes.scoring.error_budget import REPLICATES, half_width_95
 from todframes.stimulus import Orientation, Stimulus
 
 ORIENTATION: dict[Direction, Orientation] = {"upright": Orientation.UP, "lying": Orientation.RIGHT}
@@ -86,7 +86,7 @@ class BarChain:
     ----------
     sensor : Sensor
     observer : Observer
-        With the members of `PatternObserver`.
+        One that makes a `detection`.
     frequency_cyc_per_mrad : float
         Frequency of the bars in the scene, > 0.
     against : {"square", "background"}
@@ -108,17 +108,11 @@ class BarChain:
         against: Against = "square",
         direction: Direction = "upright",
     ) -> None:
-        if not isinstance(observer, PatternObserver):
-            raise SettingsError(
-                f"observer: {type(observer).__name__} judges triangles only, expected one that judges bars, "
-                "such as pyramid or csf"
-            )
         if sensor.photons is not None:
             raise SettingsError("sensor: found one that counts photons, expected one whose level is an SNR")
-        if against == "background" and isinstance(observer, TruncatedObserver):
+        if against == "background":
             # Levels enough for triangles, whose mean says nothing, lack up to 1 % of a threshold of the mean.
             observer = observer.with_extra_level()
-        assert isinstance(observer, PatternObserver)
         self.sensor, self.observer, self.direction = sensor, observer, direction
         pitch = sensor.detector.pitch_mrad
         _check_frequency(frequency_cyc_per_mrad, pitch)
@@ -149,7 +143,13 @@ class BarChain:
         self.jitter_detectors = observer.position_jitter_samples * grid.pitch_mrad / shown
         reach = 0.5 + self.jitter_detectors
         seen = min(math.ceil((self.field / 2.0 + reach) * shown / grid.pitch_mrad), grid.side // 2)
-        weights, self.noise_variance = observer.detection(self.pattern, width_mrad, seen)
+        detection = observer.detection(self.pattern, width_mrad, seen)
+        if detection is None:
+            raise SettingsError(
+                f"observer: {type(observer).__name__} with these settings judges triangles only, expected one "
+                "that judges bars, such as pyramid or csf"
+            )
+        weights, self.noise_variance = detection
         self.folding = Folding(
             sensor,
             RetinaGrid(2 * seen + 1, grid.pitch_mrad),

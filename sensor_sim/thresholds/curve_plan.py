@@ -27,7 +27,7 @@ from sensor_sim.thresholds.sharing import NOTHING, Shared
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.observers.decision import answer_probability
-from todframes.observers.interface import Observer, Readout, TruncatedObserver, omitted_part
+from todframes.observers.interface import Observer, Readout
 from todframes.parameters import PlanName
 from todframes.psychometrics.threshold_search import crossing
 from todframes.scoring.error_budget import (
@@ -210,12 +210,7 @@ def plan_curve(
         If the observer is not linear, or the size or field is out of range.
     """
     if name == "full":
-        full = full_plan(
-            sensor,
-            observer.with_extra_level() if isinstance(observer, TruncatedObserver) else observer,
-            size_detectors,
-            shared,
-        )
+        full = full_plan(sensor, observer.with_extra_level(), size_detectors, shared)
         planner = _CurvePlanner(sensor, size_detectors, full, p_correct, tolerance)
         return replace(full, repetition_bound=planner.repetition_bound(full))
     full = replace(
@@ -225,7 +220,7 @@ def plan_curve(
         steps=(),
     )
     stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
-    fewer_levels = observer.with_fewer_levels(stimulus) if isinstance(observer, TruncatedObserver) else None
+    fewer_levels = observer.with_fewer_levels(stimulus)
     if fewer_levels is not None:
         planner = _CurvePlanner(sensor, size_detectors, replace(full, observer=fewer_levels), p_correct, tolerance)
         if planner.levels_suffice():
@@ -459,7 +454,7 @@ class _CurvePlanner:
     def levels_bound(self) -> float | None:
         """Bound on the change of P(correct) from further levels; None if the observer leaves none out."""
         stimulus = Stimulus(self.size * self.sensor.display.detector_pitch_mrad)
-        omitted = self.observer.omitted_bands(stimulus) if isinstance(self.observer, TruncatedObserver) else None
+        omitted = self.observer.omitted_bands(stimulus)
         if omitted is None:
             return None
         plan = self.full
@@ -472,13 +467,12 @@ class _CurvePlanner:
         return self.levels_bound is not None and self.levels_bound <= LARGEST_SHARE * self.budget
 
     def _levels(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
-        bound, stage, side = self.levels_bound, omitted_part(self.observer), self.readout.grid.side
+        bound, stage, side = self.levels_bound, self.observer.omitted_part, self.readout.grid.side
         if bound is None:
             return plan, ()
         if self._affordable(bound):
             why = f"a retina of {side} × {side} samples is wide enough for this tolerance"
             return plan, [Step(stage, False, why, bound, saves_once_s=3.0 * self.readout_s)]
-        assert isinstance(self.observer, TruncatedObserver)
         why = f"one level more than for {side} × {side} samples, which would change P by up to {bound:.1g}"
         return replace(plan, observer=self.observer.with_extra_level()), [Step(stage, True, why)]
 

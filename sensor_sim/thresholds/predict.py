@@ -40,9 +40,8 @@ from todframes.base.errors import argument
 from todframes.base.reading import check_positive
 from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer, Readout, non_gaussian_bound
-from todframes.psychometrics.replicates import REPLICATES, half_width_95
 from todframes.psychometrics.threshold_search import TOO_UNCERTAIN, ComputedThreshold, Status, crossing, if_known
-from todframes.scoring.error_budget import decision_change
+from todframes.scoring.error_budget import REPLICATES, decision_change, half_width_95
 from todframes.stimulus import Orientation
 
 PLACES = (5, 7, 11, 17, 25, 37)

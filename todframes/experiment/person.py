@@ -359,7 +359,7 @@ def _words(setting: str) -> str:
 
 def _changed(observer: Observer, changes: dict[str, Any]) -> Observer:
     """Return the observer with other settings; `internal_noise` replaces `internal_noise_sd` or `efficiency`."""
-    settings = observer.settings  # type: ignore[attr-defined] # `noise_observers` has checked it
+    settings = observer.settings
     if NOISE in changes and fitted_setting(observer) == EFFICIENCY:
         changes = {name: value for name, value in changes.items() if name != NOISE} | {
             EFFICIENCY: changes[NOISE] ** -2

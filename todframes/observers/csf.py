@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -28,17 +27,18 @@ from todframes.observers.interface import (
     Age,
     Detection,
     Luminance,
-    ObserverWithSettings,
     OmittedWeights,
     Pupil,
     Readout,
+    keeps_last,
     known_luminance,
 )
 from todframes.observers.internal_noise import Bands, inner_product, summed_covariance, summed_variance
 from todframes.observers.laplacian_pyramid import framed
 from todframes.observers.light import sensitivity_ratio
+from todframes.observers.neurons import NeuronObserver
 from todframes.observers.retina import RetinaGrid, mean_of_turns
-from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
+from todframes.stimulus import Centre, Stimulus
 
 GAIN_PER_DEG = 509.37
 """Sensitivity of the linear observer: at a threshold of ModelFest the filtered contrast, seen through the
@@ -190,7 +190,7 @@ class CsfSettings:
         return NOISE_DEG * MRAD_PER_DEG / (self.retina_pitch_mrad * math.sqrt(self.efficiency))
 
 
-class CsfObserver(ObserverWithSettings):
+class CsfObserver(NeuronObserver):
     """A linear observer with people's contrast sensitivity, without a free parameter but the efficiency.
 
     Parameters
@@ -214,14 +214,8 @@ class CsfObserver(ObserverWithSettings):
     omitted_part: ClassVar[str] = "outer field"
 
     def __init__(self, settings: CsfSettings | None = None, *, wider: float = 1.0, **changes: Any) -> None:
-        super().__init__(settings, changes)
+        super().__init__(settings, **changes)
         self._wider = wider
-
-    def _make_caches(self) -> None:
-        self.templates = lru_cache(maxsize=4)(self._templates)
-        self.readout = lru_cache(maxsize=4)(self._readout)
-        self._transfer = lru_cache(maxsize=2)(self._find_transfer)
-        self.with_extra_level = lru_cache(maxsize=1)(self._with_extra_level)
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
         """Return the grid of retina samples that the observer looks at, as wide as triangle, filter and aperture.
@@ -242,7 +236,8 @@ class CsfObserver(ObserverWithSettings):
             )
         return RetinaGrid(side, pitch)
 
-    def _with_extra_level(self) -> CsfObserver:
+    @keeps_last(1)
+    def with_extra_level(self) -> CsfObserver:
         """Return the observer with a field twice as wide."""
         return type(self)(self.settings, wider=2.0 * self._wider)
 
@@ -251,19 +246,20 @@ class CsfObserver(ObserverWithSettings):
         pitch = factor * self.settings.retina_pitch_mrad
         return type(self)(replace(self.settings, retina_pitch_mrad=pitch), wider=self._wider)
 
-    def with_fewer_levels(self, _: Stimulus) -> None:
-        """Return None: there is no observer with a narrower field."""
-
     def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights:
         """Compute the weights beyond the field, to twice its width, on the coarsest retina allowed.
 
         They are of low frequency: beyond the field there is nothing of the triangle.
         """
         coarse = type(self)(replace(self.settings, retina_pitch_mrad=LARGEST_PITCH_MRAD), wider=self._wider)
-        small, large = coarse.readout(stimulus), coarse.with_extra_level().readout(stimulus)
+        small, large = coarse.make_readout(stimulus), coarse.with_extra_level().make_readout(stimulus)
         kept = np.array([framed(image, large.grid.side // 2) for image in small.deviations])
         noise = large.noise_covariance - small.noise_covariance
         return OmittedWeights(large.grid, kept, large.deviations - kept, noise)
+
+    def noise(self, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
+        """Draw Gaussian noise for each sample of the filtered contrast."""
+        return rng.normal(0.0, self.settings.noise_sd, shape)
 
     def activity(self, contrast: FloatArray) -> Bands:
         """Compute the filtered contrast as seen through the aperture, for a retina image: one (side, side)."""
@@ -271,15 +267,12 @@ class CsfObserver(ObserverWithSettings):
         seen *= self._aperture(len(contrast))
         return (seen,)
 
-    def turned(self, bands: Bands, quarter_turns: int) -> Bands:
-        """Compute the activity that an image turned clockwise causes, from that of the image."""
-        return tuple(np.rot90(band, -quarter_turns) for band in bands)
-
     def _filtered(self, image: FloatArray) -> FloatArray:
         """Filter a retina image (side, side); beyond it there is nothing. The filter is its own adjoint."""
         return _convolved(image, self._transfer(_padded(len(image))))
 
-    def _find_transfer(self, side: int) -> FloatArray:
+    @keeps_last(2)
+    def _transfer(self, side: int) -> FloatArray:
         """Compute the filter of a retina image: (side, side // 2 + 1)."""
         pitch_deg = self.settings.retina_pitch_mrad / MRAD_PER_DEG
         x, _ = self._frequencies(side)
@@ -312,24 +305,6 @@ class CsfObserver(ObserverWithSettings):
         place_deg = (np.arange(side) - side // 2) * self.settings.retina_pitch_mrad / MRAD_PER_DEG
         along = np.exp(-(place_deg**2) / (2.0 * self.settings.aperture_sd_deg**2))
         return np.outer(along, along)
-
-    def _upright(self, stimulus: Stimulus) -> FloatArray:
-        """Draw the upright triangle on the retina: (side, side)."""
-        grid = self.grid(stimulus)
-        return stimulus.polarity * coverage(
-            (grid.side, grid.side),
-            size_px=stimulus.size_mrad / grid.pitch_mrad,
-            x_px=grid.side // 2,
-            y_px=grid.side // 2,
-            orientation=Orientation.UP,
-            centre=self.centre,
-        )
-
-    def _templates(self, stimulus: Stimulus) -> tuple[Bands, ...]:
-        """Compute the weights of the activity in each of the four scores."""
-        (common,) = self._common_template(stimulus)
-        (upright,) = self._template_deviation(stimulus)
-        return tuple((common + np.rot90(upright, -k),) for k in range(4))
 
     def _common_template(self, stimulus: Stimulus) -> Bands:
         return self.template_of(self.activity(mean_of_turns(self._upright(stimulus))))
@@ -396,7 +371,7 @@ class CsfObserver(ObserverWithSettings):
             )
         return (weights.reshape(side, side),)
 
-    def _readout(self, stimulus: Stimulus) -> Readout:
+    def make_readout(self, stimulus: Stimulus) -> Readout:
         """Fold filter, aperture and templates onto the retina."""
         upright = self._template_deviation(stimulus)
         turned = [self.turned(upright, k) for k in range(4)]
@@ -414,35 +389,11 @@ class CsfObserver(ObserverWithSettings):
         """Compute the weights on the retina of weights of the activity: the adjoint of `activity`."""
         return self._filtered(bands[0] * self._aperture(len(bands[0])))
 
-    def literal_scores(
-        self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator | None = None
-    ) -> FloatArray:
-        """Compute the four scores by their definition, with noise on every sample if `rng` is given: (4,)."""
-        seen = self._noisy_activity(contrast, rng)
-        return np.array([inner_product(expected, seen) for (expected,) in self.templates(stimulus)])
-
-    def _noisy_activity(self, contrast: FloatArray, rng: np.random.Generator | None) -> FloatArray:
-        (seen,) = self.activity(contrast)
-        return seen if rng is None else seen + rng.normal(0.0, self.settings.noise_sd, seen.shape)
-
     def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection:
-        """Fold the observer of a pattern onto the middle of its retina; see `PatternObserver.detection`."""
-        half = self.grid(Stimulus(width_mrad)).side // 2
-        weights = self.template_of(self.activity(framed(pattern, half)))
+        """Fold the observer of a pattern onto the middle of its retina; see `Observer.detection`."""
+        weights = self.pattern_template(pattern, self.grid(Stimulus(width_mrad)).side)
         variance = self.settings.noise_sd**2 * inner_product(*weights, *weights)
         return Detection(framed(self._fold(weights), half_width), variance)
-
-    def literal_score(
-        self, contrast: FloatArray, pattern: FloatArray, rng: np.random.Generator | None = None
-    ) -> float:
-        """Compute the inner product with a pattern's template, with noise on every sample if `rng` is given."""
-        (weights,) = self.template_of(self.activity(framed(pattern, len(contrast) // 2)))
-        return inner_product(weights, self._noisy_activity(contrast, rng))
-
-    def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
-        """Answer with the largest score, ties at random."""
-        scores = self.literal_scores(contrast, stimulus, rng)
-        return ORIENTATIONS[int(rng.choice(np.flatnonzero(scores == scores.max())))]
 
 
 def _interpolated(frequency: FloatArray, spectrum: FloatArray) -> FloatArray:

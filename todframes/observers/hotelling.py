@@ -109,7 +109,6 @@ class HotellingObserver(PyramidObserver):
 
     settings_type: ClassVar[type[HotellingSettings]] = HotellingSettings
     settings: HotellingSettings
-    detection = None  # type: ignore[assignment] # its neurons are weighted for triangles
 
     def presample_mtf(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
         """Return the transfer of optics and detectors at frequencies in cycles/mrad, broadcast together."""
@@ -159,9 +158,13 @@ class HotellingObserver(PyramidObserver):
         """
         return None if self.settings.sample_noise_sd > 0.0 else super().omitted_bands(stimulus)
 
-    def noise_between_places(self, stimulus: Stimulus, offset_mrad: tuple[float, float]) -> FloatArray:  # noqa: ARG002 - the base's
-        """Return zeros: the neurons in use are chosen for each place by itself."""
-        return np.zeros((4, 4))
+    def noise_between_places(self, stimulus: Stimulus, offset_mrad: tuple[float, float]) -> None:  # noqa: ARG002
+        """Return None: the neurons in use are chosen for each place by itself."""
+        return
+
+    def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> None:  # noqa: ARG002
+        """Return None: the neurons are weighted for triangles."""
+        return
 
     def _coarser(self, octaves: int) -> PyramidSettings:
         coarse = super()._coarser(octaves)

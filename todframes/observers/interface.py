@@ -1,4 +1,4 @@
-"""The protocol of observers: a stimulus in, weights on the retina and noise on the four scores out.
+"""The base class of observers: a stimulus in, weights on the retina and noise on the four scores out.
 
 A linear observer needs no more than a `Readout`: its four scores are inner products with the retina image, and the
 noise on all its neurons reaches the decision as one four-vector. An observer that is not linear returns its own
@@ -12,9 +12,9 @@ import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
-from functools import cached_property
+from functools import cached_property, wraps
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, cast, runtime_checkable
+from typing import Annotated, Any, ClassVar, Concatenate, Literal, NamedTuple, ParamSpec, TypeVar, cast
 
 import numpy as np
 from msgspec import Meta
@@ -24,7 +24,7 @@ from todframes.base.errors import SettingsError
 from todframes.base.reading import check_keys, settings_path
 from todframes.base.user_code import import_named, registered
 from todframes.observers.decision import answer_probabilities
-from todframes.observers.internal_noise import edgeworth_correction, inner_product
+from todframes.observers.internal_noise import Bands, edgeworth_correction, inner_product
 from todframes.observers.retina import RetinaGrid, SummedWeights
 from todframes.stimulus import Centre, Orientation, Stimulus
 
@@ -44,6 +44,9 @@ REFERENCE_AGE_YEARS = 28.58
 """Mean age of the people to whom the formula of the pupil's diameter was fitted."""
 
 BACKGROUND = "background"
+
+PYRAMID_LEVELS = "pyramid levels"
+"""Name of what most observers omit."""
 
 Luminance = Annotated[float | Literal["background"], Meta(ge=LEAST_CD_M2, le=MOST_CD_M2)]
 Age = Annotated[float, Meta(ge=20.0, le=83.0)]
@@ -211,20 +214,6 @@ class Readout:
         return first_order if self.find_fourth_cumulants is None else SECOND_ORDER * first_order**2
 
 
-@runtime_checkable
-class SharesNeurons(Protocol):
-    """Optional protocol of observers whose neurons see several places at once: give the noise these share.
-
-    Without it, the observer looks at each place by itself, and the noise of the places is independent.
-    """
-
-    def noise_between_places(self, stimulus: Stimulus, offset_mrad: tuple[float, float]) -> FloatArray:
-        """Return the covariance, (4, 4), of the scores here (rows) and those at another place (columns).
-
-        `offset_mrad` is the vector (x, y) from this place to the other one.
-        """
-
-
 MOST_SHARED = 256
 """Largest number of places whose noise is correlated."""
 
@@ -246,12 +235,12 @@ def joint_noise_covariance(
         If the readout does not give the noise that its four scores share, or too many places share noise.
     """
     n, own = len(places_mrad), readout.full_covariance
-    if n < 2 or not isinstance(observer, SharesNeurons):
+    if n < 2:
         return None
     offsets = np.subtract(np.array(places_mrad)[:, None], np.array(places_mrad)[:1])[1:, 0]
     nearest = offsets[np.hypot(*offsets.T).argmin()].tolist()
-    shared = float(np.abs(observer.noise_between_places(stimulus, (nearest[0], nearest[1]))).max())
-    if shared <= LEAST_SHARED * float(np.diagonal(own).max()):
+    shared = observer.noise_between_places(stimulus, (nearest[0], nearest[1]))
+    if shared is None or float(np.abs(shared).max()) <= LEAST_SHARED * float(np.diagonal(own).max()):
         return None
     if n > MOST_SHARED:
         raise SettingsError(
@@ -259,15 +248,17 @@ def joint_noise_covariance(
             f"them; expected at most {MOST_SHARED}, or a larger distance"
         )
     joint = np.zeros((n, 4, n, 4))
-    found: dict[tuple[float, float], FloatArray] = {}
+    covariances: dict[tuple[float, float], FloatArray] = {}
     for here, (x, y) in enumerate(places_mrad):
         joint[here, :, here] = own
         for there in range(here):
             offset = (round(places_mrad[there][0] - x, 9), round(places_mrad[there][1] - y, 9))
-            if offset not in found:
-                found[offset] = observer.noise_between_places(stimulus, offset)
-            joint[here, :, there] = found[offset]
-            joint[there, :, here] = found[offset].T
+            if offset not in covariances:
+                of_offset = observer.noise_between_places(stimulus, offset)
+                assert of_offset is not None  # as for the nearest
+                covariances[offset] = of_offset
+            joint[here, :, there] = covariances[offset]
+            joint[there, :, here] = covariances[offset].T
     return joint
 
 
@@ -301,50 +292,6 @@ def non_gaussian_bound(excess_kurtosis: float) -> float:
     return 3.0 * 0.5506 / 24.0 * abs(excess_kurtosis)
 
 
-class Observer(Protocol):
-    """Protocol of all observers; register the class under the entry-point group `todframes.observers`.
-
-    The class is called with one argument, an instance of its `settings_type`, a frozen dataclass whose fields are
-    the names that users set. The grid's middle lies on the point `centre` of the triangle. In each trial it is
-    displaced by at most `position_jitter_samples` along x and y.
-    """
-
-    settings_type: ClassVar[type[Any]]
-
-    def __init__(self, settings: Any) -> None: ...
-
-    @property
-    def centre(self) -> Centre:
-        """Point of the triangle on which the retina grid is centred."""
-
-    @property
-    def position_jitter_samples(self) -> float:
-        """Half the width of the uniform displacement of the grid, in retina samples."""
-
-    def grid(self, stimulus: Stimulus) -> RetinaGrid:
-        """Return the retina samples that the observer looks at."""
-
-    def readout(self, stimulus: Stimulus) -> Readout | None:
-        """Return weights and noise of the observer, or None if it is not linear and can only `respond`."""
-
-    def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
-        """Answer a retina image of shape (side, side) once, with internal noise drawn from `rng`."""
-
-
-@runtime_checkable
-class TruncatedObserver(Protocol):
-    """Optional protocol of observers whose readout truncates the pyramid: report that, and build variants."""
-
-    def with_extra_level(self) -> Observer:
-        """Return the same observer with one extra level, which omits nothing that matters."""
-
-    def with_fewer_levels(self, stimulus: Stimulus) -> Observer | None:
-        """Return the same observer with one level fewer; None if that is not possible."""
-
-    def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
-        """Estimate what the readout omits; None if it omits nothing."""
-
-
 class Detection(NamedTuple):
     """A linear observer of one pattern that is there or not: the score is an inner product with the retina image.
 
@@ -360,12 +307,157 @@ class Detection(NamedTuple):
     noise_variance: float
 
 
-@runtime_checkable
-class PatternObserver(Protocol):
-    """Optional protocol of observers that know any pattern beforehand, as they know their triangles."""
+P = ParamSpec("P")
+S = TypeVar("S")
+T = TypeVar("T")
 
-    def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection:
-        """Fold the observer of a pattern onto the middle of its retina.
+
+def keeps_last(most: int) -> Callable[[Callable[Concatenate[S, P], T]], Callable[Concatenate[S, P], T]]:
+    """Return a decorator of methods whose last results, so many of them, are kept in the object.
+
+    A cache of the class would keep every object alive. Results are not pickled, see `Observer.__getstate__`.
+    """
+
+    def decorated(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[S, P], T]:
+        @wraps(method)
+        def result(self: S, *args: P.args, **kwargs: P.kwargs) -> T:
+            results = vars(self).setdefault(KEPT, {}).setdefault(method.__qualname__, {})
+            key = (*args, *kwargs.items())
+            if key not in results:
+                new = method(self, *args, **kwargs)
+                for oldest in list(results)[: len(results) - most + 1]:
+                    results.pop(oldest, None)
+                results[key] = new
+                return new
+            return cast("T", results[key])
+
+        return cast("Callable[Concatenate[S, P], T]", result)
+
+    return decorated
+
+
+KEPT = "_kept"
+"""Attribute of an object with the results that `keeps_last` keeps."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoSettings:
+    """Settings of an observer that has none."""
+
+
+class Observer:
+    """Base class of all observers; register a subclass under the entry-point group `todframes.observers`.
+
+    A subclass has a `grid` and can `respond`. All other abilities are optional, and by default they are missing: a
+    method then returns None, or the observer itself. `check_observer` reports what a subclass does wrong.
+
+    Attributes
+    ----------
+    settings_type : type
+        Frozen dataclass whose fields are the names that users set.
+    omitted_part : str
+        Name of what the readout omits.
+
+    Parameters
+    ----------
+    settings : dataclass, optional
+        Of the type `settings_type`. Default: its defaults.
+    **changes
+        Settings by name, in place of those of `settings`.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such setting, or a value is out of its range.
+    """
+
+    settings_type: ClassVar[type[Any]] = NoSettings
+    omitted_part: ClassVar[str] = PYRAMID_LEVELS
+
+    def __init__(self, settings: Any = None, **changes: Any) -> None:
+        check_keys(changes, [field.name for field in fields(self.settings_type)], "settings")
+        self.settings = replace(settings if settings is not None else self.settings_type(), **changes)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state to pickle, without the results that are kept."""
+        return {name: value for name, value in vars(self).items() if name != KEPT}
+
+    @property
+    def centre(self) -> Centre:
+        """Point of the triangle on which the middle of the grid lies: the setting `centre`, or the centroid."""
+        centre: Centre = getattr(self.settings, "centre", "centroid")
+        return centre
+
+    @property
+    def position_jitter_samples(self) -> float:
+        """Largest displacement of the grid along x and y in a trial, in retina samples: the setting, or 0."""
+        return float(getattr(self.settings, "position_jitter_samples", 0.0))
+
+    def grid(self, stimulus: Stimulus) -> RetinaGrid:
+        """Return the retina samples that the observer looks at."""
+        raise NotImplementedError
+
+    def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
+        """Answer a retina image of shape (side, side) once, with internal noise drawn from `rng`."""
+        raise NotImplementedError
+
+    @keeps_last(4)
+    def readout(self, stimulus: Stimulus) -> Readout | None:
+        """Return the readout that `make_readout` makes; the last four are kept."""
+        return self.make_readout(stimulus)
+
+    def make_readout(self, stimulus: Stimulus) -> Readout | None:  # noqa: ARG002 - subclasses need it
+        """Compute the readout of a linear observer. Default: None, it is not linear and can only `respond`."""
+        return None
+
+    def linear_readout(self, stimulus: Stimulus) -> Readout:
+        """Return the readout.
+
+        Raises
+        ------
+        SettingsError
+            If the observer is not linear.
+        """
+        readout = self.readout(stimulus)
+        if readout is None:
+            raise SettingsError("observer: it is not linear; the probability of its answers cannot be computed")
+        return readout
+
+    def activity(self, contrast: FloatArray) -> Bands:  # noqa: ARG002
+        """Return the noise-free activity of all neurons for a retina image of shape (side, side).
+
+        It is shown in reports: arrays with the same middle as the retina grid. Default: none.
+        """
+        return ()
+
+    def noise_between_places(
+        self,
+        stimulus: Stimulus,  # noqa: ARG002
+        offset_mrad: tuple[float, float],  # noqa: ARG002
+    ) -> FloatArray | None:
+        """Return the covariance, (4, 4), of the scores here (rows) and those at another place (columns).
+
+        `offset_mrad` is the vector (x, y) from this place to the other one. Default: None, no neuron sees several
+        places, and their noise is independent.
+        """
+        return None
+
+    def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:  # noqa: ARG002
+        """Estimate what the readout omits. Default: None, it omits nothing."""
+        return None
+
+    def with_extra_level(self) -> Observer:
+        """Return the observer with one extra level, which omits nothing that matters. Default: itself."""
+        return self
+
+    def with_fewer_levels(self, stimulus: Stimulus) -> Observer | None:  # noqa: ARG002
+        """Return the observer with one level fewer; None if that is not possible, as by default."""
+        return None
+
+    def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection | None:  # noqa: ARG002
+        """Fold the observer of a pattern that it knows beforehand onto the middle of its retina.
+
+        Default: None, it judges triangles only.
 
         Parameters
         ----------
@@ -376,34 +468,19 @@ class PatternObserver(Protocol):
         half_width : int
             Samples on each side of the retina's middle one that are asked for.
         """
+        return None
 
-    def literal_score(
-        self, contrast: FloatArray, pattern: FloatArray, rng: np.random.Generator | None = None
-    ) -> float:
-        """Compute the score of a retina image by its definition, with noise on every neuron if `rng` is given."""
+    def with_retina_step(self, factor: float) -> Observer | None:  # noqa: ARG002
+        """Return the observer on a retina of another pitch, where the pitch is the step of a computation.
 
-
-@runtime_checkable
-class SteppedObserver(Protocol):
-    """Optional protocol of observers whose retina is the step of a computation, and no part of the model."""
-
-    def with_retina_step(self, factor: float) -> Observer:
-        """Return the same observer on a retina of another pitch, to find what the step changes.
+        It shows what the step changes. Default: None, the pitch is a part of the model.
 
         Raises
         ------
         SettingsError
             If there is no observer with this multiple of its own pitch.
         """
-
-
-PYRAMID_LEVELS = "pyramid levels"
-"""Name of what most truncated observers omit."""
-
-
-def omitted_part(observer: Observer) -> str:
-    """Return the name of what an observer's readout omits: its attribute `omitted_part`, or pyramid levels."""
-    return str(getattr(observer, "omitted_part", PYRAMID_LEVELS))
+        return None
 
 
 def find_observer(name: str) -> type[Observer]:
@@ -424,9 +501,10 @@ def find_observer(name: str) -> type[Observer]:
     found = registered(ENTRY_POINT_GROUP)
     check_keys([name], found, "observer")
     try:
-        return cast("type[Observer]", found[name].load())
+        kind = found[name].load()
     except (ImportError, AttributeError) as error:
         raise SettingsError(f"observer: {name!r} cannot be loaded ({error})") from None
+    return _checked(kind, name)
 
 
 def observers_with(setting: str) -> list[str]:
@@ -442,12 +520,16 @@ def observers_with(setting: str) -> list[str]:
     return found
 
 
+def _checked(kind: object, name: str) -> type[Observer]:
+    if isinstance(kind, type) and issubclass(kind, Observer):
+        return kind
+    raise SettingsError(f"observer: {name!r}: found no observer, expected a subclass of todframes.Observer")
+
+
 def _imported(name: str) -> type[Observer]:
     module, _, class_name = name.partition(":")
-    found = import_named(module, class_name, f"observer: {name!r}")
-    if not (isinstance(found, type) and hasattr(found, "settings_type")):
-        raise SettingsError(f"observer: {name!r}: found no observer, expected a class with a settings_type")
-    return cast("type[Observer]", found)
+    kind = import_named(module, class_name, f"observer: {name!r}")
+    return _checked(kind, name)
 
 
 def settings_file(name: Path | str) -> Path:
@@ -474,6 +556,8 @@ def described(
         observer = kind(kind.settings_type())
     else:
         name = _name(type(observer))
+        if not isinstance(observer, Observer):
+            raise SettingsError(f"observer: found {name}, expected an object of a subclass of todframes.Observer")
     if find_background is not None:
         observer = adapted(observer, find_background)
     settings = getattr(observer, "settings", None)
@@ -525,53 +609,3 @@ def adapted(observer: Observer, find_background: Callable[[], float]) -> Observe
         return type(observer)(replace(settings, luminance_cd_m2=luminance))
     except SettingsError as error:
         raise SettingsError(f"the background of the display: {error}") from None
-
-
-class ObserverWithSettings:
-    """Base of observers that are made from settings and cache what they compute for a stimulus.
-
-    A subclass names its dataclass in `settings_type` and makes its caches in `_make_caches`, which is called for
-    every object, also for one that comes from another process: caches are not pickled.
-
-    Parameters
-    ----------
-    settings : dataclass, optional
-        Of the type `settings_type`. Default: its defaults.
-    changes : dict
-        Settings by name, in place of those of `settings`.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such setting, or a value is out of its range.
-    """
-
-    settings_type: ClassVar[type[Any]]
-
-    def __init__(self, settings: Any, changes: dict[str, Any]) -> None:
-        check_keys(changes, [field.name for field in fields(self.settings_type)], "settings")
-        self.settings = replace(settings if settings is not None else self.settings_type(), **changes)
-        self._make_caches()
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if not hasattr(value, "cache_info")}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self._make_caches()
-        vars(self).update(state)
-
-    def _make_caches(self) -> None:
-        """Make the caches of this object: one on a method of the class would keep every observer alive."""
-        raise NotImplementedError
-
-    @property
-    def centre(self) -> Centre:
-        """Point of the triangle on which the retina grid is centred."""
-        centre: Centre = self.settings.centre
-        return centre
-
-    @property
-    def position_jitter_samples(self) -> float:
-        """Half the width of the uniform displacement of the grid, in retina samples."""
-        jitter: float = self.settings.position_jitter_samples
-        return jitter

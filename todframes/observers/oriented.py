@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.observers.gabor_pyramid import GaborPyramid, Phases
-from todframes.observers.interface import Detection, OmittedWeights
+from todframes.observers.interface import Detection, Readout
 from todframes.observers.internal_noise import Bands
 from todframes.observers.laplacian_pyramid import framed
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
@@ -105,14 +105,9 @@ class OrientedObserver(PyramidObserver):
     settings_type: ClassVar[type[OrientedSettings]] = OrientedSettings
     settings: OrientedSettings
 
-    def __init__(self, settings: OrientedSettings | None = None, *, more_levels: int = 0, **changes: Any) -> None:
-        super().__init__(settings, more_levels=more_levels, **changes)
-        if self.settings.complex_cells:
-            self.readout = _no_readout  # type: ignore[assignment] # what is not linear has none, unlike its base
-
-    def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
-        """Estimate what the readout omits as `PyramidObserver` does; None if the observer is not linear."""
-        return None if self.settings.complex_cells else super().omitted_bands(stimulus)
+    def make_readout(self, stimulus: Stimulus) -> Readout | None:
+        """Compute the readout as `PyramidObserver` does; None with complex cells, which are not linear."""
+        return None if self.settings.complex_cells else super().make_readout(stimulus)
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
         """Return the retina samples, as `PyramidObserver` does."""
@@ -175,17 +170,9 @@ class OrientedObserver(PyramidObserver):
     def _readout_deviation(self, stimulus: Stimulus, dtype: DTypeLike) -> Bands:
         return tuple(band.astype(dtype) for band in self._template_deviation(stimulus))
 
-    def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection:
-        """Fold the observer of a pattern as `PyramidObserver` does.
-
-        Raises
-        ------
-        SettingsError
-            If its cells are complex: it is not linear.
-        """
-        if self.settings.complex_cells:
-            raise SettingsError("complex_cells: found true, which is not linear; expected false for bars")
-        return super().detection(pattern, width_mrad, half_width)
+    def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection | None:
+        """Fold the observer of a pattern as `PyramidObserver` does; None with complex cells."""
+        return None if self.settings.complex_cells else super().detection(pattern, width_mrad, half_width)
 
     def _expected_middle(self, image: FloatArray, side: int, dtype: DTypeLike) -> Bands:
         expected = self._expected(framed(image, side // 2))
@@ -201,7 +188,3 @@ class OrientedObserver(PyramidObserver):
 
     def _filters(self, side: int) -> GaborPyramid:
         return self.settings.filters((side - 1).bit_length() - 3)  # side = 4 · 2^levels + 1
-
-
-def _no_readout(_: Stimulus) -> None:
-    return None

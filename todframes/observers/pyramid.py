@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -29,10 +28,10 @@ from todframes.observers.interface import (
     Age,
     Detection,
     Luminance,
-    ObserverWithSettings,
     OmittedWeights,
     Pupil,
     Readout,
+    keeps_last,
 )
 from todframes.observers.internal_noise import (
     Bands,
@@ -42,6 +41,7 @@ from todframes.observers.internal_noise import (
     summed_variance,
 )
 from todframes.observers.laplacian_pyramid import BORDER, LaplacianPyramid, even_half, framed
+from todframes.observers.neurons import NeuronObserver
 from todframes.observers.retina import (
     RetinaGrid,
     gaussian_blur,
@@ -150,7 +150,7 @@ class PyramidSettings:
         return gain
 
 
-class PyramidObserver(ObserverWithSettings):
+class PyramidObserver(NeuronObserver):
     """The paper's observer: a Laplacian pyramid with noise on every neuron, correlated with four templates.
 
     Parameters
@@ -180,15 +180,8 @@ class PyramidObserver(ObserverWithSettings):
     settings: PyramidSettings
 
     def __init__(self, settings: PyramidSettings | None = None, *, more_levels: int = 0, **changes: Any) -> None:
-        super().__init__(settings, changes)
+        super().__init__(settings, **changes)
         self._more_levels = more_levels
-
-    def _make_caches(self) -> None:
-        self.templates = lru_cache(maxsize=4)(self._templates)
-        self.readout = lru_cache(maxsize=4)(self._readout)
-        self._eye_transfer = lru_cache(maxsize=2)(self._find_eye_transfer)
-        self.with_extra_level = lru_cache(maxsize=1)(self._with_extra_level)
-        self.with_fewer_levels = lru_cache(maxsize=4)(self._with_fewer_levels)
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
         """Return the grid of retina samples that the observer looks at: side 4 · 2^levels + 1, about four sizes.
@@ -224,11 +217,13 @@ class PyramidObserver(ObserverWithSettings):
         """Return the size of a triangle as wide as this one is seen."""
         return stimulus.size_mrad
 
-    def _with_extra_level(self) -> Self:
+    @keeps_last(1)
+    def with_extra_level(self) -> Self:
         """Return the observer with one band, and one octave of the field, more than a triangle needs."""
         return type(self)(self.settings, more_levels=1)
 
-    def _with_fewer_levels(self, stimulus: Stimulus) -> Self | None:
+    @keeps_last(4)
+    def with_fewer_levels(self, stimulus: Stimulus) -> Self | None:
         """Return the observer with one band less; None where the triangle would not fit."""
         if self.settings.levels is not None or self._more_levels:
             return None
@@ -246,7 +241,7 @@ class PyramidObserver(ObserverWithSettings):
 
         The coarse bands of a large triangle are those of a small one on a coarse retina, which cost little: the
         finer bands add no more than the blur of their REDUCE kernels. At the same gain, a second band would add a
-        sixth of that or less. None if the settings name the levels.
+        sixth of that or less. None if the settings name the levels, or the observer is not linear.
         """
         if self.settings.levels is not None:
             return None
@@ -256,6 +251,8 @@ class PyramidObserver(ObserverWithSettings):
         small, large = (
             type(self)(replace(coarse, levels=levels)).readout(stimulus) for levels in (fewest, fewest + 1)
         )
+        if small is None or large is None:
+            return None
         margin = (large.grid.side - small.grid.side) // 2
         kept = np.zeros_like(large.deviations)
         kept[:, margin:-margin, margin:-margin] = small.deviations
@@ -275,6 +272,15 @@ class PyramidObserver(ObserverWithSettings):
             band_noise=self.settings.band_noise[octaves:] or self.settings.band_noise[-1:],
         )
 
+    def noise(self, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
+        """Draw uniform noise for each neuron of a band."""
+        half_width = self.settings.noise_sd * math.sqrt(3.0)
+        return rng.uniform(-half_width, half_width, shape)
+
+    def pattern_template(self, pattern: FloatArray, side: int) -> Bands:
+        """Compute the expected activity for a pattern on the middle of a retina of this side."""
+        return self._expected(framed(pattern, side // 2))
+
     def activity(self, contrast: FloatArray) -> Bands:
         """Compute the noise-free activity of all neurons, finest band first, for a retina image (side, side)."""
         return self._as_activity(self._pyramid(len(contrast)).build(self._through_eye(contrast)))
@@ -291,26 +297,12 @@ class PyramidObserver(ObserverWithSettings):
             return weights
         return mirror_filtered_adjoint(weights, self._eye_transfer(len(weights)))
 
-    def _find_eye_transfer(self, side: int) -> FloatArray:
+    @keeps_last(2)
+    def _eye_transfer(self, side: int) -> FloatArray:
         from todframes.observers.eye import MRAD_PER_DEG, eye_mtf, pupil_of
 
         x, y = mirrored_frequencies(side, self.settings.retina_pitch_mrad / MRAD_PER_DEG)
         return eye_mtf(np.hypot(x, y), pupil_mm=pupil_of(self.settings))
-
-    def turned(self, bands: Bands, quarter_turns: int) -> Bands:
-        """Compute the activity that an image turned clockwise causes, from that of the image.
-
-        The grid's middle is every band's middle, so that is the turned activity.
-        """
-        return tuple(np.ascontiguousarray(np.rot90(band, -quarter_turns)) for band in bands)
-
-    def _templates(self, stimulus: Stimulus) -> tuple[Bands, ...]:
-        """Compute the weights of all neurons in each score, in the order of `ORIENTATIONS`: expected activity."""
-        common, upright = self._common_template(stimulus), self._template_deviation(stimulus)
-        return tuple(
-            tuple(mean + band for mean, band in zip(common, self.turned(upright, turns), strict=True))
-            for turns in range(4)
-        )
 
     def _common_template(self, stimulus: Stimulus) -> Bands:
         """Compute the part that all four templates have in common."""
@@ -323,19 +315,6 @@ class PyramidObserver(ObserverWithSettings):
         """
         image = self._upright(stimulus)
         return self._expected(image - mean_of_turns(image))
-
-    def _upright(self, stimulus: Stimulus, half: int | None = None) -> FloatArray:
-        """Draw the upright triangle, times its polarity, on the retina's middle: by default on all of it."""
-        grid = self.grid(stimulus)
-        half = grid.side // 2 if half is None else half
-        return stimulus.polarity * coverage(
-            (2 * half + 1, 2 * half + 1),
-            size_px=stimulus.size_mrad / grid.pitch_mrad,
-            x_px=half,
-            y_px=half,
-            orientation=Orientation.UP,
-            centre=self.centre,
-        )
 
     def _expected(self, image: FloatArray) -> Bands:
         """Compute the expected activity for an image whose place is not exactly known."""
@@ -365,7 +344,7 @@ class PyramidObserver(ObserverWithSettings):
         covariance = summed_covariance(self._all_turns(exact), self.settings.noise_sd)
         return self._fold(upright, self.grid(stimulus), half_width), covariance
 
-    def _readout(self, stimulus: Stimulus) -> Readout:
+    def make_readout(self, stimulus: Stimulus) -> Readout | None:
         """Fold pyramid and templates onto the retina: A_k = Lᵀ t_k."""
         grid = self.grid(stimulus)
         upright = self._readout_deviation(stimulus, np.float64)
@@ -378,7 +357,7 @@ class PyramidObserver(ObserverWithSettings):
             find_common_variance=lambda: summed_variance(self._common_template(stimulus), self.settings.noise_sd),
         )
 
-    def noise_between_places(self, stimulus: Stimulus, offset_mrad: tuple[float, float]) -> FloatArray:
+    def noise_between_places(self, stimulus: Stimulus, offset_mrad: tuple[float, float]) -> FloatArray | None:
         """Compute the covariance of the noise on the scores of two places: the same neurons see both.
 
         The bands are those of this place's grid, where the templates of the other place end with the grid.
@@ -429,21 +408,14 @@ class PyramidObserver(ObserverWithSettings):
         blurred = gaussian_blur(image, self.settings.template_blur_samples)
         return self._as_activity(self._pyramid(side).build_middle(blurred.astype(dtype), side // 2))
 
-    def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection:
-        """Fold the observer of a pattern onto the middle of its retina; see `PatternObserver.detection`."""
+    def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection | None:
+        """Fold the observer of a pattern onto the middle of its retina; see `Observer.detection`."""
         grid = self.grid(Stimulus(width_mrad))
         around = 8.0 * self.settings.template_blur_samples + 2.0 + BORDER
         half = even_half(min(len(pattern) // 2 + around, grid.side // 2))
         expected = self._expected_middle(framed(pattern, half), grid.side, np.float64)
         variance = self.settings.noise_sd**2 * sum(map(inner_product, expected, expected))
         return Detection(self._fold(expected, grid, half_width), variance)
-
-    def literal_score(
-        self, contrast: FloatArray, pattern: FloatArray, rng: np.random.Generator | None = None
-    ) -> float:
-        """Compute the inner product with a pattern's template, with noise on every neuron if `rng` is given."""
-        activity = self._noisy_activity(contrast, rng)
-        return sum(map(inner_product, self._expected(framed(pattern, len(contrast) // 2)), activity))
 
     def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid, half_width: int | None = None) -> FloatArray:
         """Compute the weights on the retina, or its middle, of weights of neurons: the adjoint of `activity`.
@@ -466,27 +438,3 @@ class PyramidObserver(ObserverWithSettings):
         if not self.settings.include_residual:
             bands.pop()
         return tuple(self.settings.gain_of(k) * band for k, band in enumerate(bands))
-
-    def literal_scores(
-        self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator | None = None
-    ) -> FloatArray:
-        """Compute the four scores as the paper does, with noise on every neuron if `rng` is given: (4,)."""
-        activity = self._noisy_activity(contrast, rng)
-        return np.array(
-            [
-                sum(inner_product(expected, band) for expected, band in zip(template, activity, strict=True))
-                for template in self.templates(stimulus)
-            ]
-        )
-
-    def _noisy_activity(self, contrast: FloatArray, rng: np.random.Generator | None) -> Bands:
-        activity = self.activity(contrast)
-        if rng is None:
-            return activity
-        half_width = self.settings.noise_sd * math.sqrt(3.0)
-        return tuple(band + rng.uniform(-half_width, half_width, band.shape) for band in activity)
-
-    def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
-        """Answer with the largest score, ties at random."""
-        scores = self.literal_scores(contrast, stimulus, rng)
-        return ORIENTATIONS[int(rng.choice(np.flatnonzero(scores == scores.max())))]

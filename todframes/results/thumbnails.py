@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -29,14 +29,6 @@ only the middle is shown."""
 
 DISPLAY_SIDE_PX, RETINA_SIDE_PX = 128, 96
 """Largest sides of pictures of the display and of the retina; larger ones are reduced by a whole factor."""
-
-
-@runtime_checkable
-class ShowsBands(Protocol):
-    """An observer that can return its neurons' activity, as images with the same middle as the retina grid."""
-
-    def activity(self, contrast: FloatArray) -> Sequence[FloatArray]:
-        """Return the noise-free activity of all neurons for a retina image of shape (side, side)."""
 
 
 class Band(Protocol):
@@ -114,7 +106,7 @@ def pictures(
     width_mrad = (2 * reach_px + 1) * pixel_pitch_mrad
     reach = min(round(width_mrad / 2.0 / observer.grid(stimulus).pitch_mrad), retina.shape[0] // 2)
     found.append(_signed("retina", _reduced(_about_middle(retina, reach, 1.0), RETINA_SIDE_PX, np.mean)))
-    bands = observer.activity(retina) if isinstance(observer, ShowsBands) else ()
+    bands = observer.activity(retina)
     parts = [_about_middle(band, reach, (retina.shape[0] - 1) / max(band.shape[0] - 1, 1)) for band in bands]
     strongest = sorted(range(len(parts)), key=lambda k: -float(np.abs(parts[k]).max()))[:MOST_BANDS]
     found += [_signed(f"band {k}", _reduced(parts[k], RETINA_SIDE_PX, _peak)) for k in sorted(strongest)]

@@ -2,7 +2,8 @@
 
 A plan is made once, before a computation starts, and is a list of steps. Each stage that is left out has a bound
 on its effect on P(correct), estimated on a few trials; a stage that is left out without any effect has the bound
-0. A stage whose bound exceeds its share of the tolerance is kept.
+0. A stage whose bound exceeds its share of the tolerance is kept. What is computed is a mean over independent
+replicates of a low-discrepancy sequence, each shifted at random, whose spread gives its error.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
 
@@ -103,3 +105,25 @@ def decision_change(score_change: FloatArray, covariance: FloatArray, covariance
     by_noise = np.sqrt(np.square(relative).sum(axis=(-2, -1)) / 8.0)
     noiseless = (variance <= 0.0).any(axis=-1)
     return np.asarray(np.where(noiseless, 1.0, np.minimum(by_means + by_noise, 1.0)))
+
+
+REPLICATES = 8
+"""Number of independent replicates whose spread gives the error of their mean."""
+
+_STUDENT_T = {5: (2.7764, 3.4954), 8: (2.3646, 2.8412)}
+"""For each number of replicates, the 97.5 % and 98.75 % points of Student's t with one degree of freedom less."""
+
+
+def half_width_95(replicates: ArrayLike, *, is_refined: bool = True) -> float:
+    """Compute the half-width of the 95 % interval of the mean of replicates.
+
+    Parameters
+    ----------
+    replicates : array_like, shape (n,)
+        A value of each replicate, n being 5 or 8.
+    is_refined : bool
+        Whether trials were added until this half-width was small enough. Half of the 5 % is then reserved for
+        error estimates that were small by chance.
+    """
+    values = np.asarray(replicates, dtype=np.float64)
+    return _STUDENT_T[len(values)][is_refined] * float(values.std(ddof=1)) / math.sqrt(len(values))

@@ -17,7 +17,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, check_whole
 from todframes.frames.dataset import MOST_PLACES
-from todframes.observers.interface import Observer, Readout, SteppedObserver
+from todframes.observers.interface import Observer, Readout
 from todframes.psychometrics.threshold_search import ComputedThreshold, find_crossing, if_known
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus, coverage
 
@@ -195,7 +195,7 @@ def _with_step_error(
     is the difference from a retina of s times the pitch, divided by |1 - s²| (Richardson). A quarter of the pitch
     leaves next to nothing. A threshold with too large an error is none.
     """
-    if found.threshold is None or not isinstance(observer, SteppedObserver):
+    if found.threshold is None or observer.with_retina_step(1.0) is None:
         return if_known(found)
     step, other = _other_step(observer, Stimulus(largest_mrad))
     if other is None:
@@ -207,12 +207,13 @@ def _with_step_error(
     return if_known(replace(found, numerical_error=change / abs(1.0 - left) + (found.numerical_error or 0.0)))
 
 
-def _other_step(observer: SteppedObserver, stimulus: Stimulus) -> tuple[float, Observer | None]:
+def _other_step(observer: Observer, stimulus: Stimulus) -> tuple[float, Observer | None]:
     """Return one of `STEPS` that the observer allows for a stimulus, and the observer of that step."""
     found: tuple[float, Observer | None] = (1.0, None)
     for step in STEPS:
         with suppress(SettingsError):
             other = observer.with_retina_step(step)
+            assert other is not None
             side = other.grid(stimulus).side
             found = step, other
             if side <= COSTLY_SIDE:
@@ -254,9 +255,7 @@ class _Responses(NamedTuple):
 def _responses(observer: Observer, size_mrad: float, nodes: int, places: int = 1) -> _Responses:
     """Compute the scores at contrast 1 for a triangle of each orientation at each node."""
     check_whole(argument.places, places, 1, MOST_PLACES)
-    readout = observer.readout(Stimulus(size_mrad))
-    if readout is None:
-        raise SettingsError("observer: it is not linear; its naked-eye threshold cannot be computed")
+    readout = observer.linear_readout(Stimulus(size_mrad))
     side, pitch = readout.grid.side, readout.grid.pitch_mrad
     jitter = observer.position_jitter_samples
     displaced, weights = np.polynomial.legendre.leggauss(nodes if jitter > 0 else 1)

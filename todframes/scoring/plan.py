@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import cast
 
 import numpy as np
 
@@ -26,8 +25,6 @@ from todframes.observers.interface import (
     Observer,
     OmittedWeights,
     Readout,
-    TruncatedObserver,
-    omitted_part,
 )
 from todframes.observers.retina import RetinaGrid
 from todframes.parameters import PlanName
@@ -86,7 +83,7 @@ class ScorePlan:
     def observer_of(self, stimulus: Stimulus) -> Observer:
         """Return the observer for a stimulus: the given one, or its variant with an extra pyramid level."""
         if self.stimuli[stimulus].full_observer:
-            return cast("TruncatedObserver", self.observer).with_extra_level()
+            return self.observer.with_extra_level()
         return self.observer
 
     def readout(self, stimulus: Stimulus) -> Readout | None:
@@ -142,8 +139,7 @@ def plan_score(
     of_stimulus = dict(trials.by_stimulus())
     pitch, places = dataset.display.pitch_mrad, dataset.experiment.places
     if name == "full" or not expected or places > 1:
-        full = name == "full" and isinstance(observer, TruncatedObserver)
-        plans = {stimulus: StimulusPlan(full_observer=full) for stimulus in of_stimulus}
+        plans = {stimulus: StimulusPlan(full_observer=name == "full") for stimulus in of_stimulus}
         if name == "full":
             why = f"as {argument.plan} full asks"
         elif not expected:
@@ -157,7 +153,7 @@ def plan_score(
         for stimulus, members in of_stimulus.items()
     }
     plans = {stimulus: one.plan for stimulus, one in weighed.items()}
-    return ScorePlan(observer, plans, False, _steps(list(weighed.values()), omitted_part(observer)), pitch)
+    return ScorePlan(observer, plans, False, _steps(list(weighed.values()), observer.omitted_part), pitch)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +179,7 @@ def _weigh(dataset: Dataset, trials: Trials, observer: Observer, budget: float, 
     if not any(_has_place(dataset, trial, observer) for trial in candidates[:MOST_BAD]):
         return _Weighed(StimulusPlan())  # scoring reports the error; the readout may be huge
     try:
-        missing = observer.omitted_bands(stimulus) if isinstance(observer, TruncatedObserver) else None
+        missing = observer.omitted_bands(stimulus)
         widest = missing.grid if missing is not None else observer.grid(stimulus)
         displaced_mrad = _displaced_mrad(observer, stimulus)
         readout = observer.readout(stimulus)
@@ -212,7 +208,6 @@ def _weigh(dataset: Dataset, trials: Trials, observer: Observer, budget: float, 
         full = bounds[OMITTED] > budget
         if full:
             del bounds[OMITTED]
-            assert isinstance(observer, TruncatedObserver)
             readout = observer.with_extra_level().readout(stimulus)
             assert readout is not None
             weights = weights + missing.deviations

@@ -21,8 +21,7 @@ from todframes.frames.trials import Group, Trials
 from todframes.observers.interface import Observer, Readout, joint_noise_covariance
 from todframes.parameters import CurveName, Decisions, PlanName
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
-from todframes.psychometrics.replicates import REPLICATES, half_width_95
-from todframes.scoring.error_budget import Step
+from todframes.scoring.error_budget import REPLICATES, Step, half_width_95
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.seen_trials import (
     FIT_STREAMS,

@@ -22,7 +22,7 @@ from todframes.observers.interface import Observer, Readout
 from todframes.observers.internal_noise import inner_product
 from todframes.observers.retina import RetinaGrid, SummedWeights
 from todframes.parameters import Decisions
-from todframes.psychometrics.replicates import REPLICATES
+from todframes.scoring.error_budget import REPLICATES
 from todframes.scoring.plan import ScorePlan
 from todframes.scoring.retina_view import Shown, read_trial, retina_image
 

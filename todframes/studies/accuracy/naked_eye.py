@@ -141,7 +141,7 @@ class NakedEye:
         return self._readout(PyramidObserver()).non_gaussian_bound
 
     def _readout(self, observer: PyramidObserver) -> Readout:
-        return observer.readout(Stimulus(self.size_mrad))
+        return observer.linear_readout(Stimulus(self.size_mrad))
 
     def _retina(self, observer: PyramidObserver, x: float, y: float, orientation: Orientation) -> FloatArray:
         """Draw the triangle on the retina, displaced by shares of the largest displacement."""

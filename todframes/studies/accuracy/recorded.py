@@ -231,7 +231,7 @@ class Recorded:
     def non_gaussian_bound(self) -> float:
         """Return the bound that the readout states."""
         observer = PyramidObserver()
-        return max(observer.readout(trial.stimulus).non_gaussian_bound for trial in self.trials)
+        return max(observer.linear_readout(trial.stimulus).non_gaussian_bound for trial in self.trials)
 
     def _whole(self, observer: PyramidObserver) -> Frames:
         return Frames(self.dataset, self.trials, observer, observer.readout)

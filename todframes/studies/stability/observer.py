@@ -54,7 +54,7 @@ def observer(**settings: Any) -> PyramidObserver:
 
 def seen(observer: PyramidObserver, size: float) -> tuple[Readout, FloatArray]:
     """Return the readout for triangles of a size in samples, and the upright one's image."""
-    readout = observer.readout(Stimulus(size * observer.settings.retina_pitch_mrad))
+    readout = observer.linear_readout(Stimulus(size * observer.settings.retina_pitch_mrad))
     side = readout.grid.side
     return readout, coverage(
         (side, side),
@@ -80,7 +80,7 @@ def errors(contrast: ArrayLike, size: float) -> FloatArray:
 
 def covariance_row(size: float) -> FloatArray:
     """Return the covariances of the score of the upright triangle with itself, one beside and the opposite one."""
-    return np.asarray(observer().readout(Stimulus(size)).noise_covariance[0, :3])
+    return np.asarray(observer().linear_readout(Stimulus(size)).noise_covariance[0, :3])
 
 
 def template_scores(size: float, **settings: Any) -> FloatArray:
