@@ -437,7 +437,7 @@ def test_two_observers_on_the_same_answers(two_people, tmp_path: Path, capsys) -
 @pytest.mark.weekly
 @pytest.mark.parametrize(("observer", "noise"), [(tod.PyramidObserver(), 0.35), (tod.CsfObserver(), 0.1)])
 def test_intervals_of_simulated_people(two_people, observer, noise: float) -> None:
-    """A thousand people answer 240 of the frames; the whole campaign is tests/campaigns/coverage.py.
+    """A thousand people answer 240 of the frames; tests/campaigns/coverage.py has other people, too.
 
     The noise 0.1 of csf is an efficiency of 100, which these small triangles need.
     """

@@ -143,7 +143,7 @@ def stacks(
 
 
 def test_figures_of_a_simulated_camera_are_within_their_intervals() -> None:
-    """The seed is one of those where all 95 % intervals hold; campaigns/photons.py counts how often they do."""
+    """The seed is one of those where all 95 % intervals hold."""
     found = tod.emva_noise(**stacks())
     measured = found.measured
     truth = {

@@ -144,7 +144,7 @@ def answers_of_two_alike(*, common: float, own: float, sampled: bool) -> tuple[n
 def test_algorithms_that_are_alike_are_hardly_ever_called_different(
     experiments: int, common: float, own: float, sampled: bool, curve: str
 ) -> None:
-    """At most 5 % of simulated experiments of 12 trials a level; more of them in benchmarks/bench_pairing.py."""
+    """At most 5 % of simulated experiments of 12 trials a level."""
     levels, answers = answers_of_two_alike(common=common, own=own, sampled=sampled)
     rng, level, different = np.random.default_rng(8), np.repeat(levels, 12), 0
     for _ in range(experiments):

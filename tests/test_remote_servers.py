@@ -20,7 +20,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
-from campaigns import servers
+import servers
 
 import todframes as tod
 from todframes.base import remote
@@ -315,7 +315,7 @@ def neighbour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[serve
     monkeypatch.setattr(servers, "BOMB", servers.bomb(64))
     forget_connections()
     with servers.Server(tmp_path, "none", servers.closes) as server:
-        monkeypatch.setattr(servers, "NEIGHBOUR", server, raising=False)
+        monkeypatch.setattr(servers, "NEIGHBOUR_PORT", server.port)
         yield server
 
 
@@ -324,7 +324,7 @@ def neighbour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[serve
 def test_what_a_web_server_sends_has_limits(make_dataset, tmp_path, neighbour, name) -> None:
     """Of size and time, and no part is taken for the whole; what is elsewhere is not asked for."""
     make_dataset()
-    with servers.Server(tmp_path, "dataset.toml", servers.CASES[name].answer) as server:
+    with servers.Server(tmp_path, "dataset.toml", servers.ANSWERS[name]) as server:
         started = time.monotonic()
         with pytest.raises((SettingsError, RemoteError), match=MISBEHAVING[name]) as caught:
             load_dataset(f"http://127.0.0.1:{server.port}/dataset")
@@ -337,17 +337,17 @@ def test_what_a_web_server_sends_has_limits(make_dataset, tmp_path, neighbour, n
 @pytest.mark.parametrize(
     ("case", "message"),
     [
-        (servers.CASES["endless chunks"], NO_LENGTH),
-        (servers.CASES["ten gigabytes"], TOO_LONG),
-        (servers.CASES["cut without a length"], NO_LENGTH),
-        (servers.CASES["a byte of a header every 2 s"], LATE),
-        (servers.CASES["a byte every 5 s"], LATE),
+        (servers.ANSWERS["endless chunks"], NO_LENGTH),
+        (servers.ANSWERS["ten gigabytes"], TOO_LONG),
+        (servers.ANSWERS["cut without a length"], NO_LENGTH),
+        (servers.ANSWERS["a byte of a header every 2 s"], LATE),
+        (servers.ANSWERS["a byte every 5 s"], LATE),
     ],
 )
 @pytest.mark.slow
 def test_what_s3_sends_has_limits(make_dataset, tmp_path, monkeypatch, case, message) -> None:
     make_dataset()
-    with servers.Server(tmp_path, "dataset.toml", case.answer) as server:
+    with servers.Server(tmp_path, "dataset.toml", case) as server:
         monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{server.port}")
         monkeypatch.setattr(remote, "WHOLE_S", 8)  # to make a client of S3 takes seconds on a busy machine
         with pytest.raises((SettingsError, RemoteError), match=message):

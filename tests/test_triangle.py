@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+import triangles
 
 import todframes as tod
 from todframes.diagnosis.findings import frame_warnings
@@ -14,10 +12,6 @@ from todframes.diagnosis.inspection import inspect
 from todframes.diagnosis.triangle import Images, Shape, blur_matrices, first_guess, fit, fitted
 from todframes.frames.memory import memory_dataset
 from todframes.stimulus import ORIENTATIONS, coverage, moving_coverage, vertices
-
-sys.path.insert(0, str(Path(__file__).parent / "campaigns"))
-
-import triangles
 
 SIDE = 49
 # By x and y, and by the entries xx, xy, yx and yy of a map: the motion of a point is offset + map @ point.

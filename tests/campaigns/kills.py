@@ -1,4 +1,7 @@
-"""The campaigns of kills: after the last restart a run has the same bytes as one that nothing disturbed.
+"""Kill runs again and again: after the last restart a run has the same bytes as one that nothing disturbed.
+
+python tests/campaigns/kills.py 100                # clients, workers and schedulers of six commands; an hour
+python tests/campaigns/kills.py 100 --long 20000   # one `score` of 20,000 frames; an hour
 
 SIGKILL ends the client, a worker or the scheduler at a random moment. The same command is then given again, until
 enough was killed; the last run goes to its end. A log tells which items were done: none whose result was in the
@@ -7,6 +10,7 @@ store when a run began, so that only what was in flight is done twice.
 
 from __future__ import annotations
 
+import argparse
 import os
 import random
 import re
@@ -18,14 +22,13 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import scenes
-from forks import Forked, import_all, in_a_fork
 from logged import NO_KEY
 
 from todframes.jobs.store import HEAD, MAGIC
@@ -109,11 +112,10 @@ class Processes:
     """Processes that are started in a session of their own, and are all gone at the end."""
 
     def __init__(self, log: Path, item_s: float, *, at_once: bool) -> None:
-        self._variables = {"CAMPAIGN_LOG": str(log), "CAMPAIGN_ITEM_S": str(item_s)}
-        if at_once:
-            self._variables["CAMPAIGN_AT_ONCE"] = "1"
-        self._environment = os.environ | self._variables
+        self._environment = os.environ | ({"CAMPAIGN_AT_ONCE": "1"} if at_once else {})
         self._environment |= {
+            "CAMPAIGN_LOG": str(log),
+            "CAMPAIGN_ITEM_S": str(item_s),
             "OMP_NUM_THREADS": "1",
             "OPENBLAS_NUM_THREADS": "1",
             "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "10s",
@@ -135,12 +137,8 @@ class Processes:
         self._sessions.append(process.pid)
         return process
 
-    def command(
-        self, arguments: Sequence[str], folder: Path, *, is_forked: bool = False
-    ) -> Forked | _StartedCommand:
+    def command(self, arguments: Sequence[str], folder: Path) -> _StartedCommand:
         """Start a command that logs its items."""
-        if is_forked:
-            return Forked(arguments, folder, self._variables)
         return _StartedCommand(self.start(str(LOGGED), *arguments, output=folder / "stderr"), folder / "stderr")
 
     def left(self, patience_s: float) -> list[int]:
@@ -230,7 +228,6 @@ def kill_repeatedly(
     in_flight: int,
     with_cluster: bool = False,
     at_start: float = 1.0,
-    is_forked: bool = False,
 ) -> Tally:
     """Kill a run, or a part of the cluster that does it, again and again, and compare its end.
 
@@ -246,8 +243,6 @@ def kill_repeatedly(
         Largest number of items that a kill may cost.
     at_start : float
         Share of the kills whose time counts from the start; that of others counts from when items are done.
-    is_forked : bool
-        Whether clients are copies of this process, which start sooner.
     """
     folder.mkdir(parents=True)
     tally, rng = Tally(command.name), random.Random(f"{seed} {command.name}")
@@ -256,7 +251,7 @@ def kill_repeatedly(
     processes = Processes(log, command.item_s, at_once=command.at_once)
     undisturbed = folder / "undisturbed"
     first = Processes(folder / "log of undisturbed", 0.0, at_once=True)
-    process = first.command([*command.arguments, "-o", str(undisturbed)], folder, is_forked=is_forked)
+    process = first.command([*command.arguments, "-o", str(undisturbed)], folder)
     if process.wait(LONGEST_RUN_S):
         raise RuntimeError(process.err)
     wanted = scenes.content(undisturbed)
@@ -271,7 +266,7 @@ def kill_repeatedly(
             if cluster is not None:
                 cluster.complete()
             run.begin()
-            client = processes.command(arguments, folder, is_forked=is_forked)
+            client = processes.command(arguments, folder)
             status: int | None = None
             while left and status is None:
                 if rng.random() > at_start:
@@ -324,7 +319,7 @@ def kill_repeatedly(
     return tally
 
 
-def _wait(client: Forked | _StartedCommand) -> int:
+def _wait(client: _StartedCommand) -> int:
     """Wait for a client; one that takes too long is killed, with the status of a time-out."""
     try:
         return client.wait(LONGEST_RUN_S)
@@ -364,7 +359,7 @@ class _Run:
         self._size_before = self._size
         self.costs = 0
 
-    def wait_for_work(self, client: Forked | _StartedCommand) -> int | None:
+    def wait_for_work(self, client: _StartedCommand) -> int | None:
         """Wait until an item has been done in this run; return the status of the client if it ends before."""
         while client.poll() is None and self._size == self._size_before:
             time.sleep(0.02)
@@ -406,29 +401,16 @@ class _Run:
 
 
 def stored_keys(out: Path) -> set[str]:
-    """Return the keys in a store."""
-    store = out / STORE
-    return {one.key.hex() for one in records(store.read_bytes())} if store.is_file() else set()
-
-
-class Record(NamedTuple):
-    """A record of a store, and the place behind it."""
-
-    key: bytes
-    result: bytes
-    end: int
-
-
-def records(content: bytes) -> Iterator[Record]:
-    """Yield the records of a store, but for a last one that is not whole."""
+    """Return the keys in a store, but for a last record that is not whole."""
+    store, keys = out / STORE, set()
+    content = store.read_bytes() if store.is_file() else b""
     place = len(MAGIC)
     while place + HEAD.size <= len(content):
         n_key, n_result, _ = HEAD.unpack_from(content, place)
-        key, end = place + HEAD.size, place + HEAD.size + n_key + n_result
-        if end > len(content):
-            return
-        yield Record(content[key : key + n_key], content[key + n_key : end], end)
-        place = end
+        key, place = place + HEAD.size, place + HEAD.size + n_key + n_result
+        if place <= len(content):
+            keys.add(content[key : key + n_key].hex())
+    return keys
 
 
 # The campaigns -------------------------------------------------------------------------------------------------
@@ -520,9 +502,7 @@ def long_run(n_frames: int, n_kills: int, *, seed: int, item_s: float = 0.008) -
         contrasts = (0.03, 0.05, 0.08, 0.1, 0.15, 0.2, 0.3, 0.4)
         n_repeats = n_frames // (4 * len(contrasts))
         scene = {"side_px": 64, "contrasts": contrasts, "noise": 0.05}
-        in_a_fork(scenes.write_dataset, folder / "small", **scene)
-        import_all(["todframes", "score", str(folder / "small"), "-o", str(folder / "out")])
-        in_a_fork(scenes.write_dataset, folder / "dataset", repeats=n_repeats, **scene)
+        scenes.write_dataset(folder / "dataset", repeats=n_repeats, **scene)
         arguments = ("todframes", "score", str(folder / "dataset"), "--quiet")
         command = Command(f"score of {4 * len(contrasts) * n_repeats} frames", arguments, item_s, at_once=False)
         return kill_repeatedly(
@@ -533,5 +513,24 @@ def long_run(n_frames: int, n_kills: int, *, seed: int, item_s: float = 0.008) -
             seed=seed,
             in_flight=16,
             at_start=0.1,
-            is_forked=True,
         )
+
+
+def main() -> int:
+    """Run a campaign. Returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("n", type=int)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default="", help="part of the name of a command")
+    parser.add_argument("--long", type=int, metavar="FRAMES", help="kill one run of so many frames")
+    asked = parser.parse_args()
+    if asked.long:
+        tallies = [long_run(asked.long, asked.n, seed=asked.seed)]
+        print(tallies[0].line())
+    else:
+        tallies = campaign(asked.n, seed=asked.seed, only=asked.only)
+    return int(any(tally.faults for tally in tallies))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenImageIO as oiio
-from numpy.typing import NDArray
 
+from todframes.frames.files import write_frame
 from todframes.stimulus import ORIENTATIONS, coverage
 
 SAMPLES = Path(__file__).parents[2] / "sample_frames"
@@ -69,20 +68,6 @@ COUNTS_CSV = "level,n_correct,n_trials,eye\n" + "".join(
 )
 
 
-def write_image(path: Path, values: NDArray[np.float64], *, pixel_type: str, compression: str = "zip") -> None:
-    """Write code values in [0, 1], shape (rows, columns, channels), by OpenImageIO itself."""
-    height, width, n_channels = values.shape
-    spec = oiio.ImageSpec(width, height, n_channels, pixel_type)
-    if path.suffix == ".exr":
-        spec.channelnames = ("Y",) if n_channels == 1 else ("R", "G", "B")
-        spec.attribute("compression", compression)
-        spec.attribute("DateTime", "")
-    image = oiio.ImageOutput.create(str(path))
-    assert image.open(str(path), spec), image.geterror()
-    assert image.write_image(values.astype(np.float32)), image.geterror()
-    assert image.close()
-
-
 def write_dataset(
     path: Path,
     *,
@@ -123,7 +108,7 @@ def write_dataset(
                     (os.link if linked else shutil.copy)(path / f"frames/{name}_0{suffix}", path / frame)
                 else:
                     stored = np.repeat(values[..., np.newaxis], n_channels, axis=2)
-                    write_image(path / frame, stored, pixel_type=pixel_type, compression=compression)
+                    write_frame(path / frame, stored, pixel_type=pixel_type, compression=compression)
                     sha256 = hashlib.sha256((path / frame).read_bytes()).hexdigest()
                 row = {
                     "frame": frame,

@@ -24,7 +24,7 @@ FITTED_REACH_IN_SIZES = 2.2
 
 CELL = 2.2
 """Side of the square, in sizes, that counts as one independent value of the noise as a fit sees it, set by
-`tests/campaigns/triangles.py`: reported 95 % intervals hold 96.8 % of true values, and 92.6 % with 1.5."""
+`tests/triangles.py`: reported 95 % intervals hold 96.8 % of true values, and 92.6 % with 1.5."""
 
 MOST_ROUGH = 2.0
 """Largest factor of the covariance for what a fit leaves at the edges of a triangle, the power there over that

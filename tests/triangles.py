@@ -1,18 +1,11 @@
-"""How well the triangle of frames is estimated, and how often good frames are warned about; minutes.
-
-python tests/campaigns/triangles.py estimates 300    # bias, and how often 95 % intervals hold
-python tests/campaigns/triangles.py clean 100        # false alarms of good datasets
+"""Random triangles in blur, noise, patterns, tilts and cut windows, and how well they are measured.
 
 Frames are drawn with four times the pixels and blurred there, so that only the exact coverage is shared with the
-package. The exit status is 1 if the intervals of a part of the groups hold less than 93 or more than 98 % of the
-true values, or if a good dataset has a warning.
+package.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,14 +13,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 import todframes as tod
-from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import inspect
 from todframes.frames.dataset import Dataset
 from todframes.frames.memory import memory_dataset
 from todframes.stimulus import ORIENTATIONS, moving_coverage, vertices
 
 FINER = 4
-NAMES = ("contrast", "x", "y", "size", "turn")
 
 
 def turning(degrees: float) -> NDArray[np.float64]:
@@ -141,62 +132,3 @@ def estimate(rng: np.random.Generator) -> tuple[Drawn, NDArray[np.float64]]:
     errors = [one.contrast_slope_error, *(one.offset_error_px or nowhere), one.size_ratio_error]
     found, error = (np.array(of, np.float64) for of in (values, [*errors, one.turned_error_rad]))
     return made, (found - made.truth) / error
-
-
-CELLS: dict[str, Callable[[Drawn], bool]] = {
-    "blur up to 0.7 pixels": lambda one: one.blur_px <= 0.7,
-    "blur of 0.7 to 2 pixels": lambda one: one.blur_px > 0.7,
-    "noise up to 1 %": lambda one: one.noise <= 0.01,
-    "noise of 1 to 5 %": lambda one: 0.01 < one.noise <= 0.05,
-    "noise of 5 to 20 %": lambda one: one.noise > 0.05,
-    "tilt up to 12°": lambda one: one.tilt_deg <= 12.0,
-    "tilt of 12 to 25°": lambda one: one.tilt_deg > 12.0,
-    "whole window": lambda one: not one.is_cut,
-    "window cut by the edge": lambda one: one.is_cut,
-    "all": lambda _: True,
-}
-"""Parts of the random groups whose intervals are counted."""
-
-
-def estimates(n: int, seed: int) -> bool:
-    """Print how often 95 % intervals hold, by cells, and the bias; return whether it is as asked in each cell."""
-    made, deviates = zip(*(estimate(np.random.default_rng([seed, k])) for k in range(n)), strict=True)
-    all_of = np.array(deviates)
-    print(f"{'':24}{'groups':>7}" + "".join(f"{name:>10}" for name in (*NAMES, "all")))
-    as_asked = True
-    for name, is_in in CELLS.items():
-        ours = all_of[[is_in(one) for one in made]]
-        held = 100.0 * np.nanmean(np.where(np.isnan(ours), np.nan, np.abs(ours) < 1.96), axis=0)
-        mean = 100.0 * float((np.abs(ours[np.isfinite(ours)]) < 1.96).mean())
-        print(f"{name:24}{len(ours):7}" + "".join(f"{share:10.1f}" for share in (*held, mean)))
-        as_asked &= 93.0 <= mean <= 98.0
-    print(f"{'median, standard errors':31}" + "".join(f"{bias:+10.2f}" for bias in np.nanmedian(all_of, axis=0)))
-    return as_asked
-
-
-def clean_sets(n: int, seed: int) -> bool:
-    """Print the warnings of good datasets; return whether there is none."""
-    n_warned = 0
-    for k in range(n):
-        dataset = clean(np.random.default_rng([seed, k]))
-        found = frame_warnings(dataset, inspect(dataset, dataset.trials))
-        n_warned += bool(found)
-        for one in found:
-            print(f"{k}: {one.code}: {one.found}: {one.message}")
-    print(f"{n_warned} of {n} good datasets have a warning")
-    return n_warned == 0
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a part of the campaign. Returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=["estimates", "clean"])
-    parser.add_argument("n", type=int)
-    parser.add_argument("--seed", type=int, default=1)
-    asked = parser.parse_args(arguments)
-    run = estimates if asked.part == "estimates" else clean_sets
-    return int(not run(asked.n, asked.seed))
-
-
-if __name__ == "__main__":
-    sys.exit(main())
