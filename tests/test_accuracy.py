@@ -15,8 +15,6 @@ from sensor_sim.chain.sensor import Detector, Optics, Sensor, SensorDisplay
 from sensor_sim.studies.accuracy import STAR_LIKE, Camera
 from sensor_sim.thresholds.curve_plan import full_plan
 from sensor_sim.thresholds.predict import REPLICATES, FoldedChain, Phases, predict_threshold
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.weibull import weibull, weibull_level
 from todframes.results.result import load_result
@@ -371,15 +369,6 @@ def test_error_that_ends_a_refinement_is_honest(spread):
 
 
 # The command ----------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def todframes(capsys: pytest.CaptureFixture[str]):
-    def call(*arguments: str | Path) -> tuple[int, str, str]:
-        status = run(cli, [str(argument) for argument in arguments])
-        return status, *capsys.readouterr()
-
-    return call
 
 
 @pytest.fixture

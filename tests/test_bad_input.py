@@ -337,12 +337,6 @@ def test_bad_frame_is_skipped_and_listed(name, make_dataset, todframes):
     assert_skipped(FRAMES[name].of(make_dataset), [BAD], FRAMES[name].wanted, todframes)
 
 
-@of_each_kind
-def test_bad_frame_is_found_by_validate(name, make_dataset, todframes):
-    dataset = FRAMES[name].of(make_dataset)
-    assert_validate_finds(dataset, [(re.escape(str(dataset.frame(BAD))), *FRAMES[name].wanted)], todframes)
-
-
 def assert_skipped(dataset, bad, wanted, todframes):
     """`--on-error skip` scores the rest, and lists the bad rows in JSON and on standard error."""
     status, out, errors = todframes("score", dataset.path, "--on-error", "skip", "--json", "--set", "resamples=0")
@@ -474,12 +468,6 @@ def test_validate_looks_at_all_frames_of_a_trial_with_a_bad_row(make_dataset, to
     )
 
 
-def test_validate_good_dataset(make_dataset, todframes):
-    status, out, errors = todframes("validate", make_dataset().path)
-    assert (status, errors) == (0, [])
-    assert "8 frames" in out
-
-
 # Rows of the manifest -----------------------------------------------------------------------------------------
 
 ROWS = {
@@ -608,11 +596,6 @@ def test_link_to_itself(make_dataset):
     dataset = make_dataset(row_changes={BAD: {"frame": "loop.exr"}})
     (dataset.path / "loop.exr").symlink_to("loop.exr")
     assert_spoils(dataset, BAD, (r"loop\.exr",), FrameError)
-
-
-def test_dataset_behind_a_link_is_fine(make_dataset, todframes, tmp_path):
-    (tmp_path / "link").symlink_to(make_dataset().path)
-    assert todframes("validate", tmp_path / "link")[0] == 0
 
 
 @pytest.mark.parametrize("spelling", ["frames/{}", "./frames/{}", "frames//{}", "frames/../frames/{}"])
@@ -1175,10 +1158,6 @@ def test_out_of_memory(make_dataset, todframes, tmp_path, monkeypatch):
     assert tree(tmp_path) == before
 
 
-def test_sizes_empty(fails):
-    fails("naked-eye", "--size-mrad", "", status=BAD_SETTINGS, wanted=("--size-mrad", "''", "commas"))
-
-
 def test_more_than_one_setting_in_an_assignment(fails):
     fails(
         "naked-eye", "--contrast", "1", "--set", "kernel_a=0.4\nband_gain=2",
@@ -1276,45 +1255,10 @@ def test_counts_are_no_file(fails, tmp_path):
 # Where results go ---------------------------------------------------------------------------------------------
 
 
-def test_out_is_a_file(make_dataset, fails, tmp_path):
-    (tmp_path / "out").write_text("mine")
-    fails("score", make_dataset(contrasts=(0.5,)).path, "-o", tmp_path / "out",
-          status=BAD_SETTINGS, wanted=(re.escape(str(tmp_path / "out")), "file", "folder"))  # fmt: skip
-    assert (tmp_path / "out").read_text() == "mine"
-
-
-@pytest.mark.parametrize("parent", ["missing", "file"])
-def test_parent_of_out(parent, make_dataset, fails, tmp_path):
-    if parent == "file":
-        (tmp_path / parent).write_text("")
-    out = tmp_path / parent / "out"
-    fails("score", make_dataset(contrasts=(0.5,)).path, "-o", out,
-          status=BAD_SETTINGS, wanted=(re.escape(str(out)), "not a folder"))  # fmt: skip
-
-
 def test_out_is_a_link_to_nowhere(make_dataset, fails, tmp_path):
     (tmp_path / "out").symlink_to(tmp_path / "nowhere")
     fails("score", make_dataset(contrasts=(0.5,)).path, "-o", tmp_path / "out",
           status=BAD_SETTINGS, wanted=(re.escape(str(tmp_path / "out")),))  # fmt: skip
-
-
-def test_out_has_an_empty_name(make_dataset, todframes, tmp_path, monkeypatch):
-    """A script whose variable is not set must not scatter files over the present folder."""
-    monkeypatch.chdir(tmp_path)
-    dataset = make_dataset(contrasts=(0.5,))
-    before = tree(tmp_path)
-    status, _, errors = todframes("score", dataset.path, "-o", "")
-    assert (status, len(errors)) == (BAD_SETTINGS, 1)
-    assert tree(tmp_path) == before
-
-
-@pytest.mark.parametrize("length", [240, 250, 255])
-def test_long_name_of_out(length, make_dataset, todframes, tmp_path):
-    """Up to 255 bytes are a valid name."""
-    out = tmp_path / ("o" * length)
-    status, _, errors = todframes("score", make_dataset().path, "-o", out, "--quiet")
-    assert (status, errors) == (0, [])
-    assert (out / "result.json").is_file()
 
 
 @pytest.mark.parametrize("name", ["result.json", "scores.csv"])
@@ -1365,15 +1309,6 @@ def test_old_results_stay_when_a_run_fails(make_dataset, todframes, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"out", "dataset"}
 
 
-def test_out_is_replaced_by_a_run_that_ends_well(make_dataset, todframes, tmp_path):
-    out, dataset = tmp_path / "out", make_dataset()
-    out.mkdir()
-    (out / "notes.txt").write_text("mine")
-    assert todframes("score", dataset.path, "-o", out)[0] == 0
-    assert (out / "notes.txt").read_text() == "mine"
-    assert {path.name for path in tmp_path.iterdir()} == {"out", "dataset"}
-
-
 # Standard output ----------------------------------------------------------------------------------------------
 
 
@@ -1398,19 +1333,6 @@ def test_frame_of_another_size_is_skipped_when_locating(make_dataset, todframes)
     status, out, errors = todframes("score", dataset.path, "--locate", "--on-error", "skip", "--json")
     assert status == 0, errors
     assert [one["frame"] for one in json.loads(out)["skipped"]] == [dataset.rows[BAD]["frame"]]
-
-
-def test_names_are_not_markup(make_dataset, todframes, tmp_path):
-    """Of rich on the terminal or of TeX in a plot."""
-    text = r"run [/b] [red]run $run_$x^{ 50 % {run} \frac"
-    dataset = make_dataset(text, experiment={"group_by": ["lens"]})
-    for row in dataset.rows:
-        row["lens"] = text
-    dataset.save()
-    status, out, errors = todframes("score", dataset.path, "-o", tmp_path / "out", "--set", "resamples=0")
-    assert status == 0, errors
-    assert text in out
-    assert json.loads((tmp_path / "out" / "result.json").read_text())["fits"][0]["group"] == {"lens": text}
 
 
 HOSTILE = "\x1b]0;title\x07\x1b[31mred\x7f\x9b2J\u202eabc\u2066"

@@ -13,8 +13,6 @@ import pytest
 
 from todframes.base import output
 from todframes.base.errors import DataError
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.frames import checksums
 from todframes.frames.checksums import write_sha256
 from todframes.frames.dataset import dataset_warnings, load_dataset
@@ -22,18 +20,6 @@ from todframes.frames.files import read_frame, write_frame
 
 ROOT = Path(__file__).parent.parent
 SAMPLES = ["naked_eye", "grabbed_8bit", "staring_camera", "enhancement"]
-
-
-@pytest.fixture
-def todframes(capsys):
-    """Runs a command line; status, standard output, standard error."""
-
-    def command_line(*arguments):
-        capsys.readouterr()
-        status = run(cli, [str(argument) for argument in arguments])
-        return status, *capsys.readouterr()
-
-    return command_line
 
 
 def sha256(path: Path) -> str:

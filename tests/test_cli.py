@@ -15,22 +15,10 @@ import numpy as np
 import pytest
 
 from todframes import score
-from todframes.cli.console import finish, print_table, run
-from todframes.cli.main import cli
+from todframes.cli.console import finish, print_table
 from todframes.frames.files import write_frame
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.table import Column, Table
-
-
-@pytest.fixture
-def todframes(capsys: pytest.CaptureFixture[str]):
-    """Runs a command line, no terminal at its end; gives exit status, standard output and standard error."""
-
-    def call(*arguments: str | Path) -> tuple[int, str, str]:
-        status = run(cli, [str(argument) for argument in arguments])
-        return status, *capsys.readouterr()
-
-    return call
 
 
 def test_score_as_json(todframes, make_dataset) -> None:
@@ -115,31 +103,6 @@ def test_no_formula_in_scores(todframes, make_dataset, tmp_path: Path) -> None:
     assert {row["'@lens"] for row in rows} == {"'=HYPERLINK(1)"}
     assert [row["trial"] for row in rows] == [f"'+{number}%" for number in range(8)]
     assert {row["shift"] for row in rows} == {"-1.5"}
-
-
-@pytest.mark.usefixtures("blank_pictures")
-def test_writing_again_replaces(todframes, make_dataset, tmp_path: Path) -> None:
-    path = make_dataset().path
-    for seed in ("1", "2"):
-        assert todframes("score", path, "-o", tmp_path / "result", "--seed", seed)[0] == 0
-    assert json.loads((tmp_path / "result" / "result.json").read_text(encoding="utf-8"))["seed"] == 2
-
-
-def test_nothing_is_written_without_out(todframes, make_dataset, tmp_path: Path, monkeypatch) -> None:
-    path = make_dataset().path
-    before = sorted(tmp_path.rglob("*"))
-    monkeypatch.chdir(tmp_path)
-    assert todframes("score", path)[0] == 0
-    assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_score_shows_a_table(todframes, make_dataset) -> None:
-    status, out, err = todframes("score", make_dataset(contrasts=(0.05, 0.1, 0.2), suffix=".png").path)
-    assert (status, err) == (0, "")
-    for text in ("size (mrad)", "threshold contrast", "95 % interval", "ok"):
-        assert text in out
-    for text in ("α", "time (s)", "the summed noise"):
-        assert text not in out
 
 
 def test_verbose_shows_the_curves_and_what_the_numbers_leave_out(todframes, make_dataset) -> None:
@@ -281,19 +244,6 @@ def test_validate(todframes, make_dataset) -> None:
     made = make_dataset(suffix=".png")
     status, out, err = todframes("validate", made.path)
     assert (status, out, err) == (0, f"{made.path}: 8 frames in 8 trials, all good\n", "")
-
-
-@pytest.mark.parametrize("command", [[], ["score"], ["naked-eye"], ["fit"], ["validate"], ["report"]])
-def test_help(todframes, command: list[str]) -> None:
-    status, out, err = todframes(*command, "--help")
-    assert (status, err) == (0, "")
-    assert out.startswith("Usage:")
-
-
-def test_version(todframes) -> None:
-    from todframes import __version__
-
-    assert todframes("--version")[1] == f"todframes, version {__version__}\n"
 
 
 def test_help_imports_nothing_slow() -> None:

@@ -432,20 +432,6 @@ def test_a_registered_one_that_cannot_be_loaded_is_left_out(todframes, monkeypat
     assert "left out: enhance 'lost': another_package:lost cannot be loaded (ImportError: gone)" in err
 
 
-@pytest.mark.usefixtures("here")
-@pytest.mark.usefixtures("blank_pictures")
-def test_names_are_not_markup(todframes, make_dataset) -> None:
-    """Brackets and dollar signs in a group's name and in a parameter are shown as they are."""
-    made = make_dataset(suffix=".png", contrasts=(0.025, 0.05, 0.1, 0.2), experiment={"group_by": ["[bold]$x$"]})
-    for row in made.rows:
-        row["[bold]$x$"] = "_[red]$y$"
-    made.save()
-    status, out, err = todframes("compare", made.path, "--enhance", "median", "-o", "result")
-    assert (status, err) == (0, "")
-    assert "[bold]$x$" in out
-    assert "_[red]$y$" in out
-
-
 def test_located_frames_are_compared_where_the_triangle_is(todframes, make_dataset) -> None:
     """As `score --locate`, number for number: positions are those of the frames as they are."""
     made = make_dataset(side_px=40)

@@ -11,8 +11,6 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import todframes as tod
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import inspect
 from todframes.frames.memory import memory_dataset
@@ -326,17 +324,6 @@ def test_a_warning_says_what_was_found_and_expected() -> None:
 
 
 # The commands
-
-
-@pytest.fixture
-def todframes(capsys):
-    def command_line(*arguments):
-        capsys.readouterr()
-        status = run(cli, [str(one) for one in arguments])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return command_line
 
 
 @pytest.fixture

@@ -27,7 +27,6 @@ from todframes.cli.console import run
 from todframes.cli.main import cli as todframes_cli
 from todframes.cli.options import parts
 from todframes.cli.signature import Value
-from todframes.frames.files import read_header
 from todframes.observers.pyramid import PyramidObserver
 from todframes.parameters import Form
 
@@ -148,12 +147,6 @@ def test_simulate_makes_what_todframes_scores(sensor_sim, sensor_file, capfd, fr
     assert result["fits"][0]["points"][0]["p_correct"] < result["fits"][1]["points"][0]["p_correct"]
 
 
-def test_seed_of_simulate_is_kept_in_the_frames(sensor_sim, sensor_file):
-    assert sensor_sim(*simulate(sensor_file, "--seed", "7"))[0] == 0
-    for frame in (sensor_file.parent / "dataset" / "frames").iterdir():
-        assert read_header(frame).attributes["sensor_sim:seed"] == "7"
-
-
 def test_remark_on_clipping_can_be_silenced(sensor_sim, sensor_file):
     more = ("--snr", "0.3", "--format", "png", "--allow-clipping")
     status, _, (note,) = sensor_sim(*simulate(sensor_file, *more))
@@ -203,23 +196,6 @@ def test_temperature_is_snr_times_the_noise_of_a_displayed_sample(sensor_sim, se
     told = sensor_sim(*curve(sensor_file, "--verbose"))[1]
     assert f"{fit['delta_t_as_printed_mk']:#.4g}" in told
     assert "eq. 4 of the paper as printed multiplies by k instead" in told
-
-
-def test_curve_shows_a_table(sensor_sim, sensor_file):
-    status, out, errors = sensor_sim(*curve(sensor_file, "--size-detectors", "1,4"))
-    assert (status, errors) == (0, [])
-    for text in (
-        "bench: TOD curve",
-        "size (detectors)",
-        "threshold SNR",
-        "numerical error",
-        "ΔT (mK)",
-        "never_reached",
-    ):
-        assert text in out
-    (fit,) = json.loads(sensor_sim(*curve(sensor_file, "--json"))[1])["fits"]
-    assert f"{fit['threshold']:#.4g}" in out
-    assert f"{fit['delta_t_mk']:#.4g}" in out
 
 
 def test_curve_of_a_triangle_that_no_detector_sees(sensor_sim, sensor_file):
@@ -306,24 +282,6 @@ def test_curve_without_netd_has_no_temperatures(sensor_sim, sensor_file):
     assert fit["delta_t_mk"] is None
 
 
-@pytest.mark.usefixtures("blank_pictures")
-def test_curve_writes_what_it_prints(sensor_sim, sensor_file, tmp_path):
-    status, out, errors = sensor_sim(
-        *curve(sensor_file, "--size-detectors", "4,6,8", "--json", "-o", tmp_path / "out")
-    )
-    assert (status, errors) == (0, [])
-    assert (tmp_path / "out" / "result.json").read_text(encoding="utf-8") == out
-    assert [file.name for file in (tmp_path / "out").glob("*.png")]
-    result = json.loads(out)
-    known = [fit for fit in result["fits"] if fit["threshold"] is not None]
-    assert [one["strength"] for one in result["examples"]] == [fit["threshold"] for fit in known]
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    for one in result["examples"]:
-        assert [picture["name"] for picture in one["pictures"]][:3] == ["display", "retina", "band 0"]
-        assert all(picture["png"] in page for picture in one["pictures"])
-    assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "out"}
-
-
 def test_settings_of_the_observer_reach_the_curve(sensor_sim, sensor_file, tmp_path):
     settings = tmp_path / "observer.toml"
     settings.write_text("internal_noise = 0.1\nkernel_a = 0.4\n", encoding="utf-8")
@@ -370,67 +328,7 @@ def test_mtf_as_json(sensor_sim, sensor_file):
     np.testing.assert_allclose(stage["post_sample"], post_sample, atol=1e-12)
 
 
-def test_mtf_shows_a_table_and_writes_files(sensor_sim, sensor_file, tmp_path):
-    status, out, errors = sensor_sim("mtf", sensor_file, "-o", tmp_path / "out")
-    assert (status, errors) == (0, [])
-    for text in ("bench", "cut-off 10", "Nyquist 2.5", *STAGES):
-        assert text in out
-    assert {file.name for file in (tmp_path / "out").iterdir()} == {"mtf.csv", "mtf.png", "mtf.html", "mtf.json"}
-    result = json.loads(sensor_sim("mtf", sensor_file, "--json")[1])
-    with (tmp_path / "out" / "mtf.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert list(rows[0]) == ["frequency_cyc_per_mrad", *STAGES]
-    for name in STAGES:
-        assert [float(row[name]) for row in rows] == result["mtf"][name]
-    assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "out"}
-
-
-def test_mtf_goes_beside_a_curve(sensor_sim, sensor_file, tmp_path) -> None:
-    """No result of another command is taken for a stale one."""
-    out = tmp_path / "out"
-    assert sensor_sim(*curve(sensor_file), "-o", out)[0] == 0
-    before = tree(out)
-    assert "result.json" in {Path(name).name for name in before}
-    assert sensor_sim("mtf", sensor_file, "-o", out)[0] == 0
-    after = tree(out)
-    assert {name: after[name] for name in before} == before
-    assert (out / "mtf.csv").exists()
-
-
-@pytest.mark.parametrize("command", ["curve", "mtf"])
-def test_nothing_is_written_without_out(sensor_sim, sensor_file, tmp_path, monkeypatch, command):
-    monkeypatch.chdir(tmp_path)
-    before = tree(tmp_path)
-    arguments = curve(sensor_file) if command == "curve" else ("mtf", sensor_file)
-    assert sensor_sim(*arguments)[0] == 0
-    assert tree(tmp_path) == before
-
-
-@pytest.mark.parametrize("command", ["curve", "mtf"])
-@pytest.mark.usefixtures("blank_pictures")
-def test_names_are_not_markup(sensor_sim, sensor_file, tmp_path, command):
-    """Of rich on the terminal or of TeX in a plot."""
-    name = r"run [/b] [red]run $run_$x^{ \frac λ 50 %"
-    sensor_file.write_text(SENSOR.replace('"bench"', json.dumps(name)), encoding="utf-8")
-    arguments = curve(sensor_file) if command == "curve" else ("mtf", sensor_file)
-    status, out, errors = sensor_sim(*arguments, "-o", tmp_path / "out")
-    assert (status, errors) == (0, [])
-    assert name in out
-
-
 # Help ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("command", [[], ["simulate"], ["curve"], ["mtf"]], ids=lambda c: " ".join(c) or "none")
-@pytest.mark.parametrize("option", ["--help", "-h"])
-def test_help(sensor_sim, command, option):
-    status, out, errors = sensor_sim(*command, option)
-    assert (status, errors) == (0, [])
-    assert out.startswith("Usage:")
-
-
-def test_version(sensor_sim):
-    assert sensor_sim("--version") == (0, f"sensor-sim, version {__version__}\n", [])
 
 
 def test_help_imports_nothing_slow():
@@ -553,18 +451,6 @@ def test_a_size_too_large_for_the_optics_names_the_size_and_the_limit(fails):
     assert not field_sampler(load_sensor(camera), 47.0).sharp
 
 
-@pytest.mark.parametrize("option", ["--size-detectors=2,big", "--snr=nan", "--size-detectors=2,3,2"])
-def test_bad_list_of_simulate(fails, sensor_file, option):
-    fails(
-        *simulate(sensor_file, option), wanted=("size_detectors|--size-detectors|snr", "found", "expected|twice")
-    )
-
-
-@pytest.mark.parametrize("sizes", ["2,big", "0"])
-def test_bad_list_of_curve(fails, sensor_file, sizes):
-    fails(*COMMANDS["curve"](sensor_file, f"--size-detectors={sizes}"), wanted=("size[-_]detectors", "expected"))
-
-
 USAGE = {
     "no sensor": (("mtf",), ("SENSOR.toml",)),
     "two sensors": (("mtf", "{sensor}", "{sensor}"), ("unexpected",)),
@@ -627,28 +513,6 @@ def test_bad_option_of_curve(fails, sensor_file, option, wanted):
 
 
 # Bad places ---------------------------------------------------------------------------------------------------
-
-
-@commands
-def test_out_is_a_file(fails, sensor_file, command):
-    (sensor_file.parent / "taken").write_text("mine", encoding="utf-8")
-    fails(*command(sensor_file, "-o", sensor_file.parent / "taken"), wanted=("taken", "file", "folder"))
-
-
-@commands
-def test_parent_of_out_is_missing(fails, sensor_file, command):
-    fails(*command(sensor_file, "-o", sensor_file.parent / "missing" / "out"), wanted=("missing", "not a folder"))
-
-
-@commands
-def test_out_without_a_name(fails, sensor_file, command, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    fails(*command(sensor_file, "-o", ""), wanted=("''", "name"))
-
-
-def test_dataset_is_there_already(fails, sensor_sim, sensor_file):
-    assert sensor_sim(*simulate(sensor_file))[0] == 0
-    fails(*simulate(sensor_file), wanted=("dataset", "not empty"))
 
 
 def test_exit_statuses(sensor_file, tmp_path):

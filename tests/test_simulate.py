@@ -562,59 +562,6 @@ def test_folder_that_is_not_empty_is_refused(simulate_command, tmp_path):
     assert tree(tmp_path) == before
 
 
-def test_empty_folder_is_filled(simulate_command, tmp_path):
-    (tmp_path / "dataset").mkdir()
-    assert simulate_command(tmp_path / "dataset")[0] == 0
-    assert len(load_dataset(tmp_path / "dataset").trials) == 4
-
-
-def test_link_to_an_empty_folder_is_filled_or_refused(simulate_command, tmp_path):
-    (tmp_path / "real").mkdir()
-    (tmp_path / "dataset").symlink_to("real")
-    before = tree(tmp_path)
-    done = simulate_command(tmp_path / "dataset")
-    if done[0] == 0:
-        assert len(load_dataset(tmp_path / "dataset").trials) == 4
-        assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "dataset", "real"}
-    else:
-        assert_refused(done, BAD_SETTINGS, str(tmp_path / "dataset"))
-        assert tree(tmp_path) == before
-
-
-def test_present_folder_is_filled_or_refused(simulate_command, tmp_path, monkeypatch):
-    (tmp_path / "dataset").mkdir()
-    monkeypatch.chdir(tmp_path / "dataset")
-    before = tree(tmp_path)
-    done = simulate_command(".")
-    if done[0] == 0:
-        assert len(load_dataset(tmp_path / "dataset").trials) == 4
-        assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "dataset"}
-    else:
-        assert_refused(done, BAD_SETTINGS, ".")
-        assert tree(tmp_path) == before
-
-
-def test_out_is_a_file(simulate_command, tmp_path):
-    (tmp_path / "dataset").write_text("mine", encoding="utf-8")
-    before = tree(tmp_path)
-    assert_refused(simulate_command(tmp_path / "dataset"), BAD_SETTINGS, "is a file")
-    assert tree(tmp_path) == before
-
-
-@pytest.mark.parametrize("parent", ["missing", "SENSOR.toml"])
-def test_parent_of_out_is_no_folder(simulate_command, tmp_path, parent):
-    before = tree(tmp_path)
-    assert_refused(simulate_command(tmp_path / parent / "dataset"), BAD_SETTINGS, "not a folder")
-    assert tree(tmp_path) == before
-
-
-def test_out_without_a_name(simulate_command, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    before = tree(tmp_path)
-    assert_refused(simulate_command(""), BAD_SETTINGS, "''")
-    assert tree(tmp_path) == before
-
-
 def test_disk_full_at_a_frame(simulate_command, tmp_path, monkeypatch):
     before = tree(tmp_path)
     calls = []
