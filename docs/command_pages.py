@@ -18,7 +18,6 @@ import sensor_sim
 import todframes
 from sensor_sim.cli import COMMANDS as SENSOR_SIM
 from sensor_sim.cli import cli as sensor_sim_cli
-from todframes.base.output import files_of_command
 from todframes.cli.commands import COMMANDS as TODFRAMES
 from todframes.cli.main import cli as todframes_cli
 from todframes.cli.runner import Commands
@@ -59,7 +58,7 @@ def commands_of(group: Commands) -> dict[str, click.Command]:
 
 
 def command_page(program: str, name: str, command: click.Command) -> str:
-    """Return the page of a command: sentences, options, files, keys of its JSON, and where it is used."""
+    """Return the page of a command: sentences, options, keys of its JSON, and where it is used."""
     context = click.Context(command, info_name=f"{program} {name}")
     usage = " ".join(command.collect_usage_pieces(context))
     lines = [f"# {program} {name}", "", f"```text\n{program} {name} {usage}\n```", ""]
@@ -73,11 +72,6 @@ def command_page(program: str, name: str, command: click.Command) -> str:
             lines += [f"`{record[0]}`", f": {in_markdown(record[1], '..')}", ""]
     results = [one for one in RESULTS.get(f"{program} {name}", (name,)) if one in KINDS]
     has_json = any(parameter.name == "json" for parameter in command.params)
-    files = sorted({file for one in results for file in files_of_command(one)})
-    if files:
-        kind = KINDS[results[0]].content_class
-        written = (f"`{file}`" for file in dict.fromkeys([kind.json_file, *files]))
-        lines += ["## Files", "", f"As far as they apply: {', '.join(written)}.", ""]
     lines += ["## See also", ""]
     if results and has_json:
         keys = " and ".join(f"[{one}](../json.md#{_anchor(KINDS[one].content_class)})" for one in results)

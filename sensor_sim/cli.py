@@ -116,7 +116,6 @@ COMMANDS = {
         files="sweep.csv, sweep.parquet, result.json, report.html and plots",
         task="sweeping",
         total=_designs,
-        tables=lambda result: (result.best(), result.problems()),
     ),
 }
 """Commands that are made of calls, by name."""

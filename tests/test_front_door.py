@@ -9,13 +9,10 @@ import json
 import re
 import subprocess
 import sys
-import tomllib
 from dataclasses import replace
 from functools import cache
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from types import SimpleNamespace
 
 import click
 import numpy as np
@@ -26,7 +23,6 @@ import sensor_sim as ss
 import todframes as tod
 from sensor_sim.cli import cli as sensor_cli
 from todframes.base.errors import flag_of
-from todframes.base.output import ENTRY_POINT_GROUP
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.results.result import read_result
@@ -122,38 +118,6 @@ def test_a_command_runs_few_files(group, arguments, unused, make_dataset, tmp_pa
     loaded = loaded_by(code, *arguments)
     assert not unused & loaded.keys()
     assert len(files_run(loaded)) < MOST_FILES_RUN
-
-
-@pytest.mark.usefixtures("blank_pictures")
-def test_files_of_other_packages_commands(tmp_path: Path) -> None:
-    """What `_join` removes beside a new result: the files of each command that is registered, none missing."""
-    registered = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
-    ss.curve(CAMERA, size_detectors=[4, 6], tolerance=0.1).save(tmp_path / "curve")
-    vary = {"optics.aperture_mm": "110:220:3"}
-    ss.sweep(CAMERA, size_detectors=[6], vary=vary, tolerance=0.1).save(tmp_path / "sweep")
-    ss.mrtd(CAMERA, frequency_nyquist=[1.2], size_detectors=[6], tolerance=0.1).save(tmp_path / "mrtd")
-    ss.mtf(CAMERA).save(tmp_path / "sensor-mtf")
-    for command, name in registered[ENTRY_POINT_GROUP].items():
-        module, _, attribute = name.partition(":")
-        written = {one.name for one in (tmp_path / command).iterdir()}
-        assert "result.json" in written
-        assert written - {"result.json"} <= getattr(import_module(module), attribute)
-
-
-@pytest.mark.usefixtures("blank_pictures")
-def test_a_result_over_that_of_another_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files of the command that an older result names go with it, and no others."""
-    entry = SimpleNamespace(load=lambda: frozenset({"table.csv"}))
-    asked: list[dict[str, str]] = []
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda **which: asked.append(which) or [entry])
-    out = tmp_path / "out"
-    out.mkdir()
-    for name, content in (("result.json", '{"command": "other"}'), ("table.csv", ""), ("mine.csv", "")):
-        (out / name).write_text(content, encoding="utf-8")
-    tod.fit_counts([0.1, 0.2, 0.4, 0.8], [12, 18, 30, 38], [40] * 4, fit=tod.FitSettings(resamples=0)).save(out)
-    assert asked == [{"group": ENTRY_POINT_GROUP, "name": "other"}]
-    assert {one.name for one in out.iterdir()} >= {"mine.csv", "result.json", "report.html"}
-    assert not (out / "table.csv").exists()
 
 
 def marks(name: str) -> list[pytest.MarkDecorator]:

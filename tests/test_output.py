@@ -204,7 +204,7 @@ def test_a_dataset_appears_whole_or_not_at_all(tmp_path: Path, number: int, afte
 @pytest.mark.slow
 def test_results_are_replaced_together_and_result_json_last(tmp_path: Path, number: int, after: bool) -> None:
     old = dict.fromkeys(("notes.txt", "scores.csv", "psychometric.png"), "old")
-    old["result.json"] = '{"command": "score", "seed": 1}'
+    old["result.json"] = '{"files": ["psychometric.png", "scores.csv"], "seed": 1}'
     made = dict.fromkeys(("report.html", "scores.csv"), "new") | {"result.json": '{"command": "score"}'}
     new = {"notes.txt": "old"} | made
     seen = []
@@ -265,11 +265,14 @@ def test_a_file_that_comes_into_an_empty_folder_is_kept(tmp_path: Path) -> None:
 
 
 def test_a_result_takes_only_its_own_files_with_it(tmp_path: Path) -> None:
-    """`compare.csv` does not belong to a score, whoever wrote it; `psychometric.png` does."""
+    """Those that it names, and none outside of its folder."""
     path = tmp_path / "out"
-    score(path, {"compare.csv": "mine", "psychometric.png": "old", "result.json": '{"command": "score"}'})
-    score(path, {"result.json": '{"command": "curve"}'})
-    assert contents(path) == {"compare.csv": "mine", "result.json": '{"command": "curve"}'}
+    write(tmp_path, {"mine.csv": "mine"})
+    names_some = '{"files": ["psychometric.png", "../mine.csv", "gone.csv", ""]}'
+    score(path, {"compare.csv": "mine", "psychometric.png": "old", "result.json": names_some})
+    score(path, {"result.json": "{}"})
+    assert contents(path) == {"compare.csv": "mine", "result.json": "{}"}
+    assert (tmp_path / "mine.csv").read_text() == "mine"
     other = tmp_path / "other"
     write(tmp_path, {"other/psychometric.png": "mine", "other/result.json": "mine"})
     score(other, {"result.json": "{}"})
@@ -281,7 +284,8 @@ def test_a_result_that_cannot_be_replaced_says_what_is_new(
 ) -> None:
     """As on Windows, where a file that is open elsewhere cannot be."""
     path = tmp_path / "out"
-    score(path, {"report.html": "old", "result.json": '{"command": "score"}', "tod_curve.png": "old"})
+    old = '{"files": ["report.html", "tod_curve.png"]}'
+    score(path, {"report.html": "old", "result.json": old, "tod_curve.png": "old"})
 
     def replace(source: str, target: Path) -> None:
         if target.name == "result.json":
@@ -298,7 +302,7 @@ def test_a_result_that_cannot_be_replaced_says_what_is_new(
     assert contents(path) == {
         "report.html": "new",
         "scores.csv": "new",
-        "result.json": '{"command": "score"}',
+        "result.json": old,
     }
 
 

@@ -325,7 +325,7 @@ def test_designs_that_count_photons_are_compared_by_range(tmp_path: Path) -> Non
     sensor, vary = camera(tmp_path), {"scene.luminance_cd_m2": [1.0, 10.0]}
     swept = ss.sweep(sensor, vary=vary, target=target, atmosphere=air, **kinds)
     assert [one.column for one in swept.objectives] == ["range_km"]
-    dark, light = swept.column("range_km", 0)
+    dark, light = swept.column("range_km")[:, 0]
     assert dark < light
     lit = replace(sensor, scene=replace(sensor.scene, luminance_cd_m2=10.0))
     alone = tod.acquisition_range(ss.curve(lit, **kinds), target=target, atmosphere=air)

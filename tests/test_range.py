@@ -15,7 +15,6 @@ from scipy.special import ndtri
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.sweeps.ranges import Aim
-from todframes.base.output import FILES_OF_COMMAND
 from todframes.base.reading import shipped_names
 from todframes.cli.console import run
 from todframes.cli.main import cli
@@ -416,9 +415,9 @@ def test_ranges_of_designs_are_compared_whatever_the_first_size() -> None:
     vary = {"optics.aperture_mm": "110:220:2", "noise.netd_mk": "16:32:2"}
     kinds = {"size_detectors": [3.0, 4.0, 6.0, 9.0], "tolerance": 0.1, "target": target, "atmosphere": BEER}
     swept = ss.sweep(camera, vary=vary, minimise=["optics.aperture_mm"], maximise=["range_km"], **kinds)
-    ranges = swept.column("range_km", 0)
-    apertures, netds = swept.swept.designs.values.T
-    assert {of_design[0] for of_design in swept.swept.status} == {"never_reached"}
+    ranges = swept.column("range_km")[:, 0]
+    apertures, netds = swept.values.T
+    assert {*swept.column("status")[:, 0]} == {"never_reached"}
     assert np.isfinite(ranges).sum() >= 3
     # By hand: of each aperture the one of the least NETD; the larger aperture only where it sees farther.
     best = [int(np.nanargmax(np.where(apertures == one, ranges, np.nan))) for one in (110.0, 220.0)]
@@ -426,7 +425,7 @@ def test_ranges_of_designs_are_compared_whatever_the_first_size() -> None:
     assert np.flatnonzero(swept.on_front[:, 0]).tolist() == sorted(best)
     table = swept.best()
     assert table.title == "Trade-off front" and len(list(table.records)) == 2
-    assert any(one.startswith("Lowest optics.aperture_mm: 110") for one in swept.sentences())
+    assert any(one.endswith("has the lowest aperture: 110 mm.") for one in swept.sentences())
 
     cells = swept.plot_range_map().collections[0].get_array()
     expected = np.array(
@@ -496,7 +495,6 @@ def test_files_of_the_command(table, air, tmp_path) -> None:
     tod_out = tmp_path / "tod"
     tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER).save(tod_out)
     assert {one.name for one in tod_out.iterdir()} == common | {"range_against_k.csv", "range_against_k.png"}
-    assert common | {"range_against_k.csv", "range_against_k.png"} == FILES_OF_COMMAND["range"] | {"result.json"}
 
 
 def test_units_of_a_table_are_those_of_its_header(table, tmp_path) -> None:

@@ -16,6 +16,7 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from msgspec import structs
 
 import sensor_sim as ss
 import todframes as tod
@@ -23,8 +24,9 @@ from sensor_sim.chain.measured import MeasuredPsf
 from sensor_sim.chain.sensor import TABLES, Optics, PhotonNoise, part_of, sensor_from
 from sensor_sim.cli import cli
 from sensor_sim.sweeps.designs import Base, grid, latin_hypercube, make_designs, numeric_keys, parse_range
-from sensor_sim.sweeps.figures import draw_map
-from sensor_sim.sweeps.tables import acuity, front
+from sensor_sim.sweeps.goals import acuity, front
+from sensor_sim.sweeps.result import draw_map
+from sensor_sim.sweeps.sweep import missed_tolerance
 from sensor_sim.sweeps.work import SweepWork, Variants, as_computed, plan_sweep, run_sweep
 from sensor_sim.thresholds.sharing import Kept
 from todframes.base.errors import SettingsError
@@ -67,7 +69,7 @@ def test_numbers_are_those_of_the_curve(swept) -> None:
     camera = small_camera()
     rows = list(swept.records())
     for design in (0, 3, 6):
-        aperture, netd, noise = swept.swept.designs.values[design]
+        aperture, netd, noise = swept.values[design]
         alone = ss.curve(
             replace(
                 camera,
@@ -88,19 +90,18 @@ def test_numbers_are_those_of_the_curve(swept) -> None:
             assert (row["status"], row["n_phases"]) == (fit.status, fit.n_phases)
 
 
-def test_thresholds_that_miss_the_tolerance_are_counted(swept) -> None:
-    numbers = swept.swept
-    error = np.where(np.isfinite(numbers.threshold), 1e-3 * numbers.threshold, np.nan)
-    exact = replace(swept, swept=replace(numbers, numerical_error=error.copy()))
-    assert "tolerance" not in " ".join(exact.sentences())
-    error[0, 1] = 0.3 * numbers.threshold[0, 1]
-    missed = replace(swept, swept=replace(numbers, numerical_error=error))
-    wanted = "1 threshold misses the tolerance of 10 %: the numerical error is up to 30 %."
-    assert wanted in " ".join(missed.sentences())
+def test_thresholds_that_miss_the_tolerance_are_counted() -> None:
+    thresholds = np.array([[2.0, np.nan], [3.0, 4.0]])
+    error = 1e-3 * thresholds
+    assert missed_tolerance(thresholds, error, ROUGH) == ()
+    error[1, 1] = 0.3 * thresholds[1, 1]
+    (warning,) = missed_tolerance(thresholds, error, ROUGH)
+    assert "1 threshold misses the tolerance of 10 %: the numerical error is up to 30 %" in warning.message
+    assert (warning.found, warning.expected) == (pytest.approx(0.3), ROUGH)
 
 
 def test_designs_that_differ_in_noise_alone_are_computed_once(swept) -> None:
-    assert swept.swept.n_computed == 8  # 2 apertures × 2 observers × 2 sizes, for 8 designs
+    assert swept.n_computed == 8  # 2 apertures × 2 observers × 2 sizes, for 8 designs
     rows = list(swept.records())
     for one, other in zip(rows[0:4], rows[4:8], strict=True):  # NETD 10 and 40 mK
         assert one["threshold_snr"] == other["threshold_snr"]
@@ -139,15 +140,15 @@ def test_processes_and_a_store_change_no_number(swept, tmp_path: Path) -> None:
     again = ss.sweep(camera, **arguments)
     store.close()
     for result in (one, again):
-        assert np.array_equal(result.swept.threshold, swept.swept.threshold[1::2])
-        assert np.array_equal(result.swept.numerical_error, swept.swept.numerical_error[1::2])
+        for name in ("threshold_snr", "threshold_snr_error"):
+            assert np.array_equal(result.column(name), swept.column(name)[1::2])
 
 
 def test_impossible_designs_have_a_reason_and_the_others_go_on() -> None:
     vary = {"detector.pitch_mrad": [0.05, 0.0681], "optics.blur_sigma_mrad": [0.01, 30.0]}
     result = ss.sweep(small_camera(), size_detectors=[4], vary=vary, tolerance=ROUGH)
-    assert [one[0] for one in result.swept.status] == ["impossible", "impossible", "ok", "impossible"]
-    reasons = [one[0] for one in result.swept.reason]
+    assert result.column("status")[:, 0].tolist() == ["impossible", "impossible", "ok", "impossible"]
+    reasons = result.column("reason")[:, 0].tolist()
     assert reasons[0] == (
         "detector.width_mrad: found 0.0681, expected at most pitch_mrad (0.05); "
         "with keep_fill_factor the width follows the pitch"
@@ -349,11 +350,20 @@ def test_output(swept, tmp_path: Path) -> None:
     swept.save(tmp_path / "out")
     names = {path.name for path in (tmp_path / "out").iterdir()} - {"sweep.parquet"}
     assert names == {
-        *("sweep.csv", "result.json", "report.html", "front.png", "map.png", "tod_curves.png"),
+        *(
+            "sweep.csv",
+            "result.json",
+            "report.html",
+            "best.csv",
+            "front.png",
+            "map.png",
+            "tod_curves.png",
+        ),
     }
     with (tmp_path / "out" / "sweep.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    records = json.loads((tmp_path / "out" / "result.json").read_text())["records"]
+    columns = json.loads((tmp_path / "out" / "result.json").read_text())["columns"]
+    records = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     assert len(rows) == len(records) == 16
     for row, record, made in zip(rows, records, swept.records(), strict=True):
         assert record == made
@@ -392,13 +402,12 @@ def test_the_netd_follows_aperture_and_detectors_where_it_is_coupled() -> None:
     asked: dict[str, Any] = {"size_detectors": [6], "vary": vary, "tolerance": ROUGH, "keep_fill_factor": True}
     free = ss.sweep(small_camera(), **asked)
     coupled = ss.sweep(small_camera(), **asked, couple_netd=True, minimise=["delta_t_mk", "optics.aperture_mm"])
-    np.testing.assert_allclose(coupled.swept.netd_mk, [256.0, 64.0, 64.0, 16.0], rtol=1e-12)
-    np.testing.assert_array_equal(coupled.swept.threshold, free.swept.threshold)
-    factor = coupled.swept.delta_t_mk / free.swept.delta_t_mk
+    np.testing.assert_allclose(coupled.column("netd_mk")[:, 0], [256.0, 64.0, 64.0, 16.0], rtol=1e-12)
+    np.testing.assert_array_equal(coupled.column("threshold_snr"), free.column("threshold_snr"))
+    factor = coupled.column("delta_t_mk") / free.column("delta_t_mk")
     np.testing.assert_allclose(factor[:, 0], [16.0, 4.0, 4.0, 1.0], rtol=1e-12)
-    assert [row["netd_mk"] for row in coupled.records()] == coupled.swept.netd_mk.tolist()
     assert "netd_mk" not in next(free.records())
-    assert "NETD mK" in [one.heading for one in coupled.best().columns]
+    assert "NETD (mK)" in [one.heading for one in coupled.best().columns]
     hint = "The NETD is the same for all apertures and detectors"
     assert hint in " ".join(free.sentences()) and hint not in " ".join(coupled.sentences())
     # The front went for the narrowest detector: it is the one of lowest ΔT per aperture only without the coupling.
@@ -482,9 +491,9 @@ def test_impossible_and_never_reached_designs_look_different_on_the_map() -> Non
     vary = {"detector.pitch_mrad": [0.05, 0.0681, 0.07], "optics.aperture_mm": [20.0, 220.0]}
     result = ss.sweep(small_camera(), size_detectors=[4], vary=vary, tolerance=ROUGH)
     wanted = ["impossible"] * 2 + ["never_reached", "ok"] * 2
-    assert [one[0] for one in result.swept.status] == wanted
+    assert result.column("status")[:, 0].tolist() == wanted
     axes = Figure().subplots()
-    draw_map(axes, result, 0)
+    draw_map(axes, result.data, 0)
     hatched = {one.get_hatch(): one.get_paths() for one in axes.collections if one.get_hatch()}
     middles = {
         hatch: sorted(tuple(path.vertices[:4].mean(axis=0).round(4)) for path in paths)
@@ -494,11 +503,9 @@ def test_impossible_and_never_reached_designs_look_different_on_the_map() -> Non
         "////": pytest.approx([0.041, 0.041], abs=0.02),
         "xx": pytest.approx([0.0645, 0.0709], abs=0.01),
     }
-    exceeded = [
-        tuple("always_exceeded" if one == "never_reached" else one for one in of) for of in result.swept.status
-    ]
+    exceeded = ["always_exceeded" if one == "never_reached" else one for one in result.columns["status"]]
     axes = Figure().subplots()
-    draw_map(axes, replace(result, swept=replace(result.swept, status=exceeded)), 0)
+    draw_map(axes, structs.replace(result.data, columns=result.columns | {"status": exceeded}), 0)
     dotted = {one.get_hatch(): len(one.get_paths()) for one in axes.collections if one.get_hatch()}
     assert dotted == {"////": 2, "..": 2}
     points = [
@@ -506,9 +513,9 @@ def test_impossible_and_never_reached_designs_look_different_on_the_map() -> Non
         for x, y in ((0.05, 20.0), (0.068, 21.0), (0.07, 220.0))
     ]
     scattered = ss.sweep(small_camera(), size_detectors=[4], design=points, tolerance=ROUGH)
-    assert [one[0] for one in scattered.swept.status] == ["impossible", "impossible", "ok"]
+    assert scattered.column("status")[:, 0].tolist() == ["impossible", "impossible", "ok"]
     axes = Figure().subplots()
-    draw_map(axes, scattered, 0)
+    draw_map(axes, scattered.data, 0)
     assert [len(one.get_offsets()) for one in axes.collections] == [1, 2, 0, 0]
 
 
@@ -519,8 +526,8 @@ def test_command_is_the_call(capsys, tmp_path: Path) -> None:
     assert run(cli, list(map(str, arguments))) == 0
     made = json.loads(capsys.readouterr().out)
     call = json.loads(ss.sweep(CAMERA, design=path, size_detectors=[4], tolerance=ROUGH).to_json())
-    assert [row["name"] for row in made["records"]] == ["small", "large"]
-    assert made["records"] == call["records"]
+    assert made["columns"]["name"] == ["small", "large"]
+    assert made["columns"] == call["columns"]
     assert made["settings"] == call["settings"] and made["settings"]["design"] == str(path)
 
 
@@ -533,7 +540,7 @@ def test_designs_without_a_threshold_at_the_first_size_have_the_reason(capsys, s
     assert run(cli, ["sweep", str(CAMERA), *map(str, arguments)]) == 0
     out = capsys.readouterr().out
     assert "Best designs" not in out and "hide its direction, even without noise" in out
-    assert f"No design has a value of delta_t_mk at 1 detectors, which orders designs; {advice}." in out
+    assert f"No design has a threshold ΔT at 1 detectors, which orders designs; {advice}." in out
 
 
 def test_table_fits_a_narrow_terminal(swept, capsys, monkeypatch) -> None:

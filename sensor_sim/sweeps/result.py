@@ -1,31 +1,309 @@
-"""The result of a sweep, with its figures and files."""
+"""The result of a sweep: thresholds of many designs of a sensor, as tables, sentences, figures and files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from functools import cached_property, partial
+from itertools import repeat
+from typing import TYPE_CHECKING, Any
 
-from sensor_sim.sweeps.figures import draw_curves, draw_front, draw_map, draw_range_map, page, pictures
-from sensor_sim.sweeps.tables import SweepData
-from todframes.base.output import write_folder
-from todframes.results.figure import drawn
+import numpy as np
+from numpy.typing import NDArray
+
+from sensor_sim.sweeps.designs import FILL_FACTOR, NAME_COLUMN, NETD, PITCHES, WIDTHS
+from sensor_sim.sweeps.goals import (
+    BY_SIZE,
+    OF_ACUITY,
+    OF_RANGE,
+    Objective,
+    has_threshold,
+    heading,
+    in_words,
+    phrase,
+)
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, argument
+from todframes.psychometrics.threshold_search import IMPOSSIBLE
+from todframes.results.data import Content
+from todframes.results.figure import ReportFigure, drawn
+from todframes.results.figure_style import (
+    COLOURS,
+    INK,
+    add_colour_bar,
+    add_legend,
+    colour_scale,
+    curve_style,
+    plain_ticks,
+)
 from todframes.results.parquet import has_parquet, parquet_parts
+from todframes.results.table import BLOCK, Column, LongRecords, Table
+from todframes.results.wording import count, evenly, listed, plain, unknown_place
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
+
+OF_ETENDUE = ("optics.aperture_mm", "optics.f_number", *WIDTHS, FILL_FACTOR)
+"""Keys that change the light on a detector, besides the pitch if the fill factor is kept."""
+
+ROWS_SHOWN = 20
+"""Largest number of designs in the table for the terminal and the page."""
+
+MOST_CURVES = 200
+
+MOST_MAPS = 4
+
+MOST_VECTORS = 400
+"""Largest number of cells or points that a page shows as vectors; more become one picture."""
+
+MARKS = {IMPOSSIBLE: ("////", "_"), "never_reached": ("xx", "x"), "always_exceeded": ("..", ".")}
+"""Hatch of a cell, and marker of a point, without a threshold, by status."""
+
+RANGE_MARKS = {"ok": "", "never_reached": "never_reached", "beyond_curve": "always_exceeded"}
+"""Status of a threshold whose mark stands for a status of a range; others have that of an impossible design."""
+
+LOG_SPAN = 10.0
+"""Smallest ratio of the largest to the smallest value on a logarithmic axis."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class SweepResult(SweepData):
-    """Thresholds of many designs of a sensor, with methods that make tables, figures and files of them.
+class Sweep(Content, frozen=True, kw_only=True):
+    """Thresholds of many designs of a sensor.
 
-    `records()` yields a dictionary for each design and size; `table()` and `to_dataframe()` have the same rows.
-    `sentences()` states the findings, and `save(folder)` writes all files.
-
-    The attributes are those of `SweepData`, among them `swept`, the numbers as arrays, `settings` and `seed`.
+    Attributes
+    ----------
+    columns : dict of list
+        Columns of `sweep.csv`: each has a value for each design and size, those of a design together; None where
+        there is none.
+    keys : tuple of str
+        Keys that the designs differ in, which are columns.
+    n_designs : int
+        Number of designs, impossible ones included.
+    n_computed : int
+        Number of thresholds that were computed; designs that differ in noise alone have theirs in common.
+    from_store : int
+        Number of thresholds that an earlier, interrupted run had computed.
     """
+
+    columns: dict[str, list[Any]]
+    keys: tuple[str, ...]
+    n_designs: int
+    n_computed: int
+    from_store: int = 0
+
+    @property
+    def name(self) -> str:
+        """Return the sensor's name."""
+        return str(self.settings["sensor"]["name"])
+
+    @property
+    def sizes(self) -> list[float]:
+        """Sizes in detectors."""
+        return list(self.settings["size_detectors"])
+
+    @property
+    def objectives(self) -> tuple[Objective, ...]:
+        """Columns of the trade-off front; the first one orders the designs."""
+        low, high = self.settings["minimise"], self.settings["maximise"]
+        return tuple(map(Objective, [*low, *high], [*repeat(1, len(low)), *repeat(-1, len(high))]))
+
+    @property
+    def in_mk(self) -> bool:
+        """Whether thresholds are shown as temperature differences, as NETD is known."""
+        return "delta_t_mk" in self.columns
+
+    @property
+    def threshold_column(self) -> str:
+        """The column of the thresholds that figures and tables show."""
+        return next(one for one in reversed(BY_SIZE) if one in self.columns)
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Return the values of a column for each design and size; numbers have NaN where there is none."""
+        values = self.columns[name]
+        is_text = any(isinstance(one, str) for one in values)
+        return np.array(values, object if is_text else np.float64).reshape(self.n_designs, -1)
+
+    @cached_property
+    def values(self) -> FloatArray:
+        """Values of the keys: (designs, keys)."""
+        return np.stack([self.column(key)[:, 0] for key in self.keys], axis=1)
+
+    @cached_property
+    def on_front(self) -> NDArray[np.bool_]:
+        """Mask of the designs on the trade-off front at each size: (designs, sizes)."""
+        return self.column("on_front") > 0.0
+
+    @cached_property
+    def known(self) -> NDArray[np.bool_]:
+        """Mask of the thresholds found: (designs, sizes)."""
+        known: NDArray[np.bool_] = np.isfinite(self.column(self.threshold_column))
+        return known
+
+    @property
+    def has_threshold(self) -> NDArray[np.bool_]:
+        """Mask of the designs that are compared at each size: (designs, sizes)."""
+        return has_threshold(self.known, self.objectives)
+
+    @property
+    def at_size(self) -> str:
+        """The first size, at which designs are ordered if a column of the front has a value for each."""
+        by_size = any(one.column in BY_SIZE for one in self.objectives)
+        return f" at {self.sizes[0]:g} detectors" if by_size else ""
+
+    def records(self) -> Iterator[dict[str, Any]]:
+        """Yield a record for each design and size, with the design's values in each."""
+        return (dict(zip(self.columns, row, strict=True)) for row in zip(*self.columns.values(), strict=True))
+
+    def table(self) -> Table:
+        """Return the table of all designs: a row for each design and size."""
+        kinds = {"reason": str, "n_phases": int}
+        for name, values in self.columns.items():
+            kinds.setdefault(name, next((type(one) for one in values if one is not None), float))
+        n = len(self.columns["design"])
+        records = LongRecords({name: kinds[name] for name in self.columns}, n, self._blocks)
+        return Table.of("All designs and sizes", "sweep.csv", self.columns, records)
+
+    def _blocks(self) -> Iterator[dict[str, list[Any]]]:
+        """Yield the columns of some thousand records at a time."""
+        for start in range(0, len(self.columns["design"]), BLOCK):
+            yield {name: values[start : start + BLOCK] for name, values in self.columns.items()}
+
+    def tables(self) -> list[Table]:
+        """List the best designs and the thresholds that there are not."""
+        return [one for one in (self.best(), self.problems()) if one is not None]
+
+    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+        """Return the table of all designs, in parts; `sweep.parquet` needs pyarrow."""
+        table = self.table()
+        return {
+            **super().files(),
+            "sweep.csv": (part.encode() for part in table.csv_parts()),
+            **({"sweep.parquet": parquet_parts(table)} if has_parquet() else {}),
+        }
+
+    def best(self) -> Table | None:
+        """Return the table of the designs on the trade-off front at the first size, or of the best ones, if any.
+
+        Each design has one row, with its thresholds at all sizes.
+        """
+        first, sizes = self.objectives[0], self.sizes
+        cost = first.sign * self.column(first.column)[:, 0]
+        is_front = len(self.objectives) > 1
+        rows = np.flatnonzero(self.on_front[:, 0] if is_front else np.isfinite(cost) & self.has_threshold[:, 0])
+        rows = rows[np.argsort(cost[rows], kind="stable")]
+        if not len(rows):
+            return None
+        title = f"{'Trade-off front' if is_front else 'Best designs'}{self.at_size}"
+        if len(rows) > ROWS_SHOWN:
+            title += f": the first {ROWS_SHOWN} of {len(rows)}"
+        # A narrow terminal first drops the larger sizes; what is varied stays.
+        columns = [Column(key="design")]
+        columns += [Column(key=NAME_COLUMN, rank=3)] if NAME_COLUMN in self.columns else []
+        columns += [Column(key=key, header=heading(key)) for key in self.keys]
+        columns += [Column(key="netd_mk", header="NETD (mK)")] if "netd_mk" in self.columns else []
+        unit = in_words(self.threshold_column)[1] or self.threshold_column.removeprefix("threshold_")
+        unit = "SNR" if unit == "snr" else unit
+        columns += [
+            Column(key=f"at_{place}", header=f"{unit} at {size:g}", rank=min(place, 2))
+            for place, size in enumerate(sizes)
+        ]
+        columns += [Column(key=key, header=heading(key), rank=1) for key in OF_ACUITY if key in self.columns]
+        if OF_RANGE in self.columns:
+            columns += [Column(key=OF_RANGE, header=heading(OF_RANGE)), Column(key="range_status", rank=2)]
+        thresholds, n = self.columns[self.threshold_column], len(sizes)
+        of_design = [one.key for one in columns if one.key in self.columns]
+        records = [
+            {key: self.columns[key][row * n] for key in of_design}
+            | {f"at_{place}": thresholds[row * n + place] for place in range(n)}
+            for row in rows[:ROWS_SHOWN].tolist()
+        ]
+        return Table.of(title, "best.csv", columns, records)
+
+    def problems(self) -> Table | None:
+        """Return the table of statuses other than "ok" with their reasons, by frequency; None if all are "ok"."""
+        found: Counter[tuple[str, str | None]] = Counter()
+        first: dict[tuple[str, str | None], int] = {}
+        for design, *pair in zip(*(self.columns[key] for key in ("design", "status", "reason")), strict=True):
+            if pair[0] != "ok":
+                found[pair[0], pair[1]] += 1
+                first.setdefault((pair[0], pair[1]), design)
+        if not found:
+            return None
+        records = [
+            {"status": pair[0], "thresholds": number, "first_design": first[pair], "reason": pair[1]}
+            for pair, number in found.most_common(ROWS_SHOWN)
+        ]
+        columns: list[Column | str] = ["status", "thresholds", "first_design", Column(key="reason", wraps=True)]
+        table = Table.of("Designs and sizes without a threshold", "problems.csv", columns, records)
+        return table.without_empty_columns()
+
+    def sentences(self) -> list[str]:
+        """Return the findings in words, the best design first."""
+        known = self.known
+        found = [self._answer()]
+        if len(self.objectives) > 1:
+            names = listed(
+                f"{'low' if one.sign > 0 else 'high'} {in_words(one.column)[0]}" for one in self.objectives
+            )
+            number = int(self.on_front[:, 0].sum())
+            found.append(f"{count(number, 'design')} on the trade-off front of {names}.")
+        found.append(
+            f"{count(self.n_designs, 'design')} at {count(known.shape[1], 'size')}: {int(known.sum())} of "
+            f"{known.size} thresholds found, from {count(self.n_computed, 'computation')}."
+        )
+        impossible = np.flatnonzero(self.column("status")[:, 0] == IMPOSSIBLE)
+        if impossible.size:
+            why = f"design {impossible[0] + 1}: {self.column('reason')[impossible[0], 0]}"
+            found.append(f"{count(impossible.size, 'design')} cannot be made or computed; the first is {why}.")
+        beyond = self.column("range_at_least_km")[:, 0] if OF_RANGE in self.columns else np.empty(0)
+        beyond = beyond[np.isfinite(beyond)]
+        if beyond.size:
+            found.append(
+                f"The range of {count(beyond.size, 'design')} is beyond the smallest size, at "
+                f"{plain(float(beyond.max()))} km or more; add smaller sizes."
+            )
+        if "places" in self.settings:
+            found.append(unknown_place(self.settings["places"]))
+        if self._misses_coupling:
+            text = "The NETD is the same for all apertures and detectors, so a smaller one costs no signal; with "
+            found.append(f"{text}{argument.couple_netd} it follows f-number² / area.")
+        return found
+
+    def _answer(self) -> str:
+        """Return the sentence about the design that is best by the first objective, or why there is none."""
+        name, sign = self.objectives[0]
+        values = self.column(name)[:, 0]
+        cost = np.where(self.has_threshold[:, 0], sign * values, np.nan)
+        if not np.isfinite(cost).any():
+            return self._without_order()
+        row = int(np.nanargmin(cost))
+        of_design = ", ".join(map(phrase, self.keys, self.values[row].tolist()))
+        words, unit = in_words(name)
+        end = "lowest" if sign > 0 else "highest"
+        value = f"{plain(float(values[row]))} {unit}".rstrip()
+        return f"Design {row + 1} ({of_design}) has the {end} {words}{self.at_size}: {value}."
+
+    def _without_order(self) -> str:
+        """Return the sentence about designs none of which has a value of the column that orders them."""
+        name = in_words(self.objectives[0].column)[0]
+        if not self.at_size:
+            return f"No design has a value of {name}, by which designs are ordered."
+        seen = np.array(self.sizes)[self.known.any(axis=0)].tolist()
+        others = listed(f"{size:g}" for size in seen) if seen else ""
+        advice = f"there is one at {others} detectors: name such a size first" if seen else "take larger sizes"
+        return f"No design has a {name}{self.at_size}, which orders designs; {advice}."
+
+    @property
+    def _misses_coupling(self) -> bool:
+        """True if the light on a detector differs between the designs, but not their NETD."""
+        width_follows = self.settings["keep_fill_factor"] or FILL_FACTOR in self.keys
+        changes_light = {*OF_ETENDUE, *PITCHES} if width_follows else {*OF_ETENDUE}
+        is_free = self.in_mk and not self.settings["couple_netd"] and NETD not in self.keys
+        return bool(is_free and changes_light & {*self.keys})
+
+    def figures(self) -> list[ReportFigure]:
+        """List the figures, the most important first."""
+        return pictures(self)
 
     def plot_tod(self, ax: Axes | None = None) -> Axes:
         """Draw the TOD curves of the designs, coloured by the first varied key; returns the axes."""
@@ -43,17 +321,219 @@ class SweepResult(SweepData):
         """Draw all designs over the first two objectives, and their trade-off front; returns the axes."""
         return drawn(lambda axes: draw_front(axes, self, size), ax)
 
-    def save(self, folder: Path | str) -> None:
-        """Write the files that the command writes with `-o`; see `todframes.Result.save`."""
-        write_folder(folder, self.files())
 
-    def files(self) -> dict[str, bytes | Iterable[bytes]]:
-        """Return the content of all files by name, tables in parts; `sweep.parquet` needs pyarrow."""
-        table = self.table()
-        return {
-            "sweep.csv": (part.encode() for part in table.csv_parts()),
-            **({"sweep.parquet": parquet_parts(table)} if has_parquet() else {}),
-            **{one.file: one.png() for one in pictures(self) if one.file},
-            "report.html": page(self).encode(),
-            "result.json": self.to_json(),
-        }
+def pictures(result: Sweep) -> list[ReportFigure]:
+    """List the figures of a sweep, the most important first."""
+    keys, sizes = result.keys, result.sizes
+    found = []
+    if len(result.objectives) > 1:
+        note = (
+            f"Grey: all designs; coloured: those that no other one beats in all of "
+            f"{listed(in_words(one.column)[0] for one in result.objectives)}."
+        )
+        found.append(
+            ReportFigure(
+                f"Trade-off{result.at_size}", note, partial(draw_front, result=result, size=0), "front.png"
+            )
+        )
+    has_range = OF_RANGE in result.columns and np.isfinite(result.column(OF_RANGE)).any()
+    if len(varied(result)) > 1 and has_range:
+        note = "Range over the first two keys that vary. Dotted: beyond the smallest size; crossed: never reached;"
+        note += " hatched once: none for another reason."
+        note += " The longest over the other keys." * (len(keys) > 2)
+        found.append(ReportFigure("Map of range", note, partial(draw_range_map, result=result), "range_map.png"))
+    if len(varied(result)) > 1:
+        seen = np.flatnonzero(result.known.any(axis=0)).tolist()
+        for size in evenly(seen, MOST_MAPS):
+            note = "Threshold over the first two keys that vary. Hatched once: impossible; crossed: never reached;"
+            note += " dotted: always exceeded."
+            note += " The lowest over the other keys." * (len(keys) > 2)
+            draw = partial(draw_map, result=result, size=size)
+            found.append(
+                ReportFigure(f"Map at {sizes[size]:g} detectors", note, draw, "" if size != seen[0] else "map.png")
+            )
+    elif varied(result):
+        note = "A line for each size."
+        found.append(
+            ReportFigure("Threshold against the key", note, partial(draw_lines, result=result), "by_key.png")
+        )
+    if (result.known.sum(axis=1) > 1).any():
+        note = f"Threshold against 1 / size of up to {MOST_CURVES} designs, coloured by the first key that varies."
+        found.append(ReportFigure("TOD curves", note, partial(draw_curves, result=result), "tod_curves.png"))
+    return found
+
+
+def varied(result: Sweep) -> list[int]:
+    """Return the places of the keys that have more than one value."""
+    values = result.values
+    return [place for place in range(values.shape[1]) if len(np.unique(values[:, place])) > 1]
+
+
+def draw_curves(axes: Axes, result: Sweep) -> None:
+    """Draw threshold against 1 / size of up to `MOST_CURVES` designs, coloured by the first key that varies."""
+    from matplotlib.collections import LineCollection
+
+    shown = result.column(result.threshold_column)
+    order = np.argsort(result.sizes)[::-1]
+    inverse = 1.0 / np.array(result.sizes)[order]
+    rows = [row for row in range(result.n_designs) if np.isfinite(shown[row]).sum() > 1]
+    if not rows:
+        raise DataError("plot_tod: found no design with thresholds at two or more sizes")
+    rows = evenly(rows, MOST_CURVES)
+    keys = varied(result)
+    colour = result.values[:, keys[0] if keys else 0]
+    lines = [np.stack([inverse, shown[row, order]], axis=1)[np.isfinite(shown[row, order])] for row in rows]
+    drawn = LineCollection(lines, cmap=colours(), norm=colour_scale(colour), linewidths=1.0, alpha=0.8)
+    drawn.set_array(colour[rows])
+    axes.add_collection(drawn)
+    axes.set(xscale="log", yscale="log", xlabel="1 / size (detectors⁻¹)", ylabel=heading(result.threshold_column))
+    axes.autoscale_view()
+    values = shown[rows]
+    plain_ticks(axes.xaxis, inverse.tolist())
+    plain_ticks(axes.yaxis, values[np.isfinite(values)].tolist())
+    if keys:
+        add_colour_bar(axes, drawn, heading(result.keys[keys[0]]))
+
+
+def draw_map(axes: Axes, result: Sweep, size: int) -> None:
+    """Draw thresholds at one size over the first two keys that vary: cells of a grid, or points."""
+    shown = result.column(result.threshold_column)
+    if not np.isfinite(shown[:, size]).any() and len(varied(result)) > 1:
+        raise DataError("plot_map: found no threshold at this size")
+    _draw_cells(axes, result, shown[:, size], result.column("status")[:, size], heading(result.threshold_column))
+
+
+def draw_range_map(axes: Axes, result: Sweep) -> None:
+    """Draw the range of the designs over the first two keys that vary, as `draw_map` does; the longest on top."""
+    values = result.column(OF_RANGE)[:, 0] if OF_RANGE in result.columns else np.empty(0)
+    if not np.isfinite(values).any():
+        raise DataError("plot_range_map: found no range, expected a target and an atmosphere, and smaller sizes")
+    statuses = [RANGE_MARKS.get(one, IMPOSSIBLE) for one in result.column("range_status")[:, 0]]
+    _draw_cells(axes, result, values, np.array(statuses, object), heading(OF_RANGE), best=-1.0)
+
+
+def _draw_cells(
+    axes: Axes, result: Sweep, value: FloatArray, status: NDArray[Any], label: str, *, best: float = 1.0
+) -> None:
+    """Draw a value of each design over the first two keys that vary; `best` is −1 if the highest is best."""
+    keys = varied(result)
+    if len(keys) < 2:
+        raise DataError("plot_map: found one key that varies, expected two or more")
+    x, y = result.values[:, keys[:2]].T
+    has = np.isfinite(value)
+    columns, at_x = np.unique(x, return_inverse=True)
+    rows, at_y = np.unique(y, return_inverse=True)
+    cells = np.full((len(rows), len(columns)), np.inf)
+    np.minimum.at(cells, (at_y[has], at_x[has]), best * value[has])
+    cells *= best
+    is_grid = len(np.unique(at_y * len(columns) + at_x)) == cells.size
+    _scale(axes, x, y)
+    cells[np.isinf(cells)] = np.nan
+    look: Any = {"cmap": "viridis", "norm": colour_scale(cells[np.isfinite(cells)] if is_grid else value[has])}
+    drawn: Any
+    if is_grid:
+        drawn = axes.pcolormesh(edges(columns), edges(rows), cells, rasterized=cells.size > MOST_VECTORS, **look)
+        axes.grid(visible=False)
+        of_cell = np.full(cells.shape, "", dtype=object)
+        for kind in MARKS:  # a design that is never reached counts before one that is impossible
+            of_cell[at_y[status == kind], at_x[status == kind]] = kind
+        for kind, (hatch, _) in MARKS.items():
+            _hatch(axes, edges(columns), edges(rows), np.isnan(cells) & (of_cell == kind), hatch)
+    else:
+        order = np.argsort(-best * value[has])  # the best on top
+        drawn = axes.scatter(
+            x[has][order], y[has][order], c=value[has][order], s=16.0, linewidths=0.0, **look,
+            rasterized=has.sum() > MOST_VECTORS,
+        )  # fmt: skip
+        for kind, (_, marker) in MARKS.items():
+            is_kind = status == kind
+            axes.scatter(x[is_kind], y[is_kind], marker=marker, s=16.0, color=INK, linewidths=0.8)
+    across, up = (heading(result.keys[key]) for key in keys[:2])
+    axes.set(xlabel=across, ylabel=up)
+    add_colour_bar(axes, drawn, label)
+
+
+def _hatch(axes: Axes, x: FloatArray, y: FloatArray, marked: NDArray[np.bool_], hatch: str) -> None:
+    """Hatch the cells of a grid that are marked; `x` and `y` are the edges."""
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Rectangle
+
+    cells = [
+        Rectangle((x[column], y[row]), x[column + 1] - x[column], y[row + 1] - y[row])
+        for row, column in np.argwhere(marked)
+    ]
+    if cells:
+        look: Any = {"facecolor": "none", "edgecolor": INK, "linewidth": 0.0, "alpha": 0.5}
+        axes.add_collection(PatchCollection(cells, hatch=hatch, **look))
+
+
+def draw_lines(axes: Axes, result: Sweep) -> None:
+    """Draw the threshold against the one key that varies, a line for each size."""
+    shown = result.column(result.threshold_column)
+    key = varied(result)[0]
+    x = result.values[:, key]
+    order = np.argsort(x)
+    sizes = result.sizes
+    for place, size in enumerate(sizes):
+        look = curve_style(place, len(sizes))
+        axes.plot(
+            x[order], shown[order, place], color=look.colour, marker=look.marker, label=f"{size:g} detectors"
+        )
+    axes.set(xlabel=heading(result.keys[key]), ylabel=heading(result.threshold_column), yscale="log")
+    if is_log(x):
+        axes.set_xscale("log")
+        plain_ticks(axes.xaxis, x.tolist())
+    values = shown[np.isfinite(shown)]
+    if values.size:
+        plain_ticks(axes.yaxis, values.tolist())
+    add_legend(axes)
+
+
+def draw_front(axes: Axes, result: Sweep, size: int) -> None:
+    """Draw all designs over the first two objectives at one size, and those on the trade-off front."""
+    if len(result.objectives) < 2:
+        raise DataError("plot_front: found one column, expected two or more to be low or high")
+    first, second = (one.column for one in result.objectives[:2])
+    x, y = result.column(second)[:, size], result.column(first)[:, size]
+    has = np.isfinite(x) & np.isfinite(y) & result.has_threshold[:, size]
+    is_on = result.on_front[:, size]
+    axes.scatter(x[has], y[has], s=9.0, color=INK, alpha=0.25, linewidths=0.0, rasterized=has.sum() > MOST_VECTORS)
+    order = np.flatnonzero(is_on)[np.argsort(x[is_on])]
+    line = "-" if len(result.objectives) == 2 else ""
+    axes.plot(x[order], y[order], marker="o", ls=line, color=COLOURS[4], label="trade-off front", zorder=3)
+    axes.set(xlabel=heading(second), ylabel=heading(first))
+    _scale(axes, x[has], y[has])
+    add_legend(axes)
+
+
+def _scale(axes: Axes, x: FloatArray, y: FloatArray) -> None:
+    """Make axes logarithmic where their values are."""
+    for name, values in (("x", x), ("y", y)):
+        if values.size and is_log(values):
+            axes.set(**{f"{name}scale": "log"})
+            plain_ticks(getattr(axes, f"{name}axis"), values.tolist())
+
+
+def colours() -> Colormap:
+    """Return the colours of the house from low to high."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("designs", COLOURS)
+
+
+def is_log(values: FloatArray) -> bool:
+    """Return whether values are shown on a logarithmic axis: their span is large, and all are above 0."""
+    return bool(values.min() > 0.0 and values.max() > LOG_SPAN * values.min())
+
+
+def edges(middles: FloatArray) -> FloatArray:
+    """Return the edges of cells around ascending values, half-way between them."""
+    if is_log(middles):
+        return np.asarray(np.exp(edges_between(np.log(middles))))
+    return edges_between(middles)
+
+
+def edges_between(middles: FloatArray) -> FloatArray:
+    """Return the edges half-way between ascending values; the outer cells are symmetric."""
+    inner = (middles[1:] + middles[:-1]) / 2.0
+    return np.concatenate([[2.0 * middles[0] - inner[0]], inner, [2.0 * middles[-1] - inner[-1]]])

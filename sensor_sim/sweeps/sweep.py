@@ -8,7 +8,10 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
+from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer, adapted, described
@@ -31,10 +34,14 @@ from todframes.parameters import (
     TargetFactor,
     Tolerance,
 )
+from todframes.results.advice import MISSED
+from todframes.results.data import Record, ResultWarning, as_read
+from todframes.results.result import Result
+from todframes.results.wording import count
 
 if TYPE_CHECKING:
     from sensor_sim.sweeps.ranges import Aim
-    from sensor_sim.sweeps.result import SweepResult
+    from sensor_sim.sweeps.result import Sweep
     from todframes.field.atmosphere import Atmosphere
     from todframes.field.target import Target
     from todframes.jobs.store import Store
@@ -67,7 +74,7 @@ def sweep(
     cluster: Cluster | Engine | None = None,
     store: Store | None = None,
     progress: Callable[[int], None] | None = None,
-) -> SweepResult:
+) -> Result[Sweep]:
     """Compute the thresholds of many designs of a sensor, and which are the best trade-offs.
 
     A design differs from the sensor's file in the values of some keys. An impossible design gets a status and the
@@ -140,8 +147,8 @@ def sweep(
 
     Returns
     -------
-    SweepResult
-        A row for each design and size by `table()` or `to_dataframe()`; `plot_map()`, `plot_front()`, `save()`.
+    Result
+        A row for each design and size by `records()` or `to_dataframe()`; `plot_map()`, `plot_front()`, `save()`.
 
     Raises
     ------
@@ -161,8 +168,7 @@ def sweep(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     from sensor_sim.sweeps.designs import NETD, Base, check_coupling, make_designs
-    from sensor_sim.sweeps.result import SweepResult
-    from sensor_sim.sweeps.tables import Criterion, objectives
+    from sensor_sim.sweeps.goals import Criterion, columns_of, objectives
     from sensor_sim.sweeps.work import SweepWork, Variants, check_sweep, run_sweep
     from sensor_sim.thresholds.places import check_places
     from todframes.jobs.engine import open_engine
@@ -219,17 +225,43 @@ def sweep(
         "plan": plan,
     }
     settings |= {"places": places} if places > 1 else {}
-    return SweepResult(
-        swept=swept,
-        objectives=goals,
+    columns = columns_of(
+        swept,
+        goals,
         criterion=criterion,
         aim=aim,
-        whole_keys=tuple(key for key in designs.keys if base.keys[key]),
-        settings=settings,
-        seed=seed,
-        from_store=0 if store is None else store.n_used,
-        run_time_s=round(time.perf_counter() - started, 4),
+        p_correct=p_correct,
+        couple_netd=couple_netd,
+        whole_keys=[key for key in designs.keys if base.keys[key]],
     )
+    return Result.made(
+        "sweep",
+        started,
+        seed=seed,
+        warnings=missed_tolerance(swept.threshold, swept.numerical_error, tolerance),
+        settings=as_read(settings, Record),
+        columns=columns,
+        keys=designs.keys,
+        n_designs=len(designs.values),
+        n_computed=swept.n_computed,
+        from_store=0 if store is None else store.n_used,
+    )
+
+
+def missed_tolerance(threshold: FloatArray, error: FloatArray, tolerance: float) -> tuple[ResultWarning, ...]:
+    """Return a warning if the numerical error of thresholds misses the tolerance."""
+    with np.errstate(invalid="ignore"):
+        share = error / threshold
+        missed = share > MISSED * tolerance
+    if not missed.any():
+        return ()
+    largest = float(share[missed].max())
+    message = (
+        f"{count(int(missed.sum()), 'threshold')} {'misses' if missed.sum() == 1 else 'miss'} the tolerance of "
+        f"{100 * tolerance:g} %: the numerical error is up to {100 * largest:.2g} %; larger sizes "
+        "have smaller errors"
+    )
+    return (ResultWarning(code="numerical_error", message=message, found=largest, expected=tolerance),)
 
 
 def _aim(

@@ -46,42 +46,9 @@ LAST_OF_DATASET, LAST_OF_RESULT = "dataset.toml", "result.json"
 
 LARGEST_RESULT_MB = 64
 
-FILES_OF_COMMAND = {
-    "score": {
-        *("report.html", "scores.csv", "scores.parquet"),
-        *("psychometric.png", "tod_curve.png", "field_map.png"),
-    },
-    "compare": {"report.html", "scores.csv", "scores.parquet", "compare.csv", "compare.png"}
-    | {"contrast_response.csv", "contrast_response.png"},
-    "calibrate": {
-        *("report.html", "internal_noise.csv", "calibration.csv"),
-        *("calibration.png", "calibration.svg", "observer.toml"),
-    },
-    "noise": {
-        *("report.html", "noise.csv", "snr.csv", "patches.csv", "sensor_noise.toml"),
-        *("noise.png", "frame_means.png", "mean.png", "temporal_sd.png"),
-    },
-    "emva": {
-        *("report.html", "emva.csv", "photon_transfer.csv", "variances.csv", "emva.xml", "sensor_noise.toml"),
-        *("emva.png", "photon_transfer.png"),
-    },
-    "mtf": {
-        *("report.html", "mtf.csv", "edges.csv", "edge_sfr_values.txt", "raw_sfr_values.txt"),
-        *("mtf.png", "edges.png", "profiles.png"),
-    },
-    "range": {
-        *("report.html", "ranges.csv", "probability.csv", "range_against_k.csv"),
-        *("probability.png", "crossing.png", "range_against_k.png"),
-    },
-}
-"""Files that each command of this package writes beside `result.json`."""
-
-ENTRY_POINT_GROUP = "todframes.result_files"
-"""Entry points of other packages: sets of the files that their commands write, by the name of the command."""
-
 
 class _Result(msgspec.Struct):
-    command: str
+    files: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -412,22 +379,13 @@ def _join(name: str, staged: Path, out: Path) -> None:
 
 
 def _files_of_result(path: Path) -> set[str]:
-    """Return the files of the result in a folder. Beside another result, they would seem to belong to that one."""
+    """Return the files that a result names as its own. Beside another, they would seem to belong to that one."""
     with suppress(OSError, msgspec.MsgspecError):
         file = path / LAST_OF_RESULT
         if file.is_file() and file.stat().st_size <= LARGEST_RESULT_MB * 2**20:
-            result = msgspec.json.decode(file.read_bytes(), type=_Result)
-            return {part for part in files_of_command(result.command) if (path / part).is_file()}
+            listed = {*msgspec.json.decode(file.read_bytes(), type=_Result).files}
+            return {part for part in listed if part == Path(part).name and (path / part).is_file()}
     return set()
-
-
-def files_of_command(command: str) -> Collection[str]:
-    """Return the names of the files that a command of this or another package writes beside `result.json`."""
-    if command in FILES_OF_COMMAND:
-        return FILES_OF_COMMAND[command]
-    from importlib.metadata import entry_points
-
-    return {name for entry in entry_points(group=ENTRY_POINT_GROUP, name=command) for name in entry.load()}
 
 
 def _fill(name: str, staged: Path, out: Path, last: str) -> None:

@@ -56,6 +56,7 @@ KINDS = {
     "noise": Kind("Noise of a camera", "todframes.camera.noise_result:RecordedNoise", "noise"),
     "emva": Kind("Noise of a camera by EMVA 1288", "todframes.camera.emva_result:Emva", "noise"),
     "sensor-mtf": Kind("MTF of a sensor", "sensor_sim.chain.mtf_result:SensorMtf", "mtf"),
+    "sweep": Kind("Designs of a sensor", "sensor_sim.sweeps.result:Sweep", "columns"),
     "mrtd": Kind("Four bars and triangles of a sensor", "sensor_sim.four_bars.mrtd_result:SensorMrtd", "bars"),
     "range": Kind("Range in the field", "todframes.field.range_result:FieldRange", "numbers"),
     "mtf": Kind("MTF of a camera", "todframes.camera.mtf_result:Mtf", "mtf"),
@@ -185,11 +186,15 @@ class Result(Head, Generic[C], frozen=True, kw_only=True):
         raise DataError(f"plot: the result of {self.command} has nothing to draw")
 
     def to_json(self) -> bytes:
-        """Return the result as indented JSON, the content of `result.json`."""
+        """Return the result as indented JSON, the content of `result.json` but for the names of `files`."""
+        return json_file(self._object())
+
+    def _object(self) -> dict[str, Any]:
         head: dict[str, Any] = msgspec.to_builtins(
             Head(**{name: getattr(self, name) for name in Head.__struct_fields__})
         )
-        return json_file(head | msgspec.to_builtins(self.data))
+        content: dict[str, Any] = msgspec.to_builtins(self.data)
+        return head | content
 
     def to_html(self) -> str:
         """Return the result as one self-contained HTML page, the content of `report.html`."""
@@ -202,12 +207,12 @@ class Result(Head, Generic[C], frozen=True, kw_only=True):
 
         Long tables come in parts, each made when it is asked for.
         """
-        return {
+        files: dict[str, bytes | Iterable[bytes]] = {
             **self.data.files(),
             **{one.file: one.png() for one in self.data.figures() if one.file},
             self.data.page_file: self.to_html().encode(),
-            self.data.json_file: self.to_json(),
         }
+        return files | {self.data.json_file: json_file(self._object() | {"files": sorted(files)})}
 
     def save(self, folder: Path | str) -> None:
         """Write the files that the command writes with `-o`, each whole or not at all.

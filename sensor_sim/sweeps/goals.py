@@ -1,0 +1,317 @@
+"""Goals of a sweep: acuity, range and trade-off front of designs, as columns beside their thresholds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensor_sim.sweeps.designs import NAME_COLUMN
+from sensor_sim.sweeps.ranges import Aim, DesignRange
+from sensor_sim.sweeps.work import Swept
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import check_keys, check_positive
+from todframes.psychometrics.threshold_search import IMPOSSIBLE
+
+BY_SIZE = ("threshold_snr", "threshold_contrast", "delta_t_mk")
+"""Columns with a separate value for each size."""
+
+OF_ACUITY = ("acuity_detectors", "acuity_mrad")
+
+OF_RANGE = "range_km"
+
+Columns = dict[str, list[Any]]
+
+UNITS = {"cd_m2": "cd/m²", "mrad": "mrad", "mm": "mm", "um": "µm", "mk": "mK", "ms": "ms", "px": "px", "lx": "lx"}
+UNITS |= {"km": "km", "detectors": "detectors"}
+"""Units by the end of a key."""
+
+WORDS = {"delta_t": "threshold ΔT", "threshold_snr": "threshold SNR", "netd": "NETD", "f_number": "f-number"}
+
+
+def in_words(key: str) -> tuple[str, str]:
+    """Return the name and the unit of a key or column: ("aperture", "mm") for optics.aperture_mm."""
+    name = key.rpartition(".")[2]
+    ending = next((one for one in UNITS if name.endswith(f"_{one}")), "")
+    name = name.removesuffix(f"_{ending}").removesuffix("_sigma")
+    return WORDS.get(name, name.replace("_", " ")), UNITS.get(ending, "")
+
+
+def heading(key: str) -> str:
+    """Return a key or column as a heading: "aperture (mm)"."""
+    name, unit = in_words(key)
+    return f"{name} ({unit})" if unit else name
+
+
+def phrase(key: str, value: float) -> str:
+    """Return a key or column with a value: "aperture 110 mm"."""
+    name, unit = in_words(key)
+    return f"{name} {value:.4g} {unit}".rstrip()
+
+
+class Criterion(NamedTuple):
+    """Signal of a large triangle for the acuity: an SNR (`level` "snr") or a ΔT in mK ("delta_t_mk")."""
+
+    level: str
+    value: float
+
+    @classmethod
+    def of(cls, snr: float | None, delta_t_mk: float | None, *, has_netd: bool) -> Criterion | None:
+        """Return the criterion that one of the two values names; None if both are None.
+
+        Raises
+        ------
+        SettingsError
+            If both are given, a value is no number > 0, or NETD is not known for the one in mK.
+        """
+        given = {"snr": snr, "delta_t_mk": delta_t_mk}
+        found = [cls(level, value) for level, value in given.items() if value is not None]
+        if not found:
+            return None
+        if len(found) > 1:
+            raise SettingsError("acuity: found an SNR and a ΔT, expected one of them")
+        level, value = found[0]
+        check_positive(f"acuity_{level}", value)
+        if level == "delta_t_mk" and not has_netd:
+            raise SettingsError("acuity_delta_t_mk: needs noise.netd_mk of the sensor")
+        return found[0]
+
+
+class Acuity(NamedTuple):
+    """Smallest size whose threshold is at most the criterion, with the numerical error of its 95 % interval.
+
+    `status` is "ok", "never_reached" if no size computed reaches the criterion, "always_exceeded" if the smallest
+    one does, or "too_few_sizes" if there is no threshold beside the crossing. Only with "ok" is there a size.
+    """
+
+    status: str
+    detectors: float = math.nan
+    error: float = math.nan
+
+
+def acuity(
+    size_detectors: FloatArray, threshold: FloatArray, error: FloatArray, status: Sequence[str], criterion: float
+) -> Acuity:
+    """Interpolate the size at which thresholds fall to a criterion, by a straight line between logarithms.
+
+    Parameters
+    ----------
+    size_detectors, threshold, error : ndarray, shape (sizes,)
+        Sizes with their thresholds and numerical errors; NaN if there is none.
+    status : sequence of str
+        Status of each threshold.
+    criterion : float
+        > 0, in the unit of the thresholds.
+
+    Returns
+    -------
+    Acuity
+        Its error is that of the two thresholds beside the crossing, as if both deviate to the same side. It does
+        not contain the difference of the curve from a straight line.
+    """
+    order = np.argsort(size_detectors)
+    size, value, spread = size_detectors[order], threshold[order], error[order]
+    # Where a threshold is never reached none is low enough, and where it is always exceeded any is.
+    for place, of_size in enumerate(status[k] for k in order):
+        if of_size != "ok":
+            value[place] = {"never_reached": math.inf, "always_exceeded": 0.0}.get(of_size, math.nan)
+    reached = value <= criterion
+    if not reached.any():
+        return Acuity("too_few_sizes" if np.isnan(value).any() else "never_reached")
+    first = int(np.argmax(reached))
+    if first == 0:
+        return Acuity("always_exceeded")
+    x, y = np.log(size[first - 1 : first + 1]), value[first - 1 : first + 1]
+    if not (np.isfinite(y).all() and y[1] > 0.0):
+        return Acuity("too_few_sizes")
+    y, spread = np.log(y), spread[first - 1 : first + 1] / y
+    slope = (x[1] - x[0]) / (y[1] - y[0])
+    share = (math.log(criterion) - y[0]) / (y[1] - y[0])
+    found = math.exp(x[0] + share * (x[1] - x[0]))
+    change = abs(slope) * ((1.0 - share) * spread[0] + share * spread[1])
+    return Acuity("ok", found, found * float(change))
+
+
+def front(costs: FloatArray) -> NDArray[np.bool_]:
+    """Return which rows are on the trade-off front: no other is as low in all columns and lower in one.
+
+    Parameters
+    ----------
+    costs : ndarray, shape (n, columns)
+        To be minimised; a row with a NaN is not on the front.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    is_on = np.zeros(len(costs), dtype=bool)
+    known = np.flatnonzero(np.isfinite(costs).all(axis=1))
+    # A row can only be dominated by one that comes before it in this order, and then by one of the front.
+    known = known[np.lexsort(costs[known].T[::-1])]
+    best = np.empty((0, costs.shape[1]))
+    for row in known:
+        below = (best <= costs[row]).all(axis=1)
+        if not (below & (best < costs[row]).any(axis=1)).any():
+            is_on[row] = True
+            best = np.vstack([best, costs[row]])
+    return is_on
+
+
+class Objective(NamedTuple):
+    """Column that is best at one end; `sign` is 1 if it is to be low and −1 if it is to be high."""
+
+    column: str
+    sign: int
+
+
+def objectives(
+    minimise: Sequence[str],
+    maximise: Sequence[str],
+    keys: Sequence[str],
+    *,
+    has_netd: bool,
+    has_acuity: bool,
+    has_range: bool,
+    level: str = "snr",
+) -> tuple[Objective, ...]:
+    """Return the columns of the trade-off front; without any, the range, ΔT, or if NETD is not known, the level.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such column, or it would be empty.
+    """
+    if not (minimise or maximise) and has_range:
+        return (Objective(OF_RANGE, -1),)
+    if not (minimise or maximise):
+        return (Objective("delta_t_mk" if has_netd else f"threshold_{level}", 1),)
+    for where, names in ((argument.minimise, minimise), (argument.maximise, maximise)):
+        check_keys(names, [f"threshold_{level}", "delta_t_mk", *OF_ACUITY, OF_RANGE, *keys], where)
+        if "delta_t_mk" in names and not has_netd:
+            raise SettingsError(f"{where}: found delta_t_mk, which needs noise.netd_mk of the sensor")
+        if set(names) & set(OF_ACUITY) and not has_acuity:
+            raise SettingsError(f"{where}: found {names[0]}, which needs an SNR or ΔT for the acuity")
+        if OF_RANGE in names and not has_range:
+            raise SettingsError(f"{where}: found {OF_RANGE}, which needs a target and an atmosphere")
+    found = (*(Objective(name, 1) for name in minimise), *(Objective(name, -1) for name in maximise))
+    if len({one.column for one in found}) < len(found):
+        raise SettingsError(f"{argument.minimise}, {argument.maximise}: found a column twice, expected each once")
+    return found
+
+
+def columns_of(
+    swept: Swept,
+    goals: Sequence[Objective],
+    *,
+    criterion: Criterion | None,
+    aim: Aim | None,
+    p_correct: float,
+    couple_netd: bool,
+    whole_keys: Sequence[str],
+) -> Columns:
+    """Return the table of a sweep by column: a value for each design and size, those of a design together.
+
+    Parameters
+    ----------
+    swept : Swept
+    goals : sequence of Objective
+        Columns of the trade-off front.
+    criterion : Criterion or None
+        Signal for the acuity; None if none is asked for.
+    aim : Aim or None
+        Target and air of the range; None if none is asked for.
+    p_correct : float
+    couple_netd : bool
+        Whether each design has its own NETD.
+    whole_keys : sequence of str
+        Varied keys whose values are whole numbers.
+
+    Returns
+    -------
+    dict of list
+        None where there is no value.
+    """
+    designs, sizes = swept.designs, np.array(swept.size_detectors)
+    n_designs, pitch = len(designs.values), swept.pitch_mrad
+    found: dict[str, Any] = {"design": range(1, n_designs + 1)}
+    if designs.names is not None:
+        found[NAME_COLUMN] = designs.names
+    for key, values in zip(designs.keys, designs.values.T, strict=True):
+        found[key] = [int(value) for value in values] if key in whole_keys else values
+    if couple_netd:
+        found["netd_mk"] = swept.netd_mk
+    found["size_detectors"] = np.broadcast_to(sizes, swept.threshold.shape)
+    found["size_scene_mrad"] = pitch[:, None] * sizes
+    found["status"] = swept.status
+    found |= {
+        f"threshold_{swept.level}": swept.threshold,
+        f"threshold_{swept.level}_error": swept.numerical_error,
+    }
+    if np.isfinite(swept.mk_per_snr).any():
+        found["delta_t_mk"] = swept.delta_t_mk
+        found["delta_t_mk_error"] = swept.numerical_error * swept.mk_per_snr[:, None]
+    if criterion is not None:
+        in_mk = criterion.level == "delta_t_mk"
+        levels = criterion.value / (swept.mk_per_snr if in_mk else np.ones(n_designs))
+        acuities = [
+            Acuity(IMPOSSIBLE) if math.isnan(own) else acuity(sizes, *of_design)
+            for own, *of_design in zip(
+                pitch, swept.threshold, swept.numerical_error, swept.status, levels, strict=True
+            )
+        ]
+        for name, values in (
+            ("", np.array([one.detectors for one in acuities])),
+            ("_error", np.array([one.error for one in acuities])),
+        ):
+            found |= {f"acuity_detectors{name}": values, f"acuity_mrad{name}": values * pitch}
+        found["acuity_status"] = [one.status for one in acuities]
+    if aim is not None:
+        in_k = swept.level == "snr"
+        thresholds = swept.delta_t_mk / 1000.0 if in_k else swept.threshold
+        ranges = [
+            DesignRange(IMPOSSIBLE)
+            if math.isnan(own)
+            else aim.range_of(sizes * own, of_design, status, p_correct, "delta_t_k" if in_k else "contrast")
+            for own, of_design, status in zip(pitch, thresholds, swept.status, strict=True)
+        ]
+        found[OF_RANGE] = [one.range_km for one in ranges]
+        found["range_at_least_km"] = [one.at_least_km for one in ranges]
+        found["range_status"] = [one.status for one in ranges]
+    found["on_front"] = _on_front(found, swept, goals)
+    found["n_phases"] = [[number or None for number in of_design] for of_design in swept.n_phases.tolist()]
+    found["reason"] = [[why or None for why in of_design] for of_design in swept.reason]
+    return {name: _of_rows(values, len(sizes)) for name, values in found.items()}
+
+
+def _on_front(found: Columns, swept: Swept, goals: Sequence[Objective]) -> NDArray[np.bool_]:
+    """Return which designs are on the trade-off front at each size: (designs, sizes)."""
+    known = has_threshold(np.isfinite(swept.threshold), goals)
+    columns = []
+    for size in range(len(swept.size_detectors)):
+        own = (np.asarray(found[one.column], dtype=np.float64) for one in goals)
+        costs = [
+            one.sign * (values if values.ndim == 1 else values[:, size])
+            for one, values in zip(goals, own, strict=True)
+        ]
+        columns.append(front(np.where(known[:, size, None], np.stack(costs, axis=1), np.nan)))
+    return np.stack(columns, axis=1)
+
+
+def has_threshold(known: NDArray[np.bool_], goals: Sequence[Objective]) -> NDArray[np.bool_]:
+    """Return which designs are compared at each size: those with a threshold there, or anywhere if no goal has a
+    value for each size. Both have the shape (designs, sizes).
+    """
+    if any(one.column in BY_SIZE for one in goals):
+        return known
+    return np.broadcast_to(known.any(axis=1, keepdims=True), known.shape)
+
+
+def _of_rows(values: Any, n_sizes: int) -> list[Any]:
+    """Return values of designs, or of designs and sizes, as a column; NaN becomes None."""
+    rows = values.tolist() if isinstance(values, np.ndarray) else list(values)
+    of_rows = [one for row in rows for one in (row if isinstance(row, list | tuple) else [row] * n_sizes)]
+    return [None if one != one else one for one in of_rows]
