@@ -220,8 +220,9 @@ class Commands(click.Group):
             described = read_call(self._table[name].call)
             return click.Command(name, help=_for_commands(described.paragraphs[0], described.parameters))
 
-        found = {name: one for name in self.list_commands(ctx) if (one := listed(name))}
-        click.Group(commands=found).format_commands(ctx, formatter)
+        rows = [(name, one.get_short_help_str(200)) for name in self.list_commands(ctx) if (one := listed(name))]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
