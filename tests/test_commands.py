@@ -130,7 +130,7 @@ def test_kinds_of_values_are_those_that_the_call_imports(call: str) -> None:
 
 
 def value_of(annotation: str) -> Any:
-    return read_call("todframes.calls.score:score").parameters["plan"]._replace(annotation=annotation).value
+    return read_call("todframes.scoring.score_call:score").parameters["plan"]._replace(annotation=annotation).value
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from todframes.enhancement.contrast_gain import MEASURED_TRIALS, measured_trials
 from todframes.enhancement.contrast_on_scenes import contrasts_on_scenes, views_to_measure
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame, EnhancedImage
 from todframes.enhancement.finding import find_enhancement
+from todframes.enhancement.records import algorithms
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame
@@ -38,7 +39,6 @@ from todframes.results.data import (
     ContrastResponse,
     Fit,
     Ratio,
-    algorithms,
 )
 from todframes.results.figure_style import new_figure, style
 from todframes.results.figures import pictures

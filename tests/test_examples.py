@@ -18,8 +18,8 @@ from todframes.frames.dataset import load_dataset
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
 from todframes.results.data import Example, Thumbnail
-from todframes.results.examples import examples
 from todframes.results.thumbnails import ExamplePatch, pictures
+from todframes.scoring.examples import examples
 from todframes.scoring.score import score_dataset
 from todframes.stimulus import Stimulus
 

@@ -16,11 +16,11 @@ from scipy.ndimage import gaussian_filter
 
 import todframes as tod
 from todframes.cli.main import cli
-from todframes.diagnosis import missing_threshold
 from todframes.frames.dataset import Dataset
 from todframes.frames.memory import memory_dataset
 from todframes.results.data import ResultWarning
 from todframes.results.result import read_result
+from todframes.scoring import missing_threshold
 from todframes.stimulus import ORIENTATIONS, coverage, vertices
 
 PITCH_MRAD, SIZE_PX, SIDE_PX = 0.25, 8.0, 64

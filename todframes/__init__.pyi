@@ -6,13 +6,6 @@ from .base.errors import OutputError as OutputError
 from .base.errors import RemoteError as RemoteError
 from .base.errors import SettingsError as SettingsError
 from .base.errors import TodframesError as TodframesError
-from .calls.compare import compare as compare
-from .calls.compare import compare_frames as compare_frames
-from .calls.fit import fit_counts as fit_counts
-from .calls.naked_eye import naked_eye as naked_eye
-from .calls.score import score as score
-from .calls.score import score_frames as score_frames
-from .calls.validate import validate as validate
 from .camera.emva_result import Emva as Emva
 from .camera.measure_emva import emva_noise as emva_noise
 from .camera.measure_mtf import mtf as mtf
@@ -25,6 +18,8 @@ from .display.display import Display as Display
 from .enhancement.algorithm import Enhancement as Enhancement
 from .enhancement.algorithm import algorithm as algorithm
 from .enhancement.algorithm import parameter as parameter
+from .enhancement.compare_call import compare as compare
+from .enhancement.compare_call import compare_frames as compare_frames
 from .enhancement.finding import find_enhancement as find_enhancement
 from .experiment.calibrate import calibrate as calibrate
 from .experiment.run_experiment import SessionProgress as SessionProgress
@@ -65,6 +60,11 @@ from .results.result import Result as Result
 from .results.result import load_result as load_result
 from .results.table import Table as Table
 from .results.thresholds import Thresholds as Thresholds
+from .scoring.fit_call import fit_counts as fit_counts
+from .scoring.naked_eye_call import naked_eye as naked_eye
+from .scoring.score_call import score as score
+from .scoring.score_call import score_frames as score_frames
+from .scoring.validate_call import validate as validate
 from .stimulus import ORIENTATIONS as ORIENTATIONS
 from .stimulus import Orientation as Orientation
 from .stimulus import Stimulus as Stimulus

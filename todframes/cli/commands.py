@@ -192,7 +192,7 @@ COMMANDS = {
         body="todframes.cli.chart:chart",
     ),
     "compare": Command(
-        "todframes.calls.compare:compare",
+        "todframes.enhancement.compare_call:compare",
         arguments="dataset",
         showing="explain verbose json quiet strict",
         files="result.json, report.html, compare.csv, scores.csv, contrast_response.csv and pictures",
@@ -207,7 +207,7 @@ COMMANDS = {
         body="todframes.cli.experiment:experiment",
     ),
     "fit": Command(
-        "todframes.calls.fit:fit_counts",
+        "todframes.scoring.fit_call:fit_counts",
         arguments="",
         showing="verbose json",
         title=lambda _, given: given["counts"],
@@ -235,7 +235,7 @@ COMMANDS = {
         is_timed=False,
     ),
     "naked-eye": Command(
-        "todframes.calls.naked_eye:naked_eye",
+        "todframes.scoring.naked_eye_call:naked_eye",
         arguments="",
         showing="verbose json quiet",
         files="result.json, report.html and tod_curve.png",
@@ -278,7 +278,7 @@ COMMANDS = {
         without="polarity",
     ),
     "score": Command(
-        "todframes.calls.score:score",
+        "todframes.scoring.score_call:score",
         arguments="dataset",
         showing="explain verbose json quiet strict",
         files="result.json, report.html, scores.csv and plots",
@@ -287,7 +287,7 @@ COMMANDS = {
         title=_scored,
     ),
     "validate": Command(
-        "todframes.calls.validate:validate",
+        "todframes.scoring.validate_call:validate",
         arguments="dataset",
         showing="json strict",
         task="checking",

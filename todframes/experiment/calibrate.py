@@ -14,13 +14,6 @@ from msgspec.structs import replace as replace_struct
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.seeds import Rng, seed_of
-from todframes.calls.shared import (
-    described_each,
-    is_skip,
-    loaded,
-    of_observer,
-    opened_run,
-)
 from todframes.frames.dataset import Dataset
 from todframes.observers.interface import Observer
 from todframes.parameters import Count, Free, ObserverNames, OnError, Progress, Seed, Subjects
@@ -36,6 +29,13 @@ from todframes.results.data import (
     observer_names,
 )
 from todframes.results.result import Result
+from todframes.scoring.opening import (
+    described_each,
+    is_skip,
+    loaded,
+    of_observer,
+    opened_run,
+)
 
 if TYPE_CHECKING:
     from todframes.experiment.answers import Session

@@ -20,17 +20,12 @@ from todframes.base.safe_text import in_utf8, visible_json
 from todframes.results.wording import count, warning_text
 
 if TYPE_CHECKING:
-    from todframes.diagnosis.missing_threshold import Explanation
     from todframes.display.display import Display
-    from todframes.enhancement.algorithm import Enhancement
-    from todframes.enhancement.compare import AlgorithmResult, Compared
-    from todframes.enhancement.contrast_gain import LevelContrast
     from todframes.frames.dataset import Dataset, Experiment
     from todframes.psychometrics.fit import PsychometricFit
     from todframes.psychometrics.threshold_search import ComputedThreshold
     from todframes.results.figure import ReportFigure
     from todframes.results.table import Table
-    from todframes.scoring.score import GroupFit
 
 SCHEMA = 1
 
@@ -201,23 +196,6 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
             **more,
         )
 
-    @classmethod
-    def of_trials(cls, dataset: Dataset, fit: GroupFit, explanation: Explanation | None = None) -> Fit:
-        """Return the record of the fit to the scored trials of a group, and of why there is no threshold."""
-        answers = None if explanation is None else tuple(map(tuple, explanation.answers.round(4).tolist()))
-        return msgspec.structs.replace(
-            cls.of_counts(group_of(dataset, fit.group), dataset.experiment.level, fit.fit),
-            p_correct_error_bound=fit.non_gaussian_bound,
-            p_correct_left_out_bound=fit.left_out_bound,
-            p_correct_places_error=fit.places_error,
-            threshold_displacement_error=fit.numerical_error,
-            n_displacements=fit.n_displacements,
-            background_luminance_cd_m2=fit.background_luminance_cd_m2,
-            run_time_s=round(fit.run_time_s, 4),
-            answers=answers,
-            answers_from_level=None if explanation is None else explanation.from_level,
-        )
-
 
 def group_of(dataset: Dataset, values: Sequence[float | str]) -> Group:
     """Return the values of a group by the names of the columns that group the dataset's trials."""
@@ -381,120 +359,11 @@ def thresholds_of(algorithms: Sequence[Algorithm]) -> tuple[Fit, ...]:
     )
 
 
-def algorithms(dataset: Dataset, results: Sequence[AlgorithmResult]) -> tuple[Algorithm, ...]:
-    """Return the records of compared algorithms, the reference first."""
-    reference, names = results[0], [one.enhancement.name for one in results]
-    found = []
-    for one in results:
-        algorithm = one.enhancement
-        ratios = tuple(_ratio(dataset, compared) for compared in one.compared)
-        overall = None if one.overall is None else _ratio(dataset, one.overall)
-        verdict = overall.verdict if overall is not None else ratios[0].verdict if ratios else None
-        changes = {
-            "psnr_change_db": _difference(one.psnr_db, reference.psnr_db),
-            "ssim_change": _difference(one.ssim, reference.ssim),
-        }
-        found.append(
-            Algorithm(
-                name=algorithm.name if names.count(algorithm.name) == 1 else algorithm.spec,
-                spec=algorithm.spec,
-                what=algorithm.what,
-                library=algorithm.declaration.library,
-                domain=algorithm.declaration.domain,
-                parameters={name: plain_value(value) for name, value in algorithm.values.items()},
-                magnification=algorithm.magnification,
-                fits=tuple(Fit.of_trials(dataset, fit) for fit in one.scored.fits),
-                ratios=ratios,
-                overall=overall,
-                verdict=verdict,
-                contrast_responses=tuple(
-                    ContrastResponse(
-                        group=group_of(dataset, fit.group), points=tuple(map(_contrast_point, of_group))
-                    )
-                    for fit, of_group in zip(one.scored.fits, one.responses, strict=bool(one.responses))
-                ),
-                n_scenes=one.n_backgrounds,
-                psnr_db=one.psnr_db,
-                ssim=one.ssim,
-                **changes,
-                disagrees=() if verdict is None else _disagreeing(changes, verdict),
-                edge_factor=one.edge_factor,
-                repeat_difference=one.repeat_difference,
-                n_clipped=one.n_clipped,
-                cpu_s=round(one.cpu_s, 4),
-                cpu_ms_per_frame=round(1e3 * one.cpu_s_per_frame, 3),
-                memory_mb=None if one.memory_mb is None else round(one.memory_mb, 1),
-            )
-        )
-    return tuple(found)
-
-
-def _contrast_point(found: LevelContrast) -> ContrastPoint:
-    level, before, after, gain, error, n_trials = found
-    return ContrastPoint(
-        level=level, before=before, after=after, gain=gain, gain_standard_error=error, n_trials=n_trials
-    )
-
-
-def _ratio(dataset: Dataset, compared: Compared) -> Ratio:
-    beyond = compared.beyond_gain
-    return Ratio(
-        verdict=compared.verdict,
-        group={} if compared.group is None else group_of(dataset, compared.group),
-        ratio=compared.ratio.ratio,
-        ratio_ci95=compared.ratio.ratio_ci95,
-        p_value=compared.ratio.p_value,
-        p_value_holm=compared.p_value_holm,
-        p_value_is_least=compared.is_p_value_least,
-        contrast_gain=None if beyond is None else beyond.contrast_gain,
-        beyond_gain=None if beyond is None else beyond.ratio.ratio,
-        beyond_gain_ci95=None if beyond is None else beyond.ratio.ratio_ci95,
-    )
-
-
-def _difference(value: float | None, reference: float | None) -> float | None:
-    return None if value is None or reference is None else value - reference
-
-
-def _disagreeing(changes: dict[str, float | None], verdict: str) -> tuple[str, ...]:
-    """List those of PSNR and SSIM that contradict the observer's verdict."""
-    found = []
-    for name, key, step in (("psnr", "psnr_change_db", PSNR_STEP_DB), ("ssim", "ssim_change", SSIM_STEP)):
-        change = changes[key]
-        if change is not None:
-            opinion = NO_DIFFERENCE if abs(change) < step else "better" if change > 0 else "worse"
-            found += [name] if opinion != verdict else []
-    return tuple(found)
-
-
 def plain_value(value: object) -> object:
     """Return a parameter's value as a JSON value, or as a text if JSON has no such value."""
     if isinstance(value, Mapping):
         return {str(name): plain_value(one) for name, one in value.items()}
     return value if value is None or isinstance(value, bool | int | float | str) else repr(value)
-
-
-def enhancement_record(algorithm: Enhancement) -> Record:
-    """Return the description of a registered algorithm, as `todframes enhancements --json` prints it."""
-    return {
-        "name": algorithm.name,
-        "what": algorithm.what,
-        "domain": algorithm.declaration.domain,
-        "changes_pitch": algorithm.declaration.magnification != 1.0,
-        "clip": algorithm.declaration.clip,
-        "library": algorithm.declaration.library,
-        "parameters": [
-            {
-                "name": one.name,
-                "default": plain_value(one.default),
-                "unit": (one.meta.extra or {}).get("unit") or None,
-                "range": None if one.meta.ge is None else [one.meta.ge, one.meta.le],
-                "choices": list(one.choices) or None,
-                "what": one.meta.description or None,
-            }
-            for one in algorithm.parameters
-        ],
-    }
 
 
 class Estimator(Struct, frozen=True, kw_only=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from todframes.results.data import (
@@ -17,7 +17,7 @@ from todframes.results.data import (
     ResultData,
     SceneResult,
 )
-from todframes.results.table import BLOCK, EXACT, Column, LongRecords, Table, field_text
+from todframes.results.table import EXACT, Column, Table, field_text
 from todframes.results.wording import (
     column_heading,
     group_phrase,
@@ -29,9 +29,7 @@ from todframes.results.wording import (
 from todframes.stimulus import ORIENTATIONS
 
 if TYPE_CHECKING:
-    from todframes.enhancement.compare import AlgorithmResult
-    from todframes.frames.dataset import Dataset
-    from todframes.scoring.score import ScoredDataset
+    pass
 
 THRESHOLD_COLUMNS = (
     Column(key="threshold_ci95", header="95 % interval", interval="threshold_ci95"),
@@ -411,34 +409,6 @@ def _flat(values: Record, prefix: str) -> Record:
 # Trials --------------------------------------------------------------------------------------------------------
 
 
-def trials(dataset: Dataset, scored: ScoredDataset) -> Table:
-    """Make the table of scored trials: stimulus, scores, probability of each answer, answer."""
-    return Table.of("Trials", "scores.csv", *_trials(dataset, [({}, scored)]))
-
-
-def compared_trials(dataset: Dataset, results: Sequence[AlgorithmResult]) -> Table:
-    """Make the table of scored trials after each algorithm."""
-    parts = [({"algorithm": one.enhancement.spec}, one.scored) for one in results]
-    return Table.of("Trials", "scores.csv", *_trials(dataset, parts))
-
-
-def _trials(
-    dataset: Dataset, parts: Sequence[tuple[Mapping[str, str], ScoredDataset]]
-) -> tuple[list[str], LongRecords]:
-    """Return the names of the columns and the records of scored trials, each part with some texts in front."""
-    more, first = parts[0]
-    groups = [dict(zip(dataset.experiment.group_by, group, strict=True)) for group in first.trials.groups]
-    kinds = trial_kinds([*more, *_block(dataset, first, slice(0))], groups)
-
-    def blocks() -> Iterator[dict[str, list[Any]]]:
-        for texts, scored in parts:
-            for start in range(0, len(scored.trials), BLOCK):
-                block = _block(dataset, scored, slice(start, start + BLOCK))
-                yield {name: [text] * len(block["trial"]) for name, text in texts.items()} | block
-
-    return list(kinds), LongRecords(kinds, sum(len(scored.trials) for _, scored in parts), blocks)
-
-
 TRIAL_KINDS = {
     **dict.fromkeys(("algorithm", "trial", "orientation", "answer"), str),
     **dict.fromkeys(("n_frames", "polarity"), int),
@@ -451,29 +421,6 @@ def trial_kinds(names: Iterable[str], groups: Sequence[Group]) -> dict[str, type
     texts = {name for group in groups for name, value in group.items() if isinstance(value, str)}
     kinds = TRIAL_KINDS | {name: float for group in groups for name in group} | dict.fromkeys(texts, str)
     return {name: kinds.get(name, float) for name in names}
-
-
-def _block(dataset: Dataset, scored: ScoredDataset, rows: slice) -> dict[str, list[Any]]:
-    """Return the columns of some scored trials."""
-    trials, turns = scored.trials[rows], [one.value for one in ORIENTATIONS]
-    displaced = scored.displacement_samples[rows].T.tolist()
-    stimuli = [trials.stimuli[k] for k in trials.stimulus_codes.tolist()]
-    groups = [trials.groups[k] for k in trials.group_codes.tolist()]
-    return {
-        "trial": list(trials.names()),
-        "n_frames": trials.frame_counts.tolist(),
-        "orientation": [turns[k] for k in trials.quarter_turns.tolist()],
-        "size_mrad": [one.size_mrad for one in stimuli],
-        "polarity": [one.polarity for one in stimuli],
-        dataset.experiment.level: trials.levels.tolist(),
-        **{name: [group[k] for group in groups] for k, name in enumerate(dataset.experiment.group_by)},
-        "displacement_x_samples": displaced[0],
-        "displacement_y_samples": displaced[1],
-        **{f"score_{turn}": scored.scores[rows, k].tolist() for k, turn in enumerate(turns)},
-        **{f"p_{turn}": scored.probabilities[rows, k].tolist() for k, turn in enumerate(turns)},
-        "answer": [turns[k] for k in scored.answers[rows].tolist()],
-        "p_correct": scored.p_correct[rows].tolist(),
-    }
 
 
 # Scenes of an accuracy study -----------------------------------------------------------------------------------

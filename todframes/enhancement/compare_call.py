@@ -13,21 +13,6 @@ from numpy.typing import ArrayLike
 
 from todframes.base.errors import SettingsError, argument
 from todframes.base.seeds import Rng, seed_of
-from todframes.calls.shared import (
-    background_of,
-    described_each,
-    each_once,
-    gazes_of,
-    in_memory,
-    inspected,
-    is_skip,
-    knowing_background,
-    loaded,
-    locate_name,
-    located,
-    of_observer,
-    opened_run,
-)
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset
 from todframes.jobs.work import Engine
@@ -49,12 +34,26 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import edge_brightness, levels_to_add, not_proportional, not_repeatable
 from todframes.results.data import (
     ComparedObserver,
-    algorithms,
     observer_names,
     thresholds_of,
 )
 from todframes.results.result import Result
 from todframes.scoring.error_budget import plan_object
+from todframes.scoring.opening import (
+    background_of,
+    described_each,
+    each_once,
+    gazes_of,
+    in_memory,
+    inspected,
+    is_skip,
+    knowing_background,
+    loaded,
+    locate_name,
+    located,
+    of_observer,
+    opened_run,
+)
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store
@@ -171,7 +170,7 @@ def compare(
     from todframes.enhancement.compare import compare_observers
     from todframes.enhancement.enhanced_frame import AlgorithmDisplay
     from todframes.enhancement.finding import find_enhancement
-    from todframes.results import tables
+    from todframes.enhancement.records import algorithms, compared_trials
     from todframes.results.summary import comparison, comparisons
     from todframes.scoring.score import fitted_curve
 
@@ -220,7 +219,7 @@ def compare(
         )
     ]
     if examples:
-        from todframes.results.examples import compare_examples
+        from todframes.enhancement.examples import compare_examples
 
         more["examples"] = compare_examples(data, results, judge, screen)
     black, peak = screen.luminance_range
@@ -249,7 +248,7 @@ def compare(
         negative_luminance_pixels=reference.n_negative,
         from_store=run.n_from_store,
         **more,
-    ).holding(make_trials=lambda: tables.compared_trials(data, results))
+    ).holding(make_trials=lambda: compared_trials(data, results))
 
 
 def compare_frames(

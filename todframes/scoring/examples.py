@@ -6,9 +6,6 @@ The pictures are part of the result, so that a report can be made again without 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import partial
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -25,13 +22,9 @@ from todframes.observers.interface import Observer
 from todframes.results.data import Example, Thumbnail, group_of
 from todframes.results.thumbnails import ExamplePatch, pictures, png, reach_px_of, srgb
 from todframes.results.wording import evenly
-from todframes.scoring.retina_view import Shown, retina_image, view_trial
+from todframes.scoring.retina_view import view_trial
 from todframes.scoring.score import GroupFit, ScoredDataset
-from todframes.stimulus import Stimulus, vertices
-
-if TYPE_CHECKING:
-    from todframes.enhancement.compare import AlgorithmResult
-    from todframes.enhancement.enhanced_frame import AlgorithmDisplay
+from todframes.stimulus import vertices
 
 MOST_EXAMPLES = 4
 
@@ -72,14 +65,14 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tup
             stimulus=trial.stimulus,
             pixel_pitch_mrad=dataset.display.pitch_mrad,
         )
-        found.append(_example(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
+        found.append(example_of(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
     for one in evenly([one for one in scored.fits if one.fit.threshold is None], MOST_WITHOUT):
         trials = scored.trials
         places = trials.indices_of_group(one.group)
         place = int(places[np.argmax(trials.levels[places])])
         trial = scored.trials[place]
         width_mrad, drawn = _whole(dataset, trial, observer)
-        found.append(_example(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
+        found.append(example_of(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
     return tuple(found)
 
 
@@ -118,7 +111,7 @@ def _whole(dataset: Dataset, trial: Trial, observer: Observer) -> tuple[float, t
     return header.width * pitch_mrad, (Thumbnail("whole", png(image), white, black),)
 
 
-def _example(
+def example_of(
     dataset: Dataset,
     trial: Trial,
     p_correct: float,
@@ -126,6 +119,7 @@ def _example(
     drawn: tuple[Thumbnail, ...],
     algorithm: str | None = None,
 ) -> Example:
+    """Return the record of a trial's pictures."""
     return Example(
         group=group_of(dataset, trial.group),
         algorithm=algorithm,
@@ -177,53 +171,3 @@ def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[ExamplePa
             patch = read_contrast(file, dataset.display, frame, rows, columns, triangle=triangle)
             found.append(ExamplePatch(patch, x, y))
     return found
-
-
-MOST_GROUPS, MOST_ALGORITHMS = 2, 6
-
-
-def compare_examples(
-    dataset: Dataset, results: Sequence[AlgorithmResult], observer: Observer, screen: AlgorithmDisplay
-) -> tuple[Example, ...]:
-    """Draw the trial nearest to the reference's threshold in up to two groups, after each of up to six algorithms.
-
-    All pictures of a group have the same white. Raises FrameError if a frame can no longer be used.
-    """
-    from todframes.enhancement.enhanced_frame import TrialReader
-
-    shown_results = results[:MOST_ALGORITHMS]
-    reader = TrialReader([one.enhancement for one in shown_results], screen)
-    reference = results[0].scored
-    found = []
-    for group in evenly([one for one in reference.fits if one.fit.threshold is not None], MOST_GROUPS):
-        place = nearest_trial(reference, group)
-        trial = reference.trials[place]
-        dx, dy = np.nan_to_num(reference.displacement_samples[place]).tolist()
-        after = reader(dataset, trial, observer, observer.grid(trial.stimulus), [(dx, dy)], whole=True)
-        draw = partial(_drawn, (dx, dy), observer, trial.stimulus)
-        white = max(draw(one)[1][0].scale or 0.0 for one in after)
-        for result, one in zip(shown_results, after, strict=True):
-            (here,) = np.flatnonzero(result.scored.trials.numbers == trial.number)
-            p_correct = float(result.scored.p_correct[here])
-            found.append(
-                _example(dataset, trial, p_correct, *draw(one, white=white), algorithm=result.enhancement.spec)
-            )
-    return tuple(found)
-
-
-def _drawn(
-    displacement_samples: tuple[float, float],
-    observer: Observer,
-    stimulus: Stimulus,
-    shown: Shown,
-    white: float | None = None,
-) -> tuple[float, tuple[Thumbnail, ...]]:
-    """Draw the display, retina image and bands after one algorithm."""
-    return pictures(
-        [ExamplePatch(*part) for part in zip(shown.patches, shown.x_px, shown.y_px, strict=True)],
-        retina_image(shown, observer.grid(stimulus), displacement_samples),
-        observer=observer,
-        stimulus=stimulus,
-        pixel_pitch_mrad=shown.pixel_pitch_mrad,
-        white=white,
-    )

@@ -11,18 +11,6 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from todframes.base.seeds import Rng, seed_of
-from todframes.calls.shared import (
-    background_of,
-    each_once,
-    in_memory,
-    inspected,
-    is_skip,
-    knowing_background,
-    loaded,
-    locate_name,
-    located,
-    opened_run,
-)
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset
 from todframes.jobs.work import Engine
@@ -43,12 +31,23 @@ from todframes.parameters import (
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import levels_to_add, numerical_errors
 from todframes.results.data import (
-    Fit,
     ResultWarning,
     group_of,
 )
 from todframes.results.result import Result
 from todframes.scoring.error_budget import plan_object
+from todframes.scoring.opening import (
+    background_of,
+    each_once,
+    in_memory,
+    inspected,
+    is_skip,
+    knowing_background,
+    loaded,
+    locate_name,
+    located,
+    opened_run,
+)
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store
@@ -148,6 +147,7 @@ def score(
     ({'size_mrad': 0.6}, 'extrapolated')
     """
     started, seed = time.perf_counter(), seed_of(rng)
+    from todframes.scoring.records import fit_record, scored_trials
     from todframes.scoring.score import fitted_curve, score_dataset
 
     data = replace(loaded(dataset), gaze=gaze)
@@ -169,16 +169,16 @@ def score(
             run=run,
         )
     if examples:
-        from todframes.results import examples as drawing
+        from todframes.scoring.examples import examples as drawn
 
-        more["examples"] = drawing.examples(data, scored, judge)
+        more["examples"] = drawn(data, scored, judge)
     explained = {}
     if any(one.fit.status != "ok" for one in scored.fits):
-        from todframes.diagnosis.missing_threshold import explain_missing
+        from todframes.scoring.missing_threshold import explain_missing
 
         missing = explain_missing(data, scored, judge, decisions=decisions, seed=seed)
         explained = {one.group: one for one in missing}
-    fits = tuple(Fit.of_trials(data, one, explained.get(one.group)) for one in scored.fits)
+    fits = tuple(fit_record(data, one, explained.get(one.group)) for one in scored.fits)
     hints = [
         ResultWarning(**hint._asdict(), group=group_of(data, one.group))
         for one in explained.values()
@@ -190,9 +190,7 @@ def score(
     record, shown_wrong = inspected(data, scored.trials, judge.centre)
 
     def trials() -> Table:
-        from todframes.results import tables
-
-        return tables.trials(data, scored)
+        return scored_trials(data, scored)
 
     return Result.made(
         "score",
