@@ -8,38 +8,72 @@ from typing import NamedTuple
 
 from todframes.base.errors import argument
 from todframes.diagnosis.arrangement import TURNED
-from todframes.diagnosis.inspection import Inspection, is_contrast
-from todframes.diagnosis.limits import (
-    BIT_DEPTHS,
-    CERTAIN,
-    COARSE_PER_LEVEL,
-    CONTRAST_ERROR,
-    DITHERED,
-    LEAST_DISPLAYED_SIZE_PX,
-    LEAST_OFFSET_PX,
-    LEAST_SIZE_ERROR,
-    LOUD,
-    MATTERS,
-    MOST_BY_PATTERN,
-    MOST_CLIPPED,
-    MOST_CLIPPED_NOISE,
-    MOST_TURN_RAD,
-    OFF_LEVEL,
-    OFFSET_MRAD,
-    OFFSET_PER_BLUR,
-    SCATTER_MRAD,
-    SCATTER_PER_BLUR,
-    SIZE_MRAD,
-    SIZE_PER_BLUR,
-    SIZE_SCATTER,
-    SIZES_ALIKE,
-    SKEW,
-    SKEWED,
-    TIMES_TEXTURE,
-    UNEVEN_PER_LEVEL,
-)
+from todframes.diagnosis.inspection import OFF_LEVEL, SIZES_ALIKE, Inspection, is_contrast
 from todframes.frames.dataset import Dataset, DatasetWarning, WarningCode
 from todframes.frames.trials import Group
+
+CERTAIN = 5.0
+"""Least deviation that is reported, in standard errors."""
+
+MATTERS = 0.03
+"""Relative error of a threshold that matters."""
+
+MOST_BY_PATTERN = 3.0
+"""Largest relative deviation of a background's luminance that noise and a fixed pattern may cause, in standard
+deviations of a pixel's contrast, from its neighbours and from trial to trial; a larger one is a step or a slope of
+the background."""
+
+SKEW = 0.5
+"""Relative deviation of a background's luminance that skewed noise may cause, in standard deviations of a pixel's
+contrast."""
+
+OFFSET_MRAD, SCATTER_MRAD = 0.08, 0.1
+"""Offset and scatter of the triangle's place that matter: half a sample of the naked eye's retina raises
+thresholds by 2 to 5 % for sizes up to 4 mrad, and more for larger ones."""
+
+LEAST_OFFSET_PX = 0.05
+"""Least offset that is reported, in pixels; a smaller one is within the errors of the fit."""
+
+OFFSET_PER_BLUR = 0.3
+"""Offset of a blurred triangle that does not matter, in standard deviations of its blur."""
+
+SIZE_MRAD, LEAST_SIZE_ERROR = 0.08, 0.02
+"""Error of a size that matters, and the least relative one that is reported."""
+
+SIZE_SCATTER = 0.2
+"""Relative scatter of a size over trials beyond which a group has triangles of several sizes."""
+
+SIZE_PER_BLUR = 1.5
+"""Relative scatter of a size that sampling may cause, in standard deviations of the blur per size."""
+
+MOST_TURN_RAD = math.radians(2.0)
+"""Largest rotation that is not reported: thresholds rise by its square, by about a sixth at 5°."""
+
+SCATTER_PER_BLUR = 0.4
+"""Scatter of the place that sampling may cause, in standard deviations of the triangle's blur."""
+
+CONTRAST_ERROR = 0.05
+"""Relative deviation of the displayed contrast from the level that is reported."""
+
+LEAST_DISPLAYED_SIZE_PX = 2.0
+"""Size of a triangle in pixels below which its orientation is not displayed."""
+
+MOST_CLIPPED, MOST_CLIPPED_NOISE, LOUD = 0.002, 0.01, 0.1
+"""Share of the triangle's pixels at an end of the code values that is reported: of quiet frames, and of loud ones,
+whose noise reaches that end. Loud is a noise of that contrast."""
+
+SKEWED = 0.1
+"""Relative deviation of the background's luminance in loud frames, from noise cut off or a fixed pattern."""
+
+UNEVEN_PER_LEVEL, TIMES_TEXTURE = 0.15, 4.0
+"""Contrast of the background's own structure at the triangle that matters, relative to the median level, and to
+the same structure elsewhere in the picture: a camera's fixed pattern is everywhere."""
+
+COARSE_PER_LEVEL, DITHERED = 0.5, 0.6
+"""Contrast of one code step that matters, relative to the median level, and the noise in steps that smooths it."""
+
+BIT_DEPTHS = (10, 12, 14)
+"""Bits of values that cameras store in files of 16 bits."""
 
 Value = float | tuple[float, float]
 

@@ -13,25 +13,6 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
 from todframes.diagnosis.arrangement import TURNED
-from todframes.diagnosis.limits import (
-    CERTAIN_TURN,
-    CLEAR,
-    CLEARLY_TURNED,
-    LEAST_APART,
-    LEAST_SAMPLED,
-    LEAST_SIGNAL,
-    LEAST_SIZE,
-    MOST_BLUR_PER_SIZE,
-    MOST_SAMPLED,
-    OFF_LEVEL,
-    ROUNDING,
-    SAMPLED,
-    SAMPLED_SHARE,
-    SCATTER_ERRORS,
-    SIZES_ALIKE,
-    USABLE_CONTRASTS,
-    WHOLE_IN_SIZES,
-)
 from todframes.diagnosis.triangle import (
     AMPLITUDE,
     Images,
@@ -58,6 +39,49 @@ from todframes.stimulus import ORIENTATIONS, Centre, Stimulus, level_of
 
 if TYPE_CHECKING:
     from todframes.diagnosis.scene_backgrounds import SceneParts
+
+LEAST_APART = 1e-3
+"""Least difference of stated places, in blocks, and of sizes for frames to be aligned: a twentieth of what fits of
+single frames resolve."""
+
+MOST_SAMPLED, LEAST_SAMPLED = 24, 8
+"""Most and fewest trials of a stimulus in a group that are measured."""
+
+SAMPLED, SAMPLED_SHARE = 96, 0.04
+"""Number of frames that are measured in all, and their share of the frames if that is more."""
+
+MOST_BLUR_PER_SIZE = 0.22
+"""Largest blur, in sizes, at which contrast and size are judged by the differences of orientations alone: from
+0.29 on, fits of blurred triangles of 4 pixels end with contrasts off by half, and sizes off by a tenth."""
+
+USABLE_CONTRASTS = (1e-9, 1e9)
+"""Range of contrasts that are computed with; beyond it are mistakes in a manifest, whose squares may overflow."""
+
+SIZES_ALIKE = 1.15
+"""Ratio of the largest stated size of a curve to the least up to which they are one size in perspective: a chart
+tilted by 10° in a field of view of 28° has 1.09."""
+
+LEAST_SIZE = 1e-9
+"""Least size in blocks that is computed with; smaller ones are mistakes, and ratios to them overflow."""
+
+CLEAR, OFF_LEVEL = 0.1, 0.4
+"""Largest error of a trial's contrast or place that shows it clearly, relative to the contrast and the size, and
+the relative deviation of a contrast that does not follow its level."""
+
+CERTAIN_TURN, CLEARLY_TURNED = 5.0, 8.0
+"""Least advantage of another orientation than stated, in standard errors: of a group, and of a single trial."""
+
+WHOLE_IN_SIZES = 1.2
+"""Distance from the centroid within which all frames must have pixels for size and contrast to be judged."""
+
+LEAST_SIGNAL = 8.0
+"""Least contrast of the triangle, in standard errors, for its place, size and orientation to be measured."""
+
+ROUNDING = 1e-6
+"""Contrast that equal frames may leave: luminance has single precision, 6e-8 of itself."""
+
+SCATTER_ERRORS = 5.0
+"""Least scatter over trials that is more than noise, in standard errors."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,18 +14,13 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError
 from todframes.base.reading import convert
 from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
-from todframes.diagnosis.inspection import GroupTriangle, alike, is_contrast, noise_of_frames, strengths
-from todframes.diagnosis.limits import (
-    LEAST_PEAK,
-    LEAST_SEARCHED_PX,
+from todframes.diagnosis.inspection import (
     LEAST_SIGNAL,
-    LEAST_SURE_TRIALS,
-    MOST_ERROR_MRAD,
-    MOST_FITTED,
-    MOST_STRONGEST,
-    NEARBY,
-    SEARCHED,
-    STRONG,
+    GroupTriangle,
+    alike,
+    is_contrast,
+    noise_of_frames,
+    strengths,
 )
 from todframes.diagnosis.places import Template, chosen_places
 from todframes.diagnosis.triangle import Shape, multiplicity
@@ -37,6 +32,31 @@ from todframes.frames.position import from_centroid, size_in_px, to_centroid
 from todframes.frames.trials import Group, Trial, Trials, indices_by
 from todframes.parameters import Locate
 from todframes.stimulus import Centre
+
+LEAST_PEAK = 6.0
+"""Least height of a correlation peak above its surroundings, in their standard deviations."""
+
+MOST_FITTED = 256
+"""Largest number of trials, the strongest, that the triangle of a group is fitted to."""
+
+MOST_STRONGEST = 24
+"""Number of the strongest trials that are searched over whole frames for positions of their own."""
+
+LEAST_SURE_TRIALS = 4
+"""Least number of these with a high peak from which the middle of the positions is known."""
+
+STRONG = 0.5
+"""Least level, as a share of the highest, of trials in which the triangle is looked for before it is known."""
+
+SEARCHED, LEAST_SEARCHED_PX = 2.5, 8.0
+"""Largest distance of a trial's position from where its search begins: so many sizes, and pixels more."""
+
+NEARBY = 4.0
+"""The same distance in standard deviations of the positions, if that is larger."""
+
+MOST_ERROR_MRAD = 0.09
+"""Standard error of single positions along an axis from which they raise a threshold by more than 3 %: between
+0.1 and 0.15 of noise in docs/validation.md."""
 
 
 class Location(NamedTuple):

@@ -14,18 +14,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import ComplexArray, FloatArray
-from todframes.diagnosis.limits import (
-    CLEAR_LEAD,
-    CLEAR_LIKELIHOOD,
-    JITTERS,
-    LEAST_CLEAR,
-    LIKELY,
-    MEMORIES,
-    MOST_CLEAR_FITTED,
-    MOST_PEAKS,
-    NEIGHBOURS,
-)
 from todframes.diagnosis.triangle import Shape, Square, multiplicity, picture
+
+MOST_PEAKS = 12
+"""Largest number of peaks of a trial that are kept."""
+
+CLEAR_LIKELIHOOD, CLEAR_LEAD = 18.0, 5.0
+"""Least log likelihood of a peak, that of six standard deviations, and its least lead over the next, for a trial
+whose place is clear without the others."""
+
+LIKELY = 0.5
+"""Least probability of a peak for a trial to have a place of its own."""
+
+LEAST_CLEAR = 4
+"""Least number of clear trials from which the scatter is estimated."""
+
+NEIGHBOURS = 16
+"""Number of trials, the nearest in time, from which a place is predicted."""
+
+MOST_CLEAR_FITTED = 240
+"""Largest number of clear trials that memory and scatter are fitted to."""
+
+MEMORIES = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+"""Times after which a place is forgotten, in median distances of the trials, that are tried."""
+
+JITTERS = (0.0, 0.03, 0.2)
+"""Shares of the variance without memory that are tried."""
 
 
 class Template(NamedTuple):

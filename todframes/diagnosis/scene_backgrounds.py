@@ -15,11 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.diagnosis.limits import LEAST_SCENES, MOST_OF_VIEW, VIEWED_TIMES
 from todframes.diagnosis.triangle import Images, TriangleFit, subtract
 from todframes.diagnosis.windows import TrialSample
 from todframes.frames.trials import Trials
 from todframes.stimulus import HEIGHT_PER_SIZE
+
+VIEWED_TIMES, MOST_OF_VIEW = 3, 8
+"""Number of trials with scenes that are measured, in those on even backgrounds, and of those of one background if
+there are many: with eight, its error adds an eighth to the variance of the noise."""
+
+LEAST_SCENES = 4
+"""Least number of scenes whose mean tells what all frames share, such as dirt, from what a scene shows."""
 
 
 def whole_views(trials: Trials, strength: FloatArray, most: int) -> NDArray[np.intp]:

@@ -19,20 +19,6 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.diagnosis.arrangement import TURNED
-from todframes.diagnosis.limits import (
-    CELL,
-    DEGREE,
-    FITTED_REACH_IN_SIZES,
-    FOUND,
-    LEAST_VARIANCE,
-    MOST_BESIDE_TURN_RAD,
-    MOST_ROUGH,
-    MOST_ROUNDS,
-    MOST_STRETCH,
-    SEPARABLE,
-    SIZES_TRIED,
-    UNSTEADY,
-)
 from todframes.stimulus import (
     ORIENTATIONS,
     Orientation,
@@ -41,6 +27,46 @@ from todframes.stimulus import (
     triangle_coverage,
     vertices,
 )
+
+DEGREE = 2
+"""Degree of the polynomial background."""
+
+FITTED_REACH_IN_SIZES = 2.2
+"""Half of the side of the square that is fitted, in sizes; corners lie at 0.88."""
+
+CELL = 2.2
+"""Side of the square, in sizes, that counts as one independent value of the noise as a fit sees it, set by
+`tests/triangles.py`: reported 95 % intervals hold 96.8 % of true values, and 92.6 % with 1.5."""
+
+MOST_ROUGH = 2.0
+"""Largest factor of the covariance for what a fit leaves at the edges of a triangle, the power there over that
+elsewhere: pictures with little blur are not quite exact there, and in little noise that is 1.0 to 1.3 times it.
+More is a mishap, such as trials without a triangle."""
+
+MOST_ROUNDS = 12
+"""Largest number of steps of a fit."""
+
+FOUND = 2e-4
+"""Last step of the fit, in sizes and radians; the errors that matter are a hundred times as large."""
+
+LEAST_VARIANCE = -0.05
+"""Least variance of the blur, in blocks: sharpened pictures have a negative one."""
+
+MOST_STRETCH = 1.5
+"""Largest ratio of an axis of the map to the mean of the two: a picture seen from 60° to the side has 1.41."""
+
+MOST_BESIDE_TURN_RAD = math.radians(8.0)
+"""Largest rotation beside a quarter turn: a triangle turned by 25° is one turned by -90° and by 5° back."""
+
+SEPARABLE = 1.2
+"""Least ratio of the highest level to the lowest at which the part that all frames share can be separated."""
+
+UNSTEADY = 2.0
+"""Standard deviation of a block around the triangle over trials, in those of the noise there, beyond which it
+counts less: letters that change from frame to frame then count no more than the noise does elsewhere."""
+
+SIZES_TRIED = np.geomspace(0.25, 5.0, 11)
+"""Sizes that are tried, as multiples of the stated one."""
 
 N_PARAMETERS = 8
 AMPLITUDE, X, Y, XX, XY, YX, YY, BLUR = range(N_PARAMETERS)

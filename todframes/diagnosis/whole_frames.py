@@ -12,11 +12,25 @@ import numpy as np
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import FrameError
 from todframes.diagnosis.arrangement import TURNED
-from todframes.diagnosis.limits import BLOCKS, CLEAR_PEAK, LEAST_BLOCKS, MOST_BLOCKS, MOST_LOCATED_PX
 from todframes.frames.contrast import ContrastPatch, read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
+
+MOST_LOCATED_PX = 2**21
+"""Largest number of pixels of a frame that is searched pixel by pixel; a larger one is averaged over blocks."""
+
+BLOCKS = 2**19
+"""Number of square blocks of pixels that a large frame is divided into."""
+
+MOST_BLOCKS = 2**24
+"""Largest number of blocks of a frame; more would fill the memory."""
+
+CLEAR_PEAK = 100.0
+"""Height of a correlation peak, in standard deviations of the correlation, above which noise does not count."""
+
+LEAST_BLOCKS = 16
+"""Least number of blocks along a triangle's size, unless blocks are pixels: larger blocks blur its edges."""
 
 Means = dict[Stimulus, dict[Orientation, FloatArray]]
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError
-from todframes.diagnosis.limits import PICTURE_BLOCKS_PER_SIZE, REACH_IN_SIZES
 from todframes.display.display import border_values
 from todframes.frames.contrast import LuminanceFound
 from todframes.frames.dataset import Dataset
@@ -28,6 +27,12 @@ from todframes.frames.surround import (
 )
 from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import Centre
+
+PICTURE_BLOCKS_PER_SIZE = 8
+"""Number of square blocks along a triangle's size that its picture is reduced to; fewer if these are pixels."""
+
+REACH_IN_SIZES = 3.0
+"""Distance from the stated place that a window has, in sizes."""
 
 
 class TrialSample(NamedTuple):

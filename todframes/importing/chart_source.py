@@ -20,7 +20,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.charts.layout import Chart, read_chart
 from todframes.charts.markers import CORNERS, page_of
-from todframes.diagnosis.limits import MOST_TURN_RAD
+from todframes.diagnosis.findings import MOST_TURN_RAD
 from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips, frames_with_those_before
 from todframes.importing.filmed_trials import (
     FIELD_PLACE,

@@ -20,8 +20,7 @@ from todframes.base.output import Going, new_folder, remove_others, store_path
 from todframes.base.reading import WarmUpFrames, check_positive, convert
 from todframes.base.safe_text import in_utf8, one_line
 from todframes.diagnosis.findings import place_deviations
-from todframes.diagnosis.inspection import inspect
-from todframes.diagnosis.limits import SIZES_ALIKE
+from todframes.diagnosis.inspection import SIZES_ALIKE, inspect
 from todframes.display.display import Display
 from todframes.display.display_files import find_display, table_of_display
 from todframes.frames.dataset import Dataset, Experiment, load_dataset

@@ -15,20 +15,7 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, TodframesError, argument
 from todframes.diagnosis.arrangement import ARRANGEMENTS, TURNED, Arrangement
-from todframes.diagnosis.inspection import GroupTriangle, alike
-from todframes.diagnosis.limits import (
-    LEAST_EVIDENCE,
-    LEAST_GAIN,
-    LEAST_OFFSET,
-    LEAST_RIGHT,
-    LEAST_SIGNAL,
-    LEAST_TRIALS,
-    MOST_GRID_SIDE,
-    MOST_TRIALS,
-    SIZES_ALIKE,
-    SIZES_SOUGHT,
-    STRONG_SHARE,
-)
+from todframes.diagnosis.inspection import LEAST_SIGNAL, SIZES_ALIKE, GroupTriangle, alike
 from todframes.diagnosis.locate import Location, locate_triangles
 from todframes.diagnosis.windows import measure_trial
 from todframes.frames.dataset import Dataset, WarningCode
@@ -38,6 +25,28 @@ from todframes.observers.interface import Observer
 from todframes.parameters import Decisions, Locate
 from todframes.psychometrics.fit import FitSettings, PsychometricFit
 from todframes.scoring.score import ScoredDataset, score_dataset
+
+SIZES_SOUGHT = tuple(np.geomspace(1.0 / 20.0, 20.0, 15).tolist())
+"""Sizes that are sought on whole frames, as multiples of the stated one: degrees or minutes of arc taken for mrad
+are 0.06 to 17.5 times. Steps of 1.53 lose at most a fifth of the correlation's height."""
+
+LEAST_TRIALS, MOST_TRIALS = 8, 32
+"""Least number of strong trials, as far as a group has them, and the largest number that are looked at again."""
+
+STRONG_SHARE = 1.0 / 3.0
+"""Share of the levels, the highest ones, whose trials are strong."""
+
+LEAST_RIGHT, LEAST_GAIN = 0.75, 0.2
+"""Least share of right answers after a change, and least gain, for a hint."""
+
+LEAST_OFFSET = 0.1
+"""Least distance from the stated position, and least scatter of positions, in sizes, for a hint at positions."""
+
+LEAST_EVIDENCE = math.log(1e4)
+"""Least log likelihood ratio against guessing, for a hint; some thirty changes are tried."""
+
+MOST_GRID_SIDE = 2049
+"""Largest side of the retina grid, in samples, with which another size is tried."""
 
 SIZE_UNITS = (
     (1000.0 * math.pi / 180.0, "Is size_mrad in degrees?"),
