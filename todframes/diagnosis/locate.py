@@ -103,8 +103,8 @@ def locate_triangles(
     Triangles that are mirrored, turned or of the opposite polarity are found too.
 
     The position of a single trial is where a triangle of any of the four orientations is most likely. So it does
-    not depend on the stated one, and cannot make a right answer more probable. It is weighed against what the
-    group and the trials next to it in time predict. A trial that shows no triangle has the predicted position.
+    not depend on the stated one, and cannot make a right answer more probable. It is weighed against where the
+    others are. A trial that shows no triangle has their mean position.
 
     Parameters
     ----------
@@ -383,9 +383,8 @@ class _Ways:
             key=lambda peaks: float(np.median([one.height[0] if len(one.height) else 0.0 for one in peaks])),
         )
         offsets = np.array([one.offset for one in strong])
-        times = np.array([float(one.trial.number) for one in strong])
         chosen = chosen_places(
-            [one._replace(places=one.places - off) for one, off in zip(rough, offsets, strict=True)], times
+            [one._replace(places=one.places - off) for one, off in zip(rough, offsets, strict=True)]
         )
         some = Trials.of([one.trial for one in strong])
         if chosen is not None:
@@ -414,13 +413,13 @@ class _Ways:
                 peaks.append(one._replace(places=one.places - sample.offset))
                 kept.append(k)
             advance(1)
-        chosen = chosen_places(peaks, self.trials.numbers[kept].astype(np.float64))
+        chosen = chosen_places(peaks)
         if chosen is None:
             return self.of_all()._replace(is_own=np.zeros(len(self.trials), bool))
-        mean = block_px * chosen.memory.mean
+        mean = block_px * chosen.mean
         way, is_own = np.tile(mean, (len(self.trials), 1)), np.zeros(len(self.trials), bool)
         way[kept], is_own[kept] = block_px * chosen.places, chosen.is_own
-        scatter_px = block_px * chosen.memory.scatter
+        scatter_px = block_px * chosen.scatter
         mean_square = scatter_px**2 + float(np.square(block_px * chosen.error[chosen.is_own]).mean())
         error_px = math.sqrt(mean_square / int(chosen.is_own.sum()))
         error_mrad = block_px * self.dataset.display.pitch_mrad * chosen.error

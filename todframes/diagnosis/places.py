@@ -1,8 +1,8 @@
-"""The places of single triangles in a shaken recording: what each frame shows, and what its neighbours predict.
+"""The places of single triangles in a shaken recording: what each frame shows, and where the others are.
 
 The likelihood of a place is the mean over the four orientations, so that no place favours the stated one. Peaks of
-its logarithm are combined with a Gaussian process in time, whose scatter and memory are estimated from the clear
-trials (empirical Bayes). A trial that shows nothing has the place that its neighbours and the group predict.
+its logarithm are weighed with a normal distribution about the mean place, which is estimated from the clear trials
+(empirical Bayes). A trial that shows nothing has the mean place.
 """
 
 from __future__ import annotations
@@ -28,18 +28,6 @@ LIKELY = 0.5
 
 LEAST_CLEAR = 4
 """Least number of clear trials from which the scatter is estimated."""
-
-NEIGHBOURS = 16
-"""Number of trials, the nearest in time, from which a place is predicted."""
-
-MOST_CLEAR_FITTED = 240
-"""Largest number of clear trials that memory and scatter are fitted to."""
-
-MEMORIES = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
-"""Times after which a place is forgotten, in median distances of the trials, that are tried."""
-
-JITTERS = (0.0, 0.03, 0.2)
-"""Shares of the variance without memory that are tried."""
 
 
 class Template(NamedTuple):
@@ -125,22 +113,6 @@ class Peaks(NamedTuple):
     height: FloatArray
 
 
-class Memory(NamedTuple):
-    """A Gaussian process of the place in time: scatter along an axis, memory, and the share without memory."""
-
-    mean: FloatArray
-    scatter: float
-    memory: float
-    jitter: float
-
-    def covariance(self, apart: FloatArray) -> FloatArray:
-        """Return the covariance of places at these distances in time."""
-        if self.memory == 0.0:
-            return np.asarray(self.scatter**2 * (apart == 0.0))
-        lasting = np.exp(-np.abs(apart) / self.memory)
-        return np.asarray(self.scatter**2 * ((1.0 - self.jitter) * lasting + self.jitter * (apart == 0.0)))
-
-
 class TrialPlaces(NamedTuple):
     """Places of trials.
 
@@ -151,24 +123,23 @@ class TrialPlaces(NamedTuple):
         Standard error along an axis.
     is_own : ndarray of bool, shape (trial,)
         Whether the trial's own frames show its place.
-    memory : Memory
+    mean : ndarray, shape (2,)
+        Place of trials that show none.
+    scatter : float
+        Standard deviation of the places along an axis.
     """
 
     places: FloatArray
     error: FloatArray
     is_own: NDArray[np.bool_]
-    memory: Memory
+    mean: FloatArray
+    scatter: float
 
 
-def chosen_places(peaks: list[Peaks], time: FloatArray) -> TrialPlaces | None:
-    """Choose the place of each trial; None if too few trials are clear.
+def chosen_places(peaks: list[Peaks]) -> TrialPlaces | None:
+    """Choose the place of each trial from its peaks; None if too few trials are clear.
 
-    Parameters
-    ----------
-    peaks : list of Peaks
-        Peaks of each trial; places from the start of its search.
-    time : ndarray, shape (trial,)
-        Time of each trial, in any unit, ascending.
+    Places are counted from the start of each trial's search.
     """
     n = len(peaks)
     places, variance = np.zeros((n, MOST_PEAKS, 2)), np.ones((n, MOST_PEAKS))
@@ -180,17 +151,13 @@ def chosen_places(peaks: list[Peaks], time: FloatArray) -> TrialPlaces | None:
     is_clear = (height[:, 0] >= CLEAR_LIKELIHOOD) & (lead >= CLEAR_LEAD)
     if is_clear.sum() < LEAST_CLEAR:
         return None
-    best = np.zeros(n, np.intp)
-    middle = np.median(places[is_clear, 0], axis=0)
-    scatter = 1.4826 * float(np.median(np.abs(places[is_clear, 0] - middle)))
-    memory = Memory(middle, max(scatter, 1e-3), 0.0, 0.0)
-    each = np.arange(n)
+    best, each = np.zeros(n, np.intp), np.arange(n)
+    mean = np.median(places[is_clear, 0], axis=0)
     for _ in range(3):
         known = np.flatnonzero(is_clear)
-        memory = _fitted(places[known, best[known]], variance[known, best[known]], time[known], memory.mean)
-        expected, spread = _predicted(places[each, best], variance[each, best], is_clear, time, memory)
-        both = spread[:, None] + variance
-        away = np.square(places - expected[:, None]).sum(axis=2)
+        mean, scatter = _scatter(places[known, best[known]], variance[known, best[known]], mean)
+        both = scatter**2 + variance
+        away = np.square(places - mean).sum(axis=2)
         # A peak of a flat likelihood is no more likely than the rest of what may be: its height counts above 0.
         score = np.where(np.isfinite(height), height - away / (2.0 * both) - np.log(both / variance), -np.inf)
         best = score.argmax(axis=1)
@@ -200,52 +167,16 @@ def chosen_places(peaks: list[Peaks], time: FloatArray) -> TrialPlaces | None:
         is_clear = (likely > 0.99) & (height[each, best] > CLEAR_LIKELIHOOD / 2.0)
         if is_clear.sum() < LEAST_CLEAR:
             return None
-    share = (spread / (spread + variance[each, best]))[:, None]
     is_own = likely >= LIKELY
-    share = np.where(is_own[:, None], share, 0.0)
-    found = expected + share * (places[each, best] - expected)
-    error = np.sqrt(np.where(is_own, share[:, 0] * variance[each, best], spread))
-    return TrialPlaces(found, error, is_own, memory)
+    share = np.where(is_own, scatter**2 / both[each, best], 0.0)
+    found = mean + share[:, None] * (places[each, best] - mean)
+    error = np.sqrt(np.where(is_own, share * variance[each, best], scatter**2))
+    return TrialPlaces(found, error, is_own, mean, scatter)
 
 
-def _fitted(places: FloatArray, variance: FloatArray, time: FloatArray, middle: FloatArray) -> Memory:
-    """Fit a Gaussian process to places: the scatter by moments, its memory by the likelihood."""
+def _scatter(places: FloatArray, variance: FloatArray, middle: FloatArray) -> tuple[FloatArray, float]:
+    """Return the mean of places, and their standard deviation along an axis beyond their errors, by moments."""
     weight = 1.0 / (variance + float(np.square(places - middle).mean()) + 1e-12)
     mean = weight @ places / weight.sum()
     excess = np.square(places - mean).mean(axis=1) * len(places) / (len(places) - 1.0) - variance
-    scatter = math.sqrt(max(float(weight @ excess / weight.sum()), 1e-8))
-    some = np.unique(np.linspace(0, len(places) - 1, MOST_CLEAR_FITTED).round().astype(int))
-    apart = np.abs(time[some][:, None] - time[some])
-    step = max(float(np.median(np.diff(time[some]))), 1e-9)
-    away = places[some] - mean
-    best, found = -math.inf, Memory(mean, scatter, 0.0, 0.0)
-    for memory in MEMORIES:
-        for jitter in JITTERS if memory else JITTERS[:1]:
-            tried = Memory(mean, scatter, memory * step, jitter)
-            covariance = tried.covariance(apart) + np.diag(variance[some] + 1e-9)
-            sign, log_det = np.linalg.slogdet(covariance)
-            likelihood = -log_det - float((away * np.linalg.solve(covariance, away)).sum()) / 2.0
-            if sign > 0.0 and likelihood > best + (2.0 if memory else 0.0):
-                best, found = likelihood, tried
-    return found
-
-
-def _predicted(
-    places: FloatArray, variance: FloatArray, is_clear: NDArray[np.bool_], time: FloatArray, memory: Memory
-) -> tuple[FloatArray, FloatArray]:
-    """Predict the place and variance of each trial from the clear ones next to it in time, without itself."""
-    n = len(places)
-    if memory.memory == 0.0:
-        return np.tile(memory.mean, (n, 1)), np.full(n, memory.scatter**2)
-    clear = np.flatnonzero(is_clear)
-    count = min(NEIGHBOURS, len(clear))
-    first = np.clip(np.searchsorted(time[clear], time) - count // 2, 0, len(clear) - count)
-    near = clear[first[:, None] + np.arange(count)]
-    noise = np.where(near == np.arange(n)[:, None], 1e12, variance[near])
-    covariance = memory.covariance(time[near][:, :, None] - time[near][:, None])
-    covariance[:, np.arange(count), np.arange(count)] += noise
-    cross = memory.covariance(time[near] - time[:, None])
-    cross[near == np.arange(n)[:, None]] = 0.0
-    weights = np.linalg.solve(covariance, cross[:, :, None])[:, :, 0]
-    expected = memory.mean + np.einsum("kj,kjx->kx", weights, places[near] - memory.mean)
-    return expected, np.maximum(memory.scatter**2 - (weights * cross).sum(axis=1), 1e-9)
+    return mean, math.sqrt(max(float(weight @ excess / weight.sum()), 1e-8))
