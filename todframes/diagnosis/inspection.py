@@ -441,9 +441,8 @@ class GroupTriangle(NamedTuple):
         images = Images.of(even, known=known, hole=hole, view=view, **frames)
         middle = share @ stated
         apart = stated - middle
-        is_apart = bool(np.abs(apart).max() > LEAST_APART)
-        found = fitted(images, first_guess(images, size), CERTAIN_TURN, with_errors=not is_apart)
-        if is_apart:
+        found = fitted(images, first_guess(images, size), CERTAIN_TURN)
+        if np.abs(apart).max() > LEAST_APART:
             even = aligned(even, found, level=level, turns=turns, apart=apart)
             images = Images.of(even, known=known, hole=hole, view=view, **frames)
             found = fit(images, found.shape, found.shown)

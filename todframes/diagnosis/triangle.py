@@ -367,9 +367,7 @@ def _without_background(images: FloatArray, weight: FloatArray) -> FloatArray:
     return np.asarray(flat - (flat @ terms.T) @ np.linalg.pinv(terms @ terms.T, hermitian=True) @ terms)
 
 
-def fit(
-    images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3), *, with_errors: bool = True
-) -> TriangleFit:
+def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> TriangleFit:
     """Fit the picture of a triangle to mean frames by Gauss–Newton steps.
 
     Parameters
@@ -378,8 +376,6 @@ def fit(
     start : Shape
     shown : tuple of int
         Orientation on the frames for each stated one.
-    with_errors : bool
-        Without, the covariance is 0.
 
     Returns
     -------
@@ -394,12 +390,9 @@ def fit(
     for number in range(MOST_ROUNDS + 1):
         square = Square.about(shape, n)
         model = picture(shape, square, n)
-        is_last = is_found or number == MOST_ROUNDS
-        if is_last and not with_errors:
-            return TriangleFit(shape, np.zeros((N_PARAMETERS, N_PARAMETERS)), shown, model, square, 1.0)
         weight = square.of(images.weight)
         design = _design(model.slopes[order], factors, weight)
-        if is_last:
+        if is_found or number == MOST_ROUNDS:
             break
         left = square.of(images.triangles) - model.images[order]
         away = _without_background(np.tensordot(factors, left, 1), weight).ravel()
@@ -664,7 +657,7 @@ def _stated(images: Images, size: float) -> Shape:
     return start._replace(amplitude=amplitude if amplitude != 0.0 else 1e-9)
 
 
-def fitted(images: Images, start: Shape, certain: float, *, with_errors: bool = True) -> TriangleFit:
+def fitted(images: Images, start: Shape, certain: float) -> TriangleFit:
     """Fit a triangle, and take another arrangement of the orientations if this certainly fits the frames better.
 
     Parameters
@@ -673,10 +666,8 @@ def fitted(images: Images, start: Shape, certain: float, *, with_errors: bool = 
     start : Shape
     certain : float
         Least advantage of another arrangement than stated, in standard errors.
-    with_errors : bool
-        As in `fit`.
     """
-    found = fit(images, start, with_errors=with_errors)
+    found = fit(images, start)
     counts = np.diag(images.information)
     stated = np.flatnonzero(counts)
     if len(stated) < 2:
@@ -694,7 +685,7 @@ def fitted(images: Images, start: Shape, certain: float, *, with_errors: bool = 
     best = max(gain, key=lambda shown: gain[shown])
     if gain[best] <= 0.0:
         return found
-    other = fit(images, start, best, with_errors=with_errors)
+    other = fit(images, start, best)
     left = images.triangles.copy()
     subtract(left, other.picture.images[list(best)], other.square)
     whitened = np.tensordot(_whitened(images.information), left, 1)

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, SettingsError, TodframesError, argument
+from todframes.base.errors import SettingsError, TodframesError, argument
 from todframes.diagnosis.arrangement import ARRANGEMENTS, TURNED, Arrangement
-from todframes.diagnosis.inspection import LEAST_SIGNAL, SIZES_ALIKE, GroupTriangle, alike
+from todframes.diagnosis.findings import place_deviations
+from todframes.diagnosis.inspection import LEAST_SIGNAL, SIZES_ALIKE, inspect
 from todframes.diagnosis.locate import Location, locate_triangles
-from todframes.diagnosis.windows import measure_trial
 from todframes.frames.dataset import Dataset, WarningCode
-from todframes.frames.position import centroid_position, size_in_px
+from todframes.frames.position import centroid_position
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.observers.interface import Observer
 from todframes.parameters import Decisions, Locate
@@ -41,6 +41,10 @@ LEAST_RIGHT, LEAST_GAIN = 0.75, 0.2
 
 LEAST_OFFSET = 0.1
 """Least distance from the stated position, and least scatter of positions, in sizes, for a hint at positions."""
+
+LEAST_WRONG = 2
+"""Least number of trials that do not follow their level for triangles to lie elsewhere: a change that gains
+`LEAST_GAIN` concerns as many of `LEAST_TRIALS`."""
 
 LEAST_EVIDENCE = math.log(1e4)
 """Least log likelihood ratio against guessing, for a hint; some thirty changes are tried."""
@@ -191,11 +195,6 @@ def _named_size(ratio: float) -> tuple[float, str]:
     return next(one for one in named if max(ratio / one[0], one[0] / ratio) <= SIZES_ALIKE)
 
 
-def _least_offset_px(error_px: float, size_px: float) -> float:
-    """Return the distance from the stated place above which a triangle lies elsewhere."""
-    return max(3.0 * error_px + 0.5, LEAST_OFFSET * size_px)
-
-
 @dataclass(frozen=True, slots=True)
 class _Change:
     """A change of the trials, with the answers after it: clauses of a hint, and its codes.
@@ -276,39 +275,22 @@ class _MistakeSearch:
             yield _Change(answers, clauses, codes, (found,))
 
     def _are_as_stated(self) -> bool:
-        """Return whether the frames are known to show the triangles with the stated place, size and polarity."""
+        """Return whether the frames are known to show the triangles with the stated place, size and polarity.
+
+        Trials that show them elsewhere, or not at all, do not follow their level. Where single trials do not show
+        places that scatter, the blur of their mean does.
+        """
         if self.strongest.has_scenes:
             return False
-        try:
-            return all(self._is_as_stated(self.strongest.select(part)) for part in alike(self.strongest))
-        except DataError:
-            return False
-
-    def _is_as_stated(self, trials: Trials) -> bool:
-        """Fit the triangle of trials whose sizes are alike about its stated place.
-
-        If a share q of the strong trials showed it elsewhere, or not at all, the contrasts at that place would
-        scatter by √(q / (1 - q)) of their mean or more; no change gains more than q. Where single trials do not
-        show places that scatter, the blur of their mean does.
-        """
-        is_strong = trials.levels >= min(trial.level for trial in self.trials)
-        if not is_strong.any():
-            return True
-        size_px = size_in_px(trials[0], self.dataset.display.pitch_mrad)
-        samples = [measure_trial(self.dataset, one, self.observer.centre, size_px=size_px) for one in trials]
-        found, block_px = GroupTriangle.of(self.dataset, samples, size_px), samples[0].block_px
-        amplitude, blur_px = found.fit.shape.amplitude, block_px * math.sqrt(max(found.fit.shape.variance, 0.0))
-        away, error = found.trials.away[is_strong, 0], found.trials.error[is_strong, 0]
-        uneven = np.average(np.square(away), weights=1.0 / np.square(np.maximum(error, 1e-6)))
-        offset_px, error_px = block_px * float(np.hypot(*found.offset)), block_px * float(found.error[1:3].max())
-        scatter_px = found.scatter_px(size_px / block_px, block_px)
-        return bool(
-            found.signal >= LEAST_SIGNAL
-            and amplitude > 0.0
-            and max(found.size_ratio, 1.0 / found.size_ratio) <= SIZES_ALIKE
-            and offset_px <= _least_offset_px(error_px, size_px)
-            and (blur_px if scatter_px is None else scatter_px) <= LEAST_OFFSET * size_px
-            and uneven <= LEAST_GAIN / (1.0 - LEAST_GAIN) * amplitude**2
+        found = inspect(self.dataset, self.strongest, centre=self.observer.centre)
+        return bool(found) and all(
+            one.signal >= LEAST_SIGNAL
+            and (one.contrast_slope or 0.0) > 0.0
+            and 2 * one.n_level >= one.n_trials
+            and one.wrong_level < LEAST_WRONG
+            and (one.scatter_px is not None or (one.blur_px or 0.0) <= LEAST_OFFSET * one.size_px)
+            and not any(place_deviations(self.dataset, one))
+            for one in found
         )
 
     def _size(self, ratio: float, question: str) -> Iterator[tuple[str, _Code]]:
@@ -329,7 +311,7 @@ class _MistakeSearch:
                 yield clause, ("position_scatter", location.scatter_px, 0.0)
             return
         here, stated = (round(location.x_px, 2), round(location.y_px, 2)), self._stated_position()
-        if math.dist(here, stated) > _least_offset_px(location.standard_error_px or 0.0, size_px):
+        if math.dist(here, stated) > max(3.0 * (location.standard_error_px or 0.0) + 0.5, LEAST_OFFSET * size_px):
             clause = (
                 f"the triangle's centroid were at x_px {here[0]:g}, y_px {here[1]:g} instead of {stated[0]:g}, "
                 f"{stated[1]:g}: Give it in the manifest, or let {argument.locate} find it."
