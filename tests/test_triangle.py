@@ -95,7 +95,7 @@ def test_a_chart_from_the_side_is_stretched_and_neither_turned_nor_fainter() -> 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_arrangement_and_polarity_are_found(shown, sign) -> None:
     images = images_of(triangles.turning(3.0), shown=shown, noise=0.02, sign=sign)
-    found = fitted(images, first_guess(images, 8.0), 5.0)
+    found = fitted(images, first_guess(images, 8.0))
     assert found.shown == shown
     assert np.sign(found.shape.amplitude) == sign
     assert np.rad2deg(found.shape.turn_rad) == pytest.approx(3.0, abs=5.0 * np.rad2deg(found.turn_error_rad))

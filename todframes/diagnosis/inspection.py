@@ -68,8 +68,8 @@ CLEAR, OFF_LEVEL = 0.1, 0.4
 """Largest error of a trial's contrast or place that shows it clearly, relative to the contrast and the size, and
 the relative deviation of a contrast that does not follow its level."""
 
-CERTAIN_TURN, CLEARLY_TURNED = 5.0, 8.0
-"""Least advantage of another orientation than stated, in standard errors: of a group, and of a single trial."""
+CLEARLY_TURNED = 8.0
+"""Least advantage of another orientation than stated, in standard errors, of a single trial."""
 
 WHOLE_IN_SIZES = 1.2
 """Distance from the centroid within which all frames must have pixels for size and contrast to be judged."""
@@ -441,7 +441,7 @@ class GroupTriangle(NamedTuple):
         images = Images.of(even, known=known, hole=hole, view=view, **frames)
         middle = share @ stated
         apart = stated - middle
-        found = fitted(images, first_guess(images, size), CERTAIN_TURN)
+        found = fitted(images, first_guess(images, size))
         if np.abs(apart).max() > LEAST_APART:
             even = aligned(even, found, level=level, turns=turns, apart=apart)
             images = Images.of(even, known=known, hole=hole, view=view, **frames)

@@ -58,6 +58,9 @@ MOST_STRETCH = 1.5
 MOST_BESIDE_TURN_RAD = math.radians(8.0)
 """Largest rotation beside a quarter turn: a triangle turned by 25° is one turned by -90° and by 5° back."""
 
+CERTAIN_TURN = 5.0
+"""Least advantage of another arrangement of the orientations than stated, in standard errors."""
+
 SEPARABLE = 1.2
 """Least ratio of the highest level to the lowest at which the part that all frames share can be separated."""
 
@@ -657,16 +660,8 @@ def _stated(images: Images, size: float) -> Shape:
     return start._replace(amplitude=amplitude if amplitude != 0.0 else 1e-9)
 
 
-def fitted(images: Images, start: Shape, certain: float) -> TriangleFit:
-    """Fit a triangle, and take another arrangement of the orientations if this certainly fits the frames better.
-
-    Parameters
-    ----------
-    images : Images
-    start : Shape
-    certain : float
-        Least advantage of another arrangement than stated, in standard errors.
-    """
+def fitted(images: Images, start: Shape) -> TriangleFit:
+    """Fit a triangle, and take another arrangement of the orientations if it certainly fits the frames better."""
     found = fit(images, start)
     counts = np.diag(images.information)
     stated = np.flatnonzero(counts)
@@ -692,5 +687,5 @@ def fitted(images: Images, start: Shape, certain: float) -> TriangleFit:
     # The advantage is a sum over the orientations of the products of noise with differences of pictures.
     moved = np.sqrt(counts)[:, None, None] * (differ[list(best)] - differ)
     variances = filter_variances(moved, noise_spectrum(whitened, images.weight, square.side))
-    is_certain = gain[best] > certain * math.sqrt(float(variances.sum()))
+    is_certain = gain[best] > CERTAIN_TURN * math.sqrt(float(variances.sum()))
     return other if is_certain and abs(other.shape.turn_rad) < MOST_BESIDE_TURN_RAD else found

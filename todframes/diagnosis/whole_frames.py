@@ -14,6 +14,7 @@ from todframes.base.errors import FrameError
 from todframes.diagnosis.arrangement import TURNED
 from todframes.frames.contrast import ContrastPatch, read_contrast
 from todframes.frames.dataset import Dataset
+from todframes.frames.surround import block_sums
 from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
 
@@ -113,17 +114,12 @@ def block_means(patch: ContrastPatch, block_px: int) -> FloatArray:
     """Average the contrast of a whole frame over square blocks; incomplete blocks are dropped."""
     if block_px == 1 and patch.to_contrast is None:
         return patch.values
-    n_rows, n_columns = (length // block_px for length in patch.values.shape[:2])
-    means = np.zeros((n_rows, n_columns))
+    rows, columns = patch.values.shape[:2]
+    sums = np.zeros((-(-rows // block_px), -(-columns // block_px)))
     for band in patch.bands():
-        within = band.values[: max(n_rows * block_px - band.row, 0), : n_columns * block_px]
-        if len(within) == 0:
-            continue
-        by_columns = within.reshape(len(within), n_columns, block_px).sum(axis=2)
-        block_rows = (band.row + np.arange(len(within))) // block_px
-        starts = np.flatnonzero(np.diff(block_rows, prepend=-1))
-        means[block_rows[0] : block_rows[-1] + 1] += np.add.reduceat(by_columns, starts, axis=0)
-    return means / block_px**2
+        of_band, (first, _) = block_sums(band.values, band.row, 0, block_px)
+        sums[first : first + len(of_band)] += of_band
+    return np.asarray(sums[: rows // block_px, : columns // block_px] / block_px**2)
 
 
 def _size(shape: tuple[int, ...]) -> str:

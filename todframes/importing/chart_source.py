@@ -520,84 +520,70 @@ class ChartSource:
             yield from self._warnings(report)
 
     def _warnings(self, report: RecordingReport) -> Iterator[RecordingWarning]:
-        clips, where = report.clips, f"{report.path}: "
-        if not clips:
+        if not report.clips:
             why = "no marker of the chart was found" if not report.other_keys else "it shows another chart"
             why = "it shows the page to measure the camera alone" if report.n_camera_page else why
-            yield RecordingWarning("unused_recording", f"{where}{why}, so the recording is not in the dataset")
+            found = [RecordingWarning("unused_recording", f"{why}, so the recording is not in the dataset")]
+        else:
+            found = [*self._of_clock(report), *self._of_lens(report), *_of_view(report), *self._of_frames(report)]
+        for code, message in found:
+            yield RecordingWarning(code, f"{report.path}: {message}")
+
+    def _of_clock(self, report: RecordingReport) -> Iterator[RecordingWarning]:
+        """Yield a warning if the times of the frames contradict those of the chart."""
+        screen, found_s, rate = self.chart.screen, report.page_duration_s, report.frames_per_second
+        if screen is None or found_s is None or rate is None:
             return
+        ratio = found_s / screen.page_duration_s
+        if abs(ratio - 1.0) > LARGEST_CLOCK_ERROR:
+            yield RecordingWarning(
+                "clock",
+                f"pages follow each other every {found_s:.3g} s by the times of the frames, but the chart shows "
+                f"each for {screen.page_duration_s:.3g} s: {rate:.4g} frames/s here, {rate * ratio:.4g} by the "
+                f"chart; trials average {1 / ratio:.2g} times as many frames as the eye does; give "
+                f"{argument.frames_per_second} {rate * ratio:.4g} if the chart is right",
+            )
 
-        screen, found_s = self.chart.screen, report.page_duration_s
-        if screen is not None and found_s is not None and report.frames_per_second is not None:
-            ratio = found_s / screen.page_duration_s
-            if abs(ratio - 1.0) > LARGEST_CLOCK_ERROR:
-                rate = report.frames_per_second
-                yield RecordingWarning(
-                    "clock",
-                    f"{where}pages follow each other every {found_s:.3g} s by the times of the frames, but the "
-                    f"chart shows each for {screen.page_duration_s:.3g} s: {rate:.4g} frames/s here, "
-                    f"{rate * ratio:.4g} by the chart; trials average {1 / ratio:.2g} times as many frames "
-                    "as the eye does; give "
-                    f"{argument.frames_per_second} {rate * ratio:.4g} if the chart is right",
-                )
-
-        def worst(name: str) -> float:
-            return max((float(clip[name]) for clip in clips), key=abs)  # type: ignore[arg-type]
-
-        n_unread = report.n_without_markers + report.n_transition
-        n_gaps = sum(int(str(clip["n_gaps"])) for clip in clips)
-        residual, error_px = worst("residual_px"), report.place_error_px or 0.0
+    def _of_lens(self, report: RecordingReport) -> Iterator[RecordingWarning]:
+        """Yield warnings about triangles that the lens places wrong, and about a zoom."""
+        residual, error_px = _worst(report, "residual_px"), report.place_error_px or 0.0
         lens = "an ideal lens" if report.lens is None else f"a lens of the {report.lens['model']} model"
         if report.lens_unsolved:
             yield RecordingWarning(
                 "residual",
-                f"{where}the markers' edges determine neither a flat chart nor one behind a lens, so that it is "
-                "not known how far triangles are placed wrong; film the chart larger, sharper and with less noise",
+                "the markers' edges determine neither a flat chart nor one behind a lens, so that it is not known "
+                "how far triangles are placed wrong; film the chart larger, sharper and with less noise",
             )
         elif residual > MOST_RESIDUAL_PX:
             yield RecordingWarning(
                 "residual",
-                f"{where}triangles may be placed wrong by {max(error_px, residual):.2g} px (rms), "
+                f"triangles may be placed wrong by {max(error_px, residual):.2g} px (rms), "
                 f"{_rise_words(max(error_px, residual) * self._pitch_mrad)}; the markers' edges lie "
-                f"{residual:.2g} px off a flat chart behind {lens}: the chart is bent, or the frames "
-                "are noisy or blurred; film the chart larger, or nearer to the middle of the frame",
+                f"{residual:.2g} px off a flat chart behind {lens}: the chart is bent, or the frames are noisy or "
+                "blurred; film the chart larger, or nearer to the middle of the frame",
             )
         elif error_px > MOST_ERROR_PX:
             n_markers = len(self._markers.all_centres_mm)
+            chart = "a chart with markers along its borders," if n_markers == len(CORNERS) else "the chart"
             yield RecordingWarning(
                 "few_points",
-                f"{where}the {n_markers} markers have too few points to determine the distortion: they fit "
-                f"{lens}, but also others that place triangles {error_px:.2g} px (rms) elsewhere, "
-                f"{_rise_words(error_px * self._pitch_mrad)}; film "
-                + ("a chart with markers along its borders, " if n_markers == len(CORNERS) else "the chart ")
-                + "larger, or nearer to the middle of the frame",
+                f"the {n_markers} markers have too few points to determine the distortion: they fit {lens}, but "
+                f"also others that place triangles {error_px:.2g} px (rms) elsewhere, "
+                f"{_rise_words(error_px * self._pitch_mrad)}; film {chart} larger, or nearer to the middle of the "
+                "frame",
             )
         if report.zoom_from is not None:
             yield RecordingWarning(
                 "zoom",
-                f"{where}the picture of the chart changes its size from {report.zoom_from} on: the lens zooms, or "
-                "camera and chart come nearer; curves then mix magnifications; import each part on its own",
+                f"the picture of the chart changes its size from {report.zoom_from} on: the lens zooms, or camera "
+                "and chart come nearer; curves then mix magnifications; import each part on its own",
             )
-        if abs(roll := worst("roll_degrees")) > math.degrees(MOST_TURN_RAD):
-            yield RecordingWarning(
-                "rolled",
-                f"{where}triangles are turned by {abs(roll):.1f}° from their orientation, which the observer does "
-                "not expect; turn the camera, or the chart",
-            )
-        stretch, by_lens = worst("stretch"), worst("lens_stretch")
-        if stretch >= MOST_LENS_STRETCH and by_lens >= MOST_LENS_STRETCH:
-            yield RecordingWarning(
-                "lens_stretch",
-                f"{where}triangles are stretched by {100 * (stretch - 1):.2g} %, and the lens alone would stretch "
-                f"them by {100 * (by_lens - 1):.2g} %, so they are not the triangles that the observer expects; "
-                "film the chart nearer to the middle of the frame",
-            )
-        elif stretch > REPORTED_STRETCH:
-            yield RecordingWarning(
-                "tilted",
-                f"{where}triangles are stretched by {100 * (stretch - 1):.2g} %, as in a view at "
-                f"{math.degrees(math.acos(1 / stretch)):.0f}° to the chart; look at it squarely",
-            )
+
+    def _of_frames(self, report: RecordingReport) -> Iterator[RecordingWarning]:
+        """Yield warnings about frames and windows that were left out, or that gaps and repetitions spoil."""
+        n_gaps = sum(int(str(clip["n_gaps"])) for clip in report.clips)
+        n_unread = report.n_without_markers + report.n_transition
+        unread = f" or show no page clearly ({n_unread} of {report.n_frames} do not)" * bool(n_unread)
         for n_found, code, what in (
             (report.n_off_frame, "off_frame", "triangles reach beyond the frame and were left out"),
             (
@@ -617,20 +603,18 @@ class ChartSource:
             (
                 0 if report.frame_rate_varies else n_gaps,
                 "dropped_frames",
-                f"gaps of more than {GAP:g} frames, where frames are missing"
-                + f" or show no page clearly ({n_unread} of {report.n_frames} do not)" * bool(n_unread)
-                + "; no trial goes across them",
+                f"gaps of more than {GAP:g} frames, where frames are missing{unread}; no trial goes across them",
             ),
             (
                 n_gaps if report.frame_rate_varies else 0,
                 "variable_frame_rate",
                 f"gaps of more than {GAP:g} frames, because the frame rate varies"
-                + f" or frames show no page clearly ({n_unread} of {report.n_frames} do not)" * bool(n_unread)
+                + unread.replace(" or show", " or frames show")
                 + "; no trial goes across them; record at a constant frame rate",
             ),
         ):
             if n_found:
-                yield RecordingWarning(code, f"{where}{n_found} {what}")
+                yield RecordingWarning(code, f"{n_found} {what}")
 
     def report(self) -> list[dict[str, object]]:
         """Return the findings in each recording and its clips."""
@@ -732,6 +716,35 @@ def _count_unclear(n_frames: int, report: RecordingReport) -> None:
         report.n_without_markers += n_frames
     else:
         report.n_transition += n_frames
+
+
+def _worst(report: RecordingReport, name: str) -> float:
+    """Return the value of a clip that is farthest from 0."""
+    return max((float(str(clip[name])) for clip in report.clips), key=abs)
+
+
+def _of_view(report: RecordingReport) -> Iterator[RecordingWarning]:
+    """Yield warnings about triangles that the view turns or stretches."""
+    if abs(roll := _worst(report, "roll_degrees")) > math.degrees(MOST_TURN_RAD):
+        yield RecordingWarning(
+            "rolled",
+            f"triangles are turned by {abs(roll):.1f}° from their orientation, which the observer does not "
+            "expect; turn the camera, or the chart",
+        )
+    stretch, by_lens = _worst(report, "stretch"), _worst(report, "lens_stretch")
+    if stretch >= MOST_LENS_STRETCH and by_lens >= MOST_LENS_STRETCH:
+        yield RecordingWarning(
+            "lens_stretch",
+            f"triangles are stretched by {100 * (stretch - 1):.2g} %, and the lens alone would stretch them by "
+            f"{100 * (by_lens - 1):.2g} %, so they are not the triangles that the observer expects; film the "
+            "chart nearer to the middle of the frame",
+        )
+    elif stretch > REPORTED_STRETCH:
+        yield RecordingWarning(
+            "tilted",
+            f"triangles are stretched by {100 * (stretch - 1):.2g} %, as in a view at "
+            f"{math.degrees(math.acos(1 / stretch)):.0f}° to the chart; look at it squarely",
+        )
 
 
 def _rise_words(shift_mrad: float) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -236,20 +236,13 @@ def import_recordings(
     opened = open_for_import(
         recordings, schedule, level=level, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb
     )
+    reading: dict[str, Any] = {"pitch_mrad": pitch_mrad, "progress": progress, "warm_up_frames": warm_up_frames}
     source: Source
     if schedule is None:
-        source = ChartSource(
-            Path(str(chart)), pitch_mrad=pitch_mrad, progress=progress, warm_up_frames=warm_up_frames
-        )
+        source = ChartSource(Path(str(chart)), **reading)
     else:
         source = ScheduleSource(
-            Path(schedule),
-            opened,
-            pitch_mrad=pitch_mrad,
-            ifov_mrad=ifov_mrad,
-            level=level or DEFAULT_LEVEL,
-            progress=progress,
-            warm_up_frames=warm_up_frames,
+            Path(schedule), opened, ifov_mrad=ifov_mrad, level=level or DEFAULT_LEVEL, **reading
         )
     scales = [code_range(one, value_range) for one in opened]
     is_clipped = shown.display.eotf != "linear"
@@ -284,16 +277,15 @@ def import_recordings(
             comment=f"Imported by todframes {__version__}; {REPORT_FILE} says what was found\n"
             f"Display: {one_line(shown.title)}",
         )
-        to_report = (
-            *_of_recordings(opened),
+        warnings = (
+            *(warning for recording in opened for warning in recording.warnings),
             *source.warnings(),
             *_of_trials(division, source, opened, time_s, steady=steady),
             *_of_design(division, source),
             *_of_windows(division, is_clipped=is_clipped),
         )
         dataset = load_dataset(folder, max_frame_mb=max_frame_mb)
-        to_report += tuple(_of_frames(dataset, {code for code, _ in to_report}))
-        warnings = tuple(RecordingWarning(*warning) for warning in to_report)
+        warnings += tuple(_of_frames(dataset, {code for code, _ in warnings}))
         notes = (*source.notes(), *_of_time(opened, time_s), *_of_warm_up(division, warm_up_frames))
         n_clips = sum(clip.n_trials > 0 for clip in source.clips)
         report = {
@@ -402,12 +394,6 @@ def _why_no_trial(division: TrialDivision, source: Source, time_s: float | None)
         f"(frames: {clip.n_frames}), shorter than the integration time of {time_s:g} s; record each page longer, "
         f"or give a shorter {argument.integration_time_s}"
     )
-
-
-def _of_recordings(opened: Sequence[Recording]) -> Iterator[RecordingWarning]:
-    for recording in opened:
-        for code, message in recording.warnings:
-            yield RecordingWarning(code, message)
 
 
 def _of_trials(
