@@ -392,29 +392,6 @@ def test_registered_scenes_have_the_names_they_are_found_by(monkeypatch):
 
 
 @pytest.mark.usefixtures("_only_known")
-def test_json(todframes):
-    status, out, err = todframes("accuracy", "--scene", "known", "--time", "0.1", "--seed", "7", "--json")
-    assert (status, err) == (0, "")
-    result = json.loads(out)
-    assert (result["schema"], result["command"], result["seed"]) == (1, "accuracy", 7)
-    assert result["settings"] == {"seconds": 0.1, "dataset": None}
-    assert {"version", "run_time_s"} <= set(result)
-    (scene,) = result["scenes"]
-    assert (scene["name"], scene["level"], scene["threshold"], scene["threshold_bound"]) == (
-        *("known", "contrast", 2.0, 1e-9),
-    )
-    literal, closed_form = scene["estimators"]
-    assert literal["name"] == "literal"
-    for point in literal["points"]:
-        assert set(point) == {"trials", "repeats", "cpu_s", "wall_s", "p_correct_error", "threshold_error"}
-        assert point["wall_s"] > 0.0
-    assert [at["threshold_error"] for at in closed_form["cpu_s_at"]] == [0.01, 0.001]
-    for ratio, one, other in zip(scene["speed_ratios"], literal["cpu_s_at"], closed_form["cpu_s_at"], strict=True):
-        assert ratio["ratio"] == pytest.approx(one["cpu_s"] / other["cpu_s"])
-        assert ratio["closed_form"] == "closed_form"
-
-
-@pytest.mark.usefixtures("_only_known")
 def test_out(todframes, tmp_path: Path):
     folder = tmp_path / "result"
     status, out, err = todframes("accuracy", "--scene", "known", "--time", "0.1", "-o", folder)
@@ -430,16 +407,6 @@ def test_out(todframes, tmp_path: Path):
     assert "(accuracy_known.png)" in page
     for label in ("drawn", "computed"):
         assert label in out and label in page
-
-
-@pytest.mark.usefixtures("_only_known")
-def test_out_appears_whole_or_not_at_all(todframes, monkeypatch, tmp_path: Path):
-    def broken(_: object) -> bytes:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(accuracy_report, "page", broken)
-    assert todframes("accuracy", "--scene", "known", "--time", "0.05", "-o", tmp_path / "result")[0] == 130
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.usefixtures("_only_known")

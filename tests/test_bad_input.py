@@ -362,14 +362,6 @@ def assert_validate_finds(dataset, problems, todframes):
     assert_says(errors[-1], (re.escape(str(dataset.path)), rf"\b{len(problems)} problem"))
 
 
-@pytest.mark.parametrize("case", ["exr declares 60000", "exr declares too many bytes", "png declares 60000"])
-def test_nobody_is_asked_to_raise_limits(case, make_dataset):
-    """OpenImageIO's advice, which no user of this package can follow."""
-    dataset = FRAMES[case].of(make_dataset)
-    with refused(FrameError, (re.escape(str(dataset.frame(BAD))), "^(?!.*attribute)")):
-        score(load_dataset(dataset.path))
-
-
 def test_wrong_sha256(make_dataset):
     dataset = make_dataset(row_changes={BAD: {"sha256": "0" * 64}})
     wanted = (re.escape(str(dataset.frame(BAD))), "sha256", "0{64}", "[0-9a-f]{64}")
@@ -406,18 +398,6 @@ def peak_memory_mib():
     import resource
 
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-def test_every_skipped_frame_is_listed_in_the_written_result(make_dataset, todframes, tmp_path):
-    dataset = make_dataset(row_changes={2: {"orientation": "north"}})
-    dataset.frame(BAD).write_bytes(b"")
-    status, out, _ = todframes("score", dataset.path, "-o", tmp_path / "out", "--on-error", "skip", "--json")
-    assert status == 0
-    written = json.loads((tmp_path / "out" / "result.json").read_text())
-    assert written == json.loads(out)
-    assert {one["frame"] for one in written["skipped"]} == {dataset.rows[row]["frame"] for row in (BAD, 2)}
-    scored = (tmp_path / "out" / "scores.csv").read_text().splitlines()
-    assert len(scored) == 1 + len(dataset.rows) - 2
 
 
 def test_nothing_left_after_skipping(make_dataset, fails, tmp_path):
@@ -674,15 +654,6 @@ def test_a_file_that_is_no_csv_is_closed(tmp_path):
     assert str(tmp_path / "rows.csv") not in {os.path.realpath(one) for one in Path("/proc/self/fd").iterdir()}
 
 
-@pytest.mark.parametrize("command", ["score", "score --on-error skip", "validate", "compare --enhance median"])
-def test_bad_manifest_meets_the_commands(command, make_dataset, fails):
-    dataset = make_dataset(contrasts=(0.5,))
-    dataset.manifest_file.write_bytes(b"")
-    wanted = (re.escape(str(dataset.manifest_file)), "column 'frame' is missing")
-    name, *options = command.split()
-    fails(name, dataset.path, *options, status=BAD_DATA, wanted=wanted)
-
-
 @pytest.mark.parametrize("fields", ["frames/x.exr,up,2", "frames/x.exr,up,2,0.5,0.5", "frames/x.exr"])
 def test_fields_of_a_row(fields, make_dataset):
     dataset = make_dataset()
@@ -700,17 +671,6 @@ def test_line_break_in_a_name_stays_in_its_line(make_dataset, fails, todframes):
     assert_validate_finds(dataset, [("No such file",)], todframes)
     status, _, errors = todframes("score", dataset.path, "--on-error", "skip", "--json")
     assert (status, len(errors)) == (0, 1), errors
-
-
-@pytest.mark.parametrize("content", ["folder", "missing"])
-def test_manifest_is_no_file(content, make_dataset):
-    dataset = make_dataset(contrasts=(0.5,))
-    dataset.manifest_file.unlink()
-    if content == "folder":
-        dataset.manifest_file.mkdir()
-    wanted = (re.escape(str(dataset.manifest_file)), "directory|folder" if content == "folder" else "no such file")
-    with refused(DataError, wanted):
-        load_dataset(dataset.path)
 
 
 @pytest.mark.parametrize("name", ["missing", "file", "file/below"])
@@ -914,15 +874,6 @@ def test_bad_display(display, wanted, make_dataset):
     dataset = make_dataset(contrasts=(0.5,), display=display)
     with refused(SettingsError, (re.escape(str(dataset.path)), *wanted)):
         load_dataset(dataset.path)
-
-
-@pytest.mark.parametrize("command", ["score", "validate", "compare --enhance median"])
-def test_bad_settings_meet_the_commands(command, make_dataset, fails, tmp_path):
-    dataset = make_dataset(contrasts=(0.5,), display={"pixel_pitch_mrad": -0.7})
-    name, *options = command.split()
-    more = () if name == "validate" else ("-o", tmp_path / "out")
-    wanted = (re.escape(str(dataset.settings_file)), "pixel_pitch_mrad", "-0.7", "> 0")
-    fails(name, dataset.path, *options, *more, status=BAD_SETTINGS, wanted=wanted)
 
 
 EXPERIMENTS = {
@@ -1245,13 +1196,6 @@ def test_bad_counts(content, wanted, tmp_path):
         read_counts(path)
 
 
-def test_counts_are_no_file(fails, tmp_path):
-    with refused(DataError, (re.escape(str(tmp_path)), "directory|folder")):
-        read_counts(tmp_path)
-    missing = tmp_path / "missing.csv"
-    fails("fit", missing, "--json", status=BAD_DATA, wanted=(re.escape(str(missing)), "no such file"))
-
-
 # Where results go ---------------------------------------------------------------------------------------------
 
 
@@ -1297,16 +1241,6 @@ def test_an_interruption_says_that_results_were_written(make_dataset, todframes,
     assert (out / "result.json").is_file()
     status, _, errors = todframes("score", dataset.path)
     assert (status, errors) == (INTERRUPTED, ["error: interrupted, nothing was written"])
-
-
-def test_old_results_stay_when_a_run_fails(make_dataset, todframes, tmp_path):
-    out, dataset = tmp_path / "out", make_dataset()
-    assert todframes("score", dataset.path, "-o", out)[0] == 0
-    before = tree(out)
-    dataset.frame(BAD).unlink()
-    assert todframes("score", dataset.path, "-o", out)[0] == BAD_DATA
-    assert tree(out) == before
-    assert {path.name for path in tmp_path.iterdir()} == {"out", "dataset"}
 
 
 # Standard output ----------------------------------------------------------------------------------------------
@@ -1373,16 +1307,6 @@ def test_arguments_are_shown_without_control_characters(arguments, todframes):
     status, out, errors = todframes(*arguments)
     assert (status != 0, out, len(errors)) == (True, "", 1)
     assert errors[0].isprintable(), errors
-
-
-def test_values_in_json_are_as_they_were(make_dataset, todframes):
-    dataset = make_dataset(experiment={"group_by": ["lens"]})
-    for row in dataset.rows:
-        row["lens"] = HOSTILE
-    dataset.save()
-    _, out, _ = todframes("score", dataset.path, "--set", "resamples=0", "--json")
-    assert json.loads(out)["fits"][0]["group"] == {"lens": HOSTILE}
-    assert all(line.isprintable() for line in out.splitlines())
 
 
 # In a process of its own --------------------------------------------------------------------------------------

@@ -46,7 +46,7 @@ from todframes.results.result import Result
 from todframes.results.summary import comparison, comparisons
 from todframes.scoring.score import score_dataset
 from todframes.scoring.work import Run
-from todframes.stimulus import ORIENTATIONS, Stimulus, coverage
+from todframes.stimulus import ORIENTATIONS, Stimulus
 
 FAST = FitSettings(resamples=40)
 OBSERVER = PyramidObserver()
@@ -214,15 +214,6 @@ def test_colour_windows_and_trials_of_several_frames(make_dataset) -> None:
     assert np.allclose(colour.scored.scores, scored.scores, rtol=0.0, atol=1e-5)
 
 
-def test_grey_in_three_channels_is_one_image(make_dataset) -> None:
-    """The algorithm sees it as grey; the display weighs the channels, which add up to one."""
-    made = make_dataset(suffix=".png", contrasts=(0.1, 0.4))
-    grey = compare(made.path, "unsharp")[1].scored
-    for number in range(len(made.rows)):
-        write_frame(made.frame(number), np.repeat(read_frame(made.frame(number)).values, 3, axis=2))
-    assert np.allclose(compare(made.path, "unsharp")[1].scored.scores, grey.scores, rtol=0.0, atol=1e-10)
-
-
 @pytest.mark.parametrize("background", [50.0, "border"])
 @pytest.mark.parametrize(
     "spec", ["own_enhancements:pixels_divided:factor=3", "own_enhancements:pixels_divided:factor=2"]
@@ -275,15 +266,6 @@ def test_gain_of_noise_limited_frames_does_nothing(make_dataset) -> None:
     assert one.ratio.ratio == pytest.approx(1.0, abs=0.01)
 
 
-def test_blur_beyond_the_pixel_hurts_small_triangles_most(make_dataset) -> None:
-    made = make_dataset(suffix=".png", sizes_mrad=(1.0, 3.0), contrasts=(0.05, 0.1, 0.2, 0.4), repeats=3)
-    blurred = compare(made.path, "gaussian:sigma=2")[1]
-    small, large = blurred.compared
-    assert (small.verdict, large.verdict, blurred.overall.verdict) == ("worse", "worse", "worse")
-    # The triangle is 4 pixels wide, or 12: of a blur of 2 the smaller one suffers more.
-    assert small.ratio.ratio is None or small.ratio.ratio > 1.5 * large.ratio.ratio
-
-
 def noisy_frames(
     make_dataset, *, sigma: float, repeats: int = 12, name: str = "noisy", levels=(0.15, 0.3, 0.6, 1.2)
 ):
@@ -310,13 +292,6 @@ def test_averaging_n_noisy_frames_lowers_the_threshold_by_the_root_of_n(make_dat
     (low, high), (low_4, high_4) = (fit.threshold_ci95 for fit in fits)
     assert [fit.n_trials for fit in fits] == [256, 256]
     assert 0.25 < low_4 / high < 0.5 < high_4 / low < 1.0  # sure enough to tell √4 from 4 and from 1
-
-
-def test_removing_noise_helps_and_adding_it_hurts(make_dataset) -> None:
-    """Averaging twice by hand: noise that an algorithm adds raises the threshold, paired frame by frame."""
-    made = make_dataset(suffix=".png", contrasts=(0.03, 0.06, 0.12, 0.25), repeats=6)
-    (one,) = compare(made.path, "own_enhancements:noisy:sigma=0.1")[1].compared
-    assert (one.verdict, one.ratio.ratio > 1.0) == ("worse", True)
 
 
 # The background
@@ -422,11 +397,6 @@ def test_values_that_the_display_cannot_show(make_dataset, eotf: str) -> None:
     clipped = compare(made.path, "own_enhancements:gain:by=6", allow_clipping=True)[1]
     frames = [read_frame(made.frame(number)).values for number in range(4)]
     assert clipped.n_clipped == sum(np.count_nonzero(np.abs(6 * (f - 0.5)) > 0.5 + 1e-6) for f in frames)
-
-
-def test_linear_exr_has_no_upper_end(make_dataset) -> None:
-    made = make_dataset(contrasts=(0.6,))
-    assert compare(made.path, "own_enhancements:gain:by=6", white=100.0)[1].n_clipped == 0
 
 
 def test_white_must_be_said_of_frames_in_luminance(make_dataset) -> None:
@@ -669,13 +639,6 @@ def test_part_of_an_exr(make_dataset) -> None:
     assert np.allclose(finer.scored.scores, scored.scores, rtol=0.0, atol=1e-5)  # 32-bit code values
 
 
-def test_coverage_is_what_the_helper_draws(make_dataset) -> None:
-    """The frames of these tests: 50 cd/m² and a triangle, in code values of white."""
-    made = make_dataset(suffix=".png", contrasts=(0.4,))
-    triangle = coverage((48, 48), size_px=8.0, x_px=23.5, y_px=23.5, orientation=ORIENTATIONS[0])
-    assert np.allclose(read_frame(made.frame(0)).values[..., 0], 0.5 * (1 + 0.4 * triangle), rtol=0.0, atol=1e-5)
-
-
 # Amplification or more
 
 
@@ -717,16 +680,6 @@ def test_a_triangle_darker_than_its_background_has_a_gain_too(make_dataset) -> N
     made.save()
     _, found = compare(made.path, "own_enhancements:gain:by=2")
     assert found.compared[0].beyond_gain.contrast_gain == pytest.approx(2.0, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("spec", "more"), [("own_enhancements:nothing", {}), ("own_enhancements:gain", {"decisions": "sampled"})]
-)
-def test_no_gain_to_compare_with(make_dataset, spec, more) -> None:
-    """A triangle that is gone has no contrast; drawn answers have no scores to multiply."""
-    made = make_dataset(suffix=".png", sizes_mrad=(1.5, 2.5), contrasts=(0.05, 0.1, 0.2))
-    _, found = compare(made.path, spec, **more)
-    assert [one.beyond_gain for one in (*found.compared, found.overall)] == [None] * 3
 
 
 def test_smallest_p_values_are_told(make_dataset) -> None:
@@ -925,13 +878,6 @@ def test_what_is_no_algorithm_is_refused_in_a_line(make_dataset, asked) -> None:
 def test_no_algorithm_is_an_error(make_dataset) -> None:
     with pytest.raises(SettingsError, match="enhance: found none, expected one algorithm or more"):
         tod.compare(make_dataset(contrasts=(0.2,)).path, [])
-
-
-@pytest.mark.parametrize("asked", ["gaussian:sigma=1", builtin.gaussian])
-def test_a_single_algorithm_needs_no_list(make_dataset, asked) -> None:
-    data = make_dataset(suffix=".png", contrasts=(0.1, 0.2)).path
-    alone, listed = (tod.compare(data, one, fit=FAST, examples=False) for one in (asked, [asked]))
-    assert alone.algorithms[1].ratios == listed.algorithms[1].ratios
 
 
 def measured_on_scenes(kind: str, levels: list[float], n_views: int = 12) -> tuple[Trials, np.ndarray]:

@@ -37,7 +37,6 @@ from todframes.experiment.answers import (
 )
 from todframes.experiment.monitor import Calibration, MonitorError
 from todframes.experiment.order import TrialOrder
-from todframes.experiment.run_experiment import run_experiment
 from todframes.experiment.served_page import experiment_app
 from todframes.experiment.session import SessionDesign, StepError, frames_sha256, open_sitting
 from todframes.experiment.stimuli import shown_codes, trial_image
@@ -46,7 +45,6 @@ from todframes.frames.files import FrameFile
 from todframes.psychometrics.counts import read_counts
 from todframes.psychometrics.quest import QuestGrid
 from todframes.stimulus import Orientation
-from todframes.web.server import open_listener
 
 MEASURES = Calibration(
     device_pixel_ratio=1.0,
@@ -148,12 +146,6 @@ def test_practice_has_the_highest_level_of_each_group(dataset, out):
     rows = sit_through(dataset, found)[:6]
     assert {row.level for row in rows} == {0.5}
     assert [row.group for row in rows] == [(2.0,), (3.0,)] * 3
-
-
-def test_other_seeds_give_other_orders_and_the_same_seed_the_same(dataset, out):
-    orders = [sit_through(dataset, order(dataset, out, trials=12, seed=seed)[0]) for seed in (5, 5, 6)]
-    assert orders[0] == orders[1]
-    assert [row.frame for row in orders[0]] != [row.frame for row in orders[2]]
 
 
 def test_quest_has_each_group_once_in_a_block_in_random_order(dataset, out):
@@ -514,20 +506,6 @@ def test_an_answer_to_a_trial_that_the_server_before_had_shown_is_taken(dataset,
         assert sitting.rows[0].is_correct
 
 
-def test_a_second_server_into_a_session_is_told(dataset, out):
-    with open_sitting(dataset, out, design=SHORT):  # noqa: SIM117 - the first is not to raise
-        with pytest.raises(OutputError, match="another server is writing"), open_sitting(dataset, out):
-            pass
-    with open_sitting(dataset, out, subject="P1"), open_sitting(dataset, out, subject="P2"):
-        pass
-
-
-def test_a_port_in_use_begins_no_session(dataset, out):
-    with open_listener() as other, pytest.raises(SettingsError, match=r"^port: cannot listen at 127"):
-        run_experiment(dataset.path, out, port=other.getsockname()[1])
-    assert not out.exists()
-
-
 def test_which_of_several_unfinished_sessions_is_asked(dataset, out):
     for subject in ("P1", "P2"):
         with open_sitting(dataset, out, subject=subject, design=SHORT):
@@ -573,22 +551,6 @@ def test_settings_of_a_session_that_has_begun_stay(dataset, out, design, message
         pass
     with open_sitting(dataset, out, design=SHORT) as sitting:  # the same settings are no others
         assert len(sitting.rows) == 1
-
-
-def test_settings_may_change_before_the_first_answer(dataset, out):
-    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
-        begin(sitting)
-    with open_sitting(dataset, out, design=SessionDesign(background=0.4)) as sitting:
-        assert sitting.state()["step"] == "consent"
-        assert sitting.record.background == 0.4
-
-
-def test_consent_and_calibration_survive(dataset, out):
-    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
-        begin(sitting)
-    with open_sitting(dataset, out, consent_text="another") as sitting:
-        assert sitting.state()["step"] == "practice"
-        assert "Nothing is sent" in sitting.state()["consent_text"]
 
 
 def test_answers_to_another_dataset_are_not_mixed(make_dataset, dataset, out):
@@ -685,17 +647,6 @@ def test_rows_of_other_frames_are_told(dataset, out):
     path.write_text(path.read_text().replace(row.frame, "frames/other.exr"))
     with pytest.raises(DataError, match=r"line 2: frame: found .*, which no trial"), open_sitting(dataset, out):
         pass
-
-
-def test_a_line_that_was_torn_is_answered_again(dataset, out):
-    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
-        begin(sitting)
-        expected = [answer_rightly(sitting) for _ in range(3)]
-    path = data_path(out, "P1")
-    path.write_bytes(path.read_bytes()[:-20])
-    with open_sitting(dataset, out) as sitting:
-        assert list(sitting.rows) == expected[:2]
-        assert replace(answer_rightly(sitting), shown_at="") == replace(expected[2], shown_at="")
 
 
 def test_a_session_of_more_trials_than_the_dataset_has_is_told(dataset, out):
@@ -843,12 +794,6 @@ def test_bodies_that_are_none_of_the_page_get_one_line_and_change_nothing(datase
         assert page.request("POST", "/api/consent", b'{"agreed": "yes"}')[0] == 422
 
 
-def test_other_pictures_are_not_there(dataset, out):
-    with opened(dataset, out) as (page, _):
-        for name in ("0", "-1", "99999999999999999999999", "../1", "1"):
-            assert page.request("GET", f"/stimulus/{name}.png")[0] in (404, 409)
-
-
 def test_a_full_disk_is_told_and_the_answer_is_taken_when_there_is_room(dataset, out, monkeypatch):
     with opened(dataset, out) as (page, sitting):
         begin(sitting)
@@ -878,16 +823,6 @@ def test_a_folder_that_is_gone_is_told(dataset, out):
         assert sitting.state()["step"] == "consent"
         (out / "elsewhere").rename(out / "data")
         assert page.post("/api/consent", agreed=True)[1]["step"] == "monitor"
-
-
-def test_a_script_in_a_datasets_name_stays_text(make_dataset, out):
-    data = load_dataset(make_dataset("<script>alert(1)").path)
-    with opened(data, out, consent_text="<img onerror=alert(1)>") as (page, _):
-        _, headers, content = page.request("POST", "/api/state", b"{}")
-        assert headers["content-type"] == "application/json"  # with nosniff no browser takes it for a page
-        assert json.loads(content)["dataset"]["name"] == "<script>alert(1)"
-        for path in ("/", "/static/experiment.js"):
-            assert b"alert(1)" not in page.request("GET", path)[2]
 
 
 # The command ---------------------------------------------------------------------------------------------------

@@ -144,11 +144,6 @@ def test_score_is_the_command(commanded, make_dataset) -> None:
     assert same(scored, commanded(cli, "score", path, "--set", "resamples=200"))
 
 
-def test_observer_by_keywords_is_the_command(commanded) -> None:
-    made = commanded(cli, "naked-eye", "--size-mrad", "0.7", "--internal-noise", "0.25")
-    assert same(tod.naked_eye(size_mrad=0.7, observer=tod.PyramidObserver(internal_noise=0.25)), made)
-
-
 @pytest.mark.slow
 def test_compare_takes_functions(scored) -> None:
     def half(image, share=0.5):

@@ -18,7 +18,7 @@ NAME = r"run [/b] [red]run $run_$x^{ 50 % {run} \frac λ"
 """Markup of rich on the terminal and of TeX in a plot."""
 COMMANDS = {
     "score": "{dataset} --set resamples=0",
-    "compare": "{dataset} --enhance median --set resamples=0 --white 100",
+    "compare": "{dataset} --enhance median --set resamples=40 --white 100",
     "simulate": "{sensor} --size-detectors 3 --snr 4 --trials 4",
     "curve": "{sensor} --size-detectors 4 --tolerance 0.1",
     "mtf": "{sensor}",

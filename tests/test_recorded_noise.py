@@ -383,29 +383,6 @@ def run(capsys, *arguments):
     return ended.value.code, shown.out, shown.err
 
 
-@pytest.mark.usefixtures("blank_pictures")
-def test_the_command_prints_and_writes_the_same_numbers(tmp_path, capsys):
-    values = np.random.default_rng(14).normal(100, 2, (12, 16, 18)).astype(np.float32)
-    np.save(tmp_path / "a.npy", values)
-    called = tod.noise(tmp_path / "a.npy", signal=3.0, mk_per_count=10, frames_per_second=50)
-    options = ("--signal", 3, "--mk-per-count", 10, "--frames-per-second", 50)
-    status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *options, "--json", "-o", tmp_path / "out")
-    assert status == 0
-    printed, expected = json.loads(out), json.loads(called.to_json())
-    assert printed["noise"] == expected["noise"]
-    assert printed["noise"]["parts"]["tvh"]["sd_mk"] == pytest.approx(10 * called.measured.parts["tvh"].sd)
-    assert [one["frames"] for one in printed["noise"]["snr"]] == [1, 5]
-    names = {"noise.csv", "snr.csv", "sensor_noise.toml", "result.json", "report.html"}
-    names |= {"noise.png", "frame_means.png", "mean.png", "temporal_sd.png"}
-    assert {one.name for one in (tmp_path / "out").iterdir()} == names
-    assert (tmp_path / "out" / "sensor_noise.toml").read_text() == called.sensor_toml()
-    status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *options, "--sensor")
-    assert (status, out) == (0, called.sensor_toml())
-    status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *options)
-    assert "Noise of a pixel: dynamic" in out
-    assert "Drift of the mean" in out
-
-
 def test_a_folder_of_radiometric_files_has_their_scale(tmp_path):
     one = tod.noise(REAL / "frame_000000.fff")
     for name in ("a.fff", "b.fff", ".hidden"):

@@ -282,18 +282,6 @@ def test_what_a_monitor_cannot_show_is_one_line(option: str, tmp_path: Path, cap
     assert not place.exists()
 
 
-def test_command_does_what_the_call_does(tmp_path: Path, capsys) -> None:
-    options = "--distance-m 10 --sizes-mrad 1,2 --contrasts 0.004,0.8 --repeats 1 --width-px 640 --height-px 481"
-    options += " --pixel-pitch-mm 0.25 --marker-mm 17.5 --polarity -1"
-    assert run(cli, ["chart", "--for", "screen", *options.split(), "-o", str(tmp_path / "a")]) == 0
-    shown = capsys.readouterr().out
-    assert "16 pages" in shown and "-0.004" in shown and "Dithered triangles" in shown
-    asked = {"distance_m": 10, "sizes_mrad": [1, 2], "contrasts": [0.004, 0.8], "repeats": 1, "polarity": -1}
-    assert tod.chart("screen", out=tmp_path / "b", **asked, **MONITOR) == read_chart(tmp_path / "a")
-    for name in ("chart.toml", "play.html", "pages/0003.png"):
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
-
-
 def test_an_interrupted_chart_leaves_nothing_and_a_finished_one_stays(tmp_path: Path) -> None:
     def stop(_: int) -> None:
         raise KeyboardInterrupt

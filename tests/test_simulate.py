@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import errno
-import hashlib
 import math
 import os
 import signal
@@ -30,7 +29,6 @@ from todframes.base.signals import SIGNALS
 from todframes.cli.console import run
 from todframes.frames import dataset_files
 from todframes.frames import files as frame_writing
-from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import MAX_SIDE_PX, read_frame, read_header
 from todframes.jobs.engine import open_engine
@@ -291,23 +289,6 @@ def dataset_folder(request, tmp_path):
     return written(tmp_path, "dataset", sizes=(2.0, SIZE), frame_format=request.param)
 
 
-def test_dataset_is_read_and_has_no_problems(dataset_folder):
-    dataset = load_dataset(dataset_folder)
-    assert (dataset.bad_rows, len(dataset.trials)) == ((), 16)
-    assert [problem for trial in dataset.trials for problem in frame_problems(dataset, trial)] == []
-    assert (dataset.experiment.level, dataset.experiment.group_by) == ("snr", ("size_detectors",))
-    # 0.25 mm from 1500 mm: 2 arctan(0.125/1500).
-    pitch = 2000.0 * np.arctan(0.125 / 1500.0)
-    assert dataset.display.pitch_mrad == pytest.approx(pitch, rel=1e-15)
-    assert dataset.display.background_luminance_cd_m2 == 40.0
-    for trial in dataset.trials:
-        (size,) = trial.group
-        # As displayed: 5 pixels a detector.
-        assert trial.stimulus.size_mrad == pytest.approx(size * 5 * pitch, rel=1e-14)
-    shown = {(trial.group, trial.level, trial.orientation) for trial in dataset.trials}
-    assert len(shown) == 16
-
-
 def test_dataset_holds_the_frames_of_the_simulator(dataset_folder):
     dataset = load_dataset(dataset_folder)
     planned = plan_trials([2.0, SIZE], [1.0, 4.0], 4)
@@ -337,14 +318,6 @@ def test_exr_and_png_are_scored_alike(tmp_path):
     # internal noise of 0.14 on each of a thousand neurons.
     np.testing.assert_allclose(scores[0], scores[1], atol=1e-3)
     assert len(set(scores[0])) == 16
-
-
-def test_manifest_has_the_columns_of_the_contract_and_checksums(dataset_folder):
-    for row in rows_of(dataset_folder):
-        assert list(row) == [
-            *("frame", "orientation", "size_mrad", "size_detectors", "snr", "x_px", "y_px", "sha256")
-        ]
-        assert hashlib.sha256((dataset_folder / row["frame"]).read_bytes()).hexdigest() == row["sha256"]
 
 
 def test_frames_tell_how_they_were_made(dataset_folder):
@@ -541,13 +514,6 @@ def assert_refused(done, status, *texts):
         assert text in done[2][0]
 
 
-def test_settings_file_gives_the_frames_of_the_settings(simulate_command, tmp_path):
-    assert simulate_command(tmp_path / "dataset") == (0, f"{tmp_path / 'dataset'}: 4 frames\n", [])
-    expected = contents(written(tmp_path, "expected", snrs=(2.0,)))
-    assert contents(tmp_path / "dataset") == expected
-    assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "dataset", "expected"}
-
-
 def test_folder_that_is_not_empty_is_refused(simulate_command, tmp_path):
     (tmp_path / "dataset").mkdir()
     (tmp_path / "dataset" / "notes.txt").write_text("mine", encoding="utf-8")
@@ -591,19 +557,6 @@ def test_disk_full_at_the_manifest(simulate_command, tmp_path, monkeypatch):
         simulate_command(tmp_path / "dataset"), BAD_SETTINGS, str(tmp_path / "dataset"), "No space left on device"
     )
     assert tree(tmp_path) == before
-
-
-def test_refused_clipping_leaves_nothing(simulate_command, tmp_path):
-    before = tree(tmp_path)
-    done = simulate_command(tmp_path / "dataset", "--snr", "0.2", "--format", "png")
-    assert_refused(done, BAD_SETTINGS, "clipped", "1 %", "clipping")
-    assert tree(tmp_path) == before
-    status, out, errors = simulate_command(
-        tmp_path / "dataset", "--snr", "0.2", "--format", "png", "--allow-clipping"
-    )
-    assert (status, out) == (0, f"{tmp_path / 'dataset'}: 4 frames\n")
-    (note,) = errors
-    assert note.startswith("note: ") and "% of the pixels were clipped" in note
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGXFSZ"), reason="no limit on the size of files")
