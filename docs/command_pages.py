@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import types
 import typing
@@ -36,6 +37,22 @@ JSON_TYPES = {str: "text", bool: "true or false", int: "whole number", float: "n
 
 RECORD = msgspec.Struct
 
+SCORER = """// Search shows pages that do one thing first, and lists of options, keys and functions last.
+const HOW_TO = %s, REFERENCE = %s;
+var Scorer = {
+  score: ([page, , , , score]) =>
+    HOW_TO.includes(page) ? 3 * score : REFERENCE.includes(page.split("/")[0]) ? score / 4 : score,
+  objNameMatch: 11,
+  objPartialMatch: 6,
+  objPrio: { 0: 15, 1: 5, 2: -5 },
+  objPrioDefault: 0,
+  title: 15,
+  partialTitle: 7,
+  term: 5,
+  partialTerm: 2,
+};
+"""
+
 
 def pages() -> dict[str, str]:
     """Return the text of each page by its path in `docs`: one for each command, their list, and the keys."""
@@ -47,7 +64,15 @@ def pages() -> dict[str, str]:
             summary, _, _ = (command.help or "").partition("\n\n")
             rows.append(f"| [`{program} {name}`]({FOLDER}/{program}-{name}.md) | {in_markdown(summary)} |")
         made[f"{FOLDER}/{program}.inc"] = "\n".join(["| command | |", "|---|---|", *rows, ""])
-    return made | {f"{FOLDER}/keys.inc": keys_page()}
+    how_to, reference = pages_of("how_to"), [*pages_of("reference"), FOLDER, "generated", "json"]
+    scorer = SCORER % (json.dumps([*how_to, "tutorial", "your_camera"]), json.dumps(reference))
+    return made | {f"{FOLDER}/keys.inc": keys_page(), f"{FOLDER}/scorer.js": scorer}
+
+
+def pages_of(part: str) -> list[str]:
+    """Return the names of the pages in a part of the docs."""
+    text = (DOCS / f"{part}.md").read_text("utf-8")
+    return text.partition("```{toctree}\n:hidden:\n\n")[2].partition("```")[0].split()
 
 
 def commands_of(group: Commands) -> dict[str, click.Command]:

@@ -30,7 +30,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 numpydoc_show_class_members = False
 
-html_search_scorer = str(Path(__file__).parent / "scorer.js")
+html_search_scorer = str(Path(__file__).parent / "commands" / "scorer.js")  # written by command_pages
 html_theme = "pydata_sphinx_theme"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
