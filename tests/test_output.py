@@ -24,6 +24,7 @@ from todframes.base.output import (
     beside,
     new_folder,
     output_folder,
+    store_path,
     write_file,
     write_files,
 )
@@ -472,11 +473,11 @@ def test_files_beside_each_other_do_not_wait(tmp_path: Path) -> None:
     assert names(tmp_path) == {"b.html"}
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a list of open files")
-def test_where_files_cannot_be_locked_the_folder_is_the_lock(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def without_locks(monkeypatch: pytest.MonkeyPatch) -> None:
     """As on Windows, which removes no open file either."""
+    if not sys.platform.startswith("linux"):
+        pytest.skip("needs a list of open files")
     unlink = Path.unlink
 
     def unlink_closed(path: Path, missing_ok: bool = False) -> None:
@@ -486,6 +487,10 @@ def test_where_files_cannot_be_locked_the_folder_is_the_lock(
 
     monkeypatch.setattr(Path, "unlink", unlink_closed)
     monkeypatch.setattr(output.fcntl, "flock", not_here)
+
+
+@pytest.mark.usefixtures("without_locks")
+def test_where_files_cannot_be_locked_their_presence_is_the_lock(tmp_path: Path) -> None:
     path = tmp_path / "out"
     score(path, {"result.json": "{}"})
     with output_folder(str(path)) as folder:
@@ -493,6 +498,24 @@ def test_where_files_cannot_be_locked_the_folder_is_the_lock(
             score(path, {"result.json": "[]"})
         write_files(folder, {"result.json": b"[1]"})
     assert contents(path) == {"result.json": "[1]"}
+    assert staging_folders(tmp_path) == []
+
+
+@pytest.mark.usefixtures("without_locks")
+@pytest.mark.parametrize("place", [output_folder, new_folder])
+def test_where_files_cannot_be_locked_an_interrupted_run_goes_on(tmp_path: Path, place) -> None:
+    path, going = tmp_path / "out", Going(restart=False, keep=False)
+
+    def interrupted() -> None:
+        with place(str(path), going=going) as folder:
+            store_path(folder).mkdir()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt, match=r"^$"):
+        interrupted()
+    with place(str(path), going=going) as folder:
+        assert store_path(folder).is_dir()
+        (folder / "dataset.toml").write_text("")
     assert staging_folders(tmp_path) == []
 
 

@@ -288,8 +288,10 @@ def _hidden(hidden: Path, name: str, going: Going | None = None, kept: Set[str] 
             with suppress(OSError):  # the next run removes what is left
                 if is_ours and (lock is None or _is_at(lock, hidden / LOCK)):
                     _clear(hidden, stays)
-                    if not stays & _names(hidden):
+                    is_empty = not stays & _names(hidden)
+                    if is_empty or lock is None:
                         (hidden / LOCK).unlink()
+                    if is_empty:
                         hidden.rmdir()
             if lock is not None:
                 lock.close()
@@ -298,7 +300,7 @@ def _hidden(hidden: Path, name: str, going: Going | None = None, kept: Set[str] 
 def _lock(hidden: Path, name: str) -> BinaryIO | None:
     """Make and lock a hidden folder.
 
-    Returns the open lock file; None if the file system has no locks: then the folder is the lock.
+    Returns the open lock file; None if the file system has no locks: then the file itself is the lock.
     """
     while True:
         made = True
@@ -309,12 +311,16 @@ def _lock(hidden: Path, name: str) -> BinaryIO | None:
         lock = None
         try:
             names = _names(hidden)
-            if (names and LOCK not in names) or names - {LOCK, STAGED, STORE}:
+            if names - {LOCK, STAGED, STORE}:
                 raise OutputError(f"{hidden}: was not made by todframes; move it away, or take another name")
-            lock = (hidden / LOCK).open("ab")
-            has_locks = locked(lock.fileno())
-            if not has_locks:
-                if not made:
+            is_new = False
+            try:
+                lock = (hidden / LOCK).open("xb")
+                is_new = True
+            except FileExistsError:
+                lock = (hidden / LOCK).open("ab")
+            if not locked(lock.fileno()):
+                if not is_new:
                     raise OutputError(
                         f"{hidden}: belongs to another run, or to one that was killed; remove it if none is "
                         "under way"
