@@ -18,7 +18,6 @@ from .four_bars.mrtd_result import SensorMrtd as SensorMrtd
 from .four_bars.mrtd_result import Ttp as Ttp
 from .frames.dataset import Written as Written
 from .frames.simulate import simulate as simulate
-from .sweeps.goals import Objective as Objective
 from .sweeps.result import Sweep as Sweep
 from .sweeps.sweep import sweep as sweep
 from .thresholds.curve import curve as curve

@@ -67,7 +67,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str
 def numbers(result: tod.Result) -> object:
     """All that a result holds but the place of its dataset, and the times and the memory that it took."""
 
-    left_out = ("run_time_s", "cpu_s", "cpu_ms_per_frame", "memory_mb", "saves_s", "path")
+    left_out = ("run_time_s", "cpu_s", "cpu_ms_per_frame", "memory_mb", "saves_s", "path", "call")
 
     def timeless(value: object) -> object:
         if isinstance(value, dict):

@@ -5,9 +5,10 @@ from __future__ import annotations
 from sensor_sim.chain.mtf_result import SensorMtf, sensor_mtf
 from sensor_sim.chain.sensor import Sensor, sensor_of
 from todframes.parameters import SensorFile
-from todframes.results.result import Result
+from todframes.results.result import Result, repeatable
 
 
+@repeatable
 def mtf(sensor: Sensor | SensorFile) -> Result[SensorMtf]:
     """Compute the modulation transfer of every stage along x, before and after sampling.
 

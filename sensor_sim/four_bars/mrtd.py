@@ -26,7 +26,7 @@ from todframes.parameters import (
 )
 from todframes.results.advice import missed_tolerance
 from todframes.results.data import Fit, Group, Record, ResultWarning, as_read
-from todframes.results.result import Result
+from todframes.results.result import Result, repeatable
 
 FREQUENCIES_NYQUIST = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.4)
 """Frequencies of the bars, in units of Nyquist, if none are given."""
@@ -41,6 +41,7 @@ EYE_TIME_S = 0.1
 """Time over which the eye integrates frames (Hogervorst et al. 2001, section 8: 100 ms)."""
 
 
+@repeatable
 def mrtd(
     sensor: Sensor | SensorFile,
     *,

@@ -102,7 +102,7 @@ class Sweep(Content, frozen=True, kw_only=True):
         return list(self.settings["size_detectors"])
 
     @property
-    def objectives(self) -> tuple[Objective, ...]:
+    def objectives(self) -> tuple[Any, ...]:
         """Columns of the trade-off front; the first one orders the designs."""
         low, high = self.settings["minimise"], self.settings["maximise"]
         return tuple(map(Objective, [*low, *high], [*repeat(1, len(low)), *repeat(-1, len(high))]))

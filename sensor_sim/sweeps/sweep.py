@@ -36,7 +36,7 @@ from todframes.parameters import (
 )
 from todframes.results.advice import MISSED
 from todframes.results.data import Record, ResultWarning, as_read
-from todframes.results.result import Result
+from todframes.results.result import Result, repeatable
 from todframes.results.wording import count
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from todframes.jobs.work import Engine
 
 
+@repeatable
 def sweep(
     sensor: Sensor | SensorFile,
     *,

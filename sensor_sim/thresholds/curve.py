@@ -26,7 +26,7 @@ from todframes.parameters import (
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import numerical_errors
 from todframes.results.data import Fit, FitPoint, ResultWarning
-from todframes.results.result import Result
+from todframes.results.result import Result, repeatable
 from todframes.results.wording import listed, plain
 from todframes.scoring.error_budget import Step, plan_object
 
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 ARCMIN_PER_MRAD = 180.0 * 60.0 / math.pi / 1000.0
 
 
+@repeatable
 def curve(
     sensor: Sensor | SensorFile,
     *,

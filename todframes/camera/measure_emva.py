@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.parameters import Box, ChartFile, DescriptorFile, FrameLimit, Numbers, Progress
+from todframes.results.result import repeatable
 
 if TYPE_CHECKING:
     from todframes.camera.emva_result import Emva
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 Stacks = Sequence["PathLike | NDArray[Any]"]
 
 
+@repeatable
 def emva_noise(
     descriptor: DescriptorFile | None = None,
     *,

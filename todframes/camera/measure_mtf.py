@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from todframes.base.errors import SettingsError, argument
 from todframes.base.safe_text import in_utf8
 from todframes.parameters import Box, ChartFile, DisplayName, FrameLimit, Progress
+from todframes.results.result import repeatable
 
 if TYPE_CHECKING:
     from todframes.camera.mtf_result import Mtf
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from todframes.results.result import Result
 
 
+@repeatable
 def mtf(
     recording: PathLike | Sequence[PathLike] | NDArray[Any],
     *,

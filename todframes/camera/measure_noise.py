@@ -14,6 +14,7 @@ from todframes.base.errors import argument
 from todframes.base.reading import check_positive
 from todframes.base.safe_text import in_utf8
 from todframes.parameters import Box, ChartFile, FrameLimit, MilliKelvin, Numbers, PatchLevels, Progress, Rate
+from todframes.results.result import repeatable
 
 if TYPE_CHECKING:
     from todframes.camera.noise_result import RecordedNoise
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from todframes.results.result import Result
 
 
+@repeatable
 def noise(
     recording: PathLike | Sequence[PathLike] | NDArray[Any],
     *,

@@ -37,7 +37,7 @@ from todframes.results.data import (
     observer_names,
     thresholds_of,
 )
-from todframes.results.result import Result
+from todframes.results.result import Result, repeatable
 from todframes.scoring.error_budget import plan_object
 from todframes.scoring.opening import (
     background_of,
@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from todframes.results.thresholds import Thresholds
 
 
+@repeatable
 def compare(
     dataset: Path | str | Dataset,
     enhance: Algorithms | Callable[..., Any] | Iterable[str | Callable[..., Any]],

@@ -28,7 +28,7 @@ from todframes.results.data import (
     group_of,
     observer_names,
 )
-from todframes.results.result import Result
+from todframes.results.result import Result, repeatable
 from todframes.scoring.opening import (
     described_each,
     is_skip,
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from todframes.results.thresholds import Thresholds
 
 
+@repeatable
 def calibrate(
     dataset: Path | str | Dataset,
     answers: Path | str,

@@ -17,7 +17,7 @@ from todframes.field.atmosphere import Atmosphere, find_atmosphere
 from todframes.field.target import Target, chosen_target
 from todframes.parameters import Cycles, CyclesPerSize, GroupValues, NamedFile, Seconds, Seed, TargetFactors
 from todframes.results.data import ResultData
-from todframes.results.result import Result
+from todframes.results.result import Result, repeatable
 
 if TYPE_CHECKING:
     from todframes.field.range_result import FieldRange
@@ -27,6 +27,7 @@ TABLE_SUFFIX = ".csv"
 """End of the names of tables; any other path is that of a result."""
 
 
+@repeatable
 def acquisition_range(
     result: Result[Any] | Path | str,
     *,

@@ -659,6 +659,8 @@ class Head(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Facts that make the result less certain. A command also prints each, with `--json` on standard error.
     run_time_s : float or None
         Run time in s.
+    call : dict
+        All that the call was given, defaults included, but for workers and the like; `todframes rerun` repeats it.
     """
 
     schema: int
@@ -668,6 +670,7 @@ class Head(Struct, frozen=True, kw_only=True, omit_defaults=True):
     seed: int | None = NULL
     warnings: tuple[ResultWarning, ...] = EMPTY
     run_time_s: float | None = NULL
+    call: Record = {}
 
 
 class Content(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):

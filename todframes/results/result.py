@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict
+from functools import wraps
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, ParamSpec, Self, TypeVar
 
 import msgspec
+import numpy as np
 
 from todframes import __version__
 from todframes.base.errors import DataError
+from todframes.base.safe_text import in_utf8
 from todframes.results.data import SCHEMA, Content, Head, ResultWarning, decode, json_file, read_bytes
 
 if TYPE_CHECKING:
@@ -26,14 +32,27 @@ if TYPE_CHECKING:
 LIBRARIES = ("numpy", "scipy", "OpenImageIO", "cv2", "skimage")
 
 C = TypeVar("C", bound=Content)
+P = ParamSpec("P")
+R = TypeVar("R", bound="Result[Any]")
+
+OF_RUN = {"cluster", "examples", "problem", "progress", "store", "tell", "warn", "workers"}
+"""Parameters on which no number depends."""
+
+NOT_WRITTEN = "not written: "
+"""Beginning of the text in place of a value for which JSON has no form, such as frames in memory."""
+
+LARGEST_LIST = 10_000
+"""Largest number of values of a list that is written."""
 
 
 class Kind(NamedTuple):
-    """The result of a command: title of its page, "module:class" of its content, and a key that this must have."""
+    """The result of a command: title of its page, "module:class" of its content, a key that this must have, and
+    "module:function" of its call."""
 
     title: str
     content: str
     key: str
+    call: str = ""
 
     @property
     def content_class(self) -> type[Content]:
@@ -46,20 +65,50 @@ class Kind(NamedTuple):
 THRESHOLDS = "todframes.results.thresholds:Thresholds"
 
 KINDS = {
-    "score": Kind("TOD thresholds of display frames", THRESHOLDS, "fits"),
-    "naked-eye": Kind("Thresholds of the naked eye", THRESHOLDS, "fits"),
-    "fit": Kind("Fitted psychometric functions", THRESHOLDS, "fits"),
-    "curve": Kind("TOD curve of a sensor", THRESHOLDS, "fits"),
-    "compare": Kind("Enhancements compared", THRESHOLDS, "algorithms"),
+    "score": Kind("TOD thresholds of display frames", THRESHOLDS, "fits", "todframes.scoring.score_call:score"),
+    "naked-eye": Kind(
+        "Thresholds of the naked eye", THRESHOLDS, "fits", "todframes.scoring.naked_eye_call:naked_eye"
+    ),
+    "fit": Kind("Fitted psychometric functions", THRESHOLDS, "fits", "todframes.scoring.fit_call:fit_counts"),
+    "curve": Kind("TOD curve of a sensor", THRESHOLDS, "fits", "sensor_sim.thresholds.curve:curve"),
+    "compare": Kind(
+        "Enhancements compared", THRESHOLDS, "algorithms", "todframes.enhancement.compare_call:compare"
+    ),
     "accuracy": Kind("Error against run time", THRESHOLDS, "scenes"),
-    "calibrate": Kind("Internal noise of people", THRESHOLDS, "persons"),
-    "noise": Kind("Noise of a camera", "todframes.camera.noise_result:RecordedNoise", "noise"),
-    "emva": Kind("Noise of a camera by EMVA 1288", "todframes.camera.emva_result:Emva", "noise"),
-    "sensor-mtf": Kind("MTF of a sensor", "sensor_sim.chain.mtf_result:SensorMtf", "mtf"),
-    "sweep": Kind("Designs of a sensor", "sensor_sim.sweeps.result:Sweep", "columns"),
-    "mrtd": Kind("Four bars and triangles of a sensor", "sensor_sim.four_bars.mrtd_result:SensorMrtd", "bars"),
-    "range": Kind("Range in the field", "todframes.field.range_result:FieldRange", "numbers"),
-    "mtf": Kind("MTF of a camera", "todframes.camera.mtf_result:Mtf", "mtf"),
+    "calibrate": Kind(
+        "Internal noise of people", THRESHOLDS, "persons", "todframes.experiment.calibrate:calibrate"
+    ),
+    "noise": Kind(
+        "Noise of a camera",
+        "todframes.camera.noise_result:RecordedNoise",
+        "noise",
+        "todframes.camera.measure_noise:noise",
+    ),
+    "emva": Kind(
+        "Noise of a camera by EMVA 1288",
+        "todframes.camera.emva_result:Emva",
+        "noise",
+        "todframes.camera.measure_emva:emva_noise",
+    ),
+    "sensor-mtf": Kind(
+        "MTF of a sensor", "sensor_sim.chain.mtf_result:SensorMtf", "mtf", "sensor_sim.chain.mtf:mtf"
+    ),
+    "sweep": Kind(
+        "Designs of a sensor", "sensor_sim.sweeps.result:Sweep", "columns", "sensor_sim.sweeps.sweep:sweep"
+    ),
+    "mrtd": Kind(
+        "Four bars and triangles of a sensor",
+        "sensor_sim.four_bars.mrtd_result:SensorMrtd",
+        "bars",
+        "sensor_sim.four_bars.mrtd:mrtd",
+    ),
+    "range": Kind(
+        "Range in the field",
+        "todframes.field.range_result:FieldRange",
+        "numbers",
+        "todframes.field.acquisition_range:acquisition_range",
+    ),
+    "mtf": Kind("MTF of a camera", "todframes.camera.mtf_result:Mtf", "mtf", "todframes.camera.measure_mtf:mtf"),
 }
 """Results that have a page and can be read again, by command."""
 
@@ -286,3 +335,44 @@ def read_result(content: bytes, where: str) -> Result[Any]:
         raise DataError(f"{where}: {kind.key}: found none, expected at least one")
     data.check(where)
     return Result(**msgspec.structs.asdict(head), data=data)
+
+
+def repeatable(call: Callable[P, R]) -> Callable[P, R]:
+    """Decorate a call: its result holds all that it was given, as `call`, from which `rerun` repeats it."""
+
+    @wraps(call)
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        given = signature(call).bind(*args, **kwargs)
+        given.apply_defaults()
+        result = call(*args, **kwargs)
+        written = {name: _written(value) for name, value in given.arguments.items() if name not in OF_RUN}
+        if "rng" in written:
+            written["rng"] = result.seed
+        return msgspec.structs.replace(result, call=written)
+
+    return called
+
+
+def _written(value: Any) -> Any:
+    """Return a value of a call as JSON has it."""
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, os.PathLike):
+        return in_utf8(os.fspath(value))
+    from todframes.observers.interface import Observer, described
+
+    kind = type(value).__name__  # to import the classes would take long
+    if kind == "Dataset":
+        return in_utf8(str(value.path)) if value.manifest_sha256 else f"{NOT_WRITTEN}frames in memory"
+    if isinstance(value, Observer):
+        return described(value)[1]
+    if kind == "FitSettings":
+        return _written(asdict(value))
+    if isinstance(value, Mapping):
+        pairs = [[_written(key), _written(one)] for key, one in value.items()]
+        return dict(pairs) if all(isinstance(key, str) for key in value) else pairs
+    if isinstance(value, np.ndarray | np.generic) and value.ndim < 2:
+        return _written(value.tolist())
+    if isinstance(value, Sequence) and len(value) <= LARGEST_LIST:
+        return [_written(one) for one in value]
+    return f"{NOT_WRITTEN}{type(value).__name__}"

@@ -368,6 +368,7 @@ def settings(head: Head, content: Content) -> Table:
     }
     made = {name: value for name, value in made.items() if value is not None}
     made |= _flat(content.settings, "settings.")
+    made |= _flat({name: one for name, one in head.call.items() if name not in content.settings}, "call.")
     # Values are texts, because this table shows all digits on screen too.
     return _names_and_values("Settings, seed and versions", "settings.csv", made)
 
@@ -393,10 +394,15 @@ def dataset(record: DatasetRecord) -> Table:
 def _names_and_values(title: str, file: str, values: Record) -> Table:
     """Make a table of names and values; of an absolute path it has the last part."""
     rows: list[Record] = [
-        {"name": name, "value": field_text(path_name(value) if isinstance(value, str) else value) or None}
-        for name, value in values.items()
+        {"name": name, "value": field_text(_without_folders(value)) or None} for name, value in values.items()
     ]
     return Table.of(title, file, ["name", "value"], rows)
+
+
+def _without_folders(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return [*map(_without_folders, value)]
+    return path_name(value) if isinstance(value, str) else value
 
 
 def _flat(values: Record, prefix: str) -> Record:

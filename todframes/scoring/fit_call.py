@@ -19,12 +19,13 @@ from todframes.results.advice import levels_to_add
 from todframes.results.data import (
     Fit,
 )
-from todframes.results.result import Result
+from todframes.results.result import Result, repeatable
 
 if TYPE_CHECKING:
     from todframes.results.thresholds import Thresholds
 
 
+@repeatable
 def fit_counts(
     level: ArrayLike,
     n_correct: ArrayLike,

@@ -34,7 +34,7 @@ from todframes.results.data import (
     ResultWarning,
     group_of,
 )
-from todframes.results.result import Result
+from todframes.results.result import Result, repeatable
 from todframes.scoring.error_budget import plan_object
 from todframes.scoring.opening import (
     background_of,
@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from todframes.results.thresholds import Thresholds
 
 
+@repeatable
 def score(
     dataset: Path | str | Dataset,
     *,

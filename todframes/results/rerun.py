@@ -1,0 +1,104 @@
+"""Repeating a result from what its call was given."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from inspect import signature
+from typing import Any
+
+import msgspec
+
+from todframes.base.errors import DataError
+from todframes.parameters import ResultFile
+from todframes.results.result import KINDS, NOT_WRITTEN, Result, load_result
+
+OF_TIME = {"settings", "run_time_s", "saves_s", "cpu_s", "cpu_ms_per_frame", "memory_mb", "from_store", "examples"}
+"""Keys that differ from run to run, or that are not computed again."""
+
+
+def rerun(result: Result[Any] | ResultFile) -> dict[str, tuple[Any, Any]]:
+    """Repeat the call of a result with all that it was given, and compare the numbers.
+
+    Paths are those that the call was given: run it in the same folder. Code of your own is not run.
+
+    Parameters
+    ----------
+    result : Result or path
+        A result, or its folder.
+
+    Returns
+    -------
+    dict
+        Values before and now by their key in JSON, where they are not the same; empty if all numbers are.
+
+    Raises
+    ------
+    DataError
+        If an input is gone or was in memory, or the result is of an earlier version.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> tod.rerun(tod.naked_eye(size_mrad=1.0))
+    {}
+    """
+    before = result if isinstance(result, Result) else load_result(result)
+    if not before.call:
+        raise DataError(f"{before.command}: the result does not hold what its call was given; run it again")
+    module, _, name = KINDS[before.command].call.partition(":")
+    found = getattr(import_module(module), name)
+    known = signature(found).parameters
+    given = {key: _read(key, value) for key, value in before.call.items() if key in known}
+    if "examples" in known:
+        given["examples"] = False
+    old, new = (dict(_leaves(msgspec.to_builtins(one.data))) for one in (before, found(**given)))
+    keys = [key for key in old | new if old.get(key) != new.get(key)]
+    return {key: (old.get(key), new.get(key)) for key in keys}
+
+
+def _read(name: str, value: Any) -> Any:
+    """Return the value of a parameter that `_written` has written."""
+    if isinstance(value, str) and value.startswith(NOT_WRITTEN):
+        raise DataError(f"{name}: was {value.removeprefix(NOT_WRITTEN)}, which a result does not hold; call again")
+    if name == "observer":
+        return [_observer(one) for one in value] if isinstance(value, list) else _observer(value)
+    if name == "enhance":
+        from todframes.base.user_code import registered
+
+        for one in [value] if isinstance(value, str) else value:
+            if one.partition(":")[0] not in {*registered("todframes.enhancements"), "onnx"}:
+                raise DataError(f"{name}: {one} is code of your own, which a result does not run; call again")
+    if name == "fit" and value is not None:
+        from todframes.psychometrics.fit import FitSettings
+
+        return FitSettings(**value)
+    if name == "patches" and value is not None:
+        return {tuple(box): level for box, level in value}
+    return tuple(_read("", one) for one in value) if isinstance(value, list) else value
+
+
+def _observer(value: Any) -> Any:
+    """Return an observer by the name or the settings that a result has."""
+    name, settings = (value, None) if isinstance(value, str) else (value["observer"], value)
+    if any(":" in one for one in name.split(",")):
+        raise DataError(f"observer: {name} is code of your own, which a result does not run; call again")
+    if settings is None:
+        return name
+    from todframes.observers.interface import find_observer
+
+    kind: Any = find_observer(name)
+    return kind(kind.settings_type(**{key: one for key, one in settings.items() if key != "observer"}))
+
+
+def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield each number and text of a result with its key in JSON, but for what differs from run to run."""
+    if isinstance(value, Mapping | list | tuple):
+        items = value.items() if isinstance(value, Mapping) else ((f"[{n}]", one) for n, one in enumerate(value))
+        for name, one in items:
+            if name not in OF_TIME:
+                yield from _leaves(
+                    one, f"{key}{name}" if str(name).startswith("[") else f"{key}.{name}".strip(".")
+                )
+    else:
+        yield key, value
