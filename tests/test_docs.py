@@ -347,6 +347,14 @@ def test_versions_are_one() -> None:
     assert re.search(r"^version: (.*)$", citation, re.MULTILINE)[1] == project["version"] == __version__
 
 
+def test_licences_are_the_same() -> None:
+    """Those of the package and of a file of its pages, in its metadata and in the citation."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    listed = re.search(r"^license:.*\n((?:  - .*\n)+)", citation, re.MULTILINE)[1]
+    assert re.findall(r"- (.*)", listed) == project["license"].split(" AND ") == ["BSD-3-Clause", "MIT"]
+
+
 @pytest.mark.slow
 @pytest.mark.oracle
 def test_site_has_no_warnings_and_loads_nothing(tmp_path: Path) -> None:
