@@ -21,7 +21,6 @@ from todframes.observers.retina import RetinaGrid, resample
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
-RETINA_MRAD = PyramidSettings().retina_pitch_mrad
 DISPLAYS = [
     {},
     {"display_blur_mrad": 0.2},

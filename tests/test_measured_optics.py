@@ -23,7 +23,6 @@ from todframes.stimulus import ORIENTATIONS, coverage
 
 STAR_LIKE = Path(__file__).parent.parent / "sample_frames" / "star_like.toml"
 CUT_OFF = 55.0
-OPTICS = "[optics]\naperture_mm = 220.0\nwavelength_um = 4.0\nblur_sigma_mrad = 0.01\n"
 TEXT = STAR_LIKE.read_text(encoding="utf-8")
 
 

@@ -143,7 +143,6 @@ class Forgetful(Bare):
 
 
 FREE_RNG = np.random.default_rng(0)
-DOUBLE_FIRST = np.array([2.0, 1.0, 1.0, 1.0])
 
 
 @pytest.mark.parametrize(
