@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -176,7 +177,8 @@ def test_compare_goes_on(todframes, make_dataset, tmp_path: Path) -> None:
     frame.with_suffix(".whole").replace(frame)
     status, out, err = todframes(*command, "-o", tmp_path / "out")
     assert status == 0
-    assert "47 of 64 parts of the work are there" in err
+    # Of 63 before the bad frame, all but a batch of 16 at most; batches are smaller on a busy machine.
+    assert 47 <= int(re.search(r"(\d+) of 64 parts of the work are there", err)[1]) < 64
     scores = [(tmp_path / name / "scores.csv").read_bytes() for name in ("undisturbed", "out")]
     assert scores[0] == scores[1]
     for one, other in zip(undisturbed["algorithms"], json.loads(out)["algorithms"], strict=True):
