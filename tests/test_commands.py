@@ -48,7 +48,7 @@ todframes noise: RECORDING -o --dark --emva --exposure-ms --photons --bits --reg
     --mk-per-count --frames-per-second --max-frame-mb --sensor --strict --json --quiet
 todframes range: RESULT --target --atmosphere -o --k --cycles --cycles-per-size --search-time --group
     --magnification --seed --verbose --strict --json
-todframes report: RESULT -o
+todframes report: RESULT -o --title
 todframes rerun: RESULT
 todframes scenes: BACKGROUNDS --size-mrad --contrast -o --places --place-step-mrad --trials --darker
     --blur-px --windows --frames --turns --dim --display --range --seed --max-frame-mb --quiet

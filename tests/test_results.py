@@ -157,6 +157,17 @@ def test_a_page_states_the_answer_first_and_names_no_folder(page_of, command: st
     assert str(tmp_path.parent) not in page and str(Path.home()) not in page
 
 
+def test_a_page_has_its_date_and_the_title_that_is_given(capsys, tmp_path: Path) -> None:
+    result = tod.naked_eye(size_mrad=1.0)
+    assert re.fullmatch("20[0-9]{2}-[01][0-9]-[0-3][0-9]", result.date)
+    assert f'<p class="about">{result.date}</p>' in result.to_html()
+    (tmp_path / "result.json").write_bytes(result.to_json())
+    assert run(cli, ["report", str(tmp_path / "result.json"), "--title", "Camera 3 & lens"]) == 0
+    capsys.readouterr()
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert f'<p class="about">Camera 3 &amp; lens, {result.date}</p>' in page
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_page_can_be_read_by_those_who_do_not_see_it(page_of, command: str) -> None:
     root = ElementTree.fromstring(page_of(command))

@@ -13,7 +13,8 @@ from todframes.cli.console import echo
 @click.command("report")
 @click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.json")
 @click.option("-o", "--out", metavar="FILE", help="HTML file.  [default: report.html beside RESULT.json]")
-def report_command(*, result: Path, out: str | None) -> None:
+@click.option("--title", default="", metavar="TEXT", help="Text below the title.  [default: name of the dataset]")
+def report_command(*, result: Path, out: str | None, title: str) -> None:
     """Make report.html again from RESULT.json, which a command wrote with -o or printed with --json.
 
     One page with nothing else to load; the same bytes from the same result.
@@ -24,7 +25,7 @@ def report_command(*, result: Path, out: str | None) -> None:
 
     try:
         read = read_result(read_bytes(result), str(result))
-        made = read.to_html().encode()
+        made = read.to_html(title).encode()
     except RecursionError:
         raise DataError(f"{result}: nested too deep, expected the result of a command") from None
     path = Path(out) if out is not None else result.with_name(read.data.page_file)

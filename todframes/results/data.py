@@ -659,6 +659,8 @@ class Head(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Facts that make the result less certain. A command also prints each, with `--json` on standard error.
     run_time_s : float or None
         Run time in s.
+    date : str
+        Day on which the result was made, such as "2026-11-24".
     call : dict
         All that the call was given, defaults included, but for workers and the like; `todframes rerun` repeats it.
     """
@@ -670,6 +672,7 @@ class Head(Struct, frozen=True, kw_only=True, omit_defaults=True):
     seed: int | None = NULL
     warnings: tuple[ResultWarning, ...] = EMPTY
     run_time_s: float | None = NULL
+    date: str = ""
     call: Record = {}
 
 

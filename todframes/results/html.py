@@ -19,7 +19,7 @@ from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import style
 from todframes.results.svg import inline_svg
 from todframes.results.table import HIDDEN, Table, markup
-from todframes.results.wording import group_phrase, level_name, path_name, plain
+from todframes.results.wording import group_phrase, level_name, plain
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -28,15 +28,16 @@ if TYPE_CHECKING:
 MOST_FIGURES = 12
 
 
-def page(title: str, result: Head, data: Content) -> str:
-    """Return the HTML page of a result: the answer first, and folded how it was made."""
+def page(title: str, name: str, result: Head, data: Content) -> str:
+    """Return the HTML page of a result and what was measured: the answer first, and folded how it was made."""
     shown = [one for one in data.tables() if not one.is_folded]
     folded = [*(one for one in data.tables() if one.is_folded), tables.settings(result, data).folded()]
     examples = (data.examples or ()) if isinstance(data, ResultData) else ()
     run_time = [] if result.run_time_s is None else [f"Run time {plain(result.run_time_s)} s."]
     content = {
         "title": title,
-        "about": path_name(data.name),
+        "about": name,
+        "date": result.date,
         "verdict": data.sentences(),
         "warnings": [*warning_texts(result.warnings)],
         "figures": figure_items(data.figures()),
@@ -46,13 +47,7 @@ def page(title: str, result: Head, data: Content) -> str:
         "remarks": run_time + data.remarks(),
         "details": [*map(table_item, folded)],
         "version": result.version,
-        "can_be_made_again": True,
     }
-    return render(content)
-
-
-def render(content: Json) -> str:
-    """Return the page of some content: the values that the template `report.html.j2` names."""
     return _environment().get_template("report.html.j2").render(content)
 
 

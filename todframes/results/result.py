@@ -21,6 +21,7 @@ from todframes import __version__
 from todframes.base.errors import DataError
 from todframes.base.safe_text import in_utf8
 from todframes.results.data import SCHEMA, Content, Head, ResultWarning, decode, json_file, read_bytes
+from todframes.results.wording import path_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -157,6 +158,7 @@ class Result(Head, Generic[C], frozen=True, kw_only=True):
             version=__version__,
             versions={"python": platform.python_version(), "todframes": __version__, **used},
             run_time_s=round(time.perf_counter() - started, 4),
+            date=time.strftime("%Y-%m-%d"),
             seed=seed,
             warnings=tuple(warnings),
             data=kind(**content),
@@ -245,11 +247,17 @@ class Result(Head, Generic[C], frozen=True, kw_only=True):
         content: dict[str, Any] = msgspec.to_builtins(self.data)
         return head | content
 
-    def to_html(self) -> str:
-        """Return the result as one self-contained HTML page, the content of `report.html`."""
+    def to_html(self, name: str = "") -> str:
+        """Return the result as one self-contained HTML page, the content of `report.html`.
+
+        Parameters
+        ----------
+        name : str
+            Text below the title. Default: the name of what was measured.
+        """
         from todframes.results.html import page
 
-        return page(self.title, self, self.data)
+        return page(self.title, name or path_name(self.data.name), self, self.data)
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the content of all files by name: tables, pictures, `report.html`, `result.json`.
