@@ -1,24 +1,22 @@
 """MTF of one slanted edge in an array (e-SFR), with its 95 % band.
 
-The edge-based spatial frequency response of ISO 12233:2023, at any angle: the distance of each pixel from the edge
-makes a finely sampled edge profile, whose derivative has the MTF as its Fourier transform. The standard sorts the
-distances into bins. Here a cubic spline is fitted to them by least squares, together with the curve of the edge:
-the MTF is then a linear function of the pixels, and its covariance follows from their residuals.
+The edge-based spatial frequency response of ISO 12233:2023, at any angle and along a curve: the distances of the
+pixels from the edge are sorted into bins, whose means are a finely sampled edge profile. Its differences have the
+MTF as their Fourier transform, after correction for the width of bins and differences.
 
-- The spline has knots every quarter of a pixel at the edge. Farther out its intervals grow with the distance, as a
-  real profile gets smoother there; what is farther still is a level that is approached as 1 / distance. Every
-  aperture with a rim has such a tail, because the OTF has a kink at frequency 0 (for a circle: 1 - 4 f / (π f_c)).
-  The levels are those that the tail approaches, so a tail beyond the box does not raise the MTF.
-- The transforms of splines and tail are closed forms or exact to rounding. What the fit itself passes, the
-  counterpart of the correction for bins and differences in the standard, is found at the very same pixels from an
-  edge whose transform is a closed form: a Gaussian one with the same MTF50.
+- Bins are a quarter of a pixel wide at the edge. Farther out they grow with the distance, as a real profile gets
+  smoother there; this takes the place of the standard's window, and the halo of a lens counts. What is farther
+  still is a level that is approached as 1 / distance: every aperture with a rim has such a tail, because its OTF
+  has a kink at frequency 0 (for a circle: 1 - 4 f / (π f_c)).
+- The transform is a linear function of the means. Their covariance is what a bootstrap over blocks of rows gives
+  that keeps each pixel's place and turns the sign of a block's residuals at random (the wild bootstrap: Cameron et
+  al. 2008, Rev. Econ. Stat. 90). Its mean over all signs is a sum of products, so that nothing is drawn. Blocks
+  overlap and are longer than the distance over which pixels share noise.
 - The modulus of a noisy transform is too large. It is replaced by the value whose mean it would be: Koay & Basser
   2006, "Analytically exact correction scheme for signal extraction from noisy magnitude MR signals", J. Magn.
   Reson. 179. The band is the exact interval of a modulus under Gaussian noise (noncentral χ²). Its upper end is no
   lower than that of the modulus which noise alone exceeds in half of all cases: Cowan et al. 2011,
   "Power-constrained limits", arXiv:1105.3166. Without this, a small modulus would have a band of no width.
-- Noise that pixels share is known from the products of residuals by lag, up to the largest lags at which they are
-  seen. Its covariance is that of stationary noise whose strength changes with the distance from the edge.
 """
 
 from __future__ import annotations
@@ -48,14 +46,11 @@ NYQUIST = 32
 LEAST_SIDE_PX = 20
 """Least width and height of a box: the tail begins 6 pixels from the edge or farther, and needs pixels behind."""
 
-KNOTS_PX = 0.25
-"""Interval of the knots at the edge. A spline with such knots passes 1 cycle/pixel but for 1 part in 2,000."""
+BIN_PX, GROWTH = 0.25, 1.0 / 6.0
+"""Width of the bins at the edge, and farther out relative to the distance."""
 
 UNIFORM_PX, UNIFORM_RISES = 3.0, 1.2
-"""Distance up to which knots are uniform: at least, and in units of the profile's rise from 10 to 90 %."""
-
-GROWTH = 1.0 / 6.0
-"""Interval of the knots farther out, relative to the distance."""
+"""Distance up to which bins are uniform: at least, and in units of the profile's rise from 10 to 90 %."""
 
 TAIL_PX, TAIL_RISES = 6.0, 2.5
 """Distance at which the tail begins: at least, and in units of the rise. A Gaussian's is 0 from there on,
@@ -74,14 +69,14 @@ frequencies up to 0.5 cycles/pixel are then still sampled twice."""
 DEGREE = 3
 """Degree of the polynomial that the edge may follow: lenses bend it by a parabola, and more at one end."""
 
+N_FITS = 6
+"""Number of fits of the profile, each with the curve that the last one improved."""
+
 LEAST_STEP = 5.0
 """Least contrast of an edge in units of the noise of a pixel."""
 
-PART_PX = 1.0
-"""Length of the parts of an edge whose places are compared with its curve."""
-
-COARSE_PX = 1.0
-"""Interval of the knots of the profile for that."""
+BLOCK_ROWS = 8
+"""Length of the blocks of rows along the edge, in pixels: pixels farther apart share little noise."""
 
 ROUGHEST_PX = 0.15
 """Largest standard deviation of the edge from its curve. It lowers the MTF at the Nyquist frequency by 10 %."""
@@ -99,24 +94,8 @@ residual beside it."""
 MOST_SATURATED_EDGE = 0.01
 """Largest share of the pixels of a box at an end of the scale."""
 
-LEAST_SHADING, SHADING_ERRORS, UNEVEN_PX = 0.01, 2.0, 33
-"""Least change of light across one side of the edge that is fitted, relative to the contrast and to its error; and
-the width of means that are uneven light, not noise."""
-
-NOISE_PIXELS = 100
-"""Number of pixels at about the same distance from the edge whose noise is averaged."""
-
-STRUCTURE_ERRORS = 4.0
-"""Least agreement of the halves of an edge about what the splines do not follow, in units of that of chance."""
-
-MOST_SHARED_PX = 16
-"""Largest distance of pixels, in rows and in columns, whose noise may be correlated."""
-
-SHARED_CHANCE = 0.01
-"""Probability that independent noise shows a correlation that is taken for one."""
-
-LEAST_POWER = 0.01
-"""Least power of noise at any frequency, relative to its mean."""
+LEAST_SHADING, SHADING_ERRORS = 0.01, 2.0
+"""Least change of light across one side of the edge that is fitted, relative to the contrast and to its error."""
 
 LARGEST_ERROR = 0.25
 """Largest half-width of the interval of MTF50, relative to it."""
@@ -262,9 +241,7 @@ def measure_edge(image: FloatArray, box: Box, *, saturated: NDArray[np.bool_] | 
                 f"{where}{100 * share:.0f} % of the pixels are at an end of the scale: the edge is saturated and "
                 "its MTF is lost; change exposure or gain"
             )
-    curve = _fitted_curve(values, where)
-    fit = _fitted(values, curve, where)
-    found = _edge_mtf(fit, box)
+    found = _fitted(values, _fitted_curve(values, where), box, where)
     mtf50 = found.mtf50_cyc_per_pixel
     if mtf50 is not None:
         low, high = mtf50.ci95
@@ -350,156 +327,114 @@ def _fitted_curve(values: FloatArray, where: str) -> _Curve:
     return curve
 
 
-class _Profile:
-    """Functions of the distance from an edge whose sum is its profile, and their Fourier transforms.
+class _Esf(NamedTuple):
+    """Pixels sorted by their distance from the edge, and their means in bins.
 
-    A constant; a step from 0 to 1 that is a spline; cubic B-splines between the two points at which the tails
-    begin; and, if it has one, the tail: -1 / distance, continued between those points by a quintic with the same
-    value and first two derivatives.
+    Attributes
+    ----------
+    distance, along, residual : ndarray (n_pixels,)
+        Place of each pixel that is used, and what is left of its value without its bin's mean and slope.
+    bins : ndarray (n_pixels,)
+        Bin of each pixel.
+    nodes, means, counts, slopes : ndarray (n_bins,)
+        Mean distance and value, number of pixels and slope of the profile.
+    blur_px : float
+        Standard deviation of the distances in a bin at the edge.
     """
 
-    DARK, STEP = 0, 1
-    """Columns of the constant and of the step, whose weights are the dark level and the contrast."""
-
-    def __init__(self, tail_px: float, uniform_px: float, knots_px: float, *, has_tail: bool) -> None:
-        self.has_tail = has_tail
-        places = [0.0]
-        while places[-1] < tail_px:
-            places.append(
-                places[-1] + (knots_px if places[-1] < uniform_px else max(knots_px, GROWTH * places[-1]))
-            )
-        half = np.array(places[1:])
-        inner = np.concatenate([-half[::-1], [0.0], half])
-        self.end_px = float(half[-1])
-        last = half[-1] - half[-2]
-        outer = last * np.arange(1, 4)
-        self.knots = np.concatenate([inner[0] - outer[::-1], inner, inner[-1] + outer])
-        self.inner = inner
-        d = self.end_px
-        rows = [[d, d**3, d**5], [1.0, 3 * d**2, 5 * d**4], [0.0, 6 * d, 20 * d**3]]
-        odd = np.linalg.solve(rows, [-1 / d, 1 / d**2, -2 / d**3])
-        self.bridge = np.array([0.0, odd[0], 0.0, odd[1], 0.0, odd[2]])
-
-    def columns(self, distance_px: FloatArray) -> FloatArray:
-        """Return the functions at distances, (n, n_functions)."""
-        from scipy.interpolate import BSpline
-
-        inside = np.abs(distance_px) < self.end_px
-        splines = BSpline.design_matrix(distance_px[inside], self.knots, 3).toarray()
-        # Without those that reach beyond the ends.
-        found = np.zeros((len(distance_px), 3 + splines.shape[1] - 6))
-        found[:, self.DARK] = 1.0
-        found[:, self.STEP] = distance_px > 0.0
-        found[inside, self.STEP] = splines @ self._in_step()
-        found[inside, 2:-1] = splines[:, 3:-3]
-        found[~inside, -1] = -1.0 / distance_px[~inside]
-        found[inside, -1] = polyval(distance_px[inside], self.bridge)
-        return found if self.has_tail else found[:, :-1]
-
-    def _in_step(self) -> FloatArray:
-        """Return the weights of the splines in the step: half of that in the middle, and all to the right."""
-        n = len(self.knots) - 4
-        return np.where(np.arange(n) == n // 2, 0.5, np.arange(n) > n // 2)
-
-    def slopes(self, distance_px: FloatArray) -> FloatArray:
-        """Return the derivatives of the functions between the ends, (n, n_functions)."""
-        from scipy.interpolate import BSpline
-
-        of_splines = BSpline(self.knots, np.eye(len(self.knots) - 4), 3).derivative()(distance_px)
-        others = (0.0 * distance_px, of_splines @ self._in_step(), of_splines[:, 3:-3])
-        of_tail = [polyval(distance_px, polyder(self.bridge))] if self.has_tail else []
-        return np.column_stack([*others, *of_tail])
-
-    def transforms(self, frequency: FloatArray) -> ComplexArray:
-        """Return the Fourier transforms of the derivatives of the functions, (n_frequencies, n_functions).
-
-        Between the knots by Gauss-Legendre quadrature: with 16 points it is exact to 1e-9 for intervals of up to 3
-        pixels and frequencies of up to 1 cycle/pixel. The tail's, 1 / distance², by the sine integral.
-        """
-        from scipy.special import sici
-
-        points, weights = np.polynomial.legendre.leggauss(16)
-        middle, half = (self.inner[1:] + self.inner[:-1]) / 2, np.diff(self.inner) / 2
-        places = (middle[:, np.newaxis] + half[:, np.newaxis] * points).ravel()
-        each = (half[:, np.newaxis] * weights).ravel()
-        waves = np.exp(-2j * np.pi * np.outer(frequency, places)) * each
-        found: ComplexArray = np.asarray(waves @ self.slopes(places), np.complex128)
-        if not self.has_tail:
-            return found
-        omega = 2 * np.pi * frequency
-        far = np.cos(omega * self.end_px) / self.end_px - omega * (np.pi / 2 - sici(omega * self.end_px)[0])
-        found[:, -1] += 2 * far
-        return found
-
-
-class _Fit(NamedTuple):
-    """A fitted edge: weights of the functions of its profile, and their covariance from the residuals."""
-
-    curve: _Curve
-    profile: _Profile
-    weights: FloatArray
-    covariance: FloatArray
-    pass_through: FloatArray
-    residual_sd: float
-    bend_px: float
-
-    @property
-    def contrast(self) -> float:
-        """Difference of the levels far from the edge."""
-        return float(self.weights[_Profile.STEP])
-
-
-class _Pixels(NamedTuple):
-    """Places and values of the pixels of a box, and the distance from the edge up to which they are used."""
-
-    x: FloatArray
-    y: FloatArray
-    values: FloatArray
-    is_alive: NDArray[np.bool_]
-    widest_px: float
-
-
-class _Solved(NamedTuple):
-    """A profile fitted to pixels for a given curve; arrays hold one number for each pixel that is used."""
-
-    used: NDArray[np.bool_]
-    """Whether a pixel of the box is used, (rows, columns)."""
     distance: FloatArray
     along: FloatArray
-    profile: _Profile
-    columns: FloatArray
-    factor: tuple[FloatArray, bool]
-    weights: FloatArray
     residual: FloatArray
-    widest_px: float
-    across: tuple[FloatArray, FloatArray]
-    """Changes of light across the edge, on its bright and its dark side."""
-    shape: tuple[FloatArray, FloatArray]
-    """Distances, and the profile there from 0 to 1."""
+    bins: NDArray[np.intp]
+    nodes: FloatArray
+    means: FloatArray
+    counts: FloatArray
+    slopes: FloatArray
+    blur_px: float
 
-    @property
-    def contrast(self) -> float:
-        return float(self.weights[_Profile.STEP])
+    def covariance(self) -> FloatArray:
+        """Return the covariance of the means, from the sums of residuals in overlapping blocks of rows.
 
-    @property
-    def rise_px(self) -> float:
-        """Distance from the last 10 % to the first 90 % of the profile."""
-        grid, profile = self.shape
-        high = grid[int(np.argmax(profile > 0.9))]
-        low = grid[len(profile) - 1 - int(np.argmax(profile[::-1] < 0.1))]
-        return max(float(high - low), KNOTS_PX)
+        It is scaled so that the quantiles of a Gaussian give those of Student's t for the number of blocks.
+        """
+        from scipy.special import stdtrit
 
-    def without(self, change: FloatArray) -> FloatArray:
-        """Return a change of the pixels without what the fitted functions can follow."""
-        from scipy.linalg import cho_solve
+        rows = np.floor(self.along - self.along.min()).astype(np.intp)
+        n_rows, n_bins = int(rows.max()) + 1, len(self.nodes)
+        sums = np.bincount(rows * n_bins + self.bins, (self.residual / self.counts[self.bins]), n_rows * n_bins)
+        total = np.cumsum(np.pad(sums.reshape(n_rows, n_bins), ((BLOCK_ROWS, BLOCK_ROWS - 1), (0, 0))), 0)
+        blocks = total[BLOCK_ROWS:] - total[:-BLOCK_ROWS]
+        # The means leave less in a block, and overlapping blocks are worth 1.5 times as many that do not overlap.
+        n_blocks = n_rows / BLOCK_ROWS
+        scale = n_blocks / (n_blocks - 1.0) * (float(stdtrit(1.5 * n_blocks, 0.975)) / NORMAL_95) ** 2
+        return np.asarray(scale / BLOCK_ROWS * (blocks.T @ blocks))
 
-        return np.asarray(change - self.columns @ cho_solve(self.factor, self.columns.T @ change))
+
+def _binned(distance: FloatArray, along: FloatArray, values: FloatArray, uniform_px: float, where: str) -> _Esf:
+    """Return the means of values in bins of their distance; empty bins are left out."""
+    ends = [0.0]
+    while ends[-1] < np.abs(distance).max():
+        ends.append(ends[-1] + (BIN_PX if ends[-1] < uniform_px else max(BIN_PX, GROWTH * ends[-1])))
+    half = np.array(ends[1:])
+    _, bins, counts = np.unique(
+        np.digitize(distance, np.concatenate([-half[::-1], [0.0], half])), return_inverse=True, return_counts=True
+    )
+    nodes, means = (np.bincount(bins, one) / counts for one in (distance, values))
+    if len(nodes) < 8:
+        raise DataError(f"{where}found too few pixels at the edge for a profile, expected a larger box")
+    slopes = np.zeros(len(nodes))
+    slopes[1:-1] = (means[2:] - means[:-2]) / (nodes[2:] - nodes[:-2])
+    off = distance - nodes[bins]
+    blur_px = float(np.sqrt(np.mean(off[np.abs(distance) < uniform_px] ** 2)))
+    residual = values - means[bins] - slopes[bins] * off
+    return _Esf(distance, along, residual, bins, nodes, means, counts.astype(np.float64), slopes, blur_px)
 
 
-def _fitted(values: FloatArray, curve: _Curve, where: str) -> _Fit:
-    """Fit curve and profile in turn, then find their covariance."""
-    from scipy.linalg import cho_solve
+DARK, CONTRAST, TAIL, DARK_SIDE, BRIGHT_SIDE = range(5)
+"""Terms of the profile far from the edge: its dark level, its contrast, the tail, and the changes of light."""
 
+
+def _levels(esf: _Esf, tail_px: float, terms: Sequence[int]) -> FloatArray:
+    """Return how the terms of the profile follow from the means beyond a distance, (5, n_bins)."""
+    d = np.where(np.abs(esf.nodes) < tail_px, np.inf, esf.nodes)
+    far = np.isfinite(d)
+    functions = np.zeros((len(d), 5))
+    functions[far] = np.column_stack(
+        [np.ones(far.sum()), d[far] > 0, -1.0 / d[far], np.minimum(d[far], 0), np.maximum(d[far], 0)]
+    )
+    root = np.sqrt(esf.counts) * far
+    found = np.zeros((5, len(d)))
+    found[list(terms)] = np.linalg.pinv(functions[:, list(terms)] * root[:, np.newaxis]) * root
+    return found
+
+
+class _Profile(NamedTuple):
+    """An edge profile: values at distances, and how they and their terms follow from the means of the bins."""
+
+    places: FloatArray
+    values: FloatArray
+    levels: FloatArray
+
+
+def _profile(esf: _Esf, levels: FloatArray, tail_px: float) -> _Profile:
+    """Return the profile between the tails, without the changes of light across its sides."""
+    inner = np.abs(esf.nodes) < tail_px
+    d = esf.nodes[inner]
+    found = np.eye(len(esf.nodes))[inner]
+    rise = _rise(esf, levels)[inner, np.newaxis]
+    found -= d[:, np.newaxis] * ((1.0 - rise) * levels[DARK_SIDE] + rise * levels[BRIGHT_SIDE])
+    first, last = levels[DARK] + levels[TAIL] / tail_px, levels[DARK] + levels[CONTRAST] - levels[TAIL] / tail_px
+    return _Profile(np.concatenate([[-tail_px], d, [tail_px]]), np.vstack([first, found, last]), levels)
+
+
+def _rise(esf: _Esf, levels: FloatArray) -> FloatArray:
+    """Return the means from 0 at the dark to 1 at the bright level."""
+    dark, contrast = levels[[DARK, CONTRAST]] @ esf.means
+    return np.asarray(np.clip((esf.means - dark) / contrast, 0.0, 1.0))
+
+
+def _fitted(values: FloatArray, curve: _Curve, box: Box, where: str) -> EdgeMtf:
+    """Fit curve and profile in turn, then transform the profile."""
     y, x = (one.ravel() for one in np.indices(values.shape, np.float64))
     distance, s = curve.distance(x, y)
     # The farthest pixels, as many as the edge has along it, lie in corners of the box.
@@ -512,120 +447,55 @@ def _fitted(values: FloatArray, curve: _Curve, where: str) -> _Fit:
             f"{where}found an edge with {max(widest_px, 0.0):.1f} pixels beside it, expected at least "
             f"{TAIL_PX / FARTHEST_TAIL:.0f} on both sides"
         )
-    pixels = _Pixels(x, y, values.ravel(), np.ones(values.shape, bool), widest_px)
-    # First with knots everywhere, as the width of the profile is not known.
+    # First with bins of one width everywhere, as that of the profile is not known.
     tail_px = uniform_px = min(farthest_px, 1.5 * TAIL_PX)
-    is_shaded, shape = False, None
-    for n_done in range(4):
-        solved = _solve(pixels, curve, tail_px, uniform_px, shape, is_shaded=is_shaded, where=where)
-        curve, shape = _improved(curve, solved), solved.shape
+    light, is_alive = np.zeros(values.size), np.ones(values.size, bool)
+    terms: tuple[int, ...] = DARK, CONTRAST, TAIL
+    for n_done in range(N_FITS):
+        distance, s = curve.distance(x, y)
+        used = (np.abs(distance) <= widest_px) & is_alive
+        esf = _binned(distance[used], s[used], (values.ravel() - light)[used], uniform_px, where)
+        _check_gaps(esf, uniform_px, curve, where)
+        levels = _levels(esf, tail_px, terms)
+        contrast, noise_sd = float(levels[CONTRAST] @ esf.means), float(esf.residual.std())
+        if not contrast > LEAST_STEP * noise_sd:
+            raise DataError(
+                f"{where}found no edge: along a smooth curve the steepest step is {max(contrast, 0.0):.3g} "
+                f"against noise of {noise_sd:.3g}, expected at least {LEAST_STEP:g} times the noise; is it "
+                "straight and alone in the box?"
+            )
+        rise = _rise(esf, levels)
+        if n_done == N_FITS - 1:
+            break
+        curve, change = _improved(curve, esf, rise)
+        light[used] += change
         if n_done > 0:
-            tail_px = min(max(TAIL_PX, TAIL_RISES * solved.rise_px), farthest_px)
-            uniform_px = min(max(UNIFORM_PX, UNIFORM_RISES * solved.rise_px), tail_px)
+            high = esf.nodes[int(np.argmax(rise > 0.9))]
+            low = esf.nodes[len(rise) - 1 - int(np.argmax(rise[::-1] < 0.1))]
+            rise_px = float(high - low)
+            tail_px = min(max(TAIL_PX, TAIL_RISES * rise_px), farthest_px)
+            uniform_px = min(max(UNIFORM_PX, UNIFORM_RISES * rise_px), tail_px)
         if n_done == 1:
-            pixels = pixels._replace(is_alive=~_dead(solved))
-        if n_done == 2:
-            is_shaded = _is_shaded(solved)
-    solved = _solve(pixels, curve, tail_px, uniform_px, shape, is_shaded=is_shaded, where=where)
-    while tail_px < farthest_px and _has_structure(solved):
-        tail_px = min(1.4 * tail_px, farthest_px)
-        solved = _solve(pixels, curve, tail_px, uniform_px, shape, is_shaded=is_shaded, where=where)
-    coarse = _solve(
-        pixels, curve, tail_px, uniform_px, shape, is_shaded=is_shaded, where=where, least_knots_px=COARSE_PX
-    )
-    _check_smooth(coarse, where)
-    columns, residual = solved.columns, solved.residual
-    inverse = cho_solve(solved.factor, np.eye(columns.shape[1]))
-    leverage = np.minimum(np.einsum("ij,ij->i", columns @ inverse, columns), 0.9)
-    meat = _noise(solved, leverage).covariance(solved)
-    n = len(solved.weights)
-    visible = solved.along[np.abs(solved.distance) < 1.0]
-    ends = np.linspace(visible.min(), visible.max(), 101)
-    line = polyval(ends, curve.polynomial)
-    chord = line - np.polyval(np.polyfit(ends, line, 1), ends)
-    return _Fit(
-        curve=curve,
-        profile=solved.profile,
-        weights=solved.weights,
-        covariance=(inverse @ meat @ inverse)[:n, :n],
-        pass_through=_pass_through(solved),
-        residual_sd=float(residual.std()),
-        bend_px=float(np.ptp(chord)),
-    )
+            is_alive = ~_dead(esf, used.reshape(values.shape), contrast)
+        if n_done == 3 and _is_shaded(esf, tail_px, widest_px):
+            terms = DARK, CONTRAST, DARK_SIDE, BRIGHT_SIDE
+    _check_smooth(esf, rise, contrast, widest_px, where)
+    return _edge_mtf(esf, _profile(esf, levels, tail_px), uniform_px, curve, box)
 
 
-def _solve(
-    pixels: _Pixels,
-    curve: _Curve,
-    tail_px: float,
-    uniform_px: float,
-    shape: tuple[FloatArray, FloatArray] | None,
-    *,
-    is_shaded: bool,
-    where: str,
-    least_knots_px: float = KNOTS_PX,
-) -> _Solved:
-    """Fit a profile to pixels by least squares, for a given curve and, from an earlier fit, a rough profile."""
-    from scipy.linalg import cho_factor, cho_solve
-
-    distance, along = curve.distance(pixels.x, pixels.y)
-    used = (np.abs(distance) <= pixels.widest_px) & pixels.is_alive.ravel()
-    distance, along, values = distance[used], along[used], pixels.values[used]
-    knots_px = max(_knots_px(distance, uniform_px, curve, where), least_knots_px)
-    profile = _Profile(tail_px, uniform_px, knots_px, has_tail=not is_shaded)
-    functions = profile.columns(distance)
-    of_step = functions[:, _Profile.STEP] if shape is None else np.interp(distance, *shape)
-    # On either side light may change along the edge and, in place of the tail, across it.
-    sides = (of_step, 1.0 - of_step)
-    across = (sides[0] * distance / pixels.widest_px, sides[1] * distance / pixels.widest_px)
-    shading = [side * along / np.abs(along).max() for side in sides] + list(across) * is_shaded
-    columns = np.column_stack([functions, *shading])
-    try:
-        factor = cho_factor(columns.T @ columns)
-    except np.linalg.LinAlgError:
-        raise DataError(f"{where}found too few pixels at the edge for a profile, expected a larger box") from None
-    solved = cho_solve(factor, columns.T @ values)
-    residual = values - columns @ solved
-    weights = solved[: functions.shape[1]]
-    contrast = float(weights[_Profile.STEP])
-    if not contrast > LEAST_STEP * residual.std():
-        raise DataError(
-            f"{where}found no edge: along a smooth curve the steepest step is {max(contrast, 0.0):.3g} against "
-            f"noise of {residual.std():.3g}, expected at least {LEAST_STEP:g} times the noise; is it straight "
-            "and alone in the box?"
-        )
-    grid = np.linspace(-0.999 * profile.end_px, 0.999 * profile.end_px, 401)
-    rising = (profile.columns(grid) @ weights - weights[_Profile.DARK]) / contrast
-    found = grid, np.clip(rising, 0.0, 1.0)
-    return _Solved(
-        used.reshape(pixels.is_alive.shape),
-        distance,
-        along,
-        profile,
-        columns,
-        factor,
-        weights,
-        residual,
-        pixels.widest_px,
-        across,
-        found,
-    )
+def _improved(curve: _Curve, esf: _Esf, rise: FloatArray) -> tuple[_Curve, FloatArray]:
+    """Return the curve after a Gauss-Newton step, and the change of light along both sides of the edge."""
+    length, powers = float(np.abs(esf.along).max()), np.arange(1, DEGREE + 1)
+    s, bright = esf.along / length, rise[esf.bins]
+    sides = np.column_stack([s * bright, s * (1.0 - bright)])
+    columns = np.column_stack([-esf.slopes[esf.bins, np.newaxis] * s[:, np.newaxis] ** powers, sides])
+    found = np.linalg.lstsq(columns, esf.residual, rcond=None)[0]
+    return curve.moved(np.concatenate([[0.0], found[:DEGREE] / length**powers])), sides @ found[DEGREE:]
 
 
-def _improved(curve: _Curve, solved: _Solved) -> _Curve:
-    """Return the curve after a Gauss-Newton step: moved by what the residuals say along the edge."""
-    slope = np.zeros(len(solved.distance))
-    inside = np.abs(solved.distance) < solved.profile.end_px
-    slope[inside] = solved.profile.slopes(solved.distance[inside]) @ solved.weights
-    length, powers = float(np.abs(solved.along).max()), np.arange(1, DEGREE + 1)
-    changes = -slope[:, np.newaxis] * (solved.along[:, np.newaxis] / length) ** powers
-    step = np.linalg.lstsq(solved.without(changes), solved.residual, rcond=None)[0] / length**powers
-    return curve.moved(np.concatenate([[0.0], step]))
-
-
-def _knots_px(distance: FloatArray, uniform_px: float, curve: _Curve, where: str) -> float:
-    """Return the interval of the knots at the edge: no smaller than the widest gap between pixels."""
-    near = np.sort(distance[np.abs(distance) <= uniform_px])
+def _check_gaps(esf: _Esf, uniform_px: float, curve: _Curve, where: str) -> None:
+    """Raise DataError if pixels near the edge leave gaps between their distances."""
+    near = np.sort(esf.distance[np.abs(esf.distance) <= uniform_px])
     gap_px = float(np.diff(near).max()) if len(near) > 1 else math.inf
     if gap_px > WIDEST_GAP_PX:
         angle = abs((math.degrees(math.atan2(curve.normal[1], curve.normal[0])) + 45.0) % 90.0 - 45.0)
@@ -634,257 +504,151 @@ def _knots_px(distance: FloatArray, uniform_px: float, curve: _Curve, where: str
             f"pixels in its profile, expected at most {WIDEST_GAP_PX}; turn target or camera by 2° to 10°, or use "
             "a longer edge"
         )
-    return max(KNOTS_PX, 1.02 * gap_px)
 
 
-def _has_structure(solved: _Solved) -> bool:
-    """Return whether residuals beyond the splines have the same means, pixel by pixel, in both halves of the edge.
-
-    Noise that neighbouring pixels share has means as well, but different ones.
-    """
-    far = np.abs(solved.distance) >= solved.profile.end_px
-    residual, bins = solved.residual[far], np.floor(solved.distance[far]).astype(np.intp)
-    first = solved.along[far] < np.median(solved.along[far])
-    bins -= bins.min()
-    counts = np.array([np.bincount(bins[half], minlength=bins.max() + 1) for half in (first, ~first)])
-    sums = np.array([np.bincount(bins[half], residual[half], bins.max() + 1) for half in (first, ~first)])
-    filled = (counts > 1).all(0)
-    means = sums[:, filled] / counts[:, filled]
-    scale = math.sqrt(float((means[0] @ means[0]) * (means[1] @ means[1])) / max(int(filled.sum()), 1))
-    return bool(means[0] @ means[1] > STRUCTURE_ERRORS * scale)
-
-
-def _dead(solved: _Solved) -> NDArray[np.bool_]:
-    """Return which pixels are far from the fit while all that surround them are not."""
+def _dead(esf: _Esf, used: NDArray[np.bool_], contrast: float) -> NDArray[np.bool_]:
+    """Return which pixels are far from the profile while all that surround them are not."""
     from scipy.ndimage import maximum_filter
 
-    residual = np.zeros(solved.used.shape)
-    residual[solved.used] = np.abs(solved.residual)
-    noise_sd = float(np.median(np.abs(solved.residual))) / QUARTILE
+    residual = np.zeros(used.shape)
+    residual[used] = np.abs(esf.residual)
+    noise_sd = float(np.median(np.abs(esf.residual))) / QUARTILE
     others = maximum_filter(residual, footprint=[[1, 1, 1], [1, 0, 1], [1, 1, 1]], mode="constant")
-    least = max(DEAD_ERRORS * noise_sd, DEAD_CONTRAST * solved.contrast)
-    return np.asarray((residual > least) & (residual > DEAD_NEIGHBOURS * others))
+    least = max(DEAD_ERRORS * noise_sd, DEAD_CONTRAST * contrast)
+    return np.asarray((residual > least) & (residual > DEAD_NEIGHBOURS * others)).ravel()
 
 
-def _is_shaded(solved: _Solved) -> bool:
+def _is_shaded(esf: _Esf, tail_px: float, widest_px: float) -> bool:
     """Return whether light changes across one side of the edge, beyond what the tail explains.
 
     One edge cannot hold a tail and a change of light apart, so that a fit of both loses the levels.
     """
-    from scipy.ndimage import uniform_filter
-
-    free = np.column_stack([solved.without(change) for change in solved.across])
-    explained = free @ np.linalg.lstsq(free, solved.residual, rcond=None)[0]
-    # Noise that neighbours share is what is left without the mean about each pixel: uneven light is none.
-    images = np.zeros((2, *solved.used.shape))
-    images[0, solved.used] = solved.residual - explained
-    images[1] = solved.used
-    total, n = (uniform_filter(one, UNEVEN_PX, mode="constant")[solved.used] for one in images)
-    rest = solved._replace(residual=solved.residual - explained - total / n)
-    variance = _noise(rest).gain * float(rest.residual.var())
-    power = (free**2).sum(0)
-    size, error = np.abs(free.T @ solved.residual) / power, np.sqrt(variance / power)
-    return bool(((size > LEAST_SHADING * solved.contrast) & (size > SHADING_ERRORS * error)).any())
+    covariance = esf.covariance()
+    for term in (DARK_SIDE, BRIGHT_SIDE):
+        levels = _levels(esf, tail_px, (DARK, CONTRAST, TAIL, term))
+        size, error = abs(float(levels[term] @ esf.means)), math.sqrt(levels[term] @ covariance @ levels[term])
+        if size > SHADING_ERRORS * error and size * widest_px > LEAST_SHADING * (levels[CONTRAST] @ esf.means):
+            return True
+    return False
 
 
-def _check_smooth(solved: _Solved, where: str) -> None:
-    """Raise DataError if parts of the edge are displaced from the curve by more than noise would displace them.
+def _check_smooth(esf: _Esf, rise: FloatArray, contrast: float, widest_px: float, where: str) -> None:
+    """Raise DataError if rows of the edge are displaced from the curve by more than noise would displace them.
 
-    The same filter beside the edge shows what noise does, also noise that neighbouring pixels share. `solved` is a
-    fit with coarse knots: a finer profile follows what distant parts of a wavy edge have in common.
+    The same filter beside the edge shows what noise does, also noise that neighbouring pixels share.
     """
-    grid, rising = solved.shape
-    highest = np.maximum.accumulate(rising)
-    quarters = [float(grid[np.searchsorted(highest, level)]) for level in (0.25, 0.75)]
-    sigma_px = max((quarters[1] - quarters[0]) / (2 * QUARTILE), LEAST_SIGMA_PX)
-    part = np.floor((solved.along - solved.along.min()) / PART_PX).astype(np.intp)
+    quarters = np.interp([0.25, 0.75], np.maximum.accumulate(rise), esf.nodes)
+    sigma_px = max(float(np.ptp(quarters)) / (2 * QUARTILE), LEAST_SIGMA_PX)
+    height = contrast / (sigma_px * math.sqrt(math.tau))
+    row = np.floor(esf.along - esf.along.min()).astype(np.intp)
 
-    def power_at(place_px: float) -> tuple[FloatArray, FloatArray]:
-        """Return the slope of an edge at a distance, and the sum of its squares in each part."""
-        slope = np.exp(-0.5 * ((solved.distance - place_px) / sigma_px) ** 2)
-        slope *= solved.contrast / (sigma_px * math.sqrt(2 * math.pi))
-        return slope, np.asarray(np.bincount(part, slope**2), np.float64)
+    def slope_at(place_px: float) -> tuple[FloatArray, FloatArray]:
+        """Return the slope of an edge at a distance, and the sum of its squares in each row."""
+        slope = height * np.exp(-0.5 * ((esf.distance - place_px) / sigma_px) ** 2)
+        return slope, np.bincount(row, slope**2).astype(np.float64)
 
-    least_power = 0.5 * float(np.median(power_at(0.0)[1]))
+    least_power = 0.5 * float(np.median(slope_at(0.0)[1]))
 
     def displacements(place_px: float) -> FloatArray:
         """Return those that residuals at a distance show, less the polynomial that the curve may follow."""
-        slope, power = power_at(place_px)
-        # Parts at the ends, and at corners of the box, have few pixels.
+        slope, power = slope_at(place_px)
+        # Rows at the ends, and at corners of the box, have few pixels.
         seen = np.flatnonzero(power > least_power)
         if len(seen) < 2 * DEGREE + 2:
             return np.zeros(0)
-        shift = np.bincount(part, slope * solved.residual)[seen] / power[seen]
+        shift = np.bincount(row, slope * esf.residual)[seen] / power[seen]
         shift -= np.polyval(np.polyfit(seen, shift, DEGREE), seen)
         return np.asarray(shift / math.sqrt(1.0 - (DEGREE + 1) / len(seen)))
 
-    farthest_px = max(solved.widest_px - 2 * sigma_px, solved.widest_px / 2)
+    farthest_px = max(widest_px - 2 * sigma_px, widest_px / 2)
     beside_px = np.append(np.arange(farthest_px - 4 * sigma_px, 4 * sigma_px, -4 * sigma_px), farthest_px)
     beside = [one for place in beside_px for side in (1.0, -1.0) if len(one := displacements(side * place))]
     found = displacements(0.0)
     noise = float(np.mean([one @ one / len(one) for one in beside]))
-    # Parts that share noise are fewer: the variance of a mean of squares (Bartlett).
-    lags = range(1, min(MOST_SHARED_PX, len(found) // 4))
+    # Rows that share noise are fewer: the variance of a mean of squares (Bartlett).
     shared = [
-        np.mean([one[lag:] @ one[:-lag] / len(one) for one in beside if len(one) > lag]) / noise for lag in lags
+        np.mean([one[lag:] @ one[:-lag] / len(one) for one in beside if len(one) > lag]) / noise
+        for lag in range(1, min(2 * BLOCK_ROWS, len(found) // 4))
     ]
-    n_parts = len(found) / (1.0 + 2.0 * float(np.sum(np.square(shared)))) if noise > 0.0 else math.inf
+    n_rows = len(found) / (1.0 + 2.0 * float(np.sum(np.square(shared)))) if noise > 0.0 else math.inf
     excess = float(found @ found) / len(found) - noise
-    if excess > max(ROUGHEST_PX**2, ROUGHNESS_ERRORS * math.sqrt(2.0 / n_parts) * noise):
+    if excess > max(ROUGHEST_PX**2, ROUGHNESS_ERRORS * math.sqrt(2.0 / n_rows) * noise):
         raise DataError(
             f"{where}found an edge that departs from a smooth curve by {math.sqrt(excess):.2f} pixels, expected "
             f"at most {ROUGHEST_PX}; is it straight and smooth, and alone in the box?"
         )
 
 
-class _Noise(NamedTuple):
-    """Noise of the pixels of a fit: its standard deviation there, and the power of its correlation by frequency.
+def _transform(profile: _Profile, uniform_px: float, blur_px: float) -> ComplexArray:
+    """Return how the Fourier transform of the profile's slope follows from the means, (n_frequencies, n_bins).
 
-    Power is relative to its mean, at the frequencies of a real transform of the box, padded to `padded`.
+    Differences of samples a width w apart have sinc(f w) times the transform of the slope. Farther out the profile
+    is straight between two bins. The tail's slope, 1 / distance², is transformed by the sine integral.
     """
-
-    sd: FloatArray
-    power: FloatArray
-    padded: tuple[int, int]
-
-    def covariance(self, solved: _Solved) -> FloatArray:
-        """Return the covariance of the sums of noise times columns."""
-        terms = _in_frequency(solved, solved.columns * self.sd[:, np.newaxis], self.padded)
-        # The transform of real columns has but half of all frequencies.
-        n = self.padded[1]
-        weight = np.where((np.arange(n // 2 + 1) == 0) | (2 * np.arange(n // 2 + 1) == n), 1.0, 2.0)
-        scaled = (terms * np.sqrt(self.power * weight)[..., np.newaxis]).reshape(-1, terms.shape[2])
-        return np.asarray((scaled.real.T @ scaled.real + scaled.imag.T @ scaled.imag) / math.prod(self.padded))
-
-    @property
-    def gain(self) -> float:
-        """Variance of the mean of many pixels, in units of that of independent noise; at least 1."""
-        return max(float(self.power[0, 0]), 1.0)
-
-
-def _noise(solved: _Solved, leverage: FloatArray | float = 0.0) -> _Noise:
-    """Estimate the noise from the residuals of a fit.
-
-    Its standard deviation depends on the distance from the edge, as it differs with the light; its correlation,
-    which interpolation, compression and sharpening make, is the same everywhere.
-    """
-    from scipy.fft import irfft2, next_fast_len, rfft2
-
-    squares = solved.residual**2 / (1.0 - leverage)
-    sd = np.zeros(len(squares))
-    for group in np.array_split(np.argsort(solved.distance), max(len(squares) // NOISE_PIXELS, 1)):
-        sd[group] = math.sqrt(float(squares[group].mean()))
-    rows, columns = (next_fast_len(one + MOST_SHARED_PX, real=True) for one in solved.used.shape)
-    relative = np.divide(solved.residual, sd, out=np.zeros_like(sd), where=sd > 0.0)
-    both = _in_frequency(solved, np.column_stack([relative, np.ones(len(sd))]), (rows, columns))
-    products, counts = np.moveaxis(irfft2(np.abs(both) ** 2, (rows, columns), axes=(0, 1)), 2, 0)
-    power = rfft2(_correlation(products, np.maximum(np.rint(counts), 1.0))).real
-    # An estimate of correlations by lag may have a negative power at some frequencies.
-    return _Noise(sd, np.maximum(power, LEAST_POWER), (rows, columns))
-
-
-def _in_frequency(solved: _Solved, values: FloatArray, padded: tuple[int, int]) -> ComplexArray:
-    """Return the two-dimensional transforms of values of the pixels that are used, (n_pixels, n)."""
-    from scipy.fft import rfft2
-
-    images = np.zeros((*solved.used.shape, values.shape[1]))
-    images[solved.used] = values
-    return np.asarray(rfft2(images, padded, axes=(0, 1)))
-
-
-def _correlation(products: FloatArray, pairs: FloatArray) -> FloatArray:
-    """Return the correlation of noise by cyclic lag, 0 beyond the lags at which it is seen.
-
-    Parameters
-    ----------
-    products, pairs : ndarray (rows, columns)
-        Sums of products of pixels, and numbers of pairs, by cyclic lag.
-    """
-    from scipy.special import gammaincc
-
-    found = np.zeros_like(products)
-    if not products[0, 0] > 0.0:
-        found[0, 0] = 1.0
-        return found
-    estimate = products / pairs * (pairs[0, 0] / products[0, 0])
-
-    def lags(down: int, right: int) -> tuple[NDArray[np.intp], ...]:
-        """Return all lags up to two."""
-        return np.ix_(np.arange(-down, down + 1), np.arange(-right, right + 1))
-
-    def is_seen(strip: tuple[Any, ...], of_chance: float) -> bool:
-        """Return whether lags have correlations that chance would rarely give (Bartlett's formula)."""
-        chi2 = float((pairs[strip] * estimate[strip] ** 2).sum()) / of_chance
-        return bool(gammaincc(estimate[strip].size / 2, chi2 / 2) < SHARED_CHANCE)
-
-    down = right = 0
-    while True:
-        of_chance = float((estimate[lags(down, right)] ** 2).sum())
-        # Correlations of sharpened noise pass through 0: the second strip may have some where the first has none.
-        rows = [n for n in (down + 1, down + 2) if n <= MOST_SHARED_PX]
-        columns = [n for n in (right + 1, right + 2) if n <= MOST_SHARED_PX]
-        down, right, before = (
-            max((n for n in rows if is_seen((n, np.arange(-right - 1, right + 2)), of_chance)), default=down),
-            max((n for n in columns if is_seen((np.arange(-down - 1, down + 2), n), of_chance)), default=right),
-            (down, right),
-        )
-        if (down, right) == before:
-            break
-    found[lags(down, right)] = estimate[lags(down, right)]
-    return found
-
-
-def _pass_through(solved: _Solved) -> FloatArray:
-    """Return the share that the fit passes of each frequency of a Gaussian edge with the same MTF50."""
-    from scipy.linalg import cho_solve
-    from scipy.special import ndtr
+    from scipy.special import sici
 
     frequency = FREQUENCY_CYC_PER_PIXEL
-    transforms = solved.profile.transforms(frequency)
-    mtf50 = mtf50_of(frequency, np.abs(transforms @ solved.weights) / solved.contrast) or 1.0
-    sigma_px = math.sqrt(math.log(2.0) / 2.0) / (math.pi * mtf50)
-    gaussian = ndtr(solved.distance / sigma_px)
-    weights = cho_solve(solved.factor, solved.columns.T @ gaussian)[: len(solved.weights)]
-    expected = np.exp(-2.0 * (np.pi * sigma_px * frequency) ** 2)
-    found = np.abs(transforms @ weights) / weights[_Profile.STEP]
-    # Beyond, the Gaussian has too little to compare with.
-    known = int(np.flatnonzero(expected > 0.02)[-1])
-    share = found[: known + 1] / expected[: known + 1]
-    return np.concatenate([share, np.full(len(frequency) - known - 1, share[-1])])
-
-
-def _edge_mtf(fit: _Fit, box: Box) -> EdgeMtf:
-    """Return MTF, band and overshoot of a fitted edge."""
-    transforms = fit.profile.transforms(FREQUENCY_CYC_PER_PIXEL)
-    ratio = transforms @ fit.weights / fit.contrast
-    # Derivatives of the ratio, turned so that the real part is along it.
-    derivative = transforms / fit.contrast
-    derivative[:, _Profile.STEP] -= ratio / fit.contrast
-    derivative *= np.exp(-1j * np.angle(ratio))[:, np.newaxis]
-    along, across = (
-        np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", one, fit.covariance, one), 0.0))
-        for one in (derivative.real, derivative.imag)
+    width, middle = np.diff(profile.places), (profile.places[1:] + profile.places[:-1]) / 2.0
+    of_width = np.sinc(np.outer(frequency, width))
+    is_uniform = (np.abs(middle) < uniform_px) & (width < 1.0)
+    waves = np.exp(-2j * np.pi * np.outer(frequency, middle)) * np.where(
+        is_uniform, 1.0 / np.maximum(of_width, 0.1), of_width
     )
-    mtf, lower, upper = _without_noise(np.abs(ratio), along, across)
-    mtf, lower, upper = (one / fit.pass_through for one in (mtf, lower, upper))
-    left, top, _, _ = box
-    curve, dark = fit.curve, float(fit.weights[_Profile.DARK])
-    grid, profile, overshoot, undershoot = _overshoots(fit)
+    end_px, omega = profile.places[-1], 2 * np.pi * frequency
+    of_tail = 2 * (np.cos(omega * end_px) / end_px - omega * (np.pi / 2 - sici(omega * end_px)[0]))
+    found = waves @ np.diff(profile.values, axis=0) + np.outer(of_tail, profile.levels[TAIL])
+    # A bin's mean is that of a profile blurred by the distances in it.
+    return np.asarray(found * np.exp(0.5 * (omega[:, np.newaxis] * blur_px) ** 2), np.complex128)
+
+
+def _edge_mtf(esf: _Esf, profile: _Profile, uniform_px: float, curve: _Curve, box: Box) -> EdgeMtf:
+    """Return MTF, band and overshoot of a fitted edge."""
+    from scipy.interpolate import make_interp_spline
+
+    means, covariance, levels = esf.means, esf.covariance(), profile.levels
+    dark, contrast = (float(one) for one in levels[[DARK, CONTRAST]] @ means)
+    transform = _transform(profile, uniform_px, esf.blur_px) / contrast
+    ratio = transform @ means
+    # Derivatives of the ratio, turned so that the real part is along it.
+    derivative = transform - np.outer(ratio, levels[CONTRAST] / contrast)
+    derivative *= np.exp(-1j * np.angle(ratio))[:, np.newaxis]
+
+    def error(derivatives: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", derivatives, covariance, derivatives), 0.0)))
+
+    mtf, lower, upper = _without_noise(np.abs(ratio), error(derivative.real), error(derivative.imag))
+    # How far means over a pixel go beyond both levels.
+    n_in_pixel = 20
+    end = math.floor(profile.places[-1] * n_in_pixel)
+    grid = np.arange(-end, end + 1) / n_in_pixel
+    at_grid = make_interp_spline(profile.places, profile.values - levels[DARK], k=1)(grid) / contrast
+    sums = np.cumsum(at_grid, 0)
+    in_pixels = (sums[n_in_pixel:] - sums[:-n_in_pixel]) / n_in_pixel
+    level = in_pixels @ means
+
+    def beyond(k: int, height: float, sign: float) -> EdgeValue:
+        value = max(sign * (float(level[k]) - height), 0.0)
+        half = NORMAL_95 * float(error(in_pixels[k : k + 1] - level[k] * levels[CONTRAST] / contrast)[0])
+        return EdgeValue(value, (max(value - half, 0.0), value + half))
+
+    visible = esf.along[np.abs(esf.distance) < 1.0]
+    ends = np.linspace(visible.min(), visible.max(), 101)
+    line = polyval(ends, curve.polynomial)
     return EdgeMtf(
         mtf=mtf,
         lower=lower,
         upper=upper,
         box=box,
-        centre_px=(curve.x + left, curve.y + top),
+        centre_px=(curve.x + box[0], curve.y + box[1]),
         normal_deg=math.degrees(math.atan2(curve.normal[1], curve.normal[0])),
-        bend_px=fit.bend_px,
+        bend_px=float(np.ptp(line - np.polyval(np.polyfit(ends, line, 1), ends))),
         dark=dark,
-        bright=dark + fit.contrast,
-        noise_sd=fit.residual_sd,
-        overshoot=overshoot,
-        undershoot=undershoot,
-        distance_px=grid,
-        profile=profile,
+        bright=dark + contrast,
+        noise_sd=float(esf.residual.std()),
+        overshoot=beyond(int(np.argmax(level)), 1.0, 1.0),
+        undershoot=beyond(int(np.argmin(level)), 0.0, -1.0),
+        distance_px=profile.places,
+        profile=(profile.values @ means - dark) / contrast,
     )
 
 
@@ -914,25 +678,3 @@ def _without_noise(
         end[few] = np.where(is_above, np.sqrt(np.nan_to_num(chndtrinc(squares, 2.0, p))), 0.0)
     value, lower, upper = (np.where(known, one * sd, modulus) for one in (value, lower, upper))
     return value, np.minimum(lower, value), np.maximum(upper, value)
-
-
-def _overshoots(fit: _Fit) -> tuple[FloatArray, FloatArray, EdgeValue, EdgeValue]:
-    """Return the profile from 0 to 1, and how far its means over a pixel go beyond both levels."""
-    end = 0.999 * fit.profile.end_px
-    n_in_pixel = 20
-    grid = np.arange(-math.floor(end * n_in_pixel), math.floor(end * n_in_pixel) + 1) / n_in_pixel
-    columns = fit.profile.columns(grid)
-    sums = np.cumsum(columns, 0)
-    means = (sums[n_in_pixel:] - sums[:-n_in_pixel]) / n_in_pixel
-    level = (means @ fit.weights - fit.weights[_Profile.DARK]) / fit.contrast
-
-    def beyond(k: int, height: float, sign: float) -> EdgeValue:
-        derivative = means[k] / fit.contrast
-        derivative[_Profile.DARK] -= 1.0 / fit.contrast
-        derivative[_Profile.STEP] -= level[k] / fit.contrast
-        error = NORMAL_95 * math.sqrt(max(float(derivative @ fit.covariance @ derivative), 0.0))
-        value = max(sign * (float(level[k]) - height), 0.0)
-        return EdgeValue(value, (max(value - error, 0.0), value + error))
-
-    over, under = beyond(int(np.argmax(level)), 1.0, 1.0), beyond(int(np.argmin(level)), 0.0, -1.0)
-    return grid, (columns @ fit.weights - fit.weights[_Profile.DARK]) / fit.contrast, over, under

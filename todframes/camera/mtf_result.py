@@ -51,8 +51,8 @@ SHOWN_ROWS = 16
 """Number of frequencies that are shown, about: every eighth of the Nyquist frequency for slanted edges."""
 
 HOW_MEASURED = (
-    "Distances of pixels from the edge make a finely sampled profile, whose derivative has the MTF as its Fourier "
-    "transform (ISO 12233:2023, with a fitted spline in place of bins). Overshoot and undershoot are those of the "
+    "Pixels are sorted by their distance from the edge into bins, whose means are a finely sampled profile; its "
+    "derivative has the MTF as its Fourier transform (ISO 12233:2023). Overshoot and undershoot are those of the "
     "profile in means over a pixel, relative to the contrast."
 )
 
