@@ -27,23 +27,23 @@ SIZES_MRAD, CONTRASTS = (1.0, 1.4, 2.0), (0.06, 0.1, 0.16, 0.25, 0.4)
 
 def figures(found: Closed, camera: FilmingCamera) -> str:
     """Return the table of what the film gives, beside the truth."""
-    noise, mtf = found.noise.measured, found.mtf.mtf
+    noise, mtf = found.noise.noise.emva1288, found.mtf.mtf
     frequency = np.linspace(0.01, 1.0, 1000)
     true_mtf = np.exp(-2.0 * (np.pi * frequency * camera.blur_sigma_px) ** 2) * np.sinc(frequency)
     electrons = camera.electrons_at_white * noise.background_cd_m2 / 100.0
     rows = [
-        ("system gain (DN/e⁻)", noise.system_gain, camera.gain_dn_per_electron, 3),
-        ("dark noise with its rows (e⁻)", noise.dark_noise,
+        ("system gain (DN/e⁻)", "system_gain", camera.gain_dn_per_electron, 3),
+        ("dark noise with its rows (e⁻)", "dark_noise",
          float(np.hypot(camera.dark_noise_electrons, camera.row_noise_electrons)), 3),
-        ("DSNU (e⁻)", noise.dsnu, camera.dsnu_electrons, 3),
-        ("PRNU (%)", noise.prnu, camera.prnu_percent, 3),
-        ("background (e⁻)", noise.background_electrons, electrons, 4),
+        ("DSNU (e⁻)", "dsnu", camera.dsnu_electrons, 3),
+        ("PRNU (%)", "prnu", camera.prnu_percent, 3),
+        ("background (e⁻)", "background_electrons", electrons, 4),
     ]  # fmt: skip
     lines = ["| | from the film | 95 % interval | the camera's own |", "|---|---|---|---|"]
-    for name, one, true, digits in rows:
-        low, high = one.ci95
+    for name, key, true, digits in rows:
+        value, (low, high) = getattr(noise, key), getattr(noise, f"{key}_ci95")
         lines.append(
-            f"| {name} | {one.value:.{digits}g} | {low:.{digits}g} to {high:.{digits}g} | {true:.{digits}g} |"
+            f"| {name} | {value:.{digits}g} | {low:.{digits}g} to {high:.{digits}g} | {true:.{digits}g} |"
         )
     low, high = mtf.mtf50_ci95
     true50 = float(np.interp(-0.5, -true_mtf, frequency))

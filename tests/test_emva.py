@@ -145,7 +145,7 @@ def stacks(
 def test_figures_of_a_simulated_camera_are_within_their_intervals() -> None:
     """The seed is one of those where all 95 % intervals hold."""
     found = tod.emva_noise(**stacks())
-    measured = found.measured
+    measured = found.noise.emva1288
     truth = {
         "system_gain": CAMERA.gain_dn_per_electron,
         "quantum_efficiency": CAMERA.quantum_efficiency,
@@ -155,14 +155,13 @@ def test_figures_of_a_simulated_camera_are_within_their_intervals() -> None:
         "prnu": CAMERA.prnu_percent,
     }
     for name, value in truth.items():
-        estimate = getattr(measured, name)
-        low, high = estimate.ci95
+        low, high = getattr(measured, f"{name}_ci95")
         assert low <= value <= high, name
-        assert low <= estimate.value <= high, name
+        assert low <= getattr(measured, name) <= high, name
         assert high - low < 0.5 * value, name  # they say something
     # No stack is saturated, so the capacity is that of 12 bits: (4095 − 30) DN.
     assert not measured.is_saturation_reached
-    assert measured.saturation_electrons.value * measured.system_gain.value == pytest.approx(4095 - 30, abs=1.0)
+    assert measured.saturation_electrons * measured.system_gain == pytest.approx(4095 - 30, abs=1.0)
     assert [one.code for one in found.warnings] == ["saturation_not_reached"]
 
 
@@ -174,8 +173,8 @@ def codes_of(found: Any) -> set[str]:
 def test_a_lamp_that_flickers_leaves_the_patterns(flicker: float) -> None:
     """Of 4,096 pixels in 8 frames the PRNU is 0.8 % with a standard error of 0.011 %."""
     found = tod.emva_noise(**stacks(n=8, flicker=flicker))
-    assert found.measured.prnu.value == pytest.approx(CAMERA.prnu_percent, abs=4 * 0.011)
-    assert found.measured.dsnu.value == pytest.approx(CAMERA.dsnu_electrons, rel=0.1)
+    assert found.noise.emva1288.prnu == pytest.approx(CAMERA.prnu_percent, abs=4 * 0.011)
+    assert found.noise.emva1288.dsnu == pytest.approx(CAMERA.dsnu_electrons, rel=0.1)
     assert codes_of(found) == set()
 
 
@@ -183,7 +182,7 @@ def test_a_lamp_that_flickers_leaves_the_patterns(flicker: float) -> None:
 def test_a_lamp_that_drifts_within_a_stack_is_warned_of(drift: float) -> None:
     found = tod.emva_noise(**stacks(n=8, drift=drift))
     # Half of the drift is in the mean, and so in the quantum efficiency.
-    assert found.measured.quantum_efficiency.value == pytest.approx(0.45 * (1.0 + drift / 2.0), rel=0.01)
+    assert found.noise.emva1288.quantum_efficiency == pytest.approx(0.45 * (1.0 + drift / 2.0), rel=0.01)
     (warning,) = (one for one in found.warnings if one.code != "saturation_not_reached")
     share = float(re.search(r"the mean of bright\[\d\] changes by ([\d.]+) % of the signal", warning.message)[1])
     assert warning.code == "drift" and share == pytest.approx(100.0 * drift, rel=0.05)
@@ -193,7 +192,7 @@ def test_a_lamp_that_drifts_within_a_stack_is_warned_of(drift: float) -> None:
 def test_light_that_falls_off_is_warned_of(fall_off: float) -> None:
     """Without the surface, the PRNU is that of the camera: 0.8 %, 0.017 % standard error with 4 frames."""
     found = tod.emva_noise(**stacks(fall_off=fall_off))
-    assert found.measured.prnu.value > 1.2 * CAMERA.prnu_percent
+    assert found.noise.emva1288.prnu > 1.2 * CAMERA.prnu_percent
     (warning,) = (one for one in found.warnings if one.code != "saturation_not_reached")
     even = float(re.search(r"and is ([\d.]+) % without a surface", warning.message)[1])
     assert warning.code == "uneven_light" and even == pytest.approx(CAMERA.prnu_percent, abs=4 * 0.017)
@@ -222,9 +221,9 @@ COARSE = replace(
 def test_patterns_under_coarse_steps_are_uncertain_by_half_a_step(offset_dn: float) -> None:
     """A DSNU of 0.24 DN: rounding shows 0.2 or 0.5 DN of it, by where black lies between two steps."""
     found = tod.emva_noise(**stacks(replace(COARSE, offset_dn=offset_dn)))
-    low, high = found.measured.dsnu.ci95
+    low, high = found.noise.emva1288.dsnu_ci95
     assert low <= 4.0 <= high
-    assert abs(found.measured.dsnu.value - 4.0) > 0.5 and found.measured.dark_current is None
+    assert abs(found.noise.emva1288.dsnu - 4.0) > 0.5 and found.noise.emva1288.dark_current is None
     assert codes_of(found) == {"quantised"}
     assert "the DSNU uncertain by half a step (1 DN)" in found.warnings[0].message
 
@@ -236,10 +235,13 @@ def test_steps_of_several_values_are_steps(camera: PhotonCamera) -> None:
     wide = {name: [16 * one for one in made[name]] for name in ("bright", "dark")} | {"bits": 16}
     once, again = tod.emva_noise(**made), tod.emva_noise(**made | wide)
     assert codes_of(again) == codes_of(once)
-    assert again.measured.system_gain.value == pytest.approx(16.0 * once.measured.system_gain.value, rel=1e-12)
+    assert again.noise.emva1288.system_gain == pytest.approx(16.0 * once.noise.emva1288.system_gain, rel=1e-12)
     for name in ("dark_noise", "dsnu", "prnu", "quantum_efficiency"):
-        one, other = (getattr(found.measured, name) for found in (once, again))
-        assert [other.value, *other.ci95] == pytest.approx([one.value, *one.ci95], rel=1e-9), name
+        one, other = (
+            [getattr(found.noise.emva1288, name), *getattr(found.noise.emva1288, f"{name}_ci95")]
+            for found in (once, again)
+        )
+        assert other == pytest.approx(one, rel=1e-9), name
 
 
 @pytest.mark.parametrize("has_photons", [True, False])
@@ -257,7 +259,7 @@ def test_a_bent_response_is_warned_of_and_widens_intervals(bend: float, has_phot
         ("dsnu", CAMERA.dsnu_electrons),
         ("prnu", CAMERA.prnu_percent),
     ):
-        low, high = getattr(found.measured, name).ci95
+        low, high = getattr(found.noise.emva1288, f"{name}_ci95")
         assert low <= truth <= high, name
 
 
@@ -278,7 +280,7 @@ def test_intervals_hold_with_stacks_that_lie(case: str) -> None:
     camera = replace(CAMERA, **changes)
     held = Counter[str]()
     for seed in range(100):
-        measured = tod.emva_noise(**stacks(camera, n=8, seed=seed, **light)).measured
+        measured = tod.emva_noise(**stacks(camera, n=8, seed=seed, **light)).noise.emva1288
         for name, truth in (
             ("system_gain", camera.gain_dn_per_electron),
             ("quantum_efficiency", camera.quantum_efficiency),
@@ -286,7 +288,7 @@ def test_intervals_hold_with_stacks_that_lie(case: str) -> None:
             ("dsnu", camera.dsnu_electrons),
             ("prnu", camera.prnu_percent),
         ):
-            low, high = getattr(measured, name).ci95
+            low, high = getattr(measured, f"{name}_ci95")
             held[name] += low <= truth <= high
     assert min(held.values()) > 88, held
 
@@ -295,17 +297,18 @@ def test_variances_are_those_of_the_definition() -> None:
     """By NumPy from the standard's definitions: half the squared difference of a pair, the mean image, and the
     shares of rows, columns and pixels. Flicker of whole frames is in no pattern, and not taken from the mean."""
     made = stacks(n=2)
-    measured = tod.emva_noise(**made).measured
-    one, other = made["bright"][2].astype(float)
-    point = measured.points[2]
+    measured = tod.emva_noise(**made).noise.emva1288
+    one, other = made["bright"][3].astype(float)
+    bright = measured.bright  # the one nearest to half of saturation
+    assert bright.mean == pytest.approx(made["bright"][3].mean(), rel=1e-12)
     difference = one - other
-    assert point.bright.temporal == pytest.approx(difference.var() / 2.0, rel=1e-12)
-    assert point.bright.temporal_stack == pytest.approx((difference**2).mean() / 2.0, rel=1e-12)
+    assert bright.temporal == pytest.approx(difference.var() / 2.0, rel=1e-12)
+    assert bright.temporal_stack == pytest.approx((difference**2).mean() / 2.0, rel=1e-12)
     mean = (one + other) / 2.0
     left_over = difference.var() / 4.0
-    assert point.bright.spatial == pytest.approx(mean.var() - left_over, rel=1e-9)
-    row, column, pixel = point.bright.row, point.bright.column, point.bright.pixel
-    assert row + column + pixel == pytest.approx(point.bright.spatial, rel=1e-9)
+    assert bright.spatial == pytest.approx(mean.var() - left_over, rel=1e-9)
+    row, column, pixel = bright.row, bright.column, bright.pixel
+    assert row + column + pixel == pytest.approx(bright.spatial, rel=1e-9)
     assert row + (pixel + left_over) / 64 == pytest.approx(mean.mean(axis=1).var(), rel=1e-9)
     assert column + (pixel + left_over) / 64 == pytest.approx(mean.mean(axis=0).var(), rel=1e-9)
 
@@ -319,13 +322,13 @@ def test_saturation_is_the_largest_variance() -> None:
     dark = [camera.film(rng, patterns, 2, photons=0.0, exposure_ms=5.0)]
     found = tod.emva_noise(bright=bright, dark=dark, photons=photons, bits=12)
     # 6,000 electrons are 13,333 photons; the step is 1,000, and wells fill over some of it (√6,000 is 1.3 %).
-    assert found.measured.saturation_photons.value in (12_000.0, 13_000.0)
-    assert found.measured.is_saturation_reached
-    electrons = found.measured.saturation_electrons.value
+    assert found.noise.emva1288.saturation_photons in (12_000.0, 13_000.0)
+    assert found.noise.emva1288.is_saturation_reached
+    electrons = found.noise.emva1288.saturation_electrons
     assert electrons == pytest.approx(6_000.0, rel=0.12)
-    assert found.measured.snr_max == pytest.approx(electrons**0.5)
+    assert found.noise.emva1288.snr_max == pytest.approx(electrons**0.5)
     # Beyond 0.7 of saturation no stack counts for the gain: 0.7 · 13,000 = 9,100 photons.
-    assert sum(one.is_fitted for one in found.measured.points) in (8, 9)
+    assert sum(one.is_fitted for one in found.noise.emva1288.points) in (8, 9)
 
 
 def test_stacks_that_differ_by_noise_alone_are_not_saturated() -> None:
@@ -338,26 +341,26 @@ def test_stacks_that_differ_by_noise_alone_are_not_saturated() -> None:
         found = tod.emva_noise(
             bright=[*made["bright"], again], dark=made["dark"][3:], photons=[*made["photons"], 16_000.0], bits=12
         )
-        *_, one, other = found.measured.points
-        is_less.add(other.bright.temporal < one.bright.temporal)
-        assert not found.measured.is_saturation_reached
+        *_, one, other = found.noise.emva1288.points
+        is_less.add(other.variance_dn2 < one.variance_dn2)
+        assert not found.noise.emva1288.is_saturation_reached
     assert is_less == {True, False}
 
 
 def test_signal_to_noise_is_that_of_the_model() -> None:
     """At 9,000 electrons and 100 of other variance: 9000 / √(9000 + 100 + …), by hand."""
     found = tod.emva_noise(**stacks())
-    measured = found.measured
-    dark = measured.dark_noise.value**2 + 1 / 12 / measured.system_gain.value**2
+    measured = found.noise.emva1288
+    dark = measured.dark_noise**2 + 1 / 12 / measured.system_gain**2
     at = np.array([9_000.0])
     assert found.snr(at) == pytest.approx(9_000.0 / (9_000.0 + dark) ** 0.5, rel=1e-12)
-    spatial = measured.dsnu.value**2 + (90.0 * measured.prnu.value) ** 2
+    spatial = measured.dsnu**2 + (90.0 * measured.prnu) ** 2
     assert found.snr(at, with_spatial=True) == pytest.approx(
         9_000.0 / (9_000.0 + dark + spatial) ** 0.5, rel=1e-12
     )
     # The ends of a Poisson camera: at 9,000 photons the ideal camera has an SNR of 95.
     for one in measured.points:
-        expected = found.snr(np.array([one.signal / measured.system_gain.value]))[0]
+        expected = found.snr(np.array([one.signal_dn / measured.system_gain]))[0]
         assert one.snr == pytest.approx(expected, rel=0.03)  # 4 frames of 4,096 pixels: 0.8 % of an SD each
 
 
@@ -365,9 +368,9 @@ def test_basler_crops_hold_what_the_other_program_found() -> None:
     """Crops of the stacks of reference set 001. One exposure does not determine the gain, so its own is given."""
     stack = {name: np.load(REAL / f"emva1288_{name}.npz")["frames"] for name in ("bright", "dark")}
     found = tod.emva_noise(bright=[stack["bright"]], dark=[stack["dark"]], bits=12)
-    measured = found.measured
+    measured = found.noise.emva1288
     # What emva1288 1.0.2 finds in the whole set: dark noise 10.926 e⁻ · 0.28006 DN/e⁻ and √(1/12) of rounding.
-    low, high = measured.dark_noise_dn.ci95
+    low, high = measured.dark_noise_dn_ci95
     assert low <= (10.926**2 * 0.28006**2 + 1 / 12) ** 0.5 <= high
     assert {one.code for one in found.warnings} == {"one_exposure", "saturation_not_reached"}
     assert "give bits" not in found.warnings[-1].message
@@ -397,11 +400,14 @@ def test_a_descriptor_and_the_command_give_the_same(tmp_path: Path, capsys: pyte
     wanted = json.loads(called.to_json())["noise"]["emva1288"]
     assert printed | {"source": ""} == wanted | {"source": ""}
     written = read_emva_xml(tmp_path / "out" / "emva.xml")
-    for name, value in called.measured.camera().noise_table().items():
+    for name, value in called.noise.emva1288.camera().noise_table().items():
         if name != "model":
             assert getattr(written, name) == pytest.approx(value, rel=1e-5)
-    table = tomllib.loads((tmp_path / "out" / "sensor_noise.toml").read_text())["noise"]
-    assert table == called.measured.camera().noise_table()
+    again = tod.load_result(tmp_path / "out")
+    assert again.xml() == (tmp_path / "out" / "emva.xml").read_bytes()
+    table = tomllib.loads(again.sensor_toml())["noise"]
+    assert (tmp_path / "out" / "sensor_noise.toml").read_text() == again.sensor_toml()
+    assert table == called.noise.emva1288.camera().noise_table()
     assert {"emva.png", "emva.csv", "photon_transfer.csv", "variances.csv"} <= {
         one.name for one in (tmp_path / "out").iterdir()
     }
@@ -486,7 +492,7 @@ def test_a_camera_whose_rounding_hides_its_noise() -> None:
     found = tod.emva_noise(**stacks(camera))
     assert "quantised" in {one.code for one in found.warnings}
     # The bound of the standard, 0.4 DN: 20 electrons, above the true 2.
-    assert found.measured.dark_noise.value == pytest.approx(0.4 / found.measured.system_gain.value)
+    assert found.noise.emva1288.dark_noise == pytest.approx(0.4 / found.noise.emva1288.system_gain)
 
 
 def test_command_refuses_options_of_the_other_measurement(capsys: pytest.CaptureFixture[str]) -> None:

@@ -56,17 +56,17 @@ def test_a_film_of_the_wedge_and_a_dark_one_give_the_figures_of_the_camera(folde
         exposure_ms=[40],
         bits=BITS,
     )
-    found = result.measured
+    found = result.noise.emva1288
     # The camera of `closing_circle`, four standard errors of each; a patch at the side has 2 % less light.
-    for estimate, true in (
-        (found.system_gain, 0.8),
-        (found.dark_noise, math.hypot(12.0, 5.0)),
-        (found.dsnu, 4.0),
-        (found.prnu, 0.8),
-        (found.background_electrons, 4000 * 0.25098),
+    for name, true in (
+        ("system_gain", 0.8),
+        ("dark_noise", math.hypot(12.0, 5.0)),
+        ("dsnu", 4.0),
+        ("prnu", 0.8),
+        ("background_electrons", 4000 * 0.25098),
     ):
-        low, high = estimate.ci95
-        assert abs(estimate.value - true) < 2.0 * (high - low) + 0.02 * true
+        low, high = getattr(found, f"{name}_ci95")
+        assert abs(getattr(found, name) - true) < 2.0 * (high - low) + 0.02 * true
     tables = tomllib.loads(result.sensor_toml())
     assert tables["noise"]["row_noise_electrons"] == pytest.approx(5.0, rel=0.15)
     assert tables["noise"]["dark_noise_electrons"] == pytest.approx(12.0, rel=0.05)
@@ -84,10 +84,10 @@ def test_light_that_falls_off_evenly_is_no_nonuniformity(folder) -> None:
             dark=[np.load(folder / "dark.npy")],
             chart=folder / "chart",
             bits=BITS,
-        ).measured.prnu
+        ).noise.emva1288.prnu
         for factor in (np.ones(1), fall_off)
     )
-    assert uneven.value == pytest.approx(even.value, rel=0.2)
+    assert uneven == pytest.approx(even, rel=0.2)
 
 
 def test_what_does_not_go_together_is_one_line(folder, tmp_path, capsys) -> None:

@@ -12,10 +12,11 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, argument
@@ -176,6 +177,10 @@ class StackNoise:
     degrees: Mapping[str, int]
     shape: tuple[int, int]
 
+    def variances(self) -> Variances:
+        """Return the mean and the variances as the result has them."""
+        return Variances(**{name: getattr(self, name) for name in Variances.__struct_fields__})
+
     def lines_dn(self) -> dict[str, float]:
         """Return standard deviations of what the pixels of a row or column have in common, by SENSOR.toml's keys.
 
@@ -208,126 +213,171 @@ class TransferPoint(NamedTuple):
         """Signal relative to the temporal noise of a pixel."""
         return self.signal / math.sqrt(self.bright.temporal) if self.bright.temporal > 0 else math.inf
 
+    def record(self) -> TransferStack:
+        """Return the point as the result has it."""
+        return TransferStack(
+            exposure_ms=self.bright.exposure_ms,
+            photons=self.bright.photons,
+            n_frames=self.bright.n_frames,
+            signal_dn=self.signal,
+            variance_dn2=self.variance,
+            snr=self.snr,
+            is_fitted=self.is_fitted,
+            is_saturated=self.bright.saturated > MOST_SATURATED,
+        )
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EmvaNoise:
-    """Noise of a camera as EMVA 1288 defines it.
+
+Ends = tuple[float | None, float | None]
+
+
+class Variances(Struct, frozen=True, kw_only=True):
+    """Mean and variances of a stack in DN and DN², as `StackNoise` has them."""
+
+    n_frames: int
+    mean: float
+    temporal: float
+    temporal_stack: float
+    spatial_measured: float
+    spatial: float
+    row: float
+    column: float
+    pixel: float
+
+
+class TransferStack(Struct, frozen=True, kw_only=True):
+    """A bright stack in the photon transfer: its signal and temporal variance above the dark stack's."""
+
+    exposure_ms: float | None
+    photons: float | None
+    n_frames: int
+    signal_dn: float
+    variance_dn2: float
+    snr: float | None
+    is_fitted: bool
+    is_saturated: bool
+
+
+class EmvaNumbers(Struct, frozen=True, kw_only=True):
+    """Noise of a camera as EMVA 1288 defines it, the key `noise.emva1288` of the result.
+
+    Each figure has a 95 % interval beside it, in the key with `_ci95`; None if there is none.
 
     Attributes
     ----------
-    system_gain, inverse_gain : Estimate
-        K in DN per electron, and 1 / K.
-    responsivity, quantum_efficiency : Estimate or None
-        DN per photon, and electrons per photon; None without photons.
-    dark_noise_dn, dark_noise : Estimate
-        Temporal noise of a dark frame in DN, rounding included, and in electrons without it.
-    dark_current, dark_current_from_variance : Estimate or None
+    source : str
+        Path of the descriptor, or of the first bright stack.
+    bits : int or None
+        Bits of a pixel.
+    exposure_ms : float or None
+        That of the spatial measurement.
+    system_gain : float
+        K in DN per electron.
+    quantum_efficiency, responsivity : float or None
+        Electrons per photon, and DN per photon; None without photons.
+    dark_noise, dark_noise_dn : float
+        Temporal noise of a dark frame in electrons, and in DN with rounding.
+    dark_current, dark_current_from_variance : float or None
         Electrons per second, from means and from variances; None with fewer than three dark exposures.
-    dsnu, prnu : Estimate
+    dsnu, prnu : float
         Dark signal nonuniformity in electrons, photo response nonuniformity in percent.
-    saturation_electrons, saturation_photons : Estimate or None
+    saturation_electrons, saturation_photons : float or None
         Capacity; without a maximum of the variance that of the end of the scale, None if that is not known.
-    sensitivity_threshold : Estimate or None
+    sensitivity_threshold : float or None
         Number of photons at which the signal equals the noise.
+    background_electrons : float or None
+        Electrons of the background of a filmed chart in a pixel; None without one.
+    background_cd_m2 : float or None
+        Its luminance, if the chart states it.
+    lines_electrons : dict of float
+        What the pixels of a row or column have in common in the dark, by keys of a SENSOR.toml.
+    rounding_variance_dn2 : float
+        Variance of rounding in DN².
     snr_max, dynamic_range : float or None
     linearity_percent : (float, float) or None
         Smallest and largest deviation from the straight line.
     is_saturation_reached : bool
         The variance has a maximum within the stacks.
-    points : tuple of TransferPoint
-        By increasing signal.
-    bright, dark : StackNoise
+    bright, dark : Variances
         Stacks of the spatial measurement.
-    rounding_variance : float
-        Variance of rounding in DN².
-    bits : int or None
-    exposure_ms : float or None
-        That of the spatial measurement.
-    warnings : tuple of RecordingWarning
-    background_electrons : Estimate or None
-        Electrons of the background of a filmed chart in a pixel; None without one.
-    background_cd_m2 : float or None
-        Its luminance, if the chart states it.
+    points : tuple of TransferStack
+        By increasing signal.
     """
 
-    system_gain: Estimate
-    inverse_gain: Estimate
-    responsivity: Estimate | None
-    quantum_efficiency: Estimate | None
-    dark_noise_dn: Estimate
-    dark_noise: Estimate
-    dark_current: Estimate | None
-    dark_current_from_variance: Estimate | None
-    dsnu: Estimate
-    prnu: Estimate
-    saturation_electrons: Estimate | None
-    saturation_photons: Estimate | None
-    sensitivity_threshold: Estimate | None
+    source: str
+    bits: int | None
+    exposure_ms: float | None
+    system_gain: float
+    system_gain_ci95: Ends | None
+    quantum_efficiency: float | None
+    quantum_efficiency_ci95: Ends | None
+    responsivity: float | None
+    responsivity_ci95: Ends | None
+    dark_noise: float
+    dark_noise_ci95: Ends | None
+    dark_noise_dn: float
+    dark_noise_dn_ci95: Ends | None
+    dark_current: float | None
+    dark_current_ci95: Ends | None
+    dark_current_from_variance: float | None
+    dark_current_from_variance_ci95: Ends | None
+    dsnu: float
+    dsnu_ci95: Ends | None
+    prnu: float
+    prnu_ci95: Ends | None
+    saturation_electrons: float | None
+    saturation_electrons_ci95: Ends | None
+    saturation_photons: float | None
+    saturation_photons_ci95: Ends | None
+    sensitivity_threshold: float | None
+    sensitivity_threshold_ci95: Ends | None
+    background_electrons: float | None
+    background_electrons_ci95: Ends | None
+    background_cd_m2: float | None = None
+    lines_electrons: dict[str, float] = {}
+    rounding_variance_dn2: float
     snr_max: float | None
     dynamic_range: float | None
     linearity_percent: tuple[float, float] | None
     is_saturation_reached: bool
-    points: tuple[TransferPoint, ...]
-    bright: StackNoise
-    dark: StackNoise
-    rounding_variance: float
-    bits: int | None
-    exposure_ms: float | None
-    warnings: tuple[RecordingWarning, ...]
-    background_electrons: Estimate | None = None
-    background_cd_m2: float | None = None
-
-    def with_background(self, name: str, luminance_cd_m2: float | None) -> EmvaNoise:
-        """Return the measurement with the electrons of a background, which a bright stack of this name shows."""
-        signal = next(one.signal for one in self.points if one.bright.name == name)
-        low, high = self.inverse_gain.ci95 or (math.nan, math.nan)
-        electrons = Estimate(signal * self.inverse_gain.value, (signal * low, signal * high))
-        return replace(self, background_electrons=electrons, background_cd_m2=luminance_cd_m2)
+    bright: Variances
+    dark: Variances
+    points: tuple[TransferStack, ...]
 
     def camera(self) -> EmvaCamera:
         """Return the figures that a model of the camera needs."""
-
-        def value(one: Estimate | None) -> float | None:
-            return None if one is None else one.value
-
-        current, gain = value(self.dark_current), self.system_gain.value
-        lines = {key: sd / gain for key, sd in self.dark.lines_dn().items()}
         of_noise, of_pattern = (
-            math.hypot(*(one for key, one in lines.items() if kind in key)) for kind in ("noise", "pattern")
+            math.hypot(*(one for key, one in self.lines_electrons.items() if kind in key))
+            for kind in ("noise", "pattern")
         )
         return EmvaCamera(
-            system_gain_dn_per_electron=gain,
-            dark_noise_electrons=math.sqrt(max(self.dark_noise.value**2 - of_noise**2, 0.0)),
-            quantum_efficiency=value(self.quantum_efficiency),
-            dark_current_electrons_per_s=None if current is None else max(current, 0.0),
-            dsnu_electrons=math.sqrt(max(self.dsnu.value**2 - of_pattern**2, 0.0)),
-            prnu_percent=self.prnu.value,
-            **lines,
-            full_well_electrons=value(self.saturation_electrons),
+            system_gain_dn_per_electron=self.system_gain,
+            dark_noise_electrons=math.sqrt(max(self.dark_noise**2 - of_noise**2, 0.0)),
+            quantum_efficiency=self.quantum_efficiency,
+            dark_current_electrons_per_s=None if self.dark_current is None else max(self.dark_current, 0.0),
+            dsnu_electrons=math.sqrt(max(self.dsnu**2 - of_pattern**2, 0.0)),
+            prnu_percent=self.prnu,
+            **self.lines_electrons,
+            full_well_electrons=self.saturation_electrons,
             bits=self.bits,
             exposure_ms=self.exposure_ms,
         )
 
     def xml_values(self) -> dict[str, float | int | None]:
         """Return the results by the names of EMVA's XML, in its units."""
-
-        def value(one: Estimate | None, factor: float = 1.0) -> float | None:
-            return None if one is None else factor * one.value
-
-        snr_max, dynamic_range = self.snr_max, self.dynamic_range
+        snr_max, dynamic_range, efficiency = self.snr_max, self.dynamic_range, self.quantum_efficiency
         least, most = self.linearity_percent or (None, None)
         return {
             "bits": self.bits,
             "exposure": self.exposure_ms,
-            "QE": value(self.quantum_efficiency, 100.0),
-            "R": value(self.responsivity),
-            "K": self.system_gain.value,
-            "inverse_K": self.inverse_gain.value,
-            "sigma_y_dark": self.dark_noise_dn.value,
-            "sigma_d": self.dark_noise.value,
-            "u_p_min": value(self.sensitivity_threshold),
-            "u_p_sat": value(self.saturation_photons),
-            "u_e_sat": value(self.saturation_electrons),
+            "QE": None if efficiency is None else 100.0 * efficiency,
+            "R": self.responsivity,
+            "K": self.system_gain,
+            "inverse_K": 1.0 / self.system_gain,
+            "sigma_y_dark": self.dark_noise_dn,
+            "sigma_d": self.dark_noise,
+            "u_p_min": self.sensitivity_threshold,
+            "u_p_sat": self.saturation_photons,
+            "u_e_sat": self.saturation_electrons,
             "SNR_max": snr_max,
             "SNR_max_dB": None if snr_max is None else 20.0 * math.log10(snr_max),
             "SNR_max_bit": None if snr_max is None else math.log2(snr_max),
@@ -342,11 +392,11 @@ class EmvaNoise:
             "s_2_y_measured_dark": self.dark.spatial_measured,
             "s_2_y": self.bright.spatial,
             "s_2_y_dark": self.dark.spatial,
-            "DSNU1288": self.dsnu.value,
-            "DSNU1288_DN": self.dsnu.value * self.system_gain.value,
-            "PRNU1288": self.prnu.value,
-            "u_I_mean": value(self.dark_current),
-            "u_I_var": value(self.dark_current_from_variance),
+            "DSNU1288": self.dsnu,
+            "DSNU1288_DN": self.dsnu * self.system_gain,
+            "PRNU1288": self.prnu,
+            "u_I_mean": self.dark_current,
+            "u_I_var": self.dark_current_from_variance,
         }
 
 
@@ -356,8 +406,10 @@ def measure_emva(
     *,
     bits: int | None = None,
     region: Region | None = None,
+    source: str = "",
+    background: Stack | None = None,
     progress: Callable[[int], None] | None = None,
-) -> EmvaNoise:
+) -> tuple[EmvaNumbers, tuple[RecordingWarning, ...]]:
     """Measure the noise of a camera from stacks of bright and dark frames.
 
     Each bright stack is compared with the dark one of its exposure, or with the only dark one. The stacks of the
@@ -371,6 +423,10 @@ def measure_emva(
         Bits of a pixel. Default: from the recordings.
     region : (int, int, int, int), optional
         Left column, top row, width and height in pixels. Default: all.
+    source : str
+        Name of the recording.
+    background : Stack, optional
+        The bright stack that shows the background of a chart.
     progress : function of an int, optional
         Called with 1 for each frame.
 
@@ -419,7 +475,8 @@ def measure_emva(
     points = [one._replace(is_fitted=one in fitted) for one in points]
     return _evaluated(
         points, _series(points), of_dark, _spatial_point(good, most),
-        bits=bits, most=most, saturated=saturated, recordings=[*bright, *dark],
+        bits=bits, most=most, saturated=saturated, recordings=[*bright, *dark], source=source,
+        background=background,
     )  # fmt: skip
 
 
@@ -640,7 +697,9 @@ def _evaluated(
     most: float,
     saturated: int | None,
     recordings: Sequence[Stack],
-) -> EmvaNoise:
+    source: str,
+    background: Stack | None,
+) -> tuple[EmvaNumbers, tuple[RecordingWarning, ...]]:
     """Return the figures of EMVA 1288 from points of photon transfer and dark stacks."""
     rng = np.random.default_rng(SEED)
     drawn = {id(one): _drawn(one, rng) for one in (*of_dark, *(point.bright for point in points))}
@@ -684,33 +743,44 @@ def _evaluated(
         *_about_light(points, spatial),
         *_about_saturation(saturated, most, bits),
     )
-    of_recordings = dict.fromkeys(one for stack in recordings for one in stack.recording.warnings)
-    return EmvaNoise(
-        system_gain=_estimate(gain.value, gain.draws, gain.to_faint),
-        inverse_gain=gain.electrons(1.0, np.ones(DRAWS)),
-        responsivity=None if response is None else response.responsivity,
-        quantum_efficiency=None if response is None else response.efficiency,
-        dark_noise_dn=_estimate(dark_sd, np.sqrt(of_darkest)),
-        dark_noise=dark_noise,
-        dark_current=currents[0],
-        dark_current_from_variance=currents[1],
-        dsnu=dsnu,
-        prnu=_estimate(100.0 * _prnu(spatial), 100.0 * nonuniformities, 1.0 / slope),
-        saturation_electrons=electrons,
-        saturation_photons=capacity,
-        sensitivity_threshold=threshold,
+    of_background = None
+    if background is not None:
+        signal = next(one.signal for one in points if one.bright.name == str(background.recording.path))
+        of_background = gain.electrons(signal, np.full(DRAWS, signal))
+    figures: dict[str, Estimate | None] = {
+        "system_gain": _estimate(gain.value, gain.draws, gain.to_faint),
+        "quantum_efficiency": None if response is None else response.efficiency,
+        "responsivity": None if response is None else response.responsivity,
+        "dark_noise": dark_noise,
+        "dark_noise_dn": _estimate(dark_sd, np.sqrt(of_darkest)),
+        "dark_current": currents[0],
+        "dark_current_from_variance": currents[1],
+        "dsnu": dsnu,
+        "prnu": _estimate(100.0 * _prnu(spatial), 100.0 * nonuniformities, 1.0 / slope),
+        "saturation_electrons": electrons,
+        "saturation_photons": capacity,
+        "sensitivity_threshold": threshold,
+        "background_electrons": of_background,
+    }
+    values: dict[str, Any] = {name: None if one is None else one.value for name, one in figures.items()}
+    values |= {f"{name}_ci95": None if one is None else one.ci95 for name, one in figures.items()}
+    numbers = EmvaNumbers(
+        source=source,
+        bits=bits,
+        exposure_ms=spatial.bright.exposure_ms,
+        **values,
+        lines_electrons={key: sd / gain.value for key, sd in spatial.dark.lines_dn().items()},
+        rounding_variance_dn2=rounding,
         snr_max=None if electrons is None else math.sqrt(electrons.value),
         dynamic_range=None if electrons is None else electrons.value / (dark_sd / gain.value + 0.5),
         linearity_percent=_linearity(series, most),
         is_saturation_reached=saturated is not None,
-        points=tuple(points),
-        bright=spatial.bright,
-        dark=spatial.dark,
-        rounding_variance=rounding,
-        bits=bits,
-        exposure_ms=spatial.bright.exposure_ms,
-        warnings=(*of_recordings, *(RecordingWarning(*warning) for warning in warnings)),
+        bright=spatial.bright.variances(),
+        dark=spatial.dark.variances(),
+        points=tuple(one.record() for one in points),
     )
+    of_recordings = dict.fromkeys(one for stack in recordings for one in stack.recording.warnings)
+    return numbers, (*of_recordings, *(RecordingWarning(*warning) for warning in warnings))
 
 
 def _gain(fitted: Sequence[TransferPoint], drawn: Mapping[int, _Draws]) -> tuple[_Gain, float, float]:

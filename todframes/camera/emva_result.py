@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct
 
 from todframes.base._typing import FloatArray, Json
-from todframes.base.errors import DataError, argument
+from todframes.base.errors import argument
 from todframes.base.reading import toml_text
-from todframes.camera.emva import EmvaNoise, Estimate, StackNoise
+from todframes.camera.emva import EmvaNumbers, Ends
 from todframes.camera.emva_xml import emva_xml
-from todframes.camera.noise3d import MOST_SATURATED
+from todframes.recordings.recording import RecordingWarning
 from todframes.results.data import Content, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK, PAPER, add_legend, plain_ticks
@@ -52,77 +52,6 @@ VARIANCES = (
 SNR_SPAN = (0.5, 2.0)
 """Ends of the curves of signal-to-noise ratio, relative to the fewest and the most photons."""
 
-Ends = tuple[float | None, float | None]
-
-
-class Variances(Struct, frozen=True, kw_only=True):
-    """Mean and variances of a stack in DN and DN²."""
-
-    n_frames: int
-    mean: float
-    temporal: float
-    temporal_stack: float
-    spatial_measured: float
-    spatial: float
-    row: float
-    column: float
-    pixel: float
-
-
-class TransferStack(Struct, frozen=True, kw_only=True):
-    """A bright stack in the photon transfer."""
-
-    exposure_ms: float | None
-    photons: float | None
-    n_frames: int
-    signal_dn: float
-    variance_dn2: float
-    snr: float | None
-    is_fitted: bool
-    is_saturated: bool
-
-
-class EmvaNumbers(Struct, frozen=True, kw_only=True):
-    """The key `noise.emva1288` of the result; `FIGURES` has the names and units of the figures."""
-
-    source: str
-    bits: int | None
-    exposure_ms: float | None
-    system_gain: float
-    system_gain_ci95: Ends | None
-    quantum_efficiency: float | None
-    quantum_efficiency_ci95: Ends | None
-    responsivity: float | None
-    responsivity_ci95: Ends | None
-    dark_noise: float
-    dark_noise_ci95: Ends | None
-    dark_noise_dn: float
-    dark_noise_dn_ci95: Ends | None
-    dark_current: float | None
-    dark_current_ci95: Ends | None
-    dark_current_from_variance: float | None
-    dark_current_from_variance_ci95: Ends | None
-    dsnu: float
-    dsnu_ci95: Ends | None
-    prnu: float
-    prnu_ci95: Ends | None
-    saturation_electrons: float | None
-    saturation_electrons_ci95: Ends | None
-    saturation_photons: float | None
-    saturation_photons_ci95: Ends | None
-    sensitivity_threshold: float | None
-    sensitivity_threshold_ci95: Ends | None
-    background_electrons: float | None
-    background_electrons_ci95: Ends | None
-    rounding_variance_dn2: float
-    snr_max: float | None
-    dynamic_range: float | None
-    linearity_percent: tuple[float, float] | None
-    is_saturation_reached: bool
-    bright: Variances
-    dark: Variances
-    points: tuple[TransferStack, ...]
-
 
 class EmvaKey(Struct, frozen=True, kw_only=True):
     """The key `noise` of the result."""
@@ -137,13 +66,9 @@ class Emva(Content, frozen=True, kw_only=True):
     ----------
     noise : EmvaKey
         The numbers, under the key `emva1288`.
-    measured : EmvaNoise or None
-        The measurement; None for a result that was read.
     """
 
     noise: EmvaKey
-
-    measured: ClassVar[EmvaNoise | None] = None
 
     @property
     def name(self) -> str:
@@ -231,44 +156,32 @@ class Emva(Content, frozen=True, kw_only=True):
             ),
         ]
 
-    def _measurement(self) -> EmvaNoise:
-        if self.measured is None:
-            raise DataError("noise: the result was read from a file, whose folder has this beside it")
-        return self.measured
-
     def sensor_toml(self) -> str:
         """Return the table `[noise]` of a SENSOR.toml for this camera, with the model `photon`.
 
         With the film of a chart it has the table `[scene]` too, with the electrons of the background.
-
-        Raises
-        ------
-        DataError
-            If the result was read from a file.
         """
-        measured = self._measurement()
-        table, background = measured.camera().noise_table(), measured.background_electrons
+        found = self.noise.emva1288
+        table, background = found.camera().noise_table(), found.background_electrons
         needs_photons = "quantum_efficiency" not in table and background is None
         hints = ["quantum_efficiency is not known: give photons"] if needs_photons else []
         hints += [] if "exposure_ms" in table else [f"exposure_ms is not known: give {argument.exposure_ms}"]
-        if not measured.is_saturation_reached and "full_well_electrons" in table:
+        if not found.is_saturation_reached and "full_well_electrons" in table:
             hints.append("full_well_electrons is the end of the scale: no stack was saturated")
         tables: Json = {"noise": table}
         if background is not None:
             tables["scene"] = {
-                "luminance_cd_m2": measured.background_cd_m2,
-                "background_electrons": float(f"{background.value:.6g}"),
+                "luminance_cd_m2": found.background_cd_m2,
+                "background_electrons": float(f"{background:.6g}"),
             }
         return toml_text(tables, comment="\n".join(hints))
 
     def xml(self) -> bytes:
-        """Return a result file of EMVA 1288; DataError if the result was read from a file."""
-        return emva_xml(self._measurement().xml_values())
+        """Return a result file of EMVA 1288."""
+        return emva_xml(self.noise.emva1288.xml_values())
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
-        """Return the tables; of a new measurement also the result file of EMVA 1288 and a table for a sensor."""
-        if self.measured is None:
-            return super().files()
+        """Return the tables, the result file of EMVA 1288 and a table for a sensor."""
         return {**super().files(), "emva.xml": self.xml(), "sensor_noise.toml": self.sensor_toml().encode()}
 
     def snr(self, electrons: FloatArray, *, with_spatial: bool = False) -> FloatArray:
@@ -314,42 +227,7 @@ class Emva(Content, frozen=True, kw_only=True):
         add_legend(axes)
 
 
-def emva_result(measured: EmvaNoise, source: str, *, started: float) -> Result[Emva]:
+def emva_result(numbers: EmvaNumbers, warnings: Sequence[RecordingWarning], *, started: float) -> Result[Emva]:
     """Return the result of a measurement that began at a time of `time.perf_counter`."""
-    figures: Json = {}
-    for key, _, _, _ in FIGURES:
-        one: Estimate | None = getattr(measured, key)
-        figures |= {key: None if one is None else one.value, f"{key}_ci95": None if one is None else one.ci95}
-    numbers = {
-        "source": source,
-        "bits": measured.bits,
-        "exposure_ms": measured.exposure_ms,
-        **figures,
-        "rounding_variance_dn2": measured.rounding_variance,
-        "snr_max": measured.snr_max,
-        "dynamic_range": measured.dynamic_range,
-        "linearity_percent": measured.linearity_percent,
-        "is_saturation_reached": measured.is_saturation_reached,
-        "bright": _variances(measured.bright),
-        "dark": _variances(measured.dark),
-        "points": [
-            {
-                "exposure_ms": one.bright.exposure_ms,
-                "photons": one.bright.photons,
-                "n_frames": one.bright.n_frames,
-                "signal_dn": one.signal,
-                "variance_dn2": one.variance,
-                "snr": one.snr,
-                "is_fitted": one.is_fitted,
-                "is_saturated": one.bright.saturated > MOST_SATURATED,
-            }
-            for one in measured.points
-        ],
-    }
-    warnings = [ResultWarning(code=one.code, message=one.message) for one in measured.warnings]
-    noise = as_read({"emva1288": numbers}, EmvaKey)
-    return Result.made("emva", started, warnings=warnings, noise=noise).holding(measured=measured)
-
-
-def _variances(stack: StackNoise) -> Json:
-    return {name: getattr(stack, name) for name in Variances.__struct_fields__}
+    of_codes = [ResultWarning(code=one.code, message=one.message) for one in warnings]
+    return Result.made("emva", started, warnings=of_codes, noise=as_read(EmvaKey(emva1288=numbers), EmvaKey))

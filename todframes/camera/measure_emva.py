@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, SettingsError, argument
@@ -74,7 +75,7 @@ def emva_noise(
     Returns
     -------
     Result
-        `measured` has the figures, most with a 95 % interval; `xml()` is a result file of EMVA 1288, and
+        `noise.emva1288` has the figures, most with a 95 % interval; `xml()` is a result file of EMVA 1288, and
         `sensor_toml()` is for sensor_sim.
 
     Raises
@@ -95,8 +96,8 @@ def emva_noise(
     ...     np.round(10 + 0.5 * (rng.poisson(mean, (4, 96, 96)) + rng.normal(0, 4, (4, 96, 96)))).astype(np.uint16)
     ...     for mean in (0, 1000)
     ... )
-    >>> measured = tod.emva_noise(bright=[bright], dark=[dark], bits=12).measured
-    >>> f"{measured.system_gain.value:.2f} DN per electron, {measured.dark_noise.value:.1f} electrons"
+    >>> found = tod.emva_noise(bright=[bright], dark=[dark], bits=12).noise.emva1288
+    >>> f"{found.system_gain:.2f} DN per electron, {found.dark_noise:.1f} electrons"
     '0.50 DN per electron, 4.0 electrons'
     """
     started = time.perf_counter()
@@ -139,8 +140,8 @@ def emva_noise(
             Stack(recording=one, exposure_ms=exposure) for one, exposure in zip(opened[1], exposures, strict=False)
         ]
         name = str(opened[0][0].path)
-    measured = measure_emva(of_bright, of_dark, bits=bits, region=region, progress=progress)
-    return emva_result(measured, name, started=started)
+    numbers, warnings = measure_emva(of_bright, of_dark, bits=bits, region=region, source=name, progress=progress)
+    return emva_result(numbers, warnings, started=started)
 
 
 def _of_chart(
@@ -171,13 +172,16 @@ def _of_chart(
     exposure = _of_each(exposure_ms, 1, argument.exposure_ms)[0]
     view = view_of_camera_page(bright[0], chart, needs_edges=True, progress=progress)
     patches, covered = view.stacks(dark[0])
-    measured = measure_emva(
-        [Stack(recording=one, exposure_ms=exposure, is_levelled=True) for one in patches],
+    levelled = [Stack(recording=one, exposure_ms=exposure, is_levelled=True) for one in patches]
+    numbers, warnings = measure_emva(
+        levelled,
         [Stack(recording=covered, exposure_ms=exposure)],
         bits=bits,
+        source=str(bright[0].path),
+        background=levelled[0],
     )
-    measured = measured.with_background(str(patches[0].path), view.patches[0].level if view.is_luminance else None)
-    return emva_result(measured, str(bright[0].path), started=started)
+    luminance = view.patches[0].level if view.is_luminance else None
+    return emva_result(structs.replace(numbers, background_cd_m2=luminance), warnings, started=started)
 
 
 def _opened(stack: PathLike | NDArray[Any], name: str, max_frame_mb: int) -> Recording:
