@@ -94,8 +94,8 @@ residual beside it."""
 MOST_SATURATED_EDGE = 0.01
 """Largest share of the pixels of a box at an end of the scale."""
 
-LEAST_SHADING, SHADING_ERRORS = 0.01, 2.0
-"""Least change of light across one side of the edge that is fitted, relative to the contrast and to its error."""
+LEAST_SHADING, SHADING_ERRORS = 0.01, 1.5
+"""Change of light across one side of the edge from which it is fitted: a part of the contrast, and errors more."""
 
 LARGEST_ERROR = 0.25
 """Largest half-width of the interval of MTF50, relative to it."""
@@ -527,7 +527,7 @@ def _is_shaded(esf: _Esf, tail_px: float, widest_px: float) -> bool:
     for term in (DARK_SIDE, BRIGHT_SIDE):
         levels = _levels(esf, tail_px, (DARK, CONTRAST, TAIL, term))
         size, error = abs(float(levels[term] @ esf.means)), math.sqrt(levels[term] @ covariance @ levels[term])
-        if size > SHADING_ERRORS * error and size * widest_px > LEAST_SHADING * (levels[CONTRAST] @ esf.means):
+        if (size - SHADING_ERRORS * error) * widest_px > LEAST_SHADING * (levels[CONTRAST] @ esf.means):
             return True
     return False
 
