@@ -4,7 +4,7 @@ OPENBLAS_NUM_THREADS=1 python tests/campaigns/slanted.py 300   # 300 seeds for e
 python tests/campaigns/slanted.py 100 --noise 0.005 --only gaussian
 python tests/campaigns/slanted.py 60 --shared smoothed          # noise that neighbouring pixels share
 
-The edges are those of tests/edges.py, of 120 x 80 pixels. docs/camera_mtf.md has the figures.
+The edges are those of tests/edges.py, of 120 x 80 pixels. docs/validation.md has the figures.
 """
 
 from __future__ import annotations
