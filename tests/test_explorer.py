@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import http.client
 import json
+import pickle
 import re
 import shlex
 import signal
@@ -43,7 +44,6 @@ from sensor_sim.explorer.parameters import SLIDERS, observer_fields, sensor_fiel
 from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves, mtf_plot
 from sensor_sim.explorer.ranges import ThresholdSent, range_answer, range_from, weibull_slope
 from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
-from sensor_sim.explorer.scaled import unit_of
 from sensor_sim.explorer.threshold_engine import Request, ThresholdEngine
 from sensor_sim.sweeps.designs import numeric_keys
 from sensor_sim.sweeps.ranges import Aim
@@ -344,7 +344,7 @@ def test_a_broken_file_gives_the_line_that_the_command_gives(tmp_path):
 
 def explored(sensor: ss.Sensor, sizes: tuple[float, ...], n_points: int = routes.RANGE_POINTS) -> LiveCurve:
     """Return the refined curve of the page, without its processes."""
-    engine, unit = ThresholdEngine(lambda: None), unit_of(PyramidObserver())
+    engine, unit = ThresholdEngine(lambda: None), pickle.dumps(PyramidObserver())
     asked = Request(1, sensor, unit, tuple(enumerate(sizes)), 0.75, (0.03, 0.02), "snr", n_points)
     found = {one.index: one for one in engine.answers(asked)}
     points = [found[place] for place in range(len(sizes))]
@@ -502,7 +502,7 @@ def test_the_line_about_a_limit_of_the_computation_names_its_field(changed, size
     with pytest.raises(SettingsError, match=r"expected at (most|least) [\d.]+") as found:
         list(
             ThresholdEngine(lambda: None).answers(
-                Request(1, made, unit_of(observer), ((0, size),), 0.75, (0.03, 0.002))
+                Request(1, made, pickle.dumps(observer), ((0, size),), 0.75, (0.03, 0.002))
             )
         )
     assert str(found.value).startswith(f"{name}: found ")

@@ -23,11 +23,10 @@ from sensor_sim.chain.sensor import Detector, Noise, Optics, PhotonNoise, Scene,
 from sensor_sim.chain.transfer import optics_mtf
 from sensor_sim.explorer.limits import Shares, decision_shares, what_limits
 from sensor_sim.explorer.live import LiveCurves
-from sensor_sim.explorer.scaled import Unit, unit_of
-from sensor_sim.explorer.threshold_engine import FAR_TOO_LARGE, Request, ThresholdEngine
-from sensor_sim.thresholds.curve_plan import plan_curve
+from sensor_sim.explorer.threshold_engine import SHARED_MB, Request, ThresholdEngine
+from sensor_sim.thresholds.curve_plan import Level, plan_curve
 from sensor_sim.thresholds.folding import Folding
-from sensor_sim.thresholds.predict import FoldedChain, Level, Phases, PredictedThreshold, predict_threshold
+from sensor_sim.thresholds.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
 from todframes.base.errors import SettingsError
 from todframes.observers.csf import CsfObserver
 from todframes.observers.hotelling import HotellingObserver
@@ -75,7 +74,7 @@ def request(
     tolerances: tuple[float, float] = TOLERANCES,
     level: Level = "snr",
 ) -> Request:
-    return Request(1, sensor, unit_of(observer), tuple(enumerate(sizes)), 0.75, tolerances, level)
+    return Request(1, sensor, pickle.dumps(observer), tuple(enumerate(sizes)), 0.75, tolerances, level)
 
 
 def computed(engine: ThresholdEngine, *arguments, **more) -> list[PredictedThreshold]:
@@ -135,8 +134,7 @@ def test_refined_is_the_curve_and_the_estimate_holds(sensor):
     estimated, refined = computed(engine(), sensor, tolerances=(0.03, 0.004))
     plan = plan_curve(sensor, OBSERVER, 4.0, tolerance=0.004)
     expected = predict_threshold(FoldedChain(sensor, OBSERVER, 4.0, plan), tolerance=0.004)
-    # The same places: 12 nodes of the quadrature instead of 24 change P by 1e-7, and single precision the weights.
-    assert refined.threshold == pytest.approx(expected.threshold, rel=2e-5)
+    assert (refined.threshold, refined.numerical_error) == (expected.threshold, expected.numerical_error)
     assert refined.numerical_error <= 0.004 * refined.threshold
     assert estimated.numerical_error <= 0.03 * estimated.threshold
     assert abs(estimated.threshold - refined.threshold) <= estimated.numerical_error
@@ -161,8 +159,7 @@ def test_contrast_of_dense_sampling_is_that_of_the_naked_eye(gain):
     )
     naked = contrast_threshold(OBSERVER, size_mrad=size_mrad)
     for found in computed(engine(), sensor, sizes=(size_mrad / pitch_mrad,), level="contrast"):
-        # An estimate takes more time only where its error is beyond this.
-        assert found.numerical_error < FAR_TOO_LARGE * 0.03 * found.threshold
+        assert found.numerical_error < 0.03 * found.threshold
         assert abs(found.threshold - naked.threshold) <= found.numerical_error + 0.002 * naked.threshold
 
 
@@ -321,21 +318,20 @@ def test_kept_parts_stay_within_their_size():
     one = engine()
     for distance in (1200.0, 1500.0, 1800.0):
         computed(one, changed(display={"viewing_distance_mm": distance}), tolerances=(0.03, 0.05))
-    sizes = [kept._bytes for kept in one._kept.values()]
-    limits = [kept._most_bytes for kept in one._kept.values()]
-    assert all(0 < size <= limit for size, limit in zip(sizes, limits, strict=True))
-    assert sum(limits) <= 100 * 2**20
+    parts = [getattr(one._shared, name) for name in ("samplers", "samples", "weights", "trials")]
+    assert all(0 < kept._bytes <= kept._most_bytes for kept in parts)
+    assert sum(kept._most_bytes for kept in parts) <= SHARED_MB * 2**20
 
 
 @pytest.mark.weekly
 def test_stated_errors_hold_over_many_sensors():
-    """Sensors at random about the one above, each new to the engine; and again with a neighbour known."""
+    """Sensors at random about the one above."""
     rng = np.random.default_rng(5)
 
     def factor(low: float, high: float) -> float:
         return float(np.exp(rng.uniform(math.log(low), math.log(high))))
 
-    alone, beside = [], []
+    relative = []
     for _ in range(24):
         sensor = changed(
             optics={"aperture_mm": 100.0 * factor(0.6, 1.6), "blur_sigma_mrad": float(rng.uniform(0.0, 0.1))},
@@ -347,25 +343,17 @@ def test_stated_errors_hold_over_many_sensors():
             },
         )
         size = float(rng.choice([3.0, 4.0, 6.0]))
-        one = engine()
-        estimated, refined = computed(one, sensor, sizes=(size,), tolerances=(0.03, 0.004))
+        estimated, refined = computed(engine(), sensor, sizes=(size,), tolerances=(0.03, 0.004))
         if refined.threshold is None:
             continue
-        alone.append(
+        relative.append(
             (estimated.threshold / refined.threshold - 1.0, estimated.numerical_error / estimated.threshold)
         )
-        moved = replace(sensor, optics=replace(sensor.optics, aperture_mm=sensor.optics.aperture_mm * 1.1))
-        estimated, refined = computed(one, moved, sizes=(size,), tolerances=(0.03, 0.004))
-        beside.append(
-            (estimated.threshold / refined.threshold - 1.0, estimated.numerical_error / refined.threshold)
-        )
-    for found in (alone, beside):
-        error, stated = np.abs(np.array(found)).T
-        assert len(error) >= 18
-        # If each holds with a probability of 95 %, more than 3 of 24 fail once in 30 sets of sensors.
-        assert np.count_nonzero(error > stated) <= 3
-        assert np.count_nonzero(error > 0.03) <= 1
-    assert np.median(np.array(beside)[:, 1]) < np.median(np.array(alone)[:, 1])
+    error, stated = np.abs(np.array(relative)).T
+    assert len(error) >= 18
+    # If each holds with a probability of 95 %, more than 3 of 24 fail once in 30 sets of sensors.
+    assert np.count_nonzero(error > stated) <= 3
+    assert np.count_nonzero(error > 0.03) <= 1
 
 
 # What limits --------------------------------------------------------------------------------------------------
@@ -516,12 +504,3 @@ def test_close_ends_what_another_thread_waits_for():
     assert time.monotonic() - started < 5.0
     assert not any(curve.is_last for curve in found)
     assert set(multiprocessing.active_children()) == before
-
-
-def test_observer_of_unit_noise():
-    unit = unit_of(PyramidObserver(internal_noise_sd=0.2, kernel_a=0.4))
-    assert unit.noise_sd == 0.2
-    assert pickle.loads(unit.pickled).settings.noise_sd == 1.0
-    assert pickle.loads(unit.pickled).settings.kernel_a == 0.4
-    # Noise shapes the weights of this one.
-    assert unit_of(HotellingObserver()) == Unit(pickle.dumps(HotellingObserver()), 1.0)

@@ -203,7 +203,7 @@ def test_no_external_noise_no_covariance(monkeypatch):
     with_noise = FoldedChain(STAR_LIKE, observer, 5.0, plan)
     expected = with_noise.proportion_correct(with_noise.phases(5, np.random.default_rng(1)), np.inf)
     monkeypatch.setattr(sensor_sim.thresholds.curve_plan, "noise_covariance", forbidden)
-    plan = plan_curve(STAR_LIKE, observer, 5.0, external_noise=False)
+    plan = plan_curve(STAR_LIKE, observer, 5.0, level="contrast")
     quiet = FoldedChain(STAR_LIKE, observer, 5.0, plan)
     found = quiet.proportion_correct(quiet.phases(5, np.random.default_rng(1)), np.inf)
     assert found == pytest.approx(expected, abs=plan.bound + 1e-4)

@@ -7,7 +7,9 @@ next.
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
+import pickle
 import signal
 import threading
 import time
@@ -19,7 +21,8 @@ from typing import Any
 
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.explorer.limits import SATURATING, WITHOUT_NOISE, Limits, Shares, what_limits
-from sensor_sim.thresholds.predict import Level, PredictedThreshold
+from sensor_sim.thresholds.curve_plan import Level
+from sensor_sim.thresholds.predict import PredictedThreshold
 from todframes.base.errors import TodframesError
 from todframes.base.user_code import search_last, searched_last
 from todframes.jobs.start import starting_processes
@@ -144,7 +147,6 @@ class LiveCurves:
         TodframesError
             If a process dies twice.
         """
-        from sensor_sim.explorer.scaled import unit_of
         from sensor_sim.explorer.threshold_engine import Request
 
         started = time.perf_counter()
@@ -155,9 +157,9 @@ class LiveCurves:
             self._number += 1
             self._wanted.value = self._number
             sizes = [float(size) for size in sizes_detectors]
-            unit = unit_of(observer)
+            pickled = pickle.dumps(observer)
             requests = [
-                Request(self._number, sensor, unit, part, p_correct, tolerances, level, n_points)
+                Request(self._number, sensor, pickled, part, p_correct, tolerances, level, n_points)
                 for part in divided(sizes, len(self._workers))
             ]
             found: dict[int, Any] = {}
@@ -289,6 +291,7 @@ def _serve(connection: Connection, wanted: Any) -> None:
             raise _UnwantedError
 
     engine = ThresholdEngine(check)
+    gc.freeze()  # what is loaded stays: an observer that is no longer needed is found sooner
     with suppress(EOFError, OSError):
         while True:
             folders, request = connection.recv()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import math
+import pickle
 import re
 import shlex
 from collections import OrderedDict
@@ -12,7 +13,6 @@ from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, closing
 from dataclasses import asdict, is_dataclass
 from importlib.resources import files
-from pickle import PicklingError
 from typing import Annotated, Any
 
 import msgspec
@@ -29,10 +29,9 @@ from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import PageField, observer_fields, sensor_fields
 from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, file_of, mtf_plot
 from sensor_sim.explorer.ranges import Thresholds, check_aim, range_answer, range_from
-from sensor_sim.explorer.scaled import unit_of
 from sensor_sim.sweeps.ranges import Aim
-from sensor_sim.thresholds.curve_plan import not_linear
-from sensor_sim.thresholds.predict import Level, PredictedThreshold
+from sensor_sim.thresholds.curve_plan import Level, not_linear
+from sensor_sim.thresholds.predict import PredictedThreshold
 from sensor_sim.thresholds.sizes import SIZES_CHOSEN, computed_sizes
 from todframes import __version__
 from todframes.base.errors import SettingsError, argument
@@ -238,8 +237,8 @@ class Explorer:
         if observer.readout(Stimulus(USUAL_SIZE_MRAD)) is None:
             raise not_linear()
         try:
-            unit_of(self._observer)
-        except (PicklingError, AttributeError, TypeError) as error:
+            pickle.dumps(self._observer)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise SettingsError(
                 f"observer: {self._observer_name} cannot be sent to the processes that compute ({error})"
             ) from None

@@ -198,7 +198,7 @@ class Camera:
             name=name,
             tolerance=tolerance,
             p_correct=P_CORRECT,
-            external_noise=noisy,
+            level="snr" if noisy else "contrast",
         )
 
     def _chain(self, plan: CurvePlan) -> FoldedChain:

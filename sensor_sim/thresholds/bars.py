@@ -21,9 +21,9 @@ from scipy.special import ndtr
 
 from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, FourBarSampler, field_detectors
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.thresholds.curve_plan import detector_covariance, lines_of
+from sensor_sim.thresholds.curve_plan import PLACES, detector_covariance, lines_of
 from sensor_sim.thresholds.folding import Folding
-from sensor_sim.thresholds.predict import PLACES, STEP, Lattice
+from sensor_sim.thresholds.predict import STEP, Lattice
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.four_bars import WIDTHS, FourBars

@@ -11,7 +11,7 @@ import time
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -28,6 +28,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer, Readout
+from todframes.observers.pyramid import PyramidObserver
 from todframes.parameters import PlanName
 from todframes.psychometrics.threshold_search import crossing
 from todframes.scoring.error_budget import (
@@ -39,8 +40,17 @@ from todframes.scoring.error_budget import (
 )
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, bounding_box_offset
 
-FULL_PLACES = 17
-"""Number of places along each axis that a full plan begins with: twelve times the trials of most thresholds."""
+PLACES = (5, 7, 11, 17, 25, 37)
+"""Numbers of places along each axis of a detector, in each replicate, tried in turn until the error is small
+enough. Each takes twice the trials of the one before, so that there are few chances to stop at an error estimate
+that is too small by chance. Numbers that have a divisor in common with the display's pixels per detector are left
+out: P repeats with these pixels too, and such a lattice would sample all of them at the same places."""
+
+FULL_PLACES = tuple(n for n in PLACES if n >= 17)
+"""Those of a full plan, which begins with twelve times the trials of most thresholds."""
+
+COARSE_LATTICES = 2
+"""Number of lattices of a coarse plan; the stated error may then be above what was aimed at."""
 
 ORTHANT_TOLERANCE = 1e-8
 """Error of each P(correct): in a threshold it is 1e-7 of it at most, a ten-thousandth of what is asked for."""
@@ -55,6 +65,17 @@ LEAST_END_MTF = 1e-3
 
 LARGEST_SHARE = 0.6
 """Largest share of the budget that one omission may take."""
+
+COARSE_BOUND = 3e-4
+"""Change of P(correct) that `coarse_plan` may cause; over sensors at random it is below half."""
+
+SMALL_JITTER = 0.03
+"""Displacement of the retina, in detectors, that a coarse plan leaves out: the hold of a detector blurs 300 times
+as much."""
+
+Level = Literal["snr", "contrast"]
+"""Quantity that is varied: the detectors' noise under a triangle of contrast 1, or, without detector noise, the
+contrast of the triangle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,17 +98,21 @@ class CurvePlan:
         Whether three of the four score deviations are folded: they add up to zero.
     merge_pixels : bool
         Whether display pixels that must be alike count as one.
-    external_noise : bool
-        Whether there is detector noise.
+    level : {"snr", "contrast"}
+        Quantity that is varied; with "contrast" there is no detector noise.
     lines : LineShares
         Shares of its variance that rows and columns have in common; none for cameras that count photons, whose
         variances are apart.
-    fewest_places : int
-        Places along each axis of a detector to begin with.
+    places : tuple of int
+        Numbers of places along each axis of a detector, tried in turn.
     steps : tuple of Step
         Parts that are left out, with their bounds, and parts that are kept.
     repetition_bound : float
         Bound on the change of P(correct) because the scene repeats, with the longest period that is considered.
+    least_jitter : float
+        Displacement of the retina, in detectors, up to which it is left out.
+    half_width : int, optional
+        Samples on each side of the retina's middle one that are needed; by default the whole retina.
     near_level, slope : float
         Threshold at the places that were tried, and the slope dP / d ln level there; None and NaN without one.
     unit_s : float
@@ -103,11 +128,13 @@ class CurvePlan:
     orientations: tuple[Orientation, ...] = ORIENTATIONS
     three_templates: bool = False
     merge_pixels: bool = False
-    external_noise: bool = True
+    level: Level = "snr"
     lines: LineShares = NO_LINES
-    fewest_places: int = 1
+    places: tuple[int, ...] = PLACES
     steps: tuple[Step, ...] = ()
     repetition_bound: float = 0.0
+    least_jitter: float = 0.0
+    half_width: int | None = None
     near_level: float | None = None
     slope: float = math.nan
     unit_s: float = math.inf
@@ -164,7 +191,7 @@ class CurvePlan:
 
     def noise(self, weights: FloatArray) -> FloatArray:
         """Compute the covariance of the scores, (..., 4, 4), under detector noise of standard deviation 1."""
-        if not self.external_noise:
+        if self.level == "contrast":
             return np.zeros((*weights.shape[:-1], 4))
         return detector_covariance(weights, self.lines)
 
@@ -177,7 +204,7 @@ def plan_curve(
     name: PlanName = "needed",
     tolerance: float = 2e-3,
     p_correct: float = 0.75,
-    external_noise: bool = True,
+    level: Level = "snr",
     shared: Shared = NOTHING,
 ) -> CurvePlan:
     """Plan the computation of a threshold.
@@ -195,8 +222,8 @@ def plan_curve(
         Relative error of the threshold; omissions may take half of it.
     p_correct : float
         Raw proportion correct at threshold.
-    external_noise : bool
-        Whether there is detector noise.
+    level : {"snr", "contrast"}
+        Quantity whose threshold it is; with "contrast" there is no detector noise.
     shared : Shared
         Parts that this computation may have in common with others, in which it looks for its own and leaves them.
 
@@ -215,8 +242,8 @@ def plan_curve(
         return replace(full, repetition_bound=planner.repetition_bound(full))
     full = replace(
         full_plan(sensor, observer, size_detectors, shared),
-        external_noise=external_noise,
-        fewest_places=1,
+        level=level,
+        places=PLACES,
         steps=(),
     )
     stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
@@ -246,17 +273,68 @@ def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared:
         field=detectors,
         sampler=sampler.within(detectors),
         lines=lines_of(sensor),
-        fewest_places=FULL_PLACES,
+        places=FULL_PLACES,
         steps=(Step("everything", True, f"as {argument.plan} full asks; the field is {detectors} detectors"),),
         shared=shared,
     )
+
+
+def coarse_plan(
+    sensor: Sensor, observer: Observer, size_detectors: float, *, level: Level = "snr", shared: Shared = NOTHING
+) -> CurvePlan:
+    """Return a plan that leaves out, without a test, what most plans leave out: far field and double precision.
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear, or the size or field is out of range.
+    """
+    display = sensor.display
+    pitch_mrad = observer.grid(Stimulus(size_detectors * display.detector_pitch_mrad)).pitch_mrad
+    blur = 6.0 * blur_mrad(sensor.optics, sensor.motion) / sensor.detector.pitch_mrad
+    blur += 4.0 * _post_sample_blur_px(sensor) / display.pixels_per_detector
+    full = field_detectors(sensor, size_detectors)
+    needed = max(math.ceil(FIELDS_IN_SIZES[0] * size_detectors + blur) + 2, smallest_field(size_detectors))
+    whole = min(needed + (full - needed) % 2, full)
+    sampler = shared.samplers.get(
+        ("coarse", sensor.optics, sensor.motion, sensor.detector, size_detectors, whole),
+        lambda: field_sampler(sensor, size_detectors, whole),
+    )
+    field = min(whole, seen_detectors(sensor, observer, size_detectors))
+    offset = max(abs(np.ravel([centre_offset(observer, turn, size_detectors) for turn in ORIENTATIONS])))
+    seen = math.ceil((field / 2.0 + 0.5 + offset) * display.detector_pitch_mrad / pitch_mrad) + 1
+    step = max(2 ** (seen.bit_length() - 3), 1)  # so that fields that differ by a detector have one readout
+    half_width = math.ceil(seen / step) * step
+    readout = linear_readout(sensor, observer, size_detectors, half_width)
+    symmetric = is_symmetric(readout) and is_alike_when_turned(sensor)
+    lattices = [n for n in PLACES if math.gcd(n, display.pixels_per_detector) == 1]
+    return CurvePlan(
+        observer=observer,
+        field=field,
+        sampler=sampler.within(field),
+        dtype=np.float32,
+        orientations=ORIENTATIONS[:1] if symmetric else ORIENTATIONS,
+        three_templates=True,
+        merge_pixels=is_unblurred(sensor),
+        level=level,
+        lines=lines_of(sensor),
+        places=tuple(lattices[:COARSE_LATTICES]),
+        repetition_bound=COARSE_BOUND,
+        least_jitter=SMALL_JITTER,
+        half_width=half_width,
+        shared=shared,
+    )
+
+
+def _post_sample_blur_px(sensor: Sensor) -> float:
+    return math.hypot(sensor.electronics.blur_sigma_px, sensor.display.blur_sigma_px)
 
 
 def seen_detectors(sensor: Sensor, observer: Observer, size_detectors: float) -> int:
     """Return the detectors along each side that a retina of one level more may see; others weigh nothing."""
     whole, display = field_detectors(sensor, size_detectors), sensor.display
     grid = observer.grid(Stimulus(size_detectors * display.detector_pitch_mrad))
-    blur_px = len(gaussian_kernel(math.hypot(sensor.electronics.blur_sigma_px, display.blur_sigma_px)))
+    blur_px = len(gaussian_kernel(_post_sample_blur_px(sensor)))
     offsets = [centre_offset(observer, orientation, size_detectors) for orientation in ORIENTATIONS]
     seen = 2.0 * grid.side * grid.pitch_mrad / display.detector_pitch_mrad + blur_px / display.pixels_per_detector
     seen += 2.0 * float(np.abs(offsets).max()) + 3.0  # the place on a detector, and a part of one at each border
@@ -274,15 +352,20 @@ def is_alike_when_turned(sensor: Sensor) -> bool:
     return variance.row == variance.column and looks_the_same_when_turned(sensor.optics, sensor.motion)
 
 
-def linear_readout(sensor: Sensor, observer: Observer, size_detectors: float) -> Readout:
-    """Return the readout for a triangle as displayed.
+def linear_readout(
+    sensor: Sensor, observer: Observer, size_detectors: float, half_width: int | None = None
+) -> Readout:
+    """Return the readout for a triangle as displayed; `half_width` is that of `CurvePlan`.
 
     Raises
     ------
     SettingsError
         If the observer is not linear.
     """
-    readout = observer.readout(Stimulus(size_detectors * sensor.display.detector_pitch_mrad))
+    stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
+    if half_width is not None and type(observer) is PyramidObserver:
+        return observer.readout_within(stimulus, half_width)
+    readout = observer.readout(stimulus)
     if readout is None:
         raise not_linear()
     return readout
@@ -392,7 +475,7 @@ class _CurvePlanner:
 
         A triangle's own photons are left out.
         """
-        level = self.level if level is None else level
+        level = self.near_level if level is None else level
         if self.variance is None:
             return self.full.noise(weights) / level**2
         rows, columns = line_covariance(weights)
@@ -403,13 +486,17 @@ class _CurvePlanner:
     def _find_covariance(self, p_correct: float) -> None:
         """Find the covariance of the scores near threshold, the level there and the slope of P(correct)."""
         signal, noise = self._scores(self.weights, self.samples), self._noise(self.weights, 1.0)
-        internal, variance = self.readout.noise_covariance, self.variance
+        internal, variance, is_contrast = (
+            self.readout.noise_covariance,
+            self.variance,
+            self.full.level == "contrast",
+        )
         if variance is not None:
             by_signal = signal_covariance(self.weights, self.samples[:, None])[:, 0]
 
         def covariance(level: float) -> FloatArray:
             if variance is None:
-                return internal + noise / level**2
+                return internal / level**2 if is_contrast else internal + noise / level**2
             of_triangle = variance.per_signal / level * by_signal[:, 0]
             return (internal + noise) / level**2 + of_triangle + variance.per_squared_signal * by_signal[:, 1]
 
@@ -417,12 +504,14 @@ class _CurvePlanner:
             return float(answer_probability(signal, covariance(level), 0, tolerance=ORTHANT_TOLERANCE).mean())
 
         _, threshold = crossing(proportion, p_correct, near=None, slope=math.nan)
-        self.level = threshold if threshold is not None and self.full.external_noise else math.inf
-        self.covariance = covariance(self.level)
+        self.is_reached = threshold is not None
+        strongest = 1.0 if is_contrast else math.inf
+        self.near_level = strongest if threshold is None else threshold
+        self.covariance = covariance(self.near_level)
         step = 0.05
         rise = 0.0
-        if threshold is not None and math.isfinite(self.level):
-            rise = proportion(self.level * math.exp(step)) - proportion(self.level * math.exp(-step))
+        if threshold is not None:
+            rise = proportion(threshold * math.exp(step)) - proportion(threshold * math.exp(-step))
         self.slope = rise / (2.0 * step) if rise > 0.0 else 0.5
 
     def bound(self, scores: FloatArray, noise: FloatArray | None = None) -> float:
@@ -447,7 +536,7 @@ class _CurvePlanner:
             precision,
             *identities,
         )
-        near = (self.level, self.slope) if math.isfinite(self.level) else (None, math.nan)
+        near = (self.near_level, self.slope) if self.is_reached else (None, math.nan)
         return replace(plan, steps=steps, near_level=near[0], slope=near[1], unit_s=self.unit_s)
 
     @cached_property
@@ -459,8 +548,11 @@ class _CurvePlanner:
             return None
         plan = self.full
         added, _ = self._weights(plan, replace(self.readout, grid=omitted.grid, deviations=omitted.deviations))
-        noise = (self._noise(self.weights + added, 1.0) - self._noise(self.weights, 1.0)) / self.level**2
-        return self.bound(self._scores(added, self.samples), noise + omitted.noise_covariance)
+        noise = (self._noise(self.weights + added, 1.0) - self._noise(self.weights, 1.0)) / self.near_level**2
+        internal = omitted.noise_covariance
+        if self.full.level == "contrast":
+            internal = internal / self.near_level**2
+        return self.bound(self._scores(added, self.samples), noise + internal)
 
     def levels_suffice(self) -> bool:
         """Return whether the observer's bound shows that no further levels are needed."""
@@ -574,7 +666,7 @@ class _CurvePlanner:
         stage, single = "double precision", replace(plan, dtype=np.float32)
         weights, single_s = self._weights(single, self.readout, TRIED_AT[:1])
         exact, double_s = self.weights[:1], self.fold_s
-        noise = (self._noise(weights, 1.0) - self._noise(exact, 1.0)) / self.level**2
+        noise = (self._noise(weights, 1.0) - self._noise(exact, 1.0)) / self.near_level**2
         bound = self.bound(self._scores(weights - exact, self.samples[:1]), noise)
         self.unit_s = self.sample_s + min(single_s, double_s)
         if self._affordable(bound):
@@ -604,8 +696,9 @@ class _CurvePlanner:
             steps.append(Step("display pixels", True, "the display or the electronics blur"))
         if self.sensor.optics.blur_sigma_mrad == 0.0:
             steps.append(Step("optics blur", False, "its standard deviation is 0"))
-        noise = "the threshold is a signal-to-noise ratio" if plan.external_noise else "there is none"
-        steps.append(Step("noise covariance", plan.external_noise, noise))
+        is_noisy = plan.level == "snr"
+        noise = "the threshold is a signal-to-noise ratio" if is_noisy else "there is none"
+        steps.append(Step("noise covariance", is_noisy, noise))
         return plan, steps
 
 

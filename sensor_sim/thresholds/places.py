@@ -16,6 +16,7 @@ from typing import NamedTuple
 from sensor_sim.chain.detector_noise import NO_LINES
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import (
+    PLACES,
     CurvePlan,
     is_alike_when_turned,
     is_symmetric,
@@ -167,7 +168,7 @@ def _plan(sensor: Sensor, observer: Observer, size_detectors: float, places: int
         steps.append(Step("orientations", False, "one stands for all four, which are its turns"))
     return replace(
         plan,
-        fewest_places=1,
+        places=PLACES,
         steps=tuple(steps),
         repetition_bound=(4 * places - 1) / 3.0 * plan.repetition_bound,
     )

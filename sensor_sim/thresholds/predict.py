@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from sensor_sim.chain.sensor import Scene, Sensor
 from sensor_sim.thresholds.curve_plan import (
     ORTHANT_TOLERANCE,
     CurvePlan,
+    Level,
     centre_offset,
     line_covariance,
     linear_readout,
@@ -43,12 +44,6 @@ from todframes.observers.interface import Observer, Readout, non_gaussian_bound
 from todframes.psychometrics.threshold_search import TOO_UNCERTAIN, ComputedThreshold, Status, crossing, if_known
 from todframes.scoring.error_budget import REPLICATES, decision_change, half_width_95
 from todframes.stimulus import Orientation
-
-PLACES = (5, 7, 11, 17, 25, 37)
-"""Numbers of places along each axis of a detector, in each replicate, tried in turn until the error is small
-enough. Each takes twice the trials of the one before, so that there are few chances to stop at an error estimate
-that is too small by chance. Numbers that have a divisor in common with the display's pixels per detector are left
-out: P repeats with these pixels too, and such a lattice would sample all of them at the same places."""
 
 KRONECKER_STEPS_4D = np.modf(1.1673039782614187 ** -np.arange(1.0, 5.0))[0].reshape(2, 2)
 """Steps of a four-dimensional low-discrepancy sequence, powers of the root of x⁵ = x + 1 (Roberts 2018); two
@@ -77,10 +72,6 @@ PLACES_AT_ONCE = 1024
 
 STEP = 0.02
 """Distance in ln level between the two points from which the slope of P(correct) is taken."""
-
-Level = Literal["snr", "contrast"]
-"""Quantity that is varied: the detectors' noise under a triangle of contrast 1, or, without detector noise, the
-contrast of the triangle."""
 
 
 class Lattice(NamedTuple):
@@ -287,7 +278,7 @@ class FoldedChain:
         self.sensor, self.observer, self.size_detectors = sensor, self.plan.observer, size_detectors
         self.field = self.plan.field
         self.sampler = self.plan.sampler
-        self.readout: Readout = linear_readout(sensor, self.observer, size_detectors)
+        self.readout: Readout = linear_readout(sensor, self.observer, size_detectors, self.plan.half_width)
         self.noise_covariance = self.readout.noise_covariance
         self.folding = self.plan.folding(sensor, self.readout, size_detectors)
         self.variance = None if sensor.photons is None else contrast_variance(sensor)
@@ -299,7 +290,7 @@ class FoldedChain:
         """Return `phases` for the first replicates, from independent streams, kept for chains of other noise."""
         drawn, started = self._drawn.setdefault((places, seed), []), time.perf_counter()
         key = (self.plan.sampler.key, self.folding.key, self.sensor.display.gain, self.orientations)
-        is_noisy = (self.plan.external_noise, self.plan.lines, self.variance is not None)
+        is_noisy = (self.plan.level, self.plan.lines, self.variance is not None)
         streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES)
         while len(drawn) < n:
             make = partial(self.phases, places, np.random.default_rng(streams[len(drawn)]))
@@ -318,7 +309,8 @@ class FoldedChain:
     def jitter_detectors(self) -> float:
         """Largest displacement of the retina along each axis, in detectors."""
         per_sample = self.readout.grid.pitch_mrad / self.sensor.display.detector_pitch_mrad
-        return self.observer.position_jitter_samples * per_sample
+        jitter = self.observer.position_jitter_samples * per_sample
+        return jitter if jitter > self.plan.least_jitter else 0.0
 
     def phases(self, places: int, rng: np.random.Generator) -> list[Phases]:
         """Return trials of each orientation on a `Lattice` of `places` × `places`, shifted at random."""
@@ -352,7 +344,7 @@ class FoldedChain:
     def lattices(self) -> list[int]:
         """Numbers of places along each axis of the lattices for this sensor and plan, in ascending order."""
         pixels = self.sensor.display.pixels_per_detector
-        return [n for n in PLACES if math.gcd(n, pixels) == 1 and n >= self.plan.fewest_places]
+        return [n for n in self.plan.places if math.gcd(n, pixels) == 1]
 
     def unreached(
         self, p_correct: float, seed: int, places: int | None = None, level: Level = "snr"
@@ -661,10 +653,6 @@ def predict_threshold(
     seed: int = 1,
     n_points: int = N_POINTS,
     level: Level = "snr",
-    near: float | None = None,
-    slope: float = math.nan,
-    most_places: int = PLACES[-1],
-    check: Callable[[], None] = lambda: None,
     progress: Progress = lambda _: None,
 ) -> PredictedThreshold:
     """Compute a threshold, with more and more places until its error falls below the tolerance.
@@ -683,12 +671,6 @@ def predict_threshold(
         Number of points of the psychometric function to return.
     level : {"snr", "contrast"}
         Quantity whose threshold is computed.
-    near, slope : float
-        A threshold that may be near, and the slope dP / d ln level there; by default those that the plan found.
-    most_places : int
-        Number of places along each axis of a detector with which the refinement ends, whatever the error is.
-    check : function of no arguments
-        Called every few milliseconds; it may raise an exception.
     progress : function of a number
         Called with the share of the longest possible computation that was just done.
 
@@ -704,10 +686,6 @@ def predict_threshold(
         seed=seed,
         n_points=n_points,
         level=level,
-        near=near,
-        slope=slope,
-        most_places=most_places,
-        check=check,
         progress=progress,
     )[0]
 
@@ -863,21 +841,25 @@ def predicted_on_lattices(
     seed: int,
     n_points: int = N_POINTS,
     level: Level = "snr",
-    near: float | None = None,
-    slope: float = math.nan,
-    most_places: int = PLACES[-1],
     check: Callable[[], None] = lambda: None,
     known: Known | None = None,
     progress: Progress = lambda _: None,
 ) -> tuple[PredictedThreshold, dict[int, PooledThreshold], float]:
-    """Return a threshold, what each number of places gives, and the bound on what the plan leaves out."""
+    """Return a threshold, what each number of places gives, and the bound on what the plan leaves out.
+
+    Parameters are those of `predict_threshold`, and:
+
+    check : function of no arguments
+        Called every few milliseconds; it may raise an exception.
+    known : Known, optional
+        A threshold that is known, whose trials have nearly the same error.
+    """
     check_positive(argument.tolerance, tolerance)
-    ladder = [n for n in chain.lattices if n <= most_places]
+    ladder = chain.lattices
     on_places: dict[int, PooledThreshold] = {}
-    if near is None and (level == "snr" or chain.variance is not None):
-        near, slope = chain.plan.near_level, chain.plan.slope
-        if known is not None:
-            near = known.near(chain)
+    near, slope = chain.plan.near_level, chain.plan.slope
+    if known is not None:
+        near = known.near(chain)
     bound = chain.plan.bound
     # Where the plan has found no threshold at the places that it tried, there often is none.
     never = chain.unreached(p_correct, seed, ladder[0], level) if near is None else None

@@ -27,16 +27,19 @@ class Kept(Generic[T]):
     ----------
     most_bytes : int
         Largest sum of the values' sizes. With 0 nothing is kept.
+    check : function of no arguments
+        Called whenever a value is asked for; it may raise an exception.
     """
 
-    def __init__(self, most_bytes: int) -> None:
-        self._most_bytes = most_bytes
+    def __init__(self, most_bytes: int, check: Callable[[], None] = lambda: None) -> None:
+        self._most_bytes, self._check = most_bytes, check
         self._values: OrderedDict[Hashable, tuple[T, int]] = OrderedDict()
         self._bytes = 0
         self._lock = threading.Lock()
 
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return the value of a key, made now if it is not kept. The caller must not change it."""
+        self._check()
         if not self._most_bytes:
             return make()
         with self._lock:
@@ -76,9 +79,12 @@ class Shared:
     trials: Kept[Any] = field(default_factory=lambda: Kept(0))
 
     @classmethod
-    def of(cls, most_bytes: int) -> Shared:
-        """Return a `Shared` that keeps up to so many bytes: 40 % each of samples and weights, 10 % of others."""
-        return cls(*(Kept(most_bytes * percent // 100) for percent in (10, 40, 40, 10)))
+    def of(cls, most_bytes: int, check: Callable[[], None] = lambda: None) -> Shared:
+        """Return a `Shared` that keeps up to so many bytes: 40 % each of samples and weights, 10 % of others.
+
+        `check` is that of `Kept`.
+        """
+        return cls(*(Kept(most_bytes * percent // 100, check) for percent in (10, 40, 40, 10)))
 
 
 NOTHING = Shared()

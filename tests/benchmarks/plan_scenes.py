@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
-from sensor_sim.thresholds.curve_plan import plan_curve
+from sensor_sim.thresholds.curve_plan import PLACES, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.parameters import PlanName
@@ -84,7 +84,7 @@ def main(n_scenes: int) -> None:
         sensor, observer, size = scene(rng)
         planned, planned_chain, planned_s = threshold(sensor, observer, size, "needed")
         full, full_chain, full_s = threshold(sensor, observer, size, "full")
-        *_, alike_s = threshold(sensor, observer, size, "full", fewest_places=1)
+        *_, alike_s = threshold(sensor, observer, size, "full", places=PLACES)
         ratios.append(full_s / planned_s)
         alike.append(alike_s / planned_s)
         snr = planned.threshold if planned.threshold is not None else math.inf

@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
@@ -36,7 +36,6 @@ from todframes.observers.interface import (
 from todframes.observers.internal_noise import (
     Bands,
     inner_product,
-    summed_covariance,
     summed_noise,
     summed_variance,
 )
@@ -320,40 +319,33 @@ class PyramidObserver(NeuronObserver):
         """Compute the expected activity for an image whose place is not exactly known."""
         return self.activity(gaussian_blur(image, self.settings.template_blur_samples))
 
-    def weights_within(
-        self, stimulus: Stimulus, half_width: int, dtype: DTypeLike
-    ) -> tuple[NDArray[Any], FloatArray]:
-        """Compute the part of a readout that is needed where the observer sees the middle of the retina only.
+    @keeps_last(4)
+    def readout_within(self, stimulus: Stimulus, half_width: int) -> Readout:
+        """Return the readout where the observer sees the middle of the retina only, in single precision.
 
         Parameters
         ----------
         stimulus : Stimulus
         half_width : int
-            Samples on each side of the retina's middle one.
-        dtype : float32 or float64
-
-        Returns
-        -------
-        (ndarray, shape (2 · half_width + 1,) * 2, ndarray, shape (4, 4))
-            Weights of the upright triangle's score less the mean of the four, whose turns are the weights of the
-            other scores; and the covariance of the noise on all four.
+            Samples on each side of the retina's middle one, at most.
         """
-        upright = self._readout_deviation(stimulus, dtype)
-        # In single precision the sums would be no covariance.
-        exact = tuple(band.astype(np.float64) for band in upright)
-        covariance = summed_covariance(self._all_turns(exact), self.settings.noise_sd)
-        return self._fold(upright, self.grid(stimulus), half_width), covariance
+        return self._folded_readout(stimulus, min(half_width, self.grid(stimulus).side // 2), np.float32)
 
     def make_readout(self, stimulus: Stimulus) -> Readout | None:
         """Fold pyramid and templates onto the retina: A_k = Lᵀ t_k."""
+        return self._folded_readout(stimulus, self.grid(stimulus).side // 2, np.float64)
+
+    def _folded_readout(self, stimulus: Stimulus, half_width: int, dtype: DTypeLike) -> Readout:
         grid = self.grid(stimulus)
-        upright = self._readout_deviation(stimulus, np.float64)
-        folded = self._fold(upright, grid)
+        upright = self._readout_deviation(stimulus, dtype)
+        folded = self._fold(upright, grid, half_width)
+        # In single precision the sums would be no covariance.
+        exact = tuple(band.astype(np.float64, copy=False) for band in upright)
         return Readout(
-            grid=grid,
-            find_common=lambda: self._fold(self._common_template(stimulus), grid),
+            grid=RetinaGrid(2 * half_width + 1, grid.pitch_mrad),
+            find_common=lambda: self._fold(self._common_template(stimulus), grid, half_width),
             deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
-            **summed_noise(self._all_turns(upright), self.settings.noise_sd)._asdict(),
+            **summed_noise(self._all_turns(exact), self.settings.noise_sd)._asdict(),
             find_common_variance=lambda: summed_variance(self._common_template(stimulus), self.settings.noise_sd),
         )
 
