@@ -15,6 +15,7 @@ from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset
+from todframes.observers.interface import Observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
 from todframes.results.data import Example, Thumbnail
@@ -190,15 +191,12 @@ def test_weakest_bands_are_left_out() -> None:
 
 
 def test_observer_that_shows_nothing() -> None:
-    class Blind:
-        centre = "centroid"
-
+    class Blind(Observer):
         def grid(self, _: Stimulus) -> RetinaGrid:
             return RetinaGrid(65, 0.1)
 
     shown = [ExamplePatch(ContrastPatch(np.zeros((99, 99)), 0, 0, 0), 49.0, 49.0)]
-    blind: Any = Blind()
-    one = pictures(shown, np.zeros((65, 65)), observer=blind, stimulus=Stimulus(1.0), pixel_pitch_mrad=0.1)
+    one = pictures(shown, np.zeros((65, 65)), observer=Blind(), stimulus=Stimulus(1.0), pixel_pitch_mrad=0.1)
     assert list(decoded(one)) == ["display", "retina"]
 
 

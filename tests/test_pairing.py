@@ -10,15 +10,9 @@ import pytest
 
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
+from todframes.psychometrics.bootstrap import draw_backgrounds
 from todframes.psychometrics.fit import FitSettings, fit_trials
-from todframes.psychometrics.paired_bootstrap import (
-    RatioDraws,
-    draw_backgrounds,
-    holm,
-    ratio_draws,
-    threshold_ratio,
-    with_backgrounds_as_drawn,
-)
+from todframes.psychometrics.paired_bootstrap import RatioDraws, holm, ratio_draws, threshold_ratio
 from todframes.psychometrics.weibull import weibull
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import Orientation, Stimulus, coverage
@@ -290,14 +284,14 @@ def test_the_width_over_backgrounds_is_students() -> None:
 def test_the_interval_of_a_threshold_over_backgrounds_is_students() -> None:
     """Eight backgrounds without trial noise: t(7) · s / √8, whatever the number of trials on each."""
     apart, rng = np.array([-0.05, -0.03, -0.02, 0.0, 0.0, 0.02, 0.03, 0.05]), np.random.default_rng(5)
-    drawn, found = draw_backgrounds(8, SETTINGS.resamples, rng), []
+    found = []
     for n_trials in (2, 6):
         scene = np.tile(np.repeat(np.arange(8), n_trials), len(LEVELS))
         level = np.repeat(LEVELS, 8 * n_trials)
         p = p_of(level * np.exp(apart[scene]), 1.0)
-        fit = fit_trials(level, p, settings=SETTINGS, rng=rng)
-        of_scenes = with_backgrounds_as_drawn(
-            level, p, fit, settings=SETTINGS, backgrounds=scene, drawn_backgrounds=drawn
+        fit = fit_trials(level, p, settings=SETTINGS, rng=np.random.default_rng(n_trials))
+        of_scenes = fit_trials(
+            level, p, settings=SETTINGS, rng=np.random.default_rng(n_trials), backgrounds=7 * scene
         )
         assert of_scenes.threshold_ci95_same_scenes == fit.threshold_ci95
         trials_alone = replace(of_scenes, threshold_ci95=fit.threshold_ci95, threshold_ci95_same_scenes=None)
@@ -306,11 +300,10 @@ def test_the_interval_of_a_threshold_over_backgrounds_is_students() -> None:
         # 400 resamples place an end of an interval to 8 % of its half width.
         assert math.log(high / low) == pytest.approx(2.0 * 2.365 * apart.std(ddof=1) / math.sqrt(8.0), rel=0.2)
         found.append((low, high))
-    assert found[0] == pytest.approx(found[1], rel=1e-3)
-    missing = replace(fit, threshold=None, threshold_ci95=None)
-    assert missing == with_backgrounds_as_drawn(
-        level, p, missing, settings=SETTINGS, backgrounds=scene, drawn_backgrounds=drawn
-    )
+    without = fit_trials(level, p, settings=FitSettings(resamples=0), rng=rng, backgrounds=scene)
+    assert without.threshold_ci95 is without.threshold_ci95_same_scenes is None
+    one = fit_trials(level, p, settings=SETTINGS, rng=np.random.default_rng(6), backgrounds=np.zeros_like(scene))
+    assert one == fit
 
 
 def test_more_groups_on_the_same_backgrounds_are_no_surer() -> None:

@@ -146,6 +146,36 @@ def vertices(
     return np.asarray(corners + np.array([x, y]))
 
 
+CIRCLE_PER_SIZE = 2.0 / 3.0 * HEIGHT_PER_SIZE
+"""Radius of the circle through the corners of a triangle, over its size."""
+
+
+def circle_about(shape: tuple[int, int], *, size_px: float, x_px: float, y_px: float) -> FloatArray:
+    """Return weights of sum 1 of the pixels in the circle through the corners of a triangle.
+
+    `x_px` and `y_px` are its centroid. Pixels at the circle count by the share of a pixel that lies within, along
+    the radius.
+    """
+    rows, columns = shape
+    away = np.hypot(np.arange(rows)[:, None] - y_px, np.arange(columns) - x_px)
+    share = np.clip(CIRCLE_PER_SIZE * size_px + 0.5 - away, 0.0, 1.0)
+    return np.asarray(share / share.sum())
+
+
+def orientation_weights(shape: tuple[int, int], *, size_px: float, x_px: float, y_px: float) -> FloatArray:
+    """Return weights whose products with an image measure its orientation, (4, rows, columns).
+
+    They are triangles of the four orientations, each without the mean of the four, in units of a triangle's own
+    product: a triangle of contrast 0.1 alone has 0.1 in its orientation. Within a pixel all triangles are alike,
+    and the weights are 0.
+    """
+    images = [coverage(shape, size_px=size_px, x_px=x_px, y_px=y_px, orientation=one) for one in ORIENTATIONS]
+    triangles = np.array(images)
+    differences = triangles - triangles.mean(axis=0)
+    energy = float(np.square(differences).sum()) / 4.0
+    return differences / energy if energy > 1e-12 else np.zeros_like(differences)
+
+
 def coverage(
     shape: tuple[int, int],
     *,

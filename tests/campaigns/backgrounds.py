@@ -14,21 +14,15 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from todframes.psychometrics.bootstrap import draw_backgrounds
 from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.psychometrics.observer_curve import d_prime_of, observer_curve
-from todframes.psychometrics.paired_bootstrap import (
-    ThresholdRatio,
-    draw_backgrounds,
-    ratio_draws,
-    threshold_ratio,
-    with_backgrounds_as_drawn,
-)
+from todframes.psychometrics.paired_bootstrap import ThresholdRatio, ratio_draws, threshold_ratio
 
 Array = NDArray[np.float64]
 
@@ -117,14 +111,7 @@ def comparison(kind: Kind, rng: np.random.Generator, *, resamples: int = 1000) -
             backgrounds=scene,
             drawn_backgrounds=drawn,
         )
-        alone = with_backgrounds_as_drawn(
-            level,
-            series[0],
-            replace(fits[0], threshold_ci95=(None, None)),
-            settings=settings,
-            backgrounds=scene,
-            drawn_backgrounds=drawn,
-        )
+        alone = fit_trials(level, series[0], curve=curve, settings=settings, rng=rng, backgrounds=scene)
     return Comparison(threshold_ratio(draws), alone.threshold_ci95)
 
 

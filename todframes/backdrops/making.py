@@ -14,7 +14,6 @@ import numpy as np
 from todframes import __version__
 from todframes.backdrops.images import Encoder, open_scenes
 from todframes.backdrops.views import (
-    CIRCLE_PER_SIZE,
     TURNS,
     Background,
     Layout,
@@ -55,7 +54,7 @@ from todframes.parameters import (
     Turns,
     WholeNumber,
 )
-from todframes.stimulus import Orientation, coverage
+from todframes.stimulus import CIRCLE_PER_SIZE, Orientation, coverage
 
 LEAST_TRIALS = 40
 """Least number of trials of each size and contrast, if none is asked for."""

@@ -16,12 +16,16 @@ from todframes.base.errors import DataError, argument
 from todframes.display.display import Display
 from todframes.frames.position import candidate_places
 from todframes.frames.trials import SceneView
-from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Orientation, coverage
+from todframes.stimulus import (
+    ORIENTATIONS,
+    Orientation,
+    circle_about,
+    orientation_weights,
+)
 
 TURNS = ("r0", "r90", "r180", "r270", "m0", "m90", "m180", "m270")
 """Symmetries of the square: clockwise turns, and turns after mirroring left to right."""
 
-CIRCLE_PER_SIZE = 2.0 / 3.0 * HEIGHT_PER_SIZE
 """Radius of the circle through the corners of a triangle of unit size."""
 
 MOST_AT_END = 0.01
@@ -64,10 +68,8 @@ def local_luminance(luminance_cd_m2: FloatArray, x_px: float, y_px: float, size_
     float
         Luminance in cd/m². Pixels at the circle count by the share of a pixel that lies within, along the radius.
     """
-    rows, columns = luminance_cd_m2.shape
-    away = np.hypot(np.arange(rows)[:, None] - y_px, np.arange(columns) - x_px)
-    share = np.clip(CIRCLE_PER_SIZE * size_px + 0.5 - away, 0.0, 1.0)
-    return float((share * luminance_cd_m2).sum() / share.sum())
+    shape = (luminance_cd_m2.shape[0], luminance_cd_m2.shape[1])
+    return float((circle_about(shape, size_px=size_px, x_px=x_px, y_px=y_px) * luminance_cd_m2).sum())
 
 
 class Layout(NamedTuple):
@@ -315,11 +317,4 @@ def own_orientation(luminance_cd_m2: FloatArray, x_px: float, y_px: float, size_
     """
     contrast = luminance_cd_m2 / local_luminance(luminance_cd_m2, x_px, y_px, size_px) - 1.0
     shape = (contrast.shape[0], contrast.shape[1])
-    triangles = np.array(
-        [coverage(shape, size_px=size_px, x_px=x_px, y_px=y_px, orientation=one) for one in ORIENTATIONS]
-    )
-    differences = triangles - triangles.mean(axis=0)
-    energy = float(np.square(differences).sum()) / 4.0
-    if not energy > 1e-12:  # within one pixel all orientations are alike
-        return np.zeros(4)
-    return np.asarray(np.tensordot(differences, contrast, 2) / energy)
+    return np.tensordot(orientation_weights(shape, size_px=size_px, x_px=x_px, y_px=y_px), contrast, 2)

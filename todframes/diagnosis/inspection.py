@@ -16,8 +16,6 @@ from todframes.diagnosis.arrangement import TURNED
 from todframes.diagnosis.triangle import (
     AMPLITUDE,
     Images,
-    Shape,
-    Square,
     TrialEstimates,
     TriangleFit,
     X,
@@ -27,7 +25,6 @@ from todframes.diagnosis.triangle import (
     fit,
     fitted,
     of_trials,
-    picture,
     within,
 )
 from todframes.diagnosis.windows import Codes, TrialSample, measure_trial
@@ -35,7 +32,7 @@ from todframes.frames.dataset import Dataset
 from todframes.frames.position import size_in_px
 from todframes.frames.surround import HOLE_IN_SIZES
 from todframes.frames.trials import Group, Trial, Trials
-from todframes.stimulus import ORIENTATIONS, Centre, Stimulus, level_of
+from todframes.stimulus import ORIENTATIONS, Centre, Stimulus, level_of, orientation_weights
 
 if TYPE_CHECKING:
     from todframes.diagnosis.scene_backgrounds import SceneParts
@@ -616,19 +613,17 @@ def _unevenness(
         if of_scenes is None:
             return {}
         static, noise = of_scenes.mean(axis=0), parts.noise
-    square = Square(0, 0, n)
-    pictures = picture(Shape.upright(1.0, 0.0, 0.0, size, 0.0), square, n).images
-    differ = pictures - pictures.mean(axis=0)
-    energy = float(np.square(differ).sum()) / 4.0
-    if not energy > 1e-12:  # within one pixel all orientations are alike
+    middle = (n - 1) / 2.0
+    weights = orientation_weights((n, n), size_px=size, x_px=middle, y_px=middle)
+    if not weights.any():
         return {}
     spectrum = np.fft.rfft2(static)
-    maps = np.array([np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(one)), static.shape) for one in differ])
-    spread = np.fft.fftshift(np.ptp(maps, axis=0)) / energy
-    each = noise.reshape(len(noise), -1) @ differ.reshape(4, -1).T / energy
+    maps = np.array([np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(one)), static.shape) for one in weights])
+    spread = np.fft.fftshift(np.ptp(maps, axis=0))
+    each = noise.reshape(len(noise), -1) @ weights.reshape(4, -1).T
     variance = float((np.square(images.shares[4]) @ np.square(each)).max())
     if of_scenes is not None:
-        apart = np.tensordot(of_scenes - static, differ, ([1, 2], [1, 2])) / energy
+        apart = np.tensordot(of_scenes - static, weights, ([1, 2], [1, 2]))
         variance += float(np.square(apart).sum(axis=0).max()) / (len(apart) * (len(apart) - 1))
     return {
         "uneven": float(spread[n // 2, n // 2]),

@@ -18,7 +18,7 @@ from todframes.base._typing import FloatArray
 from todframes.diagnosis.triangle import Images, TriangleFit, subtract
 from todframes.diagnosis.windows import TrialSample
 from todframes.frames.trials import Trials
-from todframes.stimulus import HEIGHT_PER_SIZE
+from todframes.stimulus import circle_about
 
 VIEWED_TIMES, MOST_OF_VIEW = 3, 8
 """Number of trials with scenes that are measured, in those on even backgrounds, and of those of one background if
@@ -133,11 +133,12 @@ class SceneParts(NamedTuple):
         The luminance around the triangle is that in the circle through its corners, without the triangle.
         With `keeps_ring` it is as good as measured: the dataset takes its background from the same pixels.
         """
-        radius = 2.0 / 3.0 * HEIGHT_PER_SIZE * size
+        n = self.backgrounds.shape[-1]
         local = np.zeros(len(self.backgrounds))
         for number in range(0 if keeps_ring else len(local)):
             offsets = [one.offset for one, of in zip(samples, self.view, strict=True) if of == number]
-            circle = _circle(self.backgrounds.shape[-1], radius, *np.mean(offsets, axis=0).tolist())
+            x, y = (np.mean(offsets, axis=0) + (n - 1) / 2.0).tolist()
+            circle = circle_about((n, n), size_px=size, x_px=x, y_px=y)
             local[number] = polarity * float((circle * self.backgrounds[number]).sum())
         return [
             one._replace(
@@ -156,10 +157,3 @@ class SceneParts(NamedTuple):
             return None
         which = np.array([scenes.index(of_view[number]) for number in range(len(self.backgrounds))])
         return np.array([self.backgrounds[which == number].mean(axis=0) for number in range(len(scenes))])
-
-
-def _circle(n: int, radius: float, x: float, y: float) -> FloatArray:
-    """Return weights of sum 1 of the blocks of a window in a circle about a place, counted from its middle."""
-    v, u = np.mgrid[:n, :n] - (n - 1) / 2.0
-    share = np.clip(radius + 0.5 - np.hypot(v - y, u - x), 0.0, 1.0)
-    return np.asarray(share / share.sum())

@@ -42,14 +42,13 @@ from todframes.frames.position import check_places
 from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer, Readout
 from todframes.parameters import CurveName, Decisions, Gaze, PlanName
+from todframes.psychometrics.bootstrap import draw_backgrounds, sets_of_backgrounds
 from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings
 from todframes.psychometrics.paired_bootstrap import (
     RatioDraws,
     ThresholdRatio,
-    draw_backgrounds,
     holm,
     ratio_draws,
-    sets_of_backgrounds,
     threshold_ratio,
 )
 from todframes.scoring.plan import ScorePlan, plan_score

@@ -210,9 +210,6 @@ def resampled_rows(
     bottom = max(min(math.ceil(edges[-1]), grid.side), top)
     if not (top < bottom and n_rows and n_columns):
         return top, np.zeros((0, grid.side))
-    if pixel_pitch_mrad >= grid.pitch_mrad:
-        column_edges = _pixel_edges(grid, x_px, pixel_pitch_mrad, first_column, n_columns)
-        return top, _averaged(contrast, (edges, column_edges), (top, bottom), (0, grid.side))
     rows = _shares(grid, y_px, pixel_pitch_mrad, first_row, n_rows)
     columns = _shares(grid, x_px, pixel_pitch_mrad, first_column, n_columns)
     if grid.side * max(n_rows, n_columns) <= MOST_DENSE:
@@ -222,46 +219,6 @@ def resampled_rows(
     if n_rows > grid.side:
         return top, np.asarray((along @ (down @ contrast).T).T)
     return top, np.asarray(down @ (along @ contrast.T).T)
-
-
-def _averaged(
-    values: FloatArray, edges: tuple[FloatArray, FloatArray], rows: tuple[int, int], columns: tuple[int, int]
-) -> FloatArray:
-    """Average pixels that are no narrower than a sample over each sample's own area.
-
-    Along an axis such a sample lies on one pixel or on two, most on one. This takes half the time of dividing all
-    samples at the pixels' boundaries.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n, m)
-    edges : (ndarray, shape (n + 1,), ndarray, shape (m + 1,))
-        Boundaries of the pixels in samples, along y and x; beyond them the values are 0.
-    rows, columns : (int, int)
-        Samples to average, half-open ranges.
-
-    Returns
-    -------
-    ndarray, shape (number of rows, number of columns)
-    """
-    # Line 2k + 1 is what a sample sees of both sides of edge k; the others are the pixels, between lines of zeros.
-    n, m = values.shape
-    lines = np.zeros((2 * n + 3, 2 * m + 3))
-    lines[2:-1:2, 2:-1:2] = values
-    below, beyond = (np.ceil(of_axis) - of_axis for of_axis in edges)
-    pixels = lines[2:-1:2]
-    pixels[:, 1::2] = (1.0 - beyond) * pixels[:, :-1:2]
-    pixels[:, 1::2] += beyond * pixels[:, 2::2]
-    lines[1::2] = (1.0 - below)[:, None] * lines[:-1:2]
-    lines[1::2] += below[:, None] * lines[2::2]
-    row, column = (_lines_of_samples(*of_axis) for of_axis in zip(edges, (rows, columns), strict=True))
-    return lines.take(column, axis=1).take(row, axis=0)
-
-
-def _lines_of_samples(edges: FloatArray, samples: tuple[int, int]) -> NDArray[np.intp]:
-    """Return the line of `_averaged` that each sample of an axis sees."""
-    bounds = np.arange(samples[0], samples[1] + 1.0)
-    return edges.searchsorted(bounds[:-1], side="right") + edges.searchsorted(bounds[1:], side="left")
 
 
 class SummedWeights:

@@ -23,13 +23,21 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import check_values
 from todframes.parameters import CurveName
-from todframes.psychometrics.bootstrap import Observed, crossing_of_points, threshold_interval
-from todframes.psychometrics.likelihood import SLOPE_RANGE, CurveModel, binomial_loglik
+from todframes.psychometrics.bootstrap import (
+    Observed,
+    background_draws,
+    by_level,
+    crossing_of_points,
+    draw_backgrounds,
+    interval_of_draws,
+    sets_of_backgrounds,
+    threshold_interval,
+)
+from todframes.psychometrics.likelihood import EXTRAPOLATION_FACTOR, SLOPE_RANGE, CurveModel, binomial_loglik
 from todframes.psychometrics.observer_curve import GUESS_RATE, SMALLEST_CEILING, ObserverModel
 from todframes.psychometrics.weibull import WeibullModel
 
 Status = Literal["ok", "extrapolated", "never_reached", "always_exceeded", "too_few_levels"]
-EXTRAPOLATION_FACTOR = 2.0
 MIN_RESAMPLES, MAX_RESAMPLES = 40, 100_000
 
 
@@ -168,6 +176,7 @@ def fit_trials(
     curve: CurveName = "weibull",
     settings: FitSettings = FitSettings(),
     rng: np.random.Generator,
+    backgrounds: NDArray[np.integer] | None = None,
 ) -> PsychometricFit:
     """Fit a curve to single trials.
 
@@ -184,6 +193,8 @@ def fit_trials(
     settings : FitSettings
     rng : numpy.random.Generator
         Generator of the resamples; the fit itself is deterministic.
+    backgrounds : array of int, (trial,), optional
+        Number of each trial's background. With two or more, the interval takes them as drawn from many.
 
     Returns
     -------
@@ -196,21 +207,18 @@ def fit_trials(
 
     Notes
     -----
-    The interval of probabilities resamples the trials within each level, n − 1 of n, which makes their variance
-    unbiased (McCarthy & Snowden 1985), and stretches each deviation by √((n − 1)/χ²), because that variance is
-    itself an estimate (Student 1908). The spread of a level with a single trial is not known: it takes that of all
-    residuals about the curve, as a share of p(1 − p) (McCullagh & Nelder 1989, chapter 9), in a beta distribution;
-    with three trials or fewer in all, the whole of p(1 − p), the most that answers in [0, 1] can have.
+    The interval resamples the trials within each level, see `bootstrap.redrawn`, or the backgrounds with all of
+    their trials.
     """
     x, p = np.asarray(level, dtype=np.float64), np.asarray(p_correct, dtype=np.float64)
     _check_levels(x, "p_correct", p)
     _check(p, (p >= 0) & (p <= 1), "p_correct", "a number in [0, 1]")
     order = np.lexsort((p, x))
-    distinct, first, n_trials = np.unique(x[order], return_index=True, return_counts=True)
-    trials = np.split(p[order], first[1:])
-    means = np.array([answers.mean() for answers in trials])
-    fractions = bool(np.any((p > 0) & (p < 1)))
-    return _fit(Observed(distinct, n_trials, means, trials if fractions else None), curve, settings, rng)
+    observed = Observed.of_trials(x, p, order)
+    if backgrounds is None:
+        return _fit(observed, curve, settings, rng)
+    _, numbers = np.unique(sets_of_backgrounds(backgrounds), return_inverse=True)
+    return _fit(observed, curve, settings, rng, by_level(numbers, observed.n_trials, order))
 
 
 def fit_counts(
@@ -256,7 +264,8 @@ def fit_counts(
     distinct, row = np.unique(x, return_inverse=True)
     total = np.bincount(row, n, len(distinct))
     p_correct = np.bincount(row, right, len(distinct)) / total
-    return _fit(Observed(distinct, total.astype(np.int64), p_correct, None), "weibull", settings, rng)
+    observed = Observed(distinct, total.astype(np.int64), p_correct, None, are_probabilities=False)
+    return _fit(observed, "weibull", settings, rng)
 
 
 def _check_levels(level: FloatArray, name: str, values: FloatArray) -> None:
@@ -317,11 +326,22 @@ class _LikelyCurve(NamedTuple):
     loglik: float = math.nan
     ln_threshold: float = math.nan
 
+    def level_of(self, ln_level: float) -> float:
+        """Return the level of a ln level about the centre."""
+        return math.exp(self.centre + ln_level)
+
     @property
     def threshold(self) -> float | None:
         """Threshold, None unless the status says that there is one."""
-        known = self.status in ("ok", "extrapolated")
-        return math.exp(self.centre + self.ln_threshold) if known else None
+        return self.level_of(self.ln_threshold) if self.status in ("ok", "extrapolated") else None
+
+    def interval(self, low: float, high: float) -> tuple[float | None, float | None]:
+        """Return the levels of an interval; an end that lies too far outside the levels shown is None."""
+        lowest, highest = self.model.reach
+        return (
+            self.level_of(low) if low >= lowest else None,
+            self.level_of(high) if high <= highest else None,
+        )
 
     @property
     def parameters(self) -> tuple[float, float, float]:
@@ -331,7 +351,14 @@ class _LikelyCurve(NamedTuple):
         return math.exp(min(max(self.centre + location, -700.0), 700.0)), math.exp(ln_slope), third
 
 
-def _fit(observed: Observed, curve: CurveName, settings: FitSettings, rng: np.random.Generator) -> PsychometricFit:
+def _fit(
+    observed: Observed,
+    curve: CurveName,
+    settings: FitSettings,
+    rng: np.random.Generator,
+    backgrounds: list[NDArray[np.intp]] | None = None,
+) -> PsychometricFit:
+    """Fit a curve to answers; `backgrounds` are those of the trials of each level."""
     points = tuple(
         map(LevelCount, observed.level.tolist(), observed.n_trials.tolist(), observed.p_correct.tolist())
     )
@@ -352,29 +379,33 @@ def _fit(observed: Observed, curve: CurveName, settings: FitSettings, rng: np.ra
         return nothing
     weibull = _most_likely(observed, "weibull", settings)
     best = weibull if curve == "weibull" else _most_likely(observed, curve, settings)
-    found = replace(nothing, status=best.status, threshold=best.threshold, weibull_threshold=weibull.threshold)
+    fit = replace(nothing, status=best.status, threshold=best.threshold, weibull_threshold=weibull.threshold)
     if weibull.theta is not None:
         alpha, beta, lapse_rate = weibull.parameters
-        found = replace(found, alpha=alpha, beta=beta, lapse_rate=lapse_rate)
+        fit = replace(fit, alpha=alpha, beta=beta, lapse_rate=lapse_rate)
     if best.theta is None:
-        return found
+        return fit
     if curve == "observer":
         alpha, beta, limit = best.parameters
-        found = replace(found, observer_curve=ObserverCurve(alpha, beta, limit**-0.5 if limit else None))
-    if found.threshold is None:
-        return found
-    interval, points_threshold = None, None
+        fit = replace(fit, observer_curve=ObserverCurve(alpha, beta, limit**-0.5 if limit else None))
+    if fit.threshold is None:
+        return fit
+    crossing = math.inf
     if observed.shows_its_own_curve:
         crossing = float(crossing_of_points(best.model, best.theta, observed.p_correct[None])[0])
-        points_threshold = math.exp(best.centre + crossing) if math.isfinite(crossing) else None
-    if settings.resamples:
-        reach, z = math.log(EXTRAPOLATION_FACTOR), best.model.z
-        low, high = threshold_interval(best.model, best.theta, best.loglik, observed, settings.resamples, rng)
-        interval = (
-            math.exp(best.centre + low) if low >= z[0] - reach else None,
-            math.exp(best.centre + high) if high <= z[-1] + reach else None,
-        )
-    return replace(found, threshold_ci95=interval, points_threshold=points_threshold)
+        fit = replace(fit, points_threshold=best.level_of(crossing) if math.isfinite(crossing) else None)
+    if not settings.resamples:
+        return fit
+    low, high = threshold_interval(best.model, best.theta, best.loglik, observed, settings.resamples, rng)
+    fit = replace(fit, threshold_ci95=best.interval(low, high))
+    n_backgrounds = 0 if backgrounds is None else 1 + max(int(numbers.max()) for numbers in backgrounds)
+    drawn = draw_backgrounds(n_backgrounds, settings.resamples, rng)
+    if backgrounds is None or drawn is None:
+        return fit
+    draws = background_draws(best.model, best.theta, observed, backgrounds, drawn)
+    is_followed = curve == "weibull" and math.isfinite(crossing)
+    ends = interval_of_draws(draws, [best.ln_threshold, *([crossing] if is_followed else [])])
+    return replace(fit, threshold_ci95=best.interval(*ends), threshold_ci95_same_scenes=fit.threshold_ci95)
 
 
 def _most_likely(observed: Observed, curve: CurveName, settings: FitSettings) -> _LikelyCurve:

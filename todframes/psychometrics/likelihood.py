@@ -18,6 +18,9 @@ from todframes.base._typing import FloatArray
 
 SLOPE_RANGE = (1e-2, 1e3)
 
+EXTRAPOLATION_FACTOR = 2.0
+"""Largest factor by which a threshold lies outside the levels."""
+
 CHI2_95 = 3.841458820694124
 """95 % point of χ² with one degree of freedom."""
 
@@ -58,6 +61,19 @@ class CurveModel(ABC):
 
     is_convention: ClassVar[bool]
     """Whether the probabilities of observers follow the curve only roughly."""
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Smallest and largest ln level about the centre that a threshold may have."""
+        beyond = math.log(EXTRAPOLATION_FACTOR)
+        return float(self.z[0]) - beyond, float(self.z[-1]) + beyond
+
+    def thresholds_within_reach(self, theta: FloatArray) -> FloatArray:
+        """Return the ln threshold of each curve, infinite if it lies outside of `reach`."""
+        lowest, highest = self.reach
+        ln_threshold = self.ln_threshold(theta)
+        known = np.where(ln_threshold > highest, np.inf, ln_threshold)
+        return np.where(known < lowest, -np.inf, known)
 
     @abstractmethod
     def curves(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -1,47 +1,26 @@
-"""Interval of the ratio of two thresholds from the same trials, by a bootstrap over pairs of answers.
-
-Two ways of showing a frame share the frame's noise, the triangle's place and the observer's own noise. These move
-both thresholds in the same way. Answers to one trial are therefore always drawn together.
-
-Trials on the same background share more: an algorithm may help on it and not on another. Backgrounds are then a
-random effect: they are drawn with all of their trials, the same ones in all groups. Trials are not drawn again
-within them: the spread of the backgrounds' means has that noise in it already, and would have it twice. The
-interval of a single threshold takes backgrounds in the same way.
-"""
+"""The ratio of two thresholds from the same trials, its interval, and verdicts of several ratios together."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.parameters import CurveName
 from todframes.psychometrics.bootstrap import (
-    ANSWER_TOLERANCE,
-    CURVE_TRIALS,
-    PLUS_TRIALS,
-    PROBABILITY_TOLERANCE,
+    BackgroundDraws,
     Observed,
-    batches,
-    resampled_means,
+    by_level,
+    interval_of_draws,
+    on_drawn_backgrounds,
+    redrawn,
 )
-from todframes.psychometrics.fit import (
-    EXTRAPOLATION_FACTOR,
-    FitSettings,
-    PsychometricFit,
-    curve_model,
-)
-from todframes.psychometrics.likelihood import CurveModel
+from todframes.psychometrics.fit import FitSettings, PsychometricFit, curve_model
 from todframes.psychometrics.observer_curve import observer_curve
 from todframes.psychometrics.weibull import weibull
-
-MOST_BACKGROUNDS = 200
-"""Largest number of backgrounds that are drawn one by one; more are drawn in so many sets."""
 
 SAME = 0.01
 """Largest |ln ratio| that counts as a ratio of 1: a person does not notice 1 %, and fitted curves are not more
@@ -73,35 +52,6 @@ class ThresholdRatio(NamedTuple):
     ratio_ci95: tuple[float | None, float | None] | None
     p_value: float
     is_lower: bool
-
-
-class BackgroundDraws(NamedTuple):
-    """Draws of backgrounds in repeated experiments.
-
-    `weights`, (resample, background), are the numbers of times that each is drawn. `widening`, (resample,), are
-    factors that make normal deviates those of Student's t, with a degree of freedom less than there are
-    backgrounds: of eight, the spread is known to 27 % only.
-    """
-
-    weights: FloatArray
-    widening: FloatArray
-
-
-def sets_of_backgrounds(numbers: NDArray[np.integer]) -> NDArray[np.intp]:
-    """Return the number of the set that each background, by its number, is drawn with: its own up to 200."""
-    return np.asarray(numbers % MOST_BACKGROUNDS, np.intp)
-
-
-def draw_backgrounds(n_backgrounds: int, resamples: int, rng: np.random.Generator) -> BackgroundDraws | None:
-    """Draw all backgrounds but one with replacement: so many have the variance of the mean of all.
-
-    None for one background: how others differ from it is not known.
-    """
-    if n_backgrounds < 2:
-        return None
-    freedom = n_backgrounds - 1
-    weights = rng.multinomial(freedom, np.full(n_backgrounds, 1.0 / n_backgrounds), size=resamples)
-    return BackgroundDraws(weights.astype(np.float64), np.sqrt(freedom / rng.chisquare(freedom, resamples)))
 
 
 def ratio_draws(
@@ -139,29 +89,23 @@ def ratio_draws(
     list of RatioDraws
         One for each pair.
     """
-    distinct, place, n_trials = np.unique(level, return_inverse=True, return_counts=True)
-    if len(distinct) < 2:
+    if len(np.unique(level)) < 2:
         return [RatioDraws(None, None, np.zeros(settings.resamples)) for _ in pairs]
-    by_level = np.split(p_correct[:, np.argsort(place, kind="stable")], np.cumsum(n_trials)[:-1], axis=1)
-    curves = np.array([_fitted(fit, distinct) for fit in fits])
-    are_probabilities = bool(np.any((p_correct > 0) & (p_correct < 1)))
+    order = np.argsort(level, kind="stable")
+    series = [Observed.of_trials(level, answers, order) for answers in p_correct]
+    curves = np.array([_fitted(fit, series[0].level) for fit in fits])
+    widening = np.ones(settings.resamples)
     if backgrounds is not None and drawn_backgrounds is not None:
-        rest = 0.0 if are_probabilities else CURVE_TRIALS
-        drawn = _with_backgrounds(p_correct, curves, place, backgrounds, drawn_backgrounds.weights, rest)
+        numbers = by_level(backgrounds, series[0].n_trials, order)
+        drawn = on_drawn_backgrounds(series, curves, numbers, drawn_backgrounds.weights)
         widening = drawn_backgrounds.widening
-        tolerance = PROBABILITY_TOLERANCE if are_probabilities else ANSWER_TOLERANCE
-    elif are_probabilities:
-        drawn = _redrawn_probabilities(by_level, curves, settings.resamples, rng)
-        widening, tolerance = _students_widening(len(level), settings.resamples, rng), PROBABILITY_TOLERANCE
     else:
-        drawn = _redrawn_answers(by_level, curves, settings, rng)
-        widening, tolerance = np.ones(settings.resamples), ANSWER_TOLERANCE
+        drawn = redrawn(series, curves, settings.resamples, rng, guess_rate=settings.guess_rate)
+    tolerance = min(observed.tolerance for observed in series)
     ln_thresholds = []
-    for series, (fit, answers) in enumerate(zip(fits, drawn, strict=True)):
-        model, _ = _model(distinct, n_trials, [of_level[series] for of_level in by_level], fit.curve, settings)
-        ln_thresholds.append(
-            _within_reach(model, model.ln_threshold(model.fit_many(answers, tolerance=tolerance)))
-        )
+    for fit, observed, answers in zip(fits, series, drawn, strict=True):
+        model, _, _ = curve_model(observed, fit.curve, settings)
+        ln_thresholds.append(model.thresholds_within_reach(model.fit_many(answers, tolerance=tolerance)))
     found = []
     for one, other in pairs:
         fit, reference = fits[one], fits[other]
@@ -175,73 +119,6 @@ def ratio_draws(
         of_points = _quotient(fit.points_threshold, reference.points_threshold) if is_convention else None
         found.append(RatioDraws(ratio, of_points, ln_ratios))
     return found
-
-
-def with_backgrounds_as_drawn(
-    level: FloatArray,
-    p_correct: FloatArray,
-    fit: PsychometricFit,
-    *,
-    settings: FitSettings,
-    backgrounds: NDArray[np.integer],
-    drawn_backgrounds: BackgroundDraws,
-) -> PsychometricFit:
-    """Return a fit whose interval takes the backgrounds as drawn from many.
-
-    Parameters
-    ----------
-    level, p_correct : ndarray, shape (trial,)
-        As for `ratio_draws`, of one series.
-    fit : PsychometricFit
-        Fit to these trials; one without an interval is returned as it is.
-    settings, backgrounds, drawn_backgrounds
-        As for `ratio_draws`.
-    """
-    if fit.threshold is None or fit.threshold_ci95 is None:
-        return fit
-    distinct, place, n_trials = np.unique(level, return_inverse=True, return_counts=True)
-    trials = np.split(p_correct[np.argsort(place, kind="stable")], np.cumsum(n_trials)[:-1])
-    are_probabilities = bool(np.any((p_correct > 0) & (p_correct < 1)))
-    rest = 0.0 if are_probabilities else CURVE_TRIALS
-    curves = _fitted(fit, distinct)[None]
-    (drawn,) = _with_backgrounds(p_correct[None], curves, place, backgrounds, drawn_backgrounds.weights, rest)
-    model, centre = _model(distinct, n_trials, trials, fit.curve, settings)
-    tolerance = PROBABILITY_TOLERANCE if are_probabilities else ANSWER_TOLERANCE
-    found = _within_reach(model, model.ln_threshold(model.fit_many(drawn, tolerance=tolerance)))
-    estimate = math.log(fit.threshold) - centre
-    found = estimate + (found - estimate) * drawn_backgrounds.widening
-    estimates = [estimate]
-    if fit.curve == "weibull" and fit.points_threshold is not None:
-        estimates.append(math.log(fit.points_threshold) - centre)
-    low, high = _limits(found, estimates)
-    reach = math.log(EXTRAPOLATION_FACTOR)
-    interval = (
-        math.exp(centre + low) if low >= model.z[0] - reach else None,
-        math.exp(centre + high) if high <= model.z[-1] + reach else None,
-    )
-    return replace(fit, threshold_ci95=interval, threshold_ci95_same_scenes=fit.threshold_ci95)
-
-
-def _model(
-    distinct: FloatArray,
-    n_trials: NDArray[np.integer],
-    trials: list[FloatArray],
-    curve: CurveName,
-    settings: FitSettings,
-) -> tuple[CurveModel, float]:
-    """Return the model of a curve for the trials of each level, and the ln level that it counts from."""
-    means = np.array([of_level.mean() for of_level in trials])
-    are_probabilities = any(bool(np.any((one > 0) & (one < 1))) for one in trials)
-    observed = Observed(distinct, n_trials.astype(np.int64), means, trials if are_probabilities else None)
-    return curve_model(observed, curve, settings)[:2]
-
-
-def _limits(ln_values: FloatArray, estimates: Sequence[float]) -> tuple[float, float]:
-    """Return the ends of the 95 % interval of draws, extended to some estimates."""
-    ranked, n = np.sort(ln_values), len(ln_values)
-    low = float(ranked[max(math.floor(0.025 * (n + 1)) - 1, 0)])
-    high = float(ranked[min(math.ceil(0.975 * (n + 1)) - 1, n - 1)])
-    return min(low, *estimates), max(high, *estimates)
 
 
 def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
@@ -265,7 +142,7 @@ def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
     estimates = [math.log(found) for found in (ratio, points_ratio) if found is not None]
     if any(estimate * (above - below) < 0 for estimate in estimates):
         p_value = 1.0
-    low, high = _limits(ln_ratios, estimates)
+    low, high = interval_of_draws(ln_ratios, estimates)
     return ThresholdRatio(ratio, (_exp(low), _exp(high)), p_value, below > above)
 
 
@@ -281,100 +158,6 @@ def holm(p_values: ArrayLike) -> FloatArray:
     return corrected
 
 
-def _with_backgrounds(
-    p_correct: FloatArray,
-    curves: FloatArray,
-    place: NDArray[np.intp],
-    backgrounds: NDArray[np.integer],
-    weights: FloatArray,
-    curve_trials: float,
-) -> FloatArray:
-    """Compute the mean answers of repeated experiments with drawn backgrounds, (series, experiment, level).
-
-    `place` is the level of each trial. A level without a trial on any drawn background keeps the mean of all of
-    its trials. Each level has `curve_trials` more, of the fitted curve, or levels without errors would not vary.
-    """
-    n_levels, n_backgrounds = curves.shape[1], weights.shape[1]
-    cell = place * n_backgrounds + backgrounds
-    n_cells = n_levels * n_backgrounds
-    counts = np.bincount(cell, minlength=n_cells).reshape(n_levels, n_backgrounds).T
-    of_all = counts.sum(axis=0)
-    n_drawn = weights @ counts
-    drawn = np.empty((len(p_correct), len(weights), n_levels))
-    for series, answers in enumerate(p_correct):
-        sums = np.bincount(cell, answers, minlength=n_cells).reshape(n_levels, n_backgrounds).T
-        means = np.broadcast_to(sums.sum(axis=0) / of_all, n_drawn.shape)
-        means = np.divide(weights @ sums, n_drawn, out=means.copy(), where=n_drawn > 0.0)
-        drawn[series] = (of_all * means + curve_trials * curves[series]) / (of_all + curve_trials)
-    return np.clip(drawn, 0.0, 1.0)
-
-
-def _redrawn_probabilities(
-    by_level: Sequence[FloatArray], curves: FloatArray, size: int, rng: np.random.Generator
-) -> FloatArray:
-    """Draw the mean probabilities of repeated experiments, (series, experiment, level).
-
-    The distances of single trials from the curve, in units of √p(1 − p), are drawn from one another.
-    """
-    drawn = np.empty((len(curves), size, len(by_level)))
-    single = [number for number, answers in enumerate(by_level) if answers.shape[1] == 1]
-    if single:
-        n, curve = len(single), curves[:, single]
-        unit = np.sqrt(curve * (1 - curve))
-        residual = (np.concatenate([by_level[number] for number in single], axis=1) - curve) / unit
-        chosen = rng.integers(n, size=(size, n))
-        drawn[..., single] = curve[:, None] + unit[:, None] * residual[:, chosen] * math.sqrt(n / max(n - 3, 1))
-    for number, answers in enumerate(by_level):
-        if number not in single:
-            drawn[..., number] = resampled_means(answers, size, rng)
-    return np.clip(drawn, 0.0, 1.0)
-
-
-def _students_widening(n_trials: int, size: int, rng: np.random.Generator) -> FloatArray:
-    """Draw factors that make normal deviates those of Student's t, for a spread estimated from few trials.
-
-    A threshold rests on the levels about it: a third of the trials' degrees of freedom are counted.
-    """
-    freedom = max((n_trials - 3) / 3, 1.0)
-    return np.sqrt(freedom / rng.chisquare(freedom, size))
-
-
-def _redrawn_answers(
-    by_level: Sequence[FloatArray], curves: FloatArray, settings: FitSettings, rng: np.random.Generator
-) -> FloatArray:
-    """Draw the proportions correct of repeated experiments, (series, experiment, level), from answers of 0 and 1.
-
-    As in `fit_counts`, a level has 5 trials more, of the fitted curve, and the experiment 4, of (1 + γ)/2, or
-    levels without errors would not vary. In these a series agrees with the first as much as in the trials shown.
-    """
-    agreement = _agreement(by_level, curves)
-    plus = PLUS_TRIALS / (PLUS_TRIALS + sum(answers.shape[1] for answers in by_level))
-    drawn = np.empty((len(curves), settings.resamples, len(by_level)))
-    for level, answers in enumerate(by_level):
-        n = answers.shape[1]
-        shown, of_curve = np.array([n, CURVE_TRIALS]) / (n + CURVE_TRIALS) * (1 - plus)
-        expected = (of_curve * curves[:, level] + plus * (1 + settings.guess_rate) / 2) / (of_curve + plus)
-        start = 0
-        for size in batches(settings.resamples, n):
-            chosen, is_shown = rng.integers(n, size=(size, n)), rng.random((size, n)) < shown
-            common = rng.random((size, n))
-            for series, of_trials in enumerate(answers):
-                luck = np.where(rng.random((size, n)) < agreement[series], common, rng.random((size, n)))
-                right = np.where(is_shown, of_trials[chosen], luck < expected[series])
-                drawn[series, start : start + size, level] = right.mean(axis=-1)
-            start += size
-    return drawn
-
-
-def _agreement(by_level: Sequence[FloatArray], curves: FloatArray) -> FloatArray:
-    """Measure the agreement of each series' answers with the first's: from 0, none, to 1, the largest possible."""
-    n_trials = np.array([answers.shape[1] for answers in by_level])
-    unlike = np.sum([np.count_nonzero(answers != answers[0], axis=1) for answers in by_level], axis=0)
-    independent = (curves * (1 - curves[0]) + curves[0] * (1 - curves)) @ n_trials
-    least = np.abs(curves - curves[0]) @ n_trials
-    return np.asarray(np.clip((independent - unlike) / np.maximum(independent - least, 1e-12), 0.0, 1.0))
-
-
 def _fitted(fit: PsychometricFit, level: FloatArray) -> FloatArray:
     """Evaluate the fitted curve at some levels; the mean proportion where none was fitted."""
     if fit.observer_curve is not None:
@@ -386,13 +169,6 @@ def _fitted(fit: PsychometricFit, level: FloatArray) -> FloatArray:
             level, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.guess_rate, lapse_rate=fit.lapse_rate
         )
     return np.asarray(np.clip(curve, 1e-6, 1 - 1e-6))
-
-
-def _within_reach(model: CurveModel, ln_threshold: FloatArray) -> FloatArray:
-    """Replace thresholds that lie farther outside the levels than a fit can reach by infinity."""
-    reach = math.log(EXTRAPOLATION_FACTOR)
-    known = np.where(ln_threshold > model.z[-1] + reach, np.inf, ln_threshold)
-    return np.where(known < model.z[0] - reach, -np.inf, known)
 
 
 def _quotient(value: float | None, reference: float | None) -> float | None:

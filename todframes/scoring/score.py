@@ -337,9 +337,8 @@ def fit_groups(
         started = time.perf_counter()
         level, p_correct = trials.levels[rows], table["p_correct"][rows]
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FIT_STREAMS, number)))
-        fit = fit_trials(level, p_correct, curve=curve, settings=fit_settings, rng=rng)
-        if scenes is not None:
-            fit = _over_scenes(fit, level, p_correct, scenes[rows], fit_settings, rng)
+        backgrounds = None if scenes is None else scenes[rows]
+        fit = fit_trials(level, p_correct, curve=curve, settings=fit_settings, rng=rng, backgrounds=backgrounds)
         look = int(of_look[rows[0]])
         p_of_rows = p_each[look][np.searchsorted(parts[look][0], rows)]
         fits.append(
@@ -366,30 +365,6 @@ def fit_groups(
         skipped=(),
         n_negative=int(sum(part["n_negative"].sum() for _, part in parts)),
         plan=(*plan.steps, _displacement_step([p.shape[1] for p in p_each.values()])),
-    )
-
-
-def _over_scenes(
-    fit: PsychometricFit,
-    level: FloatArray,
-    p_correct: FloatArray,
-    scenes: NDArray[np.intp],
-    settings: FitSettings,
-    rng: np.random.Generator,
-) -> PsychometricFit:
-    """Return a fit whose interval takes scenes as drawn from many; as it is if there is but one."""
-    from todframes.psychometrics.paired_bootstrap import (
-        draw_backgrounds,
-        sets_of_backgrounds,
-        with_backgrounds_as_drawn,
-    )
-
-    _, numbers = np.unique(sets_of_backgrounds(scenes), return_inverse=True)
-    drawn = draw_backgrounds(int(numbers.max()) + 1, settings.resamples, rng)
-    if drawn is None:
-        return fit
-    return with_backgrounds_as_drawn(
-        level, p_correct, fit, settings=settings, backgrounds=numbers, drawn_backgrounds=drawn
     )
 
 
