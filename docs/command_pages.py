@@ -7,6 +7,7 @@ import re
 import types
 import typing
 from collections.abc import Iterable, Mapping, Sequence
+from importlib import import_module
 from inspect import cleandoc
 from pathlib import Path
 from typing import Any
@@ -246,6 +247,11 @@ def write(*_: object) -> None:
         file = DOCS / name
         if not file.is_file() or file.read_text("utf-8") != text:
             file.write_text(text, encoding="utf-8")
+    # Sphinx keeps the pages of public names that are gone, and then warns of them.
+    for page in (DOCS / "generated").glob("*.rst"):
+        package, _, name = page.stem.partition(".")
+        if name and name not in import_module(package).__all__:
+            page.unlink()
 
 
 def setup(app: Any) -> None:

@@ -20,7 +20,7 @@ from todframes.cli.main import cli
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "your_camera.md").read_text(encoding="utf-8")
-FILMING = (ROOT / "docs" / "film_a_chart.md").read_text(encoding="utf-8")
+CODES = (ROOT / "docs" / "import_codes.md").read_text(encoding="utf-8")
 SAMPLE = ROOT / "sample_frames" / "filmed_chart"
 Frames = list[NDArray[np.uint8]]
 
@@ -30,7 +30,7 @@ def blocks(language: str) -> list[str]:
 
 
 def lines_of_table(name: str) -> list[str]:
-    table = FILMING.partition(f"<!-- ={name} -->")[2].partition("<!-- / -->")[0]
+    table = CODES.partition(f"<!-- ={name} -->")[2].partition("<!-- / -->")[0]
     return re.findall(r"^\| `([^`]+)` \|", table, re.MULTILINE)
 
 
