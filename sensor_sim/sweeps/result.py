@@ -325,6 +325,7 @@ class Sweep(Content, frozen=True, kw_only=True):
 def pictures(result: Sweep) -> list[ReportFigure]:
     """List the figures of a sweep, the most important first."""
     keys, sizes = result.keys, result.sizes
+    names = [in_words(keys[place])[0] for place in varied(result)]
     found = []
     if len(result.objectives) > 1:
         note = (
@@ -337,28 +338,29 @@ def pictures(result: Sweep) -> list[ReportFigure]:
             )
         )
     has_range = OF_RANGE in result.columns and np.isfinite(result.column(OF_RANGE)).any()
-    if len(varied(result)) > 1 and has_range:
-        note = "Range over the first two keys that vary. Dotted: beyond the smallest size; crossed: never reached;"
+    if len(names) > 1 and has_range:
+        note = f"Range over {names[0]} and {names[1]}. Dotted: beyond the smallest size; crossed: never reached;"
         note += " hatched once: none for another reason."
-        note += " The longest over the other keys." * (len(keys) > 2)
+        note += " The longest over the others that vary." * (len(names) > 2)
         found.append(ReportFigure("Map of range", note, partial(draw_range_map, result=result), "range_map.png"))
-    if len(varied(result)) > 1:
+    if len(names) > 1:
         seen = np.flatnonzero(result.known.any(axis=0)).tolist()
         for size in evenly(seen, MOST_MAPS):
-            note = "Threshold over the first two keys that vary. Hatched once: impossible; crossed: never reached;"
+            note = f"Threshold over {names[0]} and {names[1]}. Hatched once: impossible; crossed: never reached;"
             note += " dotted: always exceeded."
-            note += " The lowest over the other keys." * (len(keys) > 2)
+            note += " The lowest over the others that vary." * (len(names) > 2)
             draw = partial(draw_map, result=result, size=size)
             found.append(
                 ReportFigure(f"Map at {sizes[size]:g} detectors", note, draw, "" if size != seen[0] else "map.png")
             )
-    elif varied(result):
+    elif names:
         note = "A line for each size."
         found.append(
-            ReportFigure("Threshold against the key", note, partial(draw_lines, result=result), "by_key.png")
+            ReportFigure(f"Threshold against {names[0]}", note, partial(draw_lines, result=result), "by_key.png")
         )
     if (result.known.sum(axis=1) > 1).any():
-        note = f"Threshold against 1 / size of up to {MOST_CURVES} designs, coloured by the first key that varies."
+        note = f"Threshold against 1 / size of up to {MOST_CURVES} designs"
+        note += f", coloured by {names[0]}." if names else "."
         found.append(ReportFigure("TOD curves", note, partial(draw_curves, result=result), "tod_curves.png"))
     return found
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,7 @@ from todframes.cli.options import P_CORRECT, SETTINGS, make_fit
 from todframes.cli.runner import Command
 
 if TYPE_CHECKING:
-    from todframes.results.table import Table
+    pass
 
 PASSES = {None: 1, "group": 2, "each": 3}
 """Number of times that each trial is read, by the value of `--locate`."""
@@ -41,18 +40,6 @@ def _answers(given: dict[str, Any]) -> int:
     sessions = read_answers(Path(given["answers"]), include_flagged=given.get("include_flagged", False))
     counts = (len(one.main_rows()) for one in sessions if not subjects or one.subject in subjects)
     return sum(counts) * len(given["observer"])
-
-
-def _calibrated(result: Any) -> Iterable[Table]:
-    from todframes.results.calibration import all_tables
-
-    return all_tables(result.data)
-
-
-def _verdict(result: Any) -> Iterable[str]:
-    from todframes.results.summary import verdict
-
-    return verdict(result.data)
 
 
 def _show_new(result: Any, given: dict[str, Any], _: dict[str, Any]) -> None:
@@ -182,8 +169,6 @@ COMMANDS = {
         files="result.json, report.html, tables, a figure and observer.toml, the settings for score",
         task="scoring",
         total=_answers,
-        tables=_calibrated,
-        sentences=_verdict,
         without="internal_noise",
     ),
     "chart": Command(

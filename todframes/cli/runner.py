@@ -20,10 +20,7 @@ from todframes.cli.console import (
     finish,
     long_run,
     opened_engine,
-    print_content,
-    print_end,
     print_result,
-    print_table,
     prints_go_to_stderr,
     progress,
     say,
@@ -41,7 +38,7 @@ from todframes.cli.options import (
 from todframes.cli.signature import REQUIRED, Argument, Value, read_call
 
 if TYPE_CHECKING:
-    from todframes.results.table import Table
+    pass
 
 LOADING = "todframes.frames.dataset:load_dataset"
 """Call that opens a dataset; its limit of memory is an option of the commands that read one."""
@@ -90,10 +87,6 @@ class Command(NamedTuple):
         The number at which the progress ends.
     title : function of the result and the given values
         Title of the table of thresholds, if the result has one.
-    tables : function of a result, optional
-        The tables of a result that does not list them itself.
-    sentences : function of a result
-        The sentences below these tables.
     details : str
         What `--verbose` adds.
     is_timed : bool
@@ -122,8 +115,6 @@ class Command(NamedTuple):
     task: str = ""
     total: Callable[[dict[str, Any]], int | None] = lambda _: None
     title: Callable[[Any, dict[str, Any]], str] | None = None
-    tables: Callable[[Any], Iterable[Table | None]] | None = None
-    sentences: Callable[[Any], Iterable[str]] = lambda result: result.sentences()
     details: str = "the fitted curves, run times, and remarks on what the numbers leave out"
     is_timed: bool = True
     show: Callable[[Any, dict[str, Any], dict[str, Any]], None] | None = None
@@ -404,17 +395,7 @@ def _show(command: Command, result: Any, given: dict[str, Any], shown: dict[str,
         say(f"skipped: {one['error']}")
     as_json, verbose, is_strict = (shown.get(name, False) for name in ("json", "verbose", "strict"))
     how: dict[str, Any] = {"out": out, "strict": is_strict, "is_timed": command.is_timed}
-    if command.tables is None:
-        print_result(result, as_json=as_json, verbose=verbose, quiet=quiet, **how)
-        return
-    warnings = getattr(result, "warnings", ())
-    if as_json:
-        print_content(result.to_json(), warnings, quiet=quiet, strict=is_strict)
-        return
-    for table in command.tables(result):
-        if table is not None:
-            print_table(table)
-    print_end(command.sentences(result), warnings, **how)
+    print_result(result, as_json=as_json, verbose=verbose, quiet=quiet, **how)
 
 
 def _mapping(name: str, pairs: Iterable[tuple[Any, Any]]) -> dict[Any, Any]:
