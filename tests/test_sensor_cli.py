@@ -404,7 +404,6 @@ def test_slip_of_the_pen_in_an_exponent(sensor_sim, sensor_file, tmp_path, comma
 
 LISTS = {
     "empty": ("", "found '', expected numbers"),
-    "only a comma": (",", "found ',', expected numbers"),
     "comma at the end": ("2,", "found '2,', expected numbers"),
     "text": ("2,big", "found '2,big', expected numbers"),
 }
@@ -419,9 +418,7 @@ def test_lists_of_numbers(text, message):
 
 VALUES = {
     "zero": ((2.0, 0.0), "0.0, expected .* > 0"),
-    "negative": ((-2.0,), "-2.0, expected .* > 0"),
     "nan": ((math.nan,), "nan, expected .* > 0"),
-    "infinite": ((2.0, math.inf), "inf, expected .* > 0"),
     "twice": ((2.0, 3.0, 2.0), "a value twice"),
 }
 
@@ -474,10 +471,8 @@ def test_bad_usage(fails, sensor_file, arguments, wanted, tmp_path, monkeypatch)
 
 SIMULATE_OPTIONS = {
     "no trials": ("--trials=0", ("--trials", "0")),
-    "trials no number": ("--trials=many", ("--trials", "many")),
     "seed negative": ("--seed=-1", ("--seed", "-1")),
     "format unknown": ("--format=tiff", ("--format", "tiff", "exr", "png")),
-    "no workers": ("--workers=0", ("--workers", "0")),
     "noise beyond all numbers": ("--snr=1e-320", ("snr|luminance|beyond",)),
     "noise beyond half floats": ("--snr=1e-5", ("snr|luminance|beyond",)),
     "triangle beyond all fields": ("--size-detectors=1e9", ("field|size", "at most|fewer")),
@@ -492,16 +487,13 @@ def test_bad_option_of_simulate(fails, sensor_file, option, wanted):
 
 CURVE_OPTIONS = {
     "tolerance zero": ("--tolerance=0", ("tolerance", "0", "> 0")),
-    "tolerance negative": ("--tolerance=-1", ("tolerance", "-1", "> 0")),
     "tolerance nan": ("--tolerance=nan", ("tolerance", "nan", "> 0")),
     "tolerance beyond all numbers": ("--tolerance=1e309", ("tolerance", "inf", "finite")),
     "tolerance no number": ("--tolerance=fine", ("--tolerance", "fine")),
     "p at chance": ("--p-correct=0.25", ("p_correct", "0.25")),
-    "p above one": ("--p-correct=1.5", ("p_correct", "1.5")),
     "internal noise negative": ("--internal-noise=-1", ("internal_noise", "-1")),
     "unknown setting": ("--set=kernal_a=0.4", ("'kernal_a'", "'kernel_a'")),
     "unknown observer": ("--observer=pyramids", ("'pyramids'", "'pyramid'")),
-    "seed negative": ("--seed=-1", ("--seed", "-1")),
     "triangle beyond all fields": ("--size-detectors=1e9", ("field|size", "at most|fewer")),
 }
 
