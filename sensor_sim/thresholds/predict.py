@@ -559,16 +559,14 @@ class Reference(NamedTuple):
     correction: float
     error: float
 
-    @classmethod
-    def of(cls, found: PooledThreshold, threshold: float, error: float) -> Reference:
-        """Return a sensor as a reference: its threshold is known more exactly than its estimate `found`."""
-        return cls(found.deviations, math.log(threshold / found.threshold), error / threshold)
-
 
 def references_of(on_places: Mapping[int, PooledThreshold], threshold: float) -> dict[int, Reference]:
     """Return references from a threshold and what each number of places gave; without what plans omit."""
-    error = half_width_95(on_places[max(on_places)].deviations) * threshold
-    return {places: Reference.of(found, threshold, error) for places, found in on_places.items()}
+    error = half_width_95(on_places[max(on_places)].deviations)
+    return {
+        places: Reference(found.deviations, math.log(threshold / found.threshold), error)
+        for places, found in on_places.items()
+    }
 
 
 def find_threshold(
