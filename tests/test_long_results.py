@@ -10,10 +10,11 @@ import pytest
 
 import todframes as tod
 from todframes.base.output import write_files
-from todframes.results import figures, table, tables
+from todframes.results import figures, table
 from todframes.results import parquet as parquet_module
 from todframes.results.parquet import parquet_parts
 from todframes.results.table import LongRecords, Table
+from todframes.scoring import records
 
 KINDS = {"name": str, "n": int, "value": float}
 VALUES = {
@@ -82,7 +83,7 @@ def mixed(make_dataset, monkeypatch):
 def test_parquet_has_the_numbers_of_the_csv(mixed, tmp_path, monkeypatch) -> None:
     """The same columns and rows, and all bits of the numbers, over several row groups."""
     parquet = pytest.importorskip("pyarrow.parquet", reason="Parquet needs pyarrow, of the parquet extra")
-    monkeypatch.setattr(tables, "BLOCK", 3)
+    monkeypatch.setattr(records, "BLOCK", 3)
     monkeypatch.setattr(parquet_module, "ROWS_A_GROUP", 5)
     result = tod.score(mixed, fit=tod.FitSettings(resamples=0), examples=False)
     result.save(tmp_path / "out")
