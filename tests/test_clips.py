@@ -29,7 +29,6 @@ from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, frame_sha256, write_frame
 from todframes.frames.memory import memory_dataset
 from todframes.frames.trials import Trials
-from todframes.jobs import run as run_module
 from todframes.observers.pyramid import PyramidObserver
 
 CLIP_NAMES = [name for name in enhancement_names() if find_enhancement(name).declaration.clip]
@@ -605,9 +604,7 @@ def test_too_few_frames_before_a_trial(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_kept_results_depend_on_the_frames_before(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(run_module, "LOOKED_AT_S", 0.0)
-    monkeypatch.setattr(run_module, "WORTH_S", 0.0)
+def test_kept_results_depend_on_the_frames_before(tmp_path: Path) -> None:
     path = simulated(tmp_path / "data", warm_up_frames=2, motion_mrad_per_s=0.5, trials=8)
     settings = {"white": 200.0, "fit": EXACT, "examples": False, "store": tmp_path / "store"}
 
@@ -615,8 +612,7 @@ def test_kept_results_depend_on_the_frames_before(tmp_path: Path, monkeypatch) -
         found = tod.compare(path, [spec], **(settings | more))
         return found.from_store, found.algorithms[1].fits[0].threshold
 
-    compared()  # the first batch decides on the store
-    threshold = compared()[1]  # keeps the others
+    threshold = compared()[1]
     assert compared("temporal_mean:before=1")[0] == 0
     assert compared(gaze="fixed")[0] == 0
     assert compared() == (24, threshold)
@@ -630,10 +626,8 @@ def test_kept_results_depend_on_the_frames_before(tmp_path: Path, monkeypatch) -
 
 @pytest.mark.weekly
 @pytest.mark.parametrize("where", [{"workers": 2}, {"cluster": "local:2"}])
-def test_a_run_that_goes_on_with_another_setting_mixes_no_scores(tmp_path: Path, monkeypatch, where) -> None:
+def test_a_run_that_goes_on_with_another_setting_mixes_no_scores(tmp_path: Path, where) -> None:
     """Each change begins anew, also in spawned processes; without one, the run goes on where it ended."""
-    monkeypatch.setattr(run_module, "LOOKED_AT_S", 0.0)
-    monkeypatch.setattr(run_module, "WORTH_S", 0.0)
     path = simulated(tmp_path / "data", warm_up_frames=2, motion_mrad_per_s=0.5, snr=[1.0, 4.0], trials=4)
     network, beside = identity(tmp_path / "m.onnx"), tmp_path / "m.toml"
     shown = {"specs": [f"onnx:{network}", "temporal_mean:before=2"], "gaze": "tracked"}
@@ -646,7 +640,6 @@ def test_a_run_that_goes_on_with_another_setting_mixes_no_scores(tmp_path: Path,
         lists = [result.algorithms, *(one.algorithms for one in result.observers)]
         return [(fit.threshold, fit.points) for each in lists for one in each for fit in one.fits]
 
-    compared(tmp_path / "store", **shown)  # the first batch decides on the store
     compared(tmp_path / "store", **shown)
     changes: list[tuple[dict[str, object], Callable[[], object]]] = [
         ({}, lambda: None),

@@ -122,7 +122,6 @@ def local() -> Iterator[ClusterEngine]:
 def test_results_come_with_their_numbers(local: ClusterEngine, n: int) -> None:
     assert results_of(local, Squares(), range(n)) == squares(n)
     assert local.n_workers == 2
-    assert not local.is_local
     assert local.dashboard is not None
     assert local.dashboard.startswith("http://127.0.0.1:")
 

@@ -16,7 +16,6 @@ import pytest
 
 from todframes.base import signals
 from todframes.base.errors import DataError, OutputError
-from todframes.jobs import run as run_module
 from todframes.jobs.fingerprint import code_fingerprint, fingerprint
 from todframes.jobs.run import run_stored
 from todframes.jobs.store import FILE, MAGIC, Store
@@ -33,13 +32,6 @@ def store(tmp_path: Path):
     yield made
     made.close()
     signals.kept.clear()
-
-
-@pytest.fixture
-def always_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A store is begun after the first results, however short the run."""
-    monkeypatch.setattr(run_module, "LOOKED_AT_S", 0.0)
-    monkeypatch.setattr(run_module, "WORTH_S", 0.0)
 
 
 # The store -----------------------------------------------------------------------------------------------------
@@ -300,10 +292,10 @@ def test_a_run_goes_on_where_it_was(squares: Squares, store: Store, fails_at: in
     assert squares.called == []
 
 
-@pytest.mark.usefixtures("always_kept")
-def test_a_long_run_begins_a_store_of_its_own(squares: Squares, store: Store) -> None:
+def test_a_run_begins_a_store_with_its_first_batch(squares: Squares, store: Store) -> None:
+    assert not store.is_begun
     assert done(squares, store) == SQUARED
-    assert len(store) == 17  # the first batch decides
+    assert len(store) == 20
 
 
 def test_what_has_changed_is_done_again(squares: Squares, store: Store, tmp_path: Path) -> None:
@@ -348,11 +340,6 @@ def test_a_file_that_is_written_meanwhile_is_not_kept(squares: Squares, store: S
     assert len(store) == 19
     squares.called.clear()
     assert done(squares, store)[5] == 2500
-
-
-def test_a_short_run_keeps_nothing(squares: Squares, store: Store) -> None:
-    assert done(squares, store) == SQUARED
-    assert not store.is_begun
 
 
 def test_a_forged_result_is_done_again(squares: Squares, store: Store) -> None:

@@ -54,7 +54,6 @@ class Command(NamedTuple):
     name: str
     arguments: tuple[str, ...]
     item_s: float
-    at_once: bool = True
     in_flight: int = 160
     moments_s: tuple[float, float] = (0.3, 6.0)
     at_start: float = 1.0
@@ -88,7 +87,7 @@ class Processes:
 
     def __init__(self, folder: Path, command: Command, *, with_cluster: bool) -> None:
         self.folder, self.log, self.err = folder, folder / "log", folder / "stderr"
-        self._environment = os.environ | ({"CAMPAIGN_AT_ONCE": "1"} if command.at_once else {})
+        self._environment = os.environ.copy()
         self._environment |= {"CAMPAIGN_LOG": str(self.log), "CAMPAIGN_ITEM_S": str(command.item_s)}
         self._environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         self._environment |= {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "10s"}
@@ -195,7 +194,7 @@ def kill_repeatedly(command: Command, kills: Sequence[Target], folder: Path, see
         list(kills),
         folder / "out",
     )
-    first = Processes(folder, command._replace(item_s=0.0, at_once=True), with_cluster=False)
+    first = Processes(folder, command._replace(item_s=0.0), with_cluster=False)
     if _wait(first.start(LOGGED, *command.arguments, "-o", str(folder / "undisturbed"))):
         raise RuntimeError(first.err.read_text())
     first.log.unlink()

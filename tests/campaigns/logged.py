@@ -3,8 +3,7 @@
     python logged.py todframes score DATASET -o OUT
     dask worker ADDRESS --preload logged.py
 
-The environment says how: `CAMPAIGN_LOG`, the log; `CAMPAIGN_AT_ONCE`, if results are to be kept from the first on;
-`CAMPAIGN_ITEM_S`, the time that each item takes in addition.
+The environment says how: `CAMPAIGN_LOG`, the log; `CAMPAIGN_ITEM_S`, the time that each item takes in addition.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from importlib import import_module
 from typing import Any
 
 NO_KEY = "-"
-"""Line for an item that is done before the store is begun."""
+"""Line for an item whose result is not kept."""
 
 
 def log_items() -> None:
@@ -48,8 +47,6 @@ def log_items() -> None:
 
     run.Keyed.function = function
     windows.write_window = write
-    if "CAMPAIGN_AT_ONCE" in os.environ:
-        run.LOOKED_AT_S = run.WORTH_S = windows.WORTH_S = 0.0
 
 
 def dask_setup(_: object) -> None:

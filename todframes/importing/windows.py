@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import time
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -19,7 +18,6 @@ from todframes.frames.files import frame_sha256, write_frame
 from todframes.frames.surround import TrianglePlace, surround_window
 from todframes.importing.clips import FramePart, Rectangle
 from todframes.jobs.fingerprint import fingerprint
-from todframes.jobs.run import WORTH_S
 from todframes.jobs.store import Store
 from todframes.observers.pyramid import PyramidObserver
 from todframes.recordings.recording import CodeRange
@@ -148,7 +146,6 @@ class WindowWriter:
         self._folder, self._clip, self._store = folder, clip, store
         self._finds = store is not None and store.is_begun
         self._rows: list[tuple[bytes, bytes]] = []
-        self._started = time.perf_counter()
 
     def write(self, window: RecordedWindow) -> WrittenWindow:
         """Write a window unless the same one is already there; raise OutputError if it cannot be written."""
@@ -160,7 +157,7 @@ class WindowWriter:
             return found
         written = write_window(self._folder, window, clip=self._clip)
         self._rows.append((key, msgspec.msgpack.encode(written)))
-        if len(self._rows) >= WINDOWS_A_COMMIT and time.perf_counter() - self._started > WORTH_S:
+        if len(self._rows) >= WINDOWS_A_COMMIT:
             self.flush()
         return written
 

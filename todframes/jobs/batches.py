@@ -53,7 +53,6 @@ class PoolEngine(ABC):
         Largest number of batches in flight for each worker.
     """
 
-    is_local = False
     dashboard: str | None = None
     name: str
     batch_s: float

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from array import array
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
@@ -20,12 +19,6 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 Item_contra = TypeVar("Item_contra", contravariant=True)
 Result = TypeVar("Result")
-
-LOOKED_AT_S = 0.5
-"""Time after which the duration of a run is estimated from its rate, in seconds."""
-
-WORTH_S = 4.0
-"""Shortest run whose results are kept as they come, in seconds."""
 
 
 class StoredWork(Work[Item_contra, Result], Protocol[Item_contra, Result]):
@@ -65,8 +58,7 @@ def run_stored(
 ) -> Generator[tuple[int, Result], None, None]:
     """Yield the result of each item with its place in `items`: first those in the store, then the others as done.
 
-    Results are kept in the store in the batches in which they come. An empty store is begun as soon as the run is
-    expected to take longer than `WORTH_S`.
+    Results are kept in the store in the batches in which they come, from the first one on.
 
     Parameters
     ----------
@@ -94,22 +86,12 @@ def run_stored(
                 f"{len(items) - len(left)} of {len(items)} parts of the work are there from an earlier run; "
                 + ("going on with the others" if left else "nothing is left to do")
             )
-    elif not engine.is_local:
-        store.begin()
-    keyed = Keyed(work, store.is_begun)
-    started = time.perf_counter()
-    n_done = 0
     numbered = enumerate(items) if len(left) == len(items) else ((number, items[number]) for number in left)
-    with closing(engine.run(keyed, numbered)) as keyed_batches:
+    with closing(engine.run(Keyed(work), numbered)) as keyed_batches:
         for keyed_batch in keyed_batches:
             store.add(_rows(work, keyed_batch))
             for number, one in keyed_batch:
                 yield number, one.result
-            n_done += len(keyed_batch)
-            elapsed = time.perf_counter() - started
-            if not keyed.records and elapsed > max(LOOKED_AT_S, WORTH_S * n_done / len(left)):
-                store.begin()
-                keyed.records = True
 
 
 def _decoded(work: StoredWork[Item, Result], encoded: bytes) -> Result | None:
@@ -145,13 +127,9 @@ class KeyedResult(NamedTuple, Generic[Result]):
 
 @dataclass
 class Keyed(Generic[Item, Result]):
-    """Work that gives each result with its key, so that keys are computed where the work is done.
-
-    `records` may be set during a run in the same process: without it no keys are computed.
-    """
+    """Work that gives each result with its key, so that keys are computed where the work is done."""
 
     work: StoredWork[Item, Result]
-    records: bool
 
     @property
     def items_at_once(self) -> int:
@@ -163,8 +141,6 @@ class Keyed(Generic[Item, Result]):
         function, work = self.work.function(), self.work
 
         def do(item: Item) -> KeyedResult[Result]:
-            if not self.records:
-                return KeyedResult(None, None, function(item))
             stamp = work.stamp(item)
             stamped_key = work.stamped_key(item, stamp)
             result = function(item)

@@ -38,14 +38,12 @@ class Work(Protocol[Item, Result]):
 
 
 class Engine(Protocol):
-    """Protocol of objects that do the work of a run: in the calling thread if `is_local`, or in `n_workers`
-    processes.
+    """Protocol of objects that do the work of a run: in the calling thread, or in `n_workers` processes.
 
     `dashboard` is the address of a page that shows the work; None if there is none.
     """
 
     n_workers: int
-    is_local: bool
     dashboard: str | None
 
     def run(self, work: Work[T, R], items: Iterable[tuple[int, T]]) -> Generator[list[tuple[int, R]], None, None]:
@@ -61,7 +59,6 @@ class LocalEngine:
     """Work in the calling thread, as an `Engine`; results come in the order of the items."""
 
     n_workers = 1
-    is_local = True
     dashboard: str | None = None
 
     def run(
