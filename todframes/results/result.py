@@ -363,10 +363,10 @@ def repeatable(call: Callable[P, R]) -> Callable[P, R]:
 
 def _written(value: Any) -> Any:
     """Return a value of a call as JSON has it."""
-    if value is None or isinstance(value, bool | int | float | str):
+    if value is None or isinstance(value, bool | int | float):
         return value
-    if isinstance(value, os.PathLike):
-        return in_utf8(os.fspath(value))
+    if isinstance(value, str | os.PathLike):
+        return in_utf8(os.fspath(value))  # a name of a file may be no UTF-8
     from todframes.observers.interface import Observer, described
 
     kind = type(value).__name__  # to import the classes would take long
