@@ -77,7 +77,7 @@ def fails(todframes, tmp_path):
     def command_line(*arguments, status, wanted, kept=None):
         before = tree(tmp_path)
         found, out, errors = todframes(*arguments)
-        if kept is not None and len(errors) > 1:  # several processes keep what they have finished, and say so
+        if kept is not None and len(errors) > 1:
             assert errors.pop().startswith(f"note: what is finished is kept in {kept}; ")
             assert [path.name for path in kept.iterdir()] == [".todframes-staging"]
             shutil.rmtree(kept)
@@ -1181,9 +1181,11 @@ def test_a_folder_in_the_way_of_a_result(name, make_dataset, todframes, tmp_path
     (out / name / "mine").write_text("mine")
     before = tree(tmp_path)
     dataset = make_dataset()
-    status, _, errors = todframes("score", dataset.path, "-o", out)
-    assert (status, len(errors)) == (BAD_SETTINGS, 1), errors
-    assert_says(errors[0], (re.escape(str(out)), re.escape(name)))
+    status, _, (error, note) = todframes("score", dataset.path, "-o", out)
+    assert status == BAD_SETTINGS
+    assert_says(error, (re.escape(str(out)), re.escape(name)))
+    assert note.startswith(f"note: what is finished is kept in {out}; ")
+    shutil.rmtree(out / ".todframes-staging")
     assert {path for path in tree(tmp_path) if dataset.path not in (path, *path.parents)} == set(before)
 
 
@@ -1192,7 +1194,7 @@ def test_disk_full(make_dataset, fails, tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(output.os, "fsync", no_space)
-    fails("score", make_dataset().path, "-o", tmp_path / "out",
+    fails("score", make_dataset().path, "-o", tmp_path / "out", kept=tmp_path / "out",
           status=BAD_SETTINGS, wanted=(re.escape(str(tmp_path / "out")), "No space left"))  # fmt: skip
 
 
@@ -1414,8 +1416,7 @@ def test_ctrl_c(workers, make_dataset, tmp_path):
     error, *notes = err.splitlines()
     assert error == "error: interrupted" + ("" if notes else ", nothing was written")
     assert running.returncode == INTERRUPTED
-    if notes:  # several processes keep what they have finished, and say so
-        assert workers == 2
+    if notes:  # what is finished is kept
         assert [note.partition(";")[0] for note in notes] == [
             f"note: what is finished is kept in {tmp_path / 'out'}"
         ]

@@ -6,6 +6,7 @@ import csv
 import errno
 import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -507,7 +508,10 @@ def tree(folder: Path) -> dict[Path, object]:
     return {path: path.is_dir() or path.lstat().st_mtime_ns for path in folder.rglob("*")}
 
 
-def assert_refused(done, status, *texts):
+def assert_refused(done, status, *texts, kept=None):
+    if kept is not None:
+        assert done[2].pop().startswith(f"note: what is finished is kept in {kept}; ")
+        shutil.rmtree(kept)
     assert (done[0], done[1], len(done[2])) == (status, "", 1), done
     assert done[2][0].startswith("error: ")
     for text in texts:
@@ -541,7 +545,8 @@ def test_disk_full_at_a_frame(simulate_command, tmp_path, monkeypatch):
     write = frame_writing._write
     monkeypatch.setattr(frame_writing, "_write", no_space)
     done = simulate_command(tmp_path / "dataset", "--trials", "40")
-    assert_refused(done, BAD_SETTINGS, "No space left on device", f"{tmp_path}/dataset/frames/")
+    folder = tmp_path / "dataset"
+    assert_refused(done, BAD_SETTINGS, "No space left on device", f"{folder}/frames/", kept=folder)
     assert len(calls) > 35
     assert tree(tmp_path) == before
 
@@ -553,9 +558,8 @@ def test_disk_full_at_the_manifest(simulate_command, tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(dataset_files, "csv_text", no_space)
-    assert_refused(
-        simulate_command(tmp_path / "dataset"), BAD_SETTINGS, str(tmp_path / "dataset"), "No space left on device"
-    )
+    folder = tmp_path / "dataset"
+    assert_refused(simulate_command(folder), BAD_SETTINGS, str(folder), "No space left on device", kept=folder)
     assert tree(tmp_path) == before
 
 

@@ -27,8 +27,8 @@ from sensor_sim.sweeps.designs import Base, grid, latin_hypercube, make_designs,
 from sensor_sim.sweeps.goals import acuity, front
 from sensor_sim.sweeps.result import draw_map
 from sensor_sim.sweeps.sweep import missed_tolerance
-from sensor_sim.sweeps.work import SweepWork, Variants, as_computed, plan_sweep, run_sweep
-from sensor_sim.thresholds.sharing import Kept
+from sensor_sim.sweeps.work import SweepWork, Variants, plan_sweep, run_sweep
+from sensor_sim.thresholds.sharing import Kept, as_computed
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.jobs.work import LocalEngine

@@ -19,7 +19,6 @@ import numpy as np
 from sensor_sim.chain.sampling import field_detectors
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.explorer.limits import Shares, decision_shares
-from sensor_sim.sweeps.work import as_computed
 from sensor_sim.thresholds.curve_plan import Level, coarse_plan, plan_curve
 from sensor_sim.thresholds.predict import (
     FoldedChain,
@@ -28,7 +27,7 @@ from sensor_sim.thresholds.predict import (
     pooled,
     predicted_on_lattices,
 )
-from sensor_sim.thresholds.sharing import Shared
+from sensor_sim.thresholds.sharing import Shared, as_computed
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.error_budget import REPLICATES

@@ -15,13 +15,13 @@ from typing import Any, ClassVar, NamedTuple
 import msgspec
 import numpy as np
 
-from sensor_sim.chain.detector_noise import NO_LINES, delta_t_mk, line_shares
-from sensor_sim.chain.sensor import Noise, Sensor
+from sensor_sim.chain.detector_noise import delta_t_mk
+from sensor_sim.chain.sensor import Sensor
 from sensor_sim.sweeps.designs import Base, Changes, Designs
 from sensor_sim.thresholds.curve_plan import not_linear, plan_curve
 from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
-from sensor_sim.thresholds.sharing import Shared
+from sensor_sim.thresholds.sharing import Shared, as_computed
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, distinct_numbers
@@ -293,17 +293,6 @@ def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> SweepPla
     first = place_of[of_design][:, None]
     places = np.where(first < 0, -1, first + len(order) * np.arange(len(sizes)))
     return SweepPlan(chains, places, sensors, reasons)
-
-
-def as_computed(sensor: Sensor) -> Sensor:
-    """Return a sensor with the same thresholds, with defaults for all settings that do not change these.
-
-    Thresholds in SNR do not depend on the noise but for the shares of rows and columns; those of photons do.
-    """
-    display = replace(sensor.display, background_luminance_cd_m2=1.0)
-    has_lines = line_shares(sensor.noise) != NO_LINES
-    noise = replace(sensor.noise, netd_mk=None, couple_netd=False) if has_lines else Noise()
-    return replace(sensor, noise=noise, display=display, name="")
 
 
 def _order(unique: Sequence[tuple[Sensor, Changes]]) -> list[int]:

@@ -9,9 +9,11 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
+from sensor_sim.chain.detector_noise import NO_LINES, line_shares
+from sensor_sim.chain.sensor import Noise, Sensor
 from todframes.base._typing import FloatArray
 
 T = TypeVar("T")
@@ -89,3 +91,14 @@ class Shared:
 
 NOTHING = Shared()
 """Nothing is kept: the computation of a single sensor."""
+
+
+def as_computed(sensor: Sensor) -> Sensor:
+    """Return a sensor with the same thresholds, with defaults for all settings that do not change these.
+
+    Thresholds in SNR do not depend on the noise but for the shares of rows and columns; those of photons do.
+    """
+    display = replace(sensor.display, background_luminance_cd_m2=1.0)
+    has_lines = line_shares(sensor.noise) != NO_LINES
+    noise = replace(sensor.noise, netd_mk=None, couple_netd=False) if has_lines else Noise()
+    return replace(sensor, noise=noise, display=display, name="")
