@@ -109,12 +109,14 @@ def test_what_has_no_value_is_null_in_parquet() -> None:
 
 
 @pytest.mark.usefixtures("blank_pictures")
+@pytest.mark.oracle
 def test_without_pyarrow_there_is_no_parquet(mixed, tmp_path, monkeypatch) -> None:
     """One of an earlier result would be taken for this one's, and goes."""
+    pytest.importorskip("pyarrow")
     out = tmp_path / "out"
     result = tod.score(mixed, fit=tod.FitSettings(resamples=0), examples=False)
     result.save(out)
-    (out / "scores.parquet").write_bytes(b"of an earlier result")
+    assert (out / "scores.parquet").is_file()
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     result.save(out)
     assert {path.name for path in out.iterdir()} == {"report.html", "result.json", "scores.csv"}

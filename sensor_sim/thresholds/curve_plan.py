@@ -550,7 +550,7 @@ class _CurvePlanner:
         added, _ = self._weights(plan, replace(self.readout, grid=omitted.grid, deviations=omitted.deviations))
         noise = (self._noise(self.weights + added, 1.0) - self._noise(self.weights, 1.0)) / self.near_level**2
         internal = omitted.noise_covariance
-        if self.full.level == "contrast":
+        if self.full.level == "contrast" or self.variance is not None:  # as in the covariance
             internal = internal / self.near_level**2
         return self.bound(self._scores(added, self.samples), noise + internal)
 
