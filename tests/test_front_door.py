@@ -125,7 +125,8 @@ def test_a_command_runs_few_files(group, arguments, unused, make_dataset, tmp_pa
     monkeypatch.chdir(tmp_path)
     code = f"import sys; from {group} import cli; from todframes.cli.console import run; run(cli, sys.argv[1:])"
     loaded = loaded_by(code, *arguments)
-    assert not unused & loaded.keys()
+    of_scipy = loaded_by("import scipy.special")  # old versions load scipy.sparse
+    assert not unused & (loaded.keys() - of_scipy.keys())
     assert len(files_run(loaded)) < MOST_FILES_RUN
 
 
