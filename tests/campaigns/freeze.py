@@ -86,7 +86,8 @@ def result_of(name: str, line: str, inputs: Path, kept: Path) -> None:
 
 def values_of(path: Path, *, words_only: bool) -> dict[str, object]:
     """Return what a file states: values of JSON by their keys, cells of CSV by row and column, words by line."""
-    text = re.sub(r"/tmp/\w+", "TMP", path.read_text(encoding="utf-8", errors="replace"))
+    temporary = re.escape(tempfile.gettempdir() + os.sep) + r"\w+"
+    text = re.sub(temporary, "TMP", path.read_text(encoding="utf-8", errors="replace"))
     found: dict[str, object] = {}
     if path.name == "streams.txt":
         found["status"] = text.split("\n", 2)[1]

@@ -61,7 +61,7 @@ class Argument(NamedTuple):
 
     @property
     def value(self) -> Value:
-        """How a command line writes the value.
+        """Return how a command line writes the value.
 
         Raises
         ------

@@ -677,7 +677,7 @@ class Head(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Content(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
-    """What a feature gives to its `Result`: its fields are keys in JSON, beside those of `Head`.
+    """Base of the data that a feature gives to its `Result`; fields are keys in JSON, beside those of `Head`.
 
     The first table is that of a notebook, the first figure that of `plot`. Values for which JSON has no room, such
     as images, may stand in `__dict__`; a result that was read has none.

@@ -115,7 +115,7 @@ KINDS = {
 
 
 class Result(Head, Generic[C], frozen=True, kw_only=True):
-    """What a command or call found, with methods that make text, figures, files and a page of it.
+    """Result of a command or call, with methods that make text, figures, files and a page of it.
 
     All calls that measure or compute return one, and `load_result` reads it back. Attributes of `data` are those
     of the result too: `result.thresholds` is `result.data.thresholds`.
