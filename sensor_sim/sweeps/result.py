@@ -109,7 +109,7 @@ class Sweep(Content, frozen=True, kw_only=True):
 
     @property
     def in_mk(self) -> bool:
-        """Whether thresholds are shown as temperature differences, as NETD is known."""
+        """Return whether thresholds are shown as temperature differences, as NETD is known."""
         return "delta_t_mk" in self.columns
 
     @property

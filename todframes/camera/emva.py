@@ -128,15 +128,12 @@ class Stack:
     is_levelled: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StackNoise:
-    """Means and variances of a stack in DN and DN².
+class Variances(Struct, frozen=True, kw_only=True):
+    """Mean and variances of a stack in DN and DN².
 
     Attributes
     ----------
-    name : str
     n_frames : int
-    exposure_ms, photons : float or None
     mean : float
     temporal : float
         Variance over time of a pixel, without changes of the whole frame: σ²_y of a pair of frames.
@@ -146,6 +143,26 @@ class StackNoise:
         Variance of the mean image.
     spatial, row, column, pixel : float
         Spatial variance without what temporal noise leaves in the mean, and its parts. They can be below zero.
+    """
+
+    n_frames: int
+    mean: float
+    temporal: float
+    temporal_stack: float
+    spatial_measured: float
+    spatial: float
+    row: float
+    column: float
+    pixel: float
+
+
+class StackNoise(Variances, frozen=True, kw_only=True, eq=False):
+    """Means and variances of a stack, with what its warnings and intervals need.
+
+    Attributes
+    ----------
+    name : str
+    exposure_ms, photons : float or None
     smooth : float
         Part of the spatial variance that is a surface of second order across the frame.
     change : float
@@ -157,17 +174,8 @@ class StackNoise:
     """
 
     name: str
-    n_frames: int
     exposure_ms: float | None
     photons: float | None
-    mean: float
-    temporal: float
-    temporal_stack: float
-    spatial_measured: float
-    spatial: float
-    row: float
-    column: float
-    pixel: float
     smooth: float
     change: float
     saturated: float
@@ -228,20 +236,6 @@ class TransferPoint(NamedTuple):
 
 
 Ends = tuple[float | None, float | None]
-
-
-class Variances(Struct, frozen=True, kw_only=True):
-    """Mean and variances of a stack in DN and DN², as `StackNoise` has them."""
-
-    n_frames: int
-    mean: float
-    temporal: float
-    temporal_stack: float
-    spatial_measured: float
-    spatial: float
-    row: float
-    column: float
-    pixel: float
 
 
 class TransferStack(Struct, frozen=True, kw_only=True):

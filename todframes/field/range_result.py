@@ -150,7 +150,7 @@ class FieldRange(Content, frozen=True, kw_only=True):
 
     @property
     def is_tod(self) -> bool:
-        """Whether the range is that of a TOD with k."""
+        """Return whether the range is that of a TOD with k."""
         return self.numbers.road == "tod"
 
     @property

@@ -120,8 +120,8 @@ def score(
     cluster : str, optional
         Work on a Dask cluster: the address of its scheduler, tcp://…, or local:N for N processes of this machine.
     store : path, optional
-        Folder for the results of finished trials, so that an interrupted run can be continued. It is written if
-        the run is expected to take more than some seconds. The caller has to remove it.
+        Folder for the results of finished trials, so that an interrupted run can be continued. It is written from
+        the first finished trials on. The caller has to remove it.
     examples : bool
         Also draw a triangle at threshold, for the page.
     progress : function of an int, optional
