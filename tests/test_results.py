@@ -241,11 +241,14 @@ def test_rerun_says_what_is_not_the_same_or_is_gone(capsys, tmp_path: Path) -> N
         ("noise", {"recording": "not written: ndarray"}, "recording: was ndarray, which a result does not hold"),
         ("naked-eye", {"observer": {"observer": "mine:Observer"}}, "mine:Observer is code of your own"),
         ("compare", {"dataset": "a", "enhance": ["median", "os:system"]}, "os:system is code of your own"),
+        ("compare", {"dataset": "a", "enhance": ["onnx:a.onnx"]}, "onnx:a.onnx is code of your own or a network"),
+        ("compare", {"dataset": "https://example.org/a", "enhance": "median"}, "a is a URL, which is not opened"),
+        ("naked-eye", {"size_mrad": [1.0, "s3://lab/b"]}, "size_mrad[1]: s3://lab/b is a URL"),
         ("naked-eye", {}, "does not hold what its call was given"),
     ],
 )
 def test_what_cannot_be_repeated_is_refused(results_of_commands, command, given, message) -> None:
-    """A result of a stranger runs no code."""
+    """A result of a stranger runs no code, and asks no server."""
     other = tod.naked_eye(size_mrad=1.0) if command == "naked-eye" else None
     content = json.loads(other.to_json()) if other else results_of_commands.get(command, {})
     if command == "noise":

@@ -20,7 +20,8 @@ OF_TIME = {"settings", "run_time_s", "saves_s", "cpu_s", "cpu_ms_per_frame", "me
 def rerun(result: Result[Any] | ResultFile) -> dict[str, tuple[Any, Any]]:
     """Repeat the call of a result with all that it was given, and compare the numbers.
 
-    Paths are those that the call was given: run it in the same folder. Code of your own is not run.
+    Paths are those that the call was given: run it in the same folder. What a result names is not trusted: code of
+    your own and networks are not run, and URLs are not opened.
 
     Parameters
     ----------
@@ -35,7 +36,8 @@ def rerun(result: Result[Any] | ResultFile) -> dict[str, tuple[Any, Any]]:
     Raises
     ------
     DataError
-        If an input is gone or was in memory, or the result is of an earlier version.
+        If an input is gone, was in memory or behind a URL, an algorithm or observer is no registered one, or the
+        result is of an earlier version.
 
     Examples
     --------
@@ -61,21 +63,25 @@ def _read(name: str, value: Any) -> Any:
     """Return the value of a parameter that `_written` has written."""
     if isinstance(value, str) and value.startswith(NOT_WRITTEN):
         raise DataError(f"{name}: was {value.removeprefix(NOT_WRITTEN)}, which a result does not hold; call again")
+    if isinstance(value, str) and "://" in value:
+        raise DataError(f"{name}: {value} is a URL, which is not opened for a result; call again")
     if name == "observer":
         return [_observer(one) for one in value] if isinstance(value, list) else _observer(value)
     if name == "enhance":
         from todframes.base.user_code import registered
 
         for one in [value] if isinstance(value, str) else value:
-            if one.partition(":")[0] not in {*registered("todframes.enhancements"), "onnx"}:
-                raise DataError(f"{name}: {one} is code of your own, which a result does not run; call again")
+            if one.partition(":")[0] not in registered("todframes.enhancements"):
+                raise DataError(f"{name}: {one} is code of your own or a network, which a result does not run")
     if name == "fit" and value is not None:
         from todframes.psychometrics.fit import FitSettings
 
         return FitSettings(**value)
     if name == "patches" and value is not None:
         return {tuple(box): level for box, level in value}
-    return tuple(_read("", one) for one in value) if isinstance(value, list) else value
+    if isinstance(value, list):
+        return tuple(_read(f"{name}[{number}]", one) for number, one in enumerate(value))
+    return value
 
 
 def _observer(value: Any) -> Any:
