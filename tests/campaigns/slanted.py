@@ -3,6 +3,8 @@
 OPENBLAS_NUM_THREADS=1 python tests/campaigns/slanted.py 300   # 300 seeds for each edge, 2 % noise
 python tests/campaigns/slanted.py 100 --noise 0.005 --only gaussian
 python tests/campaigns/slanted.py 60 --shared smoothed          # noise that neighbouring pixels share
+python tests/campaigns/slanted.py 300 --smooth                  # smooth edges of all kinds: is one refused?
+python tests/campaigns/slanted.py 300 --torn                    # torn and wavy ones: is one measured?
 
 The edges are those of tests/edges.py, of 120 x 80 pixels. docs/validation.md has the figures.
 """
@@ -12,6 +14,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -24,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from edges import diffraction, edge_image, gaussian, true_mtf
 
+from todframes.base.errors import DataError
 from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, NYQUIST, EdgeMtf, measure_edge
 
 OPTICS = {
@@ -146,15 +150,109 @@ def campaign(n: int, *, noise: float, seed: int, only: str = "", shared: str = "
     return found
 
 
+NOISES = ("pixels", "by light", "rows", "columns", "dead", "shading", "8 bits", *SHARED)
+"""Kinds of noise and unevenness of smooth edges."""
+
+
+def smooth_edge(rng: np.random.Generator) -> tuple[np.ndarray, str]:
+    """Return a picture of an edge that must not be refused as torn, and its name."""
+    shape = (int(rng.integers(44, 130)), int(rng.integers(44, 130)))
+    angle_deg = float(rng.uniform(2.0, 43.0) * rng.choice([-1, 1]) + 90 * rng.integers(4))
+    optics = gaussian(rng.uniform(0.35, 2.5)) if rng.random() < 0.7 else diffraction(rng.uniform(0.4, 1.3))
+    radius_px = math.inf if rng.random() < 0.5 else float(rng.uniform(3.0, 30.0)) * max(shape)
+    image = edge_image(shape, angle_deg, optics, low=0.2, high=0.8, radius_px=radius_px)
+    kind = str(rng.choice(NOISES))
+    sd = CONTRAST * float(rng.choice([0.002, 0.01, 0.02, 0.05, 0.1]))
+    noise = rng.normal(0.0, sd, shape)
+    if kind in SHARED:
+        image = SHARED[kind](image, noise)
+    elif kind == "by light":
+        image = image + noise * np.sqrt(np.maximum(image, 0.0) / 0.8)
+    elif kind in ("rows", "columns"):
+        lines = rng.normal(0.0, sd, (shape[0], 1) if kind == "rows" else (1, shape[1]))
+        image = image + noise / 2 + lines
+    elif kind == "dead":
+        n = int(rng.integers(1, 12))
+        image = image + noise
+        image[rng.integers(0, shape[0], n), rng.integers(0, shape[1], n)] = rng.choice([0.0, 1.0])
+    elif kind == "shading":
+        y, x = np.indices(shape) / max(shape)
+        image = image * (1.0 + 0.15 * (x - 0.5) - 0.1 * (y - 0.5) ** 2) + noise
+    else:
+        image = image + noise
+    if kind == "8 bits":
+        image = np.round(60.0 * image) / 60.0
+    return (
+        image,
+        f"{shape[1]} x {shape[0]}, {angle_deg:.1f}°, {kind}, noise {sd / CONTRAST:g}, radius {radius_px:.0f}",
+    )
+
+
+def torn_edge(rng: np.random.Generator) -> tuple[np.ndarray, str]:
+    """Return a picture of an edge that is displaced by 0.5 to 8 pixels in places, and its name."""
+    shape = (int(rng.integers(60, 130)), int(rng.integers(60, 130)))
+    angle_deg = float(rng.uniform(2.0, 43.0) * rng.choice([-1, 1]) + 90 * rng.integers(4))
+    kind = str(rng.choice(["wave", "tear", "notch", "rough", "sawtooth"]))
+    height_px, length = float(rng.uniform(0.5, 8.0)), float(min(shape))
+    period, phase = float(rng.uniform(6.0, length / 2.5)), float(rng.uniform())
+    places = np.arange(-200.0, 200.0)
+    rough = gaussian_filter(rng.normal(size=400), rng.uniform(2.0, 10.0))
+    ways: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+        "wave": lambda s: np.sin(2 * np.pi * (s / period + phase)),
+        "tear": lambda s: np.floor(s / period + phase) % 2,
+        "notch": lambda s: np.abs(s - 0.3 * (phase - 0.5) * length) < max(period / 4, 4.0),
+        "rough": lambda s: np.interp(s, places, rough / rough.std()),
+        "sawtooth": lambda s: (s / period + phase) % 1.0,
+    }
+    image = edge_image(
+        shape,
+        angle_deg,
+        gaussian(rng.uniform(0.4, 1.5)),
+        low=0.2,
+        high=0.8,
+        displaced_px=lambda s: height_px * ways[kind](s),
+    )
+    noise = float(rng.choice([0.0, 0.002, 0.02, 0.05, 0.1]))
+    name = f"{shape[1]} x {shape[0]}, {angle_deg:.1f}°, {kind} of {height_px:.2f} px, period {period:.1f}, "
+    return image + rng.normal(0.0, noise * CONTRAST, shape), f"{name}noise {noise:g}"
+
+
+def refusals(n: int, *, seed: int, are_torn: bool) -> int:
+    """Measure random edges that are torn, or smooth; print and count those that ought to end otherwise."""
+    ends: Counter[str] = Counter()
+    n_wrong = 0
+    for number in range(n):
+        image, name = (torn_edge if are_torn else smooth_edge)(np.random.default_rng([seed, number]))
+        try:
+            end = f"MTF50 {measure_edge(image, (0, 0, image.shape[1], image.shape[0])).mtf50_cyc_per_pixel}"
+        except DataError as error:
+            end = str(error).split(": ", 1)[1]
+        known = ("MTF50", "found an edge that departs", "found no edge", "noise of")
+        ends[next((one for one in known if end.startswith(one)), "other")] += 1
+        # Noise may leave the MTF of a smooth edge unknown; no other end is right.
+        if end.startswith("MTF50") if are_torn else not end.startswith(("MTF50", "noise of")):
+            n_wrong += 1
+            print(f"{number}: {name}: {end}", flush=True)
+    print(f"{n} {'torn' if are_torn else 'smooth'} edges: {dict(ends)}; {n_wrong} ought to end otherwise")
+    return n_wrong
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print bias and coverage; exit status 1 beyond 0.5 % and four standard errors, or 93 to 97 % over all."""
+    """Print bias and coverage; exit status 1 beyond 0.5 % and four standard errors, or 93 to 97 % over all.
+
+    With --smooth, exit status 1 if an edge is refused; with --torn, if more than 1 % are measured.
+    """
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("n", type=int, help="number of seeds")
     parser.add_argument("--noise", type=float, default=0.02, help="of a pixel, in units of the contrast")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="part of the name of an edge")
     parser.add_argument("--shared", choices=SHARED, default="none", help="how pixels share their noise")
+    parser.add_argument("--smooth", action="store_true", help="random smooth edges: is one refused?")
+    parser.add_argument("--torn", action="store_true", help="random edges that are not straight: is one measured?")
     asked = parser.parse_args(arguments)
+    if asked.smooth or asked.torn:
+        return int(refusals(asked.n, seed=asked.seed, are_torn=asked.torn) > 0.01 * asked.n * asked.torn)
     found = campaign(asked.n, noise=asked.noise, seed=asked.seed, only=asked.only, shared=asked.shared)
     covered, low = (float(np.mean([getattr(one, name) for one in found])) for name in ("covered", "low_covered"))
     print(f"{len(found)} edges: the band holds {100 * covered:.1f} %, at low frequencies {100 * low:.1f} %")
