@@ -9,30 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sensor_sim.chain.sensor import load_sensor
-from sensor_sim.chain.simulation import plan_trials
-from sensor_sim.frames.dataset import write_dataset
+from sensor_sim.frames.samples import staring_camera
 from todframes.display.display import Display
 from todframes.frames.files import frame_sha256, write_frame
+from todframes.frames.samples import naked_eye
 from todframes.stimulus import ORIENTATIONS, coverage
 
 REPETITIONS = 3
-SENSOR = Path(__file__).parent / "staring_camera.toml"
-
-NAKED_EYE_TOML = """\
-schema = 1
-
-[display]
-eotf = "linear"                  # EXR already in cd/m²
-white_luminance_cd_m2 = 1.0
-pixel_pitch_mm = 0.25
-viewing_distance_mm = 8000.0
-background_luminance_cd_m2 = 22.0
-
-[experiment]
-level = "contrast"
-group_by = ["size_mrad"]
-"""
 
 GRABBED_TOML = """\
 schema = 1
@@ -62,31 +45,6 @@ background_luminance_cd_m2 = "border"
 level = "sent_contrast"
 group_by = ["size_mrad"]
 """
-
-
-def naked_eye(folder: Path) -> None:
-    """The paper's first experiment: triangles of both polarities on 22 cd/m² at 8 m, 32-bit EXR in cd/m²."""
-    side, background = 160, 22.0
-    pitch_mrad = Display(
-        eotf="linear", background_luminance_cd_m2=background, pixel_pitch_mm=0.25, viewing_distance_mm=8000.0
-    ).pitch_mrad
-    rows = []
-    rng = np.random.default_rng(2001)
-    for size_mrad, middle in ((0.6, 0.31), (0.9, 0.17), (1.4, 0.107), (2.4, 0.07)):
-        for contrast in middle * 2.0 ** (np.arange(-3, 4) / 3.0):
-            for orientation in ORIENTATIONS:
-                for repetition in range(REPETITIONS):
-                    polarity = 1 if rng.random() < 0.5 else -1
-                    x, y = (side - 1) / 2 + rng.uniform(-0.5, 0.5, 2)
-                    triangle = coverage(
-                        (side, side), size_px=size_mrad / pitch_mrad, x_px=x, y_px=y, orientation=orientation
-                    )
-                    level = float(f"{contrast:.4g}")
-                    name = f"frames/s{size_mrad}_c{level}_{orientation}_{repetition}.exr"
-                    luminance = background * (1.0 + polarity * level * triangle)
-                    rows.append([name, orientation.value, size_mrad, level, polarity, f"{x:.6f}", f"{y:.6f}"])
-                    _write(folder / name, luminance, "float")
-    _write_manifest(folder, NAKED_EYE_TOML, ["polarity", "x_px", "y_px"], rows)
 
 
 def grabbed_8bit(folder: Path) -> None:
@@ -155,17 +113,6 @@ def enhancement(folder: Path) -> None:
     _write_manifest(folder, ENHANCEMENT_TOML, ["reference_frame"], rows, level="sent_contrast")
 
 
-def staring_camera(folder: Path) -> None:
-    """The paper's second experiment: a simulated staring camera with noise, 16-bit EXR in cd/m².
-
-    The README beside this file has the `sensor-sim simulate` command that makes the same.
-    """
-    trials = plan_trials([5.0, 6.0, 7.5], [0.35, 0.6, 1.0, 1.6, 2.5, 4.0], 9)
-    folder.mkdir(parents=True, exist_ok=True)
-    shutil.rmtree(folder / "frames", ignore_errors=True)
-    write_dataset(folder, load_sensor(SENSOR), trials, seed=2, frame_format="exr")
-
-
 def _write(path: Path, values: np.ndarray, pixel_type: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     origin = {"todframes:origin": "sample_frames/make_samples.py"}
@@ -184,7 +131,6 @@ def _write_manifest(
 
 if __name__ == "__main__":
     target = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent
-    naked_eye(target / "naked_eye")
-    grabbed_8bit(target / "grabbed_8bit")
-    staring_camera(target / "staring_camera")
-    enhancement(target / "enhancement")
+    for make in (naked_eye, staring_camera, grabbed_8bit, enhancement):
+        shutil.rmtree(target / make.__name__, ignore_errors=True)
+        make(target / make.__name__)

@@ -176,7 +176,7 @@ def wait_until(page: Page, expression: str, arg: Any = None, *, seconds: float =
 def chromium() -> Iterator[Browser]:
     """Run the installed Chromium without a window; skip the test where there is none."""
     playwright = pytest.importorskip(
-        "playwright.sync_api", reason="pages are driven by Playwright, of the dev extra"
+        "playwright.sync_api", reason="pages are driven by Playwright, of the group dev"
     )
     found = [path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))]
     if not found:

@@ -50,6 +50,7 @@ todframes range: RESULT --target --atmosphere -o --k --cycles --cycles-per-size 
     --magnification --seed --verbose --strict --json
 todframes report: RESULT -o --title
 todframes rerun: RESULT
+todframes sample: OUT
 todframes scenes: BACKGROUNDS --size-mrad --contrast -o --places --place-step-mrad --trials --darker
     --blur-px --windows --frames --turns --dim --display --range --seed --max-frame-mb --quiet
 todframes score: DATASET -o --tolerance --explain --verbose --json --quiet --strict --decisions --curve

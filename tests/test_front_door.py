@@ -74,9 +74,9 @@ def same(result: tod.Result, made: dict[str, object]) -> bool:
 
 
 def test_names() -> None:
-    # Fifteen commands have a call, most of them a type of result; the rest are what an own observer, algorithm or
+    # Sixteen commands have a call, most of them a type of result; the rest are what an own observer, algorithm or
     # frame is made of.
-    assert 25 <= len(dir(tod)) <= 72
+    assert 25 <= len(dir(tod)) <= 73
     assert {"score", "compare", "fit_counts", "naked_eye", "load_result", "Result", "PyramidObserver"} <= set(
         dir(tod)
     )
@@ -240,7 +240,7 @@ def test_a_damaged_table_of_trials_is_one_line(scored, damage, tmp_path) -> None
 
 @pytest.mark.oracle
 def test_dataframe(scored) -> None:
-    pytest.importorskip("pandas", reason="pandas comes with the dev extra")
+    pytest.importorskip("pandas", reason="pandas comes with the group dev")
     frame = scored.to_dataframe()
     assert frame["size_mrad"].tolist() == [0.6, 0.9, 1.4, 2.4]
     assert frame["threshold"].tolist() == [one.threshold for one in scored.thresholds]

@@ -32,7 +32,7 @@ class Seen(NamedTuple):
 def stimuli() -> list[Seen]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        modelfest = pytest.importorskip("stimupy.papers.modelfest", reason="stimupy is in the extra people")
+        modelfest = pytest.importorskip("stimupy.papers.modelfest", reason="stimupy is in the group people")
 
         found = []
         for name in dir(modelfest):

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.oracle
 @pytest.mark.every_case
 @pytest.mark.parametrize("shape", [(257, 257), (64, 96), (129, 65)])
 def test_bands_agree(shape: tuple[int, int]) -> None:
-    pyrtools = pytest.importorskip("pyrtools", reason="pyrtools is in the dev extra")
+    pyrtools = pytest.importorskip("pyrtools", reason="pyrtools is in the group dev")
     image = np.random.default_rng(0).normal(size=shape)
     theirs = pyrtools.pyramids.LaplacianPyramid(image, height=5).pyr_coeffs
     for k, band in enumerate(LaplacianPyramid(4).build(image)):

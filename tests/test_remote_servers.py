@@ -108,7 +108,7 @@ def web(tmp_path: Path) -> Iterator[Web]:
 @pytest.fixture(scope="module")
 def s3_server() -> Iterator[str]:
     """The URL of a server of S3, and credentials for it in the environment."""
-    server_module = pytest.importorskip("moto.server", reason="tests of s3:// need moto of the dev extra")
+    server_module = pytest.importorskip("moto.server", reason="tests of s3:// need moto of the group dev")
     server = server_module.ThreadedMotoServer(port=0, verbose=False)
     server.start()
     host, port = server.get_host_and_port()

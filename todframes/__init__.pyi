@@ -34,6 +34,7 @@ from .frames.files import Frame as Frame
 from .frames.files import FrameSource as FrameSource
 from .frames.files import read_frame as read_frame
 from .frames.files import write_frame as write_frame
+from .frames.samples import sample as sample
 from .importing.file_names import FramesFound as FramesFound
 from .importing.file_names import new_dataset as new_dataset
 from .importing.importing import Imported as Imported

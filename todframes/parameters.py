@@ -39,6 +39,7 @@ NamedTable = Annotated[PathLike, Form("FILE")]
 AnswersFolder = Annotated[Path | str, Form("ANSWERS")]
 ChartFolder = Annotated[Path | str, Form("CHART")]
 DatasetFolder = Annotated[Path | str, Form("DATASET")]
+SampleFolder = Annotated[Path | str, Form("OUT")]
 Images = Annotated[Sequence[PathLike], Form("FOLDER|FILE")]
 
 Numbers = Annotated[Sequence[float], Form("N[,N…]", separator=",")]

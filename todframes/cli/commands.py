@@ -54,6 +54,14 @@ def _show_new(result: Any, given: dict[str, Any], _: dict[str, Any]) -> None:
     echo(f"The display is {display}. Check frames, sizes and display: todframes validate {folder}")
 
 
+def _show_samples(made: dict[str, int], given: dict[str, Any], _: dict[str, Any]) -> None:
+    from todframes.results.wording import count
+
+    for name, n_frames in made.items():
+        echo(f"written: {Path(given['out']) / name}: {count(n_frames, 'frame')}")
+    echo(f"Try: todframes score {Path(given['out']) / 'naked_eye'}")
+
+
 def _make_darker(given: dict[str, Any], further: dict[str, Any]) -> None:
     if further.get("darker"):
         given["polarity"] = -1
@@ -263,6 +271,7 @@ COMMANDS = {
         details="what a tenth more of each factor gains, and the range against k",
     ),
     "rerun": Command("todframes.results.rerun:rerun", arguments="result", showing="", show=_show_rerun),
+    "sample": Command("todframes.frames.samples:sample", arguments="out", showing="", show=_show_samples),
     "scenes": Command(
         "todframes.backdrops.making:scenes",
         arguments="backgrounds",
