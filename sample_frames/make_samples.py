@@ -1,4 +1,4 @@
-"""Makes the sample datasets in this folder again, byte for byte: python sample_frames/make_samples.py [FOLDER]."""
+"""Makes the sample datasets in this folder again: python sample_frames/make_samples.py [FOLDER]."""
 
 from __future__ import annotations
 
