@@ -13,36 +13,6 @@ from todframes.cli.console import echo, keep_libraries_to_one_thread, run, say
 from todframes.cli.runner import Command, Commands
 
 
-def _sizes(given: dict[str, Any]) -> int:
-    from sensor_sim.thresholds.sizes import SIZES_CHOSEN
-
-    return len(given.get("size_detectors", [])) + len(given.get("size_mrad", [])) or SIZES_CHOSEN
-
-
-def _trials(given: dict[str, Any]) -> int:
-    levels = len(given.get("snr", [])) + len(given.get("contrast", []))
-    return _sizes(given) * levels * int(given.get("trials", 40))
-
-
-def _designs(given: dict[str, Any]) -> int:
-    """Return the number of designs × sizes."""
-    from sensor_sim.chain.sensor import load_sensor
-    from sensor_sim.sweeps.designs import Base, make_designs
-    from sensor_sim.sweeps.work import Variants
-
-    kept = given.get("keep_fill_factor", False), given.get("couple_netd", False)
-    base = Base(load_sensor(given["sensor"]), Variants.of(given["observer"]).settings, *kept)
-    asked = {name: given.get(name) for name in ("vary", "design", "sample")}
-    return len(make_designs(base, **asked, seed=given.get("rng", 1)).values) * len(given["size_detectors"])
-
-
-def _patterns(given: dict[str, Any]) -> int:
-    from sensor_sim.four_bars.mrtd import FREQUENCIES_NYQUIST, SIZES_DETECTORS
-
-    sizes = given.get("size_detectors", SIZES_DETECTORS)
-    return len(given.get("frequency_nyquist", FREQUENCIES_NYQUIST)) + len(sizes)
-
-
 def _show_written(written: Any, given: dict[str, Any], shown: dict[str, Any]) -> None:
     from todframes.results.wording import count
 
@@ -69,7 +39,6 @@ COMMANDS = {
         showing="explain verbose json quiet",
         files="result.json, report.html and plots",
         task="computing",
-        total=_sizes,
         title=lambda result, _: f"{result.settings['sensor']['name']}: TOD curve",
     ),
     "explore": Command(
@@ -81,7 +50,6 @@ COMMANDS = {
         showing="json quiet",
         files="result.json, report.html, mrtd.csv, mrtd.png and other tables",
         task="computing",
-        total=_patterns,
     ),
     "mtf": Command(
         "sensor_sim.chain.mtf:mtf",
@@ -106,7 +74,6 @@ COMMANDS = {
         arguments="sensor",
         showing="quiet",
         task="simulating",
-        total=_trials,
         show=_show_written,
     ),
     "sweep": Command(
@@ -115,7 +82,6 @@ COMMANDS = {
         showing="json quiet",
         files="sweep.csv, sweep.parquet, result.json, report.html and plots",
         task="sweeping",
-        total=_designs,
     ),
 }
 """Commands that are made of calls, by name."""

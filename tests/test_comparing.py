@@ -27,6 +27,7 @@ from todframes.frames.files import FrameFile, read_frame, write_frame
 from todframes.frames.trials import FrameReference, SceneView, Trial, Trials
 from todframes.jobs.engine import open_engine
 from todframes.jobs.fingerprint import fingerprint
+from todframes.jobs.run import Run
 from todframes.observers.csf import CsfObserver
 from todframes.observers.interface import Observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
@@ -45,7 +46,6 @@ from todframes.results.figures import pictures
 from todframes.results.result import Result
 from todframes.results.summary import comparison, comparisons
 from todframes.scoring.score import score_dataset
-from todframes.scoring.work import Run
 from todframes.stimulus import ORIENTATIONS, Stimulus
 
 FAST = FitSettings(resamples=40)

@@ -17,9 +17,8 @@ import pytest
 from todframes.base import signals
 from todframes.base.errors import DataError, OutputError
 from todframes.jobs.fingerprint import code_fingerprint, fingerprint
-from todframes.jobs.run import run_stored
+from todframes.jobs.run import Run, run_stored
 from todframes.jobs.store import FILE, MAGIC, Store
-from todframes.jobs.work import LocalEngine
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings
 from todframes.stimulus import Orientation, Stimulus
@@ -272,7 +271,7 @@ def squares(tmp_path: Path) -> Squares:
 
 
 def done(work: Squares, store: Store | None) -> dict[int, int]:
-    return dict(run_stored(work, range(20), engine=LocalEngine(), store=store))  # type: ignore[arg-type]
+    return dict(run_stored(work, range(20), Run(store=store)))  # type: ignore[arg-type]
 
 
 SQUARED = {n: n * n for n in range(20)}

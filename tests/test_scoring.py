@@ -10,12 +10,12 @@ from todframes.diagnosis.locate import locate_triangles
 from todframes.frames.dataset import Experiment, load_dataset
 from todframes.frames.files import read_frame, write_frame
 from todframes.jobs.engine import open_engine
+from todframes.jobs.run import Run
 from todframes.observers.interface import Observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.scoring.score import score_dataset, settings_of_experiment
-from todframes.scoring.work import Run
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 FAST = FitSettings(resamples=0)

@@ -283,7 +283,7 @@ def test_what_a_monitor_cannot_show_is_one_line(option: str, tmp_path: Path, cap
 
 
 def test_an_interrupted_chart_leaves_nothing_and_a_finished_one_stays(tmp_path: Path) -> None:
-    def stop(_: int) -> None:
+    def stop(*_: int | None) -> None:
         raise KeyboardInterrupt
 
     asked = {"distance_m": 10, "sizes_mrad": [1], "contrasts": [0.2], "repeats": 1, "out": tmp_path / "c"}

@@ -33,6 +33,7 @@ from todframes.frames import files as frame_writing
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import MAX_SIDE_PX, read_frame, read_header
 from todframes.jobs.engine import open_engine
+from todframes.jobs.run import Run
 from todframes.observers.pyramid import PyramidObserver
 from todframes.parameters import MAX_FRAME_MB
 from todframes.psychometrics.fit import FitSettings
@@ -265,7 +266,7 @@ def test_bytes_depend_on_the_seed_and_not_on_the_workers(tmp_path, frame_format)
     one = contents(written(tmp_path, "one", **options))
     assert len(one) == 70
     with open_engine(None, 2) as engine:
-        assert contents(written(tmp_path, "two", **options, engine=engine)) == one
+        assert contents(written(tmp_path, "two", **options, run=Run(engine))) == one
     other = contents(written(tmp_path, "other", **options, seed=2))
     frames = [name for name in one if name.startswith("frames/")]
     assert len({*map(one.get, frames), *map(other.get, frames)}) == 2 * len(frames)

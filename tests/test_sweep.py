@@ -31,7 +31,7 @@ from sensor_sim.sweeps.work import SweepWork, Variants, plan_sweep, run_sweep
 from sensor_sim.thresholds.sharing import Kept, as_computed
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
-from todframes.jobs.work import LocalEngine
+from todframes.jobs.run import Run
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 
 CAMERA = Path(__file__).parent.parent / "sample_frames" / "staring_camera.toml"
@@ -122,7 +122,7 @@ def test_memory_and_order_change_no_number() -> None:
             shared_mb=shared_mb,
         )
         turned = designs._replace(values=designs.values[::order])
-        found.append(run_sweep(base, turned, [4.0], work, LocalEngine()).threshold[::order])
+        found.append(run_sweep(base, turned, [4.0], work, Run()).threshold[::order])
     assert np.isfinite(found[0]).all()
     for other in found[1:]:
         assert np.array_equal(found[0], other)

@@ -26,8 +26,8 @@ class Form(NamedTuple):
 
 PathLike = str | os.PathLike[str]
 
-Progress = Callable[[int], None]
-"""Called with the number of parts that are done since the last call."""
+Progress = Callable[[int, int | None], None]
+"""Called with the number of parts of a step that are done, and of all; None if that is not known."""
 
 NamedFile = Annotated[Path | str, Form("NAME|FILE")]
 CameraFile = Annotated[Path | str, Form("CAMERA.xml")]

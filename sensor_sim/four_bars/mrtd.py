@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.four_bars.mrtd_result import LLOYD_FACTOR, BarsAt, SensorMrtd, bars_at, sensor_ttp
 from todframes.base.errors import SettingsError, argument
+from todframes.base.progress import counted
 from todframes.base.reading import check_positive, convert
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.ttp import TtpSettings
@@ -19,6 +19,7 @@ from todframes.parameters import (
     Numbers,
     ObserverName,
     Probability,
+    Progress,
     Seed,
     SensorFile,
     SignalToNoise,
@@ -57,7 +58,7 @@ def mrtd(
     ttp: TtpSettings | None = None,
     tolerance: Tolerance = 2e-3,
     rng: Seed | Rng = 1,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Result[SensorMrtd]:
     """Compute the thresholds of four bars (MRTD) for a sensor, beside its TOD, with no frame drawn.
 
@@ -101,8 +102,8 @@ def mrtd(
         Relative error of the thresholds to reach.
     rng : int, SeedSequence or Generator
         Seed of the places of the patterns on the detectors.
-    progress : function of a float, optional
-        Called with the number of thresholds that were just done.
+    progress : function of two ints, optional
+        Called with the number of thresholds of a step that are done, and of all.
 
     Returns
     -------
@@ -151,7 +152,7 @@ def mrtd(
     chains = [BarChain(sensor, judge, one * nyquist, against=against, direction=direction) for one in of_nyquist]
     bars: list[BarsAt] = []
     warnings: tuple[ResultWarning, ...] = ()
-    for one, chain in zip(of_nyquist, chains, strict=True):
+    for one, chain in counted(zip(of_nyquist, chains, strict=True), len(chains), progress):
         averaged, best = chain.averaged(p_correct, tolerance=tolerance, seed=seed), chain.best(p_correct)
         bars.append(bars_at(one * nyquist, averaged, best, sensor, lloyd_snr=lloyd_snr))
         group: Group = {"frequency_nyquist": one}
@@ -159,8 +160,6 @@ def mrtd(
             averaged.snr, averaged.numerical_error, tolerance, group=group, exact="lower frequencies"
         )
         warnings += () if missed is None else (missed,)
-        if progress is not None:
-            progress(1)
     tod: tuple[Fit, ...] = ()
     if len(size_detectors):
         shown: dict[str, Any] = {"observer": judge, "p_correct": p_correct, "tolerance": tolerance}

@@ -33,12 +33,11 @@ from todframes.frames.dataset import SCENE_COLUMNS, Experiment
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.frames.files import frame_sha256, write_frame
 from todframes.jobs.fingerprint import fingerprint
-from todframes.jobs.run import run_stored
-from todframes.jobs.work import Engine, LocalEngine
+from todframes.jobs.run import Run, run_stored
 from todframes.parameters import FrameFormat
 
 if TYPE_CHECKING:
-    from todframes.jobs.store import Store
+    pass
 
 
 LARGEST_CLIPPED_SHARE = 0.01
@@ -218,9 +217,7 @@ def write_dataset(
     allow_clipping: bool = False,
     scenery: Scenery | None = None,
     filming: Filming | None = None,
-    engine: Engine | None = None,
-    store: Store | None = None,
-    progress: Callable[[int], None] | None = None,
+    run: Run | None = None,
 ) -> Written:
     """Write frames, `manifest.csv` and `dataset.toml` into a folder that is empty, or holds frames of the store.
 
@@ -235,10 +232,8 @@ def write_dataset(
         Scenes behind the triangles. Default: an even background.
     filming : Filming, optional
         Write each trial as a clip of frames. Default: as one frame.
-    engine : Engine, optional
-        Default: this thread. The bytes written do not depend on it.
-    store : Store, optional
-        Store that states which frames of the folder were written by an earlier run.
+    run : Run, optional
+        Its store states which frames of the folder were written by an earlier run. Default: this thread, no store.
 
     Raises
     ------
@@ -247,7 +242,8 @@ def write_dataset(
     OutputError
         If a frame cannot be written.
     """
-    (folder / "frames").mkdir(exist_ok=store is not None)
+    run = run or Run()
+    (folder / "frames").mkdir(exist_ok=run.store is not None)
     levels, displayed = {trial.level for trial in trials}, sensor
     if filming is not None:
         levels, displayed = {single_frame_level(sensor, level) for level in levels}, of_single_frames(sensor)
@@ -265,10 +261,8 @@ def write_dataset(
         Simulator(sensor, size, seed=seed, scenery=scenery, filming=filming)
     work = SimulationWork(folder.resolve(), sensor, seed, frame_format, white, scenery, filming)
     done: list[WrittenFrames | None] = [None] * len(tasks)
-    for number, found in run_stored(work, tasks, engine=engine or LocalEngine(), store=store):
+    for number, found in run_stored(work, tasks, run):
         done[number] = found
-        if progress is not None:
-            progress(len(tasks[number]))
     written = [one for one in done if one is not None]
     n_pixels = sum(one.n_pixels for one in written)
     share = sum(one.n_clipped for one in written) / n_pixels if n_pixels else 0.0
@@ -278,7 +272,7 @@ def write_dataset(
             f"{100 * LARGEST_CLIPPED_SHARE:g} %; lower display.gain, take EXR, or allow clipping"
         )
     rows = [row for one in written for row in one.rows]
-    if store is not None:
+    if run.store is not None:
         remove_others(folder, {row["frame"] for row in rows})
     n_frames = write_dataset_files(
         folder,

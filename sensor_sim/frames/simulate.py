@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from typing import TYPE_CHECKING
 
 from sensor_sim.chain.sensor import Sensor, sensor_of
@@ -18,6 +17,7 @@ from todframes.parameters import (
     Images,
     Limits,
     Numbers,
+    Progress,
     Seed,
     SensorFile,
     Speed,
@@ -54,7 +54,7 @@ def simulate(
     restart: bool = False,
     keep_store: bool = False,
     tell: Callable[[str], None] | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Written:
     """Make a dataset of display frames that `todframes score` reads.
 
@@ -111,8 +111,8 @@ def simulate(
         Keep the list of finished frames after the dataset is complete.
     tell : function of a text, optional
         Called with a remark if an earlier call has finished some of the frames.
-    progress : function of an int, optional
-        Called with the number of trials that were just done.
+    progress : function of two ints, optional
+        Called with the number of batches of trials that are done, and of all.
 
     Returns
     -------
@@ -143,7 +143,7 @@ def simulate(
     from sensor_sim.frames.dataset import write_dataset
     from sensor_sim.thresholds.sizes import sizes_in_detectors
     from todframes.base.output import Going, new_folder, store_path
-    from todframes.jobs.engine import open_engine
+    from todframes.jobs.run import opened_run
     from todframes.jobs.store import Store
 
     sensor = sensor_of(sensor)
@@ -186,9 +186,8 @@ def simulate(
                 tell(f"note: {note}")
     going = Going(restart=restart, keep=keep_store)
     with (
-        open_engine(cluster, workers) as engine,
         new_folder(str(out), going=going) as folder,
-        closing(Store(store_path(folder), str(out), tell)) as store,
+        opened_run(workers, cluster, Store(store_path(folder), str(out), tell), progress) as run,
     ):
         written = write_dataset(
             folder,
@@ -199,9 +198,7 @@ def simulate(
             allow_clipping=allow_clipping,
             scenery=scenery,
             filming=filming,
-            engine=engine,
-            store=store,
-            progress=progress,
+            run=run,
         )
         if stages:
             from sensor_sim.chain.pictures import write_stages

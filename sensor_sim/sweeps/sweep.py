@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,6 +27,7 @@ from todframes.parameters import (
     PlaceCount,
     PlanName,
     Probability,
+    Progress,
     Ranges,
     Seed,
     SensorFile,
@@ -73,8 +74,8 @@ def sweep(
     rng: Seed | Rng = 1,
     workers: Count = 1,
     cluster: Cluster | Engine | None = None,
-    store: Store | None = None,
-    progress: Callable[[int], None] | None = None,
+    store: Store | Path | str | None = None,
+    progress: Progress | None = None,
 ) -> Result[Sweep]:
     """Compute the thresholds of many designs of a sensor, and which are the best trade-offs.
 
@@ -143,8 +144,8 @@ def sweep(
         Work on a Dask cluster: the address of its scheduler, tcp://…, or local:N for N processes of this machine.
     store : Store, optional
         Thresholds that an earlier run has computed; this one adds its own.
-    progress : function of an int, optional
-        Called with the number of designs × sizes that were just done.
+    progress : function of two ints, optional
+        Called with the number of thresholds that are done, and of all.
 
     Returns
     -------
@@ -172,7 +173,7 @@ def sweep(
     from sensor_sim.sweeps.goals import Criterion, columns_of, objectives
     from sensor_sim.sweeps.work import SweepWork, Variants, check_sweep, run_sweep
     from sensor_sim.thresholds.places import check_places
-    from todframes.jobs.engine import open_engine
+    from todframes.jobs.run import opened_run
 
     judge, settings = described(observer)
     sensor = sensor_of(sensor)
@@ -205,8 +206,8 @@ def sweep(
     work = SweepWork(
         observers=observers, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan, places=places
     )
-    with open_engine(cluster, workers) as engine:
-        swept = run_sweep(base, designs, sizes, work, engine, store=store, progress=progress)
+    with opened_run(workers, cluster, store, progress) as run:
+        swept = run_sweep(base, designs, sizes, work, run)
     settings |= {
         "p_correct": p_correct,
         "size_detectors": sizes,
@@ -245,7 +246,7 @@ def sweep(
         keys=designs.keys,
         n_designs=len(designs.values),
         n_computed=swept.n_computed,
-        from_store=0 if store is None else store.n_used,
+        from_store=run.n_from_store,
     )
 
 

@@ -26,9 +26,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, distinct_numbers
 from todframes.jobs.fingerprint import fingerprint
-from todframes.jobs.run import run_stored
-from todframes.jobs.store import Store
-from todframes.jobs.work import Engine
+from todframes.jobs.run import Run, run_stored
 from todframes.observers.interface import BACKGROUND, Observer
 from todframes.parameters import PlanName
 from todframes.psychometrics.fit import FitSettings
@@ -319,34 +317,13 @@ def run_sweep(
     designs: Designs,
     sizes: Sequence[float],
     work: SweepWork,
-    engine: Engine,
-    *,
-    store: Store | None = None,
-    progress: Callable[[int], None] | None = None,
+    run: Run,
 ) -> Swept:
-    """Compute the thresholds of all designs.
-
-    Parameters
-    ----------
-    store : Store, optional
-        Thresholds of an earlier run, and of this one.
-    progress : function of an int, optional
-        Called with the number of designs × sizes that were just done.
-
-    Raises
-    ------
-    OutputError
-        If the store cannot be written.
-    """
+    """Compute the thresholds of all designs; OutputError if the store of the run cannot be written."""
     plan = plan_sweep(base, designs, sizes)
-    uses = np.bincount(plan.places[plan.places >= 0].ravel(), minlength=len(plan.chains)).tolist()
-    if progress is not None:
-        progress(len(plan.reasons) * len(sizes))
     results: list[PredictedThreshold] = [PredictedThreshold(IMPOSSIBLE)] * len(plan.chains)
-    for number, result in run_stored(work, plan.chains, engine=engine, store=store):
+    for number, result in run_stored(work, plan.chains, run):
         results[number] = result
-        if progress is not None:
-            progress(uses[number])
     return _gathered(designs, tuple(sizes), plan, results, base.sensor.level)
 
 

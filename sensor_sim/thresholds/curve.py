@@ -19,6 +19,7 @@ from todframes.parameters import (
     PlaceCount,
     PlanName,
     Probability,
+    Progress,
     Seed,
     SensorFile,
     Tolerance,
@@ -51,7 +52,7 @@ def curve(
     plan: PlanName = "needed",
     rng: Seed | Rng = 1,
     examples: bool = True,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Result[Thresholds]:
     """Compute the TOD curve of a sensor, with no frame drawn.
 
@@ -88,8 +89,8 @@ def curve(
         Seed of the places of the triangle on the detectors.
     examples : bool
         Also draw a triangle at threshold, for the page.
-    progress : function of a float, optional
-        Called with the number of sizes that were just done, or with parts of one.
+    progress : function of two ints, optional
+        Called with the share of the work that is done, in hundredths of a size, and with the whole.
 
     Returns
     -------
@@ -128,16 +129,16 @@ def curve(
     )
     of_scenes: list[list[Fit]] = [[] for _ in scenes or (None,)]
     unreached: dict[tuple[str, float | None], list[AtLight]] = {}
-    for size in sizes:
+    done = 0.0
+
+    def advance(share: float) -> None:
+        nonlocal done
+        done += share
+        if progress is not None:
+            progress(round(100 * done), 100 * len(sizes))
+
+    for number, size in enumerate(sizes, 1):
         started_size = time.perf_counter()
-        done = 0.0
-
-        def advance(share: float) -> None:
-            nonlocal done
-            done += share
-            if progress is not None:
-                progress(share)
-
         thresholds = _at_size(
             sensor, scenes, judge, size, tolerance=tolerance, plan=plan, progress=advance, **asked
         )
@@ -149,7 +150,7 @@ def curve(
             fits_of_scene.append(_fit(at_light, group | {"size_detectors": size}, p_correct, run_time_s))
             if at_light.found.highest is not None:
                 unreached.setdefault((at_light.found.reason, luminance), []).append(at_light)
-        advance(1.0 - done)
+        advance(number - done)
     fits = [fit for fits_of_scene in of_scenes for fit in fits_of_scene]
     more: dict[str, Any] = {}
     if examples:

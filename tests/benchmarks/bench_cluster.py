@@ -16,10 +16,10 @@ from timing import Row
 
 from todframes.frames.dataset import load_dataset
 from todframes.jobs.engine import open_engine
+from todframes.jobs.run import Run
 from todframes.jobs.work import Engine, LocalEngine
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.score import score_dataset
-from todframes.scoring.work import Run
 
 ITEM_S = 0.005
 N_ITEMS, N_DISTINCT, N_TRIALS = 4000, 40, 4000

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -29,6 +29,7 @@ from todframes.backdrops.views import (
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.output import new_folder
+from todframes.base.progress import counted
 from todframes.base.reading import MOST_TRIALS, check_positive, check_whole, distinct_numbers
 from todframes.base.safe_text import csv_text, in_utf8, one_line
 from todframes.base.seeds import Rng, seed_of
@@ -49,6 +50,7 @@ from todframes.parameters import (
     Numbers,
     PathLike,
     PlaceCount,
+    Progress,
     Seed,
     StepMrad,
     Turns,
@@ -127,7 +129,7 @@ def scenes(
     value_range: Limits | None = None,
     rng: Seed | Rng = 1,
     max_frame_mb: FrameLimit = MAX_FRAME_MB,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
 ) -> ScenesMade:
     """Make a dataset of triangles on recorded frames.
 
@@ -177,8 +179,8 @@ def scenes(
         Seed of all random draws.
     max_frame_mb : int
         Largest decoded size of a frame in 2**20 bytes; a larger one is refused before it is decoded.
-    progress : function of an int, optional
-        Called with the number of frames that were just written.
+    progress : function of two ints, optional
+        Called with the number of frames of a size that are done, and of all.
 
     Returns
     -------
@@ -253,10 +255,9 @@ def scenes(
         for k, (size, layout, found) in enumerate(zip(sizes, layouts, backgrounds_of, strict=True)):
             views = _views(found, shown_turns, layout, np.random.SeedSequence(seed, spawn_key=(VIEW_STREAM, k)))
             seen = _SeenViews(stage, layout, found, views)
-            for trial in plan(len(found), shown_turns, len(contrasts), n_trials):
+            planned = list(plan(len(found), shown_turns, len(contrasts), n_trials))
+            for trial in counted(planned, len(planned), progress):
                 written.rows.append(seen.write(folder, size, contrasts[trial.level], trial, places))
-                if progress is not None:
-                    progress(1)
             written.own += seen.report(size)
         scenes = csv_text([OWN_COLUMNS, *(one.row() for one in written.own)])
         (folder / "scenes.csv").write_text(in_utf8(scenes), encoding="utf-8")

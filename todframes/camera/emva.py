@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -20,6 +20,7 @@ from msgspec import Struct
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, argument
+from todframes.base.progress import counted
 from todframes.camera.emva_xml import EmvaCamera
 from todframes.camera.noise3d import (
     DRIFT_ERRORS,
@@ -33,6 +34,7 @@ from todframes.camera.noise3d import (
     estimate,
     fit_drift,
 )
+from todframes.parameters import Progress
 from todframes.recordings.recording import Recording, RecordingWarning
 
 QUANTISATION_VARIANCE = 1.0 / 12.0
@@ -402,7 +404,7 @@ def measure_emva(
     region: Region | None = None,
     source: str = "",
     background: Stack | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[EmvaNumbers, tuple[RecordingWarning, ...]]:
     """Measure the noise of a camera from stacks of bright and dark frames.
 
@@ -421,8 +423,8 @@ def measure_emva(
         Name of the recording.
     background : Stack, optional
         The bright stack that shows the background of a chart.
-    progress : function of an int, optional
-        Called with 1 for each frame.
+    progress : function of two ints, optional
+        Called with the number of frames of a stack that are done, and of all, None if that is not known.
 
     Raises
     ------
@@ -483,14 +485,14 @@ def _measured(
     region: Region | None,
     full_scale: float | None,
     darkest: float | None,
-    progress: Callable[[int], None] | None,
+    progress: Progress | None,
 ) -> StackNoise:
     """Return means and variances of a stack. `darkest` is the mean of dark frames, None for a dark stack."""
     recording = stack.recording
     left, top, width, height = checked_region(recording, region)
     sums: FrameSums | None = None
     n_saturated = n_crushed = step = 0
-    for frame in recording.frames():
+    for frame in counted(recording.frames(), recording.n_frames, progress):
         values = frame.values
         if values.ndim != 2:
             raise DataError(f"{recording.path}: has colours, expected the raw values of one channel")
@@ -503,8 +505,6 @@ def _measured(
             step = int(np.gcd.reduce((grey - grey[0, 0]).astype(np.int64), axis=None, initial=step))
         sums = sums or FrameSums(grey)
         sums.add(grey)
-        if progress is not None:
-            progress(1)
     if sums is None or sums.n < 2:
         n = 0 if sums is None else sums.n
         raise DataError(

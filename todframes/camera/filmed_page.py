@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -13,6 +13,7 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.progress import counted
 from todframes.camera.noise3d import FramePatch, Region
 from todframes.camera.slanted_edges import PlacedEdge, box_about
 from todframes.charts.layout import Chart, Edge, Page, Patch, read_chart
@@ -22,6 +23,7 @@ from todframes.importing.geometry import Geometry
 from todframes.importing.lens_fit import MeasuredEdges, choose_lens
 from todframes.importing.marker_finder import MarkerFinder, SeenEdges
 from todframes.importing.spool import Spool
+from todframes.parameters import Progress
 from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning
 
 INNER_SHARE = 0.7
@@ -89,7 +91,7 @@ class CameraView(NamedTuple):
 
 
 def view_of_camera_page(
-    recording: Recording, chart: Path, *, needs_edges: bool = False, progress: Callable[[int], None] | None = None
+    recording: Recording, chart: Path, *, needs_edges: bool = False, progress: Progress | None = None
 ) -> CameraView:
     """Find the patches and slanted edges of a chart in a recording.
 
@@ -103,8 +105,8 @@ def view_of_camera_page(
         `chart.toml`, or its folder.
     needs_edges : bool
         Whether a page without edges is refused.
-    progress : function of an int, optional
-        Called with 1 for each frame that is searched.
+    progress : function of two ints, optional
+        Called with the number of frames that are done, and of all, None if that is not known.
 
     Raises
     ------
@@ -167,7 +169,7 @@ class _SeenFilm:
         is_luminance = self.chart.screen is not None
         return CameraView(self.recording, _patches(patches, seen.geometry), [], is_luminance)
 
-    def clip(self, progress: Callable[[int], None] | None) -> tuple[Page, list[int], list[SeenEdges]] | None:
+    def clip(self, progress: Progress | None) -> tuple[Page, list[int], list[SeenEdges]] | None:
         """Return the page of the longest clip of a page with edges, with the numbers and the edges of its frames.
 
         The search ends with the first clip of `ENOUGH_FRAMES`.
@@ -192,14 +194,11 @@ class _SeenFilm:
         wanted = set(best)
         return page, best, [one for at, one in edges if at in wanted]
 
-    def _clip_frames(
-        self, edges: Spool[tuple[int, SeenEdges]], progress: Callable[[int], None] | None
-    ) -> Iterator[ClipFrame]:
+    def _clip_frames(self, edges: Spool[tuple[int, SeenEdges]], progress: Progress | None) -> Iterator[ClipFrame]:
         """Yield the frames that show a page, named by their numbers; keep the edges of those for the camera."""
-        for number, frame in enumerate(self.recording.frames()):
+        frames = counted(self.recording.frames(), self.recording.n_frames, progress)
+        for number, frame in enumerate(frames):
             seen = self.finder.look(frame.values)
-            if progress is not None:
-                progress(1)
             found = None if seen is None else page_of(seen.ids)
             if seen is None or found is None:
                 self.other_keys |= set() if self.finder.key is None else {self.finder.key}

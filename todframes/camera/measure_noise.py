@@ -65,8 +65,8 @@ def noise(
     max_frame_mb : int
         Largest decoded size of a frame in 2**20 bytes, all channels in their own pixel types, at least 8 bytes a
         pixel.
-    progress : function of an int, optional
-        Called with 1 for each frame.
+    progress : function of two ints, optional
+        Called with the number of frames that are done, and of all, None if that is not known.
 
     Returns
     -------

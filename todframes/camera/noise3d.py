@@ -11,7 +11,7 @@ Components", chapter 4.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.progress import counted
 from todframes.base.reading import toml_text
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
+from todframes.parameters import Progress
 from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning
 
 PARTS = {
@@ -244,7 +246,7 @@ def measure_noise(
     *,
     region: Region | None = None,
     patches: Sequence[FramePatch] = (),
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Noise3D:
     """Measure the three-dimensional noise of a recording of a scene that does not move.
 
@@ -257,8 +259,8 @@ def measure_noise(
         Left column, top row, width and height in pixels. Default: all.
     patches : sequence of FramePatch
         Regions of known levels, which give the signal transfer and a signal-to-noise ratio for each level.
-    progress : function of an int, optional
-        Called with 1 for each frame.
+    progress : function of two ints, optional
+        Called with the number of frames that are done, and of all, None if that is not known.
 
     Raises
     ------
@@ -274,12 +276,10 @@ def measure_noise(
     places = [checked_region(recording, one) for one in (region, *(patch.region for patch in patches))]
     gathered = [_Gathered(place) for place in places]
     times: list[float | None] = []
-    for frame in recording.frames():
+    for frame in counted(recording.frames(), recording.n_frames, progress):
         times.append(frame.time_s)
         for one in gathered:
             one.add(frame.values, recording)
-        if progress is not None:
-            progress(1)
     whole, *of_patches = (one.measured(recording, times) for one in gathered)
     shown = tuple(
         PatchNoise(patch.level, one.mean, one.dynamic, one.fixed, one.snr(abs(one.mean - of_patches[0].mean)))

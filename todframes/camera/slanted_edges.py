@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.progress import counted
 from todframes.camera.edge_mtf import LEAST_SIDE_PX, Box, EdgeMtf, MtfBand, mean_band, measure_edge
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS, Display
+from todframes.parameters import Progress
 from todframes.recordings.recording import Recording, RecordingWarning
 
 LUMA, COLOURS = "luma", ("red", "green", "blue")
@@ -73,7 +75,7 @@ def measure_mtf(
     boxes: Sequence[Box] = (),
     edges: Sequence[PlacedEdge] = (),
     display: Display | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
 ) -> RecordingMtf:
     """Measure the MTF across slanted edges in the mean of a recording's frames.
 
@@ -89,8 +91,8 @@ def measure_mtf(
         what their steps take from the MTF is divided out.
     display : Display, optional
         Display whose transfer function the values have been made for: luminance is measured then.
-    progress : function of an int, optional
-        Called with 1 for each frame.
+    progress : function of two ints, optional
+        Called with the number of frames that are done, and of all, None if that is not known.
 
     Raises
     ------
@@ -142,14 +144,14 @@ class _MeanFrame(NamedTuple):
     n: int
 
 
-def _mean(recording: Recording, display: Display | None, progress: Callable[[int], None] | None) -> _MeanFrame:
+def _mean(recording: Recording, display: Display | None, progress: Progress | None) -> _MeanFrame:
     white, black = recording.full_scale, recording.zero
     if display is not None and white is None:
         raise SettingsError(
             f"{argument.display}: {recording.path} has values without a white, expected code values of a picture"
         )
     n, total, saturated = 0, np.zeros(()), np.zeros(recording.shape, bool)
-    for frame in recording.frames():
+    for frame in counted(recording.frames(), recording.n_frames, progress):
         values = frame.values.astype(np.float64)
         if white is not None:
             at_end = (values <= black) | (values >= white)
@@ -161,8 +163,6 @@ def _mean(recording: Recording, display: Display | None, progress: Callable[[int
             values = each[0] if len(each) == 1 else np.stack(each, -1)
         total = total + values
         n += 1
-        if progress is not None:
-            progress(1)
     mean = total / n
     colours = {LUMA: mean if mean.ndim == 2 else mean @ REC_709_LUMINANCE_WEIGHTS}
     if mean.ndim == 3 and np.ptp(mean, 2).any():  # grey pictures may be stored in three equal channels

@@ -177,8 +177,8 @@ def chart(
         Print: reflectance around the triangles. Default: 0.3.
     plate_mm : float, optional
         Thermal: side of the plates. Default: five sizes of the largest.
-    progress : function of an int, optional
-        Called with the number of pages that were just drawn.
+    progress : function of two ints, optional
+        Called with the number of pages that are done, and of all.
 
     Returns
     -------

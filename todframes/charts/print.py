@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
+from todframes.base.progress import counted
 from todframes.base.reading import check_values, read_numbers
 from todframes.charts.camera_page import N_PATCHES, CameraContent, camera_codes, camera_content
 from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
@@ -22,7 +23,7 @@ from todframes.charts.layout import CHART_FILE, Chart, Length, Markers, Page, Pa
 from todframes.charts.markers import MODULES
 from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, pdf, rectangle, svg
 from todframes.display.display import srgb_to_linear
-from todframes.parameters import MarkerPlaces
+from todframes.parameters import MarkerPlaces, Progress
 from todframes.stimulus import vertices
 
 PDF_FILE = "chart.pdf"
@@ -446,13 +447,12 @@ def _text(chart: Chart, page: Page, sheet: _Sheet, contrasts: str) -> list[Shape
     ]
 
 
-def write_print_chart(folder: Path, made: PrintChart, *, progress: Callable[[int], None] | None = None) -> None:
+def write_print_chart(folder: Path, made: PrintChart, *, progress: Progress | None = None) -> None:
     """Write `chart.toml`, an SVG for each sheet, and a PDF with all of them into an existing, empty folder."""
     write_chart(folder / CHART_FILE, made.chart)
     (folder / "sheets").mkdir()
-    for page, drawing in zip(made.chart.pages, made.drawings, strict=True):
+    pages = made.chart.pages
+    for page, drawing in counted(zip(pages, made.drawings, strict=True), len(pages), progress):
         assert page.file is not None
         (folder / page.file).write_text(svg(drawing), encoding="utf-8")
-        if progress is not None:
-            progress(len(page.triangles))
     (folder / PDF_FILE).write_bytes(pdf(made.drawings, made.chart.name))

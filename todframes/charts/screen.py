@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.progress import counted
 from todframes.charts.camera_page import CameraContent, camera_codes, camera_content
 from todframes.charts.design import FIELD_PER_SIZE, SURROUND_PER_SIZE, Condition, Design
 from todframes.charts.layout import CHART_FILE, Chart, Markers, Page, Screen, Triangle, write_chart
 from todframes.charts.markers import MODULES
 from todframes.display.dither import dithered
-from todframes.parameters import MarkerPlaces
+from todframes.parameters import MarkerPlaces, Progress
 from todframes.stimulus import ORIENTATIONS, coverage
 
 PLAYER = "play.html"
@@ -310,7 +311,7 @@ def _triangle(
     return design.triangle(condition, x_mm=x_mm, y_mm=y_mm, contrast=contrast, dithered=alike[0].is_dithered)
 
 
-def write_screen_chart(folder: Path, made: ScreenChart, *, progress: Callable[[int], None] | None = None) -> None:
+def write_screen_chart(folder: Path, made: ScreenChart, *, progress: Progress | None = None) -> None:
     """Write `chart.toml`, the pages as PNG files and the player into an existing, empty folder.
 
     The PNG files have one channel. 8-bit code values are stored as they are; of 10 bits, code · 65535 / 1023,
@@ -331,7 +332,8 @@ def write_screen_chart(folder: Path, made: ScreenChart, *, progress: Callable[[i
     white = 2**screen.bits - 1
     with (folder / PLAYER).open("w", encoding="utf-8") as player:
         player.write(head)
-        for page, codes in zip(made.chart.pages, made.page_codes(), strict=True):
+        pages = made.chart.pages
+        for page, codes in counted(zip(pages, made.page_codes(), strict=True), len(pages), progress):
             stored = (
                 codes.astype(np.uint8) if screen.bits == 8 else np.rint(codes * (65535 / white)).astype(np.uint16)
             )
@@ -339,8 +341,6 @@ def write_screen_chart(folder: Path, made: ScreenChart, *, progress: Callable[[i
             assert page.file is not None
             (folder / page.file).write_bytes(png.tobytes())
             player.write(f'"{base64.b64encode(png.tobytes()).decode()}",\n')
-            if progress is not None:
-                progress(1)
         player.write(foot)
 
 

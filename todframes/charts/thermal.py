@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -14,10 +13,12 @@ import numpy as np
 from msgspec import Meta
 
 from todframes.base.errors import SettingsError
+from todframes.base.progress import counted
 from todframes.base.reading import check_values
 from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
 from todframes.charts.layout import CHART_FILE, LARGEST_ON_CHART, Chart, Page, Triangle, write_chart
 from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, pdf, rectangle, svg
+from todframes.parameters import Progress
 from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, vertices
 
 PDF_FILE, SCHEDULE_FILE = "plates.pdf", "schedule.csv"
@@ -167,18 +168,14 @@ def _drawing(design: Design, size_mrad: float, side_mm: float) -> Drawing:
     return Drawing(page_mm, page_mm, tuple(shapes))
 
 
-def write_thermal_chart(
-    folder: Path, made: ThermalChart, *, progress: Callable[[int], None] | None = None
-) -> None:
+def write_thermal_chart(folder: Path, made: ThermalChart, *, progress: Progress | None = None) -> None:
     """Write `chart.toml`, the plates' drawings and the schedule to fill in into an existing, empty folder."""
     write_chart(folder / CHART_FILE, made.chart)
     (folder / "plates").mkdir()
-    for size_mrad, drawing in made.drawings.items():
+    for size_mrad, drawing in counted(made.drawings.items(), len(made.drawings), progress):
         (folder / "plates" / f"plate_{size_mrad:g}_mrad.svg").write_text(svg(drawing), encoding="utf-8")
     (folder / PDF_FILE).write_bytes(pdf(made.drawings.values(), made.chart.name))
     (folder / SCHEDULE_FILE).write_text(_schedule(made), encoding="utf-8")
-    if progress is not None:
-        progress(len(made.order))
 
 
 def _schedule(made: ThermalChart) -> str:

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
 CALL = "todframes.charts.making:chart"
 
-LEVEL_OPTIONS = {"contrasts", "delta_t_k"}
-
 PAPER_MM = {
     "A4": (297.0, 210.0),
     "A3": (420.0, 297.0),
@@ -34,13 +32,10 @@ SHOWN_TOLERANCE = 1e-3
 def chart(given: dict[str, Any], shown: dict[str, Any], _: object) -> None:
     """Make the chart, and show what it has."""
     from todframes.charts import making as charts
-    from todframes.stimulus import ORIENTATIONS
 
     if "paper" in given:
         given["paper_width_mm"], given["paper_height_mm"] = _paper_mm(given.pop("paper"))
-    levels = next((given[name] for name in LEVEL_OPTIONS & given.keys()), charts.DEFAULT_LEVELS[given["kind"]])
-    n_triangles = len(given["sizes_mrad"]) * len(levels) * len(ORIENTATIONS) * int(given.get("repeats", 2))
-    with progress("drawing", n_triangles, quiet=shown["quiet"]) as advance:
+    with progress("drawing", quiet=shown["quiet"]) as advance:
         try:
             made = charts.chart(**given, progress=advance)
         except SettingsError as error:

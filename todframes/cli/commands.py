@@ -15,31 +15,14 @@ from todframes.cli.runner import Command
 if TYPE_CHECKING:
     pass
 
-PASSES = {None: 1, "group": 2, "each": 3}
-"""Number of times that each trial is read, by the value of `--locate`."""
-
 FILES_SHOWN = 3
 """Number of files that do not match whose names `new` prints."""
-
-
-def _reads(given: dict[str, Any]) -> int:
-    return len(given["dataset"].trials) * PASSES[given.get("locate")]
 
 
 def _scored(result: Any, given: dict[str, Any]) -> str:
     data = result.data
     fits = data.algorithms[0].fits if data.algorithms else data.fits
     return f"{given['dataset'].path}: {sum(one.n_trials for one in fits)} trials"
-
-
-def _answers(given: dict[str, Any]) -> int:
-    """Return the number of answers of the persons, for each observer."""
-    from todframes.experiment.answers import read_answers
-
-    subjects = given.get("subjects", ())
-    sessions = read_answers(Path(given["answers"]), include_flagged=given.get("include_flagged", False))
-    counts = (len(one.main_rows()) for one in sessions if not subjects or one.subject in subjects)
-    return sum(counts) * len(given["observer"])
 
 
 def _show_new(result: Any, given: dict[str, Any], _: dict[str, Any]) -> None:
@@ -111,11 +94,6 @@ def _open_recordings(given: dict[str, Any], _: dict[str, Any]) -> None:
     given["recordings"] = open_for_import(given["recordings"], given.get("schedule"), **how)
 
 
-def _recorded_frames(given: dict[str, Any]) -> int | None:
-    numbers = [one.n_frames for one in given["recordings"]]
-    return None if None in numbers else sum(number or 0 for number in numbers)
-
-
 def _show_imported(done: Any, given: dict[str, Any], shown: dict[str, Any]) -> None:
     from todframes.results.data import ResultWarning
     from todframes.results.wording import count
@@ -176,7 +154,6 @@ COMMANDS = {
         showing="json quiet strict",
         files="result.json, report.html, tables, a figure and observer.toml, the settings for score",
         task="scoring",
-        total=_answers,
         without="internal_noise",
     ),
     "chart": Command(
@@ -200,7 +177,6 @@ COMMANDS = {
         showing="explain verbose json quiet strict",
         files="result.json, report.html, compare.csv, scores.csv, contrast_response.csv and pictures",
         task="comparing",
-        total=_reads,
         title=_scored,
     ),
     "experiment": Command(
@@ -225,7 +201,6 @@ COMMANDS = {
         arguments="recordings",
         showing="quiet",
         task="importing",
-        total=_recorded_frames,
         show=_show_imported,
         prepare=_open_recordings,
     ),
@@ -243,7 +218,6 @@ COMMANDS = {
         showing="verbose json quiet",
         files="result.json, report.html and tod_curve.png",
         task="computing",
-        total=lambda given: len(given.get("size_mrad") or given.get("contrast") or ()),
         title=lambda *_: "Naked eye",
     ),
     "new": Command("todframes.importing.file_names:new_dataset", arguments="dataset", showing="", show=_show_new),
@@ -288,7 +262,6 @@ COMMANDS = {
         showing="explain verbose json quiet strict",
         files="result.json, report.html, scores.csv and plots",
         task="scoring",
-        total=_reads,
         title=_scored,
     ),
     "validate": Command(
@@ -296,7 +269,6 @@ COMMANDS = {
         arguments="dataset",
         showing="json strict",
         task="checking",
-        total=lambda given: len(given["dataset"].trials),
         show=_show_validated,
         prepare=_list_problems,
     ),

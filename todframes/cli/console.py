@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from todframes.base.output import Going
     from todframes.jobs.store import Store
     from todframes.jobs.work import Engine
+    from todframes.parameters import Progress
     from todframes.results.data import ResultWarning
     from todframes.results.result import Result
     from todframes.results.table import Table
@@ -352,21 +353,16 @@ class ProblemLines:
 
 
 @contextmanager
-def progress(task: str, total: int | None, *, quiet: bool = False) -> Iterator[Callable[[float], None]]:
-    """Show a bar with rate and time left on standard error if it is a terminal.
-
-    Yields a function to call with the number of items that were just done, or with a part of one.
-
-    `total` is the number of all items; None if it is not known.
-    """
+def progress(task: str, *, quiet: bool = False) -> Iterator[Progress]:
+    """Show a bar with rate and time left if standard error is a terminal. Yields the `progress` of a call."""
     if quiet or not sys.stderr.isatty():
-        yield lambda _: None
+        yield lambda *_: None
         return
+    from rich import progress as bars
     from rich.console import Console
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
-        Progress,
         ProgressColumn,
         Task,
         TextColumn,
@@ -380,9 +376,9 @@ def progress(task: str, total: int | None, *, quiet: bool = False) -> Iterator[C
 
     named, done = (TextColumn("{task.description}"), BarColumn()), (MofNCompleteColumn(), RateColumn())
     columns = (*named, *done, TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        running = bar.add_task(task, total=total)
-        yield lambda done: bar.advance(running, done)
+    with bars.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        running = bar.add_task(task, total=None)
+        yield lambda done, total: bar.update(running, completed=done, total=total)
 
 
 def keep_libraries_to_one_thread() -> None:

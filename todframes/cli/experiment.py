@@ -16,7 +16,7 @@ def experiment(given: dict[str, Any], *_: object) -> None:
     limit = {name: given.pop(name) for name in ("max_frame_mb",) if name in given}
     data = load_dataset(given.pop("dataset"), **limit)
     with ExitStack() as reading:
-        advance = reading.enter_context(progress("reading", None))
+        advance = reading.enter_context(progress("reading"))
 
         def tell(address: str) -> None:
             reading.close()

@@ -29,7 +29,7 @@ def noise(given: dict[str, Any], shown: dict[str, Any], out: str | None) -> None
     import todframes as tod
 
     with staged(out) as place:
-        with progress("reading", None, quiet=shown["quiet"]) as advance:
+        with progress("reading", quiet=shown["quiet"]) as advance:
             if is_emva:
                 bright = given.pop("recording", ())
                 result: Result[Any] = tod.emva_noise(bright=bright, progress=advance, **given)

@@ -83,8 +83,6 @@ class Command(NamedTuple):
         What `-o` writes into a folder; empty if the command has no such option.
     task : str
         What the bar of the progress says.
-    total : function of the given values
-        The number at which the progress ends.
     title : function of the result and the given values
         Title of the table of thresholds, if the result has one.
     details : str
@@ -113,7 +111,6 @@ class Command(NamedTuple):
     showing: str
     files: str = ""
     task: str = ""
-    total: Callable[[dict[str, Any]], int | None] = lambda _: None
     title: Callable[[Any, dict[str, Any]], str] | None = None
     details: str = "the fitted curves, run times, and remarks on what the numbers leave out"
     is_timed: bool = True
@@ -365,7 +362,6 @@ def _run(command: Command, **values: Any) -> None:
         limit = {"max_frame_mb": given.pop("max_frame_mb")} if "max_frame_mb" in given else {}
         given["dataset"] = load_dataset(given["dataset"], **limit)
     has_progress = "progress" in parameters
-    total = command.total(given) if has_progress else None
     with ExitStack() as stack:
         if "store" in parameters:
             place = stack.enter_context(long_run(out, given, quiet=quiet))
@@ -375,7 +371,7 @@ def _run(command: Command, **values: Any) -> None:
                 stack.enter_context(opened_engine(given, quiet=quiet))
         if "enhance" in parameters:
             stack.enter_context(prints_go_to_stderr())
-        with progress(command.task, total, quiet=quiet) if has_progress else nullcontext() as advance:
+        with progress(command.task, quiet=quiet) if has_progress else nullcontext() as advance:
             result = call(**given, **({"progress": advance} if has_progress else {}))
         if command.files:
             place.write(result.files)

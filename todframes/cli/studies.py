@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from todframes.base.errors import DataError, SettingsError
+from todframes.base.progress import counted
 from todframes.cli.console import echo, print_table, progress, say, staged
 from todframes.cli.runner import showing
 
@@ -36,11 +37,8 @@ def stability(*, json: bool, as_markdown: bool, quiet: bool) -> None:
     )
 
     cases = find_cases()
-    outcomes = []
-    with progress("trying", len(cases), quiet=quiet) as advance:
-        for case in cases:
-            outcomes.append(run_case(case))
-            advance(1)
+    with progress("trying", quiet=quiet) as advance:
+        outcomes = [run_case(case) for case in counted(cases, len(cases), advance)]
     if json:
         result = Result.made("stability", start, cases=tuple(map(case_object, outcomes)))
         click.echo(result.to_json(), nl=False)
@@ -113,11 +111,10 @@ def accuracy(
             if not quiet:
                 say(f"left out: {name}: {error}")
     with staged(out) as place:
-        measured = []
-        with progress("measuring", len(scenes), quiet=quiet) as advance:
-            for scene in scenes:
-                measured.append(measure(scene, seconds=seconds, seed=rng))
-                advance(1)
+        with progress("measuring", quiet=quiet) as advance:
+            measured = [
+                measure(scene, seconds=seconds, seed=rng) for scene in counted(scenes, len(scenes), advance)
+            ]
         result = Result.made(
             "accuracy",
             start,

@@ -30,7 +30,7 @@ from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, DatasetWarning, Skipped
 from todframes.frames.position import from_centroid, size_in_px, to_centroid
 from todframes.frames.trials import Group, Trial, Trials, indices_by
-from todframes.parameters import Locate
+from todframes.parameters import Locate, Progress
 from todframes.stimulus import Centre
 
 LEAST_PEAK = 6.0
@@ -90,7 +90,7 @@ def locate_triangles(
     locate: Locate = "group",
     centre: Centre = "centroid",
     skip_bad_frames: bool = False,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
     sizes: Sequence[float] = (1.0,),
 ) -> tuple[Dataset, tuple[Location, ...]]:
     """Find the positions of triangles.
@@ -116,7 +116,7 @@ def locate_triangles(
     skip_bad_frames : bool
         Skip trials that cannot be read and groups in which no triangle stands out, and list them in `bad_rows`.
     progress : callable
-        Called with the number of trials done since the last call: once for each trial, twice with "each".
+        Called with the number of trials that are done, and of all; with "each" again for each.
     sizes : sequence of float
         Sizes to search whole frames for, as multiples of those in the manifest.
 
@@ -137,12 +137,18 @@ def locate_triangles(
         If `locate` is neither of the two.
     """
     convert(locate, Locate, "locate")
-    advance = progress or (lambda _: None)
     trials = dataset.trials
     position_px, is_kept = trials.positions_px, np.ones(len(trials), bool)
     is_placed = np.isfinite(position_px[:, 0])
     locations: list[Location] = []
     skipped: list[Skipped] = []
+    n_done, n_all = 0, int(np.count_nonzero(~is_placed)) + (len(trials) if locate == "each" else 0)
+
+    def advance(n: int) -> None:
+        nonlocal n_done
+        n_done += n
+        if progress is not None:
+            progress(n_done, n_all)
 
     def leave_out(k: int, error: FrameError | str) -> None:
         if not skip_bad_frames:
@@ -154,7 +160,6 @@ def locate_triangles(
         try:
             if is_placed[members[0]]:
                 start_px, reach_px, ratio = position_px[members], 0.0, 1.0
-                advance(len(members))
             else:
                 members, start_px, reach_px, ratio = _begun(
                     dataset, members, locate, centre, sizes, leave_out, advance

@@ -40,6 +40,7 @@ from todframes.enhancement.repeatability import RepeatedFrames
 from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.position import check_places
 from todframes.frames.trials import Trial, Trials
+from todframes.jobs.run import Run
 from todframes.observers.interface import Observer, Readout
 from todframes.parameters import CurveName, Decisions, Gaze, PlanName
 from todframes.psychometrics.bootstrap import draw_backgrounds, sets_of_backgrounds
@@ -69,7 +70,7 @@ from todframes.scoring.seen_trials import (
     see,
     trial_viewing,
 )
-from todframes.scoring.work import Run, see_trials
+from todframes.scoring.work import see_trials
 from todframes.stimulus import ORIENTATIONS
 
 Verdict = Literal["better", "worse", "no difference shown", "mixed"]

@@ -15,6 +15,7 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.seeds import Rng, seed_of
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset
+from todframes.jobs.run import opened_run
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer
 from todframes.parameters import (
@@ -52,7 +53,6 @@ from todframes.scoring.opening import (
     locate_name,
     located,
     of_observer,
-    opened_run,
 )
 
 if TYPE_CHECKING:
@@ -142,8 +142,8 @@ def compare(
         Folder for the results of finished trials, as in `score`.
     examples : bool
         Also draw a triangle at threshold, for the page.
-    progress : function of an int, optional
-        Called with the number of trials that were just done, as in `score`.
+    progress : function of two ints, optional
+        Called with the number of trials that are done, and of all; finding positions counts apart.
 
     Returns
     -------

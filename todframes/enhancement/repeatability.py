@@ -15,7 +15,7 @@ from todframes.enhancement.enhanced_frame import EnhancedImage, TrialReader
 from todframes.frames.dataset import Dataset
 from todframes.frames.trials import Trial, Trials
 from todframes.jobs.fingerprint import fingerprint
-from todframes.scoring.work import Run
+from todframes.jobs.run import Run
 
 SAME_PICTURE = 1e-3
 """Largest difference of two pictures, in units of their mean luminance, that counts as none: rounding of 16-bit

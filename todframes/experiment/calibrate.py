@@ -15,6 +15,7 @@ from msgspec.structs import replace as replace_struct
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.seeds import Rng, seed_of
 from todframes.frames.dataset import Dataset
+from todframes.jobs.run import opened_run
 from todframes.observers.interface import Observer
 from todframes.parameters import Count, Free, ObserverNames, OnError, Progress, Seed, Subjects
 from todframes.psychometrics.fit import FitSettings
@@ -34,7 +35,6 @@ from todframes.scoring.opening import (
     is_skip,
     loaded,
     of_observer,
-    opened_run,
 )
 
 if TYPE_CHECKING:
@@ -96,8 +96,8 @@ def calibrate(
         Processes that share the work.
 
         With more than one, a script calls this below `if __name__ == "__main__":`, because they import the script.
-    progress : function of an int, optional
-        Called with the number of trials that were just done.
+    progress : function of two ints, optional
+        Called with the number of trials of a session that are done, and of all.
 
     Returns
     -------

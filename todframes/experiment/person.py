@@ -28,6 +28,7 @@ from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.files import FrameSource
 from todframes.frames.memory import ArrayFrame
 from todframes.frames.trials import FrameReference, Group, Trial, Trials
+from todframes.jobs.run import Run
 from todframes.observers.interface import Observer, Readout
 from todframes.parameters import Free
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
@@ -37,7 +38,7 @@ from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.retina_view import read_trial
 from todframes.scoring.score import check_seen, groups_of, settings_of_experiment
 from todframes.scoring.seen_trials import Scoring, see, trial_viewing
-from todframes.scoring.work import Run, see_trials
+from todframes.scoring.work import see_trials
 from todframes.stimulus import Stimulus
 
 NOISE, NOISE_SD, BLUR, EFFICIENCY = (

@@ -18,6 +18,7 @@ from todframes.parameters import (
     NamedTable,
     PersonId,
     Port,
+    Progress,
     Seconds,
     Seed,
     Share,
@@ -70,7 +71,7 @@ def run_experiment(
     open_browser: bool = True,
     tell: Callable[[str], None] = print,
     warn: Callable[[str], None] | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
 ) -> SessionProgress:
     """Open a page in the browser on which a person says where the triangles of a dataset point.
 
@@ -124,8 +125,8 @@ def run_experiment(
         Called with the address of the page when the server listens. Nobody can open the page without this address.
     warn : function of a text, optional
         Called with a remark if other machines can reach the server.
-    progress : function of an int, optional
-        Called with 1 for each trial whose frames were read, before the server listens.
+    progress : function of two ints, optional
+        Called with the number of trials whose frames are read, and of all.
 
     Returns
     -------

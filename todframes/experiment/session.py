@@ -9,7 +9,7 @@ import platform
 import re
 import secrets
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
@@ -24,6 +24,7 @@ from msgspec import Meta
 from todframes import __version__
 from todframes.base._typing import Json
 from todframes.base.errors import DataError, OutputError, SettingsError, argument
+from todframes.base.progress import counted
 from todframes.base.reading import check_values
 from todframes.display.dither import blue_noise
 from todframes.experiment.answers import (
@@ -63,7 +64,7 @@ from todframes.experiment.stimuli import clipped, contrast_range, dithered_codes
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import frame_sha256
 from todframes.frames.trials import Trial
-from todframes.parameters import Method
+from todframes.parameters import Method, Progress
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 CONSENT = """\
@@ -525,7 +526,7 @@ def open_sitting(
     design: SessionDesign | None = None,
     consent_text: str | None = None,
     contact: str | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Iterator[Sitting]:
     """Begin a session, or continue one that is not finished; its files stay locked in the block.
 
@@ -542,8 +543,8 @@ def open_sitting(
         Text that the person is to agree to.
     contact : str, optional
         Name and address, for the text of consent of this package and the last screen.
-    progress : function of an int, optional
-        Called with 1 for each trial whose frames were read.
+    progress : function of two ints, optional
+        Called with the number of trials whose frames are read, and of all.
 
     Raises
     ------
@@ -713,17 +714,15 @@ def _material(
     indices: Sequence[int],
     consent_text: str,
     contact: str,
-    progress: Callable[[int], None] | None,
+    progress: Progress | None,
 ) -> Material:
     """Read all frames that a session may show."""
     blue_noise()  # takes a quarter of a second, which the first trial shall not take
     contrasts, sides = [], [(0, 0)]
-    for index in indices:
+    for index in counted(indices, len(indices), progress):
         trial = dataset.trials[index]
         image = trial_image(dataset, trial)
         contrasts.append(contrast_range(trial, image))
         sides.append(image.contrast.shape[::-1])
-        if progress is not None:
-            progress(1)
     width, height = (max(of_side) for of_side in zip(*sides, strict=True))
     return Material(consent_text, contact, (width, height), contrasts)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import chain, islice, pairwise
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
+from todframes.base.progress import counted
 from todframes.charts.layout import Chart, read_chart
 from todframes.charts.markers import CORNERS, page_of
 from todframes.diagnosis.findings import MOST_TURN_RAD
@@ -34,6 +35,7 @@ from todframes.importing.lens_fit import Pieces, choose_lens, solve
 from todframes.importing.marker_finder import MarkerFinder, SeenEdges, Sighting
 from todframes.importing.spool import Spool
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
+from todframes.parameters import Progress
 from todframes.recordings.recording import GAP, Recording, RecordingWarning
 
 SLACK_PX = 16
@@ -160,8 +162,8 @@ class ChartSource:
         chart.toml, or its folder.
     pitch_mrad : float
         Visual angle of a pixel of the display.
-    progress : function of an int, optional
-        Called with the number of frames that were just looked at.
+    progress : function of two ints, optional
+        Called with the number of frames of a recording that are done, and of all, None if that is not known.
     warm_up_frames : int
         Number of recorded frames that each frame of a clip brings along from before it.
 
@@ -176,7 +178,7 @@ class ChartSource:
         path: Path,
         *,
         pitch_mrad: float,
-        progress: Callable[[int], None] | None,
+        progress: Progress | None,
         warm_up_frames: int = 0,
     ) -> None:
         self.path = path
@@ -250,7 +252,8 @@ class ChartSource:
         seen: Sighting | None = None
         n_unclear = 0
         times_s = array("d")
-        for frame, before in frames_with_those_before(recording, self._warm_up_frames):
+        frames = frames_with_those_before(recording, self._warm_up_frames)
+        for frame, before in counted(frames, recording.n_frames, self._progress):
             report.n_frames += 1
             if frame.time_s is not None:
                 times_s.append(frame.time_s)
@@ -260,8 +263,6 @@ class ChartSource:
                 seen = finder.look(frame.values)
             last = frame.values
             report.most_markers, report.misfit_px = finder.most_found, finder.misfit_px
-            if self._progress is not None:
-                self._progress(1)
             if seen is not None and page_of(seen.ids) is None:
                 n_unclear += 1
                 continue

@@ -50,6 +50,7 @@ from todframes.parameters import (
     Limits,
     NamedTable,
     PathLike,
+    Progress,
     Rate,
 )
 from todframes.recordings.opening import open_recordings
@@ -154,7 +155,7 @@ def import_recordings(
     restart: bool = False,
     keep_store: bool = False,
     tell: Callable[[str], None] | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Imported:
     """Make a dataset from recordings that show a chart of `todframes chart`, or what a schedule says.
 
@@ -211,8 +212,8 @@ def import_recordings(
         Keep the list of finished windows after the dataset is complete.
     tell : function of a text, optional
         Called with a remark if an earlier call has written some of the windows.
-    progress : function of an int, optional
-        Called with the number of recorded frames that were just done.
+    progress : function of two ints, optional
+        Called with the number of frames of a recording that are done, and of all, None if that is not known.
 
     Returns
     -------

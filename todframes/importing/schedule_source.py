@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, argument
+from todframes.base.progress import counted
 from todframes.importing.clips import Clip, ClipFrame, FramePart, Placed, frames_with_those_before
 from todframes.importing.filmed_trials import OBJECT_SIZE, Corrections, TriangleDescription
 from todframes.importing.schedule import ScheduledTrial, assign_recordings, read_schedule
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
+from todframes.parameters import Progress
 from todframes.recordings.recording import Recording, RecordingWarning
 
 NO_MODULES = np.zeros((0, 0, 0))
@@ -34,8 +36,8 @@ class ScheduleSource:
         Angle of a recorded pixel at the camera; None: sizes in mrad are those on the display.
     level : str
         Column of the stimulus strength.
-    progress : function of an int, optional
-        Called with the number of frames that were just read.
+    progress : function of two ints, optional
+        Called with the number of frames of a recording that are done, and of all, None if that is not known.
     warm_up_frames : int
         Number of recorded frames that each frame of a clip brings along from before it.
 
@@ -53,7 +55,7 @@ class ScheduleSource:
         pitch_mrad: float,
         ifov_mrad: float | None,
         level: str,
-        progress: Callable[[int], None] | None,
+        progress: Progress | None,
         warm_up_frames: int = 0,
     ) -> None:
         self.path = path
@@ -106,9 +108,8 @@ class ScheduleSource:
         rows.sort(key=lambda k: self._rows[k].start_s or 0.0)
         clips = {k: Clip(k + 1, k) for k in rows}
         self.clips += clips.values()
-        for frame, before in frames_with_those_before(recording, self._warm_up_frames):
-            if self._progress is not None:
-                self._progress(1)
+        frames = frames_with_those_before(recording, self._warm_up_frames)
+        for frame, before in counted(frames, recording.n_frames, self._progress):
             while rows and self._is_over(rows[0], frame.time_s):
                 rows.pop(0)
             if not rows or not self._has_begun(rows[0], frame.time_s):

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 
-from todframes.jobs.work import ITEMS_PER_TASK, Engine, Work
+from todframes.base.progress import counted
+from todframes.jobs.engine import open_engine
+from todframes.jobs.work import ITEMS_PER_TASK, Engine, LocalEngine, Work
+from todframes.parameters import Progress
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store
@@ -49,30 +53,52 @@ class StoredWork(Work[Item_contra, Result], Protocol[Item_contra, Result]):
         """Return the result that `encode` made these bytes of; None if what it names is no longer there."""
 
 
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Engine of a run, the store that keeps its finished results, and the function that receives its progress."""
+
+    engine: Engine = field(default_factory=LocalEngine)
+    store: Store | None = None
+    progress: Progress | None = None
+
+    @property
+    def n_from_store(self) -> int:
+        """Number of results that were not computed but found in the store."""
+        return 0 if self.store is None else self.store.n_used
+
+
+@contextmanager
+def opened_run(
+    workers: int, cluster: str | Engine | None, store: Store | Path | str | None, progress: Progress | None
+) -> Iterator[Run]:
+    """Open the engine and the store of a run, unless they are open."""
+    if isinstance(store, str | Path):
+        from todframes.jobs.store import FILE, Store
+
+        store = Store(Path(store) / FILE, str(store))
+    with ExitStack() as stack:
+        engine = stack.enter_context(open_engine(cluster, workers))
+        if store is not None:
+            store.n_used = 0
+            stack.callback(store.close)
+        yield Run(engine, store, progress)
+
+
 def run_stored(
-    work: StoredWork[Item, Result],
-    items: Sequence[Item],
-    *,
-    engine: Engine,
-    store: Store | None = None,
+    work: StoredWork[Item, Result], items: Sequence[Item], run: Run
 ) -> Generator[tuple[int, Result], None, None]:
-    """Yield the result of each item with its place in `items`: first those in the store, then the others as done.
+    """Yield the result of each item with its index in `items`: first those in the store, then the others as done.
 
-    Results are kept in the store in the batches in which they come, from the first one on.
-
-    Parameters
-    ----------
-    work : StoredWork
-    items : sequence
-    engine : Engine
-    store : Store, optional
-        Without one nothing is kept.
-
-    Raises
-    ------
-    OutputError
-        If the store cannot be written.
+    Results are kept in the store in the batches in which they come, from the first one on; OutputError if it
+    cannot be written. The progress counts items.
     """
+    with closing(_results(work, items, run.engine, run.store)) as results:
+        yield from counted(results, len(items), run.progress)
+
+
+def _results(
+    work: StoredWork[Item, Result], items: Sequence[Item], engine: Engine, store: Store | None
+) -> Generator[tuple[int, Result], None, None]:
     left: Sequence[int] = range(len(items))
     if store is None:
         with closing(engine.run(work, enumerate(items))) as batches:

@@ -7,6 +7,7 @@ import time
 import numpy as np
 
 from todframes.base.errors import SettingsError, argument
+from todframes.base.progress import counted
 from todframes.observers.interface import Observer, described
 from todframes.parameters import Numbers, ObserverName, PlaceCount, Probability, Progress
 from todframes.psychometrics.fit import FitSettings
@@ -45,8 +46,8 @@ def naked_eye(
         Raw proportion correct at threshold.
     places : int
         Number of places, far apart, at which the triangle may be; with 1 its place is known.
-    progress : function of an int, optional
-        Called with the number of thresholds that were just found.
+    progress : function of two ints, optional
+        Called with the number of thresholds that are done, and of all.
 
     Returns
     -------
@@ -75,14 +76,12 @@ def naked_eye(
     values = np.atleast_1d(np.asarray(size_mrad if contrast is None else contrast, dtype=np.float64)).tolist()
     level, given = ("contrast", "size_mrad") if contrast is None else ("size_mrad", "contrast")
     fits = []
-    for value in values:
+    for value in counted(values, len(values), progress):
         if contrast is None:
             found = contrast_threshold(judge, size_mrad=value, p_correct=p_correct, places=places)
         else:
             found = acuity(judge, contrast=value, p_correct=p_correct, places=places)
         fits.append(Fit.of_computed({given: value}, level, p_correct, found))
-        if progress is not None:
-            progress(1)
 
     def is_easier_if_smaller(fit: Fit) -> bool:
         half = 0.5 * float(fit.group["size_mrad"])

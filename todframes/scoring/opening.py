@@ -1,10 +1,9 @@
-"""Parts that several calls share: the engine of a run, the dataset and the warnings about it."""
+"""Parts that several calls share: the dataset and the warnings about it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_args
 
@@ -18,8 +17,6 @@ from todframes.diagnosis.inspection import inspect, records
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset, dataset_warnings, load_dataset
 from todframes.frames.trials import Trial
-from todframes.jobs.engine import open_engine
-from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, described
 from todframes.parameters import Gaze, OnError, Progress
 from todframes.results.data import (
@@ -30,31 +27,8 @@ from todframes.results.data import (
 from todframes.stimulus import Centre
 
 if TYPE_CHECKING:
-    from todframes.jobs.store import Store
     from todframes.parameters import Locate
     from todframes.scoring.score import ScoredDataset
-    from todframes.scoring.work import Run
-
-
-@contextmanager
-def opened_run(
-    workers: int, cluster: str | Engine | None, store: Store | Path | str | None, progress: Progress | None
-) -> Iterator[Run]:
-    """Open the engine and the store of a run, unless they are open."""
-    from todframes.scoring.work import Run
-
-    if isinstance(store, str | Path):
-        from todframes.jobs.store import FILE, Store
-
-        kept: Store | None = Store(Path(store) / FILE, str(store))
-    else:
-        kept = store
-    with ExitStack() as stack:
-        engine = stack.enter_context(open_engine(cluster, workers))
-        if kept is not None:
-            kept.n_used = 0
-            stack.callback(kept.close)
-        yield Run(engine, kept, progress)
 
 
 def loaded(dataset: Path | str | Dataset) -> Dataset:

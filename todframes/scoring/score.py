@@ -18,6 +18,7 @@ from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, Experiment, Skipped
 from todframes.frames.position import candidate_places, check_places
 from todframes.frames.trials import Group, Trials
+from todframes.jobs.run import Run
 from todframes.observers.interface import Observer, Readout, joint_noise_covariance
 from todframes.parameters import CurveName, Decisions, PlanName
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
@@ -31,7 +32,7 @@ from todframes.scoring.seen_trials import (
     SeenTrials,
     score_trial,
 )
-from todframes.scoring.work import Run, see_trials
+from todframes.scoring.work import see_trials
 from todframes.stimulus import Stimulus, level_of
 
 S = TypeVar("S", bound=Sized)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from todframes.base.seeds import Rng, seed_of
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset
+from todframes.jobs.run import opened_run
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, described
 from todframes.parameters import (
@@ -46,7 +47,6 @@ from todframes.scoring.opening import (
     loaded,
     locate_name,
     located,
-    opened_run,
 )
 
 if TYPE_CHECKING:
@@ -124,9 +124,8 @@ def score(
         the first finished trials on. The caller has to remove it.
     examples : bool
         Also draw a triangle at threshold, for the page.
-    progress : function of an int, optional
-        Called with the number of trials that were just done. With `locate`, each trial is done one extra time, and
-        with "each" two extra times.
+    progress : function of two ints, optional
+        Called with the number of trials that are done, and of all; finding positions counts apart.
 
     Returns
     -------

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from todframes.base.progress import counted
 from todframes.frames.checksums import check_writable, write_sha256
 from todframes.frames.contrast import frame_problems, unjudged_problems
 from todframes.frames.dataset import Dataset, load_dataset
@@ -35,8 +36,8 @@ def validate(
         If all is good, write the checksum of each frame that has none into manifest.csv.
     problem : function of two texts, optional
         Called with each problem when it is found, and with the kind of problem, which is the same for many.
-    progress : function of an int, optional
-        Called with the number of trials that were just checked.
+    progress : function of two ints, optional
+        Called with the number of trials that are done, and of all.
 
     Returns
     -------
@@ -73,7 +74,7 @@ def validate(
 
     for row in data.bad_rows:
         add(row.frame, row.error, row.error.replace(row.frame or "\0", "#"))
-    for index, trial in enumerate(data.trials):
+    for index, trial in enumerate(counted(data.trials, len(data.trials), progress)):
         wrong = list(frame_problems(data, trial))
         for error in wrong:
             add(str(error.path), str(error), error.problem)
@@ -82,8 +83,6 @@ def validate(
         if add_sha256 and not found:
             missing = [frame for frame in trial.frames if frame.sha256 is None]
             sha256_of |= {frame.path: frame_sha256(data.frame_path(frame)) for frame in missing}
-        if progress is not None:
-            progress(1)
     for frame in data.trials.unjudged_frames:
         for error in unjudged_problems(data, frame):
             add(str(error.path), str(error), error.problem)

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar, cast
@@ -22,14 +22,13 @@ from todframes.frames.dataset import Skipped
 from todframes.frames.files import frame_sha256
 from todframes.frames.position import check_place
 from todframes.frames.trials import FrameReference, Trial, Trials
-from todframes.jobs.run import run_stored
-from todframes.jobs.work import Engine, LocalEngine
+from todframes.jobs.run import Run, run_stored
 from todframes.observers.interface import Readout
 from todframes.scoring.seen_trials import Scoring
 from todframes.stimulus import Stimulus
 
 if TYPE_CHECKING:
-    from todframes.jobs.store import Store
+    pass
 
 SETTLED_NS = 2_000_000_000
 """Time after which a file that is written again has another time; the coarsest file system counts 2 s."""
@@ -50,29 +49,6 @@ class Show(Protocol[T_co]):
     def __call__(self, scoring: Scoring, trial: Trial, readout: Readout | None) -> T_co:
         """Return what the observer sees in a trial; `readout` is None if the observer is not linear."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """Engine and store of a run, and the function that receives its progress.
-
-    Attributes
-    ----------
-    engine : Engine
-    store : Store or None
-        Store of finished results; None: nothing is kept.
-    progress : callable or None
-        Called with the number of trials, skipped ones included, since the last call.
-    """
-
-    engine: Engine = field(default_factory=LocalEngine)
-    store: Store | None = None
-    progress: Callable[[int], None] | None = None
-
-    @property
-    def n_from_store(self) -> int:
-        """Number of results that were not computed but found in the store."""
-        return 0 if self.store is None else self.store.n_used
 
 
 class Unusable(NamedTuple):
@@ -272,10 +248,11 @@ def see_trials(
     bare = replace(scoring, dataset=replace(scoring.dataset, trials=Trials.of(())))
     work = TrialWork(bare, show, kind, depends_on, with_references, with_levels)
     order = by_stimulus(trials)
-    store = None if scoring.dataset.is_in_memory else run.store
+    if scoring.dataset.is_in_memory:
+        run = replace(run, store=None)
     unusable: dict[int, FrameError] = {}
     in_order = trials.select(order)
-    for number, found in run_stored(work, in_order, engine=run.engine, store=store):
+    for number, found in run_stored(work, in_order, run):
         if isinstance(found, Unusable):
             error = found.error
             assert isinstance(error, FrameError)
@@ -284,8 +261,6 @@ def see_trials(
             unusable[number] = error
         else:
             collect(int(order[number]), work.decoder.decode(found))
-        if run.progress is not None:
-            run.progress(1 if number not in unusable else len(in_order[number].frames))
     return [
         skipped
         for number in sorted(unusable)
