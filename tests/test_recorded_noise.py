@@ -15,7 +15,7 @@ import pytest
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.detector_noise import displayed_noise, unit_fixed_pattern
-from todframes.camera.noise3d import PARTS, combinations, estimate, fit_drift, measure_noise
+from todframes.camera.noise3d import PARTS, NoisePart, combinations, estimate, fit_drift, measure_noise
 from todframes.charts.layout import Chart, Markers, Page, Patch, Triangle, write_chart
 from todframes.charts.markers import marker_bits, marker_ids
 from todframes.cli.main import main
@@ -372,7 +372,7 @@ def test_the_ratio_has_an_interval_of_both_errors(tmp_path):
     assert ratio.sd == pytest.approx(noise.fixed.sd / noise.dynamic.sd)
     assert ratio.ci95[0] < noise.fixed.ci95[0] / noise.dynamic.sd
     assert ratio.ci95[1] > noise.fixed.ci95[1] / noise.dynamic.sd
-    none = replace(noise, fixed=noise.fixed._replace(sd=0.0, variance=-0.1, ci95=(0.0, 0.5)))
+    none = replace(noise, fixed=NoisePart(0.0, (0.0, 0.5), -0.1))
     assert none.fixed_pattern_ratio.ci95 == (0, 0.5 / noise.dynamic.sd)
 
 

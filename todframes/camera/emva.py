@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, argument
@@ -161,18 +161,10 @@ class Variances(Struct, frozen=True, kw_only=True):
 class StackNoise(Variances, frozen=True, kw_only=True, eq=False):
     """Means and variances of a stack, with what its warnings and intervals need.
 
-    Attributes
-    ----------
-    name : str
-    exposure_ms, photons : float or None
-    smooth : float
-        Part of the spatial variance that is a surface of second order across the frame.
-    change : float
-        Change of the mean from the first frame to the last; 0 if noise and flicker explain it.
-    saturated, crushed : float
-        Shares of values at the end of the scale, and at black.
-    step : int
-        Greatest common divisor of the differences of values; 0 if they are no whole numbers.
+    `smooth` is the part of the spatial variance that is a surface of second order across the frame, `change` that
+    of the mean from the first frame to the last, 0 if noise and flicker explain it. `saturated` and `crushed` are
+    shares of values at the end of the scale, and at black; `step` is the greatest common divisor of differences of
+    values, 0 if they are no whole numbers. `squares` and `degrees` are those of the analysis of variance.
     """
 
     name: str
@@ -187,54 +179,14 @@ class StackNoise(Variances, frozen=True, kw_only=True, eq=False):
     degrees: Mapping[str, int]
     shape: tuple[int, int]
 
-    def variances(self) -> Variances:
-        """Return the mean and the variances as the result has them."""
-        return Variances(**{name: getattr(self, name) for name in Variances.__struct_fields__})
-
     def lines_dn(self) -> dict[str, float]:
         """Return standard deviations of what the pixels of a row or column have in common, by SENSOR.toml's keys.
 
         They are those of the analysis of variance; those whose 95 % interval begins at 0 are left out.
         """
         weights = combinations(self.n_frames, *self.shape)
-        found = {key: estimate(weights[part], self.squares, self.degrees) for key, part in LINES.items()}
-        return {key: one.sd for key, one in found.items() if one.ci95[0] > 0.0}
-
-
-class TransferPoint(NamedTuple):
-    """A bright stack and the dark one of its exposure; `is_fitted` if it counts for gain and responsivity."""
-
-    bright: StackNoise
-    dark: StackNoise
-    is_fitted: bool
-
-    @property
-    def signal(self) -> float:
-        """Mean above dark in DN."""
-        return self.bright.mean - self.dark.mean
-
-    @property
-    def variance(self) -> float:
-        """Temporal variance above dark in DN²."""
-        return self.bright.temporal - self.dark.temporal
-
-    @property
-    def snr(self) -> float:
-        """Signal relative to the temporal noise of a pixel."""
-        return self.signal / math.sqrt(self.bright.temporal) if self.bright.temporal > 0 else math.inf
-
-    def record(self) -> TransferStack:
-        """Return the point as the result has it."""
-        return TransferStack(
-            exposure_ms=self.bright.exposure_ms,
-            photons=self.bright.photons,
-            n_frames=self.bright.n_frames,
-            signal_dn=self.signal,
-            variance_dn2=self.variance,
-            snr=self.snr,
-            is_fitted=self.is_fitted,
-            is_saturated=self.bright.saturated > MOST_SATURATED,
-        )
+        parts = {key: estimate(weights[part], self.squares, self.degrees) for key, part in LINES.items()}
+        return {key: part.sd for key, part in parts.items() if part.ci95[0] > 0.0}
 
 
 Ends = tuple[float | None, float | None]
@@ -251,6 +203,30 @@ class TransferStack(Struct, frozen=True, kw_only=True):
     snr: float | None
     is_fitted: bool
     is_saturated: bool
+
+
+class TransferPoint(TransferStack, frozen=True, kw_only=True, eq=False):
+    """The same with both stacks; `is_fitted` if it counts for gain and responsivity."""
+
+    bright: StackNoise
+    dark: StackNoise
+
+    @classmethod
+    def of(cls, bright: StackNoise, dark: StackNoise) -> TransferPoint:
+        """Return the point of a bright stack and the dark one of its exposure, not yet in the fit."""
+        signal = bright.mean - dark.mean
+        return cls(
+            exposure_ms=bright.exposure_ms,
+            photons=bright.photons,
+            n_frames=bright.n_frames,
+            signal_dn=signal,
+            variance_dn2=bright.temporal - dark.temporal,
+            snr=signal / math.sqrt(bright.temporal) if bright.temporal > 0 else math.inf,
+            is_fitted=False,
+            is_saturated=bright.saturated > MOST_SATURATED,
+            bright=bright,
+            dark=dark,
+        )
 
 
 class EmvaNumbers(Struct, frozen=True, kw_only=True):
@@ -340,9 +316,9 @@ class EmvaNumbers(Struct, frozen=True, kw_only=True):
     points: tuple[TransferStack, ...]
 
     def camera(self) -> EmvaCamera:
-        """Return the figures that a model of the camera needs."""
+        """Return the figures that a model of the camera needs: noise and pattern without those of the lines."""
         of_noise, of_pattern = (
-            math.hypot(*(one for key, one in self.lines_electrons.items() if kind in key))
+            math.hypot(*(sd for key, sd in self.lines_electrons.items() if kind in key))
             for kind in ("noise", "pattern")
         )
         return EmvaCamera(
@@ -360,9 +336,9 @@ class EmvaNumbers(Struct, frozen=True, kw_only=True):
 
     def xml_values(self) -> dict[str, float | int | None]:
         """Return the results by the names of EMVA's XML, in its units."""
-        snr_max, dynamic_range, efficiency = self.snr_max, self.dynamic_range, self.quantum_efficiency
+        efficiency = self.quantum_efficiency
         least, most = self.linearity_percent or (None, None)
-        return {
+        values = {
             "bits": self.bits,
             "exposure": self.exposure_ms,
             "QE": None if efficiency is None else 100.0 * efficiency,
@@ -374,26 +350,21 @@ class EmvaNumbers(Struct, frozen=True, kw_only=True):
             "u_p_min": self.sensitivity_threshold,
             "u_p_sat": self.saturation_photons,
             "u_e_sat": self.saturation_electrons,
-            "SNR_max": snr_max,
-            "SNR_max_dB": None if snr_max is None else 20.0 * math.log10(snr_max),
-            "SNR_max_bit": None if snr_max is None else math.log2(snr_max),
-            "DR": dynamic_range,
-            "DR_dB": None if dynamic_range is None else 20.0 * math.log10(dynamic_range),
-            "DR_bit": None if dynamic_range is None else math.log2(dynamic_range),
             "LE_min": least,
             "LE_max": most,
-            "sigma_2_y_stack": self.bright.temporal_stack,
-            "sigma_2_y_stack_dark": self.dark.temporal_stack,
-            "s_2_y_measured": self.bright.spatial_measured,
-            "s_2_y_measured_dark": self.dark.spatial_measured,
-            "s_2_y": self.bright.spatial,
-            "s_2_y_dark": self.dark.spatial,
             "DSNU1288": self.dsnu,
             "DSNU1288_DN": self.dsnu * self.system_gain,
             "PRNU1288": self.prnu,
             "u_I_mean": self.dark_current,
             "u_I_var": self.dark_current_from_variance,
         }
+        for name, ratio in (("SNR_max", self.snr_max), ("DR", self.dynamic_range)):
+            if ratio is not None:
+                values |= {name: ratio, f"{name}_dB": 20.0 * math.log10(ratio), f"{name}_bit": math.log2(ratio)}
+        for end, stack in (("", self.bright), ("_dark", self.dark)):
+            values[f"sigma_2_y_stack{end}"] = stack.temporal_stack
+            values |= {f"s_2_y_measured{end}": stack.spatial_measured, f"s_2_y{end}": stack.spatial}
+        return values
 
 
 def measure_emva(
@@ -406,38 +377,18 @@ def measure_emva(
     background: Stack | None = None,
     progress: Progress | None = None,
 ) -> tuple[EmvaNumbers, tuple[RecordingWarning, ...]]:
-    """Measure the noise of a camera from stacks of bright and dark frames.
+    """Measure the noise of a camera from stacks of bright and dark frames, of two frames or more each.
 
     Each bright stack is compared with the dark one of its exposure, or with the only dark one. The stacks of the
-    spatial measurement are those with the most frames, bright near half of saturation.
-
-    Parameters
-    ----------
-    bright, dark : sequence of Stack
-        At least one of each, with two frames or more.
-    bits : int, optional
-        Bits of a pixel. Default: from the recordings.
-    region : (int, int, int, int), optional
-        Left column, top row, width and height in pixels. Default: all.
-    source : str
-        Name of the recording.
-    background : Stack, optional
-        The bright stack that shows the background of a chart.
-    progress : function of two ints, optional
-        Called with the number of frames of a stack that are done, and of all, None if that is not known.
-
-    Raises
-    ------
-    SettingsError
-        If the region is not within the frame.
-    DataError
-        If a stack has one frame, colours, another size or frames of two exposures; if no bright stack has a dark
-        one; or if all bright stacks are saturated, or none is brighter than dark.
+    spatial measurement are those with the most frames, bright near half of saturation. `background` is the bright
+    stack that shows the background of a chart. DataError if a stack has one frame, colours, another size or frames
+    of two exposures; if no bright stack has a dark one; or if all bright stacks are saturated, or none is brighter
+    than dark.
     """
     for what, stacks in (("bright", bright), ("dark", dark)):
         if not stacks:
             raise DataError(f"noise: found no {what} stack, expected one or more")
-    full_scale = _full_scale(bright, bits)
+    full_scale = bright[0].recording.full_scale if bits is None else float(2**bits - 1)
     of_dark = [_measured(one, region, full_scale, None, progress) for one in dark]
     darkest = min(one.mean for one in of_dark)
     of_bright = [_measured(one, region, full_scale, darkest, progress) for one in bright]
@@ -445,8 +396,8 @@ def measure_emva(
     if len(shapes) > 1:
         found = " and ".join(f"{columns} x {rows}" for rows, columns in sorted(shapes))
         raise DataError(f"noise: found stacks of {found} pixels, expected one size")
-    pairs = sorted(((one, _dark_of(one, of_dark)) for one in of_bright), key=lambda pair: pair[0].mean)
-    points = [TransferPoint(one, other, False) for one, other in pairs]
+    of_bright.sort(key=lambda one: one.mean)
+    points = [TransferPoint.of(one, _dark_of(one, of_dark)) for one in of_bright]
     faintest = points[0].bright
     if faintest.saturated > MOST_SATURATED:
         raise DataError(
@@ -454,30 +405,28 @@ def measure_emva(
             + ", and all other stacks are brighter" * (len(points) > 1)
             + "; expected a stack below saturation"
         )
-    if points[-1].signal <= 0.0 or all(one.variance <= 0.0 for one in points):
+    brightest = points[-1]
+    if brightest.signal_dn <= 0.0 or all(one.variance_dn2 <= 0.0 for one in points):
         raise DataError(
-            f"{points[-1].bright.name}: its mean is {points[-1].bright.mean:.4g} and that of dark frames "
-            f"{points[-1].dark.mean:.4g}, with no more noise; expected brighter frames; are they exchanged?"
+            f"{brightest.bright.name}: its mean is {brightest.bright.mean:.4g} and that of dark frames "
+            f"{brightest.dark.mean:.4g}, with no more noise; expected brighter frames; are they exchanged?"
         )
     series = _series(points)
     saturated = _saturation(series)
     if saturated is not None:
-        most = series[saturated].signal
+        most = series[saturated].signal_dn
     else:
         most = math.inf if full_scale is None else full_scale - points[0].dark.mean
-    good = [one for one in points if one.signal > 0.0 and one.bright.saturated <= MOST_SATURATED]
-    good = [one for one in good if one.signal <= FITTED * most] or good
+    good = [one for one in points if one.signal_dn > 0.0 and not one.is_saturated]
+    good = [one for one in good if one.signal_dn <= FITTED * most] or good
     fitted = [one for one in good if one in series] or good
-    points = [one._replace(is_fitted=one in fitted) for one in points]
-    return _evaluated(
-        points, _series(points), of_dark, _spatial_point(good, most),
-        bits=bits, most=most, saturated=saturated, recordings=[*bright, *dark], source=source,
-        background=background,
+    points = [structs.replace(one, is_fitted=one in fitted) for one in points]
+    numbers, warnings = _evaluated(
+        points, of_dark, _spatial_point(good, most),
+        bits=bits, most=most, saturated=saturated, source=source, background=background,
     )  # fmt: skip
-
-
-def _full_scale(bright: Sequence[Stack], bits: int | None) -> float | None:
-    return float(2**bits - 1) if bits is not None else bright[0].recording.full_scale
+    of_recordings = dict.fromkeys(one for stack in (*bright, *dark) for one in stack.recording.warnings)
+    return numbers, (*of_recordings, *warnings)
 
 
 def _measured(
@@ -683,18 +632,17 @@ class _Response(NamedTuple):
 
 def _evaluated(
     points: list[TransferPoint],
-    series: list[TransferPoint],
     of_dark: list[StackNoise],
     spatial: TransferPoint,
     *,
     bits: int | None,
     most: float,
     saturated: int | None,
-    recordings: Sequence[Stack],
     source: str,
     background: Stack | None,
 ) -> tuple[EmvaNumbers, tuple[RecordingWarning, ...]]:
-    """Return the figures of EMVA 1288 from points of photon transfer and dark stacks."""
+    """Return the figures of EMVA 1288 from points of photon transfer and dark stacks, and warnings about them."""
+    series = _series(points)
     rng = np.random.default_rng(SEED)
     drawn = {id(one): _drawn(one, rng) for one in (*of_dark, *(point.bright for point in points))}
     fitted = [one for one in points if one.is_fitted]
@@ -722,7 +670,7 @@ def _evaluated(
     nonuniformities = np.sqrt(np.maximum(of_bright.spatial - of_spatial_dark.spatial, 0.0)) / (
         of_bright.mean - of_spatial_dark.mean
     )
-    slope = 1.0 + bend * spatial.signal / 3.0
+    slope = 1.0 + bend * spatial.signal_dn / 3.0
 
     electrons, capacity = _capacity(series, saturated, most, gain, response)
     threshold = None
@@ -739,7 +687,7 @@ def _evaluated(
     )
     of_background = None
     if background is not None:
-        signal = next(one.signal for one in points if one.bright.name == str(background.recording.path))
+        signal = next(one.signal_dn for one in points if one.bright.name == str(background.recording.path))
         of_background = gain.electrons(signal, np.full(DRAWS, signal))
     figures: dict[str, Estimate | None] = {
         "system_gain": _estimate(gain.value, gain.draws, gain.to_faint),
@@ -769,17 +717,16 @@ def _evaluated(
         dynamic_range=None if electrons is None else electrons.value / (dark_sd / gain.value + 0.5),
         linearity_percent=_linearity(series, most),
         is_saturation_reached=saturated is not None,
-        bright=spatial.bright.variances(),
-        dark=spatial.dark.variances(),
-        points=tuple(one.record() for one in points),
+        bright=spatial.bright,
+        dark=spatial.dark,
+        points=tuple(points),
     )
-    of_recordings = dict.fromkeys(one for stack in recordings for one in stack.recording.warnings)
-    return numbers, (*of_recordings, *(RecordingWarning(*warning) for warning in warnings))
+    return numbers, warnings
 
 
 def _gain(fitted: Sequence[TransferPoint], drawn: Mapping[int, _Draws]) -> tuple[_Gain, float, float]:
     """Return K, the slope of variance against signal, both above dark; its misfit and the bend of the response."""
-    signal, variance = (np.array([getattr(one, name) for one in fitted]) for name in ("signal", "variance"))
+    signal, variance = np.array([(one.signal_dn, one.variance_dn2) for one in fitted]).T
     signals = np.array([drawn[id(one.bright)].mean - drawn[id(one.dark)].mean for one in fitted])
     variances = np.array([drawn[id(one.bright)].temporal - drawn[id(one.dark)].temporal for one in fitted])
     gain = float(signal @ variance / (signal @ signal))
@@ -799,9 +746,9 @@ def _response(
     fitted: Sequence[TransferPoint], drawn: Mapping[int, _Draws], gain: _Gain, rng: np.random.Generator
 ) -> _Response | None:
     """Return the slope of the signal against photons; None without photons."""
-    if not all(one.bright.photons for one in fitted):
+    if not all(one.photons for one in fitted):
         return None
-    photons, signal = np.array([(one.bright.photons, one.signal) for one in fitted], np.float64).T
+    photons, signal = np.array([(one.photons, one.signal_dn) for one in fitted], np.float64).T
     slope = float(photons @ signal / (photons @ photons))
     if len(fitted) > 1:
         rest = signal - slope * photons
@@ -821,7 +768,7 @@ def _estimate(value: float, draws: FloatArray, factor: float = 1.0) -> Estimate:
 def _prnu(point: TransferPoint, *, of_smooth: bool = True) -> float:
     """Return the photo response nonuniformity relative to the signal, with or without smooth surfaces."""
     bright, dark = (one.spatial - (0.0 if of_smooth else one.smooth) for one in (point.bright, point.dark))
-    return math.sqrt(max(bright - dark, 0.0)) / point.signal
+    return math.sqrt(max(bright - dark, 0.0)) / point.signal_dn
 
 
 def _bend(fitted: Sequence[TransferPoint], errors: FloatArray) -> float:
@@ -834,12 +781,12 @@ def _bend(fitted: Sequence[TransferPoint], errors: FloatArray) -> float:
     from scipy.special import stdtrit
 
     n = len(fitted)
-    signal = np.array([one.signal for one in fitted])
+    signal = np.array([one.signal_dn for one in fitted])
     if n < FEWEST_BENT or np.ptp(signal) < LEAST_RANGE * signal.max():
         return 0.0
-    photons = [one.bright.photons for one in fitted]
+    photons = [one.photons for one in fitted]
     has_photons = all(photons)
-    ratio = signal / photons if has_photons else np.array([one.variance for one in fitted]) / signal
+    ratio = signal / photons if has_photons else np.array([one.variance_dn2 for one in fitted]) / signal
     weights = (signal / (1.0 if has_photons else errors)) ** 2
     x = signal - weights @ signal / weights.sum()
     slope = float(weights @ (x * ratio) / (weights @ x**2))
@@ -909,8 +856,9 @@ def _about_dark(of_dark: Sequence[StackNoise], darkest: StackNoise, step: int) -
 
 def _about_light(points: Sequence[TransferPoint], spatial: TransferPoint) -> Iterator[RecordingWarning]:
     """Yield warnings about light that changes within a stack or across the frame."""
-    least = points[-1].signal / 2.0  # fainter stacks count little
-    share, name = max((abs(one.change) / max(at.signal, least), one.name) for at in points for one in at[:2])
+    least = points[-1].signal_dn / 2.0  # fainter stacks count little
+    stacks = ((stack, max(at.signal_dn, least)) for at in points for stack in (at.bright, at.dark))
+    share, name = max((abs(stack.change) / signal, stack.name) for stack, signal in stacks)
     if share > LARGEST_DRIFT:
         yield RecordingWarning(
             "drift",
@@ -940,9 +888,9 @@ def _about_saturation(saturated: int | None, most: float, bits: int | None) -> I
 def _spatial_point(points: Sequence[TransferPoint], most: float) -> TransferPoint:
     """Return the point of the spatial measurement: most frames, and nearest to half of saturation."""
     n_frames = max(one.bright.n_frames for one in points)
-    middle = most / 2.0 if math.isfinite(most) else points[-1].signal
+    middle = most / 2.0 if math.isfinite(most) else points[-1].signal_dn
     return min(
-        (one for one in points if one.bright.n_frames == n_frames), key=lambda one: abs(one.signal - middle)
+        (one for one in points if one.bright.n_frames == n_frames), key=lambda one: abs(one.signal_dn - middle)
     )
 
 
@@ -954,7 +902,7 @@ def _capacity(
     With photons it is their number at the saturation point, times the quantum efficiency; otherwise the signal
     there by the gain.
     """
-    photons = None if saturated is None else points[saturated].bright.photons
+    photons = None if saturated is None else points[saturated].photons
     if photons is not None and response is not None:
         return _estimate(photons * response.efficiency.value, photons * response.efficiencies), Estimate(photons)
     if not math.isfinite(most):
@@ -986,9 +934,9 @@ def _dark_current(
 def _linearity(points: Sequence[TransferPoint], most: float) -> tuple[float, float] | None:
     """Return the smallest and largest deviation from the line of least relative deviation, in percent."""
     used = [
-        (one.bright.photons, one.signal)
+        (one.photons, one.signal_dn)
         for one in points
-        if one.bright.photons and math.isfinite(most) and LINEAR[0] * most <= one.signal <= LINEAR[1] * most
+        if one.photons and math.isfinite(most) and LINEAR[0] * most <= one.signal_dn <= LINEAR[1] * most
     ]
     if len(used) < 3:
         return None

@@ -7,8 +7,9 @@ leaf `Value`, `Unit` and `Symbol`. Leaves that are not known are ignored.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -86,26 +87,15 @@ LEAVES: dict[str, dict[str, Leaf]] = {
 class EmvaCamera:
     """A camera as results of EMVA 1288 describe it; None for what they do not state.
 
-    Attributes
-    ----------
-    system_gain_dn_per_electron, dark_noise_electrons : float
-    quantum_efficiency : float or None
-        Electrons per photon, from 0 to 1.
-    dark_current_electrons_per_s : float or None
-        From the means of dark frames; 0 where noise has made it negative.
-    dsnu_electrons, prnu_percent, full_well_electrons : float or None
-    row_noise_electrons, column_noise_electrons, row_pattern_electrons, column_pattern_electrons : float or None
-        What the pixels of a row or column have in common in the dark, in a frame or in all: no parts of the dark
-        noise and of the DSNU stated here. Results of EMVA 1288 do not have them.
-    bits : int or None
-        Bits of a pixel.
-    exposure_ms : float or None
-        Exposure time of the spatial measurement.
+    The quantum efficiency is in electrons per photon, from 0 to 1. The dark current is from the means of dark
+    frames; 0 where noise has made it negative. The four parts of rows and columns are what their pixels have in
+    common in the dark, in a frame or in all: no parts of the dark noise and of the DSNU stated here. Results of
+    EMVA 1288 do not have them. The exposure is that of the spatial measurement.
     """
 
+    quantum_efficiency: float | None = None
     system_gain_dn_per_electron: float
     dark_noise_electrons: float
-    quantum_efficiency: float | None = None
     dark_current_electrons_per_s: float | None = None
     dsnu_electrons: float | None = None
     prnu_percent: float | None = None
@@ -119,38 +109,16 @@ class EmvaCamera:
 
     def noise_table(self) -> Json:
         """Return the table `[noise]` of a SENSOR.toml, with the keys that are known, in six digits."""
-        names = (
-            "quantum_efficiency",
-            "system_gain_dn_per_electron",
-            "dark_noise_electrons",
-            "dark_current_electrons_per_s",
-            "dsnu_electrons",
-            "prnu_percent",
-            "row_noise_electrons",
-            "column_noise_electrons",
-            "row_pattern_electrons",
-            "column_pattern_electrons",
-            "full_well_electrons",
-            "bits",
-            "exposure_ms",
-        )
-        values = {name: getattr(self, name) for name in names}
-        rounded = {name: float(f"{one:.6g}") if isinstance(one, float) else one for name, one in values.items()}
-        return {"model": "photon", **{name: one for name, one in rounded.items() if one is not None}}
+        known = {name: value for name, value in asdict(self).items() if value is not None}
+        return {"model": "photon"} | {
+            name: float(f"{value:.6g}") if isinstance(value, float) else value for name, value in known.items()
+        }
 
 
 def emva_xml(values: Mapping[str, float | int | None]) -> bytes:
-    """Return the XML file of results.
+    """Return the XML file of results, by the names in `LEAVES` and in their units, in UTF-8.
 
-    Parameters
-    ----------
-    values : mapping
-        Numbers by the names in `LEAVES`, in their units; those that are None or missing are left out.
-
-    Returns
-    -------
-    bytes
-        UTF-8.
+    Those that are None or missing are left out.
     """
     root = ElementTree.Element("results")
     for section, leaves in LEAVES.items():
@@ -171,32 +139,29 @@ def emva_xml(values: Mapping[str, float | int | None]) -> bytes:
 def read_emva_xml(path: Path) -> EmvaCamera:
     """Return the camera that a file of EMVA 1288 results describes.
 
-    Raises
-    ------
-    DataError
-        If the file cannot be read, is of another release or form, or has a value that no camera has.
+    DataError if the file cannot be read, is of another release or form, or has a value that no camera has.
     """
     results = _results(path)
-    found = {name: _number(path, results, section, name) for section, of in LEAVES.items() for name in of}
-    gain, dark_noise = found["K"], found["sigma_d"]
-    if gain is None and (inverse := found["inverse_K"]) is not None:
+    values = {name: _number(path, results, section, name) for section, names in LEAVES.items() for name in names}
+    gain, dark_noise = values["K"], values["sigma_d"]
+    if gain is None and (inverse := values["inverse_K"]) is not None:
         gain = 1.0 / inverse if inverse > 0.0 else math.nan
     if gain is None or dark_noise is None:
         missing = "K" if gain is None else "sigma_d"
         raise DataError(f"{path}: found no sensitivity/{missing}, expected one; are these results of EMVA 1288?")
-    efficiency, bits = found["QE"], found["bits"]
+    efficiency, bits = values["QE"], values["bits"]
     if bits is not None and bits != round(bits):
         raise DataError(f"{path}: info/bits: found {bits:g}, expected a whole number")
     camera = EmvaCamera(
         system_gain_dn_per_electron=gain,
         dark_noise_electrons=dark_noise,
         quantum_efficiency=None if efficiency is None else efficiency / 100.0,
-        dark_current_electrons_per_s=None if found["u_I_mean"] is None else max(found["u_I_mean"], 0.0),
-        dsnu_electrons=found["DSNU1288"],
-        prnu_percent=found["PRNU1288"],
-        full_well_electrons=found["u_e_sat"],
+        dark_current_electrons_per_s=None if values["u_I_mean"] is None else max(values["u_I_mean"], 0.0),
+        dsnu_electrons=values["DSNU1288"],
+        prnu_percent=values["PRNU1288"],
+        full_well_electrons=values["u_e_sat"],
         bits=None if bits is None else round(bits),
-        exposure_ms=found["exposure"],
+        exposure_ms=values["exposure"],
     )
     for name, value, most in (
         ("sensitivity/K", gain, math.inf),
@@ -204,14 +169,10 @@ def read_emva_xml(path: Path) -> EmvaCamera:
         ("sensitivity/u_e_sat", camera.full_well_electrons, math.inf),
     ):
         if value is not None and not 0.0 < value <= most:
-            raise DataError(
-                f"{path}: {name}: found {value:g}, expected a number > 0{' up to 100 %' * (most == 1.0)}"
-            )
-    for name, value in (
-        ("sensitivity/sigma_d", dark_noise),
-        ("spatial/DSNU1288", camera.dsnu_electrons),
-        ("spatial/PRNU1288", camera.prnu_percent),
-    ):
+            of_percent = " up to 100 %" * (most == 1.0)
+            raise DataError(f"{path}: {name}: found {value:g}, expected a number > 0{of_percent}")
+    for name in ("sensitivity/sigma_d", "spatial/DSNU1288", "spatial/PRNU1288"):
+        value = values[name.partition("/")[2]]
         if value is not None and value < 0.0:
             raise DataError(f"{path}: {name}: found {value:g}, expected a number of 0 or more")
     return camera
@@ -260,4 +221,4 @@ def _number(path: Path, results: ElementTree.Element, section: str, name: str) -
 
 
 def _plain_unit(unit: str) -> str:
-    return unit.replace("^", "").replace("-", "").replace("{", "").replace("}", "").replace(" ", "").lower()
+    return re.sub("[-^{} ]", "", unit).lower()

@@ -44,18 +44,10 @@ twice that."""
 
 
 class CameraView(NamedTuple):
-    """A page of a chart in a recording, by which the camera is measured.
+    """A page of a chart in a recording, by which the camera is measured: the frames that show it, at rest.
 
-    Attributes
-    ----------
-    recording : Recording
-        The frames that show the page, at rest.
-    patches : list of FramePatch
-        Upright rectangles within the patches, with luminance in cd/m² or reflectance as their levels.
-    edges : list of PlacedEdge
-        Slanted edges; none for a page of triangles.
-    is_luminance : bool
-        Whether the levels are luminances.
+    Patches are upright rectangles within those of the page, with luminance in cd/m² or reflectance as their
+    levels. A page of triangles has no slanted edges.
     """
 
     recording: Recording
@@ -63,13 +55,10 @@ class CameraView(NamedTuple):
     edges: list[PlacedEdge]
     is_luminance: bool
 
-    def stacks(self, dark: Recording) -> tuple[list[Recording], Recording]:
+    def stacks(self, dark: Recording) -> tuple[list[Recording], list[Recording]]:
         """Return the frames of each patch, all of one size, in memory; and those of a dark film at the first one.
 
-        Raises
-        ------
-        DataError
-            If a frame cannot be read, the dark film has frames of another size, or the films have colours.
+        DataError if the dark film has frames of another size.
         """
         if dark.shape != self.recording.shape:
             (rows, columns), (of_film, across) = dark.shape, self.recording.shape
@@ -79,15 +68,10 @@ class CameraView(NamedTuple):
         regions = np.array([one.region for one in self.patches])
         width, height = regions[:, 2:].min(axis=0).tolist()
         starts = (regions[:, :2] + (regions[:, 2:] - (width, height)) // 2).tolist()
-        of_patches = [
-            _cut(self.recording, [(left, top, width, height) for left, top in starts]),
-            _cut(dark, [(*starts[0], width, height)]),
-        ]
-        bright = [
-            replace(one, path=Path(f"{self.recording.path}: patch {number}"))
-            for number, one in enumerate(of_patches[0], 1)
-        ]
-        return bright, of_patches[1][0]
+        films = _cut(self.recording, [(left, top, width, height) for left, top in starts])
+        path = self.recording.path
+        named = [replace(film, path=Path(f"{path}: patch {number}")) for number, film in enumerate(films, 1)]
+        return named, _cut(dark, [(*starts[0], width, height)])
 
 
 def view_of_camera_page(
@@ -96,24 +80,9 @@ def view_of_camera_page(
     """Find the patches and slanted edges of a chart in a recording.
 
     They are those of the page for measuring a camera, in the first clip of some length that shows it. Of a printed
-    chart it may be another sheet, if the recording shows one sheet all the time.
-
-    Parameters
-    ----------
-    recording : Recording
-    chart : path
-        `chart.toml`, or its folder.
-    needs_edges : bool
-        Whether a page without edges is refused.
-    progress : function of two ints, optional
-        Called with the number of frames that are done, and of all, None if that is not known.
-
-    Raises
-    ------
-    SettingsError
-        If the chart cannot be read, or has no markers or no such page.
-    DataError
-        If no such page of this chart is found, or the camera moves all the time.
+    chart it may be another sheet, if the recording shows one sheet all the time. `chart` is `chart.toml` or its
+    folder. SettingsError if the chart has no markers or no such page; DataError if the recording does not show it,
+    or the camera moves all the time.
     """
     layout = read_chart(chart)
     if layout.markers is None:
@@ -283,12 +252,9 @@ def _edges(
 ) -> list[PlacedEdge]:
     """Return the boxes about the edges of a page, and the steps of those that are stairs of a monitor's pixels.
 
-    Raises
-    ------
-    DataError
-        If the pixels of the monitor are too large for the picture, or it shows too little of the edges.
+    DataError if the pixels of the monitor are too large for the picture, or it shows too little of the edges.
     """
-    found = []
+    placed = []
     for edge in edges:
         ends_px = geometry.to_px(edge.ends_mm)
         dx, dy = (edge.ends_mm[1] - edge.ends_mm[0]).tolist()
@@ -310,23 +276,19 @@ def _edges(
                     f"{MOST_STEP_PX:g} at most: its width hides the camera's MTF; film from farther away"
                 )
         if box is not None:
-            found.append(PlacedEdge(box, step_px))
-    if not found:
+            placed.append(PlacedEdge(box, step_px))
+    if not placed:
         raise DataError(
             f"{path}: the slanted edges are too short in the picture, expected 40 pixels and more; film the chart "
             "larger"
         )
-    return found
+    return placed
 
 
 def _patches(patches: Sequence[Patch], geometry: Geometry) -> list[FramePatch]:
-    return [FramePatch(_inner(patch, geometry), _level(patch)) for patch in patches]
-
-
-def _level(patch: Patch) -> float:
-    level = patch.luminance_cd_m2 if patch.reflectance is None else patch.reflectance
-    assert level is not None  # as its settings are checked
-    return level
+    levels = [one.luminance_cd_m2 if one.reflectance is None else one.reflectance for one in patches]
+    # Each has one of them, as its settings are checked.
+    return [FramePatch(_inner(one, geometry), level or 0.0) for one, level in zip(patches, levels, strict=True)]
 
 
 def _inner(patch: Patch, geometry: Geometry) -> Region:

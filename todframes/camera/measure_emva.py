@@ -1,28 +1,247 @@
-"""The call `emva_noise`: noise of a camera as EMVA 1288 defines it."""
+"""The call `emva_noise`, noise of a camera as EMVA 1288 defines it, and its result."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from msgspec import structs
+from msgspec import Struct, structs
 from numpy.typing import NDArray
 
+from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.reading import path_inside, read_file, resolved, toml_text
+from todframes.camera.emva import EmvaNumbers, Ends, Stack, measure_emva
+from todframes.camera.emva_xml import emva_xml
 from todframes.parameters import Box, ChartFile, DescriptorFile, FrameLimit, Numbers, Progress
-from todframes.results.result import repeatable
+from todframes.results.data import Content, ResultWarning, as_read
+from todframes.results.figure import ReportFigure
+from todframes.results.figure_style import COLOURS, INK, PAPER, add_legend, plain_ticks
+from todframes.results.result import Result, repeatable
+from todframes.results.table import Column, Table
+from todframes.results.wording import count, interval_phrase, path_name, plain
 
 if TYPE_CHECKING:
-    from todframes.camera.emva_result import Emva
+    from matplotlib.axes import Axes
+
     from todframes.parameters import PathLike
     from todframes.recordings.recording import Recording
-    from todframes.results.result import Result
 
 Stacks = Sequence["PathLike | NDArray[Any]"]
+
+MAX_DESCRIPTOR_MB = 4
+
+KNOWN_VERSIONS = ("3.", "4.")
+"""Beginnings of the versions of descriptors that are read; their form has not changed from 3.0 to 4.0."""
+
+NS_PER_MS = 1e6
+
+FIGURES = (
+    ("system_gain", "system gain K", "DN/e⁻", 1.0),
+    ("quantum_efficiency", "quantum efficiency", "%", 100.0),
+    ("responsivity", "responsivity R", "DN/photon", 1.0),
+    ("dark_noise", "dark noise", "e⁻", 1.0),
+    ("dark_noise_dn", "dark noise", "DN", 1.0),
+    ("dark_current", "dark current", "e⁻/s", 1.0),
+    ("dark_current_from_variance", "dark current, from variances", "e⁻/s", 1.0),
+    ("dsnu", "DSNU", "e⁻", 1.0),
+    ("prnu", "PRNU", "%", 1.0),
+    ("saturation_electrons", "saturation", "e⁻", 1.0),
+    ("saturation_photons", "saturation", "photons", 1.0),
+    ("sensitivity_threshold", "least detectable signal", "photons", 1.0),
+    ("background_electrons", "background of the chart", "e⁻", 1.0),
+)
+"""Figures of a camera by key, with their names, units, and factors to these units."""
+
+VARIANCES = (
+    ("temporal_stack", "temporal"),
+    ("spatial", "spatial"),
+    ("row", "spatial: rows"),
+    ("column", "spatial: columns"),
+    ("pixel", "spatial: pixels"),
+)
+
+SNR_SPAN = (0.5, 2.0)
+"""Ends of the curves of signal-to-noise ratio, relative to the fewest and the most photons."""
+
+
+class EmvaKey(Struct, frozen=True, kw_only=True):
+    """The key `noise` of the result."""
+
+    emva1288: EmvaNumbers
+
+
+class Emva(Content, frozen=True, kw_only=True):
+    """The noise of a camera by EMVA 1288.
+
+    Attributes
+    ----------
+    noise : EmvaKey
+        The numbers, under the key `emva1288`.
+    """
+
+    noise: EmvaKey
+
+    @property
+    def name(self) -> str:
+        """Return the path of the descriptor, or of the first bright stack."""
+        return self.noise.emva1288.source
+
+    def tables(self) -> list[Table]:
+        """List the figures of the camera that are known, its variances, and folded the points."""
+        numbers = self.noise.emva1288
+        records = []
+        for key, name, unit, factor in FIGURES:
+            value: float | None = getattr(numbers, key)
+            if value is not None:
+                ends: Ends | None = getattr(numbers, f"{key}_ci95")
+                scaled = None if ends is None else tuple(None if end is None else factor * end for end in ends)
+                records.append({"figure": name, "value": factor * value, "unit": unit, "value_ci95": scaled})
+        columns = [
+            Column(key="figure", is_name=True),
+            Column(key="value"),
+            Column(key="unit"),
+            Column(key="value_ci95", header="95 % interval", interval="value_ci95"),
+        ]
+        variances = [
+            {"variance": name, "bright": getattr(numbers.bright, key), "dark": getattr(numbers.dark, key)}
+            for key, name in VARIANCES
+        ]
+        of_variances = [
+            Column(key="variance", is_name=True),
+            Column(key="bright", header="bright (DN²)"),
+            Column(key="dark", header="dark (DN²)"),
+        ]
+        headers = {
+            "exposure_ms": "exposure (ms)",
+            "photons": "photons",
+            "n_frames": "frames",
+            "signal_dn": "signal (DN)",
+            "variance_dn2": "variance (DN²)",
+            "snr": "SNR",
+            "is_fitted": "in the fit",
+        }
+        points = [structs.asdict(one) for one in numbers.points]
+        of_points = [Column(key=key, header=header) for key, header in headers.items()]
+        title = f"Variances at a mean of {plain(numbers.bright.mean, 4)} DN"
+        transfer = Table.of("Photon transfer", "photon_transfer.csv", of_points, points).without_empty_columns()
+        return [
+            Table.of(f"EMVA 1288 of {path_name(numbers.source)}", "emva.csv", columns, records),
+            Table.of(title, "variances.csv", of_variances, variances),
+            transfer.folded(),
+        ]
+
+    def sentences(self) -> list[str]:
+        """Return the findings in words."""
+        numbers = self.noise.emva1288
+
+        def known(key: str, unit: str, digits: int = 3) -> str:
+            ends: Ends | None = getattr(numbers, f"{key}_ci95")
+            interval = "" if ends is None else f" ({interval_phrase(ends)})"
+            return f"{plain(getattr(numbers, key), digits)} {unit}{interval}"
+
+        n_fitted = sum(one.is_fitted for one in numbers.points)
+        stacks = f"{count(n_fitted, 'bright stack')} of {len(numbers.points)}"
+        texts = [
+            f"System gain {known('system_gain', 'DN per electron', 4)}, from {stacks}.",
+            f"A pixel has a dark noise of {known('dark_noise', 'electrons')}, DSNU {known('dsnu', 'electrons')} "
+            f"and PRNU {known('prnu', '%')}.",
+        ]
+        if numbers.saturation_electrons is not None and numbers.snr_max is not None:
+            where = "" if numbers.is_saturation_reached else ", at the end of the scale"
+            texts.append(
+                f"It saturates at {plain(numbers.saturation_electrons, 4)} electrons{where}: an SNR of up to "
+                f"{plain(numbers.snr_max)}."
+            )
+        if numbers.linearity_percent is not None:
+            low, high = numbers.linearity_percent
+            texts.append(f"Linearity errors are {plain(low, 2)} to {plain(high, 2)} %.")
+        return texts
+
+    def figures(self) -> list[ReportFigure]:
+        """List the signal-to-noise ratio against the ideal one, and the photon transfer."""
+        what = "photons" if self.noise.emva1288.quantum_efficiency is not None else "electrons"
+        return [
+            ReportFigure("Signal-to-noise ratio", f"Of a pixel, by its {what}.", self._draw_snr, "emva.png"),
+            ReportFigure(
+                "Photon transfer", "Its slope is the system gain K.", self._draw_transfer, "photon_transfer.png"
+            ),
+        ]
+
+    def sensor_toml(self) -> str:
+        """Return the table `[noise]` of a SENSOR.toml for this camera, with the model `photon`.
+
+        With the film of a chart it has the table `[scene]` too, with the electrons of the background.
+        """
+        numbers = self.noise.emva1288
+        table, background = numbers.camera().noise_table(), numbers.background_electrons
+        needs_photons = "quantum_efficiency" not in table and background is None
+        hints = ["quantum_efficiency is not known: give photons"] if needs_photons else []
+        hints += [] if "exposure_ms" in table else [f"exposure_ms is not known: give {argument.exposure_ms}"]
+        if not numbers.is_saturation_reached and "full_well_electrons" in table:
+            hints.append("full_well_electrons is the end of the scale: no stack was saturated")
+        tables: Json = {"noise": table}
+        if background is not None:
+            tables["scene"] = {
+                "luminance_cd_m2": numbers.background_cd_m2,
+                "background_electrons": float(f"{background:.6g}"),
+            }
+        return toml_text(tables, comment="\n".join(hints))
+
+    def xml(self) -> bytes:
+        """Return a result file of EMVA 1288."""
+        return emva_xml(self.noise.emva1288.xml_values())
+
+    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+        """Return the tables, the result file of EMVA 1288 and a table for a sensor."""
+        return {**super().files(), "emva.xml": self.xml(), "sensor_noise.toml": self.sensor_toml().encode()}
+
+    def snr(self, electrons: FloatArray, *, with_spatial: bool = False) -> FloatArray:
+        """Return the signal-to-noise ratio of a pixel by its mean number of electrons, η μ_p for μ_p photons.
+
+        EMVA 1288 release 4.0 linear: η μ_p / √(σ_d² + σ_q² / K² + η μ_p), and with the spatial parts DSNU² and
+        (PRNU η μ_p)² under the root.
+        """
+        numbers = self.noise.emva1288
+        variance = numbers.dark_noise**2 + numbers.rounding_variance_dn2 / numbers.system_gain**2 + electrons
+        if with_spatial:
+            variance = variance + numbers.dsnu**2 + (numbers.prnu / 100.0 * electrons) ** 2
+        return np.asarray(electrons / np.sqrt(variance))
+
+    def _draw_transfer(self, axes: Axes) -> None:
+        points, gain = self.noise.emva1288.points, self.noise.emva1288.system_gain
+        for is_fitted, face, label in ((True, COLOURS[0], "in the fit"), (False, PAPER, "beyond it")):
+            shown = [(one.signal_dn, one.variance_dn2) for one in points if one.is_fitted == is_fitted]
+            if shown:
+                axes.plot(*zip(*shown, strict=True), "o", color=COLOURS[0], mfc=face, markersize=4, label=label)
+        signal = np.array([0.0, max(one.signal_dn for one in points)])
+        axes.plot(signal, gain * signal, color=COLOURS[4], label=f"K = {plain(gain, 4)} DN/e⁻", zorder=1)
+        axes.set(xlabel="signal above dark (DN)", ylabel="variance above dark (DN²)")
+        most = max(one.variance_dn2 for one in points)
+        axes.set_ylim(min(0.0, *(one.variance_dn2 for one in points)) - 0.03 * most, 1.12 * most)
+        add_legend(axes)
+
+    def _draw_snr(self, axes: Axes) -> None:
+        numbers = self.noise.emva1288
+        # Without a quantum efficiency the abscissa is electrons; ideal is the camera that counts all of them.
+        per_photon = numbers.quantum_efficiency or 1.0
+        points = [one for one in numbers.points if one.signal_dn > 0.0 and not one.is_saturated]
+        x = np.array([one.signal_dn / numbers.system_gain / per_photon for one in points])
+        light = np.geomspace(SNR_SPAN[0] * x.min(), SNR_SPAN[1] * x.max(), 200)
+        axes.plot(light, np.sqrt(light), color=INK, ls=":", label="ideal: every photon counts")
+        axes.plot(light, self.snr(light * per_photon), color=COLOURS[0], label="temporal noise")
+        total = self.snr(light * per_photon, with_spatial=True)
+        axes.plot(light, total, color=COLOURS[4], ls="--", label="with DSNU and PRNU")
+        axes.plot(x, [one.snr or np.inf for one in points], "o", color=COLOURS[0], markersize=4, label="measured")
+        what = "electrons" if numbers.quantum_efficiency is None else "photons"
+        axes.set(xscale="log", yscale="log", xlabel=f"{what} of a pixel", ylabel="SNR")
+        plain_ticks(axes.yaxis, np.sqrt(light).tolist())
+        add_legend(axes)
 
 
 @repeatable
@@ -101,119 +320,143 @@ def emva_noise(
     '0.50 DN per electron, 4.0 electrons'
     """
     started = time.perf_counter()
-    from todframes.camera.emva import Stack, measure_emva
-    from todframes.camera.emva_result import emva_result
-
     if (descriptor is None) == (not len(bright) and not len(dark)):
-        found = "neither" if descriptor is None else "both"
-        raise SettingsError(f"noise: found {found} of a descriptor and bright and dark stacks, expected one")
+        given = "neither" if descriptor is None else "both"
+        raise SettingsError(f"noise: found {given} of a descriptor and bright and dark stacks, expected one")
     if bits is not None and not 1 <= bits <= 32:
         raise SettingsError(f"{argument.bits}: found {bits}, expected 1 to 32")
+    background = luminance = None
     if descriptor is not None:
-        of_bright, of_dark, bits = _described(Path(descriptor), bits, max_frame_mb)
-        name = str(descriptor)
+        of_bright, of_dark, described_bits = _described(Path(descriptor), max_frame_mb)
+        bits, name = described_bits if bits is None else bits, str(descriptor)
     else:
-        opened = [
+        films, covered = (
             [_opened(one, f"{what}[{number}]", max_frame_mb) for number, one in enumerate(stacks)]
             for what, stacks in (("bright", bright), ("dark", dark))
-        ]
-        if not all(opened):
-            missing = "dark" if opened[0] else "bright"
-            raise SettingsError(f"noise: found no {missing} stack, expected one or more")
+        )
+        if not films or not covered:
+            raise SettingsError(f"noise: found no {'dark' if films else 'bright'} stack, expected one or more")
+        name, has_chart = str(films[0].path), chart is not None
         if chart is not None:
-            return _of_chart(
-                Path(chart), *opened, exposure_ms=exposure_ms, photons=photons, bits=bits, region=region,
-                started=started, progress=progress,
-            )  # fmt: skip
-        exposures = _of_each(exposure_ms, len(bright), argument.exposure_ms)
-        lights = _of_each(photons, len(bright), argument.photons)
-        if len(dark) not in (1, len(bright)):
+            _check_for_chart(films, covered, region, photons)
+            from todframes.camera.filmed_page import view_of_camera_page
+
+            view = view_of_camera_page(films[0], Path(chart), needs_edges=True, progress=progress)
+            luminance = view.patches[0].level if view.is_luminance else None
+            exposures = _of_each(exposure_ms, 1, argument.exposure_ms)
+            films, covered = view.stacks(covered[0])
+            exposures *= len(films)
+        else:
+            exposures = _of_each(exposure_ms, len(bright), argument.exposure_ms)
+        lights = _of_each(photons, len(films), argument.photons)
+        if len(covered) not in (1, len(films)):
             raise SettingsError(
                 f"noise: found {len(dark)} dark stacks for {len(bright)} bright ones, expected one for all or one "
                 "for each"
             )
         of_bright = [
-            Stack(recording=one, exposure_ms=exposure, photons=light)
-            for one, exposure, light in zip(opened[0], exposures, lights, strict=True)
+            Stack(recording=film, exposure_ms=exposure, photons=light, is_levelled=has_chart)
+            for film, exposure, light in zip(films, exposures, lights, strict=True)
         ]
         of_dark = [
-            Stack(recording=one, exposure_ms=exposure) for one, exposure in zip(opened[1], exposures, strict=False)
+            Stack(recording=film, exposure_ms=exposure) for film, exposure in zip(covered, exposures, strict=False)
         ]
-        name = str(opened[0][0].path)
-    numbers, warnings = measure_emva(of_bright, of_dark, bits=bits, region=region, source=name, progress=progress)
-    return emva_result(numbers, warnings, started=started)
+        background = of_bright[0] if has_chart else None
+        # The frames of a chart have been counted when it was searched.
+        progress = None if has_chart else progress
+    numbers, warnings = measure_emva(
+        of_bright, of_dark, bits=bits, region=region, source=name, background=background, progress=progress
+    )
+    numbers = structs.replace(numbers, background_cd_m2=luminance)
+    of_codes = [ResultWarning(code=one.code, message=one.message) for one in warnings]
+    return Result.made("emva", started, warnings=of_codes, noise=as_read(EmvaKey(emva1288=numbers), EmvaKey))
 
 
-def _of_chart(
-    chart: Path,
-    bright: Sequence[Recording],
-    dark: Sequence[Recording],
-    *,
-    exposure_ms: Sequence[float],
-    photons: Sequence[float],
-    bits: int | None,
-    region: tuple[int, int, int, int] | None,
-    started: float,
-    progress: Progress | None,
-) -> Result[Emva]:
-    """Return the noise of a camera by the film of a chart's wedge, and a film with the lens covered."""
-    from todframes.camera.emva import Stack, measure_emva
-    from todframes.camera.emva_result import emva_result
-    from todframes.camera.filmed_page import view_of_camera_page
-
-    given = {argument.region: region, argument.photons: photons or None}
-    for name in (one for one, value in given.items() if value is not None):
-        raise SettingsError(f"{name}: is given with {argument.chart}, whose patches are measured, expected none")
-    for what, stacks in (("bright", bright), ("dark", dark)):
+def _check_for_chart(
+    films: Sequence[Recording], covered: Sequence[Recording], region: Box | None, photons: Sequence[float]
+) -> None:
+    """Raise SettingsError for what a chart determines, and unless there are one film of it and one dark one."""
+    for name, value in ((argument.region, region), (argument.photons, photons or None)):
+        if value is not None:
+            raise SettingsError(
+                f"{name}: is given with {argument.chart}, whose patches are measured, expected none"
+            )
+    for what, stacks in (("bright", films), ("dark", covered)):
         if len(stacks) != 1:
             raise SettingsError(
                 f"noise: found {len(stacks)} {what} recordings with {argument.chart}, expected one"
             )
-    exposure = _of_each(exposure_ms, 1, argument.exposure_ms)[0]
-    view = view_of_camera_page(bright[0], chart, needs_edges=True, progress=progress)
-    patches, covered = view.stacks(dark[0])
-    levelled = [Stack(recording=one, exposure_ms=exposure, is_levelled=True) for one in patches]
-    numbers, warnings = measure_emva(
-        levelled,
-        [Stack(recording=covered, exposure_ms=exposure)],
-        bits=bits,
-        source=str(bright[0].path),
-        background=levelled[0],
-    )
-    luminance = view.patches[0].level if view.is_luminance else None
-    return emva_result(structs.replace(numbers, background_cd_m2=luminance), warnings, started=started)
 
 
 def _opened(stack: PathLike | NDArray[Any], name: str, max_frame_mb: int) -> Recording:
     from todframes.recordings.opening import one_recording
 
-    found = one_recording(stack, "noise", max_frame_mb=max_frame_mb)
-    return replace(found, path=Path(name)) if isinstance(stack, np.ndarray) else found
+    recording = one_recording(stack, "noise", max_frame_mb=max_frame_mb)
+    return replace(recording, path=Path(name)) if isinstance(stack, np.ndarray) else recording
 
 
-def _described(path: Path, bits: int | None, max_frame_mb: int) -> tuple[list[Any], list[Any], int]:
-    """Return the bright and dark stacks of a descriptor, and the bits of a pixel."""
-    from todframes.camera.emva import Stack
-    from todframes.camera.emva_descriptor import read_descriptor
+def _described(path: Path, max_frame_mb: int) -> tuple[list[Stack], list[Stack], int]:
+    """Return the bright and dark stacks of a descriptor file, and the bits of a pixel.
+
+    It says which images belong to which exposure and light. A line begins with a letter: `v` version, `n` bits
+    width height, `b` exposure in ns and photons of bright images that follow, `d` exposure in ns of dark images
+    that follow, `i` the path of an image. Lines with # are comments. DataError names a line that is not so.
+    """
     from todframes.recordings.opening import open_recordings
 
-    described = read_descriptor(path)
-    stacks: tuple[list[Any], list[Any]] = ([], [])
-    for one in described.stacks:
-        if not one.images:
-            raise DataError(
-                f"{path}: found no images for an exposure of {one.exposure_ms:g} ms, expected 2 or more"
-            )
-        (recording,) = open_recordings(one.images, max_frame_mb=max_frame_mb)
-        if recording.shape != described.shape:
+    text = read_file(path, most_mb=MAX_DESCRIPTOR_MB).decode("utf-8", errors="replace")
+    folder = resolved(path.parent)
+    size: list[int] = []
+    described: list[tuple[float, float | None, list[Path]]] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        kind, *rest = line.split(maxsplit=1) or ["#"]
+        values, where = rest[0].strip() if rest else "", f"{path}: line {number}"
+        if kind.startswith("#"):
+            continue
+        if kind == "v":
+            if not values.startswith(KNOWN_VERSIONS):
+                raise DataError(f"{where}: found version {values[:20]!r}, expected one from 3 to 4")
+        elif kind == "n":
+            size = [round(one) for one in _numbers(where, line, "n bits width height", 3)]
+            if not 1 <= size[0] <= 32 or min(size) < 1:
+                raise DataError(f"{where}: found {values!r}, expected 1 to 32 bits, width and height > 0")
+        elif kind == "b":
+            exposure, photons = _numbers(where, line, "b exposure_ns photons", 2)
+            described.append((exposure / NS_PER_MS, photons, []))
+        elif kind == "d":
+            described.append((_numbers(where, line, "d exposure_ns", 1)[0] / NS_PER_MS, None, []))
+        elif kind == "i" and described:
+            described[-1][2].append(Path(str(path_inside(folder, values.replace("\\", "/"), where))))
+        else:
+            expected = "a line with b or d before it" if kind == "i" else "v, n, b, d, i or #"
+            raise DataError(f"{where}: found {line.strip()[:40]!r}, expected {expected}")
+    if not size:
+        raise DataError(
+            f"{path}: found no line 'n bits width height', expected one; is it a descriptor of EMVA 1288?"
+        )
+    bits, width, height = size
+    stacks: tuple[list[Stack], list[Stack]] = ([], [])
+    for exposure_ms, light, images in described:
+        if not images:
+            raise DataError(f"{path}: found no images for an exposure of {exposure_ms:g} ms, expected 2 or more")
+        (recording,) = open_recordings(images, max_frame_mb=max_frame_mb)
+        if recording.shape != (height, width):
             rows, columns = recording.shape
             raise DataError(
-                f"{recording.path}: has {columns} x {rows} pixels, expected {described.shape[1]} x "
-                f"{described.shape[0]} by {path}"
+                f"{recording.path}: has {columns} x {rows} pixels, expected {width} x {height} by {path}"
             )
-        stack = Stack(recording=recording, exposure_ms=one.exposure_ms, photons=one.photons)
-        stacks[one.photons is None].append(stack)
-    return *stacks, described.bits if bits is None else bits
+        stacks[light is None].append(Stack(recording=recording, exposure_ms=exposure_ms, photons=light))
+    return *stacks, bits
+
+
+def _numbers(where: str, line: str, form: str, n: int) -> list[float]:
+    try:
+        values = [float(part) for part in line.split()[1:]]
+    except ValueError:
+        values = []
+    if len(values) != n or not all(math.isfinite(one) and one >= 0.0 for one in values):
+        raise DataError(f"{where}: found {line.strip()[:40]!r}, expected {form}, numbers of 0 or more")
+    return values
 
 
 def _of_each(values: Sequence[float], n: int, name: str) -> list[float | None]:

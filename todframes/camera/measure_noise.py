@@ -1,25 +1,243 @@
-"""The call `noise`: three-dimensional noise of a recording."""
+"""The call `noise`, three-dimensional noise of a recording, and its result."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from msgspec import Struct, structs
 from numpy.typing import NDArray
 
-from todframes.base.errors import argument
+from todframes.base._typing import FloatArray, Json
+from todframes.base.errors import DataError, argument
 from todframes.base.reading import check_positive
 from todframes.base.safe_text import in_utf8
+from todframes.camera.noise3d import (
+    PARTS,
+    Drift,
+    FramePatch,
+    Noise3D,
+    NoisePart,
+    PatchNoise,
+    Transfer,
+    measure_noise,
+)
 from todframes.parameters import Box, ChartFile, FrameLimit, MilliKelvin, Numbers, PatchLevels, Progress, Rate
-from todframes.results.result import repeatable
+from todframes.results.data import Content, ResultWarning, as_read
+from todframes.results.figure import ReportFigure
+from todframes.results.figure_style import COLOURS, INK
+from todframes.results.result import Result, repeatable
+from todframes.results.table import Column, Table
+from todframes.results.wording import count, interval_phrase, path_name, plain
 
 if TYPE_CHECKING:
-    from todframes.camera.noise_result import RecordedNoise
+    from matplotlib.axes import Axes
+
     from todframes.parameters import PathLike
-    from todframes.results.result import Result
+
+VALUE_UNITS = {"code": "code values", "counts": "counts", "celsius": "°C"}
+
+SHOWN_PERCENTILES = (0.5, 99.5)
+"""Percentiles of an image that are shown darkest and brightest."""
+
+COMBINED = {"dynamic": "tv, th and tvh together", "fixed pattern": "v, h and vh together"}
+
+
+class Snr(Struct, frozen=True, kw_only=True):
+    """Signal-to-noise ratio of a pixel in the mean of some frames; None without noise."""
+
+    signal: float
+    frames: int
+    snr: float | None
+
+
+class NoiseNumbers(Struct, frozen=True, kw_only=True):
+    """The key `noise` of the result.
+
+    Attributes
+    ----------
+    recording, unit : str
+        Path of the recording, and the unit of its values: "code", "counts" or "celsius".
+    n_frames, frames_per_second
+        Number of frames, and their rate if it is known.
+    region : tuple of int
+        Part of the frame that was measured: left column, top row, width, height.
+    mean : float
+        Mean value.
+    parts : dict of NoisePart
+        The seven parts of the noise: t, v, h, tv, th, vh, tvh.
+    dynamic, fixed_pattern : NoisePart or None
+        tv, th and tvh together; v, h and vh together.
+    fixed_pattern_ratio : dict or None
+        Fixed pattern divided by dynamic noise: `ratio` and `ratio_ci95`.
+    drift : Drift or None
+        Drift of the mean.
+    mk_per_unit : float or None
+        Temperature difference in mK for one unit of the values.
+    snr : tuple of Snr
+        With `--signal`: the ratio for each difference of values.
+    patches, signal_transfer
+        With `--patch` or `--chart`: the patches, and the straight line through their means.
+    """
+
+    recording: str
+    unit: str
+    n_frames: int
+    frames_per_second: float | None
+    region: tuple[int, int, int, int]
+    mean: float
+    parts: dict[str, NoisePart]
+    dynamic: NoisePart | None
+    fixed_pattern: NoisePart | None
+    fixed_pattern_ratio: dict[str, Any] | None
+    drift: Drift | None
+    mk_per_unit: float | None
+    snr: tuple[Snr, ...]
+    patches: tuple[PatchNoise, ...]
+    signal_transfer: Transfer | None
+
+
+class RecordedNoise(Content, frozen=True, kw_only=True):
+    """The noise of a recording.
+
+    Attributes
+    ----------
+    noise : NoiseNumbers
+    measured : Noise3D or None
+        The measurement with its images; None for a result that was read.
+    """
+
+    noise: NoiseNumbers
+
+    measured: ClassVar[Noise3D | None] = None
+
+    @property
+    def name(self) -> str:
+        """Return the path of the recording."""
+        return self.noise.recording
+
+    def tables(self) -> list[Table]:
+        """List the parts of the noise, then the signal-to-noise ratios and the patches that were asked for."""
+        noise, title = self.noise, f"Noise of {path_name(self.noise.recording)}"
+        named, meanings = dict(noise.parts), PARTS | COMBINED
+        if noise.dynamic is not None and noise.fixed_pattern is not None:
+            named |= {"dynamic": noise.dynamic, "fixed pattern": noise.fixed_pattern}
+        else:
+            meanings = {name: f"{PARTS[name]} and from frame to frame" for name in named}
+        records = [
+            {"part": name, "meaning": meanings[name], "sd": one.sd, "sd_ci95": one.ci95, "sd_mk": one.sd_mk}
+            for name, one in named.items()
+        ]
+        columns = [
+            Column(key="part", is_name=True),
+            Column(key="sd", header=f"SD ({VALUE_UNITS[noise.unit]})"),
+            Column(key="sd_ci95", header="95 % interval", interval="sd_ci95"),
+            Column(key="sd_mk", header="SD (mK)"),
+            Column(key="meaning", rank=1, wraps=True),
+        ]
+        tables = [Table.of(title, "noise.csv", columns, records).without_empty_columns()]
+        if noise.snr:
+            ratios = [structs.asdict(one) for one in noise.snr]
+            columns = [Column(key="signal"), Column(key="frames", header="frames averaged")]
+            columns.append(Column(key="snr", header="SNR"))
+            tables.append(Table.of("Signal-to-noise ratio of a pixel", "snr.csv", columns, ratios))
+        if noise.patches:
+            patches: list[Json] = [
+                {"level": one.level, "mean": one.mean, "snr": one.snr}
+                | {"dynamic": one.dynamic and one.dynamic.sd, "fixed_pattern": one.fixed and one.fixed.sd}
+                for one in noise.patches
+            ]
+            headers = {"dynamic": "dynamic SD", "fixed_pattern": "fixed SD", "snr": "SNR against the first"}
+            columns = [Column(key=key, header=headers.get(key, "")) for key in ("level", "mean", *headers)]
+            tables.append(Table.of("Patches", "patches.csv", columns, patches))
+        return tables
+
+    def sentences(self) -> list[str]:
+        """Return the findings in words."""
+        noise, unit = self.noise, VALUE_UNITS[self.noise.unit]
+        if noise.dynamic is not None and noise.fixed_pattern is not None:
+            dynamic, fixed = map(self._with_unit, (noise.dynamic, noise.fixed_pattern))
+            texts = [f"Noise of a pixel: dynamic {dynamic}, fixed pattern {fixed}."]
+        else:
+            texts = [f"Spatial noise of a pixel: {self._with_unit(noise.parts['vh'])}."]
+        texts.append(f"Mean {plain(noise.mean, 5)} {unit} in {count(noise.n_frames, 'frame')}.")
+        if noise.drift is not None:
+            per = "s" if noise.frames_per_second is not None else "frame"
+            texts.append(
+                f"Drift of the mean: {plain(noise.drift.slope)} ± {plain(noise.drift.slope_error, 2)} per {per}, "
+                f"{plain(noise.drift.change)} in all."
+            )
+        if (transfer := noise.signal_transfer) is not None:
+            error = "" if transfer.gain_error is None else f" ± {plain(transfer.gain_error, 2)}"
+            texts.append(
+                f"Signal transfer: {plain(transfer.gain, 4)}{error} {unit} per unit of level; patches deviate "
+                f"from a straight line by up to {plain(100 * transfer.nonlinearity, 2)} % of its range."
+            )
+        return texts
+
+    def figures(self) -> list[ReportFigure]:
+        """List the parts; of a new measurement also means of frames, mean image and temporal noise of pixels."""
+        figures = [ReportFigure("Parts of the noise", "With 95 % intervals.", self._draw_parts, "noise.png")]
+        if (measured := self.measured) is None:
+            return figures
+        unit = VALUE_UNITS[measured.unit]
+        images = {"mean": ("Mean of each pixel", measured.mean_image)}
+        if measured.temporal_sd is not None:
+            images["temporal_sd"] = ("SD of each pixel from frame to frame", measured.temporal_sd)
+            draw = partial(_draw_means, measured=measured)
+            figures.append(ReportFigure("Mean of each frame", "", draw, "frame_means.png"))
+        for file, (title, image) in images.items():
+            figures.append(ReportFigure(title, "", partial(_draw_image, image=image, unit=unit), f"{file}.png"))
+        return figures
+
+    def sensor_toml(self) -> str:
+        """Return the table `[noise]` of a SENSOR.toml for a camera with this noise.
+
+        Raises
+        ------
+        DataError
+            If there is one frame, no noise from frame to frame, or the result was read from a file.
+        """
+        if self.measured is None:
+            raise DataError("noise: the result was read from a file, whose folder has sensor_noise.toml")
+        return self.measured.sensor_toml(mk_per_unit=self.noise.mk_per_unit)
+
+    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+        """Return the tables, and a table for a sensor if dynamic noise is known."""
+        dynamic = None if self.measured is None else self.measured.dynamic
+        known = dynamic is not None and dynamic.variance > 0
+        return {**super().files(), **({"sensor_noise.toml": self.sensor_toml().encode()} if known else {})}
+
+    def _with_unit(self, part: NoisePart) -> str:
+        text = f"{plain(part.sd)} ({interval_phrase(part.ci95, 3)}) {VALUE_UNITS[self.noise.unit]}"
+        return text if part.sd_mk is None else f"{text} = {plain(part.sd_mk)} mK"
+
+    def _draw_parts(self, axes: Axes) -> None:
+        names, parts = list(self.noise.parts), self.noise.parts.values()
+        sd, ends = np.array([one.sd for one in parts]), np.array([one.ci95 for one in parts])
+        errors = np.maximum([sd - ends[:, 0], np.minimum(ends[:, 1], 3 * sd.max()) - sd], 0.0)
+        axes.bar(names, sd, color=COLOURS[0], width=0.6)
+        axes.errorbar(names, sd, yerr=errors, fmt="none", ecolor=INK, elinewidth=1.0, capsize=3)
+        axes.set(ylabel=f"SD ({VALUE_UNITS[self.noise.unit]})")
+
+
+def _draw_means(axes: Axes, measured: Noise3D) -> None:
+    rate = measured.frames_per_second
+    times = np.arange(measured.n_frames) / (rate or 1.0)
+    axes.plot(times, measured.frame_means, ".", markersize=3, color=COLOURS[1])
+    axes.set(xlabel="time (s)" if rate else "frame", ylabel=VALUE_UNITS[measured.unit])
+    axes.ticklabel_format(useOffset=False)
+
+
+def _draw_image(axes: Axes, image: FloatArray, unit: str) -> None:
+    low, high = np.percentile(image, SHOWN_PERCENTILES)
+    shown = axes.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
+    axes.grid(visible=False)
+    axes.figure.colorbar(shown, ax=axes, label=unit, format="%.5g")
 
 
 @repeatable
@@ -91,26 +309,54 @@ def noise(
     '2.0 from frame to frame, 1.0 fixed'
     """
     started = time.perf_counter()
-    from todframes.camera.noise3d import FramePatch, measure_noise
-    from todframes.camera.noise_result import noise_result
     from todframes.recordings.opening import one_recording
     from todframes.recordings.radiometric import mk_per_count_of
 
     if mk_per_count is not None:
         check_positive(argument.mk_per_count, mk_per_count)
-    found = one_recording(recording, "noise", frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
-    levels = [FramePatch(place, float(level)) for place, level in (patches or {}).items()]
-    shows = found
+    whole = one_recording(recording, "noise", frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
+    levels = [FramePatch(patch, float(level)) for patch, level in (patches or {}).items()]
+    shown = whole
     if chart is not None:
         from todframes.camera.filmed_page import view_of_camera_page
 
-        view = view_of_camera_page(found, Path(chart), progress=progress)
-        shows, levels = view.recording, [*levels, *view.patches]
-        region = region or max((one.region for one in levels), key=lambda place: place[2] * place[3])
-    measured = measure_noise(shows, region=region, patches=levels, progress=progress)
+        view = view_of_camera_page(whole, Path(chart), progress=progress)
+        shown, levels = view.recording, [*levels, *view.patches]
+        region = region or max((one.region for one in levels), key=lambda box: box[2] * box[3])
+    measured = measure_noise(shown, region=region, patches=levels, progress=progress)
     if mk_per_count is None:
-        mk_per_count = mk_per_count_of(found, measured.mean)
-    signals = tuple(np.atleast_1d(np.asarray(signal, np.float64)).tolist())
-    return noise_result(
-        measured, in_utf8(str(found.path)), mk_per_unit=mk_per_count, signals=signals, started=started
-    )
+        mk_per_count = mk_per_count_of(whole, measured.mean)
+    per_unit = 1000.0 if measured.unit == "celsius" else mk_per_count
+
+    def in_mk(part: NoisePart | None) -> NoisePart | None:
+        return part if part is None or per_unit is None else structs.replace(part, sd_mk=part.sd * per_unit)
+
+    ratio = None
+    if measured.dynamic is not None and measured.dynamic.variance > 0:
+        ratio = measured.fixed_pattern_ratio
+    numbers = {
+        "recording": in_utf8(str(whole.path)),
+        "unit": measured.unit,
+        "n_frames": measured.n_frames,
+        "frames_per_second": measured.frames_per_second,
+        "region": measured.region,
+        "mean": measured.mean,
+        "parts": {name: in_mk(one) for name, one in measured.parts.items()},
+        "dynamic": in_mk(measured.dynamic),
+        "fixed_pattern": in_mk(measured.fixed),
+        "fixed_pattern_ratio": None if ratio is None else {"ratio": ratio.sd, "ratio_ci95": ratio.ci95},
+        "drift": measured.drift,
+        "mk_per_unit": mk_per_count,
+        "snr": [
+            {"signal": each, "frames": n, "snr": measured.snr(each, frames=n)}
+            for each in np.atleast_1d(np.asarray(signal, np.float64)).tolist()
+            for n in dict.fromkeys((1, measured.frames_integrated))
+        ],
+        "patches": [
+            structs.replace(one, dynamic=in_mk(one.dynamic), fixed=in_mk(one.fixed)) for one in measured.patches
+        ],
+        "signal_transfer": measured.transfer,
+    }
+    warnings = [ResultWarning(code=one.code, message=one.message) for one in measured.warnings]
+    made = Result.made("noise", started, warnings=warnings, noise=as_read(numbers, NoiseNumbers))
+    return made.holding(measured=measured)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
@@ -55,15 +56,16 @@ Combination = Mapping[str, float]
 """Weights of mean squares, by the name of the part."""
 
 
-class NoisePart(NamedTuple):
-    """The standard deviation of a part of the noise with a 95 % interval, and the variance that it is the root of.
+class NoisePart(Struct, frozen=True, omit_defaults=True):
+    """A part of the noise: standard deviation, its 95 % interval, variance, and in mK if that is known.
 
     An unbiased estimate of a variance can be below zero; then `sd` is 0.
     """
 
     sd: float
-    ci95: tuple[float, float]
+    ci95: tuple[float, float] = field(name="sd_ci95")
     variance: float
+    sd_mk: float | None = None
 
 
 class FramePatch(NamedTuple):
@@ -73,21 +75,21 @@ class FramePatch(NamedTuple):
     level: float
 
 
-class PatchNoise(NamedTuple):
+class PatchNoise(Struct, frozen=True):
     """Mean and noise of a patch, and the ratio of its difference from the first patch to that noise."""
 
     level: float
     mean: float
     dynamic: NoisePart | None
     fixed: NoisePart | None
-    snr: float
+    snr: float | None
 
 
-class Transfer(NamedTuple):
+class Transfer(Struct, frozen=True):
     """The straight line through the means of patches: values for a difference of one in level, and at level zero.
 
     Errors are standard errors from the scatter about the line, None for two patches. `nonlinearity` is the largest
-    distance from the line, relative to the range of the means.
+    distance from the line, relative to the range of the means; 0 if they are all the same.
     """
 
     gain: float
@@ -96,7 +98,7 @@ class Transfer(NamedTuple):
     nonlinearity: float
 
 
-class Drift(NamedTuple):
+class Drift(Struct, frozen=True):
     """The straight line through the means of frames: its slope per second, or per frame if there are no times.
 
     `change` is that from the first frame to the last; errors are standard errors.
@@ -110,31 +112,12 @@ class Drift(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Noise3D:
-    """Three-dimensional noise of a recording, in units of its values.
+    """Three-dimensional noise of a recording, in units of its values: "code", "counts" or "celsius".
 
-    Attributes
-    ----------
-    n_frames : int
-    region : (int, int, int, int)
-        Left column, top row, width and height of what was measured.
-    mean : float
-    parts : dict of NoisePart
-        By the names in `PARTS`; of a single frame only v, h and vh, and vh contains tvh.
-    dynamic, fixed : NoisePart or None
-        Noise of a pixel from frame to frame (tv, th, tvh together), and its fixed pattern (v, h, vh). None for a
-        single frame, where they cannot be separated.
-    drift : Drift or None
-        None with fewer than three frames.
-    frames_per_second : float or None
-    mean_image, temporal_sd : ndarray (rows, columns)
-        Mean and standard deviation of each pixel over the frames; the latter is None for a single frame.
-    frame_means : ndarray (n_frames,)
-    unit : str
-        "code", "counts" or "celsius".
-    patches : tuple of PatchNoise
-    transfer : Transfer or None
-        Signal transfer; None without patches.
-    warnings : tuple of RecordingWarning
+    `region` is left column, top row, width and height of what was measured. `parts` have the names in `PARTS`; of
+    a single frame only v, h and vh, and vh contains tvh. `dynamic` (tv, th, tvh together) and `fixed` (v, h, vh)
+    are None for a single frame, where they cannot be separated, and so is `temporal_sd`, the standard deviation of
+    each pixel over the frames; `drift` is None with fewer than three frames, `transfer` without patches.
     """
 
     n_frames: int
@@ -160,13 +143,7 @@ class Noise3D:
 
     @property
     def fixed_pattern_ratio(self) -> NoisePart:
-        """Static divided by dynamic standard deviation, `variance` being its square; see `NoisePart`.
-
-        Raises
-        ------
-        DataError
-            If there is one frame, or no noise from frame to frame.
-        """
+        """Static divided by dynamic standard deviation, `variance` being its square. Errors as `sensor_toml`."""
         dynamic, fixed = self._both()
         # The ends of two independent intervals in opposite directions, added in squares on a logarithmic scale.
         ratio, (low, high) = fixed.sd / dynamic.sd, fixed.ci95
@@ -183,9 +160,9 @@ class Noise3D:
         Those whose interval begins at 0 are left out. Together they are no more than the whole.
         """
         dynamic, _ = self._both()
-        found = {key: self.parts[part].sd / dynamic.sd for key, part in names if self.parts[part].ci95[0] > 0.0}
-        scale = min(1.0, whole / math.hypot(*found.values())) if found else 1.0
-        return {key: float(f"{scale * ratio:.6g}") for key, ratio in found.items()}
+        ratios = {key: self.parts[part].sd / dynamic.sd for key, part in names if self.parts[part].ci95[0] > 0.0}
+        scale = min(1.0, whole / math.hypot(*ratios.values())) if ratios else 1.0
+        return {key: float(f"{scale * ratio:.6g}") for key, ratio in ratios.items()}
 
     def _both(self) -> tuple[NoisePart, NoisePart]:
         """Return the dynamic noise, which is not zero, and the fixed pattern; DataError if they are not known."""
@@ -211,16 +188,9 @@ class Noise3D:
     def sensor_toml(self, *, mk_per_unit: float | None = None) -> str:
         """Return the table `[noise]` of a SENSOR.toml for a camera with this noise.
 
-        Parameters
-        ----------
-        mk_per_unit : float, optional
-            Temperature difference in mK for a difference of one in the values. Not needed for temperatures; if it
-            is not known, there is no `netd_mk`.
-
-        Raises
-        ------
-        DataError
-            If there is one frame, or no noise from frame to frame.
+        `mk_per_unit` is the temperature difference in mK for a difference of one in the values. It is not needed
+        for temperatures; if it is not known, there is no `netd_mk`. DataError if there is one frame, or no noise
+        from frame to frame.
         """
         dynamic, _ = self._both()
         per_unit = 1000.0 if self.unit == "celsius" else mk_per_unit
@@ -250,31 +220,15 @@ def measure_noise(
 ) -> Noise3D:
     """Measure the three-dimensional noise of a recording of a scene that does not move.
 
-    The frames are read once. Memory grows by one number for each frame only.
-
-    Parameters
-    ----------
-    recording : Recording
-    region : (int, int, int, int), optional
-        Left column, top row, width and height in pixels. Default: all.
-    patches : sequence of FramePatch
-        Regions of known levels, which give the signal transfer and a signal-to-noise ratio for each level.
-    progress : function of two ints, optional
-        Called with the number of frames that are done, and of all, None if that is not known.
-
-    Raises
-    ------
-    SettingsError
-        If a region is not within the frame, or has fewer than 2 rows or columns; or if the levels of patches are
-        all the same.
-    DataError
-        If a frame cannot be read.
+    Patches of known levels give the signal transfer and a signal-to-noise ratio for each level. The frames are
+    read once. Memory grows by one number for each frame only. SettingsError for a region that is not within the
+    frame or has fewer than 2 rows or columns, and for levels of patches that are all the same.
     """
     levels = {one.level for one in patches}
     if patches and (len(levels) < 2 or not all(map(math.isfinite, levels))):
         raise SettingsError(f"patches: found levels {sorted(levels)}, expected at least two different numbers")
-    places = [checked_region(recording, one) for one in (region, *(patch.region for patch in patches))]
-    gathered = [_Gathered(place) for place in places]
+    regions = (region, *(patch.region for patch in patches))
+    gathered = [_Gathered(checked_region(recording, one)) for one in regions]
     times: list[float | None] = []
     for frame in counted(recording.frames(), recording.n_frames, progress):
         times.append(frame.time_s)
@@ -350,21 +304,17 @@ def combinations(n_frames: int, n_rows: int, n_columns: int) -> dict[str, Combin
     if t == 1:
         return {"v": {"v": 1 / h, "vh": -1 / h}, "h": {"h": 1 / v, "vh": -1 / v}, "vh": {"vh": 1.0}}
     return {
-        "t": _scaled({"t": 1, "tv": -1, "th": -1, "tvh": 1}, v * h),
-        "v": _scaled({"v": 1, "tv": -1, "vh": -1, "tvh": 1}, t * h),
-        "h": _scaled({"h": 1, "th": -1, "vh": -1, "tvh": 1}, t * v),
-        "tv": _scaled({"tv": 1, "tvh": -1}, h),
-        "th": _scaled({"th": 1, "tvh": -1}, v),
-        "vh": _scaled({"vh": 1, "tvh": -1}, t),
+        "t": {"t": 1 / v / h, "tv": -1 / v / h, "th": -1 / v / h, "tvh": 1 / v / h},
+        "v": {"v": 1 / t / h, "tv": -1 / t / h, "vh": -1 / t / h, "tvh": 1 / t / h},
+        "h": {"h": 1 / t / v, "th": -1 / t / v, "vh": -1 / t / v, "tvh": 1 / t / v},
+        "tv": {"tv": 1 / h, "tvh": -1 / h},
+        "th": {"th": 1 / v, "tvh": -1 / v},
+        "vh": {"vh": 1 / t, "tvh": -1 / t},
         "tvh": {"tvh": 1.0},
     }
 
 
-def _scaled(weights: Combination, divisor: int) -> Combination:
-    return {name: weight / divisor for name, weight in weights.items()}
-
-
-def added(weights: list[Combination]) -> Combination:
+def added(weights: Sequence[Combination]) -> Combination:
     """Return the sum of combinations."""
     names = dict.fromkeys(name for one in weights for name in one)
     return {name: sum(one.get(name, 0.0) for one in weights) for name in names}
@@ -409,7 +359,7 @@ def fit_transfer(levels: Sequence[float], means: Sequence[float]) -> Transfer:
     x, y = np.array(levels, np.float64), np.array(means, np.float64)
     gain, error, rest = _straight_line(x, y)
     reach = float(np.ptp(y))
-    nonlinearity = float(np.abs(rest).max()) / reach if reach > 0 else math.inf
+    nonlinearity = float(np.abs(rest).max()) / reach if reach > 0 else 0.0
     return Transfer(gain, error if len(x) > 2 else None, float(y.mean() - gain * x.mean()), nonlinearity)
 
 

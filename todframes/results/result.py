@@ -81,13 +81,13 @@ KINDS = {
     ),
     "noise": Kind(
         "Noise of a camera",
-        "todframes.camera.noise_result:RecordedNoise",
+        "todframes.camera.measure_noise:RecordedNoise",
         "noise",
         "todframes.camera.measure_noise:noise",
     ),
     "emva": Kind(
         "Noise of a camera by EMVA 1288",
-        "todframes.camera.emva_result:Emva",
+        "todframes.camera.measure_emva:Emva",
         "noise",
         "todframes.camera.measure_emva:emva_noise",
     ),
