@@ -8,10 +8,10 @@ from .base.errors import SettingsError as SettingsError
 from .base.errors import TodframesError as TodframesError
 from .camera.measure_emva import Emva as Emva
 from .camera.measure_emva import emva_noise as emva_noise
+from .camera.measure_mtf import Mtf as Mtf
 from .camera.measure_mtf import mtf as mtf
 from .camera.measure_noise import RecordedNoise as RecordedNoise
 from .camera.measure_noise import noise as noise
-from .camera.mtf_result import Mtf as Mtf
 from .charts.layout import Chart as Chart
 from .charts.making import chart as chart
 from .display.display import Display as Display

@@ -110,12 +110,7 @@ class EdgeValue(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MtfBand:
-    """An MTF at `FREQUENCY_CYC_PER_PIXEL` with its 95 % band, point by point.
-
-    Attributes
-    ----------
-    mtf, lower, upper : ndarray (65,)
-    """
+    """An MTF at `FREQUENCY_CYC_PER_PIXEL` with its 95 % band, point by point: shapes (65,)."""
 
     mtf: FloatArray
     lower: FloatArray
@@ -141,25 +136,12 @@ class MtfBand:
 class EdgeMtf(MtfBand):
     """The MTF across one edge, and the edge.
 
-    Attributes
-    ----------
-    box : (int, int, int, int)
-        Left column, top row, width and height of the pixels that were used.
-    centre_px : (float, float)
-        A point of the edge, x and y; (0, 0) is the centre of the frame's first pixel.
-    normal_deg : float
-        Direction in which the MTF is measured, from dark to bright: 0 is right, 90 is down.
-    bend_px : float
-        Largest distance of the edge from a straight line.
-    dark, bright : float
-        Levels beside the edge, in units of the values.
-    noise_sd : float
-        Standard deviation of a pixel from the fitted edge, in units of the values.
-    overshoot, undershoot : EdgeValue
-        How far the profile, averaged over one pixel, goes beyond the bright and the dark level, relative to the
-        contrast; 0 where it stays between them.
-    distance_px, profile : ndarray (n,)
-        The fitted edge profile: 0 is the dark level, 1 the bright one.
+    `centre_px` is a point of the edge, (x, y); (0, 0) is the centre of the frame's first pixel. `normal_deg` is
+    the direction in which the MTF is measured, from dark to bright: 0 is right, 90 is down. `bend_px` is the
+    largest distance of the edge from a straight line. The levels beside the edge, and the standard deviation of a
+    pixel from the fitted edge, are in units of the values. Overshoot and undershoot say how far the profile,
+    averaged over one pixel, goes beyond both levels, relative to the contrast; 0 where it stays between them. In
+    the fitted profile, shape (n,), 0 is the dark level and 1 the bright one.
     """
 
     box: Box
@@ -184,8 +166,6 @@ class EdgeMtf(MtfBand):
 
         A regular stair, averaged along the edge, is a straight edge whose light is spread evenly over one step.
         """
-        if step_px == 0.0:
-            return self
         of_steps = np.sinc(step_px * FREQUENCY_CYC_PER_PIXEL)
         return replace(self, mtf=self.mtf / of_steps, lower=self.lower / of_steps, upper=self.upper / of_steps)
 
@@ -206,24 +186,12 @@ def mean_band(bands: Sequence[MtfBand]) -> MtfBand:
 
 
 def measure_edge(image: FloatArray, box: Box, *, saturated: NDArray[np.bool_] | None = None) -> EdgeMtf:
-    """Measure the MTF across the one edge in a box.
+    """Measure the MTF across the one edge in a box: left column, top row, width and height.
 
-    Parameters
-    ----------
-    image : ndarray (rows, columns)
-        Values proportional to light.
-    box : (int, int, int, int)
-        Left column, top row, width and height.
-    saturated : ndarray of bool (rows, columns), optional
-        Whether a pixel was at an end of its scale.
-
-    Raises
-    ------
-    SettingsError
-        If the box is not in the image, or smaller than `LEAST_SIDE_PX`.
-    DataError
-        If there is no edge, it is saturated, too upright for a finely sampled profile or not smooth, or noise
-        leaves MTF50 uncertain by more than a quarter.
+    The values of the image are proportional to light; `saturated` says whether a pixel was at an end of its scale.
+    SettingsError if the box is not in the image or smaller than `LEAST_SIDE_PX`; DataError if there is no edge, it
+    is saturated, too upright for a finely sampled profile or not smooth, or noise leaves MTF50 uncertain by more
+    than a quarter.
     """
     left, top, width, height = box
     rows, columns = image.shape
@@ -241,17 +209,17 @@ def measure_edge(image: FloatArray, box: Box, *, saturated: NDArray[np.bool_] | 
                 f"{where}{100 * share:.0f} % of the pixels are at an end of the scale: the edge is saturated and "
                 "its MTF is lost; change exposure or gain"
             )
-    found = _fitted(values, _fitted_curve(values, where), box, where)
-    mtf50 = found.mtf50_cyc_per_pixel
+    edge = _fitted(values, _fitted_curve(values, where), box, where)
+    mtf50 = edge.mtf50_cyc_per_pixel
     if mtf50 is not None:
         low, high = mtf50.ci95
         if low is None or high is None or high - low > 2 * LARGEST_ERROR * mtf50.value:
             ends = f"{low or 0:.2g} to {'above 1' if high is None else f'{high:.2g}'}"
             raise DataError(
-                f"{where}noise of {100 * found.relative_noise:.1f} % of the contrast leaves MTF50 at {ends} "
+                f"{where}noise of {100 * edge.relative_noise:.1f} % of the contrast leaves MTF50 at {ends} "
                 "cycles/pixel, expected an interval within a quarter of it; average frames, or use a longer edge"
             )
-    return found
+    return edge
 
 
 class _Curve(NamedTuple):
@@ -290,18 +258,16 @@ def _fitted_curve(values: FloatArray, where: str) -> _Curve:
     from scipy.ndimage import gaussian_filter
 
     smooth_px = 1.5  # a gradient's noise is then 3 % of that of pixels
-    slopes = [gaussian_filter(values, smooth_px, order=one, mode="nearest") for one in ((0, 1), (1, 0))]
-    squares = slopes[0] ** 2 + slopes[1] ** 2
+    gx, gy = (gaussian_filter(values, smooth_px, order=order, mode="nearest") for order in ((0, 1), (1, 0)))
+    squares = gx**2 + gy**2
     if not squares.max() > 0.0:
         raise DataError(f"{where}found no edge: all values are the same")
-    places = np.indices(values.shape).astype(np.float64)
-    y, x = places[0], places[1]
+    y, x = np.meshgrid(*(np.arange(n, dtype=np.float64) for n in values.shape), indexing="ij")
     # The direction of the steepest slopes: the principal axis of the structure tensor.
-    gx, gy = slopes
     jxx, jyy, jxy = (float((squares * one * other).sum()) for one, other in ((gx, gx), (gy, gy), (gx, gy)))
     angle = 0.5 * math.atan2(2 * jxy, jxx - jyy)
     normal = (math.cos(angle), math.sin(angle))
-    if float((squares * (slopes[0] * normal[0] + slopes[1] * normal[1])).sum()) < 0.0:
+    if float((squares * (gx * normal[0] + gy * normal[1])).sum()) < 0.0:
         normal = (-normal[0], -normal[1])
     weight = squares**2
     start = (float((weight * x).sum() / weight.sum()), float((weight * y).sum() / weight.sum()))
@@ -309,7 +275,7 @@ def _fitted_curve(values: FloatArray, where: str) -> _Curve:
     reach_px = max(values.shape) / 3.0
     for n_done in range(12):
         distance, s = curve.distance(x, y)
-        rising = np.maximum(slopes[0] * curve.normal[0] + slopes[1] * curve.normal[1], 0.0)
+        rising = np.maximum(gx * curve.normal[0] + gy * curve.normal[1], 0.0)
         weight = rising**2 * np.exp(-0.5 * (distance / reach_px) ** 2)
         if not weight.sum() > 0.0:
             raise DataError(f"{where}found no edge that follows a smooth curve, expected one that is straight")
@@ -330,16 +296,9 @@ def _fitted_curve(values: FloatArray, where: str) -> _Curve:
 class _Esf(NamedTuple):
     """Pixels sorted by their distance from the edge, and their means in bins.
 
-    Attributes
-    ----------
-    distance, along, residual : ndarray (n_pixels,)
-        Place of each pixel that is used, and what is left of its value without its bin's mean and slope.
-    bins : ndarray (n_pixels,)
-        Bin of each pixel.
-    nodes, means, counts, slopes : ndarray (n_bins,)
-        Mean distance and value, number of pixels and slope of the profile.
-    blur_px : float
-        Standard deviation of the distances in a bin at the edge.
+    Of each pixel that is used: its coordinates, its bin, and what is left of its value without the bin's mean and
+    slope, shape (n_pixels,). Of each bin: mean distance and value, number of pixels and slope of the profile,
+    shape (n_bins,). `blur_px` is the standard deviation of the distances in a bin at the edge.
     """
 
     distance: FloatArray
@@ -411,7 +370,7 @@ def _levels(esf: _Esf, tail_px: float, terms: Sequence[int]) -> FloatArray:
 class _Profile(NamedTuple):
     """An edge profile: values at distances, and how they and their terms follow from the means of the bins."""
 
-    places: FloatArray
+    distances: FloatArray
     values: FloatArray
     levels: FloatArray
 
@@ -588,13 +547,13 @@ def _transform(profile: _Profile, uniform_px: float, blur_px: float) -> ComplexA
     from scipy.special import sici
 
     frequency = FREQUENCY_CYC_PER_PIXEL
-    width, middle = np.diff(profile.places), (profile.places[1:] + profile.places[:-1]) / 2.0
+    width, middle = np.diff(profile.distances), (profile.distances[1:] + profile.distances[:-1]) / 2.0
     of_width = np.sinc(np.outer(frequency, width))
     is_uniform = (np.abs(middle) < uniform_px) & (width < 1.0)
     waves = np.exp(-2j * np.pi * np.outer(frequency, middle)) * np.where(
         is_uniform, 1.0 / np.maximum(of_width, 0.1), of_width
     )
-    end_px, omega = profile.places[-1], 2 * np.pi * frequency
+    end_px, omega = profile.distances[-1], 2 * np.pi * frequency
     of_tail = 2 * (np.cos(omega * end_px) / end_px - omega * (np.pi / 2 - sici(omega * end_px)[0]))
     found = waves @ np.diff(profile.values, axis=0) + np.outer(of_tail, profile.levels[TAIL])
     # A bin's mean is that of a profile blurred by the distances in it.
@@ -619,9 +578,9 @@ def _edge_mtf(esf: _Esf, profile: _Profile, uniform_px: float, curve: _Curve, bo
     mtf, lower, upper = _without_noise(np.abs(ratio), error(derivative.real), error(derivative.imag))
     # How far means over a pixel go beyond both levels.
     n_in_pixel = 20
-    end = math.floor(profile.places[-1] * n_in_pixel)
+    end = math.floor(profile.distances[-1] * n_in_pixel)
     grid = np.arange(-end, end + 1) / n_in_pixel
-    at_grid = make_interp_spline(profile.places, profile.values - levels[DARK], k=1)(grid) / contrast
+    at_grid = make_interp_spline(profile.distances, profile.values - levels[DARK], k=1)(grid) / contrast
     sums = np.cumsum(at_grid, 0)
     in_pixels = (sums[n_in_pixel:] - sums[:-n_in_pixel]) / n_in_pixel
     level = in_pixels @ means
@@ -647,7 +606,7 @@ def _edge_mtf(esf: _Esf, profile: _Profile, uniform_px: float, curve: _Curve, bo
         noise_sd=float(esf.residual.std()),
         overshoot=beyond(int(np.argmax(level)), 1.0, 1.0),
         undershoot=beyond(int(np.argmin(level)), 0.0, -1.0),
-        distance_px=profile.places,
+        distance_px=profile.distances,
         profile=(profile.values @ means - dark) / contrast,
     )
 

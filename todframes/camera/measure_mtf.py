@@ -1,25 +1,327 @@
-"""The call `mtf`: the MTF of a camera from slanted edges in a recording, or a table of an MTF."""
+"""The call `mtf`, the MTF of a camera from slanted edges in a recording or a table of an MTF, and its result."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from msgspec import Struct, structs
 from numpy.typing import NDArray
 
-from todframes.base.errors import SettingsError, argument
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.safe_text import in_utf8
+from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, EdgeMtf
+from todframes.camera.mtf_table import (
+    MAPPER_PER_CYC_PER_PIXEL,
+    RADIAL,
+    FrequencyUnit,
+    MapperEdge,
+    MtfTable,
+    is_table,
+    mtf50_of,
+    read_mtf_mapper,
+    read_mtf_table,
+)
+from todframes.camera.slanted_edges import LUMA, PlacedEdge, RecordingMtf, measure_mtf
 from todframes.parameters import Box, ChartFile, DisplayName, FrameLimit, Progress
-from todframes.results.result import repeatable
+from todframes.recordings.recording import RecordingWarning
+from todframes.results.data import Content, ResultWarning, as_read
+from todframes.results.figure import ReportFigure
+from todframes.results.figure_style import COLOURS, INK
+from todframes.results.mtf_figure import MtfLine, draw_mtf
+from todframes.results.result import Result, repeatable
+from todframes.results.table import Column, Table
+from todframes.results.wording import count, interval_phrase, path_name, plain
 
 if TYPE_CHECKING:
-    from todframes.camera.mtf_result import Mtf
+    from matplotlib.axes import Axes
+
     from todframes.display.display import Display
     from todframes.parameters import PathLike
-    from todframes.results.result import Result
+
+UNITS: dict[FrequencyUnit, str] = {
+    "cyc_per_pixel": "cycles/pixel",
+    "cyc_per_mrad": "cycles/mrad",
+    "cyc_per_mm": "cycles/mm",
+}
+
+NYQUIST_CYC_PER_PIXEL = 0.5
+
+LINE_COLOURS = {"red": COLOURS[5], "green": COLOURS[2], "blue": COLOURS[0], "tangential": COLOURS[4]}
+"""Colours of curves; of others they follow in the order of `COLOURS`."""
+
+SHOWN_ROWS = 16
+"""Number of frequencies that are shown, about: every eighth of the Nyquist frequency for slanted edges."""
+
+HOW_MEASURED = (
+    "Pixels are sorted by their distance from the edge into bins, whose means are a finely sampled profile; its "
+    "derivative has the MTF as its Fourier transform (ISO 12233:2023). Overshoot and undershoot are those of the "
+    "profile in means over a pixel, relative to the contrast."
+)
+
+MOST_LINES = 12
+"""Largest number of edges that the figure shows beside their mean."""
+
+Ends = tuple[float | None, float | None]
+
+Curve = tuple[float, ...]
+
+
+class EdgeRecord(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """An edge in one colour, as in `edges.csv`."""
+
+    edge: int
+    colour: str | None = None
+    x_px: int | float | None = None
+    y_px: int | float | None = None
+    width_px: int | None = None
+    height_px: int | None = None
+    angle_deg: float | None = None
+    normal_deg: float | None = None
+    bend_px: float | None = None
+    dark: float | None = None
+    bright: float | None = None
+    noise_percent: float | None = None
+    mtf50_cyc_per_pixel: float | None = None
+    mtf50_cyc_per_pixel_ci95: Ends | None = None
+    mtf_at_nyquist: float | None = None
+    mtf_at_nyquist_ci95: Ends | None = None
+    overshoot: float | None = None
+    overshoot_ci95: Ends | None = None
+    undershoot: float | None = None
+    undershoot_ci95: Ends | None = None
+
+
+class MtfNumbers(Struct, frozen=True, kw_only=True):
+    """The key `mtf` of the result.
+
+    Attributes
+    ----------
+    source : str
+        Path of the recording or table.
+    unit : {"cyc_per_pixel", "cyc_per_mrad", "cyc_per_mm"}
+        Unit of the frequencies.
+    frequency, mtf : tuple of float
+        Mean over all edges; of a table with tangential and sagittal values only, their mean.
+    mtf_lower, mtf_upper : tuple of float or None
+        Ends of the 95 % band of `mtf`, for the noise of the pixels.
+    others : dict of tuple of float
+        Further curves by name: means of "red", "green", "blue"; "tangential", "sagittal"; or "edge 1", "edge 2".
+    mtf50, mtf50_ci95
+        Frequency at which the MTF falls to 0.5; None if it stays above. An end is None where the band does.
+    mtf_at_nyquist, mtf_at_nyquist_ci95
+        MTF at 0.5 cycles/pixel; None if frequencies are not those of pixels or end before.
+    n_frames : int or None
+        None for a table.
+    is_light : bool
+        Whether values were converted to the luminance of a display.
+    edges : tuple of EdgeRecord
+        A record for each edge and colour, as in `edges.csv`.
+    """
+
+    source: str
+    unit: FrequencyUnit
+    frequency: Curve
+    mtf: Curve
+    mtf_lower: Curve | None = None
+    mtf_upper: Curve | None = None
+    others: dict[str, Curve] = {}
+    mtf50: float | None
+    mtf50_ci95: Ends | None
+    nyquist_cyc_per_pixel: float | None
+    mtf_at_nyquist: float | None
+    mtf_at_nyquist_ci95: Ends | None
+    n_frames: int | None = None
+    is_light: bool = False
+    edges: tuple[EdgeRecord, ...] = ()
+
+
+class Mtf(Content, frozen=True, kw_only=True):
+    """A measured MTF.
+
+    Attributes
+    ----------
+    mtf : MtfNumbers
+    measured : RecordingMtf or None
+        All that was measured, with the profiles of edges; None for a table, and for a result that was read.
+    """
+
+    mtf: MtfNumbers
+
+    measured: ClassVar[RecordingMtf | None] = None
+
+    @property
+    def name(self) -> str:
+        """Return the path of the recording or table."""
+        return self.mtf.source
+
+    def table(self) -> Table:
+        """Return all frequencies, whose CSV `sensor_sim` reads."""
+        found = self.mtf
+        decimals = 4 if found.unit == "cyc_per_pixel" else None
+        columns = [Column(key=f"frequency_{found.unit}", header=UNITS[found.unit], decimals=decimals)]
+        curves = [found.frequency]
+        own = {RADIAL: found.mtf, "mtf_lower": found.mtf_lower, "mtf_upper": found.mtf_upper}
+        others = {f"mtf_{name.replace(' ', '_')}": curve for name, curve in found.others.items()}
+        for name, curve in (own | others).items():
+            if curve is not None:
+                header = name.removeprefix("mtf_").replace("_", " ")
+                rank = len(curves) * (name not in own)
+                columns.append(Column(key=name, header=header, decimals=3, rank=rank))
+                curves.append(curve)
+        keys = [one.key for one in columns]
+        records = [dict(zip(keys, row, strict=True)) for row in zip(*curves, strict=True)]
+        return Table.of(f"MTF of {path_name(found.source)}", "mtf.csv", columns, records)
+
+    def tables(self) -> list[Table]:
+        """List some frequencies, the edges, and folded all frequencies."""
+        whole = self.table()
+        step = max((len(whole.records) - 1) // SHOWN_ROWS, 1)
+        some = replace(whole, file="", records=whole.records[::step])
+        return [some, *self._edge_tables(), replace(whole, title="All frequencies").folded()]
+
+    def _edge_tables(self) -> list[Table]:
+        if not self.mtf.edges:
+            return []
+        headers = {
+            "mtf50_cyc_per_pixel": "MTF50",
+            "mtf_at_nyquist": "Nyquist",
+            "angle_deg": "angle (°)",
+            "noise_percent": "noise (%)",
+            "bend_px": "bend (px)",
+        }
+        ranks = {"width_px": 3, "height_px": 3, "noise_percent": 2, "bend_px": 2, "undershoot": 1}
+        ranks |= {f"{key}_ci95": 4 for key in ("mtf_at_nyquist", "overshoot", "undershoot")}
+        columns = [
+            Column(
+                key=key,
+                header="95 % interval" if key.endswith("_ci95") else headers.get(key, ""),
+                digits=3,
+                interval=key if key.endswith("_ci95") else "",
+                in_file_only=key in ("normal_deg", "dark", "bright"),
+                is_name=key == "edge",
+                rank=ranks.get(key, 0),
+            )
+            for key in EdgeRecord.__struct_fields__
+        ]
+        records = [structs.asdict(one) for one in self.mtf.edges]
+        return [Table.of("Edges, MTF50 in cycles/pixel", "edges.csv", columns, records).without_empty_columns()]
+
+    def sentences(self) -> list[str]:
+        """Return the findings in words."""
+        found, unit = self.mtf, UNITS[self.mtf.unit]
+        if found.mtf50 is None:
+            texts = [f"The MTF stays above 0.5 up to {plain(found.frequency[-1])} {unit}."]
+        else:
+            texts = [f"MTF50 {plain(found.mtf50, 3)}{_within(found.mtf50_ci95)} {unit}."]
+        if found.mtf_at_nyquist is not None:
+            within = _within(found.mtf_at_nyquist_ci95)
+            texts.append(
+                f"MTF {plain(found.mtf_at_nyquist, 3)}{within} at the Nyquist frequency, 0.5 cycles/pixel."
+            )
+        if found.n_frames is not None:
+            n_edges = len({one.edge for one in found.edges})
+            texts.append(f"Mean of {count(n_edges, 'edge')} in {count(found.n_frames, 'frame')}.")
+            texts.append(
+                "Measured is the luminance of the display."
+                if found.is_light
+                else "The values were taken as proportional to light."
+            )
+        return texts
+
+    def remarks(self) -> list[str]:
+        """Return how edges are measured."""
+        return [] if self.mtf.n_frames is None else [HOW_MEASURED]
+
+    def figures(self) -> list[ReportFigure]:
+        """List the MTF; of a new measurement also where the edges are, and their profiles."""
+        band = "" if self.mtf.mtf_lower is None else " The band is that of 95 % for the noise of the pixels."
+        figures = [ReportFigure("MTF", f"Mean and single curves.{band}", self._draw, "mtf.png")]
+        if self.measured is not None:
+            boxes = partial(_draw_boxes, measured=self.measured)
+            profiles = partial(_draw_profiles, measured=self.measured)
+            note = "The box about each edge that was measured, with its number."
+            figures.append(ReportFigure("Edges", note, boxes, "edges.png"))
+            note = "Means along each edge, in its colour."
+            figures.append(ReportFigure("Edge profiles", note, profiles, "profiles.png"))
+        return figures
+
+    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+        """Return the tables; and one of MTF Mapper's form for frequencies of pixels."""
+        return {**super().files(), **self._mapper_file()}
+
+    def _draw(self, axes: Axes) -> None:
+        found = self.mtf
+        band = None if found.mtf_lower is None or found.mtf_upper is None else (found.mtf_lower, found.mtf_upper)
+        label = "mean" if any(name.startswith("edge") for name in found.others) else "MTF"
+        lines = [MtfLine(label=label, mtf=found.mtf, band=band, style={"color": INK, "lw": 2.0})]
+        for k, (name, curve) in enumerate(list(found.others.items())[:MOST_LINES]):
+            colour = LINE_COLOURS.get(name, COLOURS[k % len(COLOURS)])
+            lines.append(MtfLine(label=name, mtf=curve, style={"color": colour, "lw": 1.0}))
+        draw_mtf(
+            axes,
+            found.frequency,
+            lines,
+            end=found.frequency[-1],
+            marks={"Nyquist": NYQUIST_CYC_PER_PIXEL} if found.unit == "cyc_per_pixel" else {},
+            xlabel=f"frequency ({UNITS[found.unit]})",
+            ylabel="MTF",
+        )
+
+    def _mapper_file(self) -> dict[str, bytes]:
+        """Return `edge_sfr_values.txt` with each edge, or `raw_sfr_values.txt` with the curve of a table."""
+        found, measured = self.mtf, self.measured
+        if found.unit != "cyc_per_pixel":
+            return {}
+        frequency = np.arange(MAPPER_PER_CYC_PER_PIXEL) / MAPPER_PER_CYC_PER_PIXEL
+        if measured is None:
+            if found.n_frames is not None or found.frequency[-1] < frequency[-1]:
+                return {}
+            values = np.interp(frequency, found.frequency, found.mtf, left=1.0)
+            return {"raw_sfr_values.txt": _line([0.0, *values])}
+        rows, columns = measured.image.shape
+        lines = []
+        for number, by_colour in enumerate(measured.edges, 1):
+            edge = by_colour[LUMA]
+            x, y = edge.centre_px
+            radial_deg = math.degrees(math.atan2(y - (rows - 1) / 2, x - (columns - 1) / 2))
+            lines.append(_line([number, x, y, edge.angle_deg, radial_deg, *edge.mtf[: len(frequency)]]))
+        return {"edge_sfr_values.txt": b"".join(lines)}
+
+
+def _within(ends: Ends | None) -> str:
+    return "" if ends is None else f" ({interval_phrase(ends, 3)})"
+
+
+def _line(values: Sequence[float]) -> bytes:
+    return (" ".join(f"{one:.6g}" for one in values) + "\n").encode()
+
+
+def _draw_profiles(axes: Axes, measured: RecordingMtf) -> None:
+    for k, by_colour in enumerate(measured.edges[:MOST_LINES]):
+        edge = by_colour[LUMA]
+        axes.plot(edge.distance_px, edge.profile, color=COLOURS[k % len(COLOURS)], lw=1.0)
+    axes.set(xlabel="distance from the edge (pixels)", ylabel="profile, 0 dark and 1 bright")
+
+
+def _draw_boxes(axes: Axes, measured: RecordingMtf) -> None:
+    from matplotlib.patches import Rectangle
+
+    low, high = np.percentile(measured.image, (0.5, 99.5))
+    axes.imshow(measured.image, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
+    for k, by_colour in enumerate(measured.edges):
+        left, top, width, height = by_colour[LUMA].box
+        colour = COLOURS[k % len(COLOURS)]
+        axes.add_patch(Rectangle((left - 0.5, top - 0.5), width, height, fill=False, edgecolor=colour, lw=1.2))
+        axes.annotate(str(k + 1), (left, top), (2, -2), textcoords="offset points", va="top", color=colour)
+    axes.grid(visible=False)
 
 
 @repeatable
@@ -82,9 +384,6 @@ def mtf(
     'MTF50 0.268, expected 0.268 cycles/pixel'
     """
     started = time.perf_counter()
-    from todframes.camera.mtf_result import mapper_result, measured_result, table_result
-    from todframes.camera.mtf_table import is_table, read_mtf_mapper, read_mtf_table
-    from todframes.camera.slanted_edges import PlacedEdge, measure_mtf
     from todframes.display.display_files import find_display
     from todframes.recordings.opening import one_recording, paths_of
 
@@ -94,17 +393,152 @@ def mtf(
         for option in (name for name, value in given.items() if value is not None):
             raise SettingsError(f"{option}: {paths[0]} is a table of an MTF, expected a recording")
         name = in_utf8(str(paths[0]))
-        if paths[0].suffix.lower() == ".csv":
-            return table_result(read_mtf_table(paths[0], may_exceed_1=True), name, started=started)
-        return mapper_result(read_mtf_mapper(paths[0]), name, started=started)
-    shows, edges = one_recording(recording, "mtf", max_frame_mb=max_frame_mb), list[PlacedEdge]()
-    shown = None if display is None else find_display(display).display
+        if paths[0].suffix.lower() != ".csv":
+            return _of_mapper(read_mtf_mapper(paths[0]), name, started)
+        table = read_mtf_table(paths[0], may_exceed_1=True)
+        if RADIAL not in table.curves:
+            mean = np.mean(list(table.curves.values()), 0)
+            table = replace(table, curves={**table.curves, RADIAL: mean})
+        return _result(table, name, warnings=_of_table(table), started=started)
+    shown, edges = one_recording(recording, "mtf", max_frame_mb=max_frame_mb), list[PlacedEdge]()
+    light = None if display is None else find_display(display).display
     if chart is not None:
         from todframes.camera.filmed_page import view_of_camera_page
 
         if boxes:
             raise SettingsError(f"{argument.boxes}: is given with {argument.chart}, expected one of them")
-        view = view_of_camera_page(shows, Path(chart), needs_edges=True, progress=progress)
-        shows, edges = view.recording, view.edges
-    measured = measure_mtf(shows, boxes=boxes, edges=edges, display=shown, progress=progress)
-    return measured_result(measured, in_utf8(str(shows.path)), is_light=shown is not None, started=started)
+        view = view_of_camera_page(shown, Path(chart), needs_edges=True, progress=progress)
+        shown, edges = view.recording, view.edges
+    measured = measure_mtf(shown, boxes=boxes, edges=edges, display=light, progress=progress)
+    mean = measured.means[LUMA]
+    curves = {RADIAL: mean.mtf} | {name: one.mtf for name, one in measured.means.items() if name != LUMA}
+    if len(measured.edges) > 1:
+        curves |= {f"edge {k}": one[LUMA].mtf for k, one in enumerate(measured.edges, 1)}
+    return _result(
+        MtfTable("cyc_per_pixel", FREQUENCY_CYC_PER_PIXEL, curves, mean.lower, mean.upper),
+        in_utf8(str(shown.path)),
+        edges=[
+            _record(number, colour if len(measured.means) > 1 else None, edge)
+            for number, by_colour in enumerate(measured.edges, 1)
+            for colour, edge in by_colour.items()
+        ],
+        measured=measured,
+        is_light=light is not None,
+        warnings=measured.warnings,
+        started=started,
+    )
+
+
+def _result(
+    table: MtfTable,
+    source: str,
+    *,
+    edges: Sequence[EdgeRecord] = (),
+    measured: RecordingMtf | None = None,
+    is_light: bool = False,
+    warnings: Sequence[RecordingWarning],
+    started: float,
+) -> Result[Mtf]:
+    """Return the result of curves over frequency, with what follows from them."""
+    frequency, mtf = table.frequency, table.curves[RADIAL]
+    band = None if table.lower is None or table.upper is None else (table.lower, table.upper)
+    of_pixels = table.unit == "cyc_per_pixel"
+    has_nyquist = of_pixels and frequency[-1] >= NYQUIST_CYC_PER_PIXEL
+
+    def at_nyquist(curve: FloatArray) -> float | None:
+        return float(np.interp(NYQUIST_CYC_PER_PIXEL, frequency, curve)) if has_nyquist else None
+
+    numbers = {
+        "source": source,
+        "unit": table.unit,
+        "frequency": frequency.tolist(),
+        "mtf": mtf.tolist(),
+        "mtf_lower": None if band is None else band[0].tolist(),
+        "mtf_upper": None if band is None else band[1].tolist(),
+        "others": {
+            name.removeprefix("mtf_"): curve.tolist() for name, curve in table.curves.items() if name != RADIAL
+        },
+        "mtf50": mtf50_of(frequency, mtf),
+        "mtf50_ci95": None if band is None else [mtf50_of(frequency, end) for end in band],
+        "nyquist_cyc_per_pixel": NYQUIST_CYC_PER_PIXEL if of_pixels else None,
+        "mtf_at_nyquist": at_nyquist(mtf),
+        "mtf_at_nyquist_ci95": [at_nyquist(end) for end in band] if band is not None and has_nyquist else None,
+        "n_frames": None if measured is None else measured.n_frames,
+        "is_light": is_light,
+        "edges": edges,
+    }
+    of_codes = [ResultWarning(code=one.code, message=one.message) for one in warnings]
+    made = Result.made("mtf", started, warnings=of_codes, mtf=as_read(numbers, MtfNumbers))
+    return made if measured is None else made.holding(measured=measured)
+
+
+def _record(number: int, colour: str | None, edge: EdgeMtf) -> EdgeRecord:
+    left, top, width, height = edge.box
+    mtf50, at_nyquist = edge.mtf50_cyc_per_pixel, edge.mtf_at_nyquist
+    return EdgeRecord(
+        edge=number,
+        colour=colour,
+        x_px=left,
+        y_px=top,
+        width_px=width,
+        height_px=height,
+        angle_deg=edge.angle_deg,
+        normal_deg=edge.normal_deg,
+        bend_px=edge.bend_px,
+        dark=edge.dark,
+        bright=edge.bright,
+        noise_percent=100.0 * edge.relative_noise,
+        mtf50_cyc_per_pixel=None if mtf50 is None else mtf50.value,
+        mtf50_cyc_per_pixel_ci95=None if mtf50 is None else mtf50.ci95,
+        mtf_at_nyquist=at_nyquist.value,
+        mtf_at_nyquist_ci95=at_nyquist.ci95,
+        overshoot=edge.overshoot.value,
+        overshoot_ci95=edge.overshoot.ci95,
+        undershoot=edge.undershoot.value,
+        undershoot_ci95=edge.undershoot.ci95,
+    )
+
+
+def _of_mapper(edges: Sequence[MapperEdge], source: str, started: float) -> Result[Mtf]:
+    """Return the result of a file of MTF Mapper; DataError if its edges differ in their number of frequencies."""
+    lengths = sorted({len(one.table.frequency) for one in edges})
+    if len(lengths) > 1:
+        raise DataError(
+            f"{source}: found lines with {lengths[0]} and {lengths[-1]} values, expected as many in all"
+        )
+    curves = [one.table.curves[RADIAL] for one in edges]
+    table = replace(edges[0].table, curves={RADIAL: np.mean(curves, 0)})
+    records = [
+        EdgeRecord(
+            edge=number,
+            x_px=None if one.centre_px is None else one.centre_px[0],
+            y_px=None if one.centre_px is None else one.centre_px[1],
+            angle_deg=one.angle_deg,
+            mtf50_cyc_per_pixel=mtf50_of(table.frequency, curve),
+            mtf_at_nyquist=float(np.interp(NYQUIST_CYC_PER_PIXEL, table.frequency, curve)),
+        )
+        for number, (one, curve) in enumerate(zip(edges, curves, strict=True), 1)
+    ]
+    named = {f"edge {k}": one for k, one in enumerate(curves, 1)} if len(curves) > 1 else {}
+    whole = replace(table, curves=table.curves | named)
+    return _result(whole, source, edges=records, warnings=_of_table(table), started=started)
+
+
+def _of_table(table: MtfTable) -> list[RecordingWarning]:
+    """Return warnings about a table: values above 1, and an end where the MTF is not small."""
+    warnings = []
+    highest = max(float(one.max()) for one in table.curves.values())
+    if highest > 1.0:
+        message = (
+            f"the MTF rises to {highest:.3g}, which no lens or detector reaches: the picture was sharpened, "
+            "or noise lifts it"
+        )
+        warnings.append(RecordingWarning("mtf_above_1", message))
+    if table.stops_early:
+        message = (
+            f"the table ends at {table.frequency[-1]:.3g} {UNITS[table.unit]} with an MTF of "
+            f"{table.end_mtf:.2g}: what is above is not known, and may change a sample at an edge by "
+            f"{table.end_cost:.2g} of its contrast"
+        )
+        warnings.append(RecordingWarning("mtf_stops_early", message))
+    return warnings

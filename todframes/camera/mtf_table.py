@@ -42,20 +42,12 @@ MAPPER_LENGTHS = (64, 128)
 """Numbers of MTF values of an edge in these files, without and with the option --full-sfr."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class MtfTable:
-    """An MTF at ascending frequencies.
+    """An MTF at two or more ascending frequencies >= 0, shape (n,).
 
-    Attributes
-    ----------
-    unit : {"cyc_per_pixel", "cyc_per_mrad", "cyc_per_mm"}
-        Unit of the frequencies.
-    frequency : ndarray (n,)
-        At least two frequencies >= 0, ascending.
-    curves : dict of ndarray (n,)
-        Values by column: "mtf", or "mtf_tangential" and "mtf_sagittal", or all three; none is negative.
-    lower, upper : ndarray (n,) or None
-        Ends of the 95 % band of "mtf"; None if the table has no band.
+    The curves by column are "mtf", or "mtf_tangential" and "mtf_sagittal", or all three; none is negative. `lower`
+    and `upper` are the ends of the 95 % band of "mtf", if it has one.
     """
 
     unit: FrequencyUnit
@@ -108,19 +100,10 @@ def read_mtf_table(path: Path, *, may_exceed_1: bool = False) -> MtfTable:
     """Return the MTF in a CSV file.
 
     The file has one column of `FREQUENCIES`, and `mtf`, or `mtf_tangential` and `mtf_sagittal`; `mtf` may have its
-    95 % band in `mtf_lower` and `mtf_upper`. Other columns are not read.
-
-    Parameters
-    ----------
-    path : Path
-    may_exceed_1 : bool
-        Accept an MTF above 1, as that of a camera which sharpens. No lens or detector has one.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, a column is missing, frequencies do not ascend, or an MTF is negative, above 1
-        by more than its error, or not 1 at frequency 0; the message names the line.
+    95 % band in `mtf_lower` and `mtf_upper`. Other columns are not read. With `may_exceed_1` an MTF above 1 is
+    accepted, as that of a camera which sharpens: no lens or detector has one. DataError, which names the line, if
+    a column is missing, frequencies do not ascend, or an MTF is negative, above 1 by more than its error, or not 1
+    at frequency 0.
     """
     header, rows = read_table(path)
     frequency_name = _frequency_column(header, path)
@@ -128,19 +111,14 @@ def read_mtf_table(path: Path, *, may_exceed_1: bool = False) -> MtfTable:
     needed += DIRECTIONS if set(DIRECTIONS) & set(header) else []
     needed += BAND if set(BAND) & set(header) and RADIAL in header else []
     check_columns(header, needed, path)
-    places, found = [], []
-    for row in rows:
-        places.append(f"{row.where}:")
-        found.append(row.numbers((frequency_name, *needed)))
-    if len(found) < 2:
-        raise DataError(f"{path}: found {len(found)} rows, expected at least two frequencies")
-    frequency, *columns = np.array(found).T
-    values = dict(zip(needed, columns, strict=True))
-    lower, upper = (values.pop(name, None) for name in BAND)
-    table = MtfTable(
-        unit=FREQUENCIES[frequency_name], frequency=frequency, curves=values, lower=lower, upper=upper
-    )
-    _check(table, places, may_exceed_1=may_exceed_1)
+    lines = [(f"{row.where}:", row.numbers((frequency_name, *needed))) for row in rows]
+    if len(lines) < 2:
+        raise DataError(f"{path}: found {len(lines)} rows, expected at least two frequencies")
+    frequency, *columns = np.array([values for _, values in lines]).T
+    curves = dict(zip(needed, columns, strict=True))
+    lower, upper = (curves.pop(name, None) for name in BAND)
+    table = MtfTable(FREQUENCIES[frequency_name], frequency, curves, lower, upper)
+    _check(table, [where for where, _ in lines], may_exceed_1=may_exceed_1)
     return table
 
 
@@ -196,12 +174,7 @@ def read_mtf_mapper(path: Path) -> list[MapperEdge]:
 
     A line of `raw_sfr_values.txt` has the edge's angle and the MTF; a line of `edge_sfr_values.txt` has a number,
     x, y, the edge's angle, the radial angle and the MTF. The manual page of mtf_mapper 0.7 describes both.
-    Sharpened pictures may have values above 1.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, is empty, or a line has other fields; the message names the line.
+    Sharpened pictures may have values above 1. DataError names a line with other fields.
     """
     edges = []
     lengths = {n + 1: 0 for n in MAPPER_LENGTHS} | {n + 5: 3 for n in MAPPER_LENGTHS}
@@ -217,11 +190,8 @@ def read_mtf_mapper(path: Path) -> list[MapperEdge]:
         values = [number(one, f"{where} column {k}") for k, one in enumerate(fields, 1)]
         place = lengths[len(fields)]
         mtf = np.array(values[place + 1 + (place > 0) :])
-        table = MtfTable(
-            unit="cyc_per_pixel",
-            frequency=np.arange(len(mtf), dtype=np.float64) / MAPPER_PER_CYC_PER_PIXEL,
-            curves={RADIAL: mtf},
-        )
+        frequency = np.arange(len(mtf), dtype=np.float64) / MAPPER_PER_CYC_PER_PIXEL
+        table = MtfTable("cyc_per_pixel", frequency, {RADIAL: mtf})
         _check(table, [where] * len(mtf), may_exceed_1=True)
         edges.append(MapperEdge(values[place], (values[1], values[2]) if place else None, table))
     if not edges:

@@ -39,19 +39,10 @@ MOST_EDGES = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordingMtf:
-    """The MTF of a recording: of each edge and colour, and their means.
+    """The MTF of a recording: for each edge that of each colour, "luma" and in colour "red", "green", "blue".
 
-    Attributes
-    ----------
-    n_frames : int
-        Number of frames whose mean was measured.
-    edges : tuple of dict of EdgeMtf
-        For each edge the MTF of each colour: "luma", and in colour "red", "green", "blue".
-    means : dict of MtfBand
-        Mean over the edges, by colour.
-    image : ndarray (rows, columns)
-        Mean of the frames as luma, or luminance where a display was given.
-    warnings : tuple of RecordingWarning
+    `means` are those over the edges, by colour; `image` is the mean of the frames as luma, or luminance where a
+    display was given.
     """
 
     n_frames: int
@@ -79,27 +70,11 @@ def measure_mtf(
 ) -> RecordingMtf:
     """Measure the MTF across slanted edges in the mean of a recording's frames.
 
-    Parameters
-    ----------
-    recording : Recording
-        Frames of a scene that does not move.
-    boxes : sequence of (int, int, int, int)
-        Left column, top row, width and height of the part of the frame about each edge. Without any, edges are
-        found.
-    edges : sequence of PlacedEdge
-        In place of boxes: edges of a chart. Those that cannot be measured are left out, as those that are found;
-        what their steps take from the MTF is divided out.
-    display : Display, optional
-        Display whose transfer function the values have been made for: luminance is measured then.
-    progress : function of two ints, optional
-        Called with the number of frames that are done, and of all, None if that is not known.
-
-    Raises
-    ------
-    SettingsError
-        If a box is not within the frame or too small, or values without a white are to be displayed.
-    DataError
-        If a frame cannot be read, there is no edge, or a given one cannot be measured.
+    Each of `boxes` is the part of the frame about an edge; in place of them `edges` are those of a chart, and what
+    their steps take from the MTF is divided out. Without any, edges are found. Those of a chart, or found, that
+    cannot be measured are left out. With a display, whose transfer function the values have been made for, its
+    luminance is measured. SettingsError if a box is not within the frame or too small, or values without a white
+    are to be displayed; DataError if there is no edge, or a given one cannot be measured.
     """
     frames = _mean(recording, display, progress)
     whole = frames.colours[LUMA]
@@ -120,8 +95,8 @@ def measure_mtf(
             continue
         for name in COLOURS if len(frames.colours) > 1 else ():
             try:
-                found = measure_edge(frames.colours[name], box, saturated=frames.saturated)
-                edge[name] = found.without_steps(step_px)
+                in_colour = measure_edge(frames.colours[name], box, saturated=frames.saturated)
+                edge[name] = in_colour.without_steps(step_px)
             except DataError as error:
                 problems.append(f"{name}: {error}")
         measured.append(edge)
@@ -204,11 +179,7 @@ def find_edges(image: FloatArray) -> list[Box]:
 
     Lines are found by OpenCV's line segment detector: Grompone von Gioi et al. 2012, "LSD: a line segment
     detector", IPOL 2. A box leaves out the ends of its edge, and goes to the sides as far as there is no other.
-
-    Raises
-    ------
-    DataError
-        If there is no straight edge of at least `LEAST_LENGTH_PX`.
+    DataError if there is no straight edge of at least `LEAST_LENGTH_PX`.
     """
     import cv2
 
@@ -216,18 +187,18 @@ def find_edges(image: FloatArray) -> list[Box]:
     if not high > low:
         raise DataError("found no edge: all values are the same")
     grey = np.clip((image - low) / (high - low) * 255.0, 0.0, 255.0).astype(np.uint8)
-    lines = cv2.createLineSegmentDetector().detect(cv2.GaussianBlur(grey, (0, 0), 1.0))[0]
-    found = [] if lines is None else [_Segment(*map(float, line)) for line in lines.reshape(-1, 4)]
-    found.sort(key=lambda one: -one.length)
+    detected = cv2.createLineSegmentDetector().detect(cv2.GaussianBlur(grey, (0, 0), 1.0))[0]
+    lines = [] if detected is None else [_Segment(*map(float, line)) for line in detected.reshape(-1, 4)]
+    lines.sort(key=lambda line: -line.length)
     boxes: list[Box] = []
     taken: list[_Segment] = []
-    points = [one.points() for one in found]
-    for one in found:
-        if one.length < LEAST_LENGTH_PX or len(boxes) == MOST_EDGES:
+    points = [line.points() for line in lines]
+    for line in lines:
+        if line.length < LEAST_LENGTH_PX or len(boxes) == MOST_EDGES:
             break
-        if not any(one.repeats(other) for other in taken):
-            taken.append(one)
-            box = _box(one, points, image.shape)
+        if not any(line.repeats(other) for other in taken):
+            taken.append(line)
+            box = _box(line, points, image.shape)
             boxes += [] if box is None else [box]
     if not boxes:
         raise DataError(
@@ -240,29 +211,22 @@ def find_edges(image: FloatArray) -> list[Box]:
 def box_about(ends_px: FloatArray, others_px: Sequence[FloatArray], shape: tuple[int, int]) -> Box | None:
     """Return the widest box about an edge without others in it; None if there is none.
 
-    Parameters
-    ----------
-    ends_px : ndarray, shape (2, 2)
-        Its ends, (x, y).
-    others_px : sequence of ndarray, shape (2, 2)
-        Ends of other edges.
-    shape : (int, int)
-        Rows and columns of the frame.
+    Ends of the edge and of the others are (x, y), shape (2, 2); `shape` is that of the frame.
     """
     line, *others = (_Segment(*map(float, one.ravel())) for one in (ends_px, *others_px))
     return _box(line, [one.points() for one in (line, *others)], shape) if line.length >= LEAST_LENGTH_PX else None
 
 
-def _box(one: _Segment, points: Sequence[FloatArray], shape: tuple[int, ...]) -> Box | None:
+def _box(line: _Segment, points: Sequence[FloatArray], shape: tuple[int, ...]) -> Box | None:
     """Return the widest box about an edge without points of other lines in it; None if there is none."""
     rows, columns = shape
     # All lines but those that go on where this one ends.
     counts, every = np.array([len(some) for some in points]), np.concatenate(points)
-    farthest = np.maximum.reduceat(one.coordinates(every)[1], np.cumsum(counts) - counts)
+    farthest = np.maximum.reduceat(line.coordinates(every)[1], np.cumsum(counts) - counts)
     rest = every[np.repeat(farthest >= SAME_PX, counts)]
-    is_upright = abs(one.y2 - one.y1) >= abs(one.x2 - one.x1)
-    inner = one.points()[[0, -1]]
-    ends = inner + END_PX / one.length * (inner[::-1] - inner)
+    is_upright = abs(line.y2 - line.y1) >= abs(line.x2 - line.x1)
+    inner = line.points()[[0, -1]]
+    ends = inner + END_PX / line.length * (inner[::-1] - inner)
     for width in WIDTHS_PX:
         margin = np.array([width, 0.0] if is_upright else [0.0, width])
         first = np.maximum(np.ceil(ends.min(0) - margin), 0).astype(int)

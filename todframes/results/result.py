@@ -109,7 +109,7 @@ KINDS = {
         "numbers",
         "todframes.field.acquisition_range:acquisition_range",
     ),
-    "mtf": Kind("MTF of a camera", "todframes.camera.mtf_result:Mtf", "mtf", "todframes.camera.measure_mtf:mtf"),
+    "mtf": Kind("MTF of a camera", "todframes.camera.measure_mtf:Mtf", "mtf", "todframes.camera.measure_mtf:mtf"),
 }
 """Results that have a page and can be read again, by command."""
 
