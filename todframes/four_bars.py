@@ -60,18 +60,8 @@ class FourBars:
     def profiles(self, middle: ArrayLike, width: float) -> tuple[FloatArray, FloatArray]:
         """Compute the means over intervals of the contrast along x, and of the bars' length along y.
 
-        The mean over a rectangle is the product of the two.
-
-        Parameters
-        ----------
-        middle : array_like, any shape
-            Middles of the intervals, from the middle of the pattern.
-        width : float
-            Width of the intervals, > 0.
-
-        Returns
-        -------
-        (ndarray, ndarray), each of the shape of `middle`
+        Intervals of a width have their middles at places from the pattern's middle, of any shape. The mean over a
+        rectangle is the product of the two.
         """
         place = np.asarray(middle, dtype=np.float64)
 
@@ -89,12 +79,8 @@ class FourBars:
         return np.outer(along_y, along_x)
 
     def spectrum(self, frequency_x: ArrayLike, frequency_y: ArrayLike) -> ComplexArray:
-        """Compute the Fourier transform ∬ exp(−2πi (f_x x + f_y y)) of the contrast, real and even.
-
-        Parameters
-        ----------
-        frequency_x, frequency_y : array_like
-            Cycles per unit of `bar_width`; broadcast against each other.
+        """Compute the Fourier transform ∬ exp(−2πi (f_x x + f_y y)) of the contrast, real and even, at frequencies
+        in cycles per unit of `bar_width` that broadcast.
         """
         fx, fy = (np.asarray(one, dtype=np.float64) for one in (frequency_x, frequency_y))
         width, side = self.bar_width, self.side

@@ -115,26 +115,8 @@ def bounding_box_offset(orientation: Orientation) -> tuple[float, float]:
 def vertices(
     *, size: float, orientation: Orientation, x: float = 0.0, y: float = 0.0, centre: Centre = "centroid"
 ) -> FloatArray:
-    """Return the corners of a triangle, apex first.
-
-    Parameters
-    ----------
-    size : float
-        √(area), > 0, in the unit of `x`, `y` and the result.
-    x, y : float
-        Place of the triangle's `centre`.
-    centre : {"centroid", "bounding_box"}
-        Point of the triangle that lies at (x, y).
-
-    Returns
-    -------
-    ndarray, shape (3, 2)
-        (x, y) of each corner.
-
-    Raises
-    ------
-    SettingsError
-        If the size is not a positive number or `centre` is neither of the two.
+    """Return the corners (x, y) of a triangle, (3, 2), apex first; `size` is √(area), and (x, y) the place of its
+    `centre`, in one unit. SettingsError if the size is not a positive number or there is no such centre.
     """
     check_positive("size", size)
     convert(centre, Centre, "centre")
@@ -237,22 +219,11 @@ def _clamped_floor(value: float, stop: int) -> int:
 
 
 def moving_coverage(corners: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """Compute the coverage of pixels by a triangle, and its changes as the triangle moves and deforms.
+    """Compute the coverage of pixels by a triangle, and its changes by x, by y and by the entries xx, xy, yx and
+    yy of a map about (0, 0): (7, rows, columns). Corners (x, y), (3, 2), are clockwise as seen on the frame.
 
     An edge that moves by v covers v·n more of each pixel for each length of it there, n its outward normal. Along
     a piece of an edge within one pixel an affine motion is linear, so its value at the middle is its mean.
-
-    Parameters
-    ----------
-    corners : ndarray, shape (3, 2)
-        (x, y) of each corner, clockwise as seen on the frame.
-    shape : (int, int)
-        Rows and columns of the grid; the triangle may reach beyond it.
-
-    Returns
-    -------
-    ndarray, shape (7, rows, columns)
-        The coverage, and its changes by x and y, and by the entries xx, xy, yx and yy of a map about (0, 0).
     """
     found = np.zeros((7, *shape))
     first, stop = _touched_box(corners, shape)
@@ -347,26 +318,12 @@ def spectrum(
     y: float = 0.0,
     centre: Centre = "centroid",
 ) -> ComplexArray:
-    """Compute the Fourier transform ∬ exp(−2πi (f_x x + f_y y)) dx dy over the triangle, in closed form.
+    """Compute the Fourier transform ∬ exp(−2πi (f_x x + f_y y)) dx dy over the triangle, in closed form: complex,
+    size² at frequency zero. Frequencies, in cycles per unit of `size`, broadcast; (x, y) is the place of the
+    triangle's `centre`.
 
-    By the Hermite–Genocchi formula the integral of an exponential over a triangle is twice its area times
-    the second divided difference of exp at z_j = −2πi f·v_j, v_j the corners.
-
-    Parameters
-    ----------
-    frequency_x, frequency_y : array_like
-        Cycles per unit of `size`; broadcast against each other.
-    size, x, y : float
-        √(area) and place of the triangle's `centre`, in one unit.
-
-    Returns
-    -------
-    ndarray of complex, the broadcast shape; size² at frequency zero.
-
-    Raises
-    ------
-    SettingsError
-        If the size is not a positive number or `centre` is unknown.
+    By the Hermite–Genocchi formula the integral of an exponential over a triangle is twice its area times the
+    second divided difference of exp at z_j = −2πi f·v_j, v_j the corners.
     """
     fx, fy = np.broadcast_arrays(np.asarray(frequency_x, float), np.asarray(frequency_y, float))
     corners = vertices(size=size, orientation=orientation)

@@ -69,38 +69,16 @@ LARGEST_PITCH_MRAD = 0.2
 
 
 def contrast_sensitivity(frequency_cyc_per_deg: FloatArray) -> FloatArray:
-    """Compute the relative sensitivity of people to a frequency of any orientation near 0° or 90°.
-
-    Parameters
-    ----------
-    frequency_cyc_per_deg : ndarray, any shape
-        Radial spatial frequency, >= 0.
-
-    Returns
-    -------
-    ndarray, same shape
-        0.151 at 0, 0.582 at its peak of 3.45 cycles/degree.
-
-    Watson & Ahumada 2005, the filter of their standard model, without its gain.
+    """Compute the relative sensitivity of people to a frequency >= 0 near 0° or 90°: 0.151 at 0, 0.582 at its peak
+    of 3.45 cycles/degree. Watson & Ahumada 2005, the filter of their standard model, without its gain.
     """
     high, low = (frequency_cyc_per_deg / 4.1726) ** 0.7786, frequency_cyc_per_deg / 1.3625
     return _sech(high) - 0.8493 * _sech(low)
 
 
 def oblique_effect(frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
-    """Compute the loss of sensitivity to oblique gratings, a factor.
-
-    Parameters
-    ----------
-    frequency_x, frequency_y : ndarray
-        Cycles/degree, broadcast against each other.
-
-    Returns
-    -------
-    ndarray
-        1 along both axes and below 3.48 cycles/degree, least at 45°.
-
-    Watson & Ahumada 2005.
+    """Compute the loss of sensitivity to oblique gratings at frequencies in cycles/degree: 1 along both axes and
+    below 3.48 cycles/degree, least at 45°. Watson & Ahumada 2005.
     """
     squared = frequency_x**2 + frequency_y**2
     # sin 2θ = 2 f_x f_y / f²
@@ -218,12 +196,8 @@ class CsfObserver(NeuronObserver):
         self._wider = wider
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
-        """Return the grid of retina samples that the observer looks at, as wide as triangle, filter and aperture.
-
-        Raises
-        ------
-        SettingsError
-            If there are too many of them.
+        """Return the grid of retina samples that the observer looks at, as wide as triangle, filter and aperture;
+        SettingsError if there are too many samples.
         """
         pitch, aperture_mrad = self.settings.retina_pitch_mrad, self.settings.aperture_sd_deg * MRAD_PER_DEG
         half_mrad = self._wider * (FIELD_MRAD + min(stimulus.size_mrad, APERTURE_SDS * aperture_mrad))
@@ -314,14 +288,10 @@ class CsfObserver(NeuronObserver):
         return self.template_of(self.activity(image - mean_of_turns(image)))
 
     def external_noise_density(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
-        """Return the spectral density of the frames' noise, in squared contrast × squared degrees.
+        """Return the spectral density of the frames' noise, in squared contrast × squared degrees, at frequencies
+        in cycles/degree that broadcast; 0 has the density of the lowest other one.
 
         A subclass may replace it by any function that is even along both axes and the same after a quarter turn.
-
-        Parameters
-        ----------
-        frequency_x, frequency_y : ndarray
-            Cycles/degree, broadcast against each other. Frequency 0 has the density of the lowest other one.
         """
         settings, frequency = self.settings, np.hypot(frequency_x, frequency_y)
         if settings.external_noise_spectrum == FRAMES:
@@ -339,12 +309,8 @@ class CsfObserver(NeuronObserver):
         """Return the weights of an expected activity: itself, or K⁻¹ of it, K being the covariance of all noise.
 
         K = σ²I + A F N F A, with the internal noise σ, the aperture A, the filter F and the noise's density N,
-        divided by σ². Without external noise both templates are the same.
-
-        Raises
-        ------
-        SettingsError
-            If the ideal weights are not found.
+        divided by σ². Without external noise both templates are the same. SettingsError if the weights are not
+        found.
         """
         if self.settings.template == "matched":
             return expected

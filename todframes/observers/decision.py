@@ -124,32 +124,14 @@ def answer_probabilities(
 def answer_probability(
     score: ArrayLike, covariance: ArrayLike, answer: int, *, tolerance: float = 0.0
 ) -> FloatArray:
-    """Compute the probability that one of four noisy scores is the largest, at a quarter of the cost of all four.
+    """Compute the probability that one of four noisy scores is the largest, (...), at a quarter of the cost of all
+    four.
 
-    Parameters
-    ----------
-    score : array_like, shape (..., 4)
-    covariance : array_like, shape (..., 4, 4)
-        Both as for `answer_probabilities`. Scores that differ along their last but one axis only share the work
-        that a covariance causes, if it has no such axis or one of length 1.
-    answer : int
-        0 to 3.
-    tolerance : float
-        Absolute error that is allowed: fewer nodes of the integral then do, unless the covariance is nearly
-        singular. 0: as exact as `answer_probabilities`.
+    Score and covariance are as for `answer_probabilities`. Scores that differ along their last but one axis only
+    share the work that a covariance causes, if it has no such axis or one of length 1. With a `tolerance`, an
+    absolute error, fewer nodes of the integral do, unless the covariance is nearly singular; otherwise the error
+    is below 1e-9, also of the small rest near 1.
 
-    Returns
-    -------
-    ndarray, shape (...)
-        Probability with an absolute error below 1e-9 or the tolerance, also of the small rest near 1.
-
-    Raises
-    ------
-    SettingsError
-        If a shape or value is wrong, as in `answer_probabilities`.
-
-    Notes
-    -----
     The integrand is analytic but where a face's distance, (1 − x) π/4 + x d on the path x, is 0. The nearest such
     place, x = 1 / (1 − 4d/π), gives n nodes an error that falls as ρ^(−2n), ρ = (1 + √(4d/π)) / (1 − √(4d/π))
     (Trefethen 2008, theorem 4.5); 20 ρ^(−2n) held for all covariances tried. So 6 nodes give 1e-8 and 4 give 1e-5
@@ -219,19 +201,10 @@ def _shared_orthants(score: FloatArray, geometry: _Geometry, answers: slice) -> 
 
 
 def orthants(limit: FloatArray, angle: FloatArray) -> FloatArray:
-    """Compute the probabilities that three standard normal variables are below limits.
+    """Compute the probabilities that three standard normal variables are below limits, (n, matrix, 3), which may
+    be infinite: (n, matrix), to 1e-9.
 
-    Parameters
-    ----------
-    limit : ndarray, shape (n, matrix, 3)
-        May be infinite.
-    angle : ndarray, shape (matrix, 3)
-        Angles whose cosines are the correlations, in the order of `PAIRS`.
-
-    Returns
-    -------
-    ndarray, shape (n, matrix)
-        Probabilities with an absolute error below 1e-9.
+    The cosines of `angle`, (matrix, 3), are the correlations, in the order of `PAIRS`.
     """
     nodes = _sufficient_nodes(angle[None], _ROUNDING)
     geometry = _geometry(np.ones((1, *angle.shape)), angle[None], nodes)
@@ -339,26 +312,13 @@ def _path_nodes(nodes: int, grading: int) -> tuple[FloatArray, FloatArray]:
 def of_covariance(
     covariance: FloatArray, answers: slice = slice(None), *, extended: bool = True
 ) -> tuple[FloatArray, FloatArray]:
-    """Compute the edges from each score to the three others, and the angles between them, of checked covariances.
+    """Compute the edges from some scores to the three others, in the order of `OTHERS`, and the angles between
+    them, in that of `PAIRS`, (matrix, answers, 3) each, of checked covariances (matrix, 4, 4).
 
-    Parameters
-    ----------
-    covariance : ndarray, shape (matrix, 4, 4)
-    answers : slice
-        Scores whose edges and angles are asked for.
-    extended : bool
-        Precision, for matrices that are nearly singular.
-
-    Returns
-    -------
-    edge, angle : ndarray, shape (matrix, answers, 3)
-        In the order of `OTHERS`, and of `PAIRS` of them.
-
-    Notes
-    -----
-    The angle is Kahan's, from the three edges of a face, so that slender faces keep their digits. A rounding
-    of 1e-16 in the covariance can turn it by 1e-8: hence extended precision (where the platform has it), and a
-    face whose area is lost in that rounding, though its edges are not, is taken as flat.
+    The angle is Kahan's, from the three edges of a face, so that slender faces keep their digits. A rounding of
+    1e-16 in the covariance can turn it by 1e-8: hence `extended` precision (where the platform has it) for
+    matrices that are nearly singular, and a face whose area is lost in that rounding, though its edges are not, is
+    taken as flat.
     """
     own, first, second = _ANSWERS[answers], _FIRST[answers], _SECOND[answers]
     exact: NDArray[Any] = covariance.astype(np.longdouble) if extended else covariance
@@ -409,12 +369,8 @@ def of_factor(factor: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def checked_covariance(covariance: ArrayLike) -> FloatArray:
-    """Check a covariance of four scores, (..., 4, 4), and return it symmetric.
-
-    Raises
-    ------
-    SettingsError
-        If it has a wrong shape, a value that is not finite or is no covariance.
+    """Check a covariance of four scores, (..., 4, 4), and return it symmetric. SettingsError if it has a wrong
+    shape, a value that is not finite or is no covariance.
     """
     covariances = np.asarray(covariance, dtype=np.float64)
     if covariances.ndim < 2 or covariances.shape[-2:] != (4, 4):
@@ -447,13 +403,7 @@ def _has_pivots(covariances: FloatArray, slack: FloatArray) -> bool:
 
 
 def checked_factor(factor: ArrayLike) -> FloatArray:
-    """Check a factor of such a covariance, (..., 4, n), and return it as an array.
-
-    Raises
-    ------
-    SettingsError
-        If it has a wrong shape or a value that is not finite.
-    """
+    """Check a factor of such a covariance, (..., 4, n), and return it as an array."""
     rows = np.asarray(factor, dtype=np.float64)
     if rows.ndim < 2 or rows.shape[-2] != 4:
         raise SettingsError(f"factor has shape {rows.shape}, expected (..., 4, n)")

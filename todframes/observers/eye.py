@@ -38,13 +38,7 @@ class HasEye(Protocol):
 
 
 def pupil_of(settings: HasEye) -> float:
-    """Return the diameter of the pupil that settings name, or that follows from their light and age, in mm.
-
-    Raises
-    ------
-    SettingsError
-        If the light is that of a display, and there is none.
-    """
+    """Return the diameter of the pupil that settings name, or that follows from their light and age, in mm."""
     if settings.pupil_mm is not None:
         return float(settings.pupil_mm)
     return pupil_diameter_mm(known_luminance(settings), age_years=settings.age_years)
@@ -53,23 +47,8 @@ def pupil_of(settings: HasEye) -> float:
 def pupil_diameter_mm(
     luminance_cd_m2: float, *, age_years: float = REFERENCE_AGE_YEARS, field_deg2: float = FIELD_DEG2
 ) -> float:
-    """Compute the mean diameter of the pupils of two eyes that are adapted to a light.
-
-    Parameters
-    ----------
-    luminance_cd_m2 : float
-        Of the field, > 0.
-    age_years : float
-        20 to 83.
-    field_deg2 : float
-        Area of the field, in square degrees.
-
-    Returns
-    -------
-    float
-        From 7.75 in the dark to 2 mm, at the reference age.
-
-    Watson & Yellott 2012, with the formula of Stanley & Davies 1995.
+    """Compute the mean diameter of the pupils of two eyes adapted to a light: 7.75 mm in the dark to 2, at the
+    reference age. Watson & Yellott 2012, with the formula of Stanley & Davies 1995.
     """
     flux = (luminance_cd_m2 * field_deg2 / 846.0) ** 0.41
     at_reference_age = 7.75 - 5.75 * flux / (flux + 2.0)
@@ -77,21 +56,8 @@ def pupil_diameter_mm(
 
 
 def eye_mtf(frequency_cyc_per_deg: FloatArray, *, pupil_mm: float) -> FloatArray:
-    """Compute the mean MTF of the optics of young, well-corrected eyes in white light.
-
-    Parameters
-    ----------
-    frequency_cyc_per_deg : ndarray, any shape
-        Radial spatial frequency, >= 0.
-    pupil_mm : float
-        Diameter; the formula was fitted to 2 to 6.
-
-    Returns
-    -------
-    ndarray, same shape, in [0, 1]
-        0 at and beyond the limit of diffraction.
-
-    Watson 2013.
+    """Compute the mean MTF of the optics of young, well-corrected eyes in white light; 0 at and beyond the limit
+    of diffraction. The formula was fitted to pupils of 2 to 6 mm. Watson 2013.
     """
     scale = 21.95 - 5.512 * pupil_mm + 0.3922 * pupil_mm**2
     cut_off = pupil_mm * math.pi * 1e6 / (WAVELENGTH_NM * 180.0)

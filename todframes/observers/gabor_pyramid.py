@@ -35,29 +35,8 @@ class GaborPyramid:
     energy, averaged over its direction, however many orientations and phases they are divided into. None responds
     to a uniform field.
 
-    Parameters
-    ----------
-    levels : int
-        Number of octaves, >= 0.
-    kernel_a : float
-        Centre weight of the kernel that halves the resolution, as for `LaplacianPyramid`.
-    orientations : int
-        Evenly spaced over 180°; even, from 2 to 32.
-    wavelength_samples : float
-        Wavelength of the best grating, in samples of each level; from 2.5 to 16.
-    bandwidth_octaves : float
-        Full width at half the largest response; from 0.5 to 3.
-    elongation : float
-        Length of the receptive field, along the bars, over its width; from 0.25 to 4.
-    phases : {"both", "even", "odd"}
-        Symmetric, antisymmetric functions, or both.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range.
-
-    Daugman 1985; Burt & Adelson 1983.
+    Parameters are those of `OrientedSettings`, the wavelength in samples of each level. Daugman 1985; Burt &
+    Adelson 1983.
     """
 
     levels: int

@@ -160,11 +160,7 @@ class Readout:
     @cached_property
     def full_covariance(self) -> FloatArray:
         """Covariance of the internal noise on the four scores, with the noise that they share: (4, 4).
-
-        Raises
-        ------
-        SettingsError
-            If the observer does not give the noise that they share.
+        SettingsError if the observer does not give that noise.
         """
         if self.find_common_variance is None:
             raise SettingsError(
@@ -176,20 +172,11 @@ class Readout:
     def place_probabilities(
         self, scores: FloatArray, joint_covariance: FloatArray | None, *, empty_places: int = 0
     ) -> tuple[FloatArray, FloatArray]:
-        """Compute the probability of each answer if the triangle is at an unknown one of several places, (..., 4).
+        """Compute the probability of each answer if the triangle is at an unknown one of several places, and its
+        standard error, (..., 4) each, for scores (..., place, 4) with the part that the four have in common.
 
-        The second array, of the same shape, has the standard errors: 0 if places are independent.
-
-        The noise is taken as Gaussian.
-
-        Parameters
-        ----------
-        scores : ndarray, shape (..., place, 4)
-            Scores at each place, with the part that the four have in common.
-        joint_covariance : ndarray, shape (place, 4, place, 4), or None
-            Covariance of the internal noise on all of them; None: places are independent.
-        empty_places : int
-            Number of further, independent places with nothing to be seen.
+        The noise is taken as Gaussian. `joint_covariance` is that of all scores, (place, 4, place, 4); None:
+        places are independent, and `empty_places` further ones have nothing to be seen.
         """
         from todframes.observers.unknown_place import unknown_place_probabilities
 
@@ -225,14 +212,11 @@ this correlated, P(correct) changes by less than 0.001."""
 def joint_noise_covariance(
     observer: Observer, readout: Readout, stimulus: Stimulus, places_mrad: Sequence[tuple[float, float]]
 ) -> FloatArray | None:
-    """Compute the joint covariance of the scores at several places, (place, 4, place, 4).
+    """Compute the joint covariance of the scores at several places, (place, 4, place, 4); None if they are
+    independent, which they are if the noise at the two nearest places is.
 
-    None if they are independent: if the noise at the two nearest places is.
-
-    Raises
-    ------
-    SettingsError
-        If the readout does not give the noise that its four scores share, or too many places share noise.
+    SettingsError if the readout does not give the noise that its four scores share, or too many places share
+    noise.
     """
     n, own = len(places_mrad), readout.full_covariance
     if n < 2:
@@ -411,13 +395,7 @@ class Observer:
         return None
 
     def linear_readout(self, stimulus: Stimulus) -> Readout:
-        """Return the readout.
-
-        Raises
-        ------
-        SettingsError
-            If the observer is not linear.
-        """
+        """Return the readout; SettingsError if the observer is not linear."""
         readout = self.readout(stimulus)
         if readout is None:
             raise SettingsError("observer: it is not linear; the probability of its answers cannot be computed")
@@ -471,14 +449,9 @@ class Observer:
         return None
 
     def with_retina_step(self, factor: float) -> Observer | None:  # noqa: ARG002
-        """Return the observer on a retina of another pitch, where the pitch is the step of a computation.
-
-        It shows what the step changes. Default: None, the pitch is a part of the model.
-
-        Raises
-        ------
-        SettingsError
-            If there is no observer with this multiple of its own pitch.
+        """Return the observer on a retina of so many times the pitch, where that is the step of a computation: it
+        shows what the step changes. Default: None, the pitch is a part of the model. SettingsError if there is no
+        such observer.
         """
         return None
 
@@ -533,12 +506,8 @@ def _imported(name: str) -> type[Observer]:
 
 
 def settings_file(name: Path | str) -> Path:
-    """Return the path of a file of settings, or that of the settings of this package with a name.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such file.
+    """Return the path of a file of settings, or that of the settings of this package with a name; SettingsError if
+    there is none.
     """
     path = Path(name)
     return path if path.exists() else settings_path(name, SETTINGS_FOLDER, "observer settings")
@@ -575,12 +544,8 @@ def _name(kind: type) -> str:
 
 
 def known_luminance(settings: Any) -> float:
-    """Return the luminance of settings, in cd/m².
-
-    Raises
-    ------
-    SettingsError
-        If it is that of the background of a display, which `adapted` has not replaced.
+    """Return the luminance of settings, in cd/m²; SettingsError if it is that of the background of a display,
+    which `adapted` has not replaced.
     """
     if settings.luminance_cd_m2 == BACKGROUND:
         raise SettingsError("luminance_cd_m2: found background where there is no display, expected a number")
@@ -588,19 +553,7 @@ def known_luminance(settings: Any) -> float:
 
 
 def adapted(observer: Observer, find_background: Callable[[], float]) -> Observer:
-    """Return the observer adapted to the background of a display, if its settings ask for that.
-
-    Parameters
-    ----------
-    observer : Observer
-    find_background : function of no arguments
-        Returns the background in cd/m².
-
-    Raises
-    ------
-    SettingsError
-        If the background is beyond the range of the setting.
-    """
+    """Return the observer adapted to the background of a display, in cd/m², if its settings ask for that."""
     settings: Any = getattr(observer, "settings", None)
     if getattr(settings, "luminance_cd_m2", None) != BACKGROUND:
         return observer

@@ -38,12 +38,8 @@ class SummedNoise(NamedTuple):
 
 
 def summed_noise(turned: Sequence[Bands], noise_sd: float) -> SummedNoise:
-    """Sum noise of standard deviation `noise_sd`, uniform and independent, with these weights.
-
-    Parameters
-    ----------
-    turned : sequence of four Bands
-        Template deviations: that of the upright triangle, turned by none to three quarters.
+    """Sum uniform, independent noise of standard deviation `noise_sd`, with the weights of template deviations:
+    those of the upright triangle, turned by none to three quarters.
     """
     kurtosis = UNIFORM_EXCESS_KURTOSIS * _participation(turned)
 
@@ -85,18 +81,10 @@ def _participation(turned: Sequence[Bands]) -> float:
 
 
 def fourth_cumulants(factor: ArrayLike, *, excess_kurtosis: float) -> FloatArray:
-    """Compute the fourth cumulants of four scores that sum independent noise of many neurons.
+    """Compute the fourth cumulants, (4, 4, 4, 4), of four scores that sum independent noise of many neurons.
 
-    Parameters
-    ----------
-    factor : array_like, shape (4, n)
-        Weight of each neuron's noise in each score times the noise's standard deviation.
-    excess_kurtosis : float
-        Excess kurtosis of the noise of one neuron; −1.2 if it is uniform.
-
-    Returns
-    -------
-    ndarray, shape (4, 4, 4, 4), symmetric
+    `factor`, (4, n), is the weight of each neuron's noise in each score times the noise's standard deviation,
+    `excess_kurtosis` that of one neuron's noise; −1.2 if it is uniform.
     """
     rows = np.asarray(factor, dtype=np.float64)
     products = np.einsum("in,jn->ijn", rows, rows).reshape(16, -1)
@@ -104,23 +92,13 @@ def fourth_cumulants(factor: ArrayLike, *, excess_kurtosis: float) -> FloatArray
 
 
 def edgeworth_correction(score: ArrayLike, covariance: ArrayLike, fourth_cumulant: ArrayLike) -> FloatArray:
-    """Compute the correction of `answer_probabilities` for the fourth cumulants of the noise.
+    """Compute the correction of `answer_probabilities`, (..., 4) with sum 0, for the fourth cumulants of the
+    noise, (..., 4, 4, 4, 4). Scores and covariances are as there.
 
-    Parameters
-    ----------
-    score : array_like, shape (..., 4)
-    covariance : array_like, shape (..., 4, 4)
-        Both as for `answer_probabilities`.
-    fourth_cumulant : array_like, shape (..., 4, 4, 4, 4)
-        Fourth cumulants of the noise on the scores; all three are broadcast against each other.
-
-    Returns
-    -------
-    ndarray, shape (..., 4)
-        Corrections of sum 0. For the summed noise of the observer's neurons they leave errors below 8e-5 for
-        triangles of 0.3 mrad, where the Gaussian is 2.6e-3 off, and below 8e-6 at 1 mrad. 0 for answers that
-        differ from another without noise, and where noise is all but in a plane: there the term is no
-        approximation. The triangles' never is.
+    For the summed noise of the observer's neurons corrections leave errors below 8e-5 for triangles of 0.3 mrad,
+    where the Gaussian is 2.6e-3 off, and below 8e-6 at 1 mrad. They are 0 for answers that differ from another
+    without noise, and where noise is all but in a plane: there the term is no approximation. The triangles' never
+    is.
     """
     scores, covariances, cumulants = (
         np.asarray(a, dtype=np.float64) for a in (score, covariance, fourth_cumulant)

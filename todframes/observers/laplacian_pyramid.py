@@ -23,20 +23,8 @@ BORDER = 4
 class LaplacianPyramid:
     """Band-pass images of halving resolution, the finest first, and the low-pass residual last.
 
-    Parameters
-    ----------
-    levels : int
-        Number of bands, >= 0.
-    kernel_a : float
-        Centre weight of the generating kernel [1/4 - a/2, 1/4, a, 1/4, 1/4 - a/2]; 0.375 is [1 4 6 4 1]/16.
-        Borders are mirrored about the outermost sample (reflect-101).
-
-    Raises
-    ------
-    SettingsError
-        If `levels` is negative or `kernel_a` is outside of [0, 1].
-
-    Burt & Adelson 1983, eqs. 1-8.
+    `kernel_a` is the centre weight of the generating kernel [1/4 - a/2, 1/4, a, 1/4, 1/4 - a/2]; 0.375 is [1 4 6 4
+    1]/16. Borders are mirrored about the outermost sample (reflect-101). Burt & Adelson 1983, eqs. 1-8.
     """
 
     levels: Annotated[int, Meta(ge=0)]
@@ -63,19 +51,10 @@ class LaplacianPyramid:
 
     def build_middle(self, image: NDArray[Any], half: int) -> list[NDArray[Any]]:
         """Compute the bands and the residual of an image that is zero except in its middle, each in its own
-        square.
+        square, with odd sides, beyond which it is zero.
 
-        Parameters
-        ----------
-        image : ndarray, shape (n, n)
-            Middle of the image, float32 or float64, n odd, with `BORDER` samples of zeros on each side or more.
-        half : int
-            Samples on each side of the whole image's middle one, a multiple of 2 ** levels.
-
-        Returns
-        -------
-        list of ndarray
-            Middles of the bands, with odd sides; beyond them the bands are zero.
+        The middle, float32 or float64, has an odd side and `BORDER` samples of zeros on each side or more; the
+        whole image reaches `half` samples to each side, a multiple of 2 ** levels.
         """
         bands = []
         for level in range(self.levels):
@@ -87,20 +66,8 @@ class LaplacianPyramid:
         return [*bands, image.copy()]
 
     def adjoint_middle(self, bands: Sequence[NDArray[Any]], half: int, half_width: int) -> NDArray[Any]:
-        """Compute the middle of `adjoint` of bands that are zero beyond their squares.
-
-        Parameters
-        ----------
-        bands : sequence of ndarray
-            As of `build_middle`.
-        half : int
-            Samples on each side of the whole image's middle one.
-        half_width : int
-            Samples on each side that are asked for.
-
-        Returns
-        -------
-        ndarray, shape (2 · half_width + 1,) * 2
+        """Compute the middle, `half_width` samples to each side, of `adjoint` of bands that are zero beyond their
+        squares, as from `build_middle`, for a whole image of `half` samples to each side.
         """
         wanted = [even_half(half_width)]
         for _ in bands[1:]:

@@ -20,21 +20,8 @@ from todframes.observers.interface import MODELFEST_CD_M2
 def sensitivity_ratio(
     frequency_cyc_per_deg: FloatArray, *, luminance_cd_m2: float, pupil_mm: float | None = None
 ) -> FloatArray:
-    """Compute the sensitivity to a frequency in this light, over that at 30 cd/m².
-
-    Parameters
-    ----------
-    frequency_cyc_per_deg : ndarray, any shape
-        Radial spatial frequency, >= 0.
-    luminance_cd_m2 : float
-        Background, > 0.
-    pupil_mm : float, optional
-        Diameter of the pupil. Default: that of the people of the formula, in this light.
-
-    Returns
-    -------
-    ndarray, same shape
-        1 at 30 cd/m² with a natural pupil.
+    """Compute the sensitivity to a frequency in this light, over that at 30 cd/m² with a natural pupil. The
+    default pupil is that of the people of the formula, in this light.
 
     Ashraf et al. 2024, achromatic sustained channel without flicker; its dependence on the stimulus' area cancels.
     Another pupil lets in the light of another luminance, through other optics (`eye.eye_mtf`).

@@ -308,9 +308,10 @@ class PyramidObserver(NeuronObserver):
         return self._expected(mean_of_turns(self._upright(stimulus)))
 
     def _template_deviation(self, stimulus: Stimulus) -> Bands:
-        """Compute the deviation of the upright triangle's template from the common one.  The difference is taken
-        before blur and bands; after them, the rounding of the common part would be larger than the difference
-        needs.
+        """Compute the deviation of the upright triangle's template from the common one.
+
+        The difference is taken before blur and bands; after them, the rounding of the common part would be larger
+        than the difference needs.
         """
         image = self._upright(stimulus)
         return self._expected(image - mean_of_turns(image))
@@ -321,13 +322,8 @@ class PyramidObserver(NeuronObserver):
 
     @keeps_last(4)
     def readout_within(self, stimulus: Stimulus, half_width: int) -> Readout:
-        """Return the readout where the observer sees the middle of the retina only, in single precision.
-
-        Parameters
-        ----------
-        stimulus : Stimulus
-        half_width : int
-            Samples on each side of the retina's middle one, at most.
+        """Return the readout, in single precision, where the observer sees so many samples on each side of the
+        retina's middle one only, at most.
         """
         return self._folded_readout(stimulus, min(half_width, self.grid(stimulus).side // 2), np.float32)
 

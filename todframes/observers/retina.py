@@ -152,23 +152,11 @@ def resample(
     first_row: int = 0,
     first_column: int = 0,
 ) -> FloatArray:
-    """Average the contrast over each retina sample's own area, the display taken as piecewise constant.
+    """Average the contrast over each retina sample's own area, the display taken as piecewise constant: (side,
+    side).
 
-    Parameters
-    ----------
-    contrast : ndarray, shape (rows, columns)
-        Part of a frame whose first pixel is (first_row, first_column); elsewhere the contrast is 0.
-    grid : RetinaGrid
-    x_px, y_px : float
-        Place of the grid's middle on the frame.
-    pixel_pitch_mrad : float
-        Visual angle of a display pixel, > 0.
-
-    Returns
-    -------
-    ndarray, shape (grid.side, grid.side)
-
-    Hogervorst et al. 2001, section 4.1.
+    `contrast` is the part of a frame whose first pixel is (first_row, first_column); elsewhere the contrast is 0.
+    The grid's middle lies at (x_px, y_px) on the frame. Hogervorst et al. 2001, section 4.1.
     """
     top, part = resampled_rows(
         contrast,
@@ -311,13 +299,8 @@ def mirrored_frequencies(side: int, pitch: float) -> tuple[FloatArray, FloatArra
 
 
 def mirror_filtered(image: FloatArray, transfer: FloatArray) -> FloatArray:
-    """Filter an image that is mirrored about its outermost samples.
-
-    Parameters
-    ----------
-    image : ndarray, shape (side, side)
-    transfer : ndarray, shape (side, side)
-        At `mirrored_frequencies`; real and even along both axes.
+    """Filter an image that is mirrored about its outermost samples. The transfer, of the image's shape, is at
+    `mirrored_frequencies`, real and even along both axes.
     """
     from scipy.fft import dctn, idctn
 

@@ -39,9 +39,8 @@ _AT_ONCE = 1 << 15
 
 
 class PlaceProbabilities(NamedTuple):
-    """Probabilities of the four answers, (..., 4), and their standard error, of the same shape.
-
-    The error is 0 if the places are independent: the integral is then right to 1e-7.
+    """Probabilities of the four answers, (..., 4), and their standard error; it is 0 if the places are
+    independent, where the integral is right to 1e-7.
     """
 
     probability: FloatArray
@@ -51,28 +50,13 @@ class PlaceProbabilities(NamedTuple):
 def unknown_place_probabilities(
     score: ArrayLike, covariance: ArrayLike, *, empty_places: int = 0
 ) -> PlaceProbabilities:
-    """Compute the probability of each answer by the largest of the scores of all places.
+    """Compute the probability of each answer by the largest of the scores of all places, (..., place, 4).
 
-    Parameters
-    ----------
-    score : array_like, shape (..., place, 4)
-        Mean scores at each place, in the order of `ORIENTATIONS`. Unlike for a known place, the part that the four
-        scores of a place have in common matters.
-    covariance : array_like, shape (4, 4) or (place, 4, place, 4)
-        Covariance of the Gaussian noise on the scores of a place, the same at all places, which are independent;
-        or the joint covariance of the scores of all places.
-    empty_places : int
-        Number of further places with mean scores of 0; all places have to be independent.
-
-    Returns
-    -------
-    PlaceProbabilities
-        Probabilities with sum 1.
-
-    Raises
-    ------
-    SettingsError
-        If a shape or value is wrong, a matrix is no covariance, or the covariance is not the same at all places.
+    Unlike for a known place, the part that the four scores of a place have in common matters. The covariance is
+    that of the Gaussian noise on the scores of a place, (4, 4), the same at all places, which are then
+    independent; or the joint one, (place, 4, place, 4). `empty_places` more have mean scores of 0, if all are
+    independent. SettingsError if a shape or value is wrong, a matrix is no covariance, or the covariance is not
+    the same at all places.
     """
     scores = np.asarray(score, dtype=np.float64)
     if scores.ndim < 2 or scores.shape[-1] != 4:
@@ -97,24 +81,10 @@ def unknown_place_probabilities(
 def correct_at_unknown_place(
     score: FloatArray, covariance: FloatArray, correct: int, *, empty_places: int
 ) -> FloatArray:
-    """Compute the probability of a correct answer of trials that each have a noise of their own.
+    """Compute the probability of a correct answer, right to 1e-7, of trials that each have a noise of their own.
 
-    Parameters
-    ----------
-    score : ndarray, shape (..., 4)
-        Mean scores at the triangle's place.
-    covariance : ndarray, shape (..., 4, 4)
-        Covariance of the noise on them, and on those of each other place; it is not checked. Leading axes of both
-        are broadcast.
-    correct : int
-        Index of the correct answer.
-    empty_places : int
-        Number of other places, whose mean scores are 0.
-
-    Returns
-    -------
-    ndarray, shape (...,)
-        Right to 1e-7.
+    `score`, (..., 4), is that at the triangle's place, and `covariance`, (..., 4, 4), that of the noise there and
+    at each of the `empty_places`; it is not checked. Leading axes are broadcast.
     """
     shape = np.broadcast_shapes(score.shape[:-1], covariance.shape[:-2])
     flat = np.broadcast_to(score, (*shape, 4)).reshape(-1, 1, 4)
@@ -124,10 +94,8 @@ def correct_at_unknown_place(
 
 
 def _independent(score: FloatArray, covariance: FloatArray, last_alike: int) -> FloatArray:
-    """Compute the probabilities, (n, 4), for scores (n, place, 4) and a checked covariance of each place.
-
-    The covariance, (4, 4) or (n, 4, 4), is that of all trials, or of each. `last_alike` is the number of places
-    that are as the last one.
+    """Compute the probabilities, (n, 4), for scores (n, place, 4) and a checked covariance of each place, (4, 4),
+    or of each trial, (n, 4, 4). `last_alike` is the number of places that are as the last one.
     """
     each = covariance.reshape(-1, 4, 4)
     deviation = np.sqrt(np.maximum(np.diagonal(each, axis1=1, axis2=2), 0.0))
@@ -222,25 +190,10 @@ def _rule(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
 def drawn_answers(
     score: ArrayLike, covariance: ArrayLike, rngs: Sequence[np.random.Generator]
 ) -> NDArray[np.intp]:
-    """Draw the answer of the largest of the scores of all places, one for each trial.
+    """Draw the answer of the largest of the scores of all places, an index into `ORIENTATIONS` for each trial.
 
-    Parameters
-    ----------
-    score : array_like, shape (trial, place, 4)
-    covariance : array_like, shape (4, 4) or (place, 4, place, 4)
-        As for `unknown_place_probabilities`.
-    rngs : sequence of Generator
-        The random stream of each trial.
-
-    Returns
-    -------
-    ndarray of int, shape (trial,)
-        Indices into `ORIENTATIONS`.
-
-    Raises
-    ------
-    SettingsError
-        If the matrix is no covariance, or not the same at all places.
+    Scores are (trial, place, 4), the covariance is as for `unknown_place_probabilities`, and each trial has its
+    own random stream.
     """
     scores, joint = np.asarray(score, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
     n_places = scores.shape[1]
