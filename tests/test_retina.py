@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from overlaps import shares_of_samples
 
 from todframes.base.errors import SettingsError
-from todframes.observers.retina import RetinaGrid, SummedWeights, resample
+from todframes.observers.retina import RetinaGrid, resample
 from todframes.stimulus import Orientation, coverage
 
 
@@ -62,24 +62,6 @@ def test_coarse_pixels_are_seen_as_their_overlaps_say(ratio: float, x: float, y:
     seen = resample(image, grid, x_px=x, y_px=y, pixel_pitch_mrad=pitch_mrad)
     # An edge may be rounded by 1e-16 of its distance, up to 65 samples, and two pixels differ by up to 6.
     assert np.allclose(seen, rows @ (columns @ image.T).T, rtol=0.0, atol=1e-12)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    log_ratio=st.floats(-1.0, 1.5),
-    x=st.floats(-15.0, 20.0),
-    y=st.floats(-15.0, 20.0),
-    side=st.sampled_from([1, 3, 17, 65]),
-)
-def test_products_with_pixels_are_those_on_the_retina(log_ratio: float, x: float, y: float, side: int) -> None:
-    """Products of weights and frames are the same on pixels as on the retina, on and off the frame."""
-    rng, grid = np.random.default_rng(7), RetinaGrid(side, 0.153)
-    image, weights = rng.normal(size=(5, 8)), rng.normal(size=(3, side, side))
-    place = {"x_px": x, "y_px": y, "pixel_pitch_mrad": 0.153 * 10.0**log_ratio, "first_row": 2, "first_column": -3}
-    products = SummedWeights(grid, weights).on_pixels(**place, n_rows=5, n_columns=8)(image)
-    # Sums of up to 65² normal deviates are below 300; 40 pixels take four of them each, rounded to 2⁻⁵².
-    on_retina = np.tensordot(weights, resample(image, grid, **place), 2)
-    assert np.allclose(products, on_retina, rtol=0.0, atol=1e-11)
 
 
 def test_equal_pitch_on_the_pixels_is_the_identity() -> None:

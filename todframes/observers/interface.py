@@ -25,7 +25,7 @@ from todframes.base.reading import check_keys, settings_path
 from todframes.base.user_code import import_named, registered
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.internal_noise import Bands, edgeworth_correction, inner_product
-from todframes.observers.retina import RetinaGrid, SummedWeights
+from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Centre, Orientation, Stimulus
 
 ENTRY_POINT_GROUP = "todframes.observers"
@@ -100,11 +100,6 @@ class Readout:
         digest = hashlib.sha256(repr((self.grid, self.deviations.shape)).encode())
         digest.update(np.ascontiguousarray(self.deviations).data)
         return digest.digest()
-
-    @cached_property
-    def summed_weights(self) -> SummedWeights:
-        """The weights of `deviations` and of `common`, five images, for products with display pixels."""
-        return SummedWeights(self.grid, np.concatenate([self.deviations, self.common[None]]))
 
     @cached_property
     def norm(self) -> float:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from todframes.frames.position import place_offsets_px
 from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer, Readout
 from todframes.observers.internal_noise import inner_product
-from todframes.observers.retina import RetinaGrid, SummedWeights
+from todframes.observers.retina import RetinaGrid
 from todframes.parameters import Decisions
 from todframes.scoring.error_budget import REPLICATES
 from todframes.scoring.plan import ScorePlan
@@ -193,15 +192,14 @@ def see(
     reading_s = (time.perf_counter() - started) / len(ways)
     displaced = viewing.displacement_samples
     places: list[tuple[float, float]] = list(map(tuple, displaced.tolist()))
-    scores_of = None if viewing.readout is None else _Scores(viewing, viewing.readout)
     seen = []
     for shown in ways:
         started = time.perf_counter()
         answer = NO_ANSWER
-        if scores_of is None:
+        if viewing.readout is None:
             scores = deviations = np.full((len(places), 4), np.nan)
         else:
-            pairs = [scores_of(shown, place) for place in places]
+            pairs = [_scores(viewing, viewing.readout, shown, place) for place in places]
             scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
         at_places = _place_scores(viewing, shown)
         if scoring.decisions == "sampled" and not len(viewing.offsets):
@@ -255,51 +253,19 @@ def _place_scores(viewing: TrialViewing, shown: Shown) -> FloatArray:
     n_displaced, n_places = len(viewing.displacement_samples), len(viewing.offsets)
     scores = np.empty((n_displaced * n_places, 4))
     if viewing.readout is not None and n_places:
-        scores_of = _Scores(viewing, viewing.readout)
         for row, (dx, dy) in enumerate(viewing.reached_samples.tolist()):
-            scores[row], _ = scores_of(shown, (dx, dy))
+            scores[row], _ = _scores(viewing, viewing.readout, shown, (dx, dy))
     return scores.reshape(n_displaced, n_places, 4)
 
 
-class _Scores:
-    """Function of the scores of a trial as shown; what several ways of showing it have in common is found once."""
-
-    def __init__(self, viewing: TrialViewing, readout: Readout) -> None:
-        self._readout, self._grid = readout, viewing.grid
-
-    @cached_property
-    def _products(self) -> Callable[..., Callable[[FloatArray], FloatArray]]:
-        return lru_cache(maxsize=1)(self._readout.summed_weights.on_pixels)
-
-    def __call__(self, shown: Shown, displacement_samples: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-        """Return the scores with a displacement of the retina, and their deviations from their mean, (4,) each."""
-        readout, pitch_mrad = self._readout, shown.pixel_pitch_mrad
-        if not all(
-            patch.to_contrast is None and SummedWeights.pays(self._grid, patch.values.size, pitch_mrad)
-            for patch in shown.patches
-        ):
-            contrast = retina_image(shown, self._grid, displacement_samples)
-            deviations = readout.score_deviations(contrast)
-            deviations = _without_rounding(readout, deviations, math.sqrt(inner_product(contrast, contrast)))
-            return deviations + readout.common_score(contrast), deviations
-        dx, dy = (d * self._grid.pitch_mrad / pitch_mrad for d in displacement_samples)
-        sums, length = np.zeros(5), 0.0
-        for patch, x, y in zip(shown.patches, shown.x_px, shown.y_px, strict=True):
-            n_rows, n_columns = patch.values.shape
-            products = self._products(
-                x_px=x + dx,
-                y_px=y + dy,
-                pixel_pitch_mrad=pitch_mrad,
-                first_row=patch.row,
-                first_column=patch.column,
-                n_rows=n_rows,
-                n_columns=n_columns,
-            )
-            sums += products(patch.values) / len(shown.patches)
-            length += math.sqrt(inner_product(patch.values, patch.values)) / len(shown.patches)
-        # The mean over a sample has at most the mean square, so a pixel counts as the samples that it covers.
-        deviations = _without_rounding(readout, sums[:4], length * pitch_mrad / self._grid.pitch_mrad)
-        return deviations + sums[4], deviations
+def _scores(
+    viewing: TrialViewing, readout: Readout, shown: Shown, displacement_samples: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the scores with a displacement of the retina, and their deviations from their mean, (4,) each."""
+    contrast = retina_image(shown, viewing.grid, displacement_samples)
+    deviations = readout.score_deviations(contrast)
+    deviations = _without_rounding(readout, deviations, math.sqrt(inner_product(contrast, contrast)))
+    return deviations + readout.common_score(contrast), deviations
 
 
 def _without_rounding(readout: Readout, deviations: FloatArray, length: float) -> FloatArray:
