@@ -101,33 +101,15 @@ def resample(
     pixel_pitch_mrad: float,
     first_row: int = 0,
     first_column: int = 0,
+    onto: FloatArray | None = None,
 ) -> FloatArray:
-    """Average the contrast over each retina sample's own area, the display taken as piecewise constant: (side,
-    side).
+    """Average the contrast over each retina sample's own area, the display taken as piecewise constant.
 
     `contrast` is the part of a frame whose first pixel is (first_row, first_column); elsewhere the contrast is 0.
-    The grid's middle lies at (x_px, y_px) on the frame. Hogervorst et al. 2001, section 4.1.
+    The grid's middle lies at (x_px, y_px) on the frame. The result, (side, side), is added to `onto` if that is
+    given.
+    Hogervorst et al. 2001, section 4.1.
     """
-    positions = {"x_px": x_px, "y_px": y_px, "pixel_pitch_mrad": pixel_pitch_mrad}
-    top, part = resampled_rows(contrast, grid, **positions, first_row=first_row, first_column=first_column)
-    if len(part) == grid.side:
-        return part
-    image = np.zeros((grid.side, grid.side))
-    image[top : top + len(part)] = part
-    return image
-
-
-def resampled_rows(
-    contrast: FloatArray,
-    grid: RetinaGrid,
-    *,
-    x_px: float,
-    y_px: float,
-    pixel_pitch_mrad: float,
-    first_row: int,
-    first_column: int,
-) -> tuple[int, FloatArray]:
-    """Return the rows of `resample` that the pixels touch, and the number of the first row."""
     touched = [
         grid.pixel_range(centre_px=at - first, pixel_pitch_mrad=pixel_pitch_mrad, n_pixels=n_pixels)
         for at, first, n_pixels in zip((y_px, x_px), (first_row, first_column), contrast.shape, strict=True)
@@ -136,20 +118,27 @@ def resampled_rows(
     first_row, first_column = first_row + touched[0][0], first_column + touched[1][0]
     n_rows, n_columns = contrast.shape
     samples_per_pixel = pixel_pitch_mrad / grid.pitch_mrad
-    upper = (first_row - 0.5 - y_px) * samples_per_pixel + grid.side / 2.0
+    upper, lower = (
+        (row - 0.5 - y_px) * samples_per_pixel + grid.side / 2.0 for row in (first_row, first_row + n_rows)
+    )
     top = min(max(math.floor(upper), 0), grid.side)
-    bottom = max(min(math.ceil(upper + n_rows * samples_per_pixel), grid.side), top)
+    bottom = max(min(math.ceil(lower), grid.side), top)
     if not (top < bottom and n_rows and n_columns):
-        return top, np.zeros((0, grid.side))
+        return np.zeros((grid.side, grid.side)) if onto is None else onto
     rows = *_shares(grid, y_px, pixel_pitch_mrad, first_row, n_rows), n_rows
     columns = *_shares(grid, x_px, pixel_pitch_mrad, first_column, n_columns), n_columns
     if grid.side * max(n_rows, n_columns) <= MOST_DENSE:
-        return top, np.asarray(_dense(*rows)[top:bottom] @ contrast @ _dense(*columns).T)
-    down, along = _sparse(*rows)[top:bottom], _sparse(*columns)
-    # Either order is exact; the larger array is the one not to make, or to copy.
-    if n_rows > grid.side:
-        return top, np.asarray((along @ (down @ contrast).T).T)
-    return top, np.asarray(down @ (along @ contrast.T).T)
+        seen = _dense(*rows)[top:bottom] @ contrast @ _dense(*columns).T
+    else:
+        down, along = _sparse(*rows)[top:bottom], _sparse(*columns)
+        # Either order is exact; the larger array is the one not to make, or to copy.
+        seen = (along @ (down @ contrast).T).T if n_rows > grid.side else down @ (along @ contrast.T).T
+    if onto is None:
+        if len(seen) == grid.side:
+            return np.asarray(seen)
+        onto = np.zeros((grid.side, grid.side))
+    onto[top:bottom] += seen
+    return onto
 
 
 def gaussian_blur(image: FloatArray, sigma: float) -> FloatArray:

@@ -25,7 +25,7 @@ from todframes.frames.position import (
 from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import FrameReference, Trial
 from todframes.observers.interface import Observer
-from todframes.observers.retina import RetinaGrid, resample, resampled_rows
+from todframes.observers.retina import RetinaGrid, resample
 
 
 class Placement(NamedTuple):
@@ -223,19 +223,9 @@ def retina_image(
 def _on_retina(
     patch: ContrastPatch, grid: RetinaGrid, x_px: float, y_px: float, pixel_pitch_mrad: float
 ) -> FloatArray:
-    if patch.to_contrast is None:
-        return resample(
-            patch.values,
-            grid,
-            x_px=x_px,
-            y_px=y_px,
-            pixel_pitch_mrad=pixel_pitch_mrad,
-            first_row=patch.row,
-            first_column=patch.column,
-        )
     image = np.zeros((grid.side, grid.side))
     for band in patch.bands():
-        top, part = resampled_rows(
+        resample(
             band.values,
             grid,
             x_px=x_px,
@@ -243,8 +233,8 @@ def _on_retina(
             pixel_pitch_mrad=pixel_pitch_mrad,
             first_row=band.row,
             first_column=band.column,
+            onto=image,
         )
-        image[top : top + len(part)] += part
     return image
 
 
