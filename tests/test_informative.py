@@ -383,7 +383,7 @@ def test_only_then_does_a_filter_make_no_difference() -> None:
 @pytest.mark.slow
 def test_weights_that_are_not_found_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A display that leaves next to nothing of fine detail, and an eye without noise that would want it back."""
-    monkeypatch.setattr("todframes.observers.hotelling.MOST_ITERATIONS", 50)
+    monkeypatch.setattr("todframes.observers.hotelling.MOST_STEPS", 50)
     with pytest.raises(SettingsError, match=r"sample_noise_sd: found 1, whose ideal weights are not found in 50"):
         observer(internal_noise=0.0, sample_noise_sd=1.0, display_blur_mrad=1.0).readout(Stimulus(1.0))
 

@@ -13,8 +13,8 @@ import numpy as np
 from todframes.base._typing import FloatArray
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.interface import Observer, Readout, find_observer
-from todframes.observers.retina import RetinaGrid
-from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
+from todframes.observers.retina import RetinaGrid, triangle_on
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 SIZES_MRAD = (0.05, 1.0, 20.0)
 """Sizes of triangles that a grid must hold."""
@@ -112,15 +112,8 @@ def _grid(observer: Any) -> Iterator[str]:
 def _triangle(observer: Observer, stimulus: Stimulus, orientation: Orientation, dx: float = 0.0) -> FloatArray:
     """Draw a triangle of contrast 1 on the middle of the grid, or to the right of it."""
     grid = observer.grid(stimulus)
-    image = coverage(
-        (grid.side, grid.side),
-        size_px=stimulus.size_mrad / grid.pitch_mrad,
-        x_px=grid.side // 2 + dx,
-        y_px=grid.side // 2,
-        orientation=orientation,
-        centre=observer.centre,
-    )
-    return np.ascontiguousarray(stimulus.polarity * image)
+    image = triangle_on(grid, stimulus.size_mrad, orientation, x=dx, centre=observer.centre)
+    return stimulus.polarity * image
 
 
 def _drawn(observer: Observer, image: FloatArray, n: int, seed: int = 5) -> list[Orientation]:

@@ -10,7 +10,6 @@ Watson & Ahumada 2005, J. Vision 5(9):6.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -33,10 +32,10 @@ from todframes.observers.interface import (
     keeps_last,
     known_luminance,
 )
-from todframes.observers.internal_noise import Bands, inner_product, summed_covariance, summed_variance
+from todframes.observers.internal_noise import Bands, summed_variance
 from todframes.observers.laplacian_pyramid import framed
 from todframes.observers.light import sensitivity_ratio
-from todframes.observers.neurons import NeuronObserver
+from todframes.observers.neurons import NeuronObserver, ideal_weights
 from todframes.observers.retina import RetinaGrid, mean_of_turns
 from todframes.stimulus import Centre, Stimulus
 
@@ -55,8 +54,8 @@ FIELD_MRAD, APERTURE_SDS = 6.0, 4.0
 whichever is less. Beyond it the weights of a score have a root sum of squares of less than 1e-3 of all, for
 triangles of 0.5 to 30 mrad."""
 
-SOLVER_TOLERANCE, MOST_ITERATIONS = 1e-10, 2000
-"""Residual of the ideal templates, relative to the matched ones, and the largest number of steps to reach it."""
+MOST_STEPS = 2000
+"""Largest number of steps to an ideal template."""
 
 FRAMES = "frames"
 """Setting of a spectrum that is to be measured in the frames of a dataset."""
@@ -314,8 +313,6 @@ class CsfObserver(NeuronObserver):
         """
         if self.settings.template == "matched":
             return expected
-        from scipy.sparse.linalg import LinearOperator, cg
-
         (image,) = expected
         side, aperture = len(image), self._aperture(len(image))
         x, y = self._frequencies(_padded(side))
@@ -324,42 +321,29 @@ class CsfObserver(NeuronObserver):
         power = self.external_noise_density(x, y) / sample_deg**2 * self._seen_transfer(x, y) ** 2
         power /= self.settings.noise_sd**2
 
-        def covariance(weights: FloatArray) -> FloatArray:
-            seen = weights.reshape(side, side)
-            return np.asarray(seen + aperture * _convolved(aperture * seen, power)).ravel()
+        def covariance(weights: Bands) -> Bands:
+            return (weights[0] + aperture * _convolved(aperture * weights[0], power),)
 
-        operator = LinearOperator((image.size, image.size), matvec=covariance, dtype=np.float64)
-        weights, not_converged = cg(operator, image.ravel(), rtol=SOLVER_TOLERANCE, maxiter=MOST_ITERATIONS)
-        if not_converged:
+        weights = ideal_weights(covariance, expected, MOST_STEPS)
+        if weights is None:
             raise SettingsError(
                 f"external_noise_deg: found {self.settings.external_noise_deg:g}, whose ideal template is not "
-                f"found in {MOST_ITERATIONS} steps; expected less noise"
+                f"found in {MOST_STEPS} steps; expected less noise"
             )
-        return (weights.reshape(side, side),)
+        return weights
 
     def make_readout(self, stimulus: Stimulus) -> Readout:
         """Fold filter, aperture and templates onto the retina."""
-        upright = self._template_deviation(stimulus)
-        turned = [self.turned(upright, k) for k in range(4)]
-        folded = self._fold(upright)
-        return Readout(
-            grid=self.grid(stimulus),
-            find_common=lambda: self._fold(self._common_template(stimulus)),
-            deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
-            noise_covariance=summed_covariance(turned, self.settings.noise_sd),
-            excess_kurtosis=0.0,
-            find_common_variance=lambda: summed_variance(self._common_template(stimulus), self.settings.noise_sd),
-        )
+        return self._folded(stimulus, self._template_deviation(stimulus), self._fold)
 
-    def _fold(self, bands: Sequence[FloatArray]) -> FloatArray:
+    def _fold(self, bands: Bands) -> FloatArray:
         """Compute the weights on the retina of weights of the activity: the adjoint of `activity`."""
         return self._filtered(bands[0] * self._aperture(len(bands[0])))
 
     def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection:
         """Fold the observer of a pattern onto the middle of its retina; see `Observer.detection`."""
         weights = self.pattern_template(pattern, self.grid(Stimulus(width_mrad)).side)
-        variance = self.settings.noise_sd**2 * inner_product(*weights, *weights)
-        return Detection(framed(self._fold(weights), half_width), variance)
+        return Detection(framed(self._fold(weights), half_width), summed_variance(weights, self.settings.noise_sd))
 
 
 def _interpolated(frequency: FloatArray, spectrum: FloatArray) -> FloatArray:

@@ -23,6 +23,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.observers.interface import OmittedWeights
 from todframes.observers.internal_noise import Bands
+from todframes.observers.neurons import ideal_weights
 from todframes.observers.pyramid import LARGEST_SIZE_SAMPLES, PyramidObserver, PyramidSettings
 from todframes.observers.retina import (
     RetinaGrid,
@@ -37,10 +38,8 @@ DisplayAngle = Annotated[float, Meta(ge=0.0, le=1e6)]
 TRIANGLE_VARIANCE = 3.0**-0.5 / 6.0
 """Variance of a triangle of size 1 along any axis."""
 
-SOLVER_TOLERANCE = 1e-10
-"""Residual of the ideal weights, relative to the templates."""
-
-MOST_ITERATIONS = 500
+MOST_STEPS = 500
+"""Largest number of steps to ideal weights."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,38 +203,28 @@ class HotellingObserver(PyramidObserver):
         K = σ²I + P L S Lᵀ P with internal noise σ, pyramid L, the used neurons P and the samples' noise S on the
         retina, taken as the same wherever the samples lie.
         """
-        from scipy.sparse.linalg import LinearOperator, cg
-
         retina_samples = (self.settings.sample_pitch_mrad or grid.pitch_mrad) / grid.pitch_mrad
         internal, external = self.settings.noise_sd**2, (self.settings.sample_noise_sd * retina_samples) ** 2
         if external == 0.0:
             return difference
         internal, external = internal / (internal + external), external / (internal + external)
         transfer = self.postsample_mtf(*self._frequencies(np.empty((grid.side,) * 2)))
-        ends = np.cumsum([band.size for band in difference])[:-1]
 
-        def bands(flat: FloatArray) -> Bands:
+        def covariance(weights: Bands) -> Bands:
+            on_retina = self._fold(weights, grid)
+            noise = self.activity(mirror_filtered(mirror_filtered_adjoint(on_retina, transfer), transfer))
             return tuple(
-                part.reshape(band.shape) for part, band in zip(np.split(flat, ends), difference, strict=True)
+                internal * band + external * (of_samples * neurons)
+                for band, of_samples, neurons in zip(weights, noise, used, strict=True)
             )
 
-        def flat(of_bands: Bands) -> FloatArray:
-            return np.concatenate([band.ravel() for band in of_bands])
-
-        def covariance(weights: FloatArray) -> FloatArray:
-            on_retina = self._fold(bands(weights), grid)
-            noise = self.activity(mirror_filtered(mirror_filtered_adjoint(on_retina, transfer), transfer))
-            return internal * weights + external * flat(tuple(map(np.multiply, noise, used)))
-
-        d = flat(difference)
-        operator = LinearOperator((d.size, d.size), matvec=covariance, dtype=np.float64)
-        weights, not_converged = cg(operator, d, rtol=SOLVER_TOLERANCE, maxiter=MOST_ITERATIONS)
-        if not_converged:
+        weights = ideal_weights(covariance, difference, MOST_STEPS)
+        if weights is None:
             raise SettingsError(
                 f"sample_noise_sd: found {self.settings.sample_noise_sd:g}, whose ideal weights are not found in "
-                f"{MOST_ITERATIONS} steps; expected less of it, more internal noise or less blur"
+                f"{MOST_STEPS} steps; expected less of it, more internal noise or less blur"
             )
-        return bands(weights)
+        return weights
 
     def _frequencies(self, image: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the frequencies along x and y, in cycles/mrad, of the cosines that mirrored borders leave."""

@@ -12,7 +12,7 @@ import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
-from functools import cached_property, wraps
+from functools import cache, cached_property, partial, wraps
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Concatenate, Literal, NamedTuple, ParamSpec, TypeVar, cast
 
@@ -216,9 +216,9 @@ def joint_noise_covariance(
     n, own = len(places_mrad), readout.full_covariance
     if n < 2:
         return None
-    offsets = np.subtract(np.array(places_mrad)[:, None], np.array(places_mrad)[:1])[1:, 0]
-    nearest = offsets[np.hypot(*offsets.T).argmin()].tolist()
-    shared = observer.noise_between_places(stimulus, (nearest[0], nearest[1]))
+    offsets = np.subtract(places_mrad[1:], places_mrad[0])
+    nearest = tuple(offsets[np.hypot(*offsets.T).argmin()].tolist())
+    shared = observer.noise_between_places(stimulus, nearest)
     if shared is None or float(np.abs(shared).max()) <= LEAST_SHARED * float(np.diagonal(own).max()):
         return None
     if n > MOST_SHARED:
@@ -226,18 +226,15 @@ def joint_noise_covariance(
             f"places: found {n} at a distance of {math.hypot(*nearest):.4g} mrad, at which neurons see several of "
             f"them; expected at most {MOST_SHARED}, or a larger distance"
         )
+    between = cache(partial(observer.noise_between_places, stimulus))
     joint = np.zeros((n, 4, n, 4))
-    covariances: dict[tuple[float, float], FloatArray] = {}
     for here, (x, y) in enumerate(places_mrad):
         joint[here, :, here] = own
         for there in range(here):
-            offset = (round(places_mrad[there][0] - x, 9), round(places_mrad[there][1] - y, 9))
-            if offset not in covariances:
-                of_offset = observer.noise_between_places(stimulus, offset)
-                assert of_offset is not None  # as for the nearest
-                covariances[offset] = of_offset
-            joint[here, :, there] = covariances[offset]
-            joint[there, :, here] = covariances[offset].T
+            covariance = between((round(places_mrad[there][0] - x, 9), round(places_mrad[there][1] - y, 9)))
+            assert covariance is not None  # as for the nearest
+            joint[here, :, there] = covariance
+            joint[there, :, here] = covariance.T
     return joint
 
 
@@ -465,14 +462,18 @@ def find_observer(name: str) -> type[Observer]:
         If there is none of this name, or it cannot be imported.
     """
     if ":" in name:
-        return _imported(name)
-    found = registered(ENTRY_POINT_GROUP)
-    check_keys([name], found, "observer")
-    try:
-        kind = found[name].load()
-    except (ImportError, AttributeError) as error:
-        raise SettingsError(f"observer: {name!r} cannot be loaded ({error})") from None
-    return _checked(kind, name)
+        module, _, class_name = name.partition(":")
+        kind = import_named(module, class_name, f"observer: {name!r}")
+    else:
+        entries = registered(ENTRY_POINT_GROUP)
+        check_keys([name], entries, "observer")
+        try:
+            kind = entries[name].load()
+        except (ImportError, AttributeError) as error:
+            raise SettingsError(f"observer: {name!r} cannot be loaded ({error})") from None
+    if isinstance(kind, type) and issubclass(kind, Observer):
+        return kind
+    raise SettingsError(f"observer: {name!r}: found no observer, expected a subclass of todframes.Observer")
 
 
 def observers_with(setting: str) -> list[str]:
@@ -486,18 +487,6 @@ def observers_with(setting: str) -> list[str]:
         if setting in [field.name for field in fields(kind.settings_type)]:
             found.append(name)
     return found
-
-
-def _checked(kind: object, name: str) -> type[Observer]:
-    if isinstance(kind, type) and issubclass(kind, Observer):
-        return kind
-    raise SettingsError(f"observer: {name!r}: found no observer, expected a subclass of todframes.Observer")
-
-
-def _imported(name: str) -> type[Observer]:
-    module, _, class_name = name.partition(":")
-    kind = import_named(module, class_name, f"observer: {name!r}")
-    return _checked(kind, name)
 
 
 def settings_file(name: Path | str) -> Path:

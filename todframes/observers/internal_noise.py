@@ -30,33 +30,29 @@ fourth cumulants take more time than everything else, and it changes P(correct) 
 
 
 class SummedNoise(NamedTuple):
-    """Uniform noise summed in four score deviations, by the names of the attributes of `Readout`."""
+    """Noise summed in four score deviations, by the names of the attributes of `Readout`."""
 
     noise_covariance: FloatArray
     excess_kurtosis: float
     find_fourth_cumulants: Callable[[], FloatArray] | None
 
 
-def summed_noise(turned: Sequence[Bands], noise_sd: float) -> SummedNoise:
-    """Sum uniform, independent noise of standard deviation `noise_sd`, with the weights of template deviations:
-    those of the upright triangle, turned by none to three quarters.
+def summed_noise(turned: Sequence[Bands], noise_sd: float, excess_kurtosis: float) -> SummedNoise:
+    """Sum independent noise of standard deviation `noise_sd` and an excess kurtosis, with the weights of template
+    deviations: those of the upright triangle, turned by none to three quarters.
     """
-    kurtosis = UNIFORM_EXCESS_KURTOSIS * _participation(turned)
+    kurtosis = excess_kurtosis * _participation(turned) if excess_kurtosis else 0.0
 
     def find_fourth_cumulants() -> FloatArray:
         rows = [np.concatenate([band.ravel() for band in bands]) for bands in turned]
-        return fourth_cumulants(noise_sd * np.array(rows), excess_kurtosis=UNIFORM_EXCESS_KURTOSIS)
+        return fourth_cumulants(noise_sd * np.array(rows), excess_kurtosis=excess_kurtosis)
 
     is_gaussian = abs(kurtosis) <= LEAST_KURTOSIS
-    covariance = summed_covariance(turned, noise_sd)
-    return SummedNoise(covariance, kurtosis, None if is_gaussian else find_fourth_cumulants)
-
-
-def summed_covariance(turned: Sequence[Bands], noise_sd: float) -> FloatArray:
-    """Compute the covariance alone, (4, 4), of the same: a circulant matrix by symmetry."""
+    # A circulant matrix by symmetry.
     same, beside, opposite = (sum(map(inner_product, turned[0], turned[k])) for k in range(3))
     row = noise_sd**2 * np.array([same, beside, opposite, beside])
-    return np.array([np.roll(row, k) for k in range(4)])
+    covariance = np.array([np.roll(row, k) for k in range(4)])
+    return SummedNoise(covariance, kurtosis, None if is_gaussian else find_fourth_cumulants)
 
 
 def summed_variance(weights: Bands, noise_sd: float) -> float:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import ClassVar
+
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.observers.interface import Observer, keeps_last
-from todframes.observers.internal_noise import Bands, inner_product
+from todframes.observers.interface import Observer, Readout, keeps_last
+from todframes.observers.internal_noise import Bands, inner_product, summed_noise, summed_variance
 from todframes.observers.laplacian_pyramid import framed
-from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
+from todframes.observers.retina import RetinaGrid, triangle_on
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 
 class NeuronObserver(Observer):
@@ -17,6 +21,9 @@ class NeuronObserver(Observer):
     A subclass computes the `activity` of its neurons, draws their `noise` and makes two templates. The literal
     path, with noise on every neuron, is the definition with which tests compare the folded readout.
     """
+
+    noise_excess_kurtosis: ClassVar[float] = 0.0
+    """Excess kurtosis of the noise of a neuron; that of Gaussian noise."""
 
     def activity(self, contrast: FloatArray) -> Bands:
         """Compute the noise-free activity of all neurons, finest band first, for a retina image (side, side)."""
@@ -61,14 +68,23 @@ class NeuronObserver(Observer):
     def _upright(self, stimulus: Stimulus, half: int | None = None) -> FloatArray:
         """Draw the upright triangle, times its polarity, on the retina's middle: by default on all of it."""
         grid = self.grid(stimulus)
-        half = grid.side // 2 if half is None else half
-        return stimulus.polarity * coverage(
-            (2 * half + 1, 2 * half + 1),
-            size_px=stimulus.size_mrad / grid.pitch_mrad,
-            x_px=half,
-            y_px=half,
-            orientation=Orientation.UP,
-            centre=self.centre,
+        if half is not None:
+            grid = RetinaGrid(2 * half + 1, grid.pitch_mrad)
+        return stimulus.polarity * triangle_on(grid, stimulus.size_mrad, centre=self.centre)
+
+    def _folded(self, stimulus: Stimulus, upright: Bands, fold: Callable[[Bands], FloatArray]) -> Readout:
+        """Make the readout of the upright triangle's template deviation, with the noise of all neurons."""
+        folded, noise_sd = fold(upright), self.settings.noise_sd
+        # In single precision the sums would be no covariance.
+        turned = [tuple(band.astype(np.float64, copy=False) for band in upright)]
+        for _ in range(3):
+            turned.append(self.turned(turned[-1], 1))
+        return Readout(
+            grid=RetinaGrid(len(folded), self.grid(stimulus).pitch_mrad),
+            find_common=lambda: fold(self._common_template(stimulus)),
+            deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
+            find_common_variance=lambda: summed_variance(self._common_template(stimulus), noise_sd),
+            **summed_noise(turned, noise_sd, self.noise_excess_kurtosis)._asdict(),
         )
 
     def noisy_activity(self, contrast: FloatArray, rng: np.random.Generator | None) -> Bands:
@@ -94,3 +110,30 @@ class NeuronObserver(Observer):
         """Answer with the largest score, ties at random."""
         scores = self.literal_scores(contrast, stimulus, rng)
         return ORIENTATIONS[int(rng.choice(np.flatnonzero(scores == scores.max())))]
+
+
+SOLVER_TOLERANCE = 1e-10
+"""Residual of ideal weights, relative to the matched ones."""
+
+
+def ideal_weights(covariance: Callable[[Bands], Bands], expected: Bands, most_steps: int) -> Bands | None:
+    """Solve K w = d for an expected activity d by conjugate gradients; None if that takes more steps.
+
+    `covariance` multiplies weights by K, the covariance of all noise: so the weights are those of the ideal linear
+    observer.
+    """
+    from scipy.sparse.linalg import LinearOperator, cg
+
+    ends = np.cumsum([band.size for band in expected])[:-1]
+
+    def bands(flat: FloatArray) -> Bands:
+        parts = np.split(flat, ends)
+        return tuple(part.reshape(band.shape) for part, band in zip(parts, expected, strict=True))
+
+    def flat(weights: Bands) -> FloatArray:
+        return np.concatenate([band.ravel() for band in weights])
+
+    d = flat(expected)
+    operator = LinearOperator((d.size, d.size), matvec=lambda w: flat(covariance(bands(w))), dtype=np.float64)
+    weights, not_converged = cg(operator, d, rtol=SOLVER_TOLERANCE, maxiter=most_steps)
+    return None if not_converged else bands(weights)

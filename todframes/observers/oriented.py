@@ -8,7 +8,6 @@ Hogervorst et al. 2001, section 9.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -178,7 +177,7 @@ class OrientedObserver(PyramidObserver):
         expected = self._expected(framed(image, side // 2))
         return tuple(band.astype(dtype) for band in expected)
 
-    def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid, half_width: int | None = None) -> FloatArray:
+    def _fold(self, bands: Bands, grid: RetinaGrid, half_width: int | None = None) -> FloatArray:
         weights = [self.settings.gain_of(k) * band for k, band in enumerate(bands)]
         filters = self._filters(grid.side)
         if not self.settings.include_residual:

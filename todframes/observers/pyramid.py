@@ -11,8 +11,8 @@ Hogervorst et al. 2001, section 4.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -33,12 +33,7 @@ from todframes.observers.interface import (
     Readout,
     keeps_last,
 )
-from todframes.observers.internal_noise import (
-    Bands,
-    inner_product,
-    summed_noise,
-    summed_variance,
-)
+from todframes.observers.internal_noise import UNIFORM_EXCESS_KURTOSIS, Bands, inner_product, summed_variance
 from todframes.observers.laplacian_pyramid import BORDER, LaplacianPyramid, even_half, framed
 from todframes.observers.neurons import NeuronObserver
 from todframes.observers.retina import (
@@ -48,8 +43,9 @@ from todframes.observers.retina import (
     mirror_filtered,
     mirror_filtered_adjoint,
     mirrored_frequencies,
+    triangle_on,
 )
-from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, Stimulus, coverage, vertices
+from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, Stimulus, vertices
 
 MOST_LEVELS = 11
 """Largest number of levels. A retina image then takes half a GB."""
@@ -177,6 +173,7 @@ class PyramidObserver(NeuronObserver):
 
     settings_type: ClassVar[type[PyramidSettings]] = PyramidSettings
     settings: PyramidSettings
+    noise_excess_kurtosis: ClassVar[float] = UNIFORM_EXCESS_KURTOSIS
 
     def __init__(self, settings: PyramidSettings | None = None, *, more_levels: int = 0, **changes: Any) -> None:
         super().__init__(settings, **changes)
@@ -328,22 +325,12 @@ class PyramidObserver(NeuronObserver):
         return self._folded_readout(stimulus, min(half_width, self.grid(stimulus).side // 2), np.float32)
 
     def make_readout(self, stimulus: Stimulus) -> Readout | None:
-        """Fold pyramid and templates onto the retina: A_k = Lᵀ t_k."""
+        """Fold pyramid and templates onto the retina."""
         return self._folded_readout(stimulus, self.grid(stimulus).side // 2, np.float64)
 
     def _folded_readout(self, stimulus: Stimulus, half_width: int, dtype: DTypeLike) -> Readout:
-        grid = self.grid(stimulus)
-        upright = self._readout_deviation(stimulus, dtype)
-        folded = self._fold(upright, grid, half_width)
-        # In single precision the sums would be no covariance.
-        exact = tuple(band.astype(np.float64, copy=False) for band in upright)
-        return Readout(
-            grid=RetinaGrid(2 * half_width + 1, grid.pitch_mrad),
-            find_common=lambda: self._fold(self._common_template(stimulus), grid, half_width),
-            deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
-            **summed_noise(self._all_turns(exact), self.settings.noise_sd)._asdict(),
-            find_common_variance=lambda: summed_variance(self._common_template(stimulus), self.settings.noise_sd),
-        )
+        fold = partial(self._fold, grid=self.grid(stimulus), half_width=half_width)
+        return self._folded(stimulus, self._readout_deviation(stimulus, dtype), fold)
 
     def noise_between_places(self, stimulus: Stimulus, offset_mrad: tuple[float, float]) -> FloatArray | None:
         """Compute the covariance of the noise on the scores of two places: the same neurons see both.
@@ -351,29 +338,14 @@ class PyramidObserver(NeuronObserver):
         The bands are those of this place's grid, where the templates of the other place end with the grid.
         """
         grid = self.grid(stimulus)
-        middle, size_px = grid.side // 2, stimulus.size_mrad / grid.pitch_mrad
-        x_px, y_px = (middle + offset / grid.pitch_mrad for offset in offset_mrad)
-        there = [
-            self._expected(
-                stimulus.polarity
-                * coverage(
-                    (grid.side, grid.side),
-                    size_px=size_px,
-                    x_px=x_px,
-                    y_px=y_px,
-                    orientation=orientation,
-                    centre=self.centre,
-                )
-            )
+        x, y = (offset / grid.pitch_mrad for offset in offset_mrad)
+        triangles = (
+            triangle_on(grid, stimulus.size_mrad, orientation, x=x, y=y, centre=self.centre)
             for orientation in ORIENTATIONS
-        ]
-        products = [[sum(map(inner_product, one, other)) for other in there] for one in self.templates(stimulus)]
+        )
+        there = [self._expected(stimulus.polarity * triangle) for triangle in triangles]
+        products = [[sum(map(inner_product, t, other)) for other in there] for t in self.templates(stimulus)]
         return self.settings.noise_sd**2 * np.array(products)
-
-    def _all_turns(self, upright: Bands) -> tuple[Bands, ...]:
-        beside = self.turned(upright, 1)
-        opposite = self.turned(beside, 1)
-        return upright, beside, opposite, self.turned(opposite, 1)
 
     def _readout_deviation(self, stimulus: Stimulus, dtype: DTypeLike) -> Bands:
         """Compute `_template_deviation` where it is not zero: each band in its own square.
@@ -402,10 +374,9 @@ class PyramidObserver(NeuronObserver):
         around = 8.0 * self.settings.template_blur_samples + 2.0 + BORDER
         half = even_half(min(len(pattern) // 2 + around, grid.side // 2))
         expected = self._expected_middle(framed(pattern, half), grid.side, np.float64)
-        variance = self.settings.noise_sd**2 * sum(map(inner_product, expected, expected))
-        return Detection(self._fold(expected, grid, half_width), variance)
+        return Detection(self._fold(expected, grid, half_width), summed_variance(expected, self.settings.noise_sd))
 
-    def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid, half_width: int | None = None) -> FloatArray:
+    def _fold(self, bands: Bands, grid: RetinaGrid, half_width: int | None = None) -> FloatArray:
         """Compute the weights on the retina, or its middle, of weights of neurons: the adjoint of `activity`.
 
         Bands may be given where they are not zero, each in its own square.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_positive
+from todframes.stimulus import Centre, Orientation, coverage
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -139,6 +140,22 @@ def resample(
         onto = np.zeros((grid.side, grid.side))
     onto[top:bottom] += seen
     return onto
+
+
+def triangle_on(
+    grid: RetinaGrid,
+    size_mrad: float,
+    orientation: Orientation = Orientation.UP,
+    *,
+    x: float = 0.0,
+    y: float = 0.0,
+    centre: Centre = "centroid",
+) -> FloatArray:
+    """Draw a triangle of contrast 1 on the retina, its `centre` so many samples from the middle one."""
+    side, middle = grid.side, grid.side // 2
+    size, x_px, y_px = size_mrad / grid.pitch_mrad, middle + x, middle + y
+    image = coverage((side, side), size_px=size, x_px=x_px, y_px=y_px, orientation=orientation, centre=centre)
+    return np.ascontiguousarray(image)
 
 
 def gaussian_blur(image: FloatArray, sigma: float) -> FloatArray:

@@ -18,8 +18,9 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, check_whole
 from todframes.frames.dataset import MOST_PLACES
 from todframes.observers.interface import Observer, Readout
+from todframes.observers.retina import triangle_on
 from todframes.psychometrics.threshold_search import ComputedThreshold, find_crossing, if_known
-from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus, coverage
+from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus
 
 NODES = (6, 8, 12, 16, 24, 32, 48)
 """Numbers of Gauss–Legendre displacements along each axis, tried in turn until the threshold is stable."""
@@ -265,16 +266,7 @@ def _responses(observer: Observer, size_mrad: float, nodes: int, places: int = 1
     seen = readout.cropped(half_width)
     images = [
         [
-            np.ascontiguousarray(
-                coverage(
-                    (seen.grid.side, seen.grid.side),
-                    size_px=size_mrad / pitch,
-                    x_px=half_width + jitter * dx,
-                    y_px=half_width + jitter * dy,
-                    orientation=orientation,
-                    centre=observer.centre,
-                )
-            )
+            triangle_on(seen.grid, size_mrad, orientation, x=jitter * dx, y=jitter * dy, centre=observer.centre)
             for dy in displaced
             for dx in displaced
         ]
