@@ -36,7 +36,7 @@ from todframes.observers.internal_noise import Bands, summed_variance
 from todframes.observers.laplacian_pyramid import framed
 from todframes.observers.light import sensitivity_ratio
 from todframes.observers.neurons import NeuronObserver, ideal_weights
-from todframes.observers.retina import RetinaGrid, mean_of_turns
+from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Centre, Stimulus
 
 GAIN_PER_DEG = 509.37
@@ -170,20 +170,8 @@ class CsfSettings:
 class CsfObserver(NeuronObserver):
     """A linear observer with people's contrast sensitivity, without a free parameter but the efficiency.
 
-    Parameters
-    ----------
-    settings : CsfSettings, optional
-    wider : float
-        Factor of the field's width.
-    **changes
-        Settings by name, in place of those of `settings`.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such setting, or a value is out of its range.
-
-    Watson & Ahumada 2005, with the pooling exponent 2.
+    Parameters are as for `Observer`, with `CsfSettings`; `wider` is a factor of the field's width. Watson &
+    Ahumada 2005, with the pooling exponent 2.
     """
 
     settings_type: ClassVar[type[CsfSettings]] = CsfSettings
@@ -279,13 +267,6 @@ class CsfObserver(NeuronObserver):
         along = np.exp(-(place_deg**2) / (2.0 * self.settings.aperture_sd_deg**2))
         return np.outer(along, along)
 
-    def _common_template(self, stimulus: Stimulus) -> Bands:
-        return self.template_of(self.activity(mean_of_turns(self._upright(stimulus))))
-
-    def _template_deviation(self, stimulus: Stimulus) -> Bands:
-        image = self._upright(stimulus)
-        return self.template_of(self.activity(image - mean_of_turns(image)))
-
     def external_noise_density(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
         """Return the spectral density of the frames' noise, in squared contrast × squared degrees, at frequencies
         in cycles/degree that broadcast; 0 has the density of the lowest other one.
@@ -304,6 +285,9 @@ class CsfObserver(NeuronObserver):
         decay = np.maximum(frequency, lowest) ** -settings.external_noise_exponent
         return np.asarray(settings.external_noise_deg**2 * decay)
 
+    def _expected(self, image: FloatArray) -> Bands:
+        return self.template_of(self.activity(image))
+
     def template_of(self, expected: Bands) -> Bands:
         """Return the weights of an expected activity: itself, or K⁻¹ of it, K being the covariance of all noise.
 
@@ -313,8 +297,8 @@ class CsfObserver(NeuronObserver):
         """
         if self.settings.template == "matched":
             return expected
-        (image,) = expected
-        side, aperture = len(image), self._aperture(len(image))
+        side = len(expected[0])
+        aperture = self._aperture(side)
         x, y = self._frequencies(_padded(side))
         # Activity is of samples: the density over the area of a sample is the variance of white noise on it.
         sample_deg = self.settings.retina_pitch_mrad / MRAD_PER_DEG

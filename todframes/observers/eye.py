@@ -8,7 +8,7 @@ transfer function as a function of pupil size*, J. Vision 13(6):18.
 from __future__ import annotations
 
 import math
-from typing import Literal, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -24,20 +24,7 @@ WAVELENGTH_NM = 555.0
 MRAD_PER_DEG = math.radians(1000.0)
 
 
-class HasEye(Protocol):
-    """Settings of an observer with an eye."""
-
-    @property
-    def luminance_cd_m2(self) -> float | Literal["background"]: ...  # noqa: D102 - the settings describe it
-
-    @property
-    def age_years(self) -> float: ...  # noqa: D102
-
-    @property
-    def pupil_mm(self) -> float | None: ...  # noqa: D102
-
-
-def pupil_of(settings: HasEye) -> float:
+def pupil_of(settings: Any) -> float:
     """Return the diameter of the pupil that settings name, or that follows from their light and age, in mm."""
     if settings.pupil_mm is not None:
         return float(settings.pupil_mm)

@@ -24,7 +24,7 @@ CUT = 4.0
 """Standard deviations at which a Gabor function ends: its envelope is 3e-4 there."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class GaborPyramid:
     """Gabor functions of many orientations on the levels of a Gaussian pyramid.
 

@@ -83,27 +83,13 @@ class HotellingSettings(PyramidSettings):
 
 
 class HotellingObserver(PyramidObserver):
-    """The neurons of `PyramidObserver`, read out with the weights that suit the display.
+    """The neurons of `PyramidObserver`, read out with the weights that suit the display. Parameters are as there,
+    with `HotellingSettings`.
 
     Its display is described by two transfer functions: `presample_mtf` acts on the triangle alone, and
     `postsample_mtf` on the triangle and on the noise of its samples. A subclass may replace them by any functions
-    that are real and even along both axes. The width of their field still follows from the settings.
-
-    Parameters
-    ----------
-    settings : HotellingSettings, optional
-        Default: those of this class.
-    more_levels : int
-        Bands, and octaves of the field, beyond those that a triangle needs.
-    **changes
-        Settings by name, in place of those of `settings`.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such setting, or a value is out of its range.
-
-    Hogervorst et al. 2001, section 9.
+    that are real and even along both axes. The width of their field still follows from the settings. Hogervorst et
+    al. 2001, section 9.
     """
 
     settings_type: ClassVar[type[HotellingSettings]] = HotellingSettings

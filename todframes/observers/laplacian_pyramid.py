@@ -99,7 +99,9 @@ class LaplacianPyramid:
         """Put samples on the even places of `shape` and interpolate the others (EXPAND)."""
         if self.kernel_a == 0.375:
             return _expand_binomial(image, shape)
-        return self._filter(_spread(image, shape), gain=2.0)
+        spread = np.zeros(shape)
+        spread[::2, ::2] = image
+        return self._filter(spread, gain=2.0)
 
     def reduce_adjoint(self, image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
         """Apply the adjoint of `reduce` for images of a shape.
@@ -153,12 +155,6 @@ def _expand_binomial(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     else:
         wider = cv2.copyMakeBorder(cv2.copyMakeBorder(image, 0, 1, 0, 0, borders[0]), 0, 0, 0, 1, borders[1])
     return np.asarray(cv2.pyrUp(wider)[: shape[0], : shape[1]])
-
-
-def _spread(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    spread = np.zeros(shape)
-    spread[::2, ::2] = image
-    return spread
 
 
 def _weigh_border(image: FloatArray, weight: float, shape: tuple[int, ...], *, every: int = 2) -> FloatArray:

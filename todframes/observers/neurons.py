@@ -11,14 +11,14 @@ from todframes.base._typing import FloatArray
 from todframes.observers.interface import Observer, Readout, keeps_last
 from todframes.observers.internal_noise import Bands, inner_product, summed_noise, summed_variance
 from todframes.observers.laplacian_pyramid import framed
-from todframes.observers.retina import RetinaGrid, triangle_on
+from todframes.observers.retina import RetinaGrid, mean_of_turns, triangle_on
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 
 class NeuronObserver(Observer):
     """Base class of observers that correlate noisy neurons with four templates.
 
-    A subclass computes the `activity` of its neurons, draws their `noise` and makes two templates. The literal
+    A subclass computes the `activity` of its neurons, draws their `noise` and folds templates. The literal
     path, with noise on every neuron, is the definition with which tests compare the folded readout.
     """
 
@@ -33,21 +33,26 @@ class NeuronObserver(Observer):
         """Draw the noise of a band of neurons."""
         raise NotImplementedError
 
-    def template_of(self, expected: Bands) -> Bands:
-        """Return the weights of neurons for an expected activity: itself."""
-        return expected
+    def _expected(self, image: FloatArray) -> Bands:
+        """Compute the weights of all neurons for an image that the observer expects: by default its activity."""
+        return self.activity(image)
 
     def pattern_template(self, pattern: FloatArray, side: int) -> Bands:
         """Compute the weights of all neurons for a pattern on the middle of a retina of this side."""
-        return self.template_of(self.activity(framed(pattern, side // 2)))
+        return self._expected(framed(pattern, side // 2))
 
     def _common_template(self, stimulus: Stimulus) -> Bands:
         """Compute the part that all four templates have in common."""
-        raise NotImplementedError
+        return self._expected(mean_of_turns(self._upright(stimulus)))
 
     def _template_deviation(self, stimulus: Stimulus) -> Bands:
-        """Compute the deviation of the upright triangle's template from the common one."""
-        raise NotImplementedError
+        """Compute the deviation of the upright triangle's template from the common one.
+
+        The difference is taken before blur and bands; after them, the rounding of the common part would be larger
+        than the difference needs.
+        """
+        image = self._upright(stimulus)
+        return self._expected(image - mean_of_turns(image))
 
     def turned(self, bands: Bands, quarter_turns: int) -> Bands:
         """Compute the activity that an image turned clockwise causes, from that of the image.

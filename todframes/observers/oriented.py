@@ -8,7 +8,7 @@ Hogervorst et al. 2001, section 9.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import ClassVar
 
 import numpy as np
@@ -70,35 +70,12 @@ class OrientedSettings(PyramidSettings):
 
     def filters(self, levels: int) -> GaborPyramid:
         """Make the neurons of this number of levels."""
-        return GaborPyramid(
-            levels=levels,
-            kernel_a=self.kernel_a,
-            orientations=self.orientations,
-            wavelength_samples=self.wavelength_samples,
-            bandwidth_octaves=self.bandwidth_octaves,
-            elongation=self.elongation,
-            phases=self.phases,
-        )
+        return GaborPyramid(levels, *(getattr(self, field.name) for field in fields(GaborPyramid)[1:]))
 
 
 class OrientedObserver(PyramidObserver):
-    """An observer with oriented neurons, whose readout is that of the paper's observer.
-
-    Parameters
-    ----------
-    settings : OrientedSettings, optional
-        Default: those of this class.
-    more_levels : int
-        Octaves of the field beyond those that a triangle needs.
-    **changes
-        Settings by name, in place of those of `settings`.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such setting, or a value is out of its range.
-
-    Hogervorst et al. 2001, section 9.
+    """An observer with oriented neurons, whose readout is that of the paper's observer. Parameters are as for
+    `PyramidObserver`, with `OrientedSettings`. Hogervorst et al. 2001, section 9.
     """
 
     settings_type: ClassVar[type[OrientedSettings]] = OrientedSettings

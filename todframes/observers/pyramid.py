@@ -273,10 +273,6 @@ class PyramidObserver(NeuronObserver):
         half_width = self.settings.noise_sd * math.sqrt(3.0)
         return rng.uniform(-half_width, half_width, shape)
 
-    def pattern_template(self, pattern: FloatArray, side: int) -> Bands:
-        """Compute the expected activity for a pattern on the middle of a retina of this side."""
-        return self._expected(framed(pattern, side // 2))
-
     def activity(self, contrast: FloatArray) -> Bands:
         """Compute the noise-free activity of all neurons, finest band first, for a retina image (side, side)."""
         return self._as_activity(self._pyramid(len(contrast)).build(self._through_eye(contrast)))
@@ -299,19 +295,6 @@ class PyramidObserver(NeuronObserver):
 
         x, y = mirrored_frequencies(side, self.settings.retina_pitch_mrad / MRAD_PER_DEG)
         return eye_mtf(np.hypot(x, y), pupil_mm=pupil_of(self.settings))
-
-    def _common_template(self, stimulus: Stimulus) -> Bands:
-        """Compute the part that all four templates have in common."""
-        return self._expected(mean_of_turns(self._upright(stimulus)))
-
-    def _template_deviation(self, stimulus: Stimulus) -> Bands:
-        """Compute the deviation of the upright triangle's template from the common one.
-
-        The difference is taken before blur and bands; after them, the rounding of the common part would be larger
-        than the difference needs.
-        """
-        image = self._upright(stimulus)
-        return self._expected(image - mean_of_turns(image))
 
     def _expected(self, image: FloatArray) -> Bands:
         """Compute the expected activity for an image whose place is not exactly known."""
