@@ -73,7 +73,7 @@ def test_d_prime_is_the_inverse_of_the_curve(p_correct: float):
 @given(st.floats(-1.0, 1.0), st.floats(-0.7, 0.7), st.floats(0.0, 1.0), st.floats(-1.0, 1.0))
 def test_derivatives_are_those_of_the_curve(location: float, ln_slope: float, limit: float, z: float):
     none = np.zeros(3)
-    model = ObserverModel(np.array([z]), np.ones(1), 0.25, 0.75, none, none)
+    model = ObserverModel(0.0, np.array([z]), np.ones(1), 0.25, 0.75, none, none)
     theta, step = np.array([location, ln_slope, limit + 1e-3]), 1e-5
     _, _, jacobian = model.curves(theta[None], model.z)
     for number, derivative in enumerate(jacobian[:, 0, 0]):

@@ -108,18 +108,9 @@ def redrawn(
 ) -> FloatArray:
     """Draw the proportions correct of repeated experiments, (series, experiment, level).
 
-    Parameters
-    ----------
-    series : sequence of Observed
-        Answers to the same trials, in the same order.
-    curves : ndarray, shape (series, level)
-        Fitted curves.
-    size : int
-        Number of experiments.
-    rng : numpy.random.Generator
-    guess_rate : float
-    each_level : bool
-        Whether a threshold rests on single levels, as a crossing of the points does, and not on a fitted curve.
+    All series are answers to the same trials, in the same order; `curves`, (series, level), are fitted to them.
+    `each_level` states whether a threshold rests on single levels, as a crossing of the points does, and not on a
+    fitted curve.
     """
     if not any(observed.are_probabilities for observed in series):
         return _redrawn_answers(series, curves, guess_rate, size, rng)
@@ -347,19 +338,11 @@ def background_draws(
 
 
 def crossing_of_points(model: CurveModel, theta: FloatArray, proportions: FloatArray) -> FloatArray:
-    """Find where the points themselves cross the criterion, upwards and nearest to the fitted threshold.
+    """Find where the points themselves, (experiment, level), cross the criterion, upwards and nearest to the
+    fitted threshold: ln level about the centre, −∞ or ∞ where all points lie above or below the criterion.
 
     Monotone cubic interpolation (Fritsch & Butland 1984) of ln(−ln(1 − F)), F = (p − γ)/(1 − γ), against ln level:
     a Weibull curve without lapses is a straight line there, other psychometric functions are nearly one.
-
-    Parameters
-    ----------
-    proportions : ndarray, shape (experiment, level)
-
-    Returns
-    -------
-    ndarray, shape (experiment,)
-        ln level about the centre; −∞ or ∞ where all points lie above or below the criterion.
     """
     z, guess_rate = model.z, model.guess_rate
 

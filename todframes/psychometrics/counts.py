@@ -17,18 +17,10 @@ MOST_TRIALS = 2**53
 
 
 def read_counts(path: Path) -> list[tuple[dict[str, float | str], NDArray[np.float64]]]:
-    """Read a file of counts, by group.
+    """Read a file of counts, by group in the order of appearance: the group's values by column name, and an array
+    of shape (n, 3): level, n_correct, n_trials.
 
-    Returns
-    -------
-    list of (group, rows)
-        The group's values by column name, and an array of shape (n, 3): level, n_correct, n_trials. In the order
-        in which the groups first appear.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, a column is missing, or a value is not a number in its range.
+    DataError if the file cannot be read, a column is missing, or a value is not a number in its range.
     """
     header, rows = read_table(path, COLUMNS)
     names = [name for name in header if name not in COLUMNS]

@@ -110,7 +110,7 @@ class ObserverCurve(NamedTuple):
     max_d_prime: float | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PsychometricFit:
     """A fitted curve and its threshold, the level where the curve passes `p_correct`.
 
@@ -152,15 +152,14 @@ class PsychometricFit:
     """
 
     curve: CurveName
-
-    status: Status
-    threshold: float | None
-    threshold_ci95: tuple[float | None, float | None] | None
+    status: Status = "too_few_levels"
+    threshold: float | None = None
+    threshold_ci95: tuple[float | None, float | None] | None = None
     p_correct: float
-    alpha: float | None
-    beta: float | None
+    alpha: float | None = None
+    beta: float | None = None
     guess_rate: float
-    lapse_rate: float | None
+    lapse_rate: float | None = None
     n_trials: int
     points: tuple[LevelCount, ...]
     points_threshold: float | None = None
@@ -178,37 +177,15 @@ def fit_trials(
     rng: np.random.Generator,
     backgrounds: NDArray[np.integer] | None = None,
 ) -> PsychometricFit:
-    """Fit a curve to single trials.
+    """Fit a curve to single trials: levels > 0, and answers of 0 or 1 or the probability in [0, 1] that the answer
+    is correct, (trial,) each.
 
-    Parameters
-    ----------
-    level : array_like, (trial,)
-        Stimulus strength, finite and > 0.
-    p_correct : array_like, (trial,)
-        0 or 1 where an answer was drawn, or the probability in [0, 1] that the answer is correct. If all are
-        0 or 1, the fit and its interval are those of `fit_counts`.
-    curve : {"weibull", "observer"}
-        "observer": the curve of a linear observer with four answers, for its own probabilities. It has the guess
-        rate 0.25 and no lapses, whatever the settings of Weibull's curve.
-    settings : FitSettings
-    rng : numpy.random.Generator
-        Generator of the resamples; the fit itself is deterministic.
-    backgrounds : array of int, (trial,), optional
-        Number of each trial's background. With two or more, the interval takes them as drawn from many.
-
-    Returns
-    -------
-    PsychometricFit
-
-    Raises
-    ------
-    DataError
-        If the shapes differ, there is no trial, or a value is out of its range.
-
-    Notes
-    -----
-    The interval resamples the trials within each level, see `bootstrap.redrawn`, or the backgrounds with all of
-    their trials.
+    If all answers are 0 or 1, the fit and its interval are those of `fit_counts`. The curve "observer" is that of
+    a linear observer with four answers, for its own probabilities; it has the guess rate 0.25 and no lapses,
+    whatever the settings of Weibull's curve. The interval resamples the trials within each level, see
+    `bootstrap.redrawn`; or, if there are two or more, the `backgrounds`, by number, with all of their trials, as
+    drawn from many. The fit itself is deterministic. DataError if the shapes differ, there is no trial, or a value
+    is out of its range.
     """
     x, p = np.asarray(level, dtype=np.float64), np.asarray(p_correct, dtype=np.float64)
     _check_levels(x, "p_correct", p)
@@ -229,27 +206,9 @@ def fit_counts(
     settings: FitSettings = FitSettings(),
     rng: np.random.Generator,
 ) -> PsychometricFit:
-    """Fit a curve to counts of 0/1 answers; rows of equal level are pooled.
+    """Fit Weibull's curve to counts of right answers; rows of equal level are pooled. DataError as for
+    `fit_trials`.
 
-    Parameters
-    ----------
-    level, n_correct, n_trials : array_like, (row,)
-        Stimulus strength, finite and > 0; whole numbers with 0 <= n_correct <= n_trials, n_trials >= 1.
-    settings : FitSettings
-    rng : numpy.random.Generator
-        Generator of the resamples; the fit itself is deterministic.
-
-    Returns
-    -------
-    PsychometricFit
-
-    Raises
-    ------
-    DataError
-        If the shapes differ, there is no row, or a value is out of its range.
-
-    Notes
-    -----
     The interval resamples each level binomially. The p of a level mixes its observed proportion, for its n trials,
     with the fitted curve, for 5, so that levels without errors vary too and single trials are all but drawn from
     the curve (Wichmann & Hill 2001); and all p are drawn towards (1 + γ)/2 by 4 trials in the whole experiment,
@@ -281,74 +240,50 @@ def _check(values: FloatArray, valid: NDArray[np.bool_], name: str, expected: st
         raise DataError(f"{name}, element {row}: found {values[row]:g}, expected {expected}")
 
 
-class CentredModel(NamedTuple):
-    """Model of a curve with z = ln(level) − `centre`, and a curve near the most likely one if that is known."""
-
-    model: CurveModel
-    centre: float
-    near: FloatArray | None = None
-
-
-def curve_model(observed: Observed, curve: CurveName, settings: FitSettings) -> CentredModel:
+def curve_model(observed: Observed, curve: CurveName, settings: FitSettings) -> CurveModel:
     """Build the model of a curve for some answers."""
     ln_level = np.log(observed.level)
     centre = float(ln_level[0] + ln_level[-1]) / 2
     z, trials = ln_level - centre, observed.n_trials.astype(np.float64)
-    places, slopes = (-600.0, 600.0), np.log(SLOPE_RANGE)
+    locations, slopes = (-600.0, 600.0), np.log(SLOPE_RANGE)
     if curve == "weibull":
         fixed = settings.lapse_rate
         lapse_rates = (0.0, settings.lapse_rate_max) if fixed is None else (fixed, fixed)
-        lower, upper = np.array([places, slopes, lapse_rates]).T
-        return CentredModel(WeibullModel(z, trials, settings.guess_rate, settings.p_correct, lower, upper), centre)
-    # Two levels determine a place and a slope, no more.
+        lower, upper = np.array([locations, slopes, lapse_rates]).T
+        return WeibullModel(centre, z, trials, settings.guess_rate, settings.p_correct, lower, upper)
+    # Two levels determine a location and a slope, no more.
     limits = (0.0, SMALLEST_CEILING**-2.0 if len(z) > 2 else 0.0)
-    lower, upper = np.array([places, slopes, limits]).T
-    model = ObserverModel(z, trials, GUESS_RATE, settings.p_correct, lower, upper)
+    lower, upper = np.array([locations, slopes, limits]).T
+    model = ObserverModel(centre, z, trials, GUESS_RATE, settings.p_correct, lower, upper)
     if settings.slope_spread is None:
-        return CentredModel(model, centre)
+        return model
     theta, _ = model.fit_one(observed.p_correct, steps=20)
     right, _, _ = model.curves(theta[None], z)
     # The likelihood takes probabilities for answers of 0 and 1, and holds too little information by this factor.
     prior = observed.dispersion(right[0]) / settings.slope_spread**2
-    return CentredModel(replace(model, slope_prior=prior), centre, theta)
+    return replace(model, slope_prior=prior, near=theta)
 
 
 class _LikelyCurve(NamedTuple):
-    """The most likely curve of a model, whose z is ln(level) − `centre`.
-
-    `theta` is None where a flat line is as likely.
-    """
+    """The most likely curve of a model; `theta` is None where a flat line is as likely."""
 
     model: CurveModel
-    centre: float
     status: Status
     theta: FloatArray | None = None
     loglik: float = math.nan
     ln_threshold: float = math.nan
 
-    def level_of(self, ln_level: float) -> float:
-        """Return the level of a ln level about the centre."""
-        return math.exp(self.centre + ln_level)
-
     @property
     def threshold(self) -> float | None:
         """Threshold, None unless the status says that there is one."""
-        return self.level_of(self.ln_threshold) if self.status in ("ok", "extrapolated") else None
-
-    def interval(self, low: float, high: float) -> tuple[float | None, float | None]:
-        """Return the levels of an interval; an end that lies too far outside the levels shown is None."""
-        lowest, highest = self.model.reach
-        return (
-            self.level_of(low) if low >= lowest else None,
-            self.level_of(high) if high <= highest else None,
-        )
+        return self.model.level_of(self.ln_threshold) if self.status in ("ok", "extrapolated") else None
 
     @property
     def parameters(self) -> tuple[float, float, float]:
         """Level of the first parameter, slope, and third parameter."""
         assert self.theta is not None
         location, ln_slope, third = self.theta.tolist()
-        return math.exp(min(max(self.centre + location, -700.0), 700.0)), math.exp(ln_slope), third
+        return math.exp(min(max(self.model.centre + location, -700.0), 700.0)), math.exp(ln_slope), third
 
 
 def _fit(
@@ -359,27 +294,20 @@ def _fit(
     backgrounds: list[NDArray[np.intp]] | None = None,
 ) -> PsychometricFit:
     """Fit a curve to answers; `backgrounds` are those of the trials of each level."""
-    points = tuple(
-        map(LevelCount, observed.level.tolist(), observed.n_trials.tolist(), observed.p_correct.tolist())
-    )
-    nothing = PsychometricFit(
+    columns = (observed.level, observed.n_trials, observed.p_correct)
+    points = tuple(map(LevelCount, *(column.tolist() for column in columns)))
+    fit = PsychometricFit(
         curve=curve,
-        status="too_few_levels",
-        threshold=None,
-        threshold_ci95=None,
         p_correct=settings.p_correct,
-        alpha=None,
-        beta=None,
         guess_rate=settings.guess_rate,
-        lapse_rate=None,
         n_trials=int(observed.n_trials.sum()),
         points=points,
     )
     if len(points) < 2:
-        return nothing
+        return fit
     weibull = _most_likely(observed, "weibull", settings)
     best = weibull if curve == "weibull" else _most_likely(observed, curve, settings)
-    fit = replace(nothing, status=best.status, threshold=best.threshold, weibull_threshold=weibull.threshold)
+    fit = replace(fit, status=best.status, threshold=best.threshold, weibull_threshold=weibull.threshold)
     if weibull.theta is not None:
         alpha, beta, lapse_rate = weibull.parameters
         fit = replace(fit, alpha=alpha, beta=beta, lapse_rate=lapse_rate)
@@ -393,11 +321,11 @@ def _fit(
     crossing = math.inf
     if observed.shows_its_own_curve:
         crossing = float(crossing_of_points(best.model, best.theta, observed.p_correct[None])[0])
-        fit = replace(fit, points_threshold=best.level_of(crossing) if math.isfinite(crossing) else None)
+        fit = replace(fit, points_threshold=best.model.level_of(crossing) if math.isfinite(crossing) else None)
     if not settings.resamples:
         return fit
     low, high = threshold_interval(best.model, best.theta, best.loglik, observed, settings.resamples, rng)
-    fit = replace(fit, threshold_ci95=best.interval(low, high))
+    fit = replace(fit, threshold_ci95=best.model.interval(low, high))
     n_backgrounds = 0 if backgrounds is None else 1 + max(int(numbers.max()) for numbers in backgrounds)
     drawn = draw_backgrounds(n_backgrounds, settings.resamples, rng)
     if backgrounds is None or drawn is None:
@@ -405,20 +333,20 @@ def _fit(
     draws = background_draws(best.model, best.theta, observed, backgrounds, drawn)
     is_followed = curve == "weibull" and math.isfinite(crossing)
     ends = interval_of_draws(draws, [best.ln_threshold, *([crossing] if is_followed else [])])
-    return replace(fit, threshold_ci95=best.interval(*ends), threshold_ci95_same_scenes=fit.threshold_ci95)
+    return replace(fit, threshold_ci95=best.model.interval(*ends), threshold_ci95_same_scenes=fit.threshold_ci95)
 
 
 def _most_likely(observed: Observed, curve: CurveName, settings: FitSettings) -> _LikelyCurve:
-    model, centre, near = curve_model(observed, curve, settings)
-    theta, loglik = model.fit_one(observed.p_correct, near=near)
+    model = curve_model(observed, curve, settings)
+    theta, loglik = model.fit_one(observed.p_correct)
     mean = np.average(observed.p_correct, weights=observed.n_trials)
     flat = np.clip(mean, model.guess_rate, 1 - ((settings.lapse_rate or 0.0) if curve == "weibull" else 0.0))
     flat_loglik = float(binomial_loglik(mean, flat))
     without_prior = loglik - float(model.ln_prior(theta))
     if without_prior / observed.n_trials.sum() <= flat_loglik + 1e-9:
-        return _LikelyCurve(model, centre, "always_exceeded" if mean >= settings.p_correct else "never_reached")
+        return _LikelyCurve(model, "always_exceeded" if mean >= settings.p_correct else "never_reached")
     ln_threshold = float(model.ln_threshold(theta[None])[0])
-    return _LikelyCurve(model, centre, _status(model, theta, ln_threshold), theta, loglik, ln_threshold)
+    return _LikelyCurve(model, _status(model, theta, ln_threshold), theta, loglik, ln_threshold)
 
 
 def _status(model: CurveModel, theta: FloatArray, ln_threshold: float) -> Status:

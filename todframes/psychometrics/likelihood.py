@@ -42,11 +42,12 @@ def binomial_loglik(share: ArrayLike, p: ArrayLike) -> FloatArray:
 class CurveModel(ABC):
     """Levels, trials and parameter limits that a psychometric function is fitted with.
 
-    `z` is ln level about its centre. Parameters `theta` are (ln of a level about the same centre, ln of the slope,
+    `z` is ln level about `centre`. Parameters `theta` are (ln of a level about the same centre, ln of the slope,
     and one that lowers the ceiling of the curve), within `lower` and `upper`. The slope multiplies the distance of
     ln level from the first parameter.
     """
 
+    centre: float
     z: FloatArray
     n_trials: FloatArray
     guess_rate: float
@@ -55,6 +56,9 @@ class CurveModel(ABC):
     upper: FloatArray
     slope_prior: float = 0.0
     """Weight of −(ln slope)²/2 in the log-likelihood: information about the slope, which is expected to be 1."""
+
+    near: FloatArray | None = None
+    """Parameters near the most likely ones, (3,), if they are known: a fit to one experiment starts there."""
 
     start_offsets: ClassVar[tuple[float, ...]]
     """Distances of first guesses from the levels, times the slope."""
@@ -67,6 +71,15 @@ class CurveModel(ABC):
         """Smallest and largest ln level about the centre that a threshold may have."""
         beyond = math.log(EXTRAPOLATION_FACTOR)
         return float(self.z[0]) - beyond, float(self.z[-1]) + beyond
+
+    def level_of(self, ln_level: float) -> float:
+        """Return the level of a ln level about the centre."""
+        return math.exp(self.centre + ln_level)
+
+    def interval(self, low: float, high: float) -> tuple[float | None, float | None]:
+        """Return the levels of an interval of ln level; an end out of `reach` is None."""
+        lowest, highest = self.reach
+        return self.level_of(low) if low >= lowest else None, self.level_of(high) if high <= highest else None
 
     def thresholds_within_reach(self, theta: FloatArray) -> FloatArray:
         """Return the ln threshold of each curve, infinite if it lies outside of `reach`."""
@@ -180,16 +193,14 @@ class CurveModel(ABC):
         tie_break = 1e-9 * n_trials.sum() * np.linspace(0, 1, len(grid))
         return n_right, np.log(right / wrong).T, constant - tie_break
 
-    def fit_one(
-        self, answers: FloatArray, *, near: FloatArray | None = None, steps: int = 60
-    ) -> tuple[FloatArray, float]:
-        """Return the best of the climbs from the best start of each slope, and its log-likelihood.
+    def fit_one(self, answers: FloatArray, *, steps: int = 60) -> tuple[FloatArray, float]:
+        """Return the best of the climbs from `near`, or from the best start of each slope, and its log-likelihood.
 
-        With `near`, (3,), there is one climb, from there. `steps` limits the length of a climb.
+        `steps` limits the length of a climb.
         """
         tolerance = 1e-20 * float(self.n_trials.sum())
-        if near is not None:
-            top, height = self.climb(near[None], answers[None], tolerance=tolerance, steps=steps)
+        if self.near is not None:
+            top, height = self.climb(self.near[None], answers[None], tolerance=tolerance, steps=steps)
             return top[0], float(height[0])
         grid = self.starts()
         n_right, weight, constant = self.grid_terms(grid.reshape(-1, 3), answers[None])

@@ -53,14 +53,9 @@ class Interval(NamedTuple):
 class AnswerTable:
     """The model's probability of a correct answer in each trial, tabulated over internal noise and template blur.
 
-    Attributes
-    ----------
-    ln_noise : ndarray, shape (g,)
-        Rising, from noise that changes hardly any answer to noise that leaves guesses.
-    ln_blur : ndarray, shape (b,)
-        Rising; a single value if the blur is not free.
-    logit : ndarray, shape (trial, b, g)
-        ln of P(right) / P(wrong), within ± `MOST_CERTAIN`.
+    `ln_noise`, (g,), rises from noise that changes hardly any answer to noise that leaves guesses; `ln_blur`,
+    (b,), has a single value if the blur is not free. `logit`, (trial, b, g), is ln of P(right) / P(wrong), within
+    ± `MOST_CERTAIN`.
     """
 
     ln_noise: FloatArray
@@ -99,31 +94,16 @@ def joined(tables: Sequence[AnswerTable]) -> AnswerTable:
 class NoiseFit:
     """The most likely internal noise of a person, and how well it describes the answers.
 
-    Attributes
-    ----------
-    status : str
-        `ok`: the answers determine the noise on both sides.
-        `noise_free`: without any noise the model would answer no worse, as if all answers were right.
-        `at_chance`: the answers cannot be distinguished from guesses.
-        `too_few_trials`: both.
-        Only `ok` has a noise; otherwise `noise_ci95` has the one end that is known.
-    noise, noise_ci95
-        Internal noise in the unit of the table.
-    lapse_rate, lapse_rate_ci95
-        δ of eq. 3; the interval is None if δ was not free.
-    blur, blur_ci95
-        Template blur in the unit of the table; the interval is None if the blur was not free.
-    p_correct : ndarray, shape (trial,)
-        Probability of a correct answer in each trial, lapses included.
-    log_likelihood : float
-        Sum of the ln probabilities of the answers.
-    deviance : float
-        Twice the log-likelihood ratio of the observed proportions of correct answers, one a cell, to the fitted.
-    deviance_p_value : float or None
-        Share of repeated experiments, with answers drawn from the fitted model and fitted anew, whose deviance is
-        as large; None if none were drawn.
-    n_cells : int
-        Number of cells: sets of trials of the same group and level.
+    The status is `ok` if the answers determine the noise on both sides; `noise_free` if without any noise the
+    model would answer no worse, as if all answers were right; `at_chance` if the answers cannot be distinguished
+    from guesses; `too_few_trials` if both hold. Only `ok` has a noise; otherwise `noise_ci95` has the one end that
+    is known. Noise and blur are in the units of the table, the lapse rate is δ of eq. 3; intervals are None for
+    what was not free.
+
+    `p_correct`, (trial,), includes lapses. `deviance` is twice the log-likelihood ratio of the observed
+    proportions of correct answers, one a cell, to the fitted; `deviance_p_value` the share of repeated
+    experiments, with answers drawn from the fitted model and fitted anew, whose deviance is as large, None if none
+    were drawn.
     """
 
     status: NoiseStatus
@@ -151,22 +131,9 @@ def fit_noise(
 ) -> NoiseFit:
     """Fit the internal noise, and lapses and blur if they are free, to the answers of one or several persons.
 
-    Parameters
-    ----------
-    table : AnswerTable
-        Blur is free if the table has several.
-    is_correct : ndarray of bool, shape (trial,)
-    cell : ndarray of int, shape (trial,)
-        Set of trials, from 0, in whose proportions the model is compared with the answers.
-    lapse_rates : (float, float)
-        Range of δ; a single value twice fixes it.
-    resamples : int
-        Repeated experiments for the p-value of the deviance; 0: no p-value.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    NoiseFit
+    `cell` is the set of trials, from 0, in whose proportions the model is compared with the answers. Blur is free
+    if the table has several, δ if the two `lapse_rates` differ. `resamples` is the number of repeated experiments
+    for the p-value of the deviance; 0: no p-value.
     """
     search = _NoiseSearch(table, is_correct.astype(np.float64), lapse_rates)
     best, most = search.maximum()
@@ -176,12 +143,11 @@ def fit_noise(
     if low is None or high is None:
         status = "too_few_trials" if low is high else "noise_free" if low is None else "at_chance"
     p_correct = search.p_correct(best)
-    cells = _Cells(cell)
-    deviance = float(cells.deviance(search.is_correct[None], p_correct[None])[0])
+    deviance = float(_deviances(cell, search.is_correct[None], p_correct[None])[0])
     p_value = None
     if resamples:
         drawn = (rng.random((resamples, len(p_correct))) < p_correct).astype(np.float64)
-        repeated = cells.deviance(drawn, search.p_correct_of_experiments(drawn, best, intervals))
+        repeated = _deviances(cell, drawn, search.p_correct_of_experiments(drawn, best, intervals))
         # Rounding must not make two experiments with the same answers differ.
         p_value = float((1 + np.count_nonzero(repeated >= deviance - 1e-9)) / (resamples + 1))
 
@@ -205,7 +171,7 @@ def fit_noise(
         log_likelihood=most,
         deviance=deviance,
         deviance_p_value=p_value,
-        n_cells=cells.n,
+        n_cells=int(cell.max()) + 1,
     )
 
 
@@ -313,18 +279,12 @@ def _logarithms(p: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.log(np.maximum(p, least)), np.log(np.maximum(1.0 - p, least))
 
 
-class _Cells:
-    """Sets of trials whose proportions of correct answers are compared with the fitted ones."""
-
-    def __init__(self, cell: NDArray[np.intp]) -> None:
-        self.n = int(cell.max()) + 1
-        self._members = np.eye(self.n)[cell]
-        self._n_trials = self._members.sum(axis=0)
-
-    def deviance(self, is_correct: FloatArray, p_correct: FloatArray) -> FloatArray:
-        """Compute the deviance of experiments, each given as (experiment, trial): (experiment,)."""
-        found, fitted = (each @ self._members / self._n_trials for each in (is_correct, p_correct))
-        # A cell of certain answers has proportions that a rounding leaves beyond 1.
-        found, fitted = np.clip(found, 0.0, 1.0), np.clip(fitted, 1e-300, 1.0 - 1e-16)
-        excess = binomial_loglik(found, found) - binomial_loglik(found, fitted)
-        return np.asarray(2.0 * (excess * self._n_trials).sum(axis=1))
+def _deviances(cell: NDArray[np.intp], is_correct: FloatArray, p_correct: FloatArray) -> FloatArray:
+    """Compute the deviance of experiments: answers to all trials, and their P(correct), (experiment, trial) each."""
+    members = np.eye(int(cell.max()) + 1)[cell]
+    n_trials = members.sum(axis=0)
+    shown, fitted = (each @ members / n_trials for each in (is_correct, p_correct))
+    # A cell of certain answers has proportions that a rounding leaves beyond 1.
+    shown, fitted = np.clip(shown, 0.0, 1.0), np.clip(fitted, 1e-300, 1.0 - 1e-16)
+    excess = binomial_loglik(shown, shown) - binomial_loglik(shown, fitted)
+    return np.asarray(2.0 * (excess * n_trials).sum(axis=1))

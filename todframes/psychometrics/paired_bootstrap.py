@@ -65,29 +65,12 @@ def ratio_draws(
     backgrounds: NDArray[np.integer] | None = None,
     drawn_backgrounds: BackgroundDraws | None = None,
 ) -> list[RatioDraws]:
-    """Compare the thresholds of pairs of series of answers to the same trials.
+    """Compare the thresholds of pairs of series of answers, (series, trial), to the same trials.
 
     In each repeated experiment the trials of a level are drawn with replacement, the same ones for all series, and
-    curves are fitted to all. If the trials' backgrounds are given, these are drawn in place of trials.
-
-    Parameters
-    ----------
-    level : ndarray, shape (trial,)
-    p_correct : ndarray, shape (series, trial)
-        0 or 1 where an answer was drawn, or the probability in [0, 1] that the answer is correct.
-    fits : sequence of PsychometricFit
-        Fit of each series to these trials, all with the same curve.
-    pairs : sequence of (int, int)
-        Series whose threshold is divided, and series that it is divided by; both count from 0.
-    backgrounds : ndarray of int, shape (trial,), optional
-        Background of each trial, an index into the columns of `drawn_backgrounds.weights`.
-    drawn_backgrounds : BackgroundDraws, optional
-        As many repeated experiments as `settings.resamples`.
-
-    Returns
-    -------
-    list of RatioDraws
-        One for each pair.
+    curves are fitted to all. If the trials' backgrounds are given, indices into the columns of
+    `drawn_backgrounds.weights`, these are drawn in place of trials. `fits` are those of the series, all with the
+    same curve; a pair has the number of the series whose threshold is divided, and of that by which it is.
     """
     if len(np.unique(level)) < 2:
         return [RatioDraws(None, None, np.zeros(settings.resamples)) for _ in pairs]
@@ -104,7 +87,7 @@ def ratio_draws(
     tolerance = min(observed.tolerance for observed in series)
     ln_thresholds = []
     for fit, observed, answers in zip(fits, series, drawn, strict=True):
-        model, _, _ = curve_model(observed, fit.curve, settings)
+        model = curve_model(observed, fit.curve, settings)
         ln_thresholds.append(model.thresholds_within_reach(model.fit_many(answers, tolerance=tolerance)))
     found = []
     for one, other in pairs:

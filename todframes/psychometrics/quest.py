@@ -31,14 +31,8 @@ SMALLEST_P = 1e-300
 class QuestGrid:
     """A grid of psychometric functions, and the probabilities of the answers to each level under each of them.
 
-    Attributes
-    ----------
-    levels : ndarray, shape (l,)
-        Levels that can be shown, rising.
-    alpha, beta, lapse_rate : ndarray, shape (g,)
-        Parameters of each function.
-    p_answer : ndarray, shape (2, l, g)
-        Probabilities of a wrong and of a right answer.
+    `levels`, (l,), rise; the parameters have shape (g,), and `p_answer`, (2, l, g), are the probabilities of a
+    wrong and of a right answer.
     """
 
     levels: FloatArray
@@ -60,17 +54,8 @@ class QuestGrid:
         return cls(levels, alpha, beta, lapse_rate, np.maximum(np.stack([1.0 - right, right]), SMALLEST_P))
 
     def posterior(self, n_wrong: ArrayLike, n_right: ArrayLike) -> FloatArray:
-        """Compute the posterior probabilities of the grid's functions.
-
-        Parameters
-        ----------
-        n_wrong, n_right : array_like, shape (…, l)
-            Numbers of wrong and right answers at each level.
-
-        Returns
-        -------
-        ndarray, shape (…, g)
-            Their sum over the grid is 1.
+        """Compute the posterior probabilities of the grid's functions, (…, g), from the numbers of wrong and right
+        answers at each level, (…, l).
         """
         counts = [np.asarray(n, np.float64) for n in (n_wrong, n_right)]
         ln = sum(n @ np.log(p) for n, p in zip(counts, self.p_answer, strict=True))
@@ -78,19 +63,11 @@ class QuestGrid:
         return np.asarray(likelihood / likelihood.sum(axis=-1, keepdims=True))
 
     def expected_entropy(self, posterior: FloatArray) -> FloatArray:
-        """Compute the entropy of the posterior that is expected after one trial at each level, in nats.
+        """Compute the entropy of the posterior that is expected after one trial at each level, in nats, (…, l).
 
         The posterior after answer r at level x is p(r|x, θ)·p(θ)/p(r|x), with p(r|x) = Σ p(r|x, θ)·p(θ). Its
         entropy, weighted by p(r|x), is p(r|x)·ln p(r|x) − Σ p(r|x, θ)·p(θ)·ln(p(r|x, θ)·p(θ)): products of the
         tables with vectors.
-
-        Parameters
-        ----------
-        posterior : ndarray, shape (…, g)
-
-        Returns
-        -------
-        ndarray, shape (…, l)
         """
         weighted = posterior * np.log(np.maximum(posterior, SMALLEST_P))
         entropy = np.zeros((*posterior.shape[:-1], self.levels.size))

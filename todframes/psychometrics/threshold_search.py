@@ -32,9 +32,8 @@ LAST_STEP = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class ComputedThreshold:
-    """A threshold that was computed without trials, or the status of one that is missing.
-
-    `threshold` and `numerical_error` are in the unit of the varied quantity.
+    """A threshold that was computed without trials, or the status of one that is missing. It and its numerical
+    error are in the unit of the varied quantity.
     """
 
     status: Status | Literal["impossible"]
@@ -57,13 +56,8 @@ def crossing(
 ) -> Crossing:
     """Find where a rising curve passes `p_correct`, along secants from nearby or from 1 on.
 
-    Parameters
-    ----------
-    proportion : callable
-        Proportion correct at a level > 0; at infinity, that without detector noise.
-    p_correct : float
-    near, slope : float
-        A level that may be near, and the slope dP / d ln level there; None and NaN if not known.
+    `proportion` is that correct at a level > 0; at infinity, that without detector noise. `near` and `slope` are a
+    level that may be near, and dP / d ln level there; None and NaN if not known.
     """
 
     def is_never_reached() -> bool:
@@ -114,24 +108,12 @@ def find_crossing(
     factor: float,
     saturates: bool = False,
 ) -> Crossing:
-    """Find where a rising curve passes `p_correct`, on a logarithmic scale outwards from `start`.
+    """Find where a rising curve passes `p_correct`, to 1e-7 of the level, on a logarithmic scale outwards from
+    `start` in steps of `factor`; the level is None if the curve stays below (`never_reached`) or above within the
+    bounds.
 
-    Parameters
-    ----------
-    proportion : callable
-        Proportion correct at a level > 0.
-    bounds : (float, float)
-        Levels beyond which the search ends.
-    factor : float
-        > 1; from one level tried to the next.
-    saturates : bool
-        Whether P is known to stay, from some level on, where it is at the upper bound. If that is below the
-        criterion, the search ends after two levels with P within `SATURATED` of it, instead of at the bound.
-
-    Returns
-    -------
-    (status, level)
-        The level to 1e-7 of itself; None if the curve stays below (`never_reached`) or above (`always_exceeded`).
+    If it `saturates`, P is known to stay, from some level on, where it is at the upper bound: if that is below the
+    criterion, the search ends after two levels with P within `SATURATED` of it, instead of at the bound.
     """
     from scipy.optimize import brentq
 
