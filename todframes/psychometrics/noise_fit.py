@@ -280,7 +280,7 @@ def _logarithms(p: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _deviances(cell: NDArray[np.intp], is_correct: FloatArray, p_correct: FloatArray) -> FloatArray:
-    """Compute the deviance of experiments: answers to all trials, and their P(correct), (experiment, trial) each."""
+    """Compute the deviance of experiments; answers to trials and their P(correct) are (experiment, trial)."""
     members = np.eye(int(cell.max()) + 1)[cell]
     n_trials = members.sum(axis=0)
     shown, fitted = (each @ members / n_trials for each in (is_correct, p_correct))
