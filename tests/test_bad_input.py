@@ -240,7 +240,7 @@ FRAMES = {
     ),
     "video": Spoilt(
         lambda path: path.write_bytes(b"\0\0\0\x20ftypisom" + bytes(99)),
-        ("is a video file, .*each of its frames",),
+        ("is a mov video file, .*each of its frames",),
     ),
     "git lfs": Spoilt(
         lambda path: path.write_bytes(b"version https://git-lfs.github.com/spec/v1\n"),

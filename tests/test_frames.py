@@ -19,7 +19,7 @@ import pytest
 from todframes.base.errors import FrameError, OutputError, SettingsError
 from todframes.base.safe_text import in_utf8
 from todframes.frames.contrast import _extremes
-from todframes.frames.files import FrameFile, frame_sha256, read_frame, read_header, write_frame
+from todframes.frames.files import FrameFile, frame_sha256, read_frame, write_frame
 
 HEIGHT, WIDTH = 40, 24
 EXR_HEADER_END = b"screenWindowWidth\0float\0\4\0\0\0" + struct.pack("<f", 1.0) + b"\0"
@@ -124,7 +124,7 @@ def test_lossless_exr_comes_back_exactly(tmp_path, pixel_type, compression, shap
     assert np.array_equal(frame.values, expected.reshape(HEIGHT, WIDTH, -1))
     assert frame.values.dtype == np.float32
     assert (frame.first_row, frame.first_column, frame.height, frame.width) == (0, 0, HEIGHT, WIDTH)
-    header = read_header(tmp_path / "a.exr")
+    header = FrameFile(tmp_path / "a.exr").header
     assert header.pixel_type == pixel_type
     assert header.channels == (("R", "G", "B") if shape[2:] == (3,) else ("Y",))
     assert (header.height, header.width, header.n_rows, header.n_columns) == (HEIGHT, WIDTH) * 2
@@ -166,7 +166,7 @@ def test_png_rounds_to_nearest(tmp_path, pixel_type, full_scale, shape):
     # What has been rounded is not changed by a second passage.
     write_frame(tmp_path / "b.png", frame.values, pixel_type=pixel_type)
     assert np.array_equal(read_frame(tmp_path / "b.png").values, frame.values)
-    assert read_header(tmp_path / "a.PNG").pixel_type == pixel_type
+    assert FrameFile(tmp_path / "a.PNG").header.pixel_type == pixel_type
 
 
 @pytest.mark.parametrize("pixel_type", ["uint8", "uint16"])
@@ -184,13 +184,13 @@ def test_attributes_come_back_under_their_names(tmp_path, suffix):
         "todframes:a_rather_long_name_for_an_attribute": "x" * 10_000,
     }
     write_frame(tmp_path / f"a{suffix}", noise(4, 4), attributes=attributes)
-    assert read_header(tmp_path / f"a{suffix}").attributes == attributes
+    assert FrameFile(tmp_path / f"a{suffix}").header.attributes == attributes
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".png"])
 def test_no_attributes_unless_given(tmp_path, suffix):
     write_frame(tmp_path / f"a{suffix}", noise(4, 4))
-    assert read_header(tmp_path / f"a{suffix}").attributes == {}
+    assert FrameFile(tmp_path / f"a{suffix}").header.attributes == {}
 
 
 def test_same_values_give_the_same_bytes(tmp_path):
@@ -314,7 +314,7 @@ def test_pixels_lie_where_the_windows_say(tmp_path, x, y, rectangle, tiles):
     counted = (rows * WIDTH + columns)[..., np.newaxis].astype(np.float16)
     window = {"x": x, "y": y, "full_x": 2, "full_y": -3, "full_width": 30, "full_height": 50}
     write_exr(tmp_path / "a.exr", (counted, ("Y",), {**window, **tiles}))
-    frame, header = read_frame(tmp_path / "a.exr"), read_header(tmp_path / "a.exr")
+    frame, header = read_frame(tmp_path / "a.exr"), FrameFile(tmp_path / "a.exr").header
     assert (header.first_row, header.first_column, header.n_rows, header.n_columns) == rectangle
     assert (frame.first_row, frame.first_column, *frame.values.shape[:2]) == rectangle
     assert (frame.height, frame.width) == (50, 30)
@@ -373,7 +373,7 @@ def write_channels(path, *parts):
 )
 def test_channels_are_chosen_by_name(tmp_path, parts, expected):
     write_channels(tmp_path / "a.exr", *parts)
-    frame, header = read_frame(tmp_path / "a.exr"), read_header(tmp_path / "a.exr")
+    frame, header = read_frame(tmp_path / "a.exr"), FrameFile(tmp_path / "a.exr").header
     assert frame.values[2, 2].tolist() == [VALUES[name] for name in expected]
     assert [name[-1].upper() for name in header.channels] == list(expected)
     assert header.warnings == ()
@@ -400,7 +400,7 @@ def test_of_several_pictures_one_is_read_with_a_warning(tmp_path, parts, read, l
         is_read = [layer == wanted and name[-1] in read[:3] for layer, name in zip(layers, names, strict=True)]
         images.append((np.tile(np.float16(is_read), (4, 4, 1)), tuple(names), {"name": part} if part else {}))
     write_exr(tmp_path / "a.exr", *images)
-    (warning,) = read_header(tmp_path / "a.exr").warnings
+    (warning,) = FrameFile(tmp_path / "a.exr").header.warnings
     assert warning.code == "channels_chosen"
     assert f": {read} is read, not {left}; write the right one alone" in warning.message
     values = read_frame(tmp_path / "a.exr").values
@@ -431,7 +431,7 @@ def test_what_a_file_states_and_nothing_uses_is_in_a_warning(tmp_path, name, kin
     (offset,) = struct.unpack_from("<Q", content, end)
     changed = content[:8] + attribute + content[8:end] + struct.pack("<Q", offset + len(attribute))
     (tmp_path / "a.exr").write_bytes(changed + content[end + 8 :])
-    warnings = read_header(tmp_path / "a.exr").warnings
+    warnings = FrameFile(tmp_path / "a.exr").header.warnings
     assert [one.code for one in warnings] == ["metadata_ignored"] * (expected is not None)
     assert all(re.search(f"the file states {expected}.*, which is not used", one.message) for one in warnings)
 
@@ -448,7 +448,7 @@ def test_an_exr_that_has_lost_something_is_named(tmp_path, compression, pixel_ty
     write_frame(tmp_path / "a.exr", values, pixel_type=pixel_type, compression=compression)
     written = values.astype(np.float16 if pixel_type == "half" else np.float32)
     assert (read_frame(tmp_path / "a.exr").stored[..., 0] != written).any() == is_lossy
-    assert [one.code for one in read_header(tmp_path / "a.exr").warnings] == ["lossy_compression"] * is_lossy
+    assert [one.code for one in FrameFile(tmp_path / "a.exr").header.warnings] == ["lossy_compression"] * is_lossy
 
 
 @pytest.mark.parametrize("parts", [(["R", "G"],), (["A", "Z"],), (["Z"], ["A"]), (["a.R", "b.G", "b.B"],)])
@@ -478,7 +478,7 @@ def test_each_channel_has_its_own_type(tmp_path):
     assert output.open(str(tmp_path / "a.exr"), spec)
     assert output.write_image(values)
     assert output.close()
-    assert read_header(tmp_path / "a.exr").pixel_type == "half"
+    assert FrameFile(tmp_path / "a.exr").header.pixel_type == "half"
     assert read_frame(tmp_path / "a.exr").values[0, 0, 0] == np.float16(0.1)
 
 
@@ -565,7 +565,7 @@ def assert_refused(path, problem, read=read_frame):
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.exr"])
-@pytest.mark.parametrize("read", [read_frame, read_header])
+@pytest.mark.parametrize("read", [read_frame, FrameFile])
 def test_no_frame_at_all(tmp_path, name, read):
     path = tmp_path / name
     assert_refused(path, "No such file", read)
@@ -724,7 +724,7 @@ def test_an_exr_with_a_sparse_header_is_refused(tmp_path, parts):
     """OpenEXR takes 7 bytes for each byte of an attribute of a type that it does not know: 14 GB for 2 GB."""
     write_exr(tmp_path / "a.exr", *[(np.zeros((4, 4, 1), np.float16), ("Y",), {})] * parts)
     content = (tmp_path / "a.exr").read_bytes()
-    assert read_header(tmp_path / "a.exr").height == 4
+    assert FrameFile(tmp_path / "a.exr").header.height == 4
     with (tmp_path / "a.exr").open("wb") as file:
         file.write(content[:8] + b"note\0weird\0" + struct.pack("<I", 2**30))
         file.seek(2**30, 1)

@@ -15,8 +15,9 @@ from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from fractions import Fraction
 from functools import partial
-from importlib.metadata import requires
+from importlib.metadata import EntryPoint, entry_points, requires
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import OpenImageIO as oiio
@@ -33,7 +34,7 @@ from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.recordings import radiometric, raw
 from todframes.recordings.arrays import memory_recording
-from todframes.recordings.opening import open_recordings
+from todframes.recordings.opening import ENTRY_POINT_GROUP, open_recordings
 from todframes.recordings.recording import natural_order
 
 RNG = np.random.default_rng(13)
@@ -136,6 +137,29 @@ def test_a_folder_is_one_sequence_in_natural_order(tmp_path):
     assert recording.frames_per_second is None
     assert next(recording.frames()).time_s is None
     assert len(list(recording.frames())) == 3  # again from the start
+
+
+def test_another_package_may_register_a_reader(tmp_path, monkeypatch):
+    page = (Path(__file__).parents[1] / "docs" / "recordings.md").read_text(encoding="utf-8")
+    mine, registered = ModuleType("my_camera"), [*entry_points(group=ENTRY_POINT_GROUP)]
+    exec(re.search(r"```python\n(.*?)```", page, re.DOTALL)[1], vars(mine))
+    monkeypatch.setitem(sys.modules, "my_camera", mine)
+    registered.append(EntryPoint("my_camera", "my_camera", ENTRY_POINT_GROUP))
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: registered)
+    values = np.arange(24, dtype="<u2").reshape(2, 3, 4)
+    for number, frame in zip((10, 9), values, strict=True):
+        (tmp_path / f"{number}.tif").write_bytes(b"MYCAM" + struct.pack("<2H", 4, 3) + frame.tobytes())
+    (recording,) = open_recordings(tmp_path)
+    assert (recording.shape, recording.full_scale, recording.n_frames) == ((3, 4), 4095.0, 2)
+    np.testing.assert_array_equal([frame.values for frame in recording.frames()], values[::-1])
+    (tmp_path / "9.tif").write_bytes(b"MYCAM" + struct.pack("<2H", 4, 3))
+    with pytest.raises(tod.FrameError, match=r"9\.tif: has no 4 x 3 pixels"):
+        open_recordings(tmp_path)
+    registered.append(EntryPoint("b", "no_such_module", ENTRY_POINT_GROUP))
+    registered_again = [*registered]
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: registered_again)
+    with pytest.raises(tod.SettingsError, match=r"reader b: cannot be imported \(ModuleNotFoundError"):
+        open_recordings(tmp_path)
 
 
 def test_natural_order_of_names_with_and_without_numbers():

@@ -26,7 +26,7 @@ import todframes as tod
 from todframes.base import remote
 from todframes.base.errors import FrameError, RemoteError, SettingsError
 from todframes.frames.dataset import Dataset, load_dataset
-from todframes.frames.files import read_header
+from todframes.frames.files import FrameFile
 from todframes.jobs.store import Store
 
 pytestmark = pytest.mark.oracle
@@ -413,7 +413,7 @@ def test_names_are_quoted_on_the_web(make_dataset, web) -> None:
     made.save()
     data = load_dataset(f"{web.url}/dataset")
     with data.open(data.trials[0].frames[0]) as file:
-        assert file.header == read_header(made.path / name)
+        assert file.header == FrameFile(made.path / name).header
 
 
 @pytest.mark.slow

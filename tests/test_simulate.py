@@ -31,7 +31,7 @@ from todframes.cli.console import run
 from todframes.frames import dataset_files
 from todframes.frames import files as frame_writing
 from todframes.frames.dataset import load_dataset
-from todframes.frames.files import MAX_SIDE_PX, read_frame, read_header
+from todframes.frames.files import MAX_SIDE_PX, FrameFile, read_frame
 from todframes.jobs.engine import open_engine
 from todframes.jobs.run import Run
 from todframes.observers.pyramid import PyramidObserver
@@ -324,7 +324,7 @@ def test_exr_and_png_are_scored_alike(tmp_path):
 
 def test_frames_tell_how_they_were_made(dataset_folder):
     for row in rows_of(dataset_folder):
-        attributes = read_header(dataset_folder / row["frame"]).attributes
+        attributes = FrameFile(dataset_folder / row["frame"]).header.attributes
         assert attributes["sensor_sim:sensor"] == "bench"
         assert attributes["sensor_sim:version"] == __version__
         assert attributes["sensor_sim:seed"] == "1"

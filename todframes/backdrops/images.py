@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, FrameError, SettingsError
+from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import spelling_hint
 from todframes.display.display import Display
 from todframes.parameters import PathLike
-from todframes.recordings.opening import open_recordings
+from todframes.recordings.opening import NoReaderError, open_recordings
 from todframes.recordings.recording import CodeRange, Recording, code_range, files_in
 
 PHOTOGRAPHS = (
@@ -140,9 +140,7 @@ def _of_folder(folder: Path, max_frame_mb: int, note: Callable[[str], None] | No
     for path in files:
         try:
             found.append(_opened(path, max_frame_mb))
-        except FrameError as error:
-            if "expected an image, video" not in str(error):
-                raise
+        except NoReaderError:
             others.append(path.name)
     if not found:
         what = f"only {', '.join(others[:3])}" if others else "no files"

@@ -12,10 +12,8 @@ from todframes.base.errors import DataError, OutputError
 from todframes.base.remote import RemotePath
 from todframes.frames.dataset import MANIFEST_FILE, Dataset
 
-COLUMN = "sha256"
-"""Name of the manifest column with the checksums."""
-
-BYTE_ORDER_MARK = "\ufeff"
+COLUMN, BYTE_ORDER_MARK = "sha256", "\ufeff"
+"""Name of the manifest column with the checksums, and the first letter of some manifests."""
 
 
 def check_writable(dataset: Dataset) -> None:
@@ -26,24 +24,11 @@ def check_writable(dataset: Dataset) -> None:
 
 
 def write_sha256(dataset: Dataset, sha256_of: Mapping[str, str]) -> None:
-    """Write checksums into the empty `sha256` fields of the manifest.
+    """Write checksums into the empty `sha256` fields of the manifest, of each frame by its path there.
 
     The file is replaced whole or not at all. All other fields, the order of rows and columns and the line ends
-    stay as they are. A manifest without a column `sha256` gets it as its last column.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    sha256_of : mapping of str to str
-        Checksum of each frame that has none, by the frame's path in the manifest. If the mapping is empty, the
-        manifest is not touched.
-
-    Raises
-    ------
-    DataError
-        If the manifest has changed since the dataset was loaded.
-    OutputError
-        If the manifest cannot be written.
+    stay as they are. A manifest without a column `sha256` gets it as its last column. Raises DataError if the
+    manifest has changed since the dataset was loaded, and OutputError if it cannot be written.
     """
     if not sha256_of:
         return

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -92,28 +94,9 @@ def read_contrast(
 
     Only the rows of the rectangle are decoded, unless the background is a mean over the frame. Pixels are decoded
     once, in bands of rows; only the pixels of the rectangle stay in memory. With the rule "surround" the rows
-    about the triangle are decoded, and pixels beyond the background about it are left out.
-
-    Parameters
-    ----------
-    file : FrameSource
-        The open frame.
-    display : Display
-    frame : FrameReference
-        The frame's row of the manifest, for its background luminance.
-    rows, columns : (int, int), optional
-        Half-open ranges in frame coordinates, clipped to the pixels that the file has. Default: all.
-    triangle : TrianglePlace, optional
-        The triangle, for the rule "surround"; without it that rule takes the mean over the frame.
-
-    Returns
-    -------
-    Patch
-
-    Raises
-    ------
-    FrameError
-        If the pixels cannot be read, their contrast overflows, or the background is not a positive number.
+    about the triangle are decoded, and pixels beyond the background about it are left out; without a triangle that
+    rule takes the mean over the frame. Raises FrameError if the pixels cannot be read, their contrast overflows,
+    or the background is not a positive number.
     """
     rule = display.background_luminance_cd_m2
     (first_row, stop_row), all_columns = file.clip(None, None)
@@ -135,7 +118,7 @@ def read_contrast(
         else np.empty((bottom - top, right - left, len(file.header.channels)), file.stored_type)
     )
     found = LuminanceFound()
-    try:
+    with _data_errors_of(file):
         for band in file.bands() if whole else file.bands(rows=decoded[0], columns=decoded[1]):
             luminance = display.luminance(band.values)
             begin, end = band.first_row, band.first_row + len(luminance)
@@ -151,10 +134,6 @@ def read_contrast(
                 kept[max(begin - top, 0) : end - top] = part[:, left - band.first_column :][:, : right - left]
         background = surround.surface() if surround is not None else _background(rule, found, frame)
         check_contrast(found.largest, background)
-    except FrameError:
-        raise
-    except DataError as error:
-        raise FrameError(file.path, str(error)) from None
     if is_small:
         contrast = displayed_contrast(kept, background, top, left)
         return ContrastPatch(contrast, top, left, found.n_negative, None, luminance_at_triangle(background))
@@ -163,21 +142,16 @@ def read_contrast(
 
 
 def check_pixels(file: FrameSource, display: Display, frame: FrameReference, triangle: TrianglePlace) -> None:
-    """Decode and check every pixel of an open frame, as `read_contrast` checks those that it reads.
+    """Decode and check every pixel of an open frame; errors are those of `read_contrast`.
 
     Luminance is computed only of the pixels that the background is taken from and of the extreme code values,
     which takes a fraction of the time of decoding.
-
-    Raises
-    ------
-    FrameError
-        If the pixels cannot be read, their contrast overflows, or the background is not a positive number.
     """
     rule = display.background_luminance_cd_m2
     (first_row, stop_row), all_columns = file.clip(None, None)
     window = surround_window(triangle, rows=(first_row, stop_row), columns=all_columns)
     surround, found = SurroundSums(triangle, window), LuminanceFound()
-    try:
+    with _data_errors_of(file):
         for band in file.bands():
             begin, end = band.first_row, band.first_row + len(band.stored)
             values = band.stored
@@ -195,6 +169,13 @@ def check_pixels(file: FrameSource, display: Display, frame: FrameReference, tri
         check_contrast(
             found.largest, surround.surface() if rule == "surround" else _background(rule, found, frame)
         )
+
+
+@contextmanager
+def _data_errors_of(file: FrameSource) -> Iterator[None]:
+    """Raise FrameError, which names the frame, in place of other DataErrors."""
+    try:
+        yield
     except FrameError:
         raise
     except DataError as error:
@@ -221,17 +202,14 @@ class LuminanceFound:
     """Statistics of the luminance of a frame, collected band by band."""
 
     def __init__(self) -> None:
-        self.n_negative = 0
-        self.largest = 0.0
-        self.sum = 0.0
-        self.n_averaged = 0
+        self.n_negative = self.n_averaged = 0
+        self.largest = self.sum = 0.0
 
     def add(self, luminance: FloatArray) -> None:
         """Update the largest luminance and the count of negative ones with a band."""
         lowest = float(luminance.min())
         self.largest = max(self.largest, -lowest, float(luminance.max()))
-        if lowest < 0.0:
-            self.n_negative += int(np.count_nonzero(luminance < 0.0))
+        self.n_negative += int(np.count_nonzero(luminance < 0.0)) if lowest < 0.0 else 0
 
     def average(self, luminance: FloatArray) -> None:
         """Add luminances to the mean that is the background."""
@@ -287,8 +265,7 @@ def unjudged_problems(dataset: Dataset, frame: FrameReference) -> Iterator[Frame
     """Yield an error if a frame that is in no trial cannot be read; every pixel of it is checked."""
     try:
         with dataset.open(frame, verify=True) as file:
-            for _ in file.bands():
-                pass
+            deque(file.bands(), 0)
     except FrameError as error:
         yield error
 
@@ -306,7 +283,6 @@ def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
                 check_pixels(file, dataset.display, frame, triangle)
             if (reference := dataset.reference_path(frame)) is not None:
                 with FrameFile(reference, max_frame_mb=dataset.max_frame_mb) as other:
-                    for _ in other.bands():
-                        pass
+                    deque(other.bands(), 0)
         except FrameError as error:
             yield error

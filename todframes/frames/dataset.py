@@ -49,11 +49,8 @@ SCHEMA = 1
 SETTINGS_FILE, MANIFEST_FILE = "dataset.toml", "manifest.csv"
 """Files that make a folder of frames a dataset."""
 
-BACKGROUND_COLUMN = "background_luminance_cd_m2"
-"""Name of the manifest column with each frame's background luminance."""
-
-REFERENCE_COLUMN = "reference_frame"
-"""Name of the manifest column with the path of the same frame without noise."""
+BACKGROUND_COLUMN, REFERENCE_COLUMN = "background_luminance_cd_m2", "reference_frame"
+"""Names of the manifest columns with each frame's background luminance and the path of the same without noise."""
 
 SCENE_COLUMNS = ("scene", "scene_turn", "scene_window")
 """Names of the manifest columns with the image behind the triangle, how it is turned and mirrored, and which part
@@ -71,7 +68,7 @@ CLIP_COLUMN, TIME_COLUMN, JUDGED_COLUMN = "clip", "time_s", "judged"
 HEADERS_READ = 16
 """Number of frames, spread over the trials, of which the header is read for warnings; up to twice as many."""
 
-ORIENTATION_OF = {one.value: one for one in ORIENTATIONS}
+ORIENTATION_OF = {orientation.value: orientation for orientation in ORIENTATIONS}
 
 MOST_ROWS, MOST_BAD_ROWS = 20_000_000, 100_000
 """Largest number of rows of a manifest, and of those that cannot be used: each has a message."""
@@ -215,12 +212,8 @@ class Dataset:
     def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:
         """Return a text that changes whenever the bytes of the frame do: the SHA-256 of its file.
 
-        `is_read` states whether this thread has just opened the frame with `verify`.
-
-        Raises
-        ------
-        FrameError
-            If the file cannot be read.
+        `is_read` states whether this thread has just opened the frame with `verify`. Raises FrameError if the file
+        cannot be read.
         """
         if is_read and frame.sha256 is not None:  # it was compared with that of the file
             return frame.sha256
@@ -270,14 +263,8 @@ class RemoteDataset(Dataset):
         """Return a text that changes whenever the bytes of the frame do.
 
         It is made of the URL and the entity tag that the server gives the bytes, in the listing of the folder or
-        for the file; without a tag it is the SHA-256 of the bytes.
-
-        Raises
-        ------
-        FrameError
-            If the file cannot be read.
-        RemoteError
-            If the server cannot be reached, or the file may not be read.
+        for the file; without a tag it is the SHA-256 of the bytes. Raises FrameError if the file cannot be read,
+        RemoteError if the server cannot be reached.
         """
         path = self.path / frame.path
         listed = self.listings[path.parent] or {}
@@ -396,9 +383,10 @@ class Manifest:
         self.bad_rows: list[Skipped] = []
         self.spoilt: set[str] = set()
         self.real_folders: dict[str, str] = {}
+        # Equal ones are the same object, which saves memory.
         self.stimuli: dict[tuple[str, int], Stimulus] = {}
         self.groups: dict[Group, Group] = {}
-        self.found = TrialsBuilder()
+        self.builder = TrialsBuilder()
         self.index_of: dict[str, int] = {}
         # The line of each real path, so that no frame is there twice.
         self.lines: dict[str, int] = {}
@@ -427,32 +415,28 @@ class Manifest:
                     self.spoilt.add(name)
                 if clip := (row.get(CLIP_COLUMN) or "").strip():
                     self.n_breaks[clip] = self.n_breaks.get(clip, 0) + 1
-        return self.found.trials()
+        return self.builder.trials()
 
     def add(self, row: Mapping[str, str], where: str, row_number: int) -> None:
         """Add the frame of a row; raise DataError, whose message begins with `where`, if the row is wrong."""
-        trial = self._trial(row, where, row_number)
-        if self._is_judged(row, where):
-            self._join(trial, where, joins="trial" in row)
-        else:
-            self.found.append_unjudged(trial.frames[0])
-
-    def _join(self, trial: Trial, where: str, *, joins: bool) -> None:
-        """Add a trial, or its frame to the trial of the same name; without `joins` no two have the same."""
-        index = self.index_of.setdefault(trial.name, len(self.found)) if joins else len(self.found)
-        if index == len(self.found):
-            self.found.append(trial)
-        else:
-            first = self.found[index]
-            clip = first.frames[0].clip
-            trial, frame = joined(first, trial)
-            self._check_joined(first, trial, where)
-            if frame.clip != clip and first.name not in self.spoilt:
-                raise DataError(
-                    f"{where}: {CLIP_COLUMN}: found {frame.clip}, expected {clip} as in the other frames of trial "
-                    f"{first.name!r}"
-                )
-            self.found.append_frame(index, frame)
+        trial, n = self._trial(row, where, row_number), len(self.builder)
+        if not self._is_judged(row, where):
+            self.builder.append_unjudged(trial.frames[0])
+            return
+        # Without a column of trials, no two frames have the same name.
+        index = self.index_of.setdefault(trial.name, n) if "trial" in row else n
+        if index == n:
+            self.builder.append(trial)
+            return
+        first = self.builder[index]
+        trial, frame = joined(first, trial)
+        self._check_joined(first, trial, where)
+        if frame.clip != (clip := first.frames[0].clip) and first.name not in self.spoilt:
+            raise DataError(
+                f"{where}: {CLIP_COLUMN}: found {frame.clip}, expected {clip} as in the other frames of trial "
+                f"{first.name!r}"
+            )
+        self.builder.append_frame(index, frame)
 
     def check_columns(self, found: Mapping[str, object]) -> None:
         """Raise DataError if a column is missing."""
@@ -502,12 +486,10 @@ class Manifest:
 
     def _view(self, row: Mapping[str, str], where: str) -> SceneView | None:
         """Return the scene of a row; None if it has none."""
-        texts = [(row.get(name) or "").strip() for name in SCENE_COLUMNS]
-        if not texts[0]:
-            if any(texts):
-                raise DataError(f"{where}: scene: found none beside a turn or a window, expected its name")
-            return None
-        return SceneView(*texts)
+        view = SceneView(*((row.get(name) or "").strip() for name in SCENE_COLUMNS))
+        if not view.scene and any(view):
+            raise DataError(f"{where}: scene: found none beside a turn or a window, expected its name")
+        return view if view.scene else None
 
     def _place(self, row: Mapping[str, str], where: str) -> tuple[int, float]:
         places = self.experiment.places
@@ -551,9 +533,11 @@ class Manifest:
     def _frame_path(self, frame: str, where: str) -> str:
         if self.folder is None:
             return frame
-        if os.sep == "/" and "\\" in frame and not self._is_there(frame):
-            written = frame.replace("\\", "/")
-            raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
+        if os.sep == "/" and "\\" in frame:
+            is_there = isinstance(self.folder, str) and os.path.lexists(os.path.join(self.folder, frame))  # noqa: PTH118
+            if not is_there:
+                written = frame.replace("\\", "/")
+                raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
         path = path_inside(self.folder, frame, f"{where}: frame", self.real_folders)
         inside = path.removeprefix(f"{self.folder}{os.sep}")
         inside = frame if inside == frame else inside  # one text in memory
@@ -562,16 +546,10 @@ class Manifest:
         self.lines[inside] = int(where.rpartition(" ")[2])
         return frame
 
-    def _is_there(self, frame: str) -> bool:
-        """Return whether there is a local file of this name."""
-        return isinstance(self.folder, str) and os.path.lexists(os.path.join(self.folder, frame))  # noqa: PTH118
-
     def _stimulus(self, size: str, polarity: int, where: str) -> Stimulus:
-        found = self.stimuli.get((size, polarity))
-        if found is None:
-            found = Stimulus(number(size, f"{where}: size_mrad", positive=True), polarity)
-            self.stimuli[size, polarity] = found
-        return found
+        if (size, polarity) not in self.stimuli:
+            self.stimuli[size, polarity] = Stimulus(number(size, f"{where}: size_mrad", positive=True), polarity)
+        return self.stimuli[size, polarity]
 
     def _check_joined(self, first: Trial, other: Trial, where: str) -> None:
         """Raise DataError if two frames of a trial do not agree in everything else."""
@@ -603,22 +581,8 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
 
     `unverified_frames` counts the frames that have no checksum in the manifest and whose file format has none
     either: PNG files contain checksums of their own, EXR files do not. The others are those of the headers of
-    a few frames: see `HeaderWarning`.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    trials : sequence of Trial
-
-    Returns
-    -------
-    list of DatasetWarning
-        Empty if the frames are in memory.
-
-    Raises
-    ------
-    FrameError
-        If a frame file can no longer be read.
+    a few frames: see `HeaderWarning`. Frames in memory have none. Raises FrameError if a file can no longer be
+    read.
     """
     if dataset.is_in_memory:
         return []
@@ -627,9 +591,9 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
         for frame in trial.frames:
             n_frames += 1
             unverified += frame.sha256 is None and not has_own_checksums(dataset.frame_path(frame))
-    found = _header_warnings(dataset, trials)
+    warnings = _header_warnings(dataset, trials)
     if not unverified:
-        return found
+        return warnings
     is_remote = isinstance(dataset.path, RemotePath)
     folder = "FOLDER" if is_remote else in_utf8(shlex.quote(str(dataset.path)))
     message = (
@@ -637,7 +601,7 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
         "files, and damage to them would change thresholds unseen; add checksums with "
         f"`todframes validate {folder} --add-sha256`" + (" on a local copy, and upload it" if is_remote else "")
     )
-    return [*found, DatasetWarning("unverified_frames", {}, message, found=unverified, expected=0)]
+    return [*warnings, DatasetWarning("unverified_frames", {}, message, found=unverified, expected=0)]
 
 
 def _header_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetWarning]:

@@ -20,19 +20,9 @@ def write_dataset_files(
 ) -> int:
     """Make a folder of frames a dataset; return the number of rows of its manifest.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the dataset, with the table of luminances that `display` may name.
-    rows : iterable of mapping
-        A row of the manifest for each frame, by column; all have the columns of the first, in its order. Texts are
-        marked as by `csv_text`; a name of a frame that a spreadsheet would compute gets `./` and stays a name.
-    display : mapping
-        The table [display]; `table_of_display` returns it.
-    experiment : Experiment
-        The table [experiment].
-    comment : str
-        Lines above the tables.
+    The folder has the table of luminances that `display`, made by `table_of_display`, may name. All rows, one a
+    frame, have the columns of the first, in its order. Texts are marked as by `csv_text`; a name of a frame that a
+    spreadsheet would compute gets `./` and stays a name. The lines of `comment` stand above the tables.
     """
     n_rows = 0
     with (folder / MANIFEST_FILE).open("w", encoding="utf-8", newline="") as file:

@@ -8,12 +8,13 @@ import os
 import re
 import stat
 import zlib
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, NamedTuple, Protocol, Self, get_args
+from typing import Any, BinaryIO, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 import OpenImageIO as oiio
@@ -33,11 +34,8 @@ READ_AT_ONCE = 2**14
 PNG_BLOCK = 2**20
 """Number of bytes of a chunk of a PNG that are read at a time."""
 
-MAX_SIDE_PX = 32768
-"""Largest number of rows or columns of a frame."""
-
-MAX_CHANNELS = 256
-"""Largest number of channels of a frame file."""
+MAX_SIDE_PX, MAX_CHANNELS = 32768, 256
+"""Largest number of rows or columns of a frame, and of channels of its file."""
 
 BAND_VALUES = 2**19
 """Number of values, of all channels, that are decoded at a time, unless one chunk of the file holds more."""
@@ -57,7 +55,7 @@ NUMPY_TYPES: dict[PixelType, Any] = {
     "half": np.float16, "float": np.float32, "uint8": np.uint8, "uint16": np.uint16
 }  # fmt: skip
 
-READ_AS: dict[str, PixelType] = {one: one for one in NUMPY_TYPES} | {"int16": "float", "double": "float"}
+READ_AS: dict[str, PixelType] = {name: name for name in NUMPY_TYPES} | {"int16": "float", "double": "float"}
 """Types of values, by those in the file. 32-bit floats do not hold integers of 32 bits, which are refused."""
 
 FULL_SCALE: dict[PixelType, int] = {"uint8": 255, "uint16": 65535}
@@ -77,14 +75,33 @@ FORMATS = {
     rb"BM": "BMP",
     rb"GIF8": "GIF",
     rb"RIFF....WEBP": "WebP",
-    rb"RIFF....AVI |....ftyp|\x1a\x45\xdf\xa3": "video",
     rb"#\?RADIANCE": "Radiance HDR",
     rb"SIMPLE  =": "FITS",
     rb"version https://": "Git LFS pointer",
+    rb"[FA]FF\0": "FLIR",
+    rb"CED\0": "Cedip film",
+    rb"\x93NUMPY": "NumPy",
+    rb"PK\x03\x04": "zip",
+    rb"\x1a\x45\xdf\xa3": "matroska video",
+    rb"....(ftyp|moov|mdat|wide|free|skip)": "mov video",
+    rb"RIFF....AVI ": "avi video",
+    rb"YUV4MPEG2 ": "yuv4mpegpipe video",
+    rb"\x06\x0e\x2b\x34": "mxf video",
+    rb"\x30\x26\xb2\x75\x8e\x66\xcf\x11": "asf video",
+    rb"OggS": "ogg video",
+    rb"FLV\x01": "flv video",
+    rb"nut/multimedia": "nut video",
+    rb"\x00\x00\x01\xba": "mpeg video",
+    rb"\x47.{187}\x47": "mpegts video",
+    rb"\x00\x00\x00\x01[\x67\x27\x09]": "h264 video",
+    rb"\x00\x00\x00\x01[\x40\x46]\x01": "hevc video",
 }
-"""Patterns of the first bytes of files that are taken for pictures, and the names of their formats."""
+"""Patterns of the first bytes of files, and the names of their formats; of videos, FFmpeg's names.
 
-N_START = 16
+FFmpeg is given the format: playlists and scripts, which name other files or addresses, are none of them.
+"""
+
+N_START = 189
 """Number of bytes that these patterns need."""
 
 PICTURE_FORMATS = {
@@ -101,9 +118,9 @@ CONVERT = "convert it without loss, integers to PNG, floating-point values to EX
 OTHER_ADVICE = {
     "JPEG": "its compression has changed the pixels; record frames without loss",
     "video": "write each of its frames to a file of its own",
-    "Git LFS pointer": "the frame itself is not here; fetch it with git lfs pull",
+    "pointer": "the frame itself is not here; fetch it with git lfs pull",
 }
-"""Advice for formats that need more than a conversion."""
+"""Advice for formats that need more than a conversion, by the last word of their names."""
 
 LOSSY_TIFF = (6, 7, 34712, 34887, 34892, 50001, 50002, 52546)
 """Compressions of TIFF that can change pixels: JPEG, JPEG 2000, LERC, WebP and JPEG XL, by their numbers."""
@@ -128,8 +145,6 @@ MAX_EXR_HEADER = 2**24
 
 MAX_DPX_USER_DATA = 2**20
 """Largest number of bytes of user data in a DPX. SMPTE 268M, section 5.3."""
-
-_LAYOUT_ATTRIBUTES = ("oiio:", "openexr:", "compression")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,59 +213,53 @@ class FrameHeader:
     warnings: tuple[HeaderWarning, ...] = ()
 
 
-class FrameSource(Protocol):
-    """Protocol of an open frame, for a `with` statement: the header is read at once, pixels are read on request.
+class FrameSource(ABC):
+    """An open frame, for a `with` statement: the header is read at once, pixels are read on request.
 
-    `path` names the frame in messages. `FrameFile` and `ArrayFrame` implement this protocol.
+    `path` names the frame in messages. Rows and columns of rectangles are half-open ranges in frame coordinates,
+    None for all, and are clipped to the pixels that the frame has.
     """
 
     path: Location
     header: FrameHeader
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(self, *_: object) -> None: ...
+    def __exit__(self, *_: object) -> None:  # noqa: B027 - a frame in memory has nothing to close
+        pass
 
     @property
     def stored_type(self) -> np.dtype[Any]:
         """Type of the values of `Frame.stored`."""
+        stored_type: np.dtype[Any] = np.dtype(NUMPY_TYPES[self.header.pixel_type])
+        return stored_type
+
+    @abstractmethod
+    def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
+        """Yield a rectangle in bands of rows; FrameError if pixels are damaged, NaN or infinite."""
 
     def read(self, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
-        """Return a rectangle of the frame."""
-
-    def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
-        """Yield a rectangle of the frame in bands of rows."""
+        """Return a rectangle, without pixels if all of it is outside; errors are those of `bands`."""
+        (top, bottom), (left, right) = self.clip(rows, columns)
+        stored = np.empty((bottom - top, right - left, len(self.header.channels)), self.stored_type)
+        for band in self.bands(rows=rows, columns=columns):
+            stored[band.first_row - top :][: len(band.stored)] = band.stored
+        return Frame(stored, top, left, self.header.height, self.header.width)
 
     def clip(self, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
         """Return the rows and columns of a rectangle that the frame has pixels for."""
+        header = self.header
+        return _clip(rows, header.first_row, header.n_rows), _clip(columns, header.first_column, header.n_columns)
 
 
-class FrameFile:
-    """An open picture file: its `header` is read at once, its pixels are read on request.
+class FrameFile(FrameSource):
+    """An open picture file, for use in one thread; each thread opens the file itself.
 
-    Use it in a `with` statement and in one thread; each thread opens the file itself. The format is recognised
-    from the content, not from the extension. A file behind a URL is copied to a temporary folder while it is open.
-
-    Parameters
-    ----------
-    path : path, RemotePath or URL
-        A file of one of `formats`.
-    formats : collection of str
-        Those that are read, of `PICTURE_FORMATS`; by default those of frames, EXR and PNG.
-    content : bytes, optional
-        The bytes of the file, if they are in memory already; `path` then only names it.
-    sha256 : str, optional
-        Checksum that the file must have.
-    max_frame_mb : int
-        Largest decoded size of the frame in 2**20 bytes: all channels of a part, in their own pixel types.
-
-    Raises
-    ------
-    FrameError
-        If the file is missing, unreadable, of another format, damaged, too large, deep, or without channels to
-        use, or has another checksum.
-    RemoteError
-        If the file is behind a URL that cannot be reached or may not be read.
+    The format is recognised by the content and must be one of `formats`, which are among `PICTURE_FORMATS`. A
+    file behind a URL is copied to a temporary folder while it is open; given `content`, `path` only names it. With
+    `sha256` the file must have this checksum. `max_frame_mb` limits, in 2**20 bytes, all channels of a part,
+    decoded. Raises FrameError if the file cannot be used, and RemoteError if its URL cannot be reached.
     """
 
     def __init__(
@@ -285,22 +294,13 @@ class FrameFile:
                 raise FrameError(self.path, f"cannot be opened: {problem}") from None
             self._resources = stack.pop_all()
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self._resources.close()
 
     @property
-    def stored_type(self) -> np.dtype[Any]:
-        """Type of the values of `Frame.stored`."""
-        stored_type: np.dtype[Any] = np.dtype(NUMPY_TYPES[self.header.pixel_type])
-        return stored_type
-
-    @property
     def metadata(self) -> dict[str, Any]:
         """All attributes of the page, by OpenImageIO's names."""
-        return {one.name: one.value for one in self._spec.extra_attribs}
+        return {attribute.name: attribute.value for attribute in self._spec.extra_attribs}
 
     def pages(self) -> Iterator[FrameHeader]:
         """Yield the header of each page, once; after it, `header` and `read` are those of that page.
@@ -312,37 +312,12 @@ class FrameFile:
             self.header = self._read_header(self._part + 1)
             yield self.header
 
-    def read(self, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
-        """Decode a rectangle of the frame, and no more of the file than the chunks or tiles that it touches.
-
-        Parameters
-        ----------
-        rows, columns : (int, int), optional
-            Half-open ranges in frame coordinates, clipped to the rectangle that the file has pixels for; ranges
-            entirely outside of it give a Frame without pixels. Default: all.
-
-        Returns
-        -------
-        Frame
-
-        Raises
-        ------
-        FrameError
-            If these pixels are damaged, or one of them is NaN or infinite.
-        """
-        (top, bottom), (left, right) = self.clip(rows, columns)
-        header = self.header
-        shape = (bottom - top, right - left, len(header.channels))
-        stored = np.empty(shape, self.stored_type)
-        for band in self.bands(rows=rows, columns=columns):
-            stored[band.first_row - top :][: len(band.stored)] = band.stored
-        return Frame(stored, top, left, header.height, header.width)
-
     def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
         """Yield a rectangle of the frame in bands of rows from top to bottom, each of about `BAND_VALUES` values.
 
-        Parameters and errors are those of `read`. No chunk of scan lines is decoded twice. After a band with bad
-        pixels nothing more is yielded; a FrameError about all of them follows at the end.
+        No more of the file is decoded than the chunks or tiles that the rectangle touches, and no chunk of scan
+        lines twice. After a band with bad pixels nothing more is yielded; a FrameError about all of them follows
+        at the end.
         """
         (top, bottom), (left, right) = self.clip(rows, columns)
         n_bad, first_bad = 0, ""
@@ -357,10 +332,6 @@ class FrameFile:
                 yield Frame(stored, begin, left, self.header.height, self.header.width)
         if n_bad:
             raise FrameError(self.path, f"{n_bad} pixels are NaN or infinite, the first at {first_bad}")
-
-    def clip(self, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
-        """Return the rows and columns of a rectangle that the file has pixels for."""
-        return clip_rectangle(self.header, rows, columns)
 
     def _band_rows(self, top: int, bottom: int) -> Iterator[Range]:
         """Yield ranges of rows that end where chunks or tiles end."""
@@ -412,8 +383,11 @@ class FrameFile:
         if n_rows < 1 or n_columns < 1:
             raise FrameError(self.path, "the data window lies outside of the display window")
         channels = tuple(spec.channelnames[channel] for channel in self._channels)
-        texts = ((one.name, value) for one in spec.extra_attribs if isinstance(value := one.value, str))
-        attributes = {name: text for name, text in texts if not name.startswith(_LAYOUT_ATTRIBUTES)}
+        attributes = {
+            name: text
+            for name, text in self.metadata.items()
+            if isinstance(text, str) and not name.startswith(("oiio:", "openexr:", "compression"))
+        }
         warnings = [*self._loss(), *_ignored(spec, len(channels))]
         if others:
             message = f"the EXR has several pictures: {others}; write the right one alone"
@@ -539,12 +513,6 @@ def _allow_frames(max_frame_mb: int) -> None:
         oiio.attribute("limits:imagesize_MB", max_frame_mb)
 
 
-def read_header(path: PathLike | RemotePath) -> FrameHeader:
-    """Read the header of a frame file without decoding pixels. Raises FrameError as FrameFile does."""
-    with FrameFile(path) as file:
-        return file.header
-
-
 def read_frame(
     path: PathLike | RemotePath,
     *,
@@ -579,15 +547,10 @@ def read_frame(
 def frame_sha256(path: PathLike | RemotePath) -> str:
     """Compute the SHA-256 of a file, as 64 hexadecimal digits. Raises FrameError if it cannot be read."""
     path = location(path)
-    try:
-        with local_file(path) as local:
-            _check_is_file(local)
-            with local.open("rb") as file:
-                return _sha256(file)
-    except RemoteError:
-        raise
-    except OSError as error:
-        raise FrameError(path, f"cannot be read: {error.strerror}") from None
+    with _unreadable(path), local_file(path) as local:
+        _check_is_file(local)
+        with local.open("rb") as file:
+            return _sha256(file)
 
 
 def has_own_checksums(path: PathLike | RemotePath) -> bool:
@@ -598,10 +561,19 @@ def has_own_checksums(path: PathLike | RemotePath) -> bool:
     if isinstance(path, RemotePath):
         return path.name.lower().endswith(".png")
     path = Path(path)
-    try:
+    with _unreadable(path):
         _check_is_file(path)
         with path.open("rb") as file:
             return file.read(len(PNG_SIGNATURE)) == PNG_SIGNATURE
+
+
+@contextmanager
+def _unreadable(path: Location) -> Iterator[None]:
+    """Raise FrameError in place of an error of the operating system."""
+    try:
+        yield
+    except RemoteError:
+        raise
     except OSError as error:
         raise FrameError(path, f"cannot be read: {error.strerror}") from None
 
@@ -646,7 +618,7 @@ def _sha256(file: BinaryIO) -> str:
 
 
 def format_of(start: bytes) -> str | None:
-    """Return the name of the format of a file that starts with these `N_START` bytes; None if it is not known."""
+    """Return the name of the format of a file that starts with these bytes, best `N_START`; None if unknown."""
     return next((name for pattern, name in FORMATS.items() if re.match(pattern, start, re.DOTALL)), None)
 
 
@@ -664,7 +636,8 @@ def _recognise(path: Path, formats: Collection[str], sha256: str | None) -> str:
             found = f"a file that starts with {start[:8]!r}" if start else "an empty file"
             raise FrameError(path, f"found {found}, expected {expected}")
         if name not in formats:
-            raise FrameError(path, f"is a {name} file, expected {expected}: {OTHER_ADVICE.get(name, CONVERT)}")
+            advice = OTHER_ADVICE.get(name.rpartition(" ")[2], CONVERT)
+            raise FrameError(path, f"is a {name} file, expected {expected}: {advice}")
         if name in _CHECKS:
             _CHECKS[name](path, file)
     return name
@@ -769,11 +742,6 @@ def _not_finite(stored: NDArray[Any]) -> NDArray[np.bool_] | None:
     is_half = stored.dtype == np.float16  # numpy's isfinite takes five times as long for it
     bad = (stored.view(np.uint16) & 0x7C00) == 0x7C00 if is_half else ~np.isfinite(stored)
     return bad.any(axis=2) if bad.any() else None
-
-
-def clip_rectangle(header: FrameHeader, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
-    """Clip half-open ranges of rows and columns, None for all, to the pixels that the frame has."""
-    return _clip(rows, header.first_row, header.n_rows), _clip(columns, header.first_column, header.n_columns)
 
 
 def _clip(wanted: Range | None, first: int, count: int) -> Range:

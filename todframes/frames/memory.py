@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from todframes.base.errors import DataError, FrameError
 from todframes.base.remote import Location
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset, Experiment, Manifest
-from todframes.frames.files import Frame, FrameHeader, FrameSource, Range, clip_rectangle
+from todframes.frames.files import Frame, FrameHeader, FrameSource, Range
 from todframes.frames.trials import FrameReference
 
 OIIO_TYPES: dict[str, Any] = {"uint8": "uint8", "uint16": "uint16", "float16": "half"}
@@ -43,19 +43,11 @@ class MemoryDataset(Dataset):
         return ArrayFrame(self.frame_path(frame), self.arrays[frame.path])
 
 
-class ArrayFrame:
-    """A frame in memory, as a `FrameSource`.
+class ArrayFrame(FrameSource):
+    """A frame in memory: an array of shape (rows, columns) or (rows, columns, 1 or 3).
 
-    Parameters
-    ----------
-    path : Path or RemotePath
-        Name of the frame in messages.
-    stored : ndarray, shape (rows, columns) or (rows, columns, 1 or 3)
-
-    Raises
-    ------
-    FrameError
-        If the array has another shape or holds neither integers of 8 or 16 bits nor floating-point numbers.
+    Raises FrameError if it has another shape, or other values than integers of 8 or 16 bits or floating-point
+    numbers.
     """
 
     def __init__(self, path: Location, stored: NDArray[Any]) -> None:
@@ -76,22 +68,6 @@ class ArrayFrame:
         channels = ("Y",) if n_channels == 1 else ("R", "G", "B")
         self.header = FrameHeader(height, width, 0, 0, height, width, channels, pixel_type, {})
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    @property
-    def stored_type(self) -> np.dtype[Any]:
-        """Type of the values of `Frame.stored`."""
-        return self._stored.dtype
-
-    def read(self, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
-        """Return a rectangle of the frame; raise FrameError if a pixel of it is NaN or infinite."""
-        (frame,) = self.bands(rows=rows, columns=columns)
-        return frame
-
     def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
         """Yield a rectangle of the frame in one band; raise FrameError if a pixel of it is NaN or infinite."""
         (top, bottom), (left, right) = self.clip(rows, columns)
@@ -101,10 +77,6 @@ class ArrayFrame:
             where = f"row {bad[0, 0] + top}, column {bad[0, 1] + left}"
             raise FrameError(self.path, f"{len(bad)} pixels are NaN or infinite, the first at {where}")
         yield Frame(part, top, left, self.header.height, self.header.width)
-
-    def clip(self, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
-        """Return the rows and columns of a rectangle that the frame has."""
-        return clip_rectangle(self.header, rows, columns)
 
 
 def memory_dataset(
@@ -125,10 +97,7 @@ def memory_dataset(
 ) -> MemoryDataset:
     """Return a dataset of frames in memory; parameters are those of `todframes.score_frames`.
 
-    Raises
-    ------
-    DataError
-        If there are no frames, or an argument has the wrong number of values or a value out of range.
+    Raises DataError if there are no frames, or an argument has the wrong number of values or a value out of range.
     """
     images = [np.asarray(frame) for frame in frames]
     if not images:
@@ -146,7 +115,7 @@ def memory_dataset(
     manifest.check_columns(columns)
     for number, row in enumerate(zip(*texts, strict=True)):
         manifest.add(dict(zip(columns, row, strict=True)), names[number], number)
-    trials = manifest.found.trials()
+    trials = manifest.builder.trials()
     if not trials:
         raise DataError("judged: found no frame that is judged, expected at least one")
     return MemoryDataset(
@@ -168,7 +137,7 @@ def _texts(name: str, values: Any, n: int) -> list[str]:
     column = values.tolist() if isinstance(values, np.ndarray) else list(values)
     if len(column) != n:
         raise DataError(f"{name}: found {len(column)} values, expected {n}, one a frame")
-    return [_text(one.item() if isinstance(one, np.generic) else one) for one in column]
+    return [_text(value.item() if isinstance(value, np.generic) else value) for value in column]
 
 
 def _text(value: object) -> str:

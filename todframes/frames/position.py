@@ -44,46 +44,27 @@ def candidate_places(
 ) -> tuple[tuple[float, float], ...]:
     """Return the centroids (x, y), in pixels, of all places at which a triangle may be.
 
-    The places fill a grid of ⌈√places⌉ columns row by row.
-
-    Parameters
-    ----------
-    x_px, y_px : float
-        Centroid of the triangle.
-    place : int
-        Number of the triangle's place, from 1.
-    step_px : float
-        Distance of neighbouring places in pixels.
-    places : int
-        Number of places.
+    The places, `step_px` apart, fill a grid of ⌈√places⌉ columns row by row. The triangle's centroid is
+    (x_px, y_px), the number of its place, from 1, `place`.
     """
     columns = math.isqrt(places - 1) + 1
     row, column = divmod(place - 1, columns)
     return tuple(
-        (x_px + (one % columns - column) * step_px, y_px + (one // columns - row) * step_px)
-        for one in range(places)
+        (x_px + (k % columns - column) * step_px, y_px + (k // columns - row) * step_px) for k in range(places)
     )
 
 
 def place_offsets_px(trial: Trial, places: int) -> tuple[tuple[float, float], ...]:
-    """Return the distances (x, y), in pixels, from a trial's triangle to all places at which it may be.
-
-    There are none if the place is known.
-    """
+    """Return the distances (x, y), in pixels, from a trial's triangle to all its places; none if it is known."""
     if places == 1 or trial.place is None or trial.place_step_px is None:
         return ()
     return candidate_places(0.0, 0.0, place=trial.place, step_px=trial.place_step_px, places=places)
 
 
 def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> None:
-    """Check quickly that all files exist and that each stimulus lies on its frame.
+    """Raise FrameError if a file is missing or a triangle does not lie on its frame.
 
     Only one header is read for each stimulus, that of its first frame.
-
-    Raises
-    ------
-    FrameError
-        If a file is missing, or the triangle does not lie on its frame.
     """
     of_stimulus: dict[Stimulus, Trial] = {}
     for trial in trials:

@@ -88,21 +88,11 @@ _NOT_CONSTANT[0, 0] = False
 class Surface(NamedTuple):
     """A background: a polynomial of the position, within the part of the window that it describes.
 
-    Attributes
-    ----------
-    coefficients : ndarray, shape (5, 5)
-        Luminance in cd/m² as Σ c[i, j] v^i u^j, u and v the distances from `middle` along x and y in units of
-        `scale_px`.
-    middle : (int, int)
-        Row and column of the pixel at the triangle's centroid.
-    scale_px : float
-    extent : Window
-        Rows and columns that belong to the background. Beyond them lies something else, such as a dark border.
-    window : Window
-        Rows and columns that were searched; `extent` lies within.
-    noise_cd_m2 : float
-        Standard deviation of the means of neighbouring blocks.
-    block_px : int
+    The luminance in cd/m² is Σ c[i, j] v^i u^j with `coefficients` of shape (5, 5), u and v the distances along x
+    and y from `middle`, the row and column of the pixel at the triangle's centroid, in units of `scale_px`. The
+    rows and columns of `extent`, a part of the searched `window`, belong to the background; beyond them lies
+    something else, such as a dark border. `noise_cd_m2` is the standard deviation of the means of neighbouring
+    blocks.
     """
 
     coefficients: FloatArray
@@ -175,8 +165,7 @@ class SurroundSums:
     def __init__(self, triangle: TrianglePlace, window: Window) -> None:
         self.triangle, self.window = triangle, window
         self.block_px = max(int(triangle.size_px / BLOCKS_PER_SIZE), 1)
-        shape = tuple(math.ceil((stop - first) / self.block_px) for first, stop in window)
-        self.sums = np.zeros(shape)
+        self.sums = np.zeros([math.ceil((stop - first) / self.block_px) for first, stop in window])
 
     def add(self, luminance: FloatArray, row: int, column: int) -> None:
         """Add a rectangle of luminance with all columns of the window, its first pixel at (row, column)."""
@@ -193,15 +182,13 @@ class SurroundSums:
         ends at the first row or column of blocks whose median differs from a prediction from those before it. A
         surface is then fitted to the blocks around the triangle, outliers without weight. It is a constant unless
         a higher degree describes the blocks better and is as certain under the triangle as the mean of one block.
-
-        Raises
-        ------
-        DataError
-            If the window has no pixels around the triangle, or the background is not positive.
+        Raises DataError if the window has no pixels around the triangle, or the background is not positive.
         """
         window, triangle = self.window, self.triangle
-        middle = tuple(round(min(max(at, first), stop - 1)) for at, (first, stop) in zip(
-            (triangle.y_px, triangle.x_px), window, strict=True))  # fmt: skip
+        centroid = triangle.y_px, triangle.x_px
+        middle = tuple(
+            round(min(max(at, first), stop - 1)) for at, (first, stop) in zip(centroid, window, strict=True)
+        )
         spans = tuple((first - at, stop - at) for at, (first, stop) in zip(middle, window, strict=True))
         hole = hole_radius_px(triangle.size_px)
         blocks = _SurroundBlocks.of(spans, self.block_px, hole)
@@ -392,23 +379,10 @@ def background_factor(
 
     The band is that of `surround_window` around the triangle. In a frame that is large enough, it leaves out what
     lies next to the frame's edge, where filters act otherwise. The factor is the quotient of two means over the
-    same blocks. Blocks whose luminances deviate from it have no weight in either mean.
-
-    Parameters
-    ----------
-    before, after : function of a slice of rows and a slice of columns
-        Luminance of the two pictures in cd/m², in their own pixels.
-    triangle : TrianglePlace
-        The triangle on the frame, in pixels of `before`.
-    rows, columns : (int, int)
-        Half-open ranges of the frame that the pictures show.
-    magnification : float
-        Number of pixels of `after` for one of `before` along each axis.
-
-    Raises
-    ------
-    DataError
-        If most of the band has no light.
+    same blocks. Blocks whose luminances deviate from it have no weight in either mean. `before` and `after` return
+    the luminance of rows and columns of the two pictures in cd/m², in their own pixels: `after` has
+    `magnification` of them, along each axis, for one of `before`. The triangle and the half-open ranges of the
+    frame that the pictures show are in pixels of `before`. Raises DataError if most of the band has no light.
     """
     block_px = max(int(triangle.size_px / BAND_BLOCKS_PER_SIZE), LEAST_BAND_BLOCK_PX)
     block_px = math.ceil(block_px / min(magnification, 1.0))

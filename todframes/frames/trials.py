@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Hashable, Iterable, Iterator, Sequence
-from functools import cached_property
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from operator import attrgetter
-from typing import Any, NamedTuple, SupportsIndex, TypeVar, overload
+from typing import Any, NamedTuple, SupportsIndex, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.stimulus import Orientation, Stimulus
-
-V = TypeVar("V", bound=Hashable)
 
 Group = tuple[float | str, ...]
 
@@ -87,15 +84,14 @@ class Trials(Sequence[Trial]):
     """Trials in the order of the manifest, held as a structured array; a `Trial` is made when it is asked for.
 
     The table does not change. One that is pickled takes along its own trials only, and if it is no selection, the
-    frames that are in no trial.
-
-    `Trials.of` makes one of any trials. Arrays that the properties return have an element for each trial.
+    frames that are in no trial. Arrays that the properties return have an element for each trial.
     """
 
     def __init__(
         self, table: NDArray[Any], unjudged: Sequence[FrameReference] = (), source: Trials | None = None
     ) -> None:
         self._table, self._unjudged, self._source = table, unjudged, source
+        self._coded: dict[str, tuple[tuple[Any, ...], NDArray[np.int32]]] = {}
 
     @classmethod
     def of(cls, trials: Iterable[Trial]) -> Trials:
@@ -201,22 +197,22 @@ class Trials(Sequence[Trial]):
     @property
     def stimuli(self) -> tuple[Stimulus, ...]:
         """Stimuli that `stimulus_codes` count."""
-        return self._stimuli[0]
+        return self._codes("stimulus")[0]
 
     @property
     def stimulus_codes(self) -> NDArray[np.int32]:
         """Stimulus of each trial, an index into `stimuli`."""
-        return self._stimuli[1]
+        return self._codes("stimulus")[1]
 
     @property
     def groups(self) -> tuple[Group, ...]:
         """Groups that `group_codes` count."""
-        return self._groups[0]
+        return self._codes("group")[0]
 
     @property
     def group_codes(self) -> NDArray[np.int32]:
         """Group of each trial, an index into `groups`."""
-        return self._groups[1]
+        return self._codes("group")[1]
 
     @property
     def positions_px(self) -> FloatArray:
@@ -226,12 +222,12 @@ class Trials(Sequence[Trial]):
     @property
     def views(self) -> tuple[SceneView | None, ...]:
         """Scenes that `view_codes` count."""
-        return self._views[0]
+        return self._codes("view")[0]
 
     @property
     def view_codes(self) -> NDArray[np.int32]:
         """Scene of each trial, an index into `views`."""
-        return self._views[1]
+        return self._codes("view")[1]
 
     @property
     def has_scenes(self) -> bool:
@@ -295,29 +291,18 @@ class Trials(Sequence[Trial]):
             return np.zeros(0, np.intp)
         return np.flatnonzero(self.group_codes == self.groups.index(group))
 
-    @cached_property
-    def _stimuli(self) -> tuple[tuple[Stimulus, ...], NDArray[np.int32]]:
-        return _coded(self._table["stimulus"])
-
-    @cached_property
-    def _groups(self) -> tuple[tuple[Group, ...], NDArray[np.int32]]:
-        return _coded(self._table["group"])
-
-    @cached_property
-    def _views(self) -> tuple[tuple[SceneView | None, ...], NDArray[np.int32]]:
-        return _coded(self._table["view"])
+    def _codes(self, name: str) -> tuple[tuple[Any, ...], NDArray[np.int32]]:
+        """Return the distinct values of a column in the order of their first rows, and each row's index there."""
+        if name not in self._coded:
+            codes: dict[Any, int] = {}
+            of_each = np.array([codes.setdefault(value, len(codes)) for value in self._table[name]], np.int32)
+            of_each.flags.writeable = False
+            self._coded[name] = tuple(codes), of_each
+        return self._coded[name]
 
     def _column(self, name: str, dtype: type[Any]) -> NDArray[Any]:
         """Return a copy of a column; None becomes NaN."""
         return self._table[name].astype(dtype)
-
-
-def _coded(values: Iterable[V]) -> tuple[tuple[V, ...], NDArray[np.int32]]:
-    """Return the distinct values in the order in which they appear, and the index into them of each value."""
-    codes: dict[V, int] = {}
-    of_each = np.array([codes.setdefault(value, len(codes)) for value in values], np.int32)
-    of_each.flags.writeable = False
-    return tuple(codes), of_each
 
 
 def indices_by(codes: NDArray[np.integer]) -> list[NDArray[np.intp]]:

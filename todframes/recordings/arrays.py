@@ -18,11 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, FrameError
-from todframes.frames.files import check_decoded_size
+from todframes.frames.files import check_decoded_size, format_of
 from todframes.recordings.recording import RecordedFrame, Recording, StillHeader, check_rate, check_size
-
-NPY_START, ZIP_START = b"\x93NUMPY", b"PK\x03\x04"
-"""First bytes of .npy files and of zip files, .npz among them."""
 
 TYPES = ("uint8", "uint16", "int16", "float16", "float32", "float64")
 """Types of values that are read; all others have values that 32-bit floats cannot hold."""
@@ -40,18 +37,15 @@ class _Layout(NamedTuple):
     dtype: np.dtype[Any]
 
 
-def is_array(start: bytes) -> bool:
-    """Return whether a file that starts with these bytes is read here."""
-    return start.startswith((NPY_START, ZIP_START))
+def recognises(path: Path, start: bytes) -> bool:  # noqa: ARG001 - other readers need the path
+    """Return whether a file is .npy, or a zip file as .npz is, by its first bytes."""
+    return format_of(start) in ("NumPy", "zip")
 
 
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
     """Return the shape, number of frames and scale of an array, (frames, rows, columns[, 3]) or (rows, columns).
 
-    Raises
-    ------
-    FrameError
-        If the file has no such array, is shorter than its header says, or a frame is larger than the limit.
+    Raises FrameError if the file has no such array, is shorter than its header says, or a frame is too large.
     """
     with _opened(path, max_frame_mb) as (_, layout):
         pass
@@ -63,10 +57,7 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
 def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
     """Yield the frames of an array: integers without sign as they are, other numbers as 32-bit floats.
 
-    Raises
-    ------
-    FrameError
-        If the file ends early, or a value is NaN or infinite.
+    Raises FrameError if the file ends early, or a value is NaN or infinite.
     """
     with _opened(path, max_frame_mb) as (file, layout):
         size = math.prod(layout.frame_shape) * layout.dtype.itemsize
@@ -89,10 +80,7 @@ def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
 def memory_recording(values: NDArray[Any], *, frames_per_second: float | None) -> Recording:
     """Return the recording of an array in memory; shapes and types are those of files.
 
-    Raises
-    ------
-    DataError
-        If the shape or type is another, or a value is NaN or infinite.
+    Raises DataError if the shape or type is another, or a value is NaN or infinite.
     """
     where = "recording: an array"
     if values.dtype.name not in TYPES:
@@ -126,14 +114,14 @@ def memory_recording(values: NDArray[Any], *, frames_per_second: float | None) -
 def _opened(path: Path, max_frame_mb: int) -> Iterator[tuple[IO[bytes], _Layout]]:
     try:
         with path.open("rb") as file:
-            if file.read(len(NPY_START)) == NPY_START:
+            if format_of(file.read(16)) == "NumPy":
                 file.seek(0)
                 yield file, _layout(path, file, path.stat().st_size, max_frame_mb)
                 return
         with zipfile.ZipFile(path) as archive:
-            members = [one for one in archive.infolist() if one.filename.endswith(".npy")]
+            members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
             if len(members) != 1:
-                names = ", ".join(one.filename.removesuffix(".npy") for one in members)[:200] or "none"
+                names = ", ".join(member.filename.removesuffix(".npy") for member in members)[:200] or "none"
                 raise FrameError(path, f"found arrays {names}, expected one")
             if members[0].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 found = f"the array is compressed by method {members[0].compress_type} of zip files"
@@ -178,7 +166,7 @@ def _layout(path: Path, file: IO[bytes], n_bytes: int, max_frame_mb: int) -> _La
         raise FrameError(
             path, f"found an array of shape {shape}, expected (frames, rows, columns) and 3 if in colour"
         )
-    if is_fortran and sum(one > 1 for one in shape) > 1:
+    if is_fortran and sum(side > 1 for side in shape) > 1:
         raise FrameError(path, "the array is in Fortran order; save numpy.ascontiguousarray(array)")
     check_size(path, (frame_shape[0], frame_shape[1]), max_frame_mb)
     check_decoded_size(path, math.prod(frame_shape) * dtype.itemsize, max_frame_mb)

@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import FrameError
+from todframes.frames.files import format_of
 from todframes.recordings.recording import StillHeader, check_size
-
-START = b"CED\0"
-"""First bytes of a film."""
 
 N_HEADER = 2106
 """Number of bytes of the main header that are read."""
@@ -40,19 +38,16 @@ class _FilmLayout(NamedTuple):
     shape: tuple[int, int]
 
 
-def is_cedip(start: bytes) -> bool:
-    """Return whether a file that starts with these bytes is a film of this kind."""
-    return start.startswith(START)
+def recognises(path: Path, start: bytes) -> bool:  # noqa: ARG001 - other readers need the path
+    """Return whether a file is a film of this kind by its first bytes."""
+    return format_of(start) == "Cedip film"
 
 
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
     """Return the size of the frames of a film, their number and their times.
 
-    Raises
-    ------
-    FrameError
-        If the film is truncated, its frames are too large, its headers contradict each other, or its values are
-        other than counts of 16 bits.
+    Raises FrameError if the film is truncated, its frames are too large, its headers contradict each other, or its
+    values are other than counts of 16 bits.
     """
     with _opened(path) as file:
         layout = _layout(path, file, max_frame_mb)

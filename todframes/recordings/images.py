@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import FrameError
-from todframes.frames.files import PICTURE_FORMATS, FrameFile
+from todframes.frames.files import PICTURE_FORMATS, FrameFile, format_of
 from todframes.recordings.recording import RecordingWarning, StillHeader, check_size
 
 RATE_ATTRIBUTES = ("FramesPerSecond", "dpx:FrameRate", "dpx:TemporalFrameRate")
@@ -20,14 +20,19 @@ RATE_ATTRIBUTES = ("FramesPerSecond", "dpx:FrameRate", "dpx:TemporalFrameRate")
 ALIKE = ("height", "width", "channels", "pixel_type", "full_scale")
 """Properties that all pages of a file have in common."""
 
+JOINS_FILES = True
+
+
+def recognises(path: Path, start: bytes) -> bool:  # noqa: ARG001 - other readers need the path
+    """Return whether a file is a picture by its first bytes."""
+    return format_of(start) in PICTURE_FORMATS
+
 
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
     """Return the size, scale, number of pages and frame rate of an image file.
 
-    Raises
-    ------
-    FrameError
-        If the file is damaged or too large, its pages differ, or its pixel type or channels are none of ours.
+    Raises FrameError if the file is damaged or too large, its pages differ, or its pixel type or channels are none
+    of ours.
     """
     with FrameFile(path, formats=PICTURE_FORMATS, max_frame_mb=max_frame_mb) as file:
         first, metadata = file.header, file.metadata
@@ -49,20 +54,12 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
         None if first.full_scale is None else float(first.full_scale),
         frames_per_second=_rate(metadata),
         times_s=None if time_s is None else (time_s,),
-        warnings=tuple(RecordingWarning(*one) for one in first.warnings),
+        warnings=tuple(RecordingWarning(*warning) for warning in first.warnings),
     )
 
 
 def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
-    """Yield the values of each page of an image file, as stored: 10 bits give values up to 1023.
-
-    They are uint8, uint16 or float32, of shape (rows, columns) or (rows, columns, 3).
-
-    Raises
-    ------
-    FrameError
-        If pixels are damaged, NaN or infinite.
-    """
+    """Yield the values of each page of an image file, as stored: 10 bits give values up to 1023."""
     with FrameFile(path, formats=PICTURE_FORMATS, max_frame_mb=max_frame_mb) as file:
         for _ in file.pages():
             stored = file.read().stored

@@ -2,52 +2,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base.errors import DataError, FrameError
+from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.base.reading import check_time, path_inside, read_table, resolved
-from todframes.frames.files import PICTURE_FORMATS, check_max_frame_mb, format_of
+from todframes.base.user_code import in_words, registered
+from todframes.frames.files import N_START, check_max_frame_mb
 from todframes.parameters import MAX_FRAME_MB, PathLike
-from todframes.recordings import arrays, cedip, images, radiometric, raw, video
+from todframes.recordings.arrays import memory_recording
 from todframes.recordings.recording import (
     TIMES_FILE,
+    Reader,
     Recording,
-    StillReader,
     check_rate,
     files_in,
     natural_order,
     still_recording,
 )
 
-StillKind = Literal["image", "camera raw", "radiometric", "Cedip film", "array"]
+ENTRY_POINT_GROUP = "todframes.readers"
+"""Entry-point group in which packages register readers of recordings."""
 
-Kind = StillKind | Literal["video"]
+OWN_READERS = ("camera_raw", "radiometric", "image", "cedip", "array", "video")
+"""Readers of this package in the order in which they are asked, after those of other packages: camera raw files
+can be TIFF or MP4 by content, and a radiometric JPEG is a picture as well."""
 
-READERS: dict[StillKind, StillReader] = {
-    "image": images,
-    "camera raw": raw,
-    "radiometric": radiometric,
-    "Cedip film": cedip,
-    "array": arrays,
-}
-"""Modules that read still frames, by kind of file."""
 
-SEQUENCES: tuple[StillKind, ...] = ("image", "camera raw", "radiometric")
-"""Kinds whose files are one recording together; each file of another kind is a recording by itself."""
+class NoReaderError(FrameError):
+    """Error for a file that no reader recognises."""
 
-EXPECTED = "expected an image, video, camera raw, radiometric (FLIR, Cedip) or NumPy file"
+
+def readers() -> dict[str, Reader]:
+    """Return the registered readers by name, in the order in which they are asked; SettingsError if one fails."""
+    entries, found = registered(ENTRY_POINT_GROUP), {}
+    for name in (*sorted(entries.keys() - OWN_READERS), *OWN_READERS):
+        try:
+            found[name] = entries[name].load()
+        except KeyError:
+            raise SettingsError(f"reader {name}: is not registered; install todframes again") from None
+        except Exception as error:  # whatever a package does when it is imported
+            raise SettingsError(f"reader {name}: cannot be imported ({in_words(error)})") from None
+    return found
 
 
 def paths_of(paths: PathLike | Sequence[PathLike]) -> list[Path]:
     """Return the paths of one or several."""
     is_one = isinstance(paths, str) or not isinstance(paths, Sequence)
-    return [Path(paths)] if is_one else [Path(one) for one in paths]  # type: ignore[arg-type, union-attr]
+    return [Path(paths)] if is_one else [Path(path) for path in paths]  # type: ignore[arg-type, union-attr]
 
 
 def open_recordings(
@@ -58,29 +65,15 @@ def open_recordings(
 ) -> tuple[Recording, ...]:
     """Open recordings: each video or array is one, all image files together are one, as are those of a folder.
 
-    Parameters
-    ----------
-    paths : path or sequence of path
-        Files and folders.
-    frames_per_second : float, optional
-        Frame rate in place of what the files say.
-    max_frame_mb : int
-        Largest size of a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a pixel.
+    They are in the order of `paths`; a sequence of images stands where its first image stands. Frames of a
+    sequence are in the natural order of their names: frame_9 before frame_10. A file `times.csv` in a folder of
+    images has their times, in the columns `file` and `time_s`. A frame rate that is given replaces what the files
+    say. `max_frame_mb` limits a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a
+    pixel.
 
-    Returns
-    -------
-    tuple of Recording
-        In the order of `paths`; a sequence of images stands where its first image stands. Frames of a sequence are
-        in the natural order of their names: frame_9 before frame_10. A file `times.csv` in a folder of images has
-        their times, in the columns `file` and `time_s`.
-
-    Raises
-    ------
-    DataError, FrameError
-        If there are no files, a folder is empty, files of several kinds are in a folder, files of one sequence
-        differ in size, or a file cannot be read.
-    SettingsError
-        If the frame rate is not a positive number, or the limit no whole number > 0.
+    Raises DataError or FrameError if there are no files, a folder is empty, files of several kinds are in a
+    folder, files of one sequence differ in size, or a file cannot be read; SettingsError if an argument is out of
+    range.
     """
     check_rate(frames_per_second)
     check_max_frame_mb(max_frame_mb)
@@ -88,24 +81,22 @@ def open_recordings(
     if not given:
         raise DataError("recordings: found no path, expected at least one")
     found: list[Recording] = []
-    sequences: dict[StillKind, list[Path]] = {}
-    kinds = {path: None if path.is_dir() else _kind(path) for path in given}
+    kinds = {path: "folder" if path.is_dir() else _kind(path) for path in given}
+    sequences: dict[str, list[Path]] = defaultdict(list)
     for path, kind in kinds.items():
-        if kind is not None and kind != "video" and kind in SEQUENCES:
-            sequences.setdefault(kind, []).append(path)
+        sequences[kind].append(path)
     for path, kind in kinds.items():
-        if kind is None:
+        if kind == "folder":
             found += _folder(path, frames_per_second, max_frame_mb)
-        elif kind in sequences:
-            if path == sequences[kind][0]:
-                found.append(_stills(kind, sequences[kind], None, frames_per_second, max_frame_mb))
-        else:
-            found.append(_single(path, kind, frames_per_second, max_frame_mb))
+        elif not _joins(kind):
+            found.append(_opened(kind, [path], None, frames_per_second, max_frame_mb))
+        elif path == sequences[kind][0]:
+            found.append(_opened(kind, sequences[kind], None, frames_per_second, max_frame_mb))
     return tuple(found)
 
 
 def one_recording(
-    source: PathLike | Sequence[PathLike] | NDArray[Any],
+    source: PathLike | Sequence[PathLike] | NDArray[np.generic],
     where: str,
     *,
     frames_per_second: float | None = None,
@@ -113,17 +104,13 @@ def one_recording(
 ) -> Recording:
     """Return the one recording of files, as `open_recordings` opens them, or that of an array in memory.
 
-    Raises
-    ------
-    DataError
-        If there are several, or the array is no recording; the message about several begins with `where`. Other
-        errors are those of `open_recordings`.
+    Raises DataError if there are several, with a message that begins with `where`, or the array is no recording.
     """
     if isinstance(source, np.ndarray):
-        return arrays.memory_recording(source, frames_per_second=frames_per_second)
+        return memory_recording(source, frames_per_second=frames_per_second)
     found = open_recordings(source, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
     if len(found) != 1:
-        names = ", ".join(str(one.path) for one in found[:3])
+        names = ", ".join(str(recording.path) for recording in found[:3])
         raise DataError(f"{where}: found {len(found)} recordings ({names} …), expected one")
     return found[0]
 
@@ -143,27 +130,25 @@ def _folder(folder: Path, frames_per_second: float | None, max_frame_mb: int) ->
             raise DataError(
                 f"{path}: found {kind}, expected {first} as {files[0].name}: a folder has files of one kind"
             )
-    if first == "video" or first not in SEQUENCES:
-        if times_file.is_file():
-            raise DataError(f"{times_file}: found times beside {files[0].name}, expected them beside stills")
-        return [_single(path, first, frames_per_second, max_frame_mb) for path in files]
-    times_s = _times_s(times_file, files) if times_file.is_file() else None
-    return [_stills(first, files, folder, frames_per_second, max_frame_mb, times_s)]
+    has_times = times_file.is_file()
+    if _joins(first):
+        times_s = _times_s(times_file, files) if has_times else None
+        return [_opened(first, files, folder, frames_per_second, max_frame_mb, times_s)]
+    if has_times:
+        raise DataError(f"{times_file}: found times beside {files[0].name}, expected them beside stills")
+    return [_opened(first, [path], None, frames_per_second, max_frame_mb) for path in files]
 
 
 def _times_s(path: Path, files: Sequence[Path]) -> dict[str, float]:
     """Return the times of the stills beside a times.csv, by file name.
 
-    Raises
-    ------
-    DataError
-        If the file cannot be read, leads out of its folder, leaves a file out, names one twice or one that is not
-        there, or a time is not later than that of the still before, in the natural order of names.
+    Raises DataError if the file cannot be read, leads out of its folder, leaves a file out, names one twice or one
+    that is not there, or a time is not later than that of the still before, in the natural order of names.
     """
     path_inside(resolved(path.parent), path.name, f"{path.parent}:")
     _, rows = read_table(path, ["file", "time_s"])
     times_s: dict[str, float] = {}
-    names = {one.name for one in files}
+    names = [file.name for file in natural_order(files)]
     for row in rows:
         name = row.texts["file"].strip()
         if name not in names or name in times_s:
@@ -171,10 +156,10 @@ def _times_s(path: Path, files: Sequence[Path]) -> dict[str, float]:
             raise DataError(f"{row.where}: file: found {name}, {what}, expected each of its files once")
         (time_s,) = row.numbers(["time_s"])
         times_s[name] = check_time(f"{row.where}: time_s", time_s)
-    missing = next((one.name for one in files if one.name not in times_s), None)
+    missing = next((name for name in names if name not in times_s), None)
     if missing is not None:
         raise DataError(f"{path}: found no time of {missing}, expected one of each file in the folder")
-    for before, after in pairwise(one.name for one in natural_order(files)):
+    for before, after in pairwise(names):
         if times_s[after] <= times_s[before]:
             raise DataError(
                 f"{path}: found {times_s[before]:g} s for {before} and {times_s[after]:g} s for {after}, expected "
@@ -183,48 +168,43 @@ def _times_s(path: Path, files: Sequence[Path]) -> dict[str, float]:
     return times_s
 
 
-def _kind(path: Path) -> Kind:
-    """Return the kind of a file by its content, except for camera raw files, which can be TIFF by content."""
+def _kind(path: Path) -> str:
+    """Return the name of the first reader that recognises a file."""
     try:
         if not path.is_file():
             raise FrameError(path, "found no file" if not path.exists() else "found a device, expected a file")
         with path.open("rb") as file:
-            start = file.read(video.N_START)
+            start = file.read(N_START)
+        for name, reader in readers().items():
+            if reader.recognises(path, start):
+                return name
     except OSError as error:
         raise FrameError(path, f"cannot be read: {error.strerror}") from None
-    if path.suffix.lower() in raw.SUFFIXES:
-        return "camera raw"
-    if radiometric.is_radiometric(path, start):
-        return "radiometric"
-    if format_of(start) in PICTURE_FORMATS:
-        return "image"
-    if cedip.is_cedip(start):
-        return "Cedip film"
-    if arrays.is_array(start):
-        return "array"
-    if video.format_of(start) is not None:
-        return "video"
     what = f"a file that starts with {start[:8]!r}" if start else "an empty file"
-    raise FrameError(path, f"found {what}, {EXPECTED}")
+    expected = "expected an image, video, camera raw, radiometric (FLIR, Cedip) or NumPy file"
+    raise NoReaderError(path, f"found {what}, {expected}")
 
 
-def _single(path: Path, kind: Kind, frames_per_second: float | None, max_frame_mb: int) -> Recording:
-    if kind == "video":
-        return video.open_video(path, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
-    return _stills(kind, [path], None, frames_per_second, max_frame_mb)
+def _joins(kind: str) -> bool:
+    """Return whether files of a kind are one recording together; otherwise each is one by itself."""
+    return getattr(readers()[kind], "JOINS_FILES", False)
 
 
-def _stills(
-    kind: StillKind,
+def _opened(
+    kind: str,
     paths: Sequence[Path],
     folder: Path | None,
     frames_per_second: float | None,
     max_frame_mb: int,
     times_s: Mapping[str, float] | None = None,
 ) -> Recording:
+    reader = readers()[kind]
+    open_recording: Callable[..., Recording] | None = getattr(reader, "open_recording", None)
+    if open_recording is not None:
+        return open_recording(paths[0], frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
     return still_recording(
         paths,
-        READERS[kind],
+        reader,
         folder=folder,
         frames_per_second=frames_per_second,
         max_frame_mb=max_frame_mb,

@@ -21,12 +21,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import FrameError
-from todframes.frames.files import PNG_SIGNATURE, FrameFile
+from todframes.frames.files import PNG_SIGNATURE, FrameFile, format_of
 from todframes.recordings.recording import Recording, RecordingWarning, StillHeader, check_size, files_in
 from todframes.recordings.video import decoded_jpeg_ls, pyav
 
-FFF_START, JPEG_START = (b"FFF\0", b"AFF\0"), b"\xff\xd8\xff"
-"""First bytes of FLIR's containers, and of JPEG files, which may contain one."""
+FFF_STARTS = b"FFF\0", b"AFF\0"
+"""First bytes of FLIR's containers."""
+
+JOINS_FILES = True
 
 MAX_JPEG_MB = 256
 """Largest size of a radiometric JPEG, in 2**20 bytes."""
@@ -89,24 +91,19 @@ class Radiometry:
         return np.asarray(self.r1 / (self.r2 * (np.exp(self.b / kelvin) - self.f)) - self.o)
 
 
-def is_radiometric(path: Path, start: bytes) -> bool:
+def recognises(path: Path, start: bytes) -> bool:
     """Return whether a file is FLIR's container, or a JPEG that has one in it."""
-    if start.startswith(JPEG_START):
+    if format_of(start) == "JPEG":
         with path.open("rb") as file:
             return bool(_container_parts(file.read(2**18)))
-    return start.startswith(FFF_START)
+    return format_of(start) == "FLIR"
 
 
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
     """Return the size of the counts of a file, its number of frames and their times.
 
-    Raises
-    ------
-    FrameError
-        If a container is damaged or too large, its counts are compressed in an unknown way, or two of a file
-        differ in size.
-    DataError
-        If counts are compressed by JPEG-LS and PyAV is not installed.
+    Raises FrameError if a container is damaged or too large, its counts are compressed in an unknown way, or two
+    of a file differ in size; DataError if counts are compressed by JPEG-LS and PyAV is not installed.
     """
     with _opened(path) as file:
         shapes, times_s, largest_error = [], [], 0
@@ -147,10 +144,7 @@ def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[np.uint16]]:
 def read_radiometry(path: Path) -> Radiometry:
     """Return the constants that a file has for its temperatures; of a SEQ, those of its first frame.
 
-    Raises
-    ------
-    FrameError
-        If the file has none, or they are no constants of a camera.
+    Raises FrameError if the file has none, or they are no constants of a camera.
     """
     with _opened(path) as file:
         begin, length = _record(path, next(_containers(path, file)), CAMERA_INFO, 0x310)
@@ -192,7 +186,7 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
     """Open a file of containers, or the container in a JPEG."""
     try:
         with path.open("rb") as file:
-            if file.read(len(JPEG_START)) != JPEG_START:
+            if format_of(file.read(16)) != "JPEG":
                 yield file
             elif path.stat().st_size > MAX_JPEG_MB * 2**20:
                 raise FrameError(path, f"has more than {MAX_JPEG_MB} MB, expected one JPEG")
@@ -235,9 +229,9 @@ def _containers(path: Path, file: BinaryIO) -> Iterator[_Container]:
 
 def _next_container(file: BinaryIO, place: int) -> int | None:
     """Return where the next container begins, from a place on; None if there is none."""
-    overlap = len(FFF_START[0]) - 1
+    overlap = len(FFF_STARTS[0]) - 1
     while chunk := _bytes_at(file, place, 2**16):
-        found = [at for start in FFF_START if (at := chunk.find(start)) >= 0]
+        found = [at for start in FFF_STARTS if (at := chunk.find(start)) >= 0]
         if found:
             return place + min(found)
         if len(chunk) <= overlap:
@@ -342,17 +336,14 @@ def _near_lossless(largest_error: int) -> RecordingWarning:
 
 def _values(path: Path, counts: _Counts, data: bytes, frame: str, max_frame_mb: int) -> NDArray[np.uint16]:
     """Return the counts of a container, given their bytes. FrameError if they are damaged."""
-    if counts.stored_as == "JPEG-LS":
-        try:
+    try:
+        if counts.stored_as == "JPEG-LS":
             return decoded_jpeg_ls(path, data, counts.shape, max_frame_mb)
-        except FrameError as error:
-            raise FrameError(path, f"{frame}{error.problem}") from None
-    if counts.stored_as == "PNG":
-        try:
+        if counts.stored_as == "PNG":
             with FrameFile(path, content=data, max_frame_mb=max_frame_mb) as image:
                 return _in_order(image.read().stored[..., 0])
-        except FrameError as error:
-            raise FrameError(path, f"{frame}{error.problem}") from None
+    except FrameError as error:
+        raise FrameError(path, f"{frame}{error.problem}") from None
     return np.frombuffer(data, counts.stored_as).reshape(counts.shape).astype(np.uint16)
 
 

@@ -23,6 +23,8 @@ SUFFIXES = (
 )
 """Extensions of camera raw files; many of them are TIFF by content."""
 
+JOINS_FILES = True
+
 HALF = RecordingWarning(
     "half_resolution",
     "each cell of 2 x 2 of the mosaic gives the mean of its two green values: frames have half the rows and "
@@ -30,19 +32,20 @@ HALF = RecordingWarning(
 )
 
 
+def recognises(path: Path, start: bytes) -> bool:  # noqa: ARG001 - other readers need the content
+    """Return whether a file is camera raw by its extension."""
+    return path.suffix.lower() in SUFFIXES
+
+
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
     """Return the size, black level and white level of a raw file; the file is unpacked for it.
 
-    Raises
-    ------
-    DataError
-        If rawpy is not installed.
-    FrameError
-        If the file is damaged or too large, its data are missing, or it has a mosaic other than Bayer's.
+    Raises DataError if rawpy is not installed, and FrameError if the file is damaged or too large, its data are
+    missing, or it has a mosaic other than Bayer's.
     """
     with _opened(path, max_frame_mb) as raw:
         values, used = _values(path, raw)
-        white, black = raw.white_level, [raw.black_level_per_channel[one] for one in used]
+        white, black = raw.white_level, [raw.black_level_per_channel[colour] for colour in used]
     rows, columns = values.shape
     check_size(path, (rows, columns), max_frame_mb)
     warnings = () if values.dtype.kind == "u" else (HALF,)

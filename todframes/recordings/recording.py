@@ -58,27 +58,12 @@ class RecordingWarning(NamedTuple):
 class Recording:
     """A sequence of frames of one size, which are read one at a time and as often as asked for.
 
-    Parameters
-    ----------
-    path : path
-        The file or folder.
-    shape : (int, int)
-        Rows and columns of each frame.
-    is_colour : bool
-        Frames have the channels R, G, B; else one.
-    n_frames : int, optional
-        Number of frames as the file gives it; None if it is known only after reading.
-    frames_per_second : float, optional
-        Nominal frame rate; None if it is not known.
-    full_scale, zero : float
-        Recorded values of white and black: 255 and 0 for a picture of 8 bits, 235 and 16 in the limited range of a
-        grey video. `full_scale` is None for values without a white: temperatures, counts, floating-point values.
-    unit : {"code", "counts", "celsius"}
-        Meaning of the values.
-    warnings : tuple of RecordingWarning
-        What the recording has lost.
-    read : function without parameters
-        Returns a new iterator over the frames. FrameError or DataError if a frame cannot be read.
+    `path` is the file or folder, `shape` has the rows and columns of each frame; in colour, frames have the
+    channels R, G, B. `n_frames` is None if it is known only after reading, `frames_per_second` if no nominal rate
+    is known. `full_scale` and `zero` are the recorded values of white and black: 255 and 0 for a picture of 8
+    bits, 235 and 16 in the limited range of a grey video; `full_scale` is None for values without a white:
+    temperatures, counts, floating-point values. `warnings` say what the recording has lost. `read` returns a new
+    iterator over the frames.
     """
 
     path: Path
@@ -95,10 +80,8 @@ class Recording:
     def frames(self) -> Iterator[RecordedFrame]:
         """Return a new iterator over the frames, from the first; memory does not grow with their number.
 
-        Raises
-        ------
-        FrameError, DataError
-            If a frame is damaged or has another size; those before it are good. If there is no frame at all.
+        Raises FrameError or DataError if a frame is damaged or has another size; those before it are good. Also if
+        there is no frame at all.
         """
         is_empty = True
         for frame in self.read():
@@ -119,12 +102,8 @@ class CodeRange:
 def code_range(recording: Recording, asked: tuple[float, float] | None, name: str = "value_range") -> CodeRange:
     """Return the range of a recording: the one asked for, or black and white of the recording.
 
-    `name` is that of the argument that asks for it.
-
-    Raises
-    ------
-    SettingsError
-        If the recording has no white and none is asked for, or two numbers that do not ascend.
+    `name` is that of the argument that asks for it. Raises SettingsError if the recording has no white and none is
+    asked for, or two numbers that do not ascend.
     """
     name = getattr(argument, name)
     if asked is not None:
@@ -141,7 +120,25 @@ def code_range(recording: Recording, asked: tuple[float, float] | None, name: st
 
 
 class StillHeader(NamedTuple):
-    """The header of a file of frames, without decoded values; the other fields are those of `Recording`."""
+    """The header of a file of frames, which a reader of recordings returns.
+
+    Attributes
+    ----------
+    shape : (int, int)
+        Rows and columns of each frame.
+    is_colour : bool
+        Frames have the channels R, G, B; else one.
+    n_frames : int
+    full_scale, zero : float
+        Recorded values of white and black; None for values without a white: temperatures, counts, floats.
+    unit : {"code", "counts", "celsius"}
+        Code values of a picture, counts of a detector, or temperatures.
+    frames_per_second : float or None
+    times_s : tuple of float or None
+        Moments of the frames, in seconds of the camera's clock; None if the file does not have them.
+    warnings : tuple of (str, str)
+        What the recording has lost: a code, and a sentence about the effect.
+    """
 
     shape: tuple[int, int]
     is_colour: bool
@@ -151,18 +148,39 @@ class StillHeader(NamedTuple):
     unit: Unit = "code"
     frames_per_second: float | None = None
     times_s: tuple[float, ...] | None = None
-    """Moments of the frames, in seconds of the camera's clock; None if the file does not have them."""
     warnings: tuple[RecordingWarning, ...] = ()
 
 
-class StillReader(Protocol):
-    """Protocol of a module that reads files of one or several still frames each."""
+class Reader(Protocol):
+    """Protocol of a module, or object, registered under the entry-point group `todframes.readers`.
+
+    With the attribute `JOINS_FILES`, if it is true, files given together are one recording. A reader whose frames
+    have times that only decoding gives has `open_recording(path, *, frames_per_second, max_frame_mb)`, which
+    returns a `Recording`, in place of `read_header` and `read_frames`.
+    """
+
+    def recognises(self, path: Path, start: bytes) -> bool:
+        """Return whether a file that starts with these bytes, 189 or all of them, is read here."""
 
     def read_header(self, path: Path, max_frame_mb: int) -> StillHeader:
-        """Return the header of a file; raise FrameError if its frames are larger, decoded, than a limit."""
+        """Return the header of a file, without decoding it.
+
+        Raises
+        ------
+        FrameError
+            If the file is damaged, or a frame would be larger, decoded, than a limit in 2**20 bytes; `check_size`
+            compares it.
+        """
 
     def read_frames(self, path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
-        """Yield the values of each frame of a file; raise FrameError if they are larger than a limit."""
+        """Yield the values of each frame of a file: uint8, uint16 or float32, (rows, columns) or (rows, columns,
+        3).
+
+        Raises
+        ------
+        FrameError
+            If the file is damaged, a frame is too large, or a value is NaN or infinite.
+        """
 
 
 def check_rate(frames_per_second: float | None) -> float | None:
@@ -187,40 +205,24 @@ def natural_order(paths: Iterable[P]) -> list[P]:
 
 def files_in(folder: Path) -> list[Path]:
     """Return the files of a folder in natural order, without hidden ones and `TIMES_FILE`. May raise OSError."""
-    files = (one for one in folder.iterdir() if one.is_file() and not one.name.startswith("."))
-    return natural_order(one for one in files if one.name != TIMES_FILE)
+    files = (path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    return natural_order(path for path in files if path.name != TIMES_FILE)
 
 
 def still_recording(
     paths: Sequence[Path],
-    reader: StillReader,
+    reader: Reader,
     *,
     folder: Path | None,
     frames_per_second: float | None,
     max_frame_mb: int,
     times_s: Mapping[str, float] | None = None,
 ) -> Recording:
-    """Return one recording of still frames, in the order of their file names.
+    """Return one recording of still frames, of one file or more, in the order of their names.
 
-    Parameters
-    ----------
-    paths : sequence of path
-        At least one file.
-    reader : StillReader
-        The module for files of this kind.
-    folder : path, optional
-        Where they were found; names the recording.
-    frames_per_second : float, optional
-        Frame rate in place of that in the first file.
-    max_frame_mb : int
-        Largest decoded size of a frame in 2**20 bytes.
-    times_s : mapping of str to float, optional
-        Time of each file by its name, in place of those in the files.
-
-    Raises
-    ------
-    FrameError
-        If a header cannot be read, a frame is too large, or two files differ in size, channels or scale.
+    It has the name of the folder, or else of the first file. `times_s` has the time of each file by its name, in
+    place of those in the files. Raises FrameError if a header cannot be read, a frame is too large, or two files
+    differ in size, channels or scale.
     """
     paths = natural_order(paths)
     headers = [reader.read_header(path, max_frame_mb) for path in paths]
@@ -228,7 +230,7 @@ def still_recording(
     for path, header in zip(paths, headers, strict=True):
         for what, found, expected in (
             ("size", _size(header.shape), _size(first.shape)),
-            ("channels", _channels(header), _channels(first)),
+            ("channels", *("R, G, B" if one.is_colour else "grey" for one in (header, first))),
             ("value of white", header.full_scale, first.full_scale),
             ("unit", header.unit, first.unit),
         ):
@@ -241,7 +243,7 @@ def still_recording(
             for path, header in zip(paths, headers, strict=True)
         ]
     clock = _clock(paths, headers, check_rate(frames_per_second))
-    warnings = dict.fromkeys((*(one for header in headers for one in header.warnings), *clock.warnings))
+    warnings = dict.fromkeys((*chain.from_iterable(header.warnings for header in headers), *clock.warnings))
 
     def read() -> Iterator[RecordedFrame]:
         number = 0
@@ -291,7 +293,7 @@ def _clock(paths: Sequence[Path], headers: Sequence[StillHeader], asked: float |
     steps_s = [after - before for before, after in pairwise(times_s)]
     if min(steps_s) > 0:
         usual_s = median(steps_s)
-        return _SequenceTimes(1.0 / fmean(one for one in steps_s if one <= GAP * usual_s), times_s)
+        return _SequenceTimes(1.0 / fmean(step_s for step_s in steps_s if step_s <= GAP * usual_s), times_s)
     number = next(k for k, step_s in enumerate(steps_s) if step_s <= 0)
     names = [path.name for path, header in zip(paths, headers, strict=True) for _ in range(header.n_frames)]
     found = "the time of" if steps_s[number] == 0 else f"a time {-steps_s[number]:.6g} s before"
@@ -310,13 +312,9 @@ def _size(shape: tuple[int, int]) -> str:
     return f"{shape[1]} x {shape[0]} pixels"
 
 
-def _channels(header: StillHeader) -> str:
-    return "R, G, B" if header.is_colour else "grey"
-
-
 def check_size(path: Path, shape: tuple[int, int], max_frame_mb: int) -> None:
     """Raise FrameError unless a frame has pixels, and not more than a limit allows at `BYTES_PER_PIXEL` each."""
-    from todframes.frames.files import MAX_SIDE_PX, check_decoded_size
+    from todframes.frames.files import MAX_SIDE_PX, check_decoded_size  # they load OpenImageIO
 
     if min(shape) < 1 or max(shape) > MAX_SIDE_PX:
         raise FrameError(path, f"found {_size(shape)}, expected sides of 1 to {MAX_SIDE_PX}")

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, FrameError, argument
-from todframes.frames.files import check_decoded_size
-from todframes.parameters import MAX_FRAME_MB
+from todframes.frames.files import N_START, check_decoded_size, format_of
 from todframes.recordings.recording import (
     BYTES_PER_PIXEL,
     RecordedFrame,
@@ -28,29 +27,6 @@ if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
-
-VIDEO_FORMATS = {
-    rb"\x1a\x45\xdf\xa3": "matroska",
-    rb"....(ftyp|moov|mdat|wide|free|skip)": "mov",
-    rb"RIFF....AVI ": "avi",
-    rb"YUV4MPEG2 ": "yuv4mpegpipe",
-    rb"\x06\x0e\x2b\x34": "mxf",
-    rb"\x30\x26\xb2\x75\x8e\x66\xcf\x11": "asf",
-    rb"OggS": "ogg",
-    rb"FLV\x01": "flv",
-    rb"nut/multimedia": "nut",
-    rb"\x00\x00\x01\xba": "mpeg",
-    rb"\x47.{187}\x47": "mpegts",
-    rb"\x00\x00\x00\x01[\x67\x27\x09]": "h264",
-    rb"\x00\x00\x00\x01[\x40\x46]\x01": "hevc",
-}
-"""Patterns of the first bytes of video files, and FFmpeg's names of their formats.
-
-FFmpeg is given the format: playlists and scripts, which name other files or addresses, are none of them.
-"""
-
-N_START = 189
-"""Number of first bytes that `format_of` needs."""
 
 MATRICES = {1: (0.2126, 0.0722), 5: (0.299, 0.114), 6: (0.299, 0.114), 7: (0.212, 0.087), 9: (0.2627, 0.0593)}
 """Weights of R' and B' in luma by number of the matrix in H.273: BT.709, BT.601 (twice), 240M, BT.2020."""
@@ -97,9 +73,9 @@ class Levels(NamedTuple):
     chroma_range: float
 
 
-def format_of(start: bytes) -> str | None:
-    """Return FFmpeg's name of the format of a file that starts with these bytes; None if it is no video."""
-    return next((name for pattern, name in VIDEO_FORMATS.items() if re.match(pattern, start, re.DOTALL)), None)
+def recognises(path: Path, start: bytes) -> bool:  # noqa: ARG001 - other readers need the path
+    """Return whether a file is a video by its first bytes."""
+    return (format_of(start) or "").endswith(" video")
 
 
 def pixel_format(name: str) -> PixelFormat | None:
@@ -141,22 +117,9 @@ def rgb_from_ycbcr(
 ) -> NDArray[np.float32]:
     """Convert samples of Y'CbCr to R'G'B' with white 1 and black 0, unclipped; (rows, columns, 3).
 
-    Chroma samples hold over the pixels that they cover: nothing is interpolated.
-
-    Parameters
-    ----------
-    luma : array, (rows, columns)
-    cb, cr : array
-        As `luma`, or with fewer rows and columns by `per_chroma`, rounded up.
-    bits : int
-    limited : bool
-        Range of luma 16 to 235 and of chroma 16 to 240 at 8 bits; else all values.
-    matrix : int
-        A key of `MATRICES`.
-    per_chroma : (int, int)
-        Columns and rows for one chroma sample.
-
-    Rec. ITU-R BT.709-6, item 3, solved for R'G'B'.
+    Chroma samples hold over the pixels that they cover, `per_chroma` columns and rows: nothing is interpolated. In
+    limited range, luma is 16 to 235 and chroma 16 to 240 at 8 bits. Rec. ITU-R BT.709-6, item 3, solved for
+    R'G'B'.
     """
     (red_weight, blue_weight), (across, down) = MATRICES[matrix], per_chroma
     green_weight = 1 - red_weight - blue_weight
@@ -164,8 +127,8 @@ def rgb_from_ycbcr(
     y = (luma.astype(np.float32) - np.float32(zero)) / np.float32(full_scale - zero)
     half = np.float32(2 ** (bits - 1))
     b_y, r_y = (
-        (one.astype(np.float32) - half) * np.float32(2 * (1 - weight) / chroma_range)
-        for one, weight in ((cb, blue_weight), (cr, red_weight))
+        (chroma.astype(np.float32) - half) * np.float32(2 * (1 - weight) / chroma_range)
+        for chroma, weight in ((cb, blue_weight), (cr, red_weight))
     )
     g_y = (b_y * np.float32(blue_weight) + r_y * np.float32(red_weight)) / np.float32(-green_weight)
     rgb = np.empty((*luma.shape, 3), np.float32)
@@ -175,27 +138,11 @@ def rgb_from_ycbcr(
     return rgb
 
 
-def open_video(
-    path: Path, *, frames_per_second: float | None = None, max_frame_mb: int = MAX_FRAME_MB
-) -> Recording:
+def open_recording(path: Path, *, frames_per_second: float | None, max_frame_mb: int) -> Recording:
     """Open a video file; its first frame is decoded, to know the pixel format, range and matrix.
 
-    Parameters
-    ----------
-    path : path
-        A video file.
-    frames_per_second : float, optional
-        Frame rate in place of the times in the file.
-    max_frame_mb : int
-        Largest size of a frame in 2**20 bytes; a pixel counts as `BYTES_PER_PIXEL`.
-
-    Raises
-    ------
-    DataError
-        If PyAV is not installed.
-    FrameError
-        If the file has no video, FFmpeg has no decoder for it, its frames are too large, its first frame cannot be
-        decoded, or its pixel format is none of ours.
+    Raises DataError if PyAV is not installed, and FrameError if the file has no video, FFmpeg has no decoder for
+    it, its frames are too large, its first frame cannot be decoded, or its pixel format is none of ours.
     """
     with _opened(path, max_frame_mb) as (container, stream):
         first = next(_decoded(path, container, stream, max_frame_mb), None)
@@ -206,54 +153,58 @@ def open_video(
             known = "grey, Y'CbCr or R'G'B' of 8 to 16 bits"
             raise FrameError(path, f"pixel format {first.format.name}, expected {known}; convert it without loss")
         check_size(path, (first.height, first.width), max_frame_mb)
-        scale, is_colour = _levels_of(first, layout), layout.family != "gray"
-        matrix, warnings = _matrix(path, first, layout)
-        if stream.codec_context.codec.lossy:
-            warnings.append(_lossy(stream.codec_context.name))
-        if scale.zero and layout.bits == 8:
-            warnings.append(
-                RecordingWarning(
-                    "limited_range",
-                    "8 bits in limited range have 220 of 256 levels: a step is 0.46 % of white, not 0.39 %; "
-                    "record full range, or 10 bits and more",
-                )
-            )
-        if first.interlaced_frame:
-            warnings.append(
-                RecordingWarning(
-                    "interlaced",
-                    "frames are interlaced: odd and even rows are of different times; record progressive frames",
-                )
-            )
-        if first.rotation:
-            warnings.append(
-                RecordingWarning(
-                    "rotation_not_applied",
-                    f"players turn this video by {first.rotation}°: frames are read as recorded, without it",
-                )
-            )
+        scale, matrix = _levels_of(first, layout), _matrix(path, first, layout)
+        warnings = tuple(_warnings(stream, first, layout, matrix))
         # Of a stream without times, FFmpeg only guesses a rate.
         average = None if first.pts is None or not stream.average_rate else float(stream.average_rate)
         duration_s = _duration_s(container, stream)
         n_frames = stream.frames or (round(duration_s * average) if duration_s and average else None)
-
-    shape = first.height, first.width
-
-    def read() -> Iterator[RecordedFrame]:
-        return _frames(path, layout, shape, matrix, frames_per_second, max_frame_mb)
-
-    to_unit = layout.family == "yuv"
+    shape, to_unit = (first.height, first.width), layout.family == "yuv"
     return Recording(
         path=path,
         shape=shape,
-        is_colour=is_colour,
+        is_colour=layout.family != "gray",
         n_frames=n_frames,
         frames_per_second=frames_per_second or average,
         full_scale=1.0 if to_unit else scale.full_scale,
         zero=0.0 if to_unit else scale.zero,
-        warnings=tuple(warnings),
-        read=read,
+        warnings=warnings,
+        read=lambda: _frames(path, layout, shape, matrix, frames_per_second, max_frame_mb),
     )
+
+
+def _warnings(
+    stream: VideoStream, first: VideoFrame, layout: PixelFormat, matrix: int
+) -> Iterator[RecordingWarning]:
+    """Yield warnings about a video, given its first frame and the matrix by which it is read."""
+    if layout.family == "yuv" and int(first.colorspace) != matrix:
+        yield RecordingWarning(
+            "matrix_assumed",
+            f"the video declares no colour matrix: {MATRIX_NAMES[matrix]} is taken, as usual for its size; grey "
+            "is not affected",
+        )
+    if stream.codec_context.codec.lossy:
+        yield RecordingWarning(
+            "lossy_compression",
+            f"the codec {stream.codec_context.name} can discard faint structure and noise: triangles near the "
+            "threshold are not what the camera saw, and noise comes out too low; record without loss (FFV1)",
+        )
+    if _levels_of(first, layout).zero and layout.bits == 8:
+        yield RecordingWarning(
+            "limited_range",
+            "8 bits in limited range have 220 of 256 levels: a step is 0.46 % of white, not 0.39 %; record full "
+            "range, or 10 bits and more",
+        )
+    if first.interlaced_frame:
+        yield RecordingWarning(
+            "interlaced",
+            "frames are interlaced: odd and even rows are of different times; record progressive frames",
+        )
+    if first.rotation:
+        yield RecordingWarning(
+            "rotation_not_applied",
+            f"players turn this video by {first.rotation}°: frames are read as recorded, without it",
+        )
 
 
 def pyav(path: Path) -> ModuleType:
@@ -278,7 +229,7 @@ def _opened(path: Path, max_frame_mb: int) -> Iterator[tuple[InputContainer, Vid
     """
     av = pyav(path)
     with path.open("rb") as file:
-        name = format_of(file.read(N_START))
+        name = (format_of(file.read(N_START)) or "").removesuffix(" video")
     options = _limit(max_frame_mb)
     try:
         # The prefix keeps FFmpeg from taking a file name for an address.
@@ -398,25 +349,9 @@ def _frames(
 
 
 def decoded_jpeg_ls(path: Path, data: bytes, shape: tuple[int, int], max_frame_mb: int) -> NDArray[np.uint16]:
-    """Decode a grey JPEG-LS image of 16 bits, which may have zeros behind its end.
+    """Decode a grey JPEG-LS image of 16 bits and a given shape, which may have zeros behind its end.
 
-    Parameters
-    ----------
-    path : path
-        The file, for messages.
-    data : bytes
-        The image.
-    shape : (int, int)
-        Rows and columns that it has to have.
-    max_frame_mb : int
-        Largest size of a frame in 2**20 bytes; a pixel counts as `BYTES_PER_PIXEL`.
-
-    Raises
-    ------
-    DataError
-        If PyAV is not installed.
-    FrameError
-        If the image is damaged or has another size.
+    Raises DataError if PyAV is not installed, and FrameError if the image is damaged or has another size.
     """
     av = pyav(path)
     data = data.rstrip(b"\0")
@@ -465,24 +400,14 @@ def _levels_of(frame: VideoFrame, layout: PixelFormat) -> Levels:
     return levels(layout.bits, limited=declared == LIMITED or (declared == 0 and by_name))
 
 
-def _matrix(path: Path, frame: VideoFrame, layout: PixelFormat) -> tuple[int, list[RecordingWarning]]:
+def _matrix(path: Path, frame: VideoFrame, layout: PixelFormat) -> int:
+    """Return the number of the matrix that a frame declares; without one, of the usual one for its size."""
     matrix = int(frame.colorspace)
     if layout.family != "yuv" or matrix in MATRICES:
-        return matrix, []
+        return matrix
     if matrix != UNSPECIFIED_MATRIX:
         raise FrameError(path, f"colour matrix {matrix} (Rec. H.273), expected one of {sorted(MATRICES)}")
-    matrix = 1 if frame.height >= HD_ROWS else 6
-    name = MATRIX_NAMES[matrix]
-    message = f"the video declares no colour matrix: {name} is taken, as usual for its size; grey is not affected"
-    return matrix, [RecordingWarning("matrix_assumed", message)]
-
-
-def _lossy(codec: str) -> RecordingWarning:
-    return RecordingWarning(
-        "lossy_compression",
-        f"the codec {codec} can discard faint structure and noise: triangles near the threshold are not what the "
-        "camera saw, and noise comes out too low; record without loss (FFV1)",
-    )
+    return 1 if frame.height >= HD_ROWS else 6
 
 
 def _values(frame: VideoFrame, layout: PixelFormat, matrix: int) -> NDArray[Any]:
