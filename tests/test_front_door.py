@@ -74,9 +74,9 @@ def same(result: tod.Result, made: dict[str, object]) -> bool:
 
 
 def test_names() -> None:
-    # Sixteen commands have a call, most of them a type of result; the rest are what an own observer, algorithm or
-    # frame is made of.
-    assert 25 <= len(dir(tod)) <= 73
+    # Sixteen commands have a call, most of them a type of result; the rest are what an own observer, algorithm,
+    # frame or reader is made of.
+    assert 25 <= len(dir(tod)) <= 74
     assert {"score", "compare", "fit_counts", "naked_eye", "load_result", "Result", "PyramidObserver"} <= set(
         dir(tod)
     )

@@ -216,8 +216,8 @@ class FrameHeader:
 class FrameSource(ABC):
     """An open frame, for a `with` statement: the header is read at once, pixels are read on request.
 
-    `path` names the frame in messages. Rows and columns of rectangles are half-open ranges in frame coordinates,
-    None for all, and are clipped to the pixels that the frame has.
+    A subclass has `path`, which names the frame in messages, `header` and `bands`. Rows and columns of rectangles
+    are half-open ranges in frame coordinates, None for all, and are clipped to the pixels that the frame has.
     """
 
     path: Location
