@@ -18,7 +18,7 @@ from todframes.parameters import MAX_FRAME_MB, PathLike
 from todframes.recordings.arrays import memory_recording
 from todframes.recordings.recording import (
     TIMES_FILE,
-    Reader,
+    RecordingReader,
     Recording,
     check_rate,
     files_in,
@@ -38,7 +38,7 @@ class NoReaderError(FrameError):
     """Error for a file that no reader recognises."""
 
 
-def readers() -> dict[str, Reader]:
+def readers() -> dict[str, RecordingReader]:
     """Return the registered readers by name, in the order in which they are asked; SettingsError if one fails."""
     entries, found = registered(ENTRY_POINT_GROUP), {}
     for name in (*sorted(entries.keys() - OWN_READERS), *OWN_READERS):

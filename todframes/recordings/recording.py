@@ -151,7 +151,7 @@ class StillHeader(NamedTuple):
     warnings: tuple[RecordingWarning, ...] = ()
 
 
-class Reader(Protocol):
+class RecordingReader(Protocol):
     """Protocol of a module, or object, registered under the entry-point group `todframes.readers`.
 
     With the attribute `JOINS_FILES`, if it is true, files given together are one recording. A reader whose frames
@@ -211,7 +211,7 @@ def files_in(folder: Path) -> list[Path]:
 
 def still_recording(
     paths: Sequence[Path],
-    reader: Reader,
+    reader: RecordingReader,
     *,
     folder: Path | None,
     frames_per_second: float | None,
