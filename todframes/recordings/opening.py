@@ -18,8 +18,8 @@ from todframes.parameters import MAX_FRAME_MB, PathLike
 from todframes.recordings.arrays import memory_recording
 from todframes.recordings.recording import (
     TIMES_FILE,
-    RecordingReader,
     Recording,
+    RecordingReader,
     check_rate,
     files_in,
     natural_order,
