@@ -19,9 +19,8 @@ os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.results.data import SceneResult
 from todframes.results.result import load_result
-from todframes.results.tables import scene_tables
+from todframes.studies.accuracy.report import SceneResult, scene_tables
 
 HERE = Path(__file__).parent
 FRAMES = HERE.parent / "sample_frames" / "naked_eye"

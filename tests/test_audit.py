@@ -61,7 +61,7 @@ def test_the_background_used_is_the_mean_of_the_trials(make_dataset) -> None:
     # The mean of eight values, and twice that; a few roundings of 2**-53.
     found = [fit.background_luminance_cd_m2 for fit in result.fits]
     assert found == pytest.approx([sum(given[:8]) / 8, sum(given[:8]) / 4], rel=1e-14)
-    rows = list(csv.DictReader(io.StringIO(thresholds(result).csv())))
+    rows = list(csv.DictReader(io.StringIO(thresholds(result.fits).csv())))
     assert [float(row["background_luminance_cd_m2"]) for row in rows] == found
 
 

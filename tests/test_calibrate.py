@@ -34,7 +34,6 @@ from todframes.observers.oriented import OrientedObserver
 from todframes.psychometrics.likelihood import CHI2_95
 from todframes.psychometrics.noise_fit import AnswerTable, NoiseFit, fit_noise, joined, with_lapses
 from todframes.results.result import read_result
-from todframes.results.summary import verdict
 from todframes.scoring.retina_view import Shown, retina_image
 from todframes.stimulus import Orientation, Stimulus
 
@@ -420,7 +419,7 @@ def test_two_observers_on_the_same_answers(two_people, tmp_path: Path, capsys) -
     for one in (pyramid, csf):
         assert one["aic"] == pytest.approx(2.0 - 2.0 * one["log_likelihood"], rel=1e-12)
     assert csf["aic"] > pyramid["aic"] + 10.0
-    first, *sentences = verdict(tod.load_result(out))
+    first, *sentences = tod.load_result(out).data.findings()
     assert re.match(
         r"pyramid explains the answers of person a1 better: AIC .* for pyramid, .* strong evidence\.", first
     )

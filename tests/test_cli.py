@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from todframes import score
-from todframes.cli.console import finish, print_table
+from todframes.cli.console import print_result, print_table
 from todframes.frames.files import write_frame
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.table import Column, Table
@@ -118,7 +118,7 @@ def test_a_narrow_terminal_has_fewer_columns_and_whole_numbers(make_dataset, cap
     result = score(made.path, tolerance=0.02, fit=FitSettings(resamples=200), examples=False)
 
     def shown() -> str:
-        finish(result, "Thresholds", as_json=False, verbose=False)
+        print_result(result)
         return capsys.readouterr().out
 
     wide = shown()

@@ -16,6 +16,16 @@ import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement import builtin
 from todframes.enhancement.compare import compare_observers, parts_of
+from todframes.enhancement.comparison import (
+    Algorithm,
+    ContrastPoint,
+    ContrastResponse,
+    Ratio,
+    comparison,
+    comparisons,
+    edge_brightness,
+    not_proportional,
+)
 from todframes.enhancement.contrast_gain import MEASURED_TRIALS, measured_trials, strongest_levels
 from todframes.enhancement.contrast_on_scenes import contrasts_on_scenes, views_to_measure
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame, EnhancedImage
@@ -32,19 +42,9 @@ from todframes.observers.csf import CsfObserver
 from todframes.observers.interface import Observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.advice import edge_brightness, not_proportional
-from todframes.results.data import (
-    Algorithm,
-    ComparedObserver,
-    ContrastPoint,
-    ContrastResponse,
-    Fit,
-    Ratio,
-)
+from todframes.results.data import Fit
 from todframes.results.figure_style import new_figure, style
-from todframes.results.figures import pictures
 from todframes.results.result import Result
-from todframes.results.summary import comparison, comparisons
 from todframes.scoring.score import score_dataset
 from todframes.stimulus import ORIENTATIONS, Stimulus
 
@@ -728,8 +728,7 @@ def test_disagreements_come_first() -> None:
         )
 
     no = "no difference shown"
-    other = ComparedObserver(settings={"observer": "csf"}, algorithms=judged("worse", no, no))
-    lines = comparisons({"observer": "pyramid"}, judged(no, "better", no), [other])
+    lines = comparisons([("pyramid", judged(no, "better", no)), ("csf", judged("worse", no, no))])
     assert lines[:2] == (
         "The observers disagree about sharpen: better for pyramid, no difference shown for csf.",
         "The observers disagree about blur: no difference shown for pyramid, worse for csf.",
@@ -836,7 +835,7 @@ def test_contrast_before_and_after_is_drawn_if_levels_are_contrasts(name, before
     fits = (Fit(group={}, level=name, status="ok", p_correct=0.75),)
     blur = Algorithm(name="blur", fits=fits, contrast_responses=(ContrastResponse(points=points),))
     result = Result.made("compare", 0.0, algorithms=(Algorithm(name="none", fits=fits), blur)).data
-    drawn = [one.file for one in pictures(result)]
+    drawn = [one.file for one in result.figures()]
     assert ("contrast_response.png" in drawn) == is_drawn
 
 
@@ -854,7 +853,7 @@ def test_an_algorithm_has_one_colour_in_all_figures() -> None:
         ratios = tuple(Ratio(group=one.group, ratio=2.0, verdict="worse") for one in fits) * (name != "none")
         responses = (ContrastResponse(points=points),) * len(ratios)
         each.append(Algorithm(name=name, fits=fits, ratios=ratios, contrast_responses=responses))
-    figures = pictures(Result.made("compare", 0.0, algorithms=tuple(each)).data)
+    figures = Result.made("compare", 0.0, algorithms=tuple(each)).figures()
     colours: dict[str, set[object]] = {name: set() for name in levels}
     for figure in figures:
         with style():

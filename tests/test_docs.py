@@ -307,7 +307,8 @@ def test_each_command_and_each_key_has_its_page() -> None:
     pytest.importorskip("numpydoc", reason="the pages need the docs extra")
     from command_pages import commands_of, descriptions, pages
 
-    from todframes.results.data import Algorithm, Fit, Head
+    from todframes.enhancement.comparison import Algorithm
+    from todframes.results.data import Fit, Head
     from todframes.results.result import KINDS
 
     made = pages()

@@ -29,9 +29,8 @@ from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.psychometrics.observer_curve import observer_curve
 from todframes.results.data import Fit
 from todframes.results.figure_style import COLOURS
-from todframes.results.figures import by_field_map, draw_field_map, draw_psychometric, pictures
+from todframes.results.figures import by_field_map, draw_field_map, draw_psychometric
 from todframes.results.result import Result, read_result
-from todframes.results.summary import verdict
 from todframes.results.tables import thresholds
 from todframes.results.wording import phrase, quantity, threshold_heading, unit_of
 
@@ -91,7 +90,8 @@ def pages(results_of_commands) -> dict[str, bytes]:
 
 
 def verdict_of(result: dict[str, Any]) -> list[str]:
-    return verdict(read_result(encode(result), "result"))
+    data = read_result(encode(result), "result").data
+    return [one for one in data.sentences() if one not in data.cautions()]
 
 
 def tables_of(content: bytes) -> dict[str, list[dict[str, str]]]:
@@ -140,13 +140,13 @@ def test_order_of_the_page(pages) -> None:
 def test_first_table_holds_what_that_of_the_terminal_holds(results, pages) -> None:
     """All else about thresholds is behind *Details*; the files of both have all values."""
     result = read_result(encode(results["score"]), "result")
-    table = thresholds(result)
+    table = thresholds(result.thresholds)
     first, *_ = tree(pages["score"]).iter("table")
     heads = [words(head) for head in first.iter("th") if head.get("scope") == "col"]
     assert heads == [one.heading for one in table.columns if not (one.is_detail or one.in_file_only)]
     assert {"α", "β", "Weibull"}.isdisjoint(heads)
     folded = [words(one) for one in tree(pages["score"]).iter("summary")]
-    assert folded[:2] == ["Details of the thresholds", "Points of the psychometric functions"]
+    assert folded[:2] == ["Thresholds at 75 % correct: details", "Points of the psychometric functions"]
     assert table.without_details().csv() == table.csv()
 
 
@@ -478,7 +478,7 @@ def test_letters_of_a_map_of_the_field_shrink_with_its_places() -> None:
         )
         for x in range(-4, 5) for y in range(-3, 4)
     ]  # fmt: skip
-    (shown,) = (one for one in pictures(fitted(fits)) if one.file == "field_map.png")
+    (shown,) = (one for one in fitted(fits).figures() if one.file == "field_map.png")
     figure = shown.figure()
     figure.draw_without_rendering()
     boxes = [text.get_window_extent() for text in figure.axes[0].texts]

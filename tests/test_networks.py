@@ -42,9 +42,9 @@ from todframes.enhancement.finding import find_enhancement
 from todframes.enhancement.memory_meter import MemoryMeter
 from todframes.enhancement.network_probe import Found, ProbeRequest, examine, probe
 from todframes.enhancement.network_runtime import read_model, with_weights
+from todframes.enhancement.records import plain_value
 from todframes.enhancement.tiles import in_tiles
 from todframes.jobs.fingerprint import fingerprint
-from todframes.results.data import plain_value
 
 
 @pytest.fixture

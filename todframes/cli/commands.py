@@ -21,7 +21,7 @@ FILES_SHOWN = 3
 
 def _scored(result: Any, given: dict[str, Any]) -> str:
     data = result.data
-    fits = data.algorithms[0].fits if data.algorithms else data.fits
+    fits = data.fits or data.algorithms[0].fits
     return f"{given['dataset'].path}: {sum(one.n_trials for one in fits)} trials"
 
 

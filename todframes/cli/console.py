@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from todframes.results.data import ResultWarning
     from todframes.results.result import Result
     from todframes.results.table import Table
-    from todframes.results.thresholds import Thresholds
 
 
 STDOUT, STDERR = 1, 2
@@ -37,9 +36,6 @@ LONGEST_REMARK = 8000
 
 MOST_ALIKE = 10
 """Largest number of problems of one kind that are printed."""
-
-MOST_ANSWERS = 12
-"""Largest number of rows of the table of answers that is printed unless details are asked for."""
 
 WHOLE = 10_000
 """Width of a line, in letters, if standard output is not a terminal."""
@@ -115,102 +111,44 @@ def long_run(out: str | None, asked: dict[str, Any], *, quiet: bool) -> Iterator
         yield place
 
 
-def _where(place: Mapping[str, Any]) -> str:
-    """Return where the triangles of a group were found, as a phrase."""
-    error_px, moved_px = place["standard_error_px"], place["moved_px"]
-    if error_px is None:
-        return "no triangle stands out near the manifest's positions, which stay"
-    if moved_px is not None:
-        where = f"{moved_px[0]:+.2f} in x, {moved_px[1]:+.2f} in y from the manifest's positions"
-    else:
-        where = f"x_px {place['x_px']:.2f}, y_px {place['y_px']:.2f}"
-    return f"{where} (± {error_px:.1g} px)"
-
-
-def finish(
-    result: Result[Thresholds],
-    title: str,
-    *,
-    as_json: bool,
-    verbose: bool,
-    explain: bool = False,
-    out: str | None = None,
-    quiet: bool = False,
-    strict: bool = False,
-) -> None:
-    """Show a result as one JSON object or as tables and sentences, and remarks on standard error.
-
-    Raises
-    ------
-    DataError
-        If `strict` and there are warnings; everything is shown before.
-    """
-    from todframes.results import tables
-    from todframes.results.data import each_observer
-    from todframes.results.summary import cautions, remarks
-    from todframes.results.wording import group_phrase
-
-    data = result.data
-    if not quiet:
-        for place in data.located or ():
-            say(f"located: {group_phrase(place['group'])}: {_where(place)}")
-        for one in data.skipped:
-            say(f"skipped: {one['error']}")
-        for algorithm in data.algorithms:
-            if algorithm.n_clipped:
-                say(f"note: {algorithm.spec}: {algorithm.n_clipped} values were clipped")
-        if data.negative_luminance_pixels and not data.algorithms:
-            say(
-                f"note: {data.negative_luminance_pixels} display pixels have a luminance below zero, as noise "
-                "in linear frames may have; they are scored as they are"
-            )
-    if as_json:
-        print_content(result.to_json(), result.warnings, quiet=quiet, strict=strict)
-        return
-    if explain:
-        print_table(tables.plan(data))
-    if data.algorithms:
-        for observer, judged in each_observer(data):
-            print_table(tables.ratios(judged, observer, title))
-        if verbose or any(one.psnr_db is not None or one.ssim is not None for one in data.algorithms):
-            print_table(tables.measures(data.algorithms))
-    else:
-        print_table(tables.thresholds(data, title))
-        answers = tables.answers(data)
-        if answers is not None and (verbose or len(answers.records) <= MOST_ANSWERS):
-            print_table(answers)
-    if verbose:
-        print_table(tables.thresholds(data, "Details"), details=True)
-    sentences = [*data.verdict, *cautions(data), *(remarks(data) if verbose else [])]
-    print_end(sentences, result.warnings, out=out, strict=strict)
-
-
 def print_result(
     result: Result[Any],
+    title: str = "",
     *,
     as_json: bool = False,
     verbose: bool = False,
+    explain: bool = False,
     out: str | None = None,
     quiet: bool = False,
     strict: bool = False,
     is_timed: bool = True,
 ) -> None:
-    """Show a result as one JSON object or as its tables, sentences and warnings; `verbose` adds details.
+    """Show a result as one JSON object or as its tables, sentences and warnings; remarks go to standard error.
+
+    `title` is a line above the tables, `verbose` adds details, and `explain` the plan.
 
     Raises
     ------
     DataError
         If `strict` and there are warnings; everything is shown before.
     """
+    data = result.data
+    for note in () if quiet else data.notes():
+        say(note)
     if as_json:
         print_content(result.to_json(), result.warnings, quiet=quiet, strict=strict)
         return
-    for table in result.data.tables():
-        if not table.is_folded:
+    if title:
+        echo(title)
+    if explain:
+        print_table(data.plan_table())
+    for table in data.tables():
+        if not table.is_folded and (verbose or not table.is_extra):
             print_table(table)
-            if verbose:
-                print_table(table, details=True)
-    print_end(result.data.sentences(), result.warnings, out=out, strict=strict, is_timed=is_timed)
+        if verbose:
+            print_table(table, details=True)
+    sentences = [*data.printed(), *(data.remarks() if verbose else [])]
+    print_end(sentences, result.warnings, out=out, strict=strict, is_timed=is_timed)
 
 
 def print_content(
@@ -280,7 +218,7 @@ def print_table(table: Table, *, details: bool = False) -> None:
     """Print a table on standard output, laid out for the width of the terminal; whole if it is not a terminal."""
     from rich.console import Console
 
-    if details and not any(one.is_detail for one in table.columns):
+    if details and not table.has_details:
         return
     laid_out = table.terminal(terminal_width(), details=details)
     # A table that is wider than the terminal is better than one whose numbers are cut.

@@ -16,9 +16,8 @@ def enhancements(*, json: bool) -> None:
 
     from todframes import __version__
     from todframes.enhancement.finding import enhancement_names, find_enhancement
-    from todframes.enhancement.records import enhancement_record
+    from todframes.enhancement.records import enhancement_record, enhancements_table
     from todframes.results.data import SCHEMA
-    from todframes.results.tables import enhancements as enhancements_table
 
     found = []
     for name in enhancement_names():

@@ -17,7 +17,6 @@ from todframes.base.errors import SettingsError, flag_of
 from todframes.cli.console import (
     Interruption,
     echo,
-    finish,
     long_run,
     opened_engine,
     print_result,
@@ -380,18 +379,12 @@ def _run(command: Command, **values: Any) -> None:
 
 def _show(command: Command, result: Any, given: dict[str, Any], shown: dict[str, Any], out: str | None) -> None:
     """Print the result of a command as the showing options ask for."""
-    quiet = shown.get("quiet", False)
     if command.show is not None:
         command.show(result, given, shown)
         return
-    if command.title is not None:
-        finish(result, command.title(result, given), as_json=shown.pop("json"), out=out, **shown)
-        return
-    for one in () if quiet else getattr(getattr(result, "data", None), "skipped", ()):
-        say(f"skipped: {one['error']}")
-    as_json, verbose, is_strict = (shown.get(name, False) for name in ("json", "verbose", "strict"))
-    how: dict[str, Any] = {"out": out, "strict": is_strict, "is_timed": command.is_timed}
-    print_result(result, as_json=as_json, verbose=verbose, quiet=quiet, **how)
+    title = "" if command.title is None else command.title(result, given)
+    how = {name: value for name, value in shown.items() if name != "json"}
+    print_result(result, title, as_json=shown.get("json", False), out=out, is_timed=command.is_timed, **how)
 
 
 def _mapping(name: str, pairs: Iterable[tuple[Any, Any]]) -> dict[Any, Any]:

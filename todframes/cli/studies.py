@@ -9,7 +9,7 @@ import click
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.progress import counted
-from todframes.cli.console import echo, print_table, progress, say, staged
+from todframes.cli.console import echo, print_result, print_table, progress, say, staged
 from todframes.cli.runner import showing
 
 RECORDED = "recorded"
@@ -28,6 +28,7 @@ def stability(*, json: bool, as_markdown: bool, quiet: bool) -> None:
         raise SettingsError("stability: found --json and --markdown, expected one of them")
     from todframes.results.result import Result
     from todframes.studies.stability.case import (
+        Stability,
         case_object,
         find_cases,
         markdown,
@@ -40,7 +41,7 @@ def stability(*, json: bool, as_markdown: bool, quiet: bool) -> None:
     with progress("trying", quiet=quiet) as advance:
         outcomes = [run_case(case) for case in counted(cases, len(cases), advance)]
     if json:
-        result = Result.made("stability", start, cases=tuple(map(case_object, outcomes)))
+        result = Result.made("stability", start, data=Stability(cases=tuple(map(case_object, outcomes))))
         click.echo(result.to_json(), nl=False)
     elif as_markdown:
         click.echo(markdown(outcomes), nl=False)
@@ -90,7 +91,6 @@ def accuracy(
     from functools import partial
 
     from todframes.results.result import Result
-    from todframes.results.tables import scene_tables
     from todframes.studies.accuracy import report as accuracy_report
     from todframes.studies.accuracy.estimators import StudyScene, find_scenes
     from todframes.studies.accuracy.measure import measure
@@ -123,13 +123,4 @@ def accuracy(
             scenes=tuple(map(accuracy_report.scene_result, measured)),
         )
         place.write(lambda: accuracy_report.files(result))
-    if json:
-        click.echo(result.to_json(), nl=False)
-        return
-    for one in result.scenes:
-        for table in scene_tables(one):
-            if not table.file.endswith("_budgets.csv"):
-                print_table(table)
-    echo(accuracy_report.NOTE, f"{result.run_time_s:.0f} s")
-    if out is not None:
-        echo(f"written: {out}")
+    print_result(result, as_json=json, out=out, quiet=quiet)

@@ -32,12 +32,8 @@ from todframes.parameters import (
     Seed,
 )
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.advice import edge_brightness, levels_to_add, not_proportional, not_repeatable
-from todframes.results.data import (
-    ComparedObserver,
-    observer_names,
-    thresholds_of,
-)
+from todframes.results.advice import levels_to_add
+from todframes.results.data import observer_names
 from todframes.results.result import Result, repeatable
 from todframes.scoring.error_budget import plan_object
 from todframes.scoring.opening import (
@@ -169,10 +165,17 @@ def compare(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     from todframes.enhancement.compare import compare_observers
+    from todframes.enhancement.comparison import (
+        JudgedBy,
+        comparisons,
+        edge_brightness,
+        not_proportional,
+        not_repeatable,
+        thresholds_of,
+    )
     from todframes.enhancement.enhanced_frame import AlgorithmDisplay
     from todframes.enhancement.finding import find_enhancement
     from todframes.enhancement.records import algorithms, compared_trials
-    from todframes.results.summary import comparison, comparisons
     from todframes.scoring.score import fitted_curve
 
     fit = fit or FitSettings()
@@ -209,15 +212,14 @@ def compare(
         )
     reference, compared = results[0].scored, algorithms(data, results)
     further = tuple(
-        ComparedObserver(settings=own, algorithms=algorithms(data, one))
+        JudgedBy(settings=own, algorithms=algorithms(data, one))
         for own, one in zip(each_settings[1:], others, strict=True)
     )
-    names = observer_names(settings, further) if further else [None]
+    names = observer_names(each_settings) if further else [""]
+    judged = list(zip(names, [compared, *(one.algorithms for one in further)], strict=True))
     advice = [
         of_observer(name, levels_to_add(thresholds_of(of_each), own.get("aperture_sd_deg")))
-        for name, of_each, own in zip(
-            names, [compared, *(one.algorithms for one in further)], each_settings, strict=True
-        )
+        for (name, of_each), own in zip(judged, each_settings, strict=True)
     ]
     if examples:
         from todframes.enhancement.examples import compare_examples
@@ -236,7 +238,7 @@ def compare(
         algorithms=compared,
         observers=further,
         data_range_cd_m2=peak - black,
-        verdict=comparisons(settings, compared, further) if further else comparison(compared),
+        verdict=comparisons(judged),
         plan=tuple(plan_object(reference.plan, 1.0)),
         skipped=tuple(one._asdict() for one in reference.skipped),
         dataset=record,

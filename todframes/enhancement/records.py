@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from todframes.enhancement.algorithm import Enhancement
 from todframes.enhancement.compare import AlgorithmResult, Compared
-from todframes.enhancement.contrast_gain import LevelContrast
+from todframes.enhancement.comparison import NO_DIFFERENCE, Algorithm, ContrastPoint, ContrastResponse, Ratio
 from todframes.frames.dataset import Dataset
-from todframes.results.data import (
-    NO_DIFFERENCE,
-    PSNR_STEP_DB,
-    SSIM_STEP,
-    Algorithm,
-    ContrastPoint,
-    ContrastResponse,
-    Ratio,
-    Record,
-    group_of,
-    plain_value,
-)
-from todframes.results.table import Table
+from todframes.results.data import Record, group_of
+from todframes.results.table import Column, Table
 from todframes.scoring.records import fit_record, trials_table
+
+PSNR_STEP_DB, SSIM_STEP = 0.1, 0.005
+"""Largest changes of PSNR and SSIM that count as no change."""
 
 
 def algorithms(dataset: Dataset, results: Sequence[AlgorithmResult]) -> tuple[Algorithm, ...]:
@@ -52,7 +44,7 @@ def algorithms(dataset: Dataset, results: Sequence[AlgorithmResult]) -> tuple[Al
                 verdict=verdict,
                 contrast_responses=tuple(
                     ContrastResponse(
-                        group=group_of(dataset, fit.group), points=tuple(map(_contrast_point, of_group))
+                        group=group_of(dataset, fit.group), points=tuple(ContrastPoint(*each) for each in of_group)
                     )
                     for fit, of_group in zip(one.scored.fits, one.responses, strict=bool(one.responses))
                 ),
@@ -72,13 +64,6 @@ def algorithms(dataset: Dataset, results: Sequence[AlgorithmResult]) -> tuple[Al
     return tuple(found)
 
 
-def _contrast_point(found: LevelContrast) -> ContrastPoint:
-    level, before, after, gain, error, n_trials = found
-    return ContrastPoint(
-        level=level, before=before, after=after, gain=gain, gain_standard_error=error, n_trials=n_trials
-    )
-
-
 def _ratio(dataset: Dataset, compared: Compared) -> Ratio:
     beyond = compared.beyond_gain
     return Ratio(
@@ -93,6 +78,13 @@ def _ratio(dataset: Dataset, compared: Compared) -> Ratio:
         beyond_gain=None if beyond is None else beyond.ratio.ratio,
         beyond_gain_ci95=None if beyond is None else beyond.ratio.ratio_ci95,
     )
+
+
+def plain_value(value: object) -> object:
+    """Return a parameter's value as a JSON value, or as a text if JSON has no such value."""
+    if isinstance(value, Mapping):
+        return {str(name): plain_value(one) for name, one in value.items()}
+    return value if value is None or isinstance(value, bool | int | float | str) else repr(value)
 
 
 def _difference(value: float | None, reference: float | None) -> float | None:
@@ -136,3 +128,32 @@ def enhancement_record(algorithm: Enhancement) -> Record:
 def compared_trials(dataset: Dataset, results: Sequence[AlgorithmResult]) -> Table:
     """Make the table of scored trials after each algorithm."""
     return trials_table(dataset, [({"algorithm": one.enhancement.spec}, one.scored) for one in results])
+
+
+def enhancements_table(listed: Sequence[Record]) -> Table:
+    """Make the table of registered algorithms, with a row for each parameter below its algorithm."""
+    records: list[Record] = []
+    for one in listed:
+        takes = one["domain"].replace("_", " ") + "s" * (one["domain"] == "code_value") + ", clips" * one["clip"]
+        records.append({"name": one["name"], "what": one["what"], "takes": takes, "from": one["library"]})
+        for parameter in one["parameters"]:
+            default, ends = parameter["default"], parameter["range"] or ()
+            shown = f"{default:g}" if isinstance(default, float) else str(default)
+            span = ", ".join(map(str, parameter["choices"] or ())) or " – ".join(f"{end:g}" for end in ends)
+            records.append(
+                {
+                    "name": f"  {parameter['name']}",
+                    "what": parameter["what"],
+                    "default": " ".join(filter(None, (shown, parameter["unit"]))),
+                    "range": span,
+                }
+            )
+    columns = [
+        Column(key="name"),
+        Column(key="what", header="what it does; what a parameter is", none="", wraps=True),
+        Column(key="default", none=""),
+        Column(key="range", none="", wraps=True, rank=1),
+        Column(key="takes", none="", rank=2),
+        Column(key="from", none="", rank=3),
+    ]
+    return Table.of("Enhancement algorithms", "enhancements.csv", columns, records)

@@ -14,21 +14,13 @@ from msgspec.structs import replace as replace_struct
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.seeds import Rng, seed_of
+from todframes.experiment.calibration import FurtherObserver, PersonResult
 from todframes.frames.dataset import Dataset
 from todframes.jobs.run import opened_run
 from todframes.observers.interface import Observer
 from todframes.parameters import Count, Free, ObserverNames, OnError, Progress, Seed, Subjects
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.data import (
-    ComparedObserver,
-    DatasetRecord,
-    Fit,
-    Group,
-    PersonResult,
-    ResultWarning,
-    group_of,
-    observer_names,
-)
+from todframes.results.data import DatasetRecord, Fit, Group, ResultWarning, group_of, observer_names
 from todframes.results.result import Result, repeatable
 from todframes.scoring.opening import (
     described_each,
@@ -40,7 +32,6 @@ from todframes.scoring.opening import (
 if TYPE_CHECKING:
     from todframes.experiment.answers import Session
     from todframes.experiment.person import Calibrated, GroupCurve, PersonFit
-    from todframes.parameters import Free
     from todframes.results.thresholds import Thresholds
 
 
@@ -166,8 +157,8 @@ def calibrate(
     further = []
     for own_settings, of_judge in zip(other_settings, others, strict=True):
         by_judge, together = person_results(of_judge)
-        further.append(ComparedObserver(settings=own_settings, persons=tuple(by_judge), pooled=together))
-    names = observer_names(settings, further) if further else [None]
+        further.append(FurtherObserver(settings=own_settings, persons=tuple(by_judge), pooled=together))
+    names = observer_names([settings, *other_settings]) if further else [""]
     return Result.made(
         "calibrate",
         started,

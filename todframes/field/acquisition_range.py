@@ -16,8 +16,8 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.field.atmosphere import Atmosphere, find_atmosphere
 from todframes.field.target import Target, chosen_target
 from todframes.parameters import Cycles, CyclesPerSize, GroupValues, NamedFile, Seconds, Seed, TargetFactors
-from todframes.results.data import ResultData
 from todframes.results.result import Result, repeatable
+from todframes.results.thresholds import Thresholds
 
 if TYPE_CHECKING:
     from todframes.field.range_result import FieldRange
@@ -138,9 +138,9 @@ def _curve(
     return measured_curve(_thresholds(load_result(result), where), where, **of_result)
 
 
-def _thresholds(result: Result[Any], where: str) -> ResultData:
+def _thresholds(result: Result[Any], where: str) -> Thresholds:
     """Return the thresholds of a result; raise DataError if it has none."""
-    if not isinstance(result.data, ResultData):
+    if not isinstance(result.data, Thresholds):
         hint = "; its thresholds are in mrtd.csv, which `todframes range` reads" * (result.command == "mrtd")
         raise DataError(f"{where}: command: found {result.command!r}, expected one that gives thresholds{hint}")
     return result.data

@@ -10,7 +10,8 @@ import numpy as np
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.field.target import Quantity
 from todframes.field.threshold_curve import Psychometric, RangeWarning, ThresholdCurve, ln_sd_of_interval
-from todframes.results.data import Fit, ResultData
+from todframes.results.data import Fit
+from todframes.results.thresholds import Thresholds
 from todframes.results.wording import unit_of, value_text
 from todframes.stimulus import LEVELS, level_of
 
@@ -31,7 +32,7 @@ USUAL_GUESS_RATE = 0.25
 
 
 def measured_curve(
-    result: ResultData,
+    result: Thresholds,
     where: str,
     *,
     quantity: Quantity,
@@ -42,7 +43,7 @@ def measured_curve(
 
     Parameters
     ----------
-    result : ResultData
+    result : Thresholds
     where : str
         Name of the result; messages begin with it.
     quantity : {"delta_t_k", "contrast"}
@@ -114,7 +115,7 @@ def _of_group(fits: Sequence[Fit], where: str, group: dict[str, str]) -> list[Fi
 
 
 def _to_field_mrad(
-    result: ResultData, size: str, where: str, magnification: float | None
+    result: Thresholds, size: str, where: str, magnification: float | None
 ) -> tuple[float, tuple[RangeWarning, ...]]:
     """Return the factor from a column of sizes to mrad in the field, and the warnings about it."""
     if magnification is not None and size != "size_mrad":

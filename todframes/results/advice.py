@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from todframes.results.data import Algorithm, ContrastPoint, Fit, Group, ResultWarning
+from todframes.results.data import Fit, Group, ResultWarning
 from todframes.results.wording import listed, plain
 from todframes.stimulus import HEIGHT_PER_SIZE, level_of
 
@@ -27,12 +27,6 @@ USUAL_SLOPE = 2.0
 
 SAME_LEVEL = 1.15
 """Largest ratio of a level to add and one shown that counts as the same level."""
-
-SAME_GAIN, SURE_GAIN = 0.1, 3.0
-"""Relative difference of two contrast gains that counts as none, and standard errors beyond which it is sure."""
-
-SAME_AT_EDGE = 0.02
-"""Relative difference of an algorithm's factors at the edge of a frame and around the triangle that is none."""
 
 FEW_SCENES = "an end of the 95 % interval is open because scenes differ and are few"
 """Reason for an open interval that more levels or trials on the same scenes would not close."""
@@ -162,88 +156,6 @@ def missed_tolerance(
         f"{100 * tolerance:g} %: the last digits are not sure; {exact} have smaller errors"
     )
     return ResultWarning(code="numerical_error", group=group, message=message, found=share, expected=tolerance)
-
-
-def not_proportional(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:
-    """Return a warning where an algorithm's gain of contrast is another at threshold than at the highest level.
-
-    A comparison with a plain gain, which has the gain of the highest level, then compares with a wrong one.
-    """
-    found = []
-    for one in algorithms:
-        for fit, response, ratio in zip(one.fits, one.contrast_responses, one.ratios, strict=False):
-            points = [point for point in response.points if point.gain is not None and point.gain > 0.0]
-            if ratio.beyond_gain is None or fit.threshold is None or len(points) < 2:
-                continue
-            near = min(points, key=lambda point, at=fit.threshold: abs(math.log(point.level / at)))  # type: ignore[misc]
-            top = points[-1]
-            if near.gain is None or top.gain is None or not _gains_differ(near, top):
-                continue
-            message = (
-                f"its gain of contrast is {plain(near.gain, 3)} ± {plain(near.gain_standard_error, 1)} near the "
-                f"threshold, at {near.level:.3g}, and {plain(top.gain, 3)} at the highest level: beyond_gain, "
-                "which takes the latter, does not hold; see the table of the contrast before and after"
-            )
-            group = {"algorithm": one.name} | fit.group
-            found.append(
-                ResultWarning(
-                    code="not_proportional", group=group, message=message, found=near.gain, expected=top.gain
-                )
-            )
-    return tuple(found)
-
-
-def edge_brightness(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:
-    """Return a warning for each algorithm that makes the edge of frames brighter or darker than the background."""
-    found = []
-    for one in algorithms:
-        if one.edge_factor is not None and abs(one.edge_factor - 1.0) > SAME_AT_EDGE:
-            kind = "brighter" if one.edge_factor > 1.0 else "darker"
-            message = (
-                "compared with what surrounds the triangle, it makes the outermost pixels of a frame "
-                f"{plain(100.0 * abs(one.edge_factor - 1.0), 2)} % {kind}, as a network does that takes pixels "
-                "beyond the frame as black. Contrast refers to what surrounds the triangle. If triangles lie near "
-                "the edge, take larger frames, or let the algorithm mirror them"
-            )
-            found.append(
-                ResultWarning(
-                    code="edge_brightness",
-                    group={"algorithm": one.name},
-                    message=message,
-                    found=one.edge_factor,
-                    expected=1.0,
-                )
-            )
-    return tuple(found)
-
-
-def not_repeatable(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:
-    """Return a warning for each algorithm that gave different pictures of the same frame."""
-    return tuple(
-        ResultWarning(
-            code="not_repeatable",
-            group={"algorithm": one.name},
-            message=(
-                f"its pictures of the same frame differ by up to {plain(100.0 * one.repeat_difference, 2)} % of "
-                "their mean luminance: it depends on chance, on other frames or on a file that has changed. Its "
-                "ratio holds for this run alone. Give it a fixed seed, declare it with clip if it needs earlier "
-                "frames, and leave its files as they are"
-            ),
-            found=one.repeat_difference,
-            expected=0.0,
-        )
-        for one in algorithms
-        if one.repeat_difference
-    )
-
-
-def _gains_differ(one: ContrastPoint, other: ContrastPoint) -> bool:
-    """Return whether two gains differ by more than is usual, and more than their errors allow."""
-    assert one.gain is not None
-    assert other.gain is not None
-    difference = abs(one.gain - other.gain)
-    error = math.hypot(one.gain_standard_error or 0.0, other.gain_standard_error or 0.0)
-    return difference > SAME_GAIN * other.gain and difference > SURE_GAIN * error
 
 
 def _open_reason(fit: Fit) -> str:

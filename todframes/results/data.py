@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
@@ -42,11 +42,6 @@ Interval = tuple[Positive | None, Positive | None]
 Group = dict[str, float | str]
 
 Record = dict[str, Any]
-
-NO_DIFFERENCE = "no difference shown"
-
-PSNR_STEP_DB, SSIM_STEP = 0.1, 0.005
-"""Largest changes of PSNR and SSIM that count as no change."""
 
 
 def _null() -> None:
@@ -202,308 +197,21 @@ def group_of(dataset: Dataset, values: Sequence[float | str]) -> Group:
     return dict(zip(dataset.experiment.group_by, values, strict=True))
 
 
-class Ratio(Struct, frozen=True, kw_only=True):
-    """An algorithm's threshold divided by that of the reference, in one group or, without `group`, in all.
-
-    `p_value_is_least`: the p-value is the smallest that the resamples allow, so the true one may be smaller.
-    `contrast_gain` is the algorithm's gain of the triangle's displayed contrast, and `beyond_gain` its threshold
-    divided by that of a plain gain of the same amount: below 1, it does more than to amplify.
-    """
-
-    verdict: str
-    group: Group = {}
-    ratio: Positive | None = None
-    ratio_ci95: Interval | None = None
-    p_value: float | None = None
-    p_value_holm: float | None = None
-    p_value_is_least: bool = False
-    contrast_gain: Positive | None = None
-    beyond_gain: Positive | None = None
-    beyond_gain_ci95: Interval | None = None
-
-
-class ContrastPoint(Struct, frozen=True, kw_only=True):
-    """Displayed contrast of the triangle at a level, before and after an algorithm: means over `n_trials` trials.
-
-    `gain` is their quotient, and `gain_standard_error` its standard error over the trials.
-    """
-
-    level: Positive
-    before: float
-    after: float
-    gain: float | None = None
-    gain_standard_error: float | None = None
-    n_trials: int = 0
-
-
-class ContrastResponse(Struct, frozen=True, kw_only=True):
-    """Displayed contrast after an algorithm against that before it, level by level, in one group."""
-
-    group: Group = {}
-    points: tuple[ContrastPoint, ...] = ()
-
-
-class Algorithm(Struct, frozen=True, kw_only=True):
-    """An algorithm of `compare`; the reference has no ratios.
-
-    Attributes
-    ----------
-    name, spec : str
-        Short name, and the text of `--enhance`.
-    what, library, domain : str or None
-        Its description, the library that does the work, and the values that it takes.
-    parameters : dict
-        Values of its parameters.
-    magnification : float
-        Factor by which it enlarges the frame.
-    fits : tuple of Fit
-        Thresholds with the algorithm.
-    ratios : tuple of Ratio
-        Ratio of the thresholds in each group.
-    overall : Ratio or None
-        The same for the geometric mean of all groups, if there are several.
-    verdict : str or None
-        That of `overall`, or of the only group.
-    contrast_responses : tuple of ContrastResponse
-        Displayed contrast before and after the algorithm, in each group.
-    n_scenes : int or None
-        Number of scenes that the interval takes as drawn from many; None if the dataset names none.
-    psnr_db, psnr_change_db, ssim, ssim_change : float or None
-        PSNR and SSIM against `reference_frame`, and their changes by the algorithm.
-    disagrees : tuple of str
-        Those of psnr and ssim that contradict the verdict.
-    edge_factor : float or None
-        Factor by which it changes the luminance of a frame's outermost pixels, divided by that around the
-        triangle: the median over the frames.
-    repeat_difference : float or None
-        Largest difference between pictures of the same frame, in units of their mean luminance.
-    n_clipped : int or None
-        Number of values that were clipped.
-    cpu_s, cpu_ms_per_frame : float or None
-        Processor time of the algorithm over all frames, and for a frame.
-    memory_mb : float or None
-        Memory that it needs for a frame.
-    """
-
-    name: str
-    spec: str | None = None
-    what: str | None = None
-    library: str | None = None
-    domain: str | None = None
-    parameters: Record = {}
-    magnification: float = 1.0
-    fits: tuple[Fit, ...] = ()
-    ratios: tuple[Ratio, ...] = ()
-    overall: Ratio | None = None
-    verdict: str | None = None
-    contrast_responses: tuple[ContrastResponse, ...] = ()
-    n_scenes: int | None = None
-    psnr_db: float | None = None
-    psnr_change_db: float | None = None
-    ssim: float | None = None
-    ssim_change: float | None = None
-    disagrees: tuple[str, ...] = ()
-    edge_factor: float | None = None
-    repeat_difference: float | None = None
-    n_clipped: int | None = None
-    cpu_s: float | None = None
-    cpu_ms_per_frame: float | None = None
-    memory_mb: float | None = None
-
-
-class ComparedObserver(Struct, frozen=True, kw_only=True):
-    """A further observer of `compare` or `calibrate`: its name and settings, and what a result has of the first.
-
-    These are its verdicts on the algorithms, or the internal noise, or efficiency, of the persons by it.
-    """
-
-    settings: Record
-    algorithms: tuple[Algorithm, ...] = ()
-    persons: tuple[PersonResult, ...] = EMPTY
-    pooled: PersonResult | None = NULL
-
-    @property
-    def name(self) -> str:
-        """Return the name of the observer."""
-        return str(self.settings.get("observer"))
-
-
-def observer_names(settings: Record, others: Sequence[ComparedObserver]) -> list[str]:
-    """Return the names of a result's observers, numbered if two have the same with other settings.
+def observer_names(each_settings: Sequence[Record]) -> list[str]:
+    """Return the names of a result's observers by their settings, numbered if two have the same name.
 
     They state the gaze if it is not the same of all.
     """
-    names, gazes = [str(settings.get("observer")), *(one.name for one in others)], [settings.get("gaze")]
-    gazes += [one.settings.get("gaze", gazes[0]) for one in others]
+    first = each_settings[0].get("gaze")
+    names, gazes = (
+        [str(one.get("observer")) for one in each_settings],
+        [one.get("gaze", first) for one in each_settings],
+    )
     if len(set(gazes)) > 1:
         names = [f"{name} ({gaze})" for name, gaze in zip(names, gazes, strict=True)]
     if len(set(names)) < len(names):
         return [f"{name} ({number})" for number, name in enumerate(names, 1)]
     return names
-
-
-def each_observer(result: ResultData) -> list[tuple[str, tuple[Algorithm, ...]]]:
-    """Return the algorithms as each observer of a comparison judges them, with its name, "" if it is alone."""
-    if not result.observers:
-        return [("", result.algorithms)]
-    each = [result.algorithms, *(one.algorithms for one in result.observers)]
-    return list(zip(observer_names(result.settings, result.observers), each, strict=True))
-
-
-def thresholds_of(algorithms: Sequence[Algorithm]) -> tuple[Fit, ...]:
-    """Return the fits of all algorithms, each with the algorithm's name in its group."""
-    return tuple(
-        msgspec.structs.replace(fit, group={"algorithm": one.name} | fit.group)
-        for one in algorithms
-        for fit in one.fits
-    )
-
-
-def plain_value(value: object) -> object:
-    """Return a parameter's value as a JSON value, or as a text if JSON has no such value."""
-    if isinstance(value, Mapping):
-        return {str(name): plain_value(one) for name, one in value.items()}
-    return value if value is None or isinstance(value, bool | int | float | str) else repr(value)
-
-
-class Estimator(Struct, frozen=True, kw_only=True):
-    """A method to compute a threshold, with its CPU time and error at each budget.
-
-    Attributes
-    ----------
-    name, label : str
-        Name, and how it is shown.
-    set_up_cpu_s : float or None
-        CPU time before the first trial.
-    slope, slope_standard_error : float or None
-        Slope of ln(error) against ln(CPU time).
-    points : tuple of dict
-        For each budget: `trials` of an estimate, `repeats` behind the errors, `cpu_s`, `wall_s`, `p_correct_error`
-        and `threshold_error` (relative).
-    cpu_s_at : tuple of dict
-        `cpu_s` at a `threshold_error`, or None; `extrapolated`, `at_most`.
-    """
-
-    name: str
-    label: str | None = None
-    set_up_cpu_s: float | None = None
-    slope: float | None = None
-    slope_standard_error: float | None = None
-    points: tuple[Record, ...] = ()
-    cpu_s_at: tuple[Record, ...] = ()
-
-    @property
-    def title(self) -> str:
-        """The name as shown to readers."""
-        return self.label or self.name
-
-
-class SpeedRatio(Struct, frozen=True, kw_only=True):
-    """The first estimator's CPU time divided by that of the closed form, at a relative error of the threshold."""
-
-    threshold_error: Positive
-    ratio: Positive | None = None
-    closed_form: str | None = None
-    extrapolated: bool = False
-    at_least: bool = False
-
-
-class SceneResult(Struct, frozen=True, kw_only=True):
-    """The result of `accuracy` for one scene.
-
-    Attributes
-    ----------
-    name, title, description, level : str
-        The scene, and the quantity of its threshold.
-    threshold, threshold_bound : float or None
-        Converged value, and the half-width of its error.
-    slope : float or None
-        dP(correct) / d ln(level) at the threshold.
-    p_correct_error_bound : float or None
-        Bound on the error of P(correct) from noise that is not Gaussian.
-    estimators : tuple of Estimator
-        The ways to compute the threshold.
-    variants : tuple of dict
-        The closed form with something changed: `label`, `cpu_ratio`, `p_correct_change`, `threshold_change`.
-    speed_ratios : tuple of SpeedRatio
-        CPU time of the literal Monte Carlo over that of the fastest closed form.
-    """
-
-    name: str
-    title: str | None = None
-    description: str = ""
-    level: str = "level"
-    threshold: float | None = None
-    threshold_bound: float | None = None
-    slope: float | None = None
-    p_correct_error_bound: float | None = None
-    estimators: tuple[Estimator, ...] = ()
-    variants: tuple[Record, ...] = ()
-    speed_ratios: tuple[SpeedRatio, ...] = ()
-
-    @property
-    def heading(self) -> str:
-        """The title with a capital letter."""
-        title = self.title or self.name
-        return title[:1].upper() + title[1:]
-
-
-class PersonResult(Struct, frozen=True, kw_only=True):
-    """The internal noise that explains the answers of a person, or those of several persons together.
-
-    Attributes
-    ----------
-    subject : str or None
-        Anonymous id of the person; None for all together.
-    status : str
-        "ok", or why there is no noise: "noise_free" (without noise the model would answer no worse), "at_chance"
-        (the answers cannot be distinguished from guesses), "too_few_trials" (neither is).
-    internal_noise : float or None
-        Full width of each neuron's noise.
-    internal_noise_ci95 : (float or None, float or None)
-        95 % interval; an end is None if the answers leave it open.
-    efficiency, efficiency_ci95
-        Squared ratio of the person's d′ to that of an observer such as `csf`, in place of an internal noise; the
-        interval is None for observers with an internal noise.
-    lapse_rate, template_blur_samples : float or None
-        Error rate δ of lapses and blur of the templates, in retina samples; fitted if they have an interval.
-    n_trials, n_correct : int
-        Number of main trials, and of correct answers.
-    n_flagged : mapping of str to int
-        Number of answers with each flag that occurs: hidden, unfocused, too_fast. They are among `n_trials` only
-        with the setting `include_flagged`.
-    log_likelihood : float
-        Sum of the ln probabilities of the answers.
-    aic : float or None
-        Akaike's criterion, 2 · (fitted parameters) − 2 · log_likelihood; of two observers, that with the smaller
-        one explains the same answers better.
-    deviance, deviance_p_value : float
-        Deviance of the proportions correct of the `n_cells` groups and levels, and the share of experiments with
-        the fitted model that have as large a one.
-    predicted : tuple of Fit
-        Thresholds of the fitted model, a record for each of the person's own in `fits`, in the same order; their
-        intervals are those of the noise.
-    """
-
-    subject: str | None
-    status: str
-    internal_noise: Positive | None = NULL
-    internal_noise_ci95: Interval
-    efficiency: Positive | None = NULL
-    efficiency_ci95: Interval | None = NULL
-    lapse_rate: Proportion | None = NULL
-    lapse_rate_ci95: tuple[Proportion, Proportion] | None = NULL
-    template_blur_samples: float | None = NULL
-    template_blur_samples_ci95: Interval | None = NULL
-    n_trials: int
-    n_correct: int
-    n_flagged: dict[str, int] = field(default_factory=dict)
-    log_likelihood: float
-    aic: float | None = NULL
-    deviance: float
-    deviance_p_value: Proportion | None = NULL
-    n_cells: int
-    predicted: tuple[Fit, ...] = EMPTY
 
 
 class Thumbnail(Struct, frozen=True):
@@ -710,6 +418,14 @@ class Content(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
         """Return the findings in words, the answer first."""
         return []
 
+    def printed(self) -> list[str]:
+        """Return the sentences below the tables in a terminal."""
+        return self.sentences()
+
+    def notes(self) -> list[str]:
+        """Return remarks that a command prints beside its result, on standard error."""
+        return []
+
     def remarks(self) -> list[str]:
         """Return sentences about how the numbers were made, and how exact they are."""
         return []
@@ -727,81 +443,6 @@ class Content(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
 
     def check(self, where: str) -> None:
         """Raise DataError, which begins with `where`, if what was read contradicts itself."""
-
-
-class ResultData(Content, frozen=True, kw_only=True):
-    """Thresholds, and what else the commands about them give; `Thresholds` adds the methods.
-
-    Attributes
-    ----------
-    fits : tuple of Fit
-        A threshold for each group; empty for `compare`, `accuracy` and `stability`. Of `calibrate`, each person's
-        own thresholds, with `subject` in their group.
-    algorithms : tuple of Algorithm
-        Of `compare`: an object for each algorithm, the reference `none` first.
-    observers : tuple of ComparedObserver
-        What the second and further observers or gazes find.
-    scenes : tuple of SceneResult
-        Of `accuracy`: an object for each scene.
-    cases : tuple of dict
-        Of `stability`: an object for each case.
-    persons : tuple of PersonResult
-        Of `calibrate`: an object for each person.
-    pooled : PersonResult or None
-        Of `calibrate` with several people: all answers together.
-    equal_noise_p_value : float or None
-        p-value of the likelihood-ratio test that all people have the same noise.
-    data_range_cd_m2 : float or None
-        Range of luminance for PSNR and SSIM.
-    verdict : tuple of str
-        A sentence for each algorithm.
-    plan : tuple of dict
-        What was kept and left out: `stage`, `kept`, `why`, `bound` on P(correct), `saves_s`.
-    dataset : DatasetRecord, str or None
-        Dataset of `score`, `compare` and `calibrate`; results of earlier versions have the folder alone.
-    skipped : tuple of dict
-        Frames or trials that were left out, and why.
-    negative_luminance_pixels : int or None
-        Number of pixels of the display with a luminance below zero.
-    located : tuple of dict or None
-        With `--locate`, an object for each group: `x_px`, `y_px`, `standard_error_px`, `moved_px` (displacement
-        from the positions of the manifest, which stay if the standard error is None), and `arrangement`: those of
-        the codes `polarity_mismatch`, `mirrored`, `flipped` and `turned` that apply. With `each`, `n_located` of
-        `n_trials` trials have a position of their own, with the standard deviation `scatter_px`; from `sure_level`
-        on, single positions are known to 0.09 mrad.
-    examples : tuple of Example or None
-        With `-o`: pictures of trials near threshold.
-    from_store : int or None
-        Number of results that an earlier, interrupted run had computed.
-    """
-
-    fits: tuple[Fit, ...] = EMPTY
-    algorithms: tuple[Algorithm, ...] = ()
-    observers: tuple[ComparedObserver, ...] = ()
-    scenes: tuple[SceneResult, ...] = ()
-    cases: tuple[Record, ...] = ()
-    persons: tuple[PersonResult, ...] = ()
-    pooled: PersonResult | None = None
-    equal_noise_p_value: Proportion | None = None
-    data_range_cd_m2: float | None = None
-    verdict: tuple[Any, ...] | str = ()
-    plan: tuple[Record, ...] = ()
-    dataset: DatasetRecord | str | None = None
-    skipped: tuple[Record, ...] = EMPTY
-    negative_luminance_pixels: int | None = None
-    located: tuple[Record, ...] | None = None
-    examples: tuple[Example, ...] | None = None
-    from_store: int | None = None
-
-    @property
-    def dataset_path(self) -> str | None:
-        """The dataset's folder; results of earlier versions have nothing else about it."""
-        return self.dataset.path if isinstance(self.dataset, DatasetRecord) else self.dataset
-
-    @property
-    def thresholds(self) -> tuple[Fit, ...]:
-        """All thresholds as `Fit` records; in a comparison, `group` has the key "algorithm" too."""
-        return (*self.fits, *thresholds_of(self.algorithms))
 
 
 S = TypeVar("S", bound=Struct)
@@ -859,19 +500,6 @@ def decode(content: bytes, where: str, kind: type[S]) -> S:
         raise DataError(f"{where}: not UTF-8, expected a result in JSON") from None
     except (msgspec.DecodeError, RecursionError) as error:
         raise DataError(f"{where}: not a result in JSON ({error})") from None
-
-
-def check_fits(fits: Sequence[Fit], where: str) -> None:
-    """Raise DataError unless all fits have the same level and group columns, as one table needs."""
-    for number, fit in enumerate(fits):
-        for name, found, expected in (
-            ("level", fit.level, fits[0].level),
-            ("group", ", ".join(fit.group), ", ".join(fits[0].group)),
-        ):
-            if found != expected:
-                raise DataError(
-                    f"{where}[{number}].{name}: found {found!r}, expected {expected!r} as in the first"
-                )
 
 
 def _in_words(problem: str) -> str:

@@ -161,3 +161,10 @@ def curve_style(number: int, of: int) -> CurveStyle:
     if of <= len(COLOURS):
         return CurveStyle(to_rgba(COLOURS[round(number * (len(COLOURS) - 1) / max(of - 1, 1))]), marker)
     return CurveStyle(LinearSegmentedColormap.from_list("sizes", COLOURS)(number / (of - 1)), marker)
+
+
+def reference_style() -> CurveStyle:
+    """Return the style of what others are compared with: ink, which no curve of several has."""
+    from matplotlib.colors import to_rgba
+
+    return CurveStyle(to_rgba(INK), "*")

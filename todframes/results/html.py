@@ -8,13 +8,14 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from todframes.base._typing import Json
 from todframes.results import tables
-from todframes.results.data import Content, Example, Head, ResultData, Thumbnail, warning_texts
+from todframes.results.data import Content, Example, Head, Thumbnail, warning_texts
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import style
 from todframes.results.svg import inline_svg
@@ -30,9 +31,11 @@ MOST_FIGURES = 12
 
 def page(title: str, name: str, result: Head, data: Content) -> str:
     """Return the HTML page of a result and what was measured: the answer first, and folded how it was made."""
-    shown = [one for one in data.tables() if not one.is_folded]
-    folded = [*(one for one in data.tables() if one.is_folded), tables.settings(result, data).folded()]
-    examples = (data.examples or ()) if isinstance(data, ResultData) else ()
+    of_data = data.tables()
+    shown = [one for one in of_data if not one.is_folded]
+    details = [replace(one, title=f"{one.title}: details", file="").folded() for one in shown if one.has_details]
+    folded = [*details, *(one for one in of_data if one.is_folded), tables.settings(result, data).folded()]
+    examples: Sequence[Example] = getattr(data, "examples", None) or ()
     run_time = [] if result.run_time_s is None else [f"Run time {plain(result.run_time_s)} s."]
     content = {
         "title": title,
@@ -41,7 +44,7 @@ def page(title: str, name: str, result: Head, data: Content) -> str:
         "verdict": data.sentences(),
         "warnings": [*warning_texts(result.warnings)],
         "figures": figure_items(data.figures()),
-        "tables_shown": [*map(table_item, shown)],
+        "tables_shown": [table_item(one.without_details()) for one in shown],
         "examples": _examples([one for one in examples if not _is_whole(one)]),
         "without": _examples([one for one in examples if _is_whole(one)]),
         "remarks": run_time + data.remarks(),

@@ -73,11 +73,17 @@ KINDS = {
     "fit": Kind("Fitted psychometric functions", THRESHOLDS, "fits", "todframes.scoring.fit_call:fit_counts"),
     "curve": Kind("TOD curve of a sensor", THRESHOLDS, "fits", "sensor_sim.thresholds.curve:curve"),
     "compare": Kind(
-        "Enhancements compared", THRESHOLDS, "algorithms", "todframes.enhancement.compare_call:compare"
+        "Enhancements compared",
+        "todframes.enhancement.comparison:Comparison",
+        "algorithms",
+        "todframes.enhancement.compare_call:compare",
     ),
-    "accuracy": Kind("Error against run time", THRESHOLDS, "scenes"),
+    "accuracy": Kind("Error against run time", "todframes.studies.accuracy.report:Accuracy", "scenes"),
     "calibrate": Kind(
-        "Internal noise of people", THRESHOLDS, "persons", "todframes.experiment.calibrate:calibrate"
+        "Internal noise of people",
+        "todframes.experiment.calibration:Calibration",
+        "persons",
+        "todframes.experiment.calibrate:calibrate",
     ),
     "noise": Kind(
         "Noise of a camera",
@@ -147,11 +153,14 @@ class Result(Head, Generic[C], frozen=True, kw_only=True):
         *,
         seed: int | None = None,
         warnings: Iterable[ResultWarning] = (),
+        data: Content | None = None,
         **content: Any,
     ) -> Result[Any]:
-        """Return a new result of a command, with the run time since `started` and the versions of libraries."""
+        """Return a new result of a command, with the run time since `started` and the versions of libraries.
+
+        `data` stands for `content` where the command is not one of `KINDS`.
+        """
         used = {name: sys.modules[name].__version__ for name in LIBRARIES if name in sys.modules}
-        kind: Any = KINDS.get(command, KINDS["score"]).content_class
         return Result(
             schema=SCHEMA,
             command=command,
@@ -161,7 +170,7 @@ class Result(Head, Generic[C], frozen=True, kw_only=True):
             date=time.strftime("%Y-%m-%d"),
             seed=seed,
             warnings=tuple(warnings),
-            data=kind(**content),
+            data=KINDS[command].content_class(**content) if data is None else data,
         )
 
     def holding(self, **values: Any) -> Self:

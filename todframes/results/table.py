@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from html import escape
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Literal, overload
@@ -33,10 +32,10 @@ MOST_COLUMNS = 10
 """Largest number of columns that the HTML form shows side by side on a page of middling width."""
 
 LEAST_TEXT_WIDTH = 16
-"""Least width, in letters, to which a column of long texts is wrapped in the terminal."""
+"""Least width, in letters, to which a column of long names is wrapped in the terminal."""
 
 LEAST_WORD_WIDTH = 10
-"""The same where the terminal would be too narrow otherwise: "difference" and "open above" fit."""
+"""The same of other texts: "difference" and "open above" fit."""
 
 HIDDEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
 """Pattern of characters that HTML does not allow or that change the direction of the text beside them."""
@@ -72,6 +71,8 @@ class Column:
         Whether long texts are wrapped in the terminal.
     bound_if : str
         Key of a flag in the records: if it is set, the number on screen is an upper bound, with "<".
+    is_key : bool
+        Whether values are keys such as never_reached, whose words are apart on screen.
     is_name : bool
         Whether the values identify rows: the column is also shown with the details, and as first column the
         terminal shows a repeated value once.
@@ -89,6 +90,7 @@ class Column:
     is_detail: bool = False
     wraps: bool = False
     bound_if: str = ""
+    is_key: bool = False
     is_name: bool = False
 
     @property
@@ -117,7 +119,7 @@ class Column:
             case tuple() if self.interval:
                 return interval_phrase(value, self.digits)
             case str() | int():
-                return str(value)
+                return str(value).replace("_", " ") if self.is_key else str(value)
             case _:
                 return msgspec.json.encode(value).decode()
 
@@ -172,7 +174,7 @@ class LongRecords(Sequence[Mapping[str, Any]]):
 class Table:
     """Columns and records with a title; `file` is the name of the CSV file.
 
-    A folded table is not printed, and closed on the page.
+    A folded table is not printed, and closed on the page. An extra one is printed with `--verbose` only.
     """
 
     title: str
@@ -180,6 +182,7 @@ class Table:
     columns: tuple[Column, ...]
     records: Sequence[Mapping[str, Any]]
     is_folded: bool = False
+    is_extra: bool = False
 
     @classmethod
     def of(
@@ -192,6 +195,15 @@ class Table:
     def folded(self) -> Table:
         """Return the table as a folded one."""
         return replace(self, is_folded=True)
+
+    def extra(self) -> Table:
+        """Return the table as an extra one."""
+        return replace(self, is_extra=True)
+
+    @property
+    def has_details(self) -> bool:
+        """Whether a column is a detail."""
+        return any(one.is_detail for one in self.columns)
 
     def without_empty_columns(self, *but: str) -> Table:
         """Return the table without the columns in which no record has a value; columns named in `but` are kept."""
@@ -308,14 +320,10 @@ class Table:
         shown = [one for one in self.columns if not one.in_file_only and (one.is_name or one.is_detail == details)]
         while True:
             rows = [list(map(visible, row)) for row in self.rows(shown)]
-            cells = zip(*rows, strict=True) if rows else [()] * len(shown)
-            cells = list(cells)
-            for narrowness in range(3):
-                least, most = zip(*map(partial(_widths, narrowness=narrowness), shown, cells), strict=True)
-                # Each column has two letters of padding; one letter is between columns and one at each end.
-                room = width - sum(least) - 3 * len(shown) - 1
-                if room >= 0:
-                    break
+            cells = list(zip(*rows, strict=True)) or [()] * len(shown)
+            least, most = zip(*map(_widths, shown, cells), strict=True)
+            # Each column has two letters of padding; one letter is between columns and one at each end.
+            room = width - sum(least) - 3 * len(shown) - 1
             rank = max(one.rank for one in shown)
             if room >= 0 or not rank:
                 break
@@ -342,22 +350,23 @@ class Table:
         return Group(Text(visible(self.title), style="bold"), table)
 
 
-def _widths(column: Column, cells: Iterable[str], *, narrowness: int) -> tuple[int, int]:
-    """Return a column's least width, with header and long texts wrapped, and its full width, in letters.
-
-    In a narrow table, 1, intervals with an open end are wrapped too; in a narrower one, 2, they and all texts but
-    names are wrapped to fewer letters.
-    """
+def _widths(column: Column, cells: Iterable[str]) -> tuple[int, int]:
+    """Return a column's least width, with header, long texts and open intervals wrapped, and its full width."""
     from rich.cells import cell_len
 
     cells = list(cells)
-    longest = max(map(cell_len, cells), default=0)
     header = max(map(cell_len, column.heading.split()), default=1)
-    text_width = LEAST_TEXT_WIDTH if narrowness < 2 or column.is_name else LEAST_WORD_WIDTH
-    least = min(longest, text_width) if column.wraps else longest
-    if column.interval and narrowness:  # "from 0.2, open above"
-        least = max((min(cell_len(one), text_width) if "," in one else cell_len(one) for one in cells), default=0)
-    return max(least, header), max(longest, cell_len(column.heading))
+    text_width = LEAST_TEXT_WIDTH if column.is_name else LEAST_WORD_WIDTH
+    least = max(
+        (
+            min(cell_len(one), text_width)
+            if column.wraps or (column.interval and "," in one)  # "from 0.2, open above"
+            else cell_len(one)
+            for one in cells
+        ),
+        default=0,
+    )
+    return max(least, header), max(max(map(cell_len, cells), default=0), cell_len(column.heading))
 
 
 def markup(text: str) -> str:

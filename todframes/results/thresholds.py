@@ -3,43 +3,84 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from todframes.base.errors import DataError
 from todframes.base.safe_text import without_quote
-from todframes.results import tables
-from todframes.results.data import PNG_SIGNATURE, DatasetRecord, ResultData, check_fits, each_observer
-from todframes.results.summary import cautions, remarks, verdict
+from todframes.results import summary, tables
+from todframes.results.data import EMPTY, PNG_SIGNATURE, Content, DatasetRecord, Example, Fit, Record
 from todframes.results.table import LongRecords, Table
+from todframes.results.wording import count, group_phrase, group_phrases, plain, unknown_place
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from todframes.results.figure import ReportFigure
+    from todframes.results.figure_style import CurveStyle
+
+GAZES = {"tracked": "follows it (tracked)", "fixed": "stays at that place (fixed), so that motion is blur"}
+"""Phrases about each gaze, where triangles move."""
+
+MOST_ANSWERS = 12
+"""Largest number of rows of the table of answers that a terminal shows unless it is asked for details."""
 
 
-class Thresholds(ResultData, frozen=True, kw_only=True):
+class Thresholds(Content, frozen=True, kw_only=True):
     """Thresholds with the data and settings behind them.
 
-    `todframes.score`, `compare`, `fit_counts`, `naked_eye` and `sensor_sim.curve` give them.
+    `todframes.score`, `fit_counts`, `naked_eye` and `sensor_sim.curve` give them; `compare` and `calibrate` add to
+    them.
 
     Attributes
     ----------
+    fits : tuple of Fit
+        A threshold for each group; empty for `compare`. Of `calibrate`, each person's own thresholds, with
+        `subject` in their group.
     thresholds : tuple of Fit
-        A record for each group, with `group`, `level`, `threshold`, `threshold_ci95`, `status` and the curve.
-    algorithms : tuple of Algorithm
-        Ratios of thresholds and verdicts of a comparison; empty for other results.
+        All thresholds; in a comparison, `group` has the key "algorithm" too.
     trials : Table or None
         Scores of each trial, as in `scores.csv`.
     settings : dict
         All settings.
+    plan : tuple of dict
+        What was kept and left out: `stage`, `kept`, `why`, `bound` on P(correct), `saves_s`.
+    dataset : DatasetRecord, str or None
+        Dataset of `score`, `compare` and `calibrate`; results of earlier versions have the folder alone.
     skipped : tuple of dict
-        Frames that could not be used, and the reasons.
+        Frames or trials that were left out, and why.
+    negative_luminance_pixels : int or None
+        Number of pixels of the display with a luminance below zero.
+    located : tuple of dict or None
+        With `--locate`, an object for each group: `x_px`, `y_px`, `standard_error_px`, `moved_px` (displacement
+        from the positions of the manifest, which stay if the standard error is None), and `arrangement`: those of
+        the codes `polarity_mismatch`, `mirrored`, `flipped` and `turned` that apply. With `each`, `n_located` of
+        `n_trials` trials have a position of their own, with the standard deviation `scatter_px`; from `sure_level`
+        on, single positions are known to 0.09 mrad.
+    examples : tuple of Example or None
+        With `-o`: pictures of trials near threshold.
+    from_store : int or None
+        Number of results that an earlier, interrupted run had computed.
     """
+
+    fits: tuple[Fit, ...] = EMPTY
+    plan: tuple[Record, ...] = ()
+    dataset: DatasetRecord | str | None = None
+    skipped: tuple[Record, ...] = EMPTY
+    negative_luminance_pixels: int | None = None
+    located: tuple[Record, ...] | None = None
+    examples: tuple[Example, ...] | None = None
+    from_store: int | None = None
+
+    inference: ClassVar[str] = "Intervals"
+    """Conclusions that hold for the scenes that were shown."""
+
+    @property
+    def dataset_path(self) -> str | None:
+        """The dataset's folder; results of earlier versions have nothing else about it."""
+        return self.dataset.path if isinstance(self.dataset, DatasetRecord) else self.dataset
 
     @property
     def name(self) -> str:
@@ -47,6 +88,11 @@ class Thresholds(ResultData, frozen=True, kw_only=True):
         sensor = self.settings.get("sensor")
         name = sensor.get("name") if isinstance(sensor, dict) else None
         return str(self.dataset_path or name or "")
+
+    @property
+    def thresholds(self) -> tuple[Fit, ...]:
+        """All thresholds as `Fit` records."""
+        return self.fits
 
     @property
     def trials(self) -> Table | None:
@@ -60,57 +106,126 @@ class Thresholds(ResultData, frozen=True, kw_only=True):
         if scores.is_file():
             self.__dict__["make_trials"] = lambda: _read_trials(scores, self)
 
+    def _each_settings(self) -> Sequence[Record]:
+        """List the settings of each observer."""
+        return [self.settings]
+
+    def _curve_styles(self) -> Mapping[object, CurveStyle]:
+        """Return the style of the curves of each algorithm, by its name; empty without algorithms."""
+        return {}
+
     def table(self) -> Table:
         """Return the thresholds, with columns for the group, `threshold`, its interval and the other values."""
-        return tables.thresholds(self)
+        return tables.thresholds(self.thresholds)
 
     def tables(self) -> list[Table]:
-        """List the tables of a comparison, of persons or of thresholds, and folded ones with all details."""
-        from todframes.results import calibration
+        """List the thresholds, the answers of groups without one, and folded tables of what is behind them."""
+        found = [self.table()] if self.thresholds else []
+        if (answers := tables.answers(self.fits)) is not None:
+            found.append(answers.extra() if len(answers.records) > MOST_ANSWERS else answers)
+        return [*found, *self.tables_behind()]
 
-        found: list[Table | None] = []
-        if self.persons:
-            found += calibration.all_tables(self)
-        else:
-            if self.algorithms:
-                measures = tables.measures(self.algorithms)
-                found += [tables.ratios(one, observer) for observer, one in each_observer(self)]
-                found += [
-                    measures.without_details(),
-                    replace(measures, title="Details of the algorithms").folded(),
-                ]
-                found.append(_folded(tables.contrast_responses(self.algorithms)))
-            elif self.thresholds:
-                found.append(tables.thresholds(self).without_details())
-            found.append(tables.answers(self))
-            if self.thresholds:
-                found.append(tables.thresholds(self, "Details of the thresholds").folded())
-        found.append(_folded(tables.points(self)))
-        for scene in self.scenes:
-            first, *others = tables.scene_tables(scene)
-            found += [first, *map(_folded, others)]
+    def tables_behind(self) -> list[Table]:
+        """List the folded tables: points of the curves, frames left out, positions, plan and dataset."""
+        points = tables.points(self.thresholds)
+        found = [] if points is None else [points]
         for title, file, rows in (
             ("Frames left out", "skipped.csv", self.skipped),
             ("Positions found", "located.csv", self.located),
         ):
-            found += [tables.records_table(title, file, rows).folded()] if rows else []
-        found += [tables.plan(self).folded()] if self.plan or any(fit.plan for fit in self.fits) else []
-        found += [tables.dataset(self.dataset).folded()] if isinstance(self.dataset, DatasetRecord) else []
-        return [one for one in found if one is not None]
+            found += [tables.records_table(title, file, rows)] if rows else []
+        found += [self.plan_table()] if self.plan or any(fit.plan for fit in self.fits) else []
+        found += [tables.dataset(self.dataset)] if isinstance(self.dataset, DatasetRecord) else []
+        return [one.folded() for one in found]
+
+    def plan_table(self) -> Table:
+        """Return the table of what was kept and left out."""
+        return tables.plan(self.fits, self.plan)
+
+    def findings(self) -> list[str]:
+        """Return what was found in words, the answer first."""
+        return summary.findings(self.thresholds)
+
+    def cautions(self) -> list[str]:
+        """Return the cautions that a reader of the thresholds must know."""
+        texts = []
+        of_each = [one for one in self.located or () if one.get("n_located") is not None]
+        if of_each:
+            n_located, n_trials = (sum(one[key] for one in of_each) for key in ("n_located", "n_trials"))
+            faint = [one["group"] for one in of_each if one["n_located"] < one["n_trials"]]
+            where = f" (at {group_phrases(faint)})" if faint and faint[0] else ""
+            rest = f"; the others{where} are too faint and have the position of their group" if faint else ""
+            texts.append(f"{n_located} of {n_trials} trials were located one by one{rest}.")
+        data = self.dataset if isinstance(self.dataset, DatasetRecord) else None
+        places = self.settings.get("places") if data is None else data.experiment.get("places")
+        if places is not None:
+            texts.append(unknown_place(places))
+        if data is not None and data.motion_mrad is not None:
+            gazes = {one.get("gaze") for one in self._each_settings()}
+            looks = " or ".join(look for gaze, look in GAZES.items() if gaze in gazes)
+            texts.append(
+                f"Within a trial the triangle moves, by up to {plain(data.motion_mrad)} mrad from its mean place; "
+                f"the gaze {looks}."
+            )
+        if data is not None and data.n_scenes is not None and self.thresholds:
+            if "scene" in data.experiment.get("group_by", ()) and data.n_scenes > 1:
+                texts.append(f"{self.inference} of a scene hold for it, and nothing is known of others.")
+            elif data.n_scenes == 1:
+                what = self.inference.lower()
+                texts.append(f"All trials are on one scene: {what} hold for it, and nothing is known of others.")
+            else:
+                texts.append(
+                    f"{self.inference} take the {data.n_scenes} scenes as drawn from many and hold for others "
+                    "like them."
+                )
+        apart = [
+            100 * abs(fit.points_threshold / fit.threshold - 1)
+            for fit in self.thresholds
+            if fit.curve != "observer" and fit.threshold is not None and fit.points_threshold is not None
+        ]
+        if max(apart, default=0.0) >= 1.0:
+            texts.append(
+                f"The points themselves cross the criterion up to {plain(max(apart), 2)} % away from the fitted "
+                "Weibull curve; the intervals cover both."
+            )
+        return texts
 
     def sentences(self) -> list[str]:
-        """Return the findings, and the cautions that a reader of them must know."""
-        return [*verdict(self), *cautions(self)]
+        """Return the findings, the number of frames left out, and the cautions that a reader must know."""
+        n = len(self.skipped)
+        skipped = f"{count(n, 'frame')} could not be used and {'is' if n == 1 else 'are'} left out."
+        return [*self.findings(), *([skipped] if n else []), *self.cautions()]
+
+    def printed(self) -> list[str]:
+        """Return the cautions: a terminal has the table of thresholds above them."""
+        return self.cautions()
+
+    def notes(self) -> list[str]:
+        """Return remarks on the frames: where triangles were found, what was skipped, what is not physical."""
+        found = [f"located: {group_phrase(one['group'])}: {_where(one)}" for one in self.located or ()]
+        found += [f"skipped: {one['error']}" for one in self.skipped]
+        if self.negative_luminance_pixels and self.fits:
+            found.append(
+                f"note: {self.negative_luminance_pixels} display pixels have a luminance below zero, as noise in "
+                "linear frames may have; they are scored as they are"
+            )
+        return found
 
     def remarks(self) -> list[str]:
         """Return sentences about the accuracy of the numbers."""
-        return remarks(self)
+        texts = summary.remarks(self.thresholds)
+        if self.negative_luminance_pixels:
+            texts.append(
+                f"{self.negative_luminance_pixels} display pixels have a luminance below zero, as noise in linear "
+                "frames may have; they were scored as they are."
+            )
+        return texts
 
     def figures(self) -> list[ReportFigure]:
         """List the figures, the most important first."""
         from todframes.results.figures import pictures
 
-        return pictures(self)
+        return pictures(self.fits)
 
     def plot_tod(self, ax: Axes | None = None) -> Axes:
         """Draw the TOD curve: threshold against 1 / size, with 95 % intervals.
@@ -134,7 +249,7 @@ class Thresholds(ResultData, frozen=True, kw_only=True):
 
         if not has_tod_curve(self.thresholds):
             raise DataError("plot_tod: found no thresholds at two or more sizes, which a TOD curve needs")
-        return drawn(lambda axes: draw_tod(axes, self.thresholds), ax)
+        return drawn(lambda axes: draw_tod(axes, self.thresholds, self._curve_styles()), ax)
 
     def plot_psychometric(self, ax: Axes | None = None) -> Axes:
         """Draw the psychometric functions: proportion correct against level, points and fitted curves.
@@ -158,49 +273,50 @@ class Thresholds(ResultData, frozen=True, kw_only=True):
 
         if not any(fit.points for fit in self.thresholds):
             raise DataError("plot_psychometric: found no thresholds with points of a psychometric function")
-        return drawn(lambda axes: draw_psychometric(axes, self.thresholds), ax)
+        return drawn(lambda axes: draw_psychometric(axes, self.thresholds, self._curve_styles()), ax)
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
-        """Return trials, the tables of a comparison or calibration, and the observers' settings of the latter."""
-        trials, responses = self.trials, tables.contrast_responses(self.algorithms)
-        return {
-            **(_calibration_files(self) if self.persons else {}),
-            **({} if trials is None else _score_files(trials)),
-            **({"compare.csv": tables.ratios(self.algorithms).csv().encode()} if self.algorithms else {}),
-            **({} if responses is None else {"contrast_response.csv": responses.csv().encode()}),
-        }
+        """Return the trials: `scores.csv` and, where pyarrow is installed, `scores.parquet`, in parts."""
+        from todframes.results.parquet import has_parquet, parquet_parts
+
+        trials = self.trials
+        if trials is None:
+            return {}
+        files: dict[str, bytes | Iterable[bytes]] = {"scores.csv": (part.encode() for part in trials.csv_parts())}
+        return files | ({"scores.parquet": parquet_parts(trials)} if has_parquet() else {})
 
     def check(self, where: str) -> None:
         """Raise DataError unless all fits have the columns of one table, and examples are pictures."""
         check_fits(self.fits, f"{where}: fits")
-        check_fits(self.thresholds[len(self.fits) :], f"{where}: fits of all algorithms")
         for number, example in enumerate(self.examples or ()):
             for picture in example.pictures:
                 if not picture.png.startswith(PNG_SIGNATURE + b"\0\0\0\rIHDR"):
                     raise DataError(f"{where}: examples[{number}]: picture {picture.name!r} is no PNG")
 
 
-def _folded(table: Table | None) -> Table | None:
-    return None if table is None else table.folded()
+def check_fits(fits: Sequence[Fit], where: str) -> None:
+    """Raise DataError unless all fits have the same level and group columns, as one table needs."""
+    for number, fit in enumerate(fits):
+        for name, found, expected in (
+            ("level", fit.level, fits[0].level),
+            ("group", ", ".join(fit.group), ", ".join(fits[0].group)),
+        ):
+            if found != expected:
+                raise DataError(
+                    f"{where}[{number}].{name}: found {found!r}, expected {expected!r} as in the first"
+                )
 
 
-def _calibration_files(data: Thresholds) -> dict[str, bytes]:
-    """Return the tables of a calibration, its figure as SVG and the observers' settings."""
-    from todframes.results import calibration
-
-    tables = {one.file: one.csv().encode() for one in calibration.all_tables(data)}
-    drawn = {one.file.replace(".png", ".svg"): one.svg() for one in data.figures() if one.file}
-    return {**tables, **drawn, **calibration.settings_files(data)}
-
-
-def _score_files(trials: Table) -> dict[str, Iterable[bytes]]:
-    """Return `scores.csv` and, where pyarrow is installed, `scores.parquet` in parts."""
-    from todframes.results.parquet import has_parquet, parquet_parts
-
-    files: dict[str, Iterable[bytes]] = {"scores.csv": (part.encode() for part in trials.csv_parts())}
-    if has_parquet():
-        files["scores.parquet"] = parquet_parts(trials)
-    return files
+def _where(position: Record) -> str:
+    """Return where the triangles of a group were found, as a phrase."""
+    error_px, moved_px = position["standard_error_px"], position["moved_px"]
+    if error_px is None:
+        return "no triangle stands out near the manifest's positions, which stay"
+    if moved_px is not None:
+        where = f"{moved_px[0]:+.2f} in x, {moved_px[1]:+.2f} in y from the manifest's positions"
+    else:
+        where = f"x_px {position['x_px']:.2f}, y_px {position['y_px']:.2f}"
+    return f"{where} (± {error_px:.1g} px)"
 
 
 def _read_trials(path: Path, data: Thresholds) -> Table:

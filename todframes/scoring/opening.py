@@ -59,9 +59,9 @@ def gazes_of(gaze: str | Sequence[Gaze]) -> tuple[Gaze, ...]:
     return tuple(cast("list[Gaze]", asked))
 
 
-def of_observer(name: str | None, warnings: Iterable[ResultWarning]) -> tuple[ResultWarning, ...]:
-    """Return warnings that name the observer that they are about; as they are if there is only one (None)."""
-    if name is None:
+def of_observer(name: str, warnings: Iterable[ResultWarning]) -> tuple[ResultWarning, ...]:
+    """Return warnings that name the observer that they are about; as they are if it has no name."""
+    if not name:
         return tuple(warnings)
     return tuple(replace_struct(one, message=f"{name}: {one.message}") for one in warnings)
 

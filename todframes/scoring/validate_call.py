@@ -92,4 +92,5 @@ def validate(
         write_sha256(data, sha256_of)
         data = load_dataset(data.path, max_frame_mb=data.max_frame_mb)
     record, warnings = inspected(data, data.trials.select(good))
-    return Result.made("validate", started, dataset=record, skipped=tuple(found), warnings=warnings)
+    checked = Thresholds(dataset=record, skipped=tuple(found))
+    return Result.made("validate", started, warnings=warnings, data=checked)

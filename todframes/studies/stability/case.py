@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from todframes.base.errors import TodframesError
 from todframes.base.user_code import registered
+from todframes.results.data import Content, Record
 from todframes.results.table import Column, Table
 
 ENTRY_POINT_GROUP = "todframes.stability_cases"
@@ -35,6 +36,12 @@ SHOWN_DIGITS = 12
 """Digits shown in documents; more are a matter of the machine."""
 
 Value = str | float | ArrayLike
+
+
+class Stability(Content, frozen=True, kw_only=True):
+    """The cases of `stability` as they stand in its JSON."""
+
+    cases: tuple[Record, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,669 @@
+"""Algorithms compared: the records of a result, with their tables, sentences, figures and warnings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from todframes.base._typing import Json
+from todframes.results.data import (
+    Fit,
+    Group,
+    Interval,
+    Positive,
+    Record,
+    ResultWarning,
+    observer_names,
+)
+from todframes.results.figure import ReportFigure
+from todframes.results.figure_style import (
+    INK,
+    PAPER,
+    CurveStyle,
+    add_legend,
+    curve_style,
+    label_text,
+    plain_ticks,
+    reference_style,
+    within,
+)
+from todframes.results.table import Column, Table, field_text
+from todframes.results.tables import TAKEN as THRESHOLDS_TAKEN
+from todframes.results.tables import group_columns, group_record
+from todframes.results.tables import thresholds as thresholds_table
+from todframes.results.thresholds import Thresholds, check_fits
+from todframes.results.wording import (
+    evenly,
+    group_phrase,
+    group_phrases,
+    interval_phrase,
+    level_heading,
+    level_name,
+    plain,
+    threshold_heading,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+NO_DIFFERENCE = "no difference shown"
+
+REACHED = {
+    "never_reached": "is never reached",
+    "always_exceeded": "is always exceeded",
+    "too_few_levels": "cannot be found from one level",
+}
+"""Phrases about the criterion if there is no threshold, by status."""
+
+RATIO_COLUMNS = (
+    Column(key="ratio", none="1", digits=3),
+    Column(key="ratio_ci95", header="95 % interval", interval="ratio", none="", digits=3),
+    Column(key="verdict", none="reference", wraps=True),
+    Column(key="beyond_gain", header="beyond gain", digits=3, none="", rank=2),
+    Column(key="beyond_gain_ci95", interval="beyond_gain", in_file_only=True),
+    Column(key="p_value", in_file_only=True),
+    Column(key="p_value_holm", header="p (Holm)", digits=2, none="", rank=4, bound_if="p_value_is_least"),
+    Column(key="p_value_is_least", in_file_only=True),
+    Column(key="contrast_gain", header="gain", digits=3, none="", rank=5),
+)
+
+BEYOND_GAIN = ("contrast_gain", "beyond_gain", "beyond_gain_ci95")
+"""Columns that a comparison of drawn answers does not have."""
+
+MEASURE_COLUMNS = (
+    Column(key="domain", header="works on", is_detail=True, is_key=True),
+    Column(key="psnr_db", header="PSNR (dB)"),
+    Column(key="psnr_change_db", header="change (dB)", digits=3, rank=2),
+    Column(key="ssim", header="SSIM"),
+    Column(key="ssim_change", header="change", digits=3, rank=2),
+    Column(key="verdict", header="the observer says", none="reference", wraps=True),
+    Column(key="disagrees", header="measures that disagree", none="", wraps=True),
+    Column(key="n_clipped", header="values clipped", is_detail=True),
+    Column(key="cpu_s", header="CPU time (s)", digits=3, rank=1),
+    Column(key="cpu_ms_per_frame", header="a frame (ms)", digits=3, rank=2),
+    Column(key="memory_mb", header="memory (MB)", digits=2, none="", rank=1),
+)
+
+MEASURED = ("psnr_db", "ssim", "n_clipped", "cpu_s", "cpu_ms_per_frame", "memory_mb")
+"""Columns of `compare.csv` that are measured on an algorithm as a whole."""
+
+TAKEN = THRESHOLDS_TAKEN | {"algorithm", "spec", *MEASURED, *(one.key for one in RATIO_COLUMNS)}
+"""Column names in use; a group column with one of these names is renamed."""
+
+ALGORITHM = Column(key="algorithm", is_name=True, wraps=True)
+
+MOST_COMPARED, MOST_GROUPS, MOST_GROUPS_OF_CURVES = 12, 24, 6
+"""Largest numbers of algorithms and groups in a figure, and of groups whose psychometric functions are drawn."""
+
+SAME_GAIN, SURE_GAIN = 0.1, 3.0
+"""Relative difference of two contrast gains that counts as none, and standard errors beyond which it is sure."""
+
+SAME_AT_EDGE = 0.02
+"""Relative difference of an algorithm's factors at the edge of a frame and around the triangle that is none."""
+
+
+class Ratio(Struct, frozen=True, kw_only=True):
+    """An algorithm's threshold divided by that of the reference, in one group or, without `group`, in all.
+
+    `p_value_is_least`: the p-value is the smallest that the resamples allow, so the true one may be smaller.
+    `contrast_gain` is the algorithm's gain of the triangle's displayed contrast, and `beyond_gain` its threshold
+    divided by that of a plain gain of the same amount: below 1, it does more than to amplify.
+    """
+
+    verdict: str
+    group: Group = {}
+    ratio: Positive | None = None
+    ratio_ci95: Interval | None = None
+    p_value: float | None = None
+    p_value_holm: float | None = None
+    p_value_is_least: bool = False
+    contrast_gain: Positive | None = None
+    beyond_gain: Positive | None = None
+    beyond_gain_ci95: Interval | None = None
+
+
+class ContrastPoint(Struct, frozen=True):
+    """Displayed contrast of the triangle at a level, before and after an algorithm: means over `n_trials` trials.
+
+    `gain` is their quotient, and `gain_standard_error` its standard error over the trials.
+    """
+
+    level: Positive
+    before: float
+    after: float
+    gain: float | None = None
+    gain_standard_error: float | None = None
+    n_trials: int = 0
+
+
+class ContrastResponse(Struct, frozen=True, kw_only=True):
+    """Displayed contrast after an algorithm against that before it, level by level, in one group."""
+
+    group: Group = {}
+    points: tuple[ContrastPoint, ...] = ()
+
+    @property
+    def is_contrast(self) -> bool:
+        """Whether the contrast before grows with the level as a contrast does.
+
+        A flat contrast with sizes as levels, or noise about 0, does not: it has to rise by at least the square
+        root of what the level does.
+        """
+        points = [point for point in self.points if point.before > 0.0]
+        if not points:
+            return False
+        first, last = points[0], points[-1]
+        return len(self.points) == 1 or last.before / first.before > math.sqrt(last.level / first.level)
+
+
+class Algorithm(Struct, frozen=True, kw_only=True):
+    """An algorithm of `compare`; the reference has no ratios.
+
+    Attributes
+    ----------
+    name, spec : str
+        Short name, and the text of `--enhance`.
+    what, library, domain : str or None
+        Its description, the library that does the work, and the values that it takes.
+    parameters : dict
+        Values of its parameters.
+    magnification : float
+        Factor by which it enlarges the frame.
+    fits : tuple of Fit
+        Thresholds with the algorithm.
+    ratios : tuple of Ratio
+        Ratio of the thresholds in each group.
+    overall : Ratio or None
+        The same for the geometric mean of all groups, if there are several.
+    verdict : str or None
+        That of `overall`, or of the only group.
+    contrast_responses : tuple of ContrastResponse
+        Displayed contrast before and after the algorithm, in each group.
+    n_scenes : int or None
+        Number of scenes that the interval takes as drawn from many; None if the dataset names none.
+    psnr_db, psnr_change_db, ssim, ssim_change : float or None
+        PSNR and SSIM against `reference_frame`, and their changes by the algorithm.
+    disagrees : tuple of str
+        Those of psnr and ssim that contradict the verdict.
+    edge_factor : float or None
+        Factor by which it changes the luminance of a frame's outermost pixels, divided by that around the
+        triangle: the median over the frames.
+    repeat_difference : float or None
+        Largest difference between pictures of the same frame, in units of their mean luminance.
+    n_clipped : int or None
+        Number of values that were clipped.
+    cpu_s, cpu_ms_per_frame : float or None
+        Processor time of the algorithm over all frames, and for a frame.
+    memory_mb : float or None
+        Memory that it needs for a frame.
+    """
+
+    name: str
+    spec: str | None = None
+    what: str | None = None
+    library: str | None = None
+    domain: str | None = None
+    parameters: Record = {}
+    magnification: float = 1.0
+    fits: tuple[Fit, ...] = ()
+    ratios: tuple[Ratio, ...] = ()
+    overall: Ratio | None = None
+    verdict: str | None = None
+    contrast_responses: tuple[ContrastResponse, ...] = ()
+    n_scenes: int | None = None
+    psnr_db: float | None = None
+    psnr_change_db: float | None = None
+    ssim: float | None = None
+    ssim_change: float | None = None
+    disagrees: tuple[str, ...] = ()
+    edge_factor: float | None = None
+    repeat_difference: float | None = None
+    n_clipped: int | None = None
+    cpu_s: float | None = None
+    cpu_ms_per_frame: float | None = None
+    memory_mb: float | None = None
+
+
+class JudgedBy(Struct, frozen=True, kw_only=True):
+    """A further observer or gaze of `compare`: its settings, and the algorithms as it judges them."""
+
+    settings: Record
+    algorithms: tuple[Algorithm, ...] = ()
+
+
+class Comparison(Thresholds, frozen=True, kw_only=True):
+    """Thresholds with and without algorithms. `compare` gives it.
+
+    Attributes
+    ----------
+    algorithms : tuple of Algorithm
+        An object for each algorithm, the reference `none` first.
+    observers : tuple of JudgedBy
+        What the second and further observers or gazes find.
+    data_range_cd_m2 : float or None
+        Range of luminance for PSNR and SSIM.
+    verdict : tuple of str
+        A sentence for each algorithm.
+    """
+
+    algorithms: tuple[Algorithm, ...] = ()
+    observers: tuple[JudgedBy, ...] = ()
+    data_range_cd_m2: float | None = None
+    verdict: tuple[Any, ...] | str = ()
+
+    inference: ClassVar[str] = "Intervals and verdicts"
+
+    @property
+    def thresholds(self) -> tuple[Fit, ...]:
+        """All thresholds as `Fit` records, with the algorithm's name in their group."""
+        return thresholds_of(self.algorithms)
+
+    def _each_settings(self) -> list[Record]:
+        """List the settings of each observer."""
+        return [self.settings, *(one.settings for one in self.observers)]
+
+    def _each_observer(self) -> list[tuple[str, tuple[Algorithm, ...]]]:
+        """Return the algorithms as each observer judges them, with its name, "" if it is alone."""
+        names = observer_names(self._each_settings()) if self.observers else [""]
+        return list(zip(names, [self.algorithms, *(one.algorithms for one in self.observers)], strict=True))
+
+    def _curve_styles(self) -> dict[object, CurveStyle]:
+        """Return the style of each algorithm, the same in all figures; the reference has the ink's."""
+        reference, *others = (one.name for one in self.algorithms)
+        styles: dict[object, CurveStyle] = {reference: reference_style()}
+        return styles | {name: curve_style(number, len(others)) for number, name in enumerate(others)}
+
+    def table(self) -> Table:
+        """Return the thresholds of all algorithms."""
+        return thresholds_table(self.thresholds)
+
+    def tables(self) -> list[Table]:
+        """List the ratios for each observer, the algorithms, and folded tables with all else."""
+        measures, responses = measures_table(self.algorithms), responses_table(self.algorithms)
+        is_measured = any(one.psnr_db is not None or one.ssim is not None for one in self.algorithms)
+        folded = [self.table(), *([] if responses is None else [responses])]
+        return [
+            *(ratios_table(algorithms, observer) for observer, algorithms in self._each_observer()),
+            measures if is_measured else measures.extra(),
+            *(one.folded() for one in folded),
+            *self.tables_behind(),
+        ]
+
+    def findings(self) -> list[str]:
+        """Return a sentence for each algorithm, as stored when the result was made."""
+        verdict = [self.verdict] if isinstance(self.verdict, str) else list(map(str, self.verdict))
+        return verdict or super().findings()
+
+    def printed(self) -> list[str]:
+        """Return the verdicts and the cautions."""
+        return [*([self.verdict] if isinstance(self.verdict, str) else self.verdict), *self.cautions()]
+
+    def notes(self) -> list[str]:
+        """Return what was skipped, and how many values an algorithm clipped."""
+        clipped = ((one.spec, one.n_clipped) for one in self.algorithms if one.n_clipped)
+        return [*super().notes(), *(f"note: {spec}: {n} values were clipped" for spec, n in clipped)]
+
+    def figures(self) -> list[ReportFigure]:
+        """List the ratios for each observer, contrasts before and after, TOD and psychometric functions."""
+        from todframes.results.figures import psychometric_figures, tod_figures
+
+        found, styles = [], self._curve_styles()
+        note = (
+            "Below 1 the algorithm helps. Filled: a difference is shown; open: none is. Lines are 95 % intervals, "
+            "dotted where the data leave an end open."
+        )
+        for number, (observer, algorithms) in enumerate(self._each_observer()):
+            if any(one.ratios for one in algorithms):
+                title = "Thresholds with and without" + (f", for {observer}" if observer else "")
+                draw = partial(draw_ratios, algorithms=algorithms, styles=styles)
+                found.append(ReportFigure(title, note, draw, "" if number else "compare.png"))
+        if any(response.is_contrast for one in self.algorithms for response in one.contrast_responses):
+            note = (
+                "Displayed contrast of the triangle after each algorithm against that before it, a line for each "
+                "group; bars: two standard errors. A plain gain is parallel to the grey line, which changes "
+                "nothing."
+            )
+            draw = partial(draw_responses, algorithms=self.algorithms, styles=styles)
+            found.append(ReportFigure("Contrast before and after", note, draw, "contrast_response.png"))
+        found += tod_figures(self.thresholds, styles)
+        groups: dict[str, list[Fit]] = {}
+        for one in self.algorithms:
+            for fit in one.fits:
+                curve = replace(fit, group={"algorithm": one.name})
+                groups.setdefault(group_phrase(fit.group) if fit.group else "", []).append(curve)
+        for label, fits in evenly(list(groups.items()), MOST_GROUPS_OF_CURVES):
+            title = "Psychometric functions" + (f": {label}" if label else "")
+            found += psychometric_figures(fits, styles, of=title)
+        return found
+
+    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+        """Return trials, ratios, and contrasts before and after."""
+        responses = responses_table(self.algorithms)
+        return {
+            **super().files(),
+            "compare.csv": ratios_table(self.algorithms).csv().encode(),
+            **({} if responses is None else {responses.file: responses.csv().encode()}),
+        }
+
+    def check(self, where: str) -> None:
+        """Raise DataError unless the fits of all algorithms have the columns of one table."""
+        super().check(where)
+        check_fits(self.thresholds, f"{where}: fits of all algorithms")
+
+
+def thresholds_of(algorithms: Sequence[Algorithm]) -> tuple[Fit, ...]:
+    """Return the fits of all algorithms, each with the algorithm's name in its group."""
+    return tuple(replace(fit, group={"algorithm": one.name} | fit.group) for one in algorithms for fit in one.fits)
+
+
+# Tables --------------------------------------------------------------------------------------------------------
+
+
+def ratios_table(algorithms: Sequence[Algorithm], observer: str = "") -> Table:
+    """Make the table of a comparison: a row for each algorithm and group, and one for all groups together.
+
+    If there are several observers, the title names the one whose table it is.
+    """
+    first = algorithms[0].fits[0] if algorithms[0].fits else None
+    names = list(first.group) if first is not None else []
+    records: list[Record] = []
+    for one in algorithms:
+        common = {"algorithm": one.name, "spec": one.spec} | {key: getattr(one, key) for key in MEASURED}
+        rows: list[tuple[Group, Fit | None, Ratio | None]] = [
+            (fit.group, fit, ratio)
+            for fit, ratio in zip(one.fits, one.ratios or (None,) * len(one.fits), strict=True)
+        ]
+        rows += [(dict.fromkeys(names, "all"), None, one.overall)] if one.overall is not None else []
+        for group, fit, ratio in rows:
+            values = {name: getattr(fit, name, None) for name in ("status", "threshold", "threshold_ci95")}
+            values |= {column.key: getattr(ratio, column.key, None) for column in RATIO_COLUMNS}
+            records.append(common | group_record(group, TAKEN) | values)
+    odd = any(record["status"] not in ("ok", None) for record in records)
+    columns = [
+        ALGORITHM,
+        Column(key="spec", in_file_only=True),
+        *group_columns(names, TAKEN),
+        Column(key="status", none="", rank=1 if odd else 3, is_key=True),
+        Column(key="threshold", header=threshold_heading(first.level) if first else "threshold"),
+        Column(key="threshold_ci95", interval="threshold", in_file_only=True),
+        *RATIO_COLUMNS,
+        *(Column(key=key, in_file_only=True) for key in MEASURED),
+    ]
+    title = "Threshold over that of the reference" + (f", for {observer}" if observer else "")
+    table = Table.of(title, "compare.csv", columns, records)
+    return table.without_empty_columns(*(one.key for one in columns if one.key not in BEYOND_GAIN))
+
+
+def measures_table(algorithms: Sequence[Algorithm]) -> Table:
+    """Make the table of algorithms: the usual measures of image quality beside the observer's verdict."""
+    records: list[Record] = [
+        {
+            "algorithm": one.name,
+            "spec": one.spec,
+            "parameters": ", ".join(f"{name} {field_text(value)}" for name, value in one.parameters.items())
+            or None,
+            **{column.key: getattr(one, column.key) for column in MEASURE_COLUMNS},
+            "disagrees": " and ".join(name.upper() for name in one.disagrees) or None,
+        }
+        for one in algorithms
+    ]
+    columns = [
+        ALGORITHM,
+        Column(key="spec", header="as asked for", is_detail=True, rank=1, wraps=True),
+        Column(key="parameters", is_detail=True, wraps=True),
+        *MEASURE_COLUMNS,
+    ]
+    table = Table.of("Algorithms and the usual measures", "algorithms.csv", columns, records)
+    return table.without_empty_columns("verdict")
+
+
+def responses_table(algorithms: Sequence[Algorithm]) -> Table | None:
+    """Make the table of displayed contrasts before and after each algorithm; None if there are none."""
+    keys = ContrastPoint.__struct_fields__
+    records: list[Record] = [
+        {"algorithm": one.name} | group_record(response.group, TAKEN) | {key: getattr(point, key) for key in keys}
+        for one in algorithms
+        for response in one.contrast_responses
+        for point in response.points
+    ]
+    if not records:
+        return None
+    first = next(one for one in algorithms if one.contrast_responses)
+    columns = [
+        ALGORITHM,
+        *group_columns(first.contrast_responses[0].group, TAKEN),
+        Column(key="level", header=level_heading(first.fits[0].level)),
+        Column(key="before", header="contrast before", digits=3),
+        Column(key="after", header="contrast after", digits=3),
+        Column(key="gain", digits=3),
+        Column(key="gain_standard_error", header="standard error", sign="± ", digits=2),
+        Column(key="n_trials", header="trials"),
+    ]
+    return Table.of("Contrast before and after", "contrast_response.csv", columns, records)
+
+
+# Figures -------------------------------------------------------------------------------------------------------
+
+
+def draw_ratios(axes: Axes, algorithms: Sequence[Algorithm], styles: Mapping[object, CurveStyle]) -> None:
+    """Draw thresholds divided by the reference's, by algorithm and group; filled if a difference is shown."""
+    others = [one for one in algorithms if one.ratios][:MOST_COMPARED]
+    compared = [
+        {group_phrase(ratio.group) if ratio.group else "all groups": ratio for ratio in each if ratio}
+        for each in ((*one.ratios, one.overall) for one in others)
+    ]
+    labels = list(dict.fromkeys(label for ratios in compared for label in ratios))[:MOST_GROUPS]
+    axes.set_yscale("log")
+    for number, (one, ratios) in enumerate(zip(others, compared, strict=True)):
+        colour, marker = styles[one.name]
+        shift = 0.6 * ((number + 0.5) / len(others) - 0.5)
+        points: Json = {"color": colour, "marker": marker, "ls": ""}
+        axes.plot([], [], label=label_text(one.name), **points)
+        for x, label in enumerate(labels):
+            ratio = ratios.get(label)
+            if ratio is None or ratio.ratio is None:
+                continue
+            interval = ratio.ratio_ci95 or (None, None)
+            ends = [within(end or ratio.ratio) for end in interval]
+            is_open = ratio.ratio_ci95 is not None and None in interval
+            axes.plot([x + shift] * 2, ends, ":" if is_open else "-", color=colour)
+            face = colour if ratio.verdict in ("better", "worse") else PAPER
+            axes.plot(x + shift, within(ratio.ratio), **points, markerfacecolor=face)
+    axes.axhline(1.0, color=INK, lw=0.8)
+    axes.set(ylabel="threshold ÷ that of the reference", xlim=(-0.5, max(len(labels), 1) - 0.5))
+    rotation = 20 if len(labels) > 5 else 0
+    axes.set_xticks(range(len(labels)), [label_text(label) for label in labels], rotation=rotation)
+    axes.tick_params(axis="x", length=0)
+    axes.grid(False, axis="x")
+    plain_ticks(axes.yaxis, axes.get_ylim())
+    add_legend(axes)
+
+
+def draw_responses(axes: Axes, algorithms: Sequence[Algorithm], styles: Mapping[object, CurveStyle]) -> None:
+    """Draw the displayed contrast of the triangle after each algorithm against that before it, on log axes."""
+    axes.set(xscale="log", yscale="log", xlabel="displayed contrast before", ylabel="displayed contrast after")
+    ends: list[float] = []
+    for one in [one for one in algorithms if one.contrast_responses][:MOST_COMPARED]:
+        style: Json = {"color": styles[one.name].colour, "marker": styles[one.name].marker, "ms": 4}
+        axes.plot([], [], label=label_text(one.name), **style)
+        for response in one.contrast_responses[:MOST_GROUPS]:
+            points = [point for point in response.points if point.before > 0.0 and point.after > 0.0]
+            before, after = ([within(getattr(point, key)) for point in points] for key in ("before", "after"))
+            errors = [2.0 * (point.gain_standard_error or 0.0) * point.before for point in points]
+            axes.errorbar(before, after, yerr=errors, lw=1.0, elinewidth=0.8, **style)
+            ends += before
+    if ends:
+        axes.plot([min(ends), max(ends)], [min(ends), max(ends)], color=INK, alpha=0.4, lw=0.8, zorder=0)
+    plain_ticks(axes.xaxis, axes.get_xlim())
+    plain_ticks(axes.yaxis, axes.get_ylim())
+    add_legend(axes)
+
+
+# Sentences -----------------------------------------------------------------------------------------------------
+
+
+def comparison(algorithms: Sequence[Algorithm]) -> tuple[str, ...]:
+    """Return a paragraph for each algorithm except the first, the reference: whether it helps and by how much."""
+    return tuple(_paragraph(one, algorithms[0]) for one in algorithms[1:])
+
+
+def comparisons(each_observer: Sequence[tuple[str, Sequence[Algorithm]]]) -> tuple[str, ...]:
+    """Return a sentence for each algorithm on which observers disagree, then the paragraphs of each observer.
+
+    Of a single observer there are its paragraphs alone.
+    """
+    if len(each_observer) == 1:
+        return comparison(each_observer[0][1])
+    disagreements = []
+    for number, one in enumerate(each_observer[0][1][1:], 1):
+        verdicts = {name: algorithms[number].verdict for name, algorithms in each_observer}
+        if len(set(verdicts.values())) > 1:
+            each = ", ".join(f"{verdict} for {name}" for name, verdict in verdicts.items())
+            text = f"The observers disagree about {one.name}: {each}."
+            disagreements.append(("better" not in verdicts.values(), text))
+    disagreements.sort(key=lambda one: one[0])
+    paragraphs = (f"{name}: {text}" for name, algorithms in each_observer for text in comparison(algorithms))
+    return (*(text for _, text in disagreements), *paragraphs)
+
+
+def _paragraph(one: Algorithm, reference: Algorithm) -> str:
+    text = f"{one.name}: {one.verdict}"
+    whole = one.overall or one.ratios[0]
+    if whole.ratio is not None:
+        mean = ", in the geometric mean of all groups" if one.overall else ""
+        sure = f"95 % interval {interval_phrase(whole.ratio_ci95 or (None, None))}"
+        level = level_name(one.fits[0].level)
+        text += f"; the threshold {level} is {plain(whole.ratio)} times that without it ({sure}){mean}"
+    groups_of = {
+        verdict: [ratio.group for ratio in one.ratios if ratio.verdict == verdict]
+        for verdict in ("better", "worse", NO_DIFFERENCE)
+    }
+    if one.overall and len({ratio.verdict for ratio in one.ratios}) > 1:
+        texts = (f"{verdict} at {group_phrases(groups)}" for verdict, groups in groups_of.items() if groups)
+        text += f"; {'; '.join(texts)}"
+    sentences = [text, *_beyond_gain(one, whole)]
+    for reason, groups in _without_ratio(one, reference).items():
+        sentences.append(f"At {group_phrases(groups)} {reason}" if groups[0] else reason[0].upper() + reason[1:])
+    if one.disagrees:
+        changes = {
+            "psnr": f"PSNR changes by {_signed(one.psnr_change_db, '.1f')} dB",
+            "ssim": f"SSIM by {_signed(one.ssim_change, '.3f')}",
+        }
+        sentences.append(f"The usual measures disagree: {' and '.join(changes[name] for name in one.disagrees)}")
+    return ". ".join(sentences) + "."
+
+
+def _beyond_gain(one: Algorithm, ratio: Ratio) -> list[str]:
+    """Return a sentence on an algorithm that helps: whether it does more than a plain gain of the same amount.
+
+    Where its gain is another near the threshold, no plain gain is of the same amount.
+    """
+    if ratio.verdict not in ("better", "mixed") or ratio.beyond_gain is None or ratio.beyond_gain_ci95 is None:
+        return []
+    if not_proportional([one]):
+        return [
+            "Whether it does more than amplify stays open: its contrast gain near the threshold is not that at "
+            "the highest level"
+        ]
+    low, high = ratio.beyond_gain_ci95
+    if high is not None and high < 1.0:
+        amount = "more than"
+    else:
+        amount = "less than" if low is not None and low > 1.0 else "no more than"
+    return [
+        f"It does {amount} its contrast gain of {plain(ratio.contrast_gain)}: the threshold is "
+        f"{plain(ratio.beyond_gain)} times that of a plain gain of as much (95 % interval "
+        f"{interval_phrase(ratio.beyond_gain_ci95)})"
+    ]
+
+
+def _without_ratio(one: Algorithm, reference: Algorithm) -> dict[str, list[Group]]:
+    """Return the reasons why groups have no ratio: phrases, and the groups for which each is true."""
+    reasons: dict[str, list[Group]] = {}
+    for ratio, fit, before in zip(one.ratios, one.fits, reference.fits, strict=True):
+        if ratio.ratio is None:
+            what = f"{100 * fit.p_correct:g} % correct"
+            after, without = (REACHED.get(either.status, "is reached") for either in (fit, before))
+            same, other = f"{what} {after} with it or without", f"{what} {after} with it and {without} without"
+            reasons.setdefault(same if after == without else other, []).append(fit.group)
+    return reasons
+
+
+def _signed(value: float | None, form: str) -> str:
+    return f"{value or 0.0:+{form}}".replace("-", "−")
+
+
+# Warnings ------------------------------------------------------------------------------------------------------
+
+
+def not_proportional(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:
+    """Return a warning where an algorithm's gain of contrast is another at threshold than at the highest level.
+
+    A comparison with a plain gain, which has the gain of the highest level, then compares with a wrong one.
+    """
+    found = []
+    for one in algorithms:
+        for fit, response, ratio in zip(one.fits, one.contrast_responses, one.ratios, strict=False):
+            points = [point for point in response.points if point.gain is not None and point.gain > 0.0]
+            if ratio.beyond_gain is None or fit.threshold is None or len(points) < 2:
+                continue
+            near = min(points, key=lambda point, at=fit.threshold: abs(math.log(point.level / at)))  # type: ignore[misc]
+            top = points[-1]
+            if not _gains_differ(near, top):
+                continue
+            message = (
+                f"its gain of contrast is {plain(near.gain)} ± {plain(near.gain_standard_error, 1)} near the "
+                f"threshold, at {near.level:.3g}, and {plain(top.gain)} at the highest level: beyond_gain, "
+                "which takes the latter, does not hold; see the table of the contrast before and after"
+            )
+            group = {"algorithm": one.name} | fit.group
+            found.append(_warning("not_proportional", group, message, near.gain, top.gain))
+    return tuple(found)
+
+
+def _gains_differ(one: ContrastPoint, other: ContrastPoint) -> bool:
+    """Return whether two gains differ by more than is usual, and more than their errors allow."""
+    assert one.gain is not None and other.gain is not None
+    difference = abs(one.gain - other.gain)
+    error = math.hypot(one.gain_standard_error or 0.0, other.gain_standard_error or 0.0)
+    return difference > SAME_GAIN * other.gain and difference > SURE_GAIN * error
+
+
+def edge_brightness(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:
+    """Return a warning for each algorithm that makes the edge of frames brighter or darker than the background."""
+    found = []
+    for one in algorithms:
+        if one.edge_factor is not None and abs(one.edge_factor - 1.0) > SAME_AT_EDGE:
+            kind = "brighter" if one.edge_factor > 1.0 else "darker"
+            message = (
+                "compared with what surrounds the triangle, it makes the outermost pixels of a frame "
+                f"{plain(100.0 * abs(one.edge_factor - 1.0), 2)} % {kind}, as a network does that takes pixels "
+                "beyond the frame as black. Contrast refers to what surrounds the triangle. If triangles lie near "
+                "the edge, take larger frames, or let the algorithm mirror them"
+            )
+            found.append(_warning("edge_brightness", {"algorithm": one.name}, message, one.edge_factor, 1.0))
+    return tuple(found)
+
+
+def not_repeatable(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:
+    """Return a warning for each algorithm that gave different pictures of the same frame."""
+    found = []
+    for one in algorithms:
+        if one.repeat_difference:
+            message = (
+                f"its pictures of the same frame differ by up to {plain(100.0 * one.repeat_difference, 2)} % of "
+                "their mean luminance: it depends on chance, on other frames or on a file that has changed. Its "
+                "ratio holds for this run alone. Give it a fixed seed, declare it with clip if it needs earlier "
+                "frames, and leave its files as they are"
+            )
+            found.append(_warning("not_repeatable", {"algorithm": one.name}, message, one.repeat_difference, 0.0))
+    return tuple(found)
+
+
+def _warning(code: str, group: Group, message: str, found: float | None, expected: float | None) -> ResultWarning:
+    return ResultWarning(code=code, group=group, message=message, found=found, expected=expected)
