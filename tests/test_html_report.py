@@ -32,6 +32,7 @@ from todframes.results.figure_style import COLOURS
 from todframes.results.figures import by_field_map, draw_field_map, draw_psychometric
 from todframes.results.result import Result, read_result
 from todframes.results.tables import thresholds
+from todframes.results.thresholds import Thresholds
 from todframes.results.wording import phrase, quantity, threshold_heading, unit_of
 
 NASTY = [
@@ -91,7 +92,8 @@ def pages(results_of_commands) -> dict[str, bytes]:
 
 def verdict_of(result: dict[str, Any]) -> list[str]:
     data = read_result(encode(result), "result").data
-    return [one for one in data.sentences() if one not in data.cautions()]
+    cautions = data.cautions() if isinstance(data, Thresholds) else []
+    return [one for one in data.sentences() if one not in cautions]
 
 
 def tables_of(content: bytes) -> dict[str, list[dict[str, str]]]:
