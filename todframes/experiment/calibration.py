@@ -154,7 +154,7 @@ class FurtherObserver(Struct, frozen=True, kw_only=True):
         return (*self.persons, *([] if self.pooled is None else [self.pooled]))
 
 
-class Calibration(Thresholds, frozen=True, kw_only=True):
+class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
     """Internal noise, or efficiency, of people. `calibrate` gives it.
 
     Attributes

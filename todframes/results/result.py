@@ -81,7 +81,7 @@ KINDS = {
     "accuracy": Kind("Error against run time", "todframes.studies.accuracy.report:Accuracy", "scenes"),
     "calibrate": Kind(
         "Internal noise of people",
-        "todframes.experiment.calibration:Calibration",
+        "todframes.experiment.calibration:CalibratedPeople",
         "persons",
         "todframes.experiment.calibrate:calibrate",
     ),
