@@ -181,8 +181,6 @@ def test_ids_of_no_single_page() -> None:
         markers.marker_ids(62_500, 0)
     with pytest.raises(SettingsError, match="key: found 250"):
         markers.marker_ids(0, 250)
-    with pytest.raises(SettingsError, match="marker: found 1000"):
-        markers.marker_bits(1000)
 
 
 def test_markers_along_the_borders_are_like_no_other() -> None:

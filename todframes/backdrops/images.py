@@ -38,18 +38,10 @@ class SceneFile(NamedTuple):
 
 
 class SceneImage(NamedTuple):
-    """A frame of a recording as luminance.
+    """A frame of a recording, counted from 0, as luminance of shape (rows, columns).
 
-    Attributes
-    ----------
-    scene, path : str
-    frame : int
-        Number of the frame in its recording, from 0.
-    luminance_cd_m2 : ndarray, shape (rows, columns)
-    at_end : ndarray of bool, shape (rows, columns)
-        Pixels with a channel at black, white or an end of the display's LUT, or beyond.
-    used : float
-        Share of the range from black to white that the values of the frame are spread over.
+    `at_end` marks the pixels with a channel at black, white or an end of the display's LUT, or beyond. `used` is
+    the share of the range from black to white that the values of the frame are spread over.
     """
 
     scene: str
@@ -70,25 +62,13 @@ def open_scenes(
 ) -> list[SceneFile]:
     """Open the files of scenes; each image file, film or array is a scene with the name of its file.
 
-    Parameters
-    ----------
-    paths : path or sequence of path
-        Files, folders, and "skimage" or "skimage:camera,brick" for photographs of scikit-image.
-    value_range : (float, float), optional
-        Recorded values of black and white.
-    range_name : str
-        Name of the argument that has them, for the message of an error.
-    max_frame_mb : int
-        Largest decoded size of a frame in 2**20 bytes.
-    note : function of a text, optional
-        Called with a remark about files of a folder that are no recordings, and with the warnings of recordings.
+    `paths` are files, folders, and "skimage" or "skimage:camera,brick" for photographs of scikit-image.
+    `range_name` is the argument that has the recorded values of black and white, for the message of an error.
+    `note` is called with a remark about files of a folder that are no recordings, and with the warnings of
+    recordings.
 
-    Raises
-    ------
-    DataError, FrameError
-        If a file cannot be read, or a folder has no recording.
-    SettingsError
-        If values have no black and white and no range is given.
+    Raises DataError or FrameError if a file cannot be read, or a folder has no recording, and SettingsError if
+    values have no black and white and no range is given.
     """
     given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if not given:
@@ -102,32 +82,33 @@ def open_scenes(
             opened += _of_folder(Path(name), max_frame_mb, note)
         else:
             opened.append(_opened(Path(name), max_frame_mb))
-    for one in opened:
-        for code, message in one.warnings:
+    files: dict[str, SceneFile] = {}
+    for recording in opened:
+        path, scene = recording.path, recording.path.stem
+        for code, message in recording.warnings:
             if note is not None and code != "lossy_compression":  # any picture may be behind a triangle
-                note(f"{one.path}: {message}")
-    names: dict[str, Path] = {}
-    for one in opened:
-        if names.setdefault(one.path.stem, one.path) is not one.path:
+                note(f"{path}: {message}")
+        if scene in files:
             raise DataError(
-                f"{one.path}: found the name {one.path.stem} as of {names[one.path.stem]}, expected a name of its "
-                "own, which the manifest has as scene"
+                f"{path}: found the name {scene} as of {files[scene].recording.path}, expected a name of its own, "
+                "which the manifest has as scene"
             )
-    return [SceneFile(one.path.stem, one, code_range(one, value_range, range_name)) for one in opened]
+        files[scene] = SceneFile(scene, recording, code_range(recording, value_range, range_name))
+    return list(files.values())
 
 
 def _photographs(name: str) -> list[Path]:
     spec = find_spec("skimage")
     assert spec is not None and spec.origin is not None  # scikit-image is a dependency
-    known = {Path(one).stem: Path(spec.origin).parent / "data" / one for one in PHOTOGRAPHS}
-    wanted = [one.strip() for one in name.partition(":")[2].split(",")] if ":" in name else list(known)
-    for one in wanted:
-        if one not in known:
+    known = {Path(file).stem: Path(spec.origin).parent / "data" / file for file in PHOTOGRAPHS}
+    wanted = [text.strip() for text in name.partition(":")[2].split(",")] if ":" in name else list(known)
+    for photograph in wanted:
+        if photograph not in known:
             raise DataError(
-                f"{name}: found {one!r}, expected photographs of scikit-image: {', '.join(known)}"
-                f"{spelling_hint(one, known)}"
+                f"{name}: found {photograph!r}, expected photographs of scikit-image: {', '.join(known)}"
+                f"{spelling_hint(photograph, known)}"
             )
-    return [known[one] for one in wanted]
+    return [known[photograph] for photograph in wanted]
 
 
 def _of_folder(folder: Path, max_frame_mb: int, note: Callable[[str], None] | None) -> list[Recording]:
@@ -157,21 +138,9 @@ def _opened(path: Path, max_frame_mb: int) -> Recording:
 
 
 def decoded_images(file: SceneFile, display: Display, *, frames: int) -> Iterator[SceneImage]:
-    """Yield frames of a scene, spread evenly over its recording, as luminance on a display.
+    """Yield frames of a scene, so many at most, spread evenly over its recording, as luminance on a display.
 
-    Parameters
-    ----------
-    file : SceneFile
-    display : Display
-        Display that shows the recorded values; those beyond black and white, or beyond the ends of its LUT, are
-        shown as these.
-    frames : int
-        Number of frames, at most; an image file has one.
-
-    Raises
-    ------
-    FrameError, DataError
-        If a frame cannot be decoded.
+    Recorded values beyond black and white, or beyond the ends of the display's LUT, are shown as these.
     """
     recording, (low, high) = file.recording, (file.scale.low, file.scale.high)
     total = recording.n_frames or sum(1 for _ in recording.frames())
@@ -191,10 +160,7 @@ def decoded_images(file: SceneFile, display: Display, *, frames: int) -> Iterato
 class Encoder:
     """The inverse of a display: luminance to code values of 16 bits.
 
-    Raises
-    ------
-    SettingsError
-        If the luminance of the display does not rise with the code value.
+    Raises SettingsError if the luminance of the display does not rise with the code value.
     """
 
     def __init__(self, display: Display) -> None:

@@ -221,7 +221,7 @@ def scenes(
     shown = find_display(display)
     stage = _Stage.of(shown.display, contrasts, polarity, blur_px, dim)
     pitch = shown.display.pitch_mrad
-    layouts = [_layout(one, pitch, places, place_step_mrad) for one in sizes]
+    layouts = [_layout(size, pitch, places, place_step_mrad) for size in sizes]
     notes: list[str] = []
     files = open_scenes(backgrounds, value_range=value_range, max_frame_mb=max_frame_mb, note=notes.append)
     backgrounds_of = draw_backgrounds(
@@ -249,7 +249,8 @@ def scenes(
             f"{places} places fill no square: the triangle has another place in each turn, and the turns are not "
             "balanced"
         )
-    written = _Written()
+    rows: list[dict[str, str]] = []
+    own: list[_OwnOrientation] = []
     with new_folder(str(out)) as folder:
         (folder / "frames").mkdir()
         for k, (size, layout, found) in enumerate(zip(sizes, layouts, backgrounds_of, strict=True)):
@@ -257,30 +258,26 @@ def scenes(
             seen = _SeenViews(stage, layout, found, views)
             planned = list(plan(len(found), shown_turns, len(contrasts), n_trials))
             for trial in counted(planned, len(planned), progress):
-                written.rows.append(seen.write(folder, size, contrasts[trial.level], trial, places))
-            written.own += seen.report(size)
-        scenes = csv_text([OWN_COLUMNS, *(one.row() for one in written.own)])
-        (folder / "scenes.csv").write_text(in_utf8(scenes), encoding="utf-8")
+                rows.append(seen.write(folder, size, contrasts[trial.level], trial, places))
+            own += seen.report(size)
+        table = csv_text([OWN_COLUMNS, *(background.row() for background in own)])
+        (folder / "scenes.csv").write_text(in_utf8(table), encoding="utf-8")
         write_dataset_files(
             folder,
-            written.rows,
+            rows,
             display=table_of_display(shown.display, folder) | {BACKGROUND_COLUMN: "column"},
             experiment=experiment,
             comment=f"Triangles on scenes by todframes {__version__} with seed {seed}, scenes dimmed by "
             f"{stage.dim:.6g}\nDisplay: {one_line(shown.title)}",
         )
-    before, left = (
-        math.sqrt(float(np.mean(np.square([getattr(one, name) for one in written.own]))))
-        for name in ("own", "left")
-    )
     return ScenesMade(
         path=Path(out),
-        n_frames=len(written.rows),
-        n_scenes=len({one.scene for one in written.own}),
+        n_frames=len(rows),
+        n_scenes=len({background.scene for background in own}),
         trials=n_trials,
         dimmed=stage.dim,
-        own_orientation=before,
-        own_orientation_left=left,
+        own_orientation=math.sqrt(np.mean(np.square([background.own for background in own]))),
+        own_orientation_left=math.sqrt(np.mean(np.square([background.left for background in own]))),
         notes=tuple(notes),
     )
 
@@ -443,14 +440,6 @@ def _shown_triangle(
     return np.asarray(blurred.reshape(side, FINER, side, FINER).mean(axis=(1, 3)))
 
 
-class _Written:
-    """The rows of the manifest and of scenes.csv."""
-
-    def __init__(self) -> None:
-        self.rows: list[dict[str, str]] = []
-        self.own: list[_OwnOrientation] = []
-
-
 class _SeenViews:
     """The frames of one size, and how often each view was shown."""
 
@@ -475,13 +464,19 @@ class _SeenViews:
         self, folder: Path, size_mrad: float, contrast: float, trial: PlannedTrial, places: int
     ) -> dict[str, str]:
         """Write a frame; return its row of the manifest."""
-        background, (key, view) = self.backgrounds[trial.background], self._key(trial)
-        scene, local = self._scene(*key)
+        background, key = self.backgrounds[trial.background], (trial.background, trial.turn)
+        view, (scene, local) = self.views[key], self._scene(*key)
         triangle = _shown_triangle(
             len(scene), self.layout.size_px, view, trial.orientation, blur_px=self.stage.blur_px
         )
         luminance = scene + self.stage.polarity * contrast * local * triangle
-        self._check(luminance, scene, local, triangle, contrast, background, trial.turn)
+        self._check(
+            luminance,
+            scene,
+            local,
+            triangle,
+            f"{background.scene}, window {background.window}, {trial.turn}: a triangle of contrast {contrast:g}",
+        )
         name = f"frames/s{size_mrad:g}_c{contrast:g}_{trial.orientation}_{trial.number}.png"
         write_frame(folder / name, self.stage.encoder(luminance))
         self.shown[key] += 1
@@ -498,34 +493,25 @@ class _SeenViews:
             row |= zip(PLACE_COLUMNS, (str(view.place), f"{self.layout.step_px:.8g}"), strict=True)
         return row | ({"polarity": "-1"} if self.stage.polarity < 0 else {})
 
-    def _key(self, trial: PlannedTrial) -> tuple[tuple[int, str], _View]:
-        key = trial.background, trial.turn
-        return key, self.views[key]
-
     def _check(
         self,
         luminance: FloatArray,
         scene: FloatArray,
         local: float,
         triangle: FloatArray,
-        contrast: float,
-        background: Background,
-        turn: str,
+        what: str,
     ) -> None:
         """Raise DataError if the display cannot show a frame: the message has the largest contrast that it can."""
         black, white = self.stage.encoder.black_cd_m2, self.stage.encoder.white_cd_m2
         slack = 1e-9 * white
         if luminance.max() <= white + slack and luminance.min() >= black - slack:
             return
-        room = white - scene if self.stage.polarity > 0 else scene - black
+        room, end, advice = scene - black, "black", ""
+        if self.stage.polarity > 0:
+            room, end, advice = white - scene, "white", f", or {argument.dim} below {self.stage.dim:.3g}"
         inside = triangle > 0.0
         most = float((room[inside] / triangle[inside]).min()) / local
-        end = "white" if self.stage.polarity > 0 else "black"
-        advice = f", or {argument.dim} below {self.stage.dim:.3g}" if self.stage.polarity > 0 else ""
-        raise DataError(
-            f"{background.scene}, window {background.window}, {turn}: a triangle of contrast {contrast:g} goes "
-            f"beyond {end} of the display, expected at most {max(most, 0.0):.2g}{advice}"
-        )
+        raise DataError(f"{what} goes beyond {end} of the display, expected at most {max(most, 0.0):.2g}{advice}")
 
     def report(self, size_mrad: float) -> Iterator[_OwnOrientation]:
         """Yield for each background what orientation it has by itself, as it is and over the frames shown."""

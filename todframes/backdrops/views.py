@@ -26,8 +26,6 @@ from todframes.stimulus import (
 TURNS = ("r0", "r90", "r180", "r270", "m0", "m90", "m180", "m270")
 """Symmetries of the square: clockwise turns, and turns after mirroring left to right."""
 
-"""Radius of the circle through the corners of a triangle of unit size."""
-
 MOST_AT_END = 0.01
 """Largest share of the pixels of a window at black or white; near the places it is a tenth."""
 
@@ -53,20 +51,9 @@ def turned_place(x_px: float, y_px: float, turn: str) -> tuple[float, float]:
 
 
 def local_luminance(luminance_cd_m2: FloatArray, x_px: float, y_px: float, size_px: float) -> float:
-    """Return the mean luminance in the circle through the corners of a triangle, before it is added.
+    """Return the mean luminance, in cd/m², in the circle through the corners of a triangle, before it is added.
 
-    Parameters
-    ----------
-    luminance_cd_m2 : ndarray, shape (rows, columns)
-    x_px, y_px : float
-        Centroid of the triangle.
-    size_px : float
-        √(area) in pixels.
-
-    Returns
-    -------
-    float
-        Luminance in cd/m². Pixels at the circle count by the share of a pixel that lies within, along the radius.
+    Pixels at the circle count by the share of a pixel that lies within, along the radius.
     """
     shape = (luminance_cd_m2.shape[0], luminance_cd_m2.shape[1])
     return float((circle_about(shape, size_px=size_px, x_px=x_px, y_px=y_px) * luminance_cd_m2).sum())
@@ -75,13 +62,8 @@ def local_luminance(luminance_cd_m2: FloatArray, x_px: float, y_px: float, size_
 class Layout(NamedTuple):
     """The geometry of frames with triangles of one size, in pixels.
 
-    Attributes
-    ----------
-    size_px : float
-    reach_px : int
-        Distance from each place to the edges that the observer needs.
-    places : int
-    step_px : float
+    `reach_px` is the distance from each place to the edges that the observer needs, `step_px` that of neighbouring
+    places.
     """
 
     size_px: float
@@ -100,12 +82,12 @@ class Layout(NamedTuple):
 
     def nearest(self, x_px: float, y_px: float) -> int:
         """Return the number of the place that is nearest to a point."""
-        return 1 + min(range(self.places), key=lambda one: math.dist(self._grid[one], (x_px, y_px)))
+        return 1 + min(range(self.places), key=lambda k: math.dist(self._grid[k], (x_px, y_px)))
 
     @property
     def _grid(self) -> list[tuple[float, float]]:
         grid = candidate_places(0.0, 0.0, place=1, step_px=self.step_px, places=self.places)
-        dx, dy = (((self.side_px - 1) - max(one[axis] for one in grid)) / 2.0 for axis in (0, 1))
+        dx, dy = (((self.side_px - 1) - max(along)) / 2.0 for along in zip(*grid, strict=True))
         return [(x + dx, y + dy) for x, y in grid]
 
 
@@ -140,35 +122,14 @@ def draw_backgrounds(
 ) -> list[list[Background]]:
     """Draw windows of each scene for each layout, and leave out scenes that are unfit for one of them.
 
-    Parameters
-    ----------
-    files : sequence of SceneFile
-    display : Display
-        Display that shows the recorded values.
-    layouts : sequence of Layout
-    rng_of : function of (number of the file, number of the layout)
-        Returns the stream of the windows' places.
-    windows, frames : int
-        Windows of each frame, and frames of each film, at most.
-    room_for : function of (luminance of a window, layout), optional
-        Returns how many times stronger the triangles on a window could be and still be shown by the display.
-        Windows with less than 1 are not taken.
-    range_name : str
-        Name of the argument that has the values of black and white, for a remark.
-    note : function of a text
-        Called with a remark about each scene that is left out, or whose values hardly differ.
+    Those of each layout come from the same scenes in the same order: at most `windows` of each of at most `frames`
+    frames of a film. `rng_of` returns the stream of the windows' places by the numbers of file and layout.
+    `room_for` returns how many times stronger the triangles on a window could be and still be shown by the
+    display; windows with less than 1 are not taken. `note` is called with a remark about each scene that is left
+    out, or whose values hardly differ; `range_name` is the argument that has the values of black and white.
 
-    Returns
-    -------
-    list of list of Background
-        Those of each layout, the same scenes in the same order.
-
-    Raises
-    ------
-    FrameError, DataError
-        If a file cannot be decoded.
-    UnfitSceneError
-        If all scenes are unfit: the error of the first.
+    Raises FrameError or DataError if a file cannot be decoded; if all scenes are unfit, the UnfitSceneError of the
+    first.
     """
     of_layouts: list[list[Background]] = [[] for _ in layouts]
     first: UnfitSceneError | None = None
@@ -211,12 +172,8 @@ def draw_windows(
 ) -> Iterator[Background]:
     """Yield windows of an image at random places where it is neither black nor white, nor without any contrast.
 
-    With `room_for`, as in `draw_backgrounds`, the display can show the triangles on them, too.
-
-    Raises
-    ------
-    UnfitSceneError
-        If the image is smaller than a window, or has too few such places.
+    With `room_for`, as in `draw_backgrounds`, the display can show the triangles on them, too. Raises
+    UnfitSceneError if the image is smaller than a window, or has too few such places.
     """
     side = layout.side_px
     rows, columns = image.luminance_cd_m2.shape
@@ -304,16 +261,11 @@ def balanced(n_backgrounds: int, turns: Sequence[str]) -> int:
 
 
 def own_orientation(luminance_cd_m2: FloatArray, x_px: float, y_px: float, size_px: float) -> NDArray[np.float64]:
-    """Measure the orientation that a background has by itself.
+    """Return the contrasts of the orientations that a background has by itself, in the order of `ORIENTATIONS`.
 
     The background's contrast is multiplied by triangles of the four orientations, each without the mean of the
-    four, in units of a triangle's own product. A triangle of contrast 0.1 alone has 0.1 in its orientation.
-
-    Returns
-    -------
-    ndarray, shape (4,)
-        Contrasts in the order of `ORIENTATIONS`; their sum is 0. The largest is that of the triangle that would
-        answer as the background does.
+    four, in units of a triangle's own product. A triangle of contrast 0.1 alone has 0.1 in its orientation. The
+    sum is 0; the largest is the contrast of the triangle that would answer as the background does.
     """
     contrast = luminance_cd_m2 / local_luminance(luminance_cd_m2, x_px, y_px, size_px) - 1.0
     shape = (contrast.shape[0], contrast.shape[1])

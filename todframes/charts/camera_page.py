@@ -35,14 +35,8 @@ darker square."""
 class CameraContent(NamedTuple):
     """The places of what a page for measuring a camera shows.
 
-    Attributes
-    ----------
-    square_mm : ndarray, shape (4, 2)
-        Corners of the slanted square, clockwise.
-    free_mm : float
-        Distance from its sides in which there is nothing else.
-    patches_mm : list of (float, float, float, float)
-        Left, top, width and height of each patch.
+    `square_mm` has the corners of the slanted square, clockwise, shape (4, 2); within `free_mm` of its sides there
+    is nothing else. `patches_mm` has left, top, width and height of each patch.
     """
 
     square_mm: FloatArray
@@ -74,12 +68,7 @@ def camera_content(
 ) -> CameraContent:
     """Lay out the square and the wedge in a free area of a page, the wedge at its right.
 
-    Parameters
-    ----------
-    left_mm, top_mm, width_mm, height_mm : float
-        The area.
-    step_mm : float, optional
-        Borders of patches are multiples of it, > 0.
+    Borders of patches are multiples of `step_mm`, if there is one.
     """
     surround_mm = min(height_mm, SQUARE_SHARE * width_mm)
     half_mm = SIDE_SHARE * surround_mm / 2.0
@@ -109,14 +98,7 @@ def _grid(start_mm: float, length_mm: float, n: int, step_mm: float | None) -> l
 
 
 def camera_codes(light_of_code: FloatArray, background_code: int) -> tuple[int, list[int]]:
-    """Return the code values of the square and of the patches.
-
-    Parameters
-    ----------
-    light_of_code : ndarray
-        Luminance or reflectance of all code values, rising.
-    background_code : int
-    """
+    """Return the code values of the square and the patches, given the luminance or reflectance of all, rising."""
     black, background, white = light_of_code[[0, background_code, -1]].tolist()
     bright = EDGE_RATIO * background
     wanted = bright if bright <= BRIGHTEST * white else background / EDGE_RATIO

@@ -42,27 +42,10 @@ class Condition(NamedTuple):
 class Design:
     """Triangles, distance and order of a chart.
 
-    Attributes
-    ----------
-    distance_m : float
-        From the camera to the chart, > 0.
-    sizes_mrad : tuple of float
-        √(area) in object space, > 0, each once.
-    levels : tuple of float
-        Contrasts, or temperature differences in K, > 0, each once.
-    repeats : int
-        Number of blocks, >= 1.
-    seed : int
-        Seed of the order.
-    polarity : {1, -1}
-        Triangles are brighter (warmer) or darker (colder) than their background.
-    name : str
-        Title of the chart, in one line.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of range, or there are more triangles than pages can be numbered.
+    Sizes are √(area) in object space; levels are contrasts, or temperature differences in K, without sign. Each
+    value is there once. `repeats` is the number of blocks. With a polarity of 1, triangles are brighter (warmer)
+    than their background. Raises SettingsError if a value is out of range, or there are more triangles than pages
+    can be numbered.
     """
 
     distance_m: Length
@@ -108,22 +91,9 @@ class Design:
     def triangle(
         self, condition: Condition, *, x_mm: float, y_mm: float, contrast: float, dithered: bool = False
     ) -> Triangle:
-        """Return the description of a triangle that is drawn with a contrast, to six digits.
+        """Return the description of a triangle that is drawn with a Weber contrast, to six digits.
 
-        Parameters
-        ----------
-        condition : Condition
-        x_mm, y_mm : float
-            Place of its centroid on the page.
-        contrast : float
-            Weber contrast that the drawing has.
-        dithered : bool
-            Whether pixels of two code values are mixed.
-
-        Returns
-        -------
-        Triangle
-            With the contrast asked for, if that is another.
+        It has the contrast asked for as well, if that is another. Its centroid is at (x_mm, y_mm) of the page.
         """
         drawn, asked = float(f"{contrast:.6g}"), self.polarity * condition.level
         return Triangle(

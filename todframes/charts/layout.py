@@ -64,24 +64,11 @@ class Point:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Markers:
-    """The ArUco markers in the corners and along the borders of all pages.
+    """The ArUco markers of all pages: the centres of those in the corners and along the borders.
 
-    Attributes
-    ----------
-    dictionary : {"5x5_1000"}
-        Dictionary of the markers in the corners.
-    side_mm : float
-        Side of a marker with its black border, > 0.
-    top_left, top_right, bottom_right, bottom_left : Point
-        Centre of each marker in a corner.
-    borders : tuple of Point
-        Centre of each marker along the borders, in the order of `BORDER_IDS`. Charts made before
-        there were such markers have none.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of range, the corners are not where their names say, or markers overlap.
+    `dictionary` is that of the markers in the corners, `side_mm` their side with the black border. Those along the
+    borders are in the order of `BORDER_IDS`; charts made before there were such markers have none. Raises
+    SettingsError if a value is out of range, the corners are not where their names say, or markers overlap.
     """
 
     side_mm: Length
@@ -134,15 +121,9 @@ class Markers:
     def with_borders(self, *, free_mm: float, step_mm: float) -> Markers:
         """Return the markers with two more along each side of the page, at thirds between the corners.
 
-        A square in the middle of the page stays free of them: where they would reach into it, they stand nearer to
-        the corners, and a side that has no place for them has none.
-
-        Parameters
-        ----------
-        free_mm : float
-            Side of the square.
-        step_mm : float
-            Distances from the corners are multiples of it, > 0.
+        A square of side `free_mm` in the middle of the page stays free of them: where they would reach into it,
+        they stand nearer to the corners, and a side that has no place for them has none. Distances from the
+        corners are multiples of `step_mm`.
         """
         # A module of white about each, and one of background between: all edges have the same neighbours.
         reach_mm, apart_mm = (0.5 + 1.0 / MODULES) * self.side_mm, (1.0 + 3.0 / MODULES) * self.side_mm
@@ -154,15 +135,12 @@ class Markers:
             if across / 2.0 - reach_mm < free_mm / 2.0:
                 from_corner = min(from_corner, (length - free_mm) / 2.0 - reach_mm)
             from_corner = math.floor(from_corner / step_mm + GRID_TOLERANCE) * step_mm
-            if (
-                apart_mm <= from_corner + GRID_TOLERANCE * step_mm
-                and from_corner <= length - from_corner - apart_mm
-            ):
+            if apart_mm - GRID_TOLERANCE * step_mm <= from_corner <= length - from_corner - apart_mm:
                 along = (from_corner, length - from_corner)
                 if is_row:
-                    places += [(left + one, y) for y in (top, bottom) for one in along]
+                    places += [(left + x, y) for y in (top, bottom) for x in along]
                 else:
-                    places += [(x, top + one) for x in (left, right) for one in along]
+                    places += [(x, top + y) for x in (left, right) for y in along]
         return replace(self, borders=tuple(Point(x_mm=x, y_mm=y) for x, y in places))
 
     def borders_beside(self, free_mm: float) -> tuple[int, ...]:
@@ -175,31 +153,13 @@ class Markers:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Triangle:
-    """A triangle on a page.
+    """A triangle on a page, its centroid at (x_mm, y_mm).
 
-    Attributes
-    ----------
-    orientation : Orientation
-        Direction of the apex on the page.
-    size_mrad : float
-        √(area) as an angle at the camera, in object space.
-    size_mm : float
-        √(area) on the page: size_mrad · distance_m.
-    x_mm, y_mm : float
-        Place of the centroid.
-    contrast : float or None
-        Weber contrast to the background that the page really has, below zero if darker.
-    contrast_asked : float or None
-        Contrast that was asked for, if it differs.
-    dithered : bool
-        Whether the contrast is a mean over pixels of two code values.
-    delta_t_k : float or None
-        Temperature difference of a thermal chart instead of the contrast, below zero if colder.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of range, or not just one of contrast and delta_t_k is given.
+    `size_mrad` is √(area) as an angle at the camera, `size_mm` = size_mrad · distance_m that on the page.
+    `contrast` is the Weber contrast to the background that the page really has, below zero if darker, and
+    `contrast_asked` the one that was asked for, if it differs. If it is `dithered`, the contrast is a mean over
+    pixels of two code values. Triangles of a thermal chart have the temperature difference `delta_t_k` instead,
+    below zero if colder.
     """
 
     orientation: Orientation
@@ -232,15 +192,7 @@ class Triangle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Patch:
-    """A uniform grey rectangle on a page, to measure. `x_mm` and `y_mm` are its centre.
-
-    `luminance_cd_m2` or `reflectance` is its nominal value.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of range, or not just one of luminance and reflectance is given.
-    """
+    """A uniform grey rectangle on a page, to measure, with its centre and its nominal luminance or reflectance."""
 
     x_mm: Place
     y_mm: Place
@@ -258,20 +210,7 @@ class Patch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Edge:
-    """A straight edge between two greys on a page, to measure an MTF across.
-
-    Attributes
-    ----------
-    x1_mm, y1_mm, x2_mm, y2_mm : float
-        Its ends.
-    free_mm : float
-        Distance on either side in which there is nothing else, > 0.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of range, or the ends are the same.
-    """
+    """A straight edge between two greys on a page, to measure an MTF across; within `free_mm` is nothing else."""
 
     x1_mm: Place
     y1_mm: Place
@@ -297,11 +236,6 @@ class Page:
     `file` is its path in the chart's folder; None for a setting of the plate. `borders` are the numbers of the
     markers along the borders that it has; None for all. A page with `edges` in place of triangles is that by which
     the camera is measured.
-
-    Raises
-    ------
-    SettingsError
-        If there is neither a triangle nor an edge, or the file lies outside of the chart's folder.
     """
 
     number: Annotated[int, Meta(ge=0, le=MOST_PAGES - 1)]
@@ -324,29 +258,10 @@ class Page:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Screen:
-    """The monitor that shows a chart.
+    """The monitor that shows a chart; its pixels are those of each page.
 
-    Attributes
-    ----------
-    width_px, height_px : int
-        Pixels of the monitor, which are those of each page.
-    pixel_pitch_mm : float
-        Distance from one pixel to the next, > 0.
-    background_luminance_cd_m2 : float
-        Luminance around the triangles, > 0.
-    page_duration_s : float
-        Time for which each page is shown, > 0.
-    eotf, white_luminance_cd_m2, black_luminance_cd_m2, gamma
-        As in the [display] of a dataset.
-    lut : LuminanceTable or None
-        Table for "lut"; in chart.toml its pairs of code value and luminance in cd/m².
-    bits : {8, 10}
-        Bits of a code value.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of range, missing, or contradicts another.
+    `background_luminance_cd_m2` is that around the triangles; the other luminances are as in the [display] of a
+    dataset. In chart.toml, `lut` has pairs of code value and luminance in cd/m².
     """
 
     width_px: Annotated[int, Meta(ge=1, le=32768)]
@@ -430,11 +345,9 @@ class Chart:
         if (self.markers is None) != (self.kind == "thermal"):
             raise SettingsError(f'[markers]: expected it unless kind = "thermal"; found kind = "{self.kind}"')
         if self.screen is not None:
-            for name, pixels in (
-                ("page_width_mm", self.screen.width_px),
-                ("page_height_mm", self.screen.height_px),
-            ):
-                _check_equal(name, getattr(self, name), pixels * self.screen.pixel_pitch_mm, "the pixels give")
+            for side in ("width", "height"):
+                expected = getattr(self.screen, f"{side}_px") * self.screen.pixel_pitch_mm
+                _check_equal(f"page_{side}_mm", getattr(self, f"page_{side}_mm"), expected, "the pixels give")
         if self.markers is not None:
             half = self.markers.side_mm / 2.0
             names = [*CORNERS, *("borders" for _ in self.markers.borders)]
@@ -503,25 +416,10 @@ def _check_equal(name: str, found: float, expected: float, origin: str) -> None:
         raise SettingsError(f"{name}: found {found:g}, but {origin} {expected:g}; expected equal values")
 
 
-# chart.toml ---------------------------------------------------------------------------------------------------
-
-
 def read_chart(path: Path | str) -> Chart:
-    """Read and check a `chart.toml`; no page is opened.
+    """Read and check a `chart.toml`, given its path or that of its folder; no page is opened.
 
-    Parameters
-    ----------
-    path : path
-        The file, or the folder that holds it.
-
-    Returns
-    -------
-    Chart
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, or has an unknown, missing or contradictory key.
+    Raises SettingsError if the file cannot be read, or has an unknown, missing or contradictory key.
     """
     path = Path(path)
     if path.is_dir():
@@ -543,10 +441,7 @@ def _lut(found: object, where: str) -> LuminanceTable:
 def write_chart(path: Path, chart: Chart) -> None:
     """Write a chart as `chart.toml`; `read_chart` gives the same chart, number for number.
 
-    Raises
-    ------
-    SettingsError
-        If the text would be longer than what is read again.
+    Raises SettingsError if the text would be longer than what is read again.
     """
     text = chart_toml(chart)
     if len(text.encode()) > MAX_TOML_MB * 2**20:

@@ -38,19 +38,10 @@ MOST_PAGES = N_DIGITS**2
 
 
 def marker_ids(page: int, key: int) -> tuple[int, int, int, int]:
-    """Return the ids of the markers of a page, in the order of `CORNERS`.
+    """Return the ids of the markers of a page, 0 to 62,499, in the order of `CORNERS`; the chart's key is 0 to
+    249.
 
-    Parameters
-    ----------
-    page : int
-        Number of the page, 0 to 62,499.
-    key : int
-        Key of the chart, 0 to 249.
-
-    Raises
-    ------
-    SettingsError
-        If the page or the key is out of its range.
+    Raises SettingsError if the page or the key is out of its range.
     """
     for name, value, count in (("page", page, MOST_PAGES), ("key", key, N_DIGITS)):
         check_whole(name, value, 0, count - 1)
@@ -60,44 +51,23 @@ def marker_ids(page: int, key: int) -> tuple[int, int, int, int]:
 
 def page_of(ids: Sequence[int]) -> tuple[int, int] | None:
     """Return (page, key) for the ids of four markers in the order of `CORNERS`; None if no page has them."""
-    if len(ids) != len(CORNERS) or any(not 0 <= one < 4 * N_DIGITS or one % 4 != k for k, one in enumerate(ids)):
+    if len(ids) != len(CORNERS) or any(not 0 <= id_ < 4 * N_DIGITS or id_ % 4 != k for k, id_ in enumerate(ids)):
         return None
-    low, high, again, key = (one // 4 for one in ids)
+    low, high, again, key = (id_ // 4 for id_ in ids)
     return (high * N_DIGITS + low, key) if low == again else None
 
 
-def marker_bits(marker: int) -> NDArray[np.bool_]:
-    """Return the modules of a marker, shape (7, 7), True where it is white; its border is black.
-
-    Raises
-    ------
-    SettingsError
-        If the dictionary has no such marker.
-    """
-    check_whole("marker", marker, 0, 4 * N_DIGITS - 1)
-    return _bits(DICTIONARY, marker)
-
-
 def page_markers(page: int, key: int, *, n_borders: int) -> list[NDArray[np.bool_]]:
-    """Return the modules of all markers of a page: those in the corners, then those along the borders.
+    """Return the modules of all markers of a page: those in the corners, then `n_borders` along the borders.
 
-    Parameters
-    ----------
-    page, key : int
-        As in `marker_ids`.
-    n_borders : int
-        Number of markers along the borders, 0 to 8.
-
-    Raises
-    ------
-    SettingsError
-        If the page or the key is out of its range.
+    Raises SettingsError if the page or the key is out of its range.
     """
     corners = [marker_bits(marker) for marker in marker_ids(page, key)]
-    return corners + [_bits(BORDER_DICTIONARY, marker) for marker in BORDER_IDS[:n_borders]]
+    return corners + [marker_bits(marker, BORDER_DICTIONARY) for marker in BORDER_IDS[:n_borders]]
 
 
-def _bits(dictionary: str, marker: int) -> NDArray[np.bool_]:
+def marker_bits(marker: int, dictionary: str = DICTIONARY) -> NDArray[np.bool_]:
+    """Return the modules of a marker, shape (7, 7), True where it is white; its border is black."""
     import cv2
 
     of_opencv = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary.upper()}"))

@@ -13,11 +13,9 @@ from typing import Literal
 
 from todframes.base._typing import FloatArray
 
-POINTS_PER_MM = 72.0 / 25.4
-
 MM_PER_INCH = 25.4
 
-HAIRLINE_MM = 0.1
+POINTS_PER_MM = 72.0 / MM_PER_INCH
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +31,7 @@ class Outline:
     """A closed line in black along a polygon."""
 
     corners_mm: Sequence[tuple[float, float]]
-    width_mm: float = HAIRLINE_MM
+    width_mm: float = 0.1
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,31 +68,11 @@ Parts = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paper:
-    """Sheets of paper and the printer's greys.
+    """Sheets of paper, by default A3 across, and the printer's greys; `todframes.chart` describes the settings.
 
-    Attributes
-    ----------
-    paper_width_mm, paper_height_mm : float
-        Size of a sheet; by default A3 across.
-    margin_mm : float
-        Border that the printer leaves white.
-    paper_reflectance, black_reflectance : float
-        Reflectance of code values 255 and 0. Greys between are taken to follow sRGB.
-    reflectances : str or None
-        CSV file with the columns code_value (0 to 255) and reflectance, measured on a print, instead of the two.
-    background_reflectance : float
-        Reflectance around the triangles.
-    marker_mm : float or None
-        Side of the markers. Default: 8 % of the smaller side of the sheet.
-    markers : {"borders", "corners"}
-        Markers in the corners, and one each in the bands above and below; or in the corners alone.
-    camera_page : bool
-        Begin with a sheet of slanted edges and a large grey wedge.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of range or contradicts another.
+    Paper and black have the code values 255 and 0. Greys between are taken to follow sRGB, unless the CSV file
+    `reflectances` has the columns code_value (0 to 255) and reflectance, measured on a print. With `markers`
+    "borders", there is one in each of the bands above and below too; `MARKER_SHARE` gives their default side.
     """
 
     paper_width_mm: PaperLength = 420.0
@@ -167,16 +147,7 @@ class _Sheet:
 def design_print_chart(design: Design, paper: Paper) -> PrintChart:
     """Lay out a chart on paper: sheets with triangles of one size each, in blocks of random order.
 
-    Parameters
-    ----------
-    design : Design
-        Its levels are contrasts.
-    paper : Paper
-
-    Raises
-    ------
-    SettingsError
-        If the paper is too small for a size, or its greys do not have a contrast.
+    Raises SettingsError if the paper is too small for a size, or its greys do not have a contrast.
     """
     reflectance = paper.reflectance_of_code()
     background_code = int(np.argmin(np.abs(reflectance - paper.background_reflectance)))
@@ -197,7 +168,7 @@ def design_print_chart(design: Design, paper: Paper) -> PrintChart:
         ours = [condition for condition in order if condition.size_mrad == size_mrad]
         for first in range(0, len(ours), len(places)):
             some = ours[first : first + len(places)]
-            sheets.append([(one, *place) for one, place in zip(some, places, strict=False)])
+            sheets.append([(condition, *place) for condition, place in zip(some, places, strict=False)])
     patch_codes = [background_code, *np.linspace(0, WHITE, N_PATCHES - 1).round().astype(int).tolist()]
     patches = _patches(sheet, paper, reflectance[patch_codes].tolist())
     square_code, wedge_codes = camera_codes(reflectance, background_code)

@@ -130,24 +130,11 @@ def design_screen_chart(
 ) -> ScreenChart:
     """Lay out a chart for a monitor: one triangle in the middle of each page, in blocks of random order.
 
-    Parameters
-    ----------
-    design : Design
-        Its levels are contrasts.
-    screen : Screen
-        The monitor. Its background luminance is replaced by that of the nearest code value.
-    marker_mm : float, optional
-        Side of the markers, rounded to whole pixels a module. Default: 13 % of the smaller side of the page,
-        and 15 % if they are in the corners alone.
-    markers : {"borders", "corners"}
-        Markers in the corners and along the borders, or in the corners alone.
-    camera_page : bool
-        Begin with a page of slanted edges and a grey wedge.
-
-    Raises
-    ------
-    SettingsError
-        If the monitor cannot show a size or a contrast, or there is no place for the markers.
+    The background luminance of the screen is replaced by that of the nearest code value, and the side of the
+    markers is rounded to whole pixels a module; `MARKER_SHARE` has the default. With "borders" there are markers
+    along the borders too, not in the corners alone. With `camera_page` the first page has slanted edges and a grey
+    wedge. Raises SettingsError if the monitor cannot show a size or a contrast, or there is no place for the
+    markers.
     """
     luminance_of_code = _luminance_of_code(screen)
     background_code = int(np.argmin(np.abs(luminance_of_code - screen.background_luminance_cd_m2)))
@@ -175,8 +162,11 @@ def design_screen_chart(
     if markers == "borders":
         laid = laid.with_borders(free_mm=min(surrounds_mm.values()), step_mm=pitch_mm)
     beside = {size_mrad: laid.borders_beside(surround_mm) for size_mrad, surround_mm in surrounds_mm.items()}
-    borders = {one: some if len(some) < len(laid.borders) else None for one, some in beside.items()}
-    drawn = {one: _drawn(one, design, screen, luminance_of_code, background_code) for one in design.conditions}
+    borders = {size: some if len(some) < len(laid.borders) else None for size, some in beside.items()}
+    drawn = {
+        condition: _drawn(condition, design, screen, luminance_of_code, background_code)
+        for condition in design.conditions
+    }
     order: list[Condition | None] = [None] if camera_page else []
     order += [condition for block in design.blocks() for condition in block]
     camera = _camera_page(laid, luminance_of_code, background_code, pitch_mm) if camera_page else None
@@ -307,7 +297,7 @@ def _triangle(
     """
     alike = [drawn[condition._replace(orientation=orientation)] for orientation in ORIENTATIONS]
     # The area of covered pixels is off by 1e-5, which must not make black darker than black.
-    contrast = max(-1.0, float(np.mean([one.contrast for one in alike])))
+    contrast = max(-1.0, float(np.mean([triangle.contrast for triangle in alike])))
     return design.triangle(condition, x_mm=x_mm, y_mm=y_mm, contrast=contrast, dithered=alike[0].is_dithered)
 
 
@@ -315,12 +305,8 @@ def write_screen_chart(folder: Path, made: ScreenChart, *, progress: Progress | 
     """Write `chart.toml`, the pages as PNG files and the player into an existing, empty folder.
 
     The PNG files have one channel. 8-bit code values are stored as they are; of 10 bits, code · 65535 / 1023,
-    rounded, in 16 bits, so that any reader that divides by full scale gets code / 1023.
-
-    Raises
-    ------
-    SettingsError
-        If there are more pages than a `chart.toml` can hold.
+    rounded, in 16 bits, so that any reader that divides by full scale gets code / 1023. Raises SettingsError if
+    there are more pages than a `chart.toml` can hold.
     """
     import cv2
 

@@ -17,7 +17,7 @@ from todframes.base.progress import counted
 from todframes.base.reading import check_values
 from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
 from todframes.charts.layout import CHART_FILE, LARGEST_ON_CHART, Chart, Page, Triangle, write_chart
-from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, pdf, rectangle, svg
+from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, pdf, rectangle, svg
 from todframes.parameters import Progress
 from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, vertices
 
@@ -34,18 +34,7 @@ PLATE_STEP_MM = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plate:
-    """Square plates of one size.
-
-    Attributes
-    ----------
-    plate_mm : float or None
-        Side of the plates. Default: five sizes of the largest triangle, rounded up to whole centimetres.
-
-    Raises
-    ------
-    SettingsError
-        If the value is out of range.
-    """
+    """Square plates of one side; by default five sizes of the largest triangle, rounded up to whole cm."""
 
     plate_mm: Annotated[float | None, Meta(ge=1.0, le=LARGEST_ON_CHART)] = None
 
@@ -66,18 +55,8 @@ def design_thermal_chart(design: Design, plate: Plate) -> ThermalChart:
     """Lay out plates with one hole each, and order their settings.
 
     All settings of a plate come one after the other. In each block of a plate, the temperature differences are in
-    random order. For each of them, the plate is turned to the four orientations, in random order too.
-
-    Parameters
-    ----------
-    design : Design
-        Its levels are temperature differences in K.
-    plate : Plate
-
-    Raises
-    ------
-    SettingsError
-        If a hole is too small to be cut, or the plate too small for a hole.
+    random order. For each of them, the plate is turned to the four orientations, in random order too. Raises
+    SettingsError if a hole is too small to be cut, or the plate too small for a hole.
     """
     largest_mm = design.size_mm(max(design.sizes_mrad))
     needed_mm = FIELD_PER_SIZE * largest_mm
@@ -141,8 +120,7 @@ def _drawing(design: Design, size_mrad: float, side_mm: float) -> Drawing:
     """Draw a plate with its hole, upright, and the lengths that it is cut by."""
     size_mm = design.size_mm(size_mrad)
     x_mm, y_mm = BORDER_MM + side_mm / 2.0, BORDER_MM + side_mm / 2.0
-    corners = vertices(size=size_mm, orientation=Orientation.UP, x=x_mm, y=y_mm)
-    hole = [(float(x), float(y)) for x, y in corners]
+    hole = area(vertices(size=size_mm, orientation=Orientation.UP, x=x_mm, y=y_mm), 0)
     far = BORDER_MM + side_mm
     lines = [
         f"{design.name}: {size_mrad:g} mrad at {design.distance_m:g} m, scale 1 : 1, plate {side_mm:g} mm",
@@ -153,17 +131,12 @@ def _drawing(design: Design, size_mrad: float, side_mm: float) -> Drawing:
     height_mm = min(3.0, (side_mm + 2.0 * BORDER_MM - 6.0) / 0.55 / max(map(len, lines)))
     shapes: list[Shape] = [
         Outline(rectangle(BORDER_MM, BORDER_MM, side_mm, side_mm, 0).corners_mm),
-        Outline(hole),
+        Outline(hole.corners_mm),
         *(Text(3.0, 4.0 + 1.5 * height_mm * k, line, height_mm) for k, line in enumerate(lines)),
     ]
     # Marks at the plate's edges show its middle, also when it is turned.
-    for left, top, width, height in (
-        (x_mm, BORDER_MM - 3.0, 0.1, 3.0),
-        (x_mm, far, 0.1, 3.0),
-        (BORDER_MM - 3.0, y_mm, 3.0, 0.1),
-        (far, y_mm, 3.0, 0.1),
-    ):
-        shapes.append(rectangle(left, top, width, height, 0))
+    for end in (BORDER_MM - 3.0, far):
+        shapes += [rectangle(x_mm, end, 0.1, 3.0, 0), rectangle(end, y_mm, 3.0, 0.1, 0)]
     page_mm = side_mm + 2.0 * BORDER_MM
     return Drawing(page_mm, page_mm, tuple(shapes))
 
@@ -183,6 +156,6 @@ def _schedule(made: ThermalChart) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["file", "start_s", "end_s", "orientation", "size_mrad", "delta_t_k", "polarity"])
-    for one in made.order:
-        writer.writerow(["", "", "", one.orientation, repr(one.size_mrad), repr(one.level), made.chart.polarity])
+    for size_mrad, level, orientation in made.order:
+        writer.writerow(["", "", "", orientation, repr(size_mrad), repr(level), made.chart.polarity])
     return text.getvalue()
