@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from todframes.frames.dataset import load_dataset
-from todframes.frames.trials import FrameReference, SceneView, Trial, Trials, TrialsBuilder, indices_by
+from todframes.frames.trials import FrameReference, SceneView, Trial, Trials, indices_by
 from todframes.stimulus import ORIENTATIONS, Stimulus
 
 DIGEST = "0123456789abcdef" * 4
@@ -110,20 +110,6 @@ def test_a_batch_is_sent_without_the_others() -> None:
     batch = columns[500:700]
     assert len(pickle.dumps(batch)) < 200 * 150
     assert len(pickle.dumps(columns[:1])) < 3000
-
-
-def test_frames_of_a_trial_may_come_later() -> None:
-    builder = TrialsBuilder()
-    for one in PLAIN[:3]:
-        builder.append(one)
-    more = [FrameReference("late.exr", None, None), FrameReference("later.exr", None, None)]
-    builder.append_frame(1, more[0])
-    builder.append_frame(0, more[1])
-    assert builder[1] == PLAIN[1]
-    first, second, third = builder.trials()
-    assert first.frames == (*PLAIN[0].frames, more[1])
-    assert second.frames == (*PLAIN[1].frames, more[0])
-    assert third == PLAIN[2]
 
 
 def test_indices_are_in_the_order_of_the_first() -> None:

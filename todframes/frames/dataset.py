@@ -39,7 +39,7 @@ from todframes.frames.files import (
     frame_sha256,
     has_own_checksums,
 )
-from todframes.frames.trials import FrameReference, Group, SceneView, Trial, Trials, TrialsBuilder, joined
+from todframes.frames.trials import FrameReference, Group, SceneView, Trial, Trials, joined, with_frames
 from todframes.parameters import MAX_FRAME_MB, FrameLimit, Gaze
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
@@ -386,7 +386,9 @@ class Manifest:
         # Equal ones are the same object, which saves memory.
         self.stimuli: dict[tuple[str, int], Stimulus] = {}
         self.groups: dict[Group, Group] = {}
-        self.builder = TrialsBuilder()
+        self.gathered: list[Trial] = []
+        self.other_frames: dict[int, list[FrameReference]] = {}
+        self.unjudged: list[FrameReference] = []
         self.index_of: dict[str, int] = {}
         # The line of each real path, so that no frame is there twice.
         self.lines: dict[str, int] = {}
@@ -415,20 +417,26 @@ class Manifest:
                     self.spoilt.add(name)
                 if clip := (row.get(CLIP_COLUMN) or "").strip():
                     self.n_breaks[clip] = self.n_breaks.get(clip, 0) + 1
-        return self.builder.trials()
+        return self.trials()
+
+    def trials(self) -> Trials:
+        """Return the trials of all rows that were added."""
+        for index, others in self.other_frames.items():
+            self.gathered[index] = with_frames(self.gathered[index], others)
+        return Trials.of(self.gathered, self.unjudged)
 
     def add(self, row: Mapping[str, str], where: str, row_number: int) -> None:
         """Add the frame of a row; raise DataError, whose message begins with `where`, if the row is wrong."""
-        trial, n = self._trial(row, where, row_number), len(self.builder)
+        trial, n = self._trial(row, where, row_number), len(self.gathered)
         if not self._is_judged(row, where):
-            self.builder.append_unjudged(trial.frames[0])
+            self.unjudged.append(trial.frames[0])
             return
         # Without a column of trials, no two frames have the same name.
         index = self.index_of.setdefault(trial.name, n) if "trial" in row else n
         if index == n:
-            self.builder.append(trial)
+            self.gathered.append(trial)
             return
-        first = self.builder[index]
+        first = self.gathered[index]
         trial, frame = joined(first, trial)
         self._check_joined(first, trial, where)
         if frame.clip != (clip := first.frames[0].clip) and first.name not in self.spoilt:
@@ -436,7 +444,7 @@ class Manifest:
                 f"{where}: {CLIP_COLUMN}: found {frame.clip}, expected {clip} as in the other frames of trial "
                 f"{first.name!r}"
             )
-        self.builder.append_frame(index, frame)
+        self.other_frames.setdefault(index, []).append(frame)
 
     def check_columns(self, found: Mapping[str, object]) -> None:
         """Raise DataError if a column is missing."""

@@ -115,7 +115,7 @@ def memory_dataset(
     manifest.check_columns(columns)
     for number, row in enumerate(zip(*texts, strict=True)):
         manifest.add(dict(zip(columns, row, strict=True)), names[number], number)
-    trials = manifest.builder.trials()
+    trials = manifest.trials()
     if not trials:
         raise DataError("judged: found no frame that is judged, expected at least one")
     return MemoryDataset(

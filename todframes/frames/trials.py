@@ -94,9 +94,9 @@ class Trials(Sequence[Trial]):
         self._coded: dict[str, tuple[tuple[Any, ...], NDArray[np.int32]]] = {}
 
     @classmethod
-    def of(cls, trials: Iterable[Trial]) -> Trials:
-        """Return trials as a table: the same object if they are one already."""
-        return trials if isinstance(trials, Trials) else Trials(np.fromiter(trials, _ROW))
+    def of(cls, trials: Iterable[Trial], unjudged: Sequence[FrameReference] = ()) -> Trials:
+        """Return trials as a table, with the frames that are in none: the same object if they are one already."""
+        return trials if isinstance(trials, Trials) else Trials(np.fromiter(trials, _ROW), unjudged)
 
     def __len__(self) -> int:
         return len(self._table)
@@ -312,44 +312,6 @@ def indices_by(codes: NDArray[np.integer]) -> list[NDArray[np.intp]]:
     return sorted(parts, key=lambda part: int(part[0]))
 
 
-class TrialsBuilder:
-    """Table that grows by a trial, or by a frame of a trial, at a time."""
-
-    def __init__(self) -> None:
-        self._table, self._n = np.zeros(BLOCK, _ROW), 0
-        self._more: dict[int, list[FrameReference]] = {}
-        self._unjudged: list[FrameReference] = []
-
-    def __len__(self) -> int:
-        return self._n
-
-    def __getitem__(self, index: int) -> Trial:
-        """Return the trial at an index, with its first frame."""
-        return Trial._make(self._table[index].item())
-
-    def append(self, trial: Trial) -> None:
-        """Add a trial with its frames."""
-        if self._n == len(self._table):
-            self._table = np.concatenate([self._table, np.zeros(self._n, _ROW)])
-        self._table[self._n] = trial
-        self._n += 1
-
-    def append_frame(self, index: int, frame: FrameReference) -> None:
-        """Add a frame to the trial at an index."""
-        self._more.setdefault(index, []).append(frame)
-
-    def append_unjudged(self, frame: FrameReference) -> None:
-        """Add a frame that is in no trial."""
-        self._unjudged.append(frame)
-
-    def trials(self) -> Trials:
-        """Return the trials; no more can be added afterwards."""
-        for index, more in self._more.items():
-            first = self[index]
-            self._table[index] = _centred(first._replace(frames=(*first.frames, *more)))
-        return Trials(self._table[: self._n], self._unjudged)
-
-
 def joined(first: Trial, other: Trial) -> tuple[Trial, FrameReference]:
     """Return a trial of one frame that joins another trial, at that one's place, and its frame with its motion.
 
@@ -365,8 +327,9 @@ def joined(first: Trial, other: Trial) -> tuple[Trial, FrameReference]:
     return other._replace(x_px=first.x_px, y_px=first.y_px), frame
 
 
-def _centred(trial: Trial) -> Trial:
-    """Return a trial of `joined` frames at the mean of its places in them, from which their motion then counts."""
+def with_frames(trial: Trial, others: Iterable[FrameReference]) -> Trial:
+    """Return a trial with other `joined` frames, at the mean of its places, from which their motion counts."""
+    trial = trial._replace(frames=(*trial.frames, *others))
     moved_px = [frame.motion_px or (0.0, 0.0) for frame in trial.frames]
     if not any(map(any, moved_px)):
         return trial

@@ -46,6 +46,7 @@ REPACKED = {
     "nv12": "yuv420p",
     "nv16": "yuv422p",
     "p010le": "yuv420p10le",
+    **dict.fromkeys(("rgb24", "bgr24", "rgba", "bgra", "argb", "abgr", "rgb0", "bgr0", "0rgb", "0bgr"), "gbrp"),
 }
 """Packed pixel formats and the planar ones with the same samples."""
 
@@ -83,8 +84,7 @@ def pixel_format(name: str) -> PixelFormat | None:
     name = REPACKED.get(name, name)
     match = re.fullmatch(r"(gray|yuvj?|yuva|gbrp|gbrap)(\d{3}p)?(\d+)?(le|be)?", name)
     if match is None:
-        packed = re.fullmatch(r"(rgb24|bgr24|rgba|bgra|argb|abgr|rgb0|bgr0|0rgb|0bgr)", name)
-        return PixelFormat(name, 8, np.dtype("u1")) if packed else None
+        return None
     family, sampling, bits, order = match.groups()
     family = {"yuvj": "yuv", "yuva": "yuv", "gbrap": "gbrp"}.get(family, family)
     if (family == "yuv") != (sampling is not None):
@@ -414,10 +414,6 @@ def _values(frame: VideoFrame, layout: PixelFormat, matrix: int) -> NDArray[Any]
     """Return the values of a frame, of the shape and type of `RecordedFrame.values`."""
     if frame.format.name in REPACKED:
         frame = frame.reformat(format=REPACKED[frame.format.name])
-    if layout.family not in ("gray", "yuv", "gbrp"):
-        letters = layout.family.replace("24", "")
-        samples = _plane(frame, 0, layout.dtype, len(letters)).reshape(frame.height, frame.width, len(letters))
-        return samples[..., [letters.index(one) for one in "rgb"]]
     if layout.family == "gray":
         return _plane(frame, 0, layout.dtype)
     planes = [_plane(frame, number, layout.dtype) for number in range(3)]
@@ -427,13 +423,13 @@ def _values(frame: VideoFrame, layout: PixelFormat, matrix: int) -> NDArray[Any]
     return rgb_from_ycbcr(*planes, bits=layout.bits, limited=limited, matrix=matrix, per_chroma=layout.per_chroma)
 
 
-def _plane(frame: VideoFrame, number: int, dtype: np.dtype[Any], per_pixel: int = 1) -> NDArray[Any]:
+def _plane(frame: VideoFrame, number: int, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Copy a plane of a frame, without the padding at the ends of rows."""
     plane = frame.planes[number]
     rows = np.frombuffer(memoryview(plane), np.uint8)[: plane.height * plane.line_size].reshape(
         plane.height, plane.line_size
     )
-    used = np.ascontiguousarray(rows[:, : plane.width * per_pixel * dtype.itemsize])
+    used = np.ascontiguousarray(rows[:, : plane.width * dtype.itemsize])
     return used.view(dtype).astype(dtype.newbyteorder("="), copy=used.base is not None)
 
 
