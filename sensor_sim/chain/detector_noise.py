@@ -48,14 +48,7 @@ NO_LINES = LineShares()
 
 
 class UnitPattern(NamedTuple):
-    """The fixed pattern of a sensor in units of its parts' standard deviations.
-
-    Attributes
-    ----------
-    own : ndarray, shape (n, n)
-    rows : ndarray, shape (n, 1)
-    columns : ndarray, shape (1, n)
-    """
+    """The fixed pattern of a sensor in units of its parts' standard deviations: (n, n), (n, 1) and (1, n)."""
 
     own: FloatArray
     rows: FloatArray
@@ -121,24 +114,11 @@ def line_shares(noise: Noise) -> LineShares:
 
 
 def delta_t_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
-    """Convert a signal-to-noise ratio to a temperature difference: ΔT = SNR · NETD / k.
+    """Convert a signal-to-noise ratio to a temperature difference in mK, of the same shape: ΔT = SNR · NETD / k.
 
-    NETD is the noise of a single frame, so NETD / k is that of the displayed sample, which the SNR refers to: more
-    frames integrated and less fixed pattern lower ΔT at the same SNR.
-
-    Parameters
-    ----------
-    snr : array_like, any shape
-        Signal of a large triangle divided by the standard deviation of one displayed sample.
-
-    Returns
-    -------
-    ndarray, same shape, mK
-
-    Raises
-    ------
-    SettingsError
-        If the sensor has no NETD.
+    The SNR is the signal of a large triangle over the standard deviation of one displayed sample. NETD is the
+    noise of a single frame, so NETD / k is that of the displayed sample: more frames integrated and less fixed
+    pattern lower ΔT at the same SNR. SettingsError if the sensor has no NETD.
 
     Hogervorst et al. 2001, section 8.2, the text below eq. 4.
     """
@@ -146,10 +126,8 @@ def delta_t_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
 
 
 def delta_t_as_printed_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
-    """Convert a signal-to-noise ratio to a temperature difference by eq. 4 as printed: ΔT = SNR · NETD · k.
-
-    It is k² times `delta_t_mk`, and rises with more frames integrated. Parameters, return value and errors are
-    those of `delta_t_mk`.
+    """Convert as `delta_t_mk`, by eq. 4 as printed: ΔT = SNR · NETD · k, k² times the other, which rises with more
+    frames.
 
     Hogervorst et al. 2001, eq. 4.
     """
@@ -200,23 +178,11 @@ def unit_fixed_pattern(shape: tuple[int, int], *, noise: Noise, seed: int | np.r
 def displayed_noise(
     pattern: UnitPattern, *, total_sd: float, noise: Noise, rng: np.random.Generator
 ) -> FloatArray:
-    """Draw the noise of one displayed image: a new dynamic part and the sensor's fixed pattern.
+    """Draw the noise of one displayed image in units of a large triangle's signal: a new dynamic part and the
+    sensor's fixed pattern. `total_sd` is 1/SNR.
 
-    The dynamic part is one draw of the named distribution with the standard deviation that integration
-    leaves, as in the paper, not the mean of separate draws: `distribution` is that of the displayed sample.
-
-    Parameters
-    ----------
-    pattern : UnitPattern
-        Result of `unit_fixed_pattern`.
-    total_sd : float
-        Total standard deviation, 1/SNR, >= 0.
-    rng : numpy.random.Generator
-        Random generator of the trial.
-
-    Returns
-    -------
-    ndarray, shape (n, n), in units of a large triangle's signal
+    The dynamic part is one draw of the named distribution with the standard deviation that integration leaves, as
+    in the paper, not the mean of separate draws: `distribution` is that of the displayed sample.
     """
     parts = sample_parts(noise, total_sd=total_sd)
     found = draw(pattern.own.shape, sd=parts.own_noise, distribution=noise.distribution, rng=rng)

@@ -39,15 +39,8 @@ BEYOND_ENDS = 2.0
 class MeasuredMtf:
     """The MTF of a table: 1 at frequency 0, monotone cubic between its frequencies, 0 beyond its end.
 
-    Attributes
-    ----------
-    file : str
-        Name of the file, as a SENSOR.toml has it.
-    unit : {"cyc_per_pixel", "cyc_per_mrad", "cyc_per_mm"}
-    frequency : tuple of float
-        Ascending, in this unit, from 0.
-    tangential, sagittal : tuple of float
-        MTF along x, and along y; the same if the table is radial.
+    `frequency` ascends from 0 in the `unit`. `tangential` is the MTF along x and `sagittal` that along y, the same
+    if the table is radial. `file` is its name as a SENSOR.toml has it.
     """
 
     file: str
@@ -104,14 +97,8 @@ class MeasuredMtf:
 class MeasuredPsf:
     """The image of a point: samples of the point spread function, whose rows run down and columns to the right.
 
-    Attributes
-    ----------
-    file : str
-        Name of the file, as a SENSOR.toml has it.
-    shape : (int, int)
-        Rows and columns.
-    data : bytes
-        Samples as 64-bit floats, row by row; their sum is 1.
+    `data` are the samples as 64-bit floats, row by row; their sum is 1. `file` is its name as a SENSOR.toml has
+    it.
     """
 
     file: str
@@ -149,12 +136,10 @@ class MeasuredPsf:
         return float(max(abs(one) for one in ends))
 
     def at(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
-        """Return the OTF, complex, at frequencies in cycles per sample on the lattice of x and y axes.
+        """Return the OTF, complex, at frequencies in cycles per sample that broadcast against each other.
 
-        Parameters
-        ----------
-        frequency_x, frequency_y : ndarray, shapes that broadcast against each other
-            Each has few different values. Beyond ½ along an axis there is nothing.
+        Each of x and y has few different values, whose lattice is computed. Beyond ½ along an axis there is
+        nothing.
         """
         x_at, y_at = self.centroid
         rows, columns = (np.arange(n) - (n - 1) / 2.0 for n in self.shape)
@@ -172,12 +157,8 @@ class MeasuredPsf:
 def read_measured_mtf(file: str, folder: Path) -> MeasuredMtf:
     """Return the MTF in a table beside a SENSOR.toml.
 
-    Raises
-    ------
-    DataError
-        If `todframes.camera.mtf_table.read_mtf_table` refuses the file, or it lies in another folder.
-    SettingsError
-        If the table stops early, or its frequencies are beyond all cameras.
+    SettingsError if the table stops early or its frequencies are beyond all cameras; DataError if it lies in
+    another folder or `todframes.camera.mtf_table.read_mtf_table` refuses it.
     """
     from todframes.camera.mtf_table import DIRECTIONS, LARGEST_END, RADIAL, read_mtf_table
 
@@ -209,12 +190,8 @@ def read_measured_mtf(file: str, folder: Path) -> MeasuredMtf:
 def read_measured_psf(file: str, folder: Path) -> MeasuredPsf:
     """Return the image of a point in a file beside a SENSOR.toml, normalised to the sum of 1.
 
-    Raises
-    ------
-    DataError, FrameError
-        If the file cannot be read, or lies in another folder.
-    SettingsError
-        If the image has colours, negative values, is not normalised, off centre, cut off or too coarse.
+    SettingsError if it has colours or negative values, is not normalised, off centre, cut off or too coarse;
+    DataError or FrameError if it lies in another folder or cannot be read.
     """
     from todframes.camera.mtf_table import LARGEST_END
     from todframes.recordings.opening import open_recordings

@@ -49,14 +49,9 @@ MOST_DRAWN = 1e18
 class ContrastVariance(NamedTuple):
     """Variance of a displayed sample in units of squared contrast.
 
-    Attributes
-    ----------
-    white : float
-        Of a pixel by itself, where there is no triangle.
-    row, column : float
-        Of what the pixels of a row, or of a column, have in common.
-    per_signal, per_squared_signal : float
-        Added to `white` for each unit of signal (the contrast times the covered share), and of its square.
+    `white` is that of a pixel by itself, where there is no triangle; `row` and `column` that of what the pixels of
+    a line have in common. `per_signal` and `per_squared_signal` are added to `white` for each unit of signal (the
+    contrast times the covered share), and of its square.
     """
 
     white: float
@@ -67,12 +62,8 @@ class ContrastVariance(NamedTuple):
 
 
 def photopic_efficiency(wavelength_um: float) -> float:
-    """Return the luminous efficiency V(λ) of the eye in daylight, interpolated in its logarithm.
-
-    Raises
-    ------
-    SettingsError
-        If the eye does not see the wavelength, from 0.38 to 0.78 µm.
+    """Return the luminous efficiency V(λ) of the eye in daylight, interpolated in its logarithm; SettingsError if
+    the eye does not see the wavelength.
     """
     last_um = PHOTOPIC_FIRST_UM + PHOTOPIC_STEP_UM * (len(PHOTOPIC) - 1)
     if not PHOTOPIC_FIRST_UM <= wavelength_um <= last_um + 1e-9:
@@ -107,11 +98,8 @@ def image_illuminance_lx(sensor: Sensor) -> float:
 def background_electrons(sensor: Sensor) -> float:
     """Return the mean electrons that the background's light frees in a pixel in one exposure.
 
-    Raises
-    ------
-    SettingsError
-        If the light has no luminance at the wavelength, the electrons are too many, or the full well lies below
-        the scene.
+    SettingsError if the light has no luminance at the wavelength, the electrons are too many, or the full well
+    lies below the scene.
     """
     photons, scene = _photons_of(sensor), sensor.scene
     assert scene is not None  # every sensor with photons has one
@@ -158,12 +146,8 @@ def rounding_variance_electrons(photons: PhotonNoise) -> float:
 
 
 def contrast_variance(sensor: Sensor) -> ContrastVariance:
-    """Return the variance of a displayed sample; see the text of this module.
-
-    Raises
-    ------
-    SettingsError
-        As `background_electrons` does.
+    """Return the variance of a displayed sample; see the text of this module, and `background_electrons` for its
+    errors.
     """
     photons, electrons = _photons_of(sensor), background_electrons(sensor)
     n, prnu = photons.frames_integrated, photons.prnu_percent / 100.0
@@ -182,21 +166,7 @@ def contrast_variance(sensor: Sensor) -> ContrastVariance:
 
 
 class PhotonCamera:
-    """A camera whose fixed patterns are drawn once: the seed is the camera.
-
-    Parameters
-    ----------
-    sensor : Sensor
-        With `photons`.
-    field : int
-        Detectors along each side of the square field.
-    seed : int or SeedSequence
-
-    Raises
-    ------
-    SettingsError
-        As `background_electrons` does.
-    """
+    """A camera with `field` × `field` pixels whose fixed patterns are drawn once: the seed is the camera."""
 
     def __init__(self, sensor: Sensor, field: int, *, seed: int | np.random.SeedSequence) -> None:
         self.photons, self.electrons = _photons_of(sensor), background_electrons(sensor)
@@ -207,14 +177,8 @@ class PhotonCamera:
         self.offset += photons.column_pattern_electrons * rng.standard_normal((1, field))
 
     def contrast(self, signal: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return the contrast that the camera reports for a signal: the mean of its frames.
-
-        Parameters
-        ----------
-        signal : ndarray, shape (field, field)
-            Contrast times the covered share, without noise.
-        rng : numpy.random.Generator
-            Random generator of the trial.
+        """Return the contrast that the camera reports, the mean of its frames, for a signal: contrast times
+        covered share.
         """
         photons = self.photons
         total = np.zeros_like(signal)

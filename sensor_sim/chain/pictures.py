@@ -30,11 +30,8 @@ MOST_EXAMPLES = 4
 def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[str, FloatArray]:
     """Return one trial at each stage of Figure 1 of the paper, in units of a large triangle's signal.
 
-    Returns
-    -------
-    dict of ndarray
-        "a_input", "b_optics" and "c_detector_response" on a scene grid of 8 pixels a detector; "d_samples" and
-        "e_noise" one pixel a detector; "f_hold" and "g_display" on the display's pixels.
+    "a_input", "b_optics" and "c_detector_response" lie on a scene grid of 8 pixels a detector, "d_samples" and
+    "e_noise" have one pixel a detector, "f_hold" and "g_display" the display's pixels.
 
     Hogervorst et al. 2001, Figure 1.
     """
@@ -88,13 +85,7 @@ def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[st
 def threshold_examples(
     sensor: Sensor, observer: Observer, fits: Sequence[Fit], *, seed: int
 ) -> tuple[Example, ...]:
-    """Draw a simulated frame at threshold for some sizes, as displayed and as the observer sees it.
-
-    Parameters
-    ----------
-    fits : sequence of Fit
-        Fits with levels in SNR, grouped by size_detectors.
-    """
+    """Draw a simulated frame at threshold for some sizes, as displayed and as the observer sees it."""
     known = [fit for fit in fits if fit.threshold is not None]
     return tuple(_threshold_example(sensor, observer, fit, seed) for fit in evenly(known, MOST_EXAMPLES))
 

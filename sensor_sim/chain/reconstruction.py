@@ -29,16 +29,8 @@ ALIAS_FREE_SIGMA_PX = 1.5
 def gaussian_kernel(sigma_px: float) -> FloatArray:
     """Return non-negative, symmetric weights of sum 1 and variance σ² at whole pixels −m … m.
 
-    The kernel is cut at 9 standard deviations, where a weight is below 1e-17 of the middle one.
-
-    Parameters
-    ----------
-    sigma_px : float
-        Standard deviation in pixels, >= 0; below 1e-8 the result is the single weight 1.
-
-    Returns
-    -------
-    ndarray, shape (2m + 1,)
+    The kernel is cut at 9 standard deviations, where a weight is below 1e-17 of the middle one. Below 1e-8 pixels
+    it is the single weight 1.
 
     Hogervorst et al. 2001, eq. 2, for pixels.
     """
@@ -65,15 +57,10 @@ def _sampled_gaussian(squares: FloatArray, exponent: float) -> FloatArray:
 
 
 def axis_matrix(n_detectors: int, *, display: SensorDisplay, electronics: Electronics) -> FloatArray:
-    """Return the matrix of sample & hold and post-sample blur along one axis.
+    """Return the matrix of sample & hold and post-sample blur along one axis, (pixels, detectors).
 
-    Outside of the field the signal is zero. Electronics and display spot are both Gaussian: their variances
-    add.
-
-    Returns
-    -------
-    ndarray, shape (n_detectors · pixels_per_detector, n_detectors)
-        Rows sum to 1 where the blur does not reach beyond the field, and to less near its border.
+    Outside of the field the signal is zero: rows sum to 1 where the blur does not reach beyond it. Electronics and
+    display spot are both Gaussian: their variances add.
 
     Hogervorst et al. 2001, sections 3.4 and 3.5.
     """
@@ -90,18 +77,7 @@ def axis_matrix(n_detectors: int, *, display: SensorDisplay, electronics: Electr
 
 
 def display_signal(samples: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Compute the signal in each display pixel: B X Bᵀ.
-
-    Parameters
-    ----------
-    samples : ndarray, shape (..., n, n)
-    matrix : ndarray, shape (n_px, n)
-        Result of `axis_matrix`.
-
-    Returns
-    -------
-    ndarray, shape (..., n_px, n_px)
-    """
+    """Compute the signal in each display pixel, (..., pixels, pixels): B X Bᵀ, with B of `axis_matrix`."""
     return _product(_product(matrix, samples), matrix.T)
 
 
@@ -127,11 +103,5 @@ def luminance_cd_m2(signal: FloatArray, *, display: SensorDisplay) -> FloatArray
 
 
 def display_position_px(offset_detectors: float, *, n_detectors: int, display: SensorDisplay) -> float:
-    """Return the place of a point on the display, along one axis, in pixels with pixel 0's centre at 0.
-
-    Parameters
-    ----------
-    offset_detectors : float
-        Distance from the middle of the field of `n_detectors`, in detectors.
-    """
+    """Return the pixel along one axis, pixel 0's centre at 0, of a point so far from the middle of the field."""
     return (n_detectors / 2.0 + offset_detectors) * display.pixels_per_detector - 0.5

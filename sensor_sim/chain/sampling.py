@@ -75,35 +75,13 @@ class PatternSampler:
     detectors, optics and motion look the same after a quarter turn, the other orientations are turned samples, bit
     for bit. Otherwise the optics are turned back under the upright pattern, whose samples are then turned.
 
-    If the sum would take more than `MAX_FREQUENCIES` terms, the optics are sharp against the detector: they
-    are left out, and the samples are the exact area of the pattern on each detector. `neglected_bound` bounds
-    the change.
+    If the sum would take more than `MAX_FREQUENCIES` terms, the optics are sharp against the detector: they are
+    left out, as with None, and the samples are the exact area of the pattern on each detector. `neglected_bound`
+    bounds the change of a sample.
 
-    Parameters
-    ----------
-    pattern : hashable
-        All that tells the pattern from others of its class.
-    optics : Optics or None
-        Optics, or None to leave them out.
-    detector : Detector
-    field_detectors : int
-        Detectors along each side of the square field.
-    period_detectors : int or None
-        Number of detectors after which the scene repeats; at least the field, and by default the field.
-    motion : Motion or None
-        Motion during the exposure.
-
-    Attributes
-    ----------
-    sharp : bool
-        Whether the optics are left out.
-    neglected_bound : float
-        Bound on the change of a sample from leaving out the optics; 0 if they are not left out.
-
-    Raises
-    ------
-    SettingsError
-        If the period is less than the field, or the optics pass less than one cycle per period.
+    `pattern` is all that tells it from others of its class. The scene repeats after `period_detectors`, at least
+    the field of `field_detectors` along each side, and by default the field. SettingsError if it is less, or if
+    the optics pass less than one cycle per period or too many.
     """
 
     def __init__(
@@ -228,12 +206,8 @@ class PatternSampler:
         return self._turned[quarter_turns]
 
     def within(self, field_detectors: int) -> Self:
-        """Return a sampler of a smaller field with the same middle; its samples are the same.
-
-        Raises
-        ------
-        SettingsError
-            If the field is not smaller by an even number of detectors.
+        """Return a sampler of a field that is smaller by an even number of detectors, with the same middle and
+        samples.
         """
         if field_detectors > self._whole_field or (self._whole_field - field_detectors) % 2:
             expected = f"{self._whole_field} or less by an even number"
@@ -243,16 +217,8 @@ class PatternSampler:
         return narrow
 
     def samples(self, x_detectors: ArrayLike, y_detectors: ArrayLike, *, orientation: Orientation) -> FloatArray:
-        """Compute the samples of patterns at these places.
-
-        Parameters
-        ----------
-        x_detectors, y_detectors : array_like, shape (places,) or scalar
-            Centroids in detectors from the middle of the field; x to the right, y down.
-
-        Returns
-        -------
-        ndarray, shape (places, field, field)
+        """Compute the samples, (places, field, field), of patterns with their centroids at these places, in
+        detectors from the middle of the field; x to the right, y down.
         """
         x, y = _upright_place(x_detectors, y_detectors, orientation)
         upright = np.empty((x.size, self._field, self._field))
@@ -297,22 +263,10 @@ class PatternSampler:
 
 
 class TriangleSampler(PatternSampler):
-    """Detector samples of triangles of one size, at any place and orientation.
+    """Detector samples of triangles of one size, √(area), at any place and orientation.
 
-    Parameters
-    ----------
-    size_detectors : float
-        √(area) of the triangle, > 0.
-    field_detectors : int
-        Detectors along each side of the square field.
-    **chain
-        The other parameters of `PatternSampler`.
-
-    Raises
-    ------
-    SettingsError
-        If the size is not a positive number, the triangle, displaced by half a detector, reaches beyond the field,
-        or `PatternSampler` refuses the chain.
+    SettingsError if the size is not a positive number, or the triangle, displaced by half a detector, reaches
+    beyond the field.
     """
 
     def __init__(self, *, size_detectors: float, field_detectors: int, **chain: Unpack[SamplerChain]) -> None:
@@ -356,20 +310,7 @@ class TriangleSampler(PatternSampler):
 
 
 class FourBarSampler(PatternSampler):
-    """Detector samples of four bars, upright in the orientations UP and DOWN, at any place.
-
-    Parameters
-    ----------
-    bars : FourBars
-        Its widths are in detectors.
-    **chain
-        Parameters of `PatternSampler`.
-
-    Raises
-    ------
-    SettingsError
-        If `PatternSampler` refuses the chain.
-    """
+    """Detector samples of four bars, whose widths are in detectors, upright in the orientations UP and DOWN."""
 
     def __init__(self, bars: FourBars, *, field_detectors: int, **chain: Unpack[SamplerChain]) -> None:
         self._bars = bars
@@ -394,12 +335,8 @@ class FourBarSampler(PatternSampler):
 def field_detectors(sensor: Sensor, size_detectors: float, sizes: float = FIELD_SIZES) -> int:
     """Return the number of detectors along each side of a pattern's field: four sizes and a margin, or `sizes`.
 
-    The observer looks at about four sizes of a triangle.
-
-    Raises
-    ------
-    SettingsError
-        If the size is not a positive number.
+    The observer looks at about four sizes of a triangle. SettingsError if the size is not a positive number, or
+    the field is too large to compute.
     """
     check_positive(argument.size_detectors, size_detectors)
     blur = 3.0 * blur_mrad(sensor.optics, sensor.motion) / sensor.detector.pitch_mrad
@@ -452,11 +389,6 @@ def smallest_field(size_detectors: float) -> int:
 def field_sampler(sensor: Sensor, size_detectors: float, field: int | None = None) -> TriangleSampler:
     """Return a sampler of a field, by default of the size `field_detectors`; the scene repeats after two fields,
     almost unseen.
-
-    Raises
-    ------
-    SettingsError
-        If `TriangleSampler` refuses the optics or the field.
     """
     field = field_detectors(sensor, size_detectors) if field is None else field
     return TriangleSampler(
@@ -514,33 +446,12 @@ def sample_image(
     y_detectors: float = 0.0,
     motion: Motion | None = None,
 ) -> FloatArray:
-    """Compute the detector samples of any scene, by FFT.
+    """Compute the detector samples, (field, field), of any scene, by FFT.
 
     The scene is constant over each pixel and repeats with the image's sides. Its spectrum, the pixels' sinc
-    included, is summed up to the optics' cut-off: exact for such a scene, at any ratio of the pitches.
-
-    Parameters
-    ----------
-    image : ndarray, shape (rows, columns)
-    pixel_pitch_mrad : float
-        Visual angle of a pixel in the scene, > 0.
-    optics : Optics
-    detector : Detector
-    field_detectors : int
-        Detectors along each side of the square field.
-    x_detectors, y_detectors : float
-        Place of the image's middle, in detectors from the middle of the field.
-    motion : Motion or None
-
-    Returns
-    -------
-    ndarray, shape (field, field)
-
-    Raises
-    ------
-    SettingsError
-        If the pitch is not a positive number, the image is smaller than the field, or the optics pass too
-        many frequencies.
+    included, is summed up to the optics' cut-off: exact for such a scene, at any ratio of the pitches. (x, y) is
+    the place of the image's middle, in detectors from the middle of the field. SettingsError if the image is
+    smaller than the field, or the optics pass too many frequencies.
     """
     check_positive("pixel_pitch_mrad", pixel_pitch_mrad)
     pixel = pixel_pitch_mrad / detector.pitch_mrad

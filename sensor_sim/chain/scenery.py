@@ -47,17 +47,8 @@ MOST_PIXELS_PER_DETECTOR = 64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scenery:
-    """The backgrounds of a simulation, by size of the triangle, and their turns.
-
-    Attributes
-    ----------
-    sensor : Sensor
-    backgrounds : dict of float to tuple of Background
-        Windows of images for triangles of each size in detectors. Luminance is relative.
-    pixels_per_detector : float
-        Pixels of the images along a detector.
-    turns : tuple of str
-    seed : int
+    """The backgrounds of a simulation, by size of the triangle in detectors, and their turns. Their luminance is
+    relative; `pixels_per_detector` are those of the images.
     """
 
     sensor: Sensor
@@ -83,14 +74,8 @@ class Scenery:
         """Decode images and draw a window of each for each size.
 
         Pictures are taken to be sRGB; with a range, values are proportional to light. `farthest_detectors` is how
-        far a triangle moves from the middle of its field.
-
-        Raises
-        ------
-        DataError, FrameError
-            If an image cannot be read, or all are too small, even or saturated; some of these are left out.
-        SettingsError
-            If a setting is out of range.
+        far a triangle moves from the middle of its field. DataError or FrameError if an image cannot be read, or
+        all are too small, even or saturated; some of these are left out.
         """
         if not 1.0 <= pixels_per_detector <= MOST_PIXELS_PER_DETECTOR:
             raise SettingsError(
@@ -150,13 +135,7 @@ class Scenery:
         """Compute the contrast of a scene at the detectors, (field, field), without triangle and noise.
 
         It refers to the local luminance: the mean, on the display, over the circle through the triangle's corners.
-
-        Parameters
-        ----------
-        field : int
-            Detectors along each side.
-        matrix : ndarray
-            Matrix of the display, of `axis_matrix`.
+        `matrix` is that of `axis_matrix`.
         """
         sensor, display = self.sensor, self.sensor.display
         x, y = self.place(size_detectors, background, turn)

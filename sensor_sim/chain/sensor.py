@@ -132,10 +132,7 @@ class Optics:
     def before(self, detector: Detector) -> Optics:
         """Return the optics with the unit of their measured frequencies, which detector and focal length give.
 
-        Raises
-        ------
-        SettingsError
-            If there is no focal length for lengths on the chip.
+        SettingsError if there is no focal length for lengths on the chip.
         """
         on_chip = (self.mtf is not None and self.mtf.unit == "cyc_per_mm") or self.psf_pitch_um is not None
         if on_chip and self.focal_length_mm is None:
@@ -215,10 +212,7 @@ class Detector:
     def behind(self, optics: Optics) -> Detector:
         """Return the detector with its angles behind these optics; itself if it was given in angles.
 
-        Raises
-        ------
-        SettingsError
-            If it was given in µm and the optics have no focal length.
+        SettingsError if it was given in µm and the optics have no focal length.
         """
         if self.pitch_um is None:
             return self
@@ -642,23 +636,11 @@ def sensor_from(
     folder: Path | None = None,
     measured: Mapping[str, MeasuredMtf | MeasuredPsf] | None = None,
 ) -> Sensor:
-    """Return the checked settings of the tables of a `SENSOR.toml`.
+    """Return the checked settings of the tables of a `SENSOR.toml`; the errors of `load_sensor` begin with
+    `where`.
 
-    Parameters
-    ----------
-    content : mapping
-    where : str
-        Name of the file; messages begin with it.
-    folder : Path, optional
-        Folder of the measured files that the tables name. Without it, no file is read.
-    measured : mapping, optional
-        Measured files that have been read, by their keys such as "mtf".
-
-    Raises
-    ------
-    SettingsError
-        If a table or key is unknown, missing, contradicts another or is out of its range; the message begins with
-        `where`.
+    Measured files lie in `folder`, or are among those `measured`, by their keys such as "mtf", that have been
+    read; without a folder, no file is read.
     """
     content = without_schema(content, SCHEMA, ["name", *TABLES], where)
     tables = {

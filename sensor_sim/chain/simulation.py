@@ -119,10 +119,8 @@ def plan_trials(
 ) -> list[SimulatedTrial]:
     """Plan `trials` presentations of each size at each level, with the orientations in turn.
 
-    Raises
-    ------
-    SettingsError
-        If a list is empty, a value is not a positive number or occurs twice, or there are no trials or too many.
+    SettingsError if a list is empty, a value is not a positive number or occurs twice, or there are no trials or
+    too many.
     """
     for name, values in ((argument.size_detectors, sizes_detectors), (getattr(argument, level_name), levels)):
         for value in distinct_numbers(name, values):
@@ -152,27 +150,14 @@ def plan_on_scenes(planned: Sequence[SimulatedTrial], scenery: Scenery) -> list[
 
 
 class Simulator:
-    """Source of frames of one sensor for triangles of one size, in any order.
+    """Source of frames of one sensor for triangles of one size, √(area) in detectors, in any order.
 
     Each trial draws from its own random stream, so a frame depends on the seed and its trial alone. The fixed
-    pattern is drawn once: the seed stands for the sensor.
+    pattern is drawn once: the seed stands for the sensor. Without `scenery` the background is even; without
+    `filming` a trial is one frame, as the eye averages it.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    size_detectors : float
-        √(area) of the triangle, > 0.
-    seed : int
-    scenery : Scenery or None
-        Scenes behind the triangles; None: an even background.
-    filming : Filming or None
-        The frames of clips; None: a trial is one frame, as the eye averages it.
-
-    Raises
-    ------
-    SettingsError
-        If the optics pass too little or too much for the field, its frame has more pixels than may be read, or the
-        triangle moves too far.
+    SettingsError if the optics pass too little or too much for the field, its frame has more pixels than may be
+    read, or the triangle moves too far.
     """
 
     def __init__(

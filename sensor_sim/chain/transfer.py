@@ -21,21 +21,12 @@ from todframes.base._typing import ComplexArray, FloatArray
 
 
 def diffraction_mtf(frequency_cyc_per_mrad: ArrayLike, *, wavelength_um: float, aperture_mm: float) -> FloatArray:
-    """Return the modulation transfer of a diffraction-limited circular aperture.
+    """Return the modulation transfer of a diffraction-limited circular aperture, exactly 0 at and beyond the
+    cut-off.
 
-    With x the frequency over the cut-off and u = 2 arccos x, eq. 1 is (u − sin u) / π; both terms are nearly equal
-    near the cut-off, so their difference is summed as a series there.
-
-    Parameters
-    ----------
-    frequency_cyc_per_mrad : array_like, any shape
-        Radial spatial frequency in object space.
-    wavelength_um, aperture_mm : float
-        Both > 0. The cut-off is aperture_mm / wavelength_um cycles/mrad.
-
-    Returns
-    -------
-    ndarray, same shape, in [0, 1]; exactly 0 at and beyond the cut-off.
+    With x the radial frequency over the cut-off, aperture_mm / wavelength_um cycles/mrad, and u = 2 arccos x, eq.
+    1 is (u − sin u) / π; both terms are nearly equal near the cut-off, so their difference is summed as a series
+    there.
 
     Hogervorst et al. 2001, eq. 1.
     """
@@ -59,10 +50,6 @@ def gaussian_mtf(frequency: ArrayLike, *, sigma: float) -> FloatArray:
     It describes optics, electronics or display spot; `sigma` is in the reciprocal unit of the (radial) frequency.
     Other tools give a width b with the transfer exp(−πb²f²): σ = b/√(2π).
 
-    Returns
-    -------
-    ndarray, the shape of `frequency`, in [0, 1]
-
     Hogervorst et al. 2001, eq. 2.
     """
     return np.asarray(np.exp(-2.0 * (np.pi * sigma * np.asarray(frequency, dtype=np.float64)) ** 2))
@@ -73,10 +60,6 @@ def box_mtf(frequency: ArrayLike, *, width: float) -> FloatArray:
 
     It describes the active width of a detector, and with the pitch for `width` sample & hold. In two dimensions
     the transfer is exactly the product of the axes.
-
-    Returns
-    -------
-    ndarray, the shape of `frequency`, in [−0.22, 1]
 
     Hogervorst et al. 2001, sections 3.2 and 3.4.
     """
@@ -266,17 +249,10 @@ def motion_mtf(
 def stages(frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor) -> dict[str, FloatArray]:
     """Return every stage's transfer along x, in the order of the signal chain, and the two products.
 
-    Parameters
-    ----------
-    frequency_cyc_per_mrad : array_like, any shape
-        Spatial frequency in object space.
-
-    Returns
-    -------
-    dict of ndarray
-        "diffraction" (with obscuration and defocus) and "optics_blur", or "measured_optics", "motion" if there is
-        some, "detector" unless a measured MTF includes it, "hold", "electronics", "display", then "pre_sample"
-        (those before "hold") and "post_sample" (the others; the paper's post-sampling MTF leaves "hold" out).
+    The stages are "diffraction" (with obscuration and defocus) and "optics_blur", or "measured_optics"; "motion"
+    if there is some; "detector" unless a measured MTF includes it; "hold", "electronics", "display". "pre_sample"
+    is the product of those before "hold" and "post_sample" that of the others; the paper's post-sampling MTF
+    leaves "hold" out.
 
     Hogervorst et al. 2001, section 3.
     """

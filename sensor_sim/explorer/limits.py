@@ -57,14 +57,9 @@ NAMES = ("the observer's internal noise", "detector noise", "sampling")
 def decision_shares(phases: Sequence[Phases], internal: FloatArray, detector: Sequence[FloatArray]) -> Shares:
     """Return the shares of the variance of the score differences that decide.
 
-    Parameters
-    ----------
-    phases : sequence of Phases
-        Trials of each orientation, of a triangle of contrast 1.
-    internal : ndarray, shape (4, 4)
-        Covariance of the internal noise on the scores, over the square of the triangle's contrast.
-    detector : sequence of ndarray, shape (4, 4)
-        That of the detectors' noise, for each orientation.
+    The trials of each orientation are those of a triangle of contrast 1. `internal`, (4, 4), is the covariance of
+    the internal noise on the scores over the square of the triangle's contrast, and `detector` that of the
+    detectors' noise, for each orientation.
     """
     shares = []
     for part, of_detectors in zip(phases, detector, strict=True):
@@ -85,15 +80,7 @@ def what_limits(
 ) -> Limits:
     """Return what limits a curve in one sentence, with the mean shares of the sizes that reach their threshold.
 
-    Parameters
-    ----------
-    sizes_detectors : sequence of float
-    shares : sequence of Shares
-        At each size.
-    reached : sequence of bool
-        Whether the size has a threshold. If none has, the means are over all sizes.
-    strongest : str
-        The strongest signal, which the sizes without a threshold had, in words.
+    If none has one, the means are over all sizes. `strongest` is the signal, in words, that sizes without one had.
     """
     chosen = [share for share, has_threshold in zip(shares, reached, strict=True) if has_threshold] or list(shares)
     mean = Shares(*np.mean(chosen, axis=0).tolist())

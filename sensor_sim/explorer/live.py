@@ -47,24 +47,11 @@ NOTHING_WANTED = 0
 
 @dataclass(frozen=True, slots=True)
 class LiveCurve:
-    """Thresholds of one sensor at one tolerance.
+    """Thresholds of one sensor, in the order of the sizes asked for, with what limits each of them.
 
-    Attributes
-    ----------
-    thresholds : tuple of PredictedThreshold
-        In the order of the sizes asked for.
-    shares : tuple of Shares
-        What limits each of them.
-    tolerance : float
-        Relative half-width of the 95 % intervals that was aimed at; each threshold states its own.
-    seconds : float
-        Time since the curve was asked for.
-    is_last : bool
-        Whether no better curve follows.
-    slopes : tuple of float
-        dP / d ln level at each threshold, NaN without one.
-    counts_photons : bool
-        Whether the thresholds are those of a camera that counts photons: contrasts at the light of its scene.
+    `tolerance` is the relative half-width of the 95 % intervals that was aimed at; each threshold states its own.
+    `slopes` are dP / d ln level at each threshold, NaN without one. `counts_photons`: they are contrasts at the
+    light of the scene.
     """
 
     thresholds: tuple[PredictedThreshold, ...]
@@ -88,11 +75,6 @@ class LiveCurves:
 
     The processes import the script that runs: it makes this object below `if __name__ == "__main__":`, and calls
     `close` in the end.
-
-    Parameters
-    ----------
-    n_processes : int
-        Number of processes to compute in.
     """
 
     def __init__(self, n_processes: int = PROCESSES) -> None:
@@ -118,34 +100,14 @@ class LiveCurves:
         """Yield an estimate, and then curves with more and more refined sizes; stop as soon as the curve is no
         longer wanted.
 
-        One curve is computed at a time; another thread waits until it is done or no longer wanted.
+        One curve is computed at a time; another thread waits until it is done or no longer wanted. The level
+        "contrast" is that of a large triangle on the display without detector noise; for a camera that counts
+        photons, "snr" stands for the contrast of the scene with all noise. `tolerances` are relative errors to
+        reach, of the estimate and of the refined thresholds, and `n_points` those of the psychometric function of
+        each refined one. `is_wanted` is asked every few milliseconds.
 
-        Parameters
-        ----------
-        sensor : Sensor
-        observer : Observer
-            Linear observer.
-        sizes_detectors : sequence of float
-            Sizes √(area) in detector pitches.
-        p_correct : float
-            Raw proportion correct at threshold.
-        level : {"snr", "contrast"}
-            Quantity whose threshold is computed: the SNR, or the contrast of a large triangle on the display
-            without detector noise. For a camera that counts photons, "snr" stands for the contrast of the scene
-            with all noise.
-        tolerances : (float, float)
-            Relative errors to reach, of the estimate and of the refined thresholds.
-        n_points : int
-            Number of points of the psychometric function of each refined threshold.
-        is_wanted : function of no arguments
-            Asked every few milliseconds; when it returns False the computation ends without a further curve.
-
-        Raises
-        ------
-        SettingsError
-            If the observer is not linear, or the proportion, a size or a field is out of range.
-        TodframesError
-            If a process dies twice.
+        SettingsError if the observer is not linear, or the proportion, a size or a field is out of range;
+        TodframesError if a process dies twice.
         """
         from sensor_sim.explorer.threshold_engine import Request
 

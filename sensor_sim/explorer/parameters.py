@@ -22,24 +22,10 @@ Kind = Literal["number", "integer", "choice", "switch", "file"]
 class PageField(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     """One field of the page.
 
-    Attributes
-    ----------
-    key : str
-        Table and name in SENSOR.toml, or "observer." and the name of a setting of the observer.
-    group, label, help : str
-    unit : str
-        Empty for a pure number.
-    kind : {"number", "integer", "choice", "switch", "file"}
-        The name of a file can be read, but not changed.
-    min, max : float or None
-        Ends of the slider, which hold the values of real sensors; the field takes whatever SENSOR.toml does. None:
-        there is no slider.
-    step : float or None
-        Step of the slider; on a logarithmic one, of the common logarithm.
-    scale : {"linear", "log"}
-    choices : tuple of str
-    optional : bool
-        Whether SENSOR.toml may do without a value.
+    `key` is table and name in SENSOR.toml, or "observer." and the name of a setting of the observer. The name of a
+    "file" can be read, but not changed. `min` and `max` are the ends of the slider, which hold the values of real
+    sensors, None where there is no slider; the field takes whatever SENSOR.toml does. On a logarithmic slider,
+    `step` is one of the common logarithm. `optional`: SENSOR.toml may do without a value.
     """
 
     key: str

@@ -41,12 +41,8 @@ Thresholds = Annotated[list[ThresholdSent], Meta(min_length=1, max_length=12)]
 
 
 def check_aim(aim: Aim, sensor: Sensor, p_correct: float) -> None:
-    """Check that the range of a sensor can be computed.
-
-    Raises
-    ------
-    SettingsError
-        If its thresholds are not in the quantity of the target, the air is of another kind, or k is missing.
+    """Raise SettingsError if thresholds are not in the quantity of the target, the air is of another kind, or k is
+    missing.
     """
     if sensor.photons is None and sensor.noise.netd_mk is None:
         raise SettingsError(f"{argument.target}: needs noise.netd_mk of the sensor")
@@ -56,12 +52,8 @@ def check_aim(aim: Aim, sensor: Sensor, p_correct: float) -> None:
 def range_from(aim: Aim, sensor: Sensor, thresholds: list[ThresholdSent], p_correct: float) -> Result[FieldRange]:
     """Return the range of a sensor from its thresholds.
 
-    Raises
-    ------
-    SettingsError
-        If target and air are not of the curve's kind.
-    DataError
-        If there are fewer than two thresholds, or the target is too small for the sensor.
+    SettingsError if target and air are not of the curve's kind; DataError if there are fewer than two thresholds,
+    or the target is too small for the sensor.
     """
     curve = Result.made(
         "curve",

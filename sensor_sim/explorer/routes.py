@@ -225,11 +225,8 @@ class Explorer:
     def check(self) -> None:
         """Check that curves can be computed with the observer, and ranges for the target.
 
-        Raises
-        ------
-        SettingsError
-            If the observer is not linear, cannot be adapted to the display, or cannot be sent to the processes
-            that compute; or as `check_aim` does.
+        SettingsError if the observer is not linear, cannot be adapted to the display or sent to the processes that
+        compute, or as in `check_aim`.
         """
         if self._aim is not None:
             check_aim(self._aim, self.sensor, self.p_correct)
@@ -248,12 +245,8 @@ class Explorer:
         return sensor_from({"schema": SCHEMA, **asked.sensor}, "SENSOR.toml", measured=self._measured)
 
     def observed_by(self, changes: Tables) -> Observer:
-        """Return the observer with some settings changed.
-
-        Raises
-        ------
-        SettingsError
-            If there is no such setting, or a value is refused.
+        """Return the observer with some settings changed; SettingsError if there is no such setting, or a value is
+        refused.
         """
         settings = getattr(self._observer, "settings", None)
         known = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else {}
@@ -331,10 +324,7 @@ class Explorer:
     def curve(self, asked: CurveAsked, is_connected: Callable[[], bool]) -> Iterator[dict[str, Any]]:
         """Return the lines of the answer for a curve, one for each `LiveCurve`; none if a newer request is known.
 
-        Raises
-        ------
-        SettingsError
-            If a setting is invalid; others may only be found when the lines are computed.
+        SettingsError if a setting is invalid; others may only be found when the lines are computed.
         """
         self._latest.note(asked.client, asked.sequence)
         sensor = self.made(asked)
@@ -372,12 +362,7 @@ class Explorer:
         """Return sizes from the smallest one that surely has a threshold; if none has, the smallest sizes.
 
         With a target, they begin with the largest one that has none, and the middle of the two: the range often
-        lies where the curve ends.
-
-        Raises
-        ------
-        SettingsError
-            If not even the smallest size can be computed.
+        lies where the curve ends. SettingsError if not even the smallest size can be computed.
         """
         known = list(computed_sizes(sensor, observer))
         for start in range(0, len(known), TRIED_AT_ONCE):
@@ -468,10 +453,7 @@ def transfer(sensor: Sensor) -> dict[str, Any]:
 def trial_pictures(asked: TrialAsked, sensor: Sensor) -> dict[str, Any]:
     """Return one trial at each stage as pictures of 8-bit grey; the orientation is not among them.
 
-    Raises
-    ------
-    SettingsError
-        If a picture would have more than `MOST_PICTURE_PIXELS`.
+    SettingsError if a picture would have more than `MOST_PICTURE_PIXELS`.
     """
     from sensor_sim.chain.pictures import BLACK, FINE_PIXELS_PER_DETECTOR, STAGE_TITLES, WHITE, trial_stages
 

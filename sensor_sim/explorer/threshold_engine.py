@@ -42,25 +42,9 @@ SEED = 1
 
 
 class Request(NamedTuple):
-    """Thresholds to compute.
-
-    Attributes
-    ----------
-    number : int
-        Number of the request.
-    sensor : Sensor
-    observer : bytes
-        Pickled observer.
-    sizes : tuple of (int, float)
-        Places in the curve, and sizes in detectors.
-    p_correct : float
-    tolerances : (float, float)
-        Relative errors to reach, of coarse and of refined thresholds.
-    level : {"snr", "contrast"}
-        Quantity whose threshold is asked for; with detector noise "snr", also where it is the contrast of a camera
-        that counts photons.
-    n_points : int
-        Number of points of the psychometric function of each refined threshold.
+    """Thresholds to compute: `sizes` are places in the curve and sizes in detectors, `tolerances` the relative
+    errors to reach, of coarse and refined thresholds; the others are those of `LiveCurves.curves`. The observer is
+    pickled.
     """
 
     number: int
@@ -87,11 +71,8 @@ class CurvePoint:
 class ThresholdEngine:
     """Computes thresholds, and keeps the parts that the next sensor may need.
 
-    Parameters
-    ----------
-    check : function of no arguments
-        Called every few milliseconds; it raises an exception when the computation is no longer wanted. Kept parts
-        stay valid.
+    `check` is called every few milliseconds; it raises an exception when the computation is no longer wanted. Kept
+    parts stay valid.
     """
 
     def __init__(self, check: Callable[[], None]) -> None:
@@ -103,12 +84,8 @@ class ThresholdEngine:
     def answers(self, request: Request) -> Iterator[CurvePoint]:
         """Yield coarse thresholds of all sizes and then refined ones, the easiest first.
 
-        A refined threshold that is already known is yielded at once, instead of the coarse one.
-
-        Raises
-        ------
-        SettingsError
-            If the observer is not linear, or the proportion, a size or a field is out of range.
+        A refined threshold that is already known is yielded at once, instead of the coarse one. SettingsError if
+        the observer is not linear, or the proportion, a size or a field is out of range.
         """
         FitSettings(p_correct=request.p_correct)  # checks it
         for _, size in request.sizes:

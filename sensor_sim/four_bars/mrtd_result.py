@@ -268,22 +268,11 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
 
 
 def lloyd_mrtd_mk(frequency_cyc_per_mrad: ArrayLike, sensor: Sensor, *, snr: float) -> FloatArray:
-    """Compute MRTD by the literature's form: (π²/8) · SNR · NETD · (f / MTF) · √(α β / (t_e F)).
+    """Compute MRTD in mK by the literature's form: (π²/8) · SNR · NETD · (f / MTF) · √(α β / (t_e F)).
 
     α = β is the width of a detector and t_e F the number of frames that the eye integrates. MTF is that of all
-    stages, the eye left out. Fixed pattern noise, sampling and the length of the bars have no part in it.
-
-    Parameters
-    ----------
-    frequency_cyc_per_mrad : array_like, any shape
-    sensor : Sensor
-        With NETD.
-    snr : float
-        Signal-to-noise ratio that the observer needs, SNR.
-
-    Returns
-    -------
-    ndarray in mK, the shape of the frequency; infinite where the MTF is 0
+    stages, the eye left out; where it is 0 the MRTD is infinite. Fixed pattern noise, sampling and the length of
+    the bars have no part in it.
 
     Lloyd 1975, Thermal Imaging Systems, as quoted by later sources.
     """

@@ -94,19 +94,8 @@ class WrittenFrames(NamedTuple):
 class SimulationWork:
     """The drawing and writing of frames, as a `StoredWork`: an item is a list of trials of one size.
 
-    Attributes
-    ----------
-    folder : Path
-        Staging folder of the dataset, by its real path, which other processes have too.
-    sensor : Sensor
-    seed : int
-    frame_format : {"exr", "png"}
-    white_cd_m2 : float
-        Luminance of code value 1.
-    scenery : Scenery or None
-        Scenes behind the triangles.
-    filming : Filming or None
-        The frames of clips; None: each trial is one frame.
+    `folder` is the staging folder of the dataset, by its real path, which other processes have too, and
+    `white_cd_m2` the luminance of code value 1. Scenery and filming are those of `Simulator`.
     """
 
     folder: Path
@@ -221,26 +210,10 @@ def write_dataset(
 ) -> Written:
     """Write frames, `manifest.csv` and `dataset.toml` into a folder that is empty, or holds frames of the store.
 
-    Parameters
-    ----------
-    frame_format : {"exr", "png"}
-        EXR is half float in cd/m² and keeps luminance unclipped, below zero included. PNG has 16 bits, linear
-        from 0 cd/m² to `white_luminance_cd_m2`.
-    allow_clipping : bool
-        Whether more than 1 % of the pixels of a PNG dataset may be clipped.
-    scenery : Scenery, optional
-        Scenes behind the triangles. Default: an even background.
-    filming : Filming, optional
-        Write each trial as a clip of frames. Default: as one frame.
-    run : Run, optional
-        Its store states which frames of the folder were written by an earlier run. Default: this thread, no store.
-
-    Raises
-    ------
-    SettingsError
-        If too many pixels would be clipped.
-    OutputError
-        If a frame cannot be written.
+    EXR is half float in cd/m² and keeps luminance unclipped, below zero included. PNG has 16 bits, linear from 0
+    cd/m² to `white_luminance_cd_m2`; SettingsError if more than 1 % of its pixels would be clipped and this is not
+    allowed. The bytes written do not depend on its engine. The store of `run` states which frames of the folder an earlier
+    run has written.
     """
     run = run or Run()
     (folder / "frames").mkdir(exist_ok=run.store is not None)

@@ -57,14 +57,8 @@ MOST_EXCHANGES = 10
 
 
 class BarScores(NamedTuple):
-    """Scores of the bars at some places.
-
-    Attributes
-    ----------
-    signal : ndarray, any shape
-        Score that the bars cause, of amplitude 1.
-    noise : ndarray, the same shape
-        Variance of the score under detector noise of standard deviation 1.
+    """Scores that bars of amplitude 1 cause at some places, and their variances under detector noise of deviation
+    1.
     """
 
     signal: FloatArray
@@ -82,21 +76,8 @@ class BarThreshold(NamedTuple):
 class BarChain:
     """A sensor and an observer of four bars, folded into weights on the detectors.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    observer : Observer
-        One that makes a `detection`.
-    frequency_cyc_per_mrad : float
-        Frequency of the bars in the scene, > 0.
-    against : {"square", "background"}
-        Display from which the bars are told.
-    direction : {"upright", "lying"}
-
-    Raises
-    ------
-    SettingsError
-        If the observer judges triangles only, the sensor counts photons, or the frequency is out of range.
+    The frequency of the bars is that in the scene. SettingsError if the observer has no `detection`, so judges
+    triangles only, the sensor counts photons, or the frequency is out of range.
     """
 
     def __init__(
@@ -160,19 +141,11 @@ class BarChain:
         )
 
     def scores(self, x: FloatArray, y: FloatArray, displacement: FloatArray) -> BarScores:
-        """Compute the scores of bars with the retina's middle on a lattice.
+        """Compute the scores, (rows · columns, displacements), of bars with the retina's middle on a lattice.
 
-        Parameters
-        ----------
-        x, y : ndarray, shapes (columns,) and (rows,)
-            Places of the retina's middle, in detectors from the field's middle.
-        displacement : ndarray, shape (rows · columns, displacements, 2)
-            Displacements of the retina against the bars along x and y, in detectors, row after row.
-
-        Returns
-        -------
-        BarScores
-            Of shape (rows · columns, displacements).
+        x and y are places of the retina's middle, in detectors from the field's middle; `displacement`, (rows ·
+        columns, displacements, 2), is that of the retina against the bars along x and y, in detectors, row after
+        row.
         """
         lines = lines_of(self.sensor)
         rows = max(WEIGHTS_AT_ONCE // (len(x) * self.field**2), 1)
@@ -272,16 +245,7 @@ class BarChain:
     ) -> BarThreshold:
         """Compute the threshold of P(correct) averaged over all places of the bars on the detectors.
 
-        Parameters
-        ----------
-        p_correct : float
-            Proportion correct at threshold, above 0.5.
-        tolerance : float
-            Relative half-width of the 95 % interval that ends the refinement.
-        seed : int
-            Seed of the lattices' shifts.
-        check : function of no arguments
-            Called for each lattice; it may raise an exception.
+        More places are taken until the relative half-width of the 95 % interval is below the tolerance.
         """
         found = BarThreshold("never_reached")
         for places in PLACES:

@@ -282,13 +282,7 @@ def _never_reached(
 
 
 def _scenes(sensor: Sensor, luminances_cd_m2: Sequence[float]) -> list[Scene]:
-    """Return the lights of a camera that counts photons: its own, or some luminances; none for other sensors.
-
-    Raises
-    ------
-    SettingsError
-        If there are luminances for a sensor that does not count photons.
-    """
+    """Return the lights of a camera that counts photons: its own, or some luminances; none for other sensors."""
     if sensor.scene is None:
         if luminances_cd_m2:
             needed = 'found for a sensor without [noise] model = "photon", expected none'

@@ -86,10 +86,8 @@ class CurvePlan:
     ----------
     observer : Observer
         Observer with the pyramid levels that are needed.
-    field : int
-        Detectors along each side of the field.
-    sampler : TriangleSampler
-        Samples of the triangle in this field.
+    field, sampler : int, TriangleSampler
+        Detectors along each side of the field, and samples of the triangle in it.
     dtype : float32 or float64
         Precision of the folding.
     orientations : tuple of Orientation
@@ -101,8 +99,7 @@ class CurvePlan:
     level : {"snr", "contrast"}
         Quantity that is varied; with "contrast" there is no detector noise.
     lines : LineShares
-        Shares of its variance that rows and columns have in common; none for cameras that count photons, whose
-        variances are apart.
+        Shares of rows and columns in the noise; none for cameras that count photons, whose variances are apart.
     places : tuple of int
         Numbers of places along each axis of a detector, tried in turn.
     steps : tuple of Step
@@ -111,8 +108,8 @@ class CurvePlan:
         Bound on the change of P(correct) because the scene repeats, with the longest period that is considered.
     least_jitter : float
         Displacement of the retina, in detectors, up to which it is left out.
-    half_width : int, optional
-        Samples on each side of the retina's middle one that are needed; by default the whole retina.
+    half_width : int or None
+        Samples on each side of the retina's middle one that are needed; None: the whole retina.
     near_level, slope : float
         Threshold at the places that were tried, and the slope dP / d ln level there; None and NaN without one.
     unit_s : float
@@ -209,32 +206,9 @@ def plan_curve(
 ) -> CurvePlan:
     """Plan the computation of a threshold.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    observer : Observer
-        Linear observer.
-    size_detectors : float
-        √(area) of the triangle, > 0.
-    name : {"needed", "full"}
-        Leave out the parts that the threshold does not need, or leave out none.
-    tolerance : float
-        Relative error of the threshold; omissions may take half of it.
-    p_correct : float
-        Raw proportion correct at threshold.
-    level : {"snr", "contrast"}
-        Quantity whose threshold it is; with "contrast" there is no detector noise.
-    shared : Shared
-        Parts that this computation may have in common with others, in which it looks for its own and leaves them.
-
-    Returns
-    -------
-    CurvePlan
-
-    Raises
-    ------
-    SettingsError
-        If the observer is not linear, or the size or field is out of range.
+    The plan "needed" leaves out the parts that the threshold does not need, whose omission may take half of the
+    relative `tolerance`; "full" leaves out none. SettingsError if the observer is not linear, or the size or field
+    is out of range.
     """
     if name == "full":
         full = full_plan(sensor, observer.with_extra_level(), size_detectors, shared)
@@ -256,13 +230,7 @@ def plan_curve(
 
 
 def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared: Shared = NOTHING) -> CurvePlan:
-    """Return the plan that computes everything except exact identities.
-
-    Raises
-    ------
-    SettingsError
-        If the size or field is out of range.
-    """
+    """Return the plan that computes everything except exact identities."""
     sampler = shared.samplers.get(
         (sensor.optics, sensor.motion, sensor.detector, size_detectors),
         lambda: field_sampler(sensor, size_detectors),
@@ -282,13 +250,7 @@ def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared:
 def coarse_plan(
     sensor: Sensor, observer: Observer, size_detectors: float, *, level: Level = "snr", shared: Shared = NOTHING
 ) -> CurvePlan:
-    """Return a plan that leaves out, without a test, what most plans leave out: far field and double precision.
-
-    Raises
-    ------
-    SettingsError
-        If the observer is not linear, or the size or field is out of range.
-    """
+    """Return a plan that leaves out, without a test, what most plans leave out: far field and double precision."""
     display = sensor.display
     pitch_mrad = observer.grid(Stimulus(size_detectors * display.detector_pitch_mrad)).pitch_mrad
     blur = 6.0 * blur_mrad(sensor.optics, sensor.motion) / sensor.detector.pitch_mrad
@@ -355,12 +317,8 @@ def is_alike_when_turned(sensor: Sensor) -> bool:
 def linear_readout(
     sensor: Sensor, observer: Observer, size_detectors: float, half_width: int | None = None
 ) -> Readout:
-    """Return the readout for a triangle as displayed; `half_width` is that of `CurvePlan`.
-
-    Raises
-    ------
-    SettingsError
-        If the observer is not linear.
+    """Return the readout for a triangle as displayed; `half_width` is that of `CurvePlan`. SettingsError if the
+    observer is not linear.
     """
     stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
     if half_width is not None and type(observer) is PyramidObserver:
@@ -404,16 +362,8 @@ def detector_covariance(weights: FloatArray, lines: LineShares) -> FloatArray:
 
 
 def signal_covariance(weights: FloatArray, samples: FloatArray) -> FloatArray:
-    """Return the covariances from noise whose variance is the signal, and its square, in each detector.
-
-    Parameters
-    ----------
-    weights : ndarray, shape (places, 4, n)
-    samples : ndarray, shape (places, displacements, n)
-
-    Returns
-    -------
-    ndarray, shape (places, displacements, 2, 4, 4)
+    """Return the covariances, (places, displacements, 2, 4, 4), from noise whose variance is the signal, and its
+    square, in each detector: of weights (places, 4, n) and samples (places, displacements, n).
     """
     times_signal = weights[:, None] * samples[:, :, None]
     # A detector far from the triangle may have a signal slightly below zero.

@@ -32,27 +32,12 @@ def is_unblurred(sensor: Sensor) -> bool:
 
 
 class Folding:
-    """Weights on a retina, to be folded onto detectors for any place of the retina.
+    """Weights on a retina, (answers, side, side), to be folded onto detectors for any place of the retina.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    grid : RetinaGrid
-    deviations : ndarray, shape (4, side, side)
-        Weights of each answer less their mean over the answers, which affects no decision.
-    n : int
-        Number of answers whose weights are folded.
-    field : int
-        Detectors along each side of the square field.
-    reach_detectors : float
-        Largest distance of the retina's middle from the field's middle along each axis. Retina samples that never
-        see the field within that distance are dropped.
-    dtype : float32 or float64
-        Precision of the folding and of `weights_by_row`; `weights` are float64 in any case.
-    merge_pixels : bool
-        Whether pixels that must be alike count as one.
-    key : hashable, optional
-        Everything that the weights depend on besides their places.
+    The first `n` are folded, onto a square of `field` × `field` detectors, with the precision `dtype`. Retina
+    samples that never see the field while the retina's middle is within `reach_detectors` of the field's, along
+    each axis, are dropped. With `merge_pixels`, pixels that must be alike count as one. `key` is everything that
+    the weights depend on besides their places.
     """
 
     def __init__(

@@ -47,23 +47,9 @@ KNOWN_SHARE = 0.3
 
 
 class UnknownPlaceChain(FoldedChain):
-    """A sensor and a linear observer that looks for triangles of one size at several places.
+    """A sensor and a linear observer that looks for triangles of one size at several places, at least 2.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    observer : Observer
-        Linear observer.
-    size_detectors : float
-        √(area) of the triangle, > 0.
-    places : int
-        Number of places, at least 2.
-
-    Raises
-    ------
-    SettingsError
-        If the observer is not linear, the noise is not the same at all places or not independent, or a value is
-        out of its range.
+    SettingsError if the observer is not linear, or the noise is not the same at all places or not independent.
     """
 
     def __init__(self, sensor: Sensor, observer: Observer, size_detectors: float, places: int) -> None:
@@ -113,16 +99,7 @@ def predict_at_unknown_place(
     n_points: int = N_POINTS,
     progress: Progress = lambda _: None,
 ) -> PredictedThreshold:
-    """Compute the threshold at an unknown place.
-
-    Parameters
-    ----------
-    chain : UnknownPlaceChain
-    known : FoldedChain
-        The same sensor and observer at a known place.
-    p_correct, tolerance, seed, n_points, progress
-        As for `predict_threshold`.
-    """
+    """Compute the threshold at an unknown place; `known` is the same sensor and observer at a known one."""
     first, on_places, _ = predicted_on_lattices(
         known, p_correct=p_correct, tolerance=KNOWN_SHARE * tolerance, seed=seed, n_points=0
     )

@@ -81,12 +81,8 @@ class Lattice(NamedTuple):
     displacement, and repeats with the detectors. So a grid covers one detector evenly, and the triangle's place is
     the difference of the two.
 
-    Attributes
-    ----------
-    x, y : ndarray, shape (places,)
-        Columns and rows of the grid, in detectors from the field's middle.
-    displacement : ndarray, shape (places², displacements, 2)
-        Displacements of the retina along x and y, in detectors, at each place, row after row.
+    `x` and `y` are columns and rows of the grid, in detectors from the field's middle; `displacement`, (places²,
+    displacements, 2), is that of the retina along x and y, in detectors, at each place, row after row.
     """
 
     x: FloatArray
@@ -95,18 +91,11 @@ class Lattice(NamedTuple):
 
     @classmethod
     def at(cls, places: int, *, shift: FloatArray, first: FloatArray, jitter: float) -> Lattice:
-        """Return a lattice that is shifted as a whole.
+        """Return a lattice of places × places that is shifted as a whole, by `shift` along x and y in the distance
+        of two.
 
-        Parameters
-        ----------
-        places : int
-            Places along each axis.
-        shift : ndarray, shape (2,)
-            Shift along x and y, in the distance of two places.
-        first : ndarray, shape (2,)
-            Start of the low-discrepancy sequence of displacements, in [0, 1).
-        jitter : float
-            Largest displacement of the retina along each axis, in detectors. The sequence has both signs.
+        `first`, in [0, 1), is the start of the low-discrepancy sequence of displacements, which has both signs,
+        and `jitter` the largest displacement along each axis, in detectors.
         """
         grid = np.arange(places) / places - 0.5
         x, y = (grid + along / places for along in shift)
@@ -124,19 +113,12 @@ class Lattice(NamedTuple):
 
 
 class Phases(NamedTuple):
-    """Signals and noise of the trials of one orientation, as scores of the folded observer.
+    """Signals and noise of the trials of one orientation, `correct`, as scores of the folded observer.
 
-    Attributes
-    ----------
-    signal : ndarray, shape (places, displacements, 4)
-        Score deviations caused by the triangle, of amplitude 1.
-    noise : ndarray, shape (places, 4, 4)
-        Covariance of the scores under detector noise of standard deviation 1.
-    correct : int
-        The orientation shown, an index into `ORIENTATIONS`.
-    of_light : ndarray, shape (places, displacements, 4, 4, 4), or None
-        For cameras that count photons: covariances from noise of variance 1 that rows, and columns, have in
-        common, and from noise whose variance is the triangle's signal, and its square.
+    `signal`, (places, displacements, 4), are the score deviations that a triangle of amplitude 1 causes, and
+    `noise`, (places, 4, 4), is the covariance of the scores under detector noise of deviation 1. For cameras that
+    count photons, `of_light`, (places, displacements, 4, 4, 4), has the covariances from noise of variance 1 that
+    rows, and columns, have in common, and from noise whose variance is the triangle's signal, and its square.
     """
 
     signal: FloatArray
@@ -165,21 +147,10 @@ def phases_on(
     weights_by_row: Callable[[FloatArray, FloatArray], NDArray[Any]],
     counts_photons: bool = False,
 ) -> list[Phases]:
-    """Return the trials of each orientation on a lattice.
+    """Return the trials of each orientation on a lattice, with `of_light` for cameras that count photons.
 
-    Parameters
-    ----------
-    lattice : Lattice
-    plan : CurvePlan
-    orientations : sequence of Orientation
-    size_detectors : float
-        √(area) of the triangle.
-    gain : float
-        Display contrast per unit of signal.
-    weights_by_row : function of (places_x, places_y)
-        Returns the folded weights as `Folding.weights_by_row` does.
-    counts_photons : bool
-        Whether the trials need `Phases.of_light`.
+    `weights_by_row` returns the folded weights of places along x and y as `Folding.weights_by_row` does; `gain` is
+    the display contrast per unit of signal.
     """
     places, n_shown = len(lattice.x), lattice.displacement.shape[1]
     x, y = lattice.triangles
@@ -225,20 +196,8 @@ def covariance_at(
 ) -> FloatArray:
     """Return the covariance of the scores over the square of the triangle's contrast, at a value of the level.
 
-    Parameters
-    ----------
-    level : {"snr", "contrast"}
-    value : float
-        With `variance` a contrast, whatever the level.
-    internal : ndarray, shape (4, 4)
-        Covariance from the internal noise.
-    phases : Phases
-    variance : ContrastVariance, optional
-        Variance of a sample of a camera that counts photons.
-
-    Returns
-    -------
-    ndarray, shape (places, 1 or displacements, 4, 4)
+    Its shape is (places, 1 or displacements, 4, 4). `internal` is that of the internal noise. With `variance`, of
+    a sample of a camera that counts photons, the value is a contrast, whatever the level.
     """
     if variance is None:
         return internal + phases.noise[:, None] / value**2 if level == "snr" else internal / value**2
@@ -255,20 +214,8 @@ Decide = Callable[[FloatArray, FloatArray, int], FloatArray]
 class FoldedChain:
     """A sensor and a linear observer folded into weights on the detectors, for triangles of one size.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    observer : Observer
-        Linear observer.
-    size_detectors : float
-        √(area) of the triangle, > 0.
-    plan : CurvePlan, optional
-        Parts of the computation that are left out; by default those of `plan_curve`.
-
-    Raises
-    ------
-    SettingsError
-        If the observer is not linear, or the size or field is out of range.
+    The plan, by default that of `plan_curve`, has the parts of the computation that are left out. SettingsError if
+    the observer is not linear, or the size or field is out of range.
     """
 
     def __init__(
@@ -520,18 +467,10 @@ class _Work:
 
 
 class PooledThreshold(NamedTuple):
-    """A threshold over several replicates.
+    """A threshold over several replicates; if its status is not "ok", the numbers are NaN.
 
-    Attributes
-    ----------
-    status : str
-        As of `PredictedThreshold`; if it is not "ok", the others are NaN.
-    threshold : float
-        Of the mean P(correct) of all replicates.
-    deviations : ndarray, shape (replicates,)
-        ln of each replicate's threshold over that of all.
-    slope : float
-        dP / d ln level at the threshold.
+    `threshold` is that of the mean P(correct) of all replicates, and `slope` dP / d ln level there; `deviations`
+    are ln of each replicate's threshold over that of all.
     """
 
     status: Status
@@ -544,15 +483,8 @@ class Reference(NamedTuple):
     """A sensor whose threshold is known more exactly than some lattices give it.
 
     Lattices of a similar sensor with the same places have nearly the same error, so that the ratio corrects it.
-
-    Attributes
-    ----------
-    deviations : ndarray, shape (lattices,)
-        As of `PooledThreshold`.
-    correction : float
-        ln of the known threshold over the estimate.
-    error : float
-        Relative error of the known threshold, half-width of a 95 % interval.
+    `deviations` are those of `PooledThreshold`, `correction` is ln of the known threshold over the estimate, and
+    `error` the relative half-width of a 95 % interval of the known one.
     """
 
     deviations: FloatArray
@@ -584,30 +516,12 @@ def find_threshold(
     decide: Decide | None = None,
     check: Callable[[], None] = lambda: None,
 ) -> PooledThreshold:
-    """Find the threshold of trials, and what it would be with each replicate alone.
+    """Find the threshold of the trials of each orientation, and what it would be with each replicate alone.
 
-    Parameters
-    ----------
-    phases : sequence of Phases
-        Trials of each orientation, as of `pooled`.
-    internal : ndarray, shape (4, 4)
-        Covariance of the internal noise on the scores.
-    p_correct : float
-        Raw proportion correct at threshold.
-    n_replicates : int
-    level : {"snr", "contrast"}
-    variance : ContrastVariance, optional
-        Variance of a sample of a camera that counts photons; the level is then the contrast.
-    most : float
-        Largest level that the sensor can show; a threshold beyond it is never reached.
-    near, slope : float
-        A threshold that may be near, to begin with, and the slope dP / d ln level there.
-    tolerance : float
-        Error of each P(correct).
-    decide : function, optional
-        Decision in place of that between four scores, which has this tolerance.
-    check : function of no arguments
-        Called every few milliseconds; it may raise an exception.
+    `internal` is the covariance of the internal noise on the scores, and `variance` that of a sample of a camera
+    that counts photons; the level is then the contrast, at `most` that of saturation. The search begins `near` a
+    level, with the slope dP / d ln level there. `check` is called every few milliseconds, and may raise an
+    exception.
     """
     decision = decide or partial(answer_probability, tolerance=tolerance)
 
@@ -655,27 +569,9 @@ def predict_threshold(
 ) -> PredictedThreshold:
     """Compute a threshold, with more and more places until its error falls below the tolerance.
 
-    Parameters
-    ----------
-    chain : FoldedChain
-        Folded sensor and observer, for triangles of one size.
-    p_correct : float
-        Raw proportion correct at threshold.
-    tolerance : float
-        Relative half-width of the 95 % interval that ends the refinement.
-    seed : int
-        Seed of the replicates.
-    n_points : int
-        Number of points of the psychometric function to return.
-    level : {"snr", "contrast"}
-        Quantity whose threshold is computed.
-    progress : function of a number
-        Called with the share of the longest possible computation that was just done.
-
-    Raises
-    ------
-    SettingsError
-        If the tolerance is not a positive number.
+    The error is the relative half-width of the 95 % interval; `n_points` is the number of points of the
+    psychometric function to return. `progress` is called with the share of the longest possible computation that
+    was just done.
     """
     return predicted_on_lattices(
         chain,
@@ -689,15 +585,8 @@ def predict_threshold(
 
 
 class AtLight(NamedTuple):
-    """A threshold of a camera that counts photons, and what it was computed from.
-
-    Attributes
-    ----------
-    found : PredictedThreshold
-    chain : FoldedChain
-        At the light of the threshold.
-    left_out_bound : float
-        Bound on the change of P(correct) from all that the plan leaves out.
+    """A threshold of a camera that counts photons, the chain at its light, and the bound on the change of
+    P(correct) from all that the plan leaves out.
     """
 
     found: PredictedThreshold
@@ -714,19 +603,11 @@ def predict_each(
     seed: int = 1,
     progress: Progress = lambda _: None,
 ) -> list[AtLight]:
-    """Return the thresholds of a camera that counts photons at several lights.
+    """Return the thresholds of a camera that counts photons at several lights; `chain_at` has a plan of its own.
 
     The middle one is computed by itself, and the others with its plan. On few places each threshold has nearly the
     same error, so that their ratio corrects it. The places become more until this ratio, or the threshold itself,
     is known well enough. At a light where the plan leaves out too much, the threshold is computed by itself too.
-
-    Parameters
-    ----------
-    chain_at : function of a Scene
-        Returns the chain at a light, with a plan of its own.
-    scenes : sequence of Scene
-    p_correct, tolerance, seed, progress
-        As for `predict_threshold`.
     """
     known: _AtKnownLight | None = None
     computed: dict[int, AtLight] = {}

@@ -25,12 +25,7 @@ OVERHEAD_BYTES = 1000
 class Kept(Generic[T]):
     """Values by key, up to a number of bytes; those not used for the longest time are dropped first.
 
-    Parameters
-    ----------
-    most_bytes : int
-        Largest sum of the values' sizes. With 0 nothing is kept.
-    check : function of no arguments
-        Called whenever a value is asked for; it may raise an exception.
+    With 0 bytes nothing is kept. `check` is called whenever a value is asked for; it may raise an exception.
     """
 
     def __init__(self, most_bytes: int, check: Callable[[], None] = lambda: None) -> None:
@@ -66,13 +61,8 @@ def _size_bytes(value: Any) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Shared:
-    """Parts that the curves of several sensors have in common.
-
-    Attributes
-    ----------
-    samplers, samples, weights, trials : Kept
-        Samplers of triangles, their samples at some places, the weights of folded readouts at some places, and the
-        trials of replicates: scores of both.
+    """Parts that the curves of several sensors have in common: samplers of triangles, their samples at some
+    places, the weights of folded readouts at some places, and the trials of replicates, scores of both.
     """
 
     samplers: Kept[Any] = field(default_factory=lambda: Kept(0))

@@ -58,19 +58,9 @@ def sizes_in_detectors(
 ) -> list[float]:
     """Return sizes in detectors: those asked for, or the smallest one that has a threshold and the next ones.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    size_detectors, size_mrad : sequence of float
-        Sizes √(area) in detector pitches, or as angles at the camera; one of them or none.
-    observer, p_correct, places, seed
-        Observer, by default `pyramid`, and criterion of the threshold, for sizes that are chosen. If none has one,
-        they are the largest.
-
-    Raises
-    ------
-    SettingsError
-        If both are given, a size is not a positive number or is there twice, or an angle is too large to compute.
+    Observer, by default `pyramid`, and criterion are for sizes that are chosen; if none has a threshold, they are
+    the largest. SettingsError if angles are given too, a size is not a positive number or is there twice, or an
+    angle is too large to compute.
     """
     if len(size_detectors) and len(size_mrad):
         both = f"{argument.size_detectors} and {argument.size_mrad}"
