@@ -131,7 +131,7 @@ class ThresholdEngine:
         else:
             plan = coarse_plan(sensor, observer, size, level=level, shared=self._shared)
         chain = FoldedChain(sensor, observer, size, plan)
-        found, on_places, _ = predicted_on_lattices(
+        found, on_places = predicted_on_lattices(
             chain,
             p_correct=p_correct,
             tolerance=tolerance,

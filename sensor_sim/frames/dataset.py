@@ -212,8 +212,7 @@ def write_dataset(
 
     EXR is half float in cd/m² and keeps luminance unclipped, below zero included. PNG has 16 bits, linear from 0
     cd/m² to `white_luminance_cd_m2`; SettingsError if more than 1 % of its pixels would be clipped and this is not
-    allowed. The bytes written do not depend on its engine. The store of `run` states which frames of the folder an earlier
-    run has written.
+    allowed. The bytes do not depend on the engine of `run`; its store states what an earlier run has written.
     """
     run = run or Run()
     (folder / "frames").mkdir(exist_ok=run.store is not None)

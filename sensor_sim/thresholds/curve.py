@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, Unpack
 
 from sensor_sim.chain.sensor import Scene, Sensor, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError, argument
@@ -32,8 +32,11 @@ from todframes.results.wording import listed, plain
 from todframes.scoring.error_budget import Step, plan_object
 
 if TYPE_CHECKING:
-    from sensor_sim.thresholds.predict import AtLight, FoldedChain
+    from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold
     from todframes.results.thresholds import Thresholds
+
+SHARED_MB = 64
+"""Largest size of the parts that the lights of a camera share, in units of 2**20 bytes."""
 
 ARCMIN_PER_MRAD = 180.0 * 60.0 / math.pi / 1000.0
 
@@ -164,6 +167,13 @@ def curve(
     return Result.made("curve", started, settings=settings, seed=seed, fits=tuple(fits), warnings=warnings, **more)
 
 
+class AtLight(NamedTuple):
+    """A threshold at one light, and the chain that it was computed with."""
+
+    found: PredictedThreshold
+    chain: FoldedChain
+
+
 class _Asked(TypedDict):
     """Criterion, number of places and seed of a curve."""
 
@@ -185,41 +195,35 @@ def _at_size(
 ) -> list[AtLight]:
     """Return the thresholds of one size at each light; the only one where the sensor does not count photons."""
     from sensor_sim.thresholds.curve_plan import plan_curve
-    from sensor_sim.thresholds.predict import LEFT_OUT_GROWS, AtLight, FoldedChain, predict_each, predict_threshold
-
-    def chain_at(scene: Scene | None) -> FoldedChain:
-        at_light = replace(sensor, scene=scene)
-        steps = plan_curve(
-            at_light,
-            observer,
-            size,
-            name=plan,
-            tolerance=tolerance / (1.0 if len(scenes) < 2 else LEFT_OUT_GROWS),
-            p_correct=p_correct,
-        )
-        return FoldedChain(at_light, observer, size, steps)
+    from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
+    from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
+    from sensor_sim.thresholds.sharing import NOTHING, Shared
 
     p_correct, places = asked["p_correct"], asked["places"]
+    # All lights have the same trials of the triangle, unless their plans differ.
+    shared = Shared.of(SHARED_MB * 2**20) if len(scenes) > 1 else NOTHING
     search: dict[str, Any] = {"p_correct": p_correct, "tolerance": tolerance, "seed": asked["seed"]}
-    search["progress"] = progress
-    if scenes:
-        return predict_each(chain_at, scenes, **search)
-    chain = chain_at(None)
-    if places == 1:
-        found = predict_threshold(chain, **search)
-    else:
-        from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
-
-        known, chain = chain, UnknownPlaceChain(sensor, observer, size, places)
-        found = predict_at_unknown_place(chain, known, **search)
-    return [AtLight(found, chain, chain.plan.bound)]
+    search["progress"] = lambda share: progress(share / max(len(scenes), 1))
+    computed = []
+    for scene in scenes or (None,):
+        at_light = replace(sensor, scene=scene)
+        steps = plan_curve(
+            at_light, observer, size, name=plan, tolerance=tolerance, p_correct=p_correct, shared=shared
+        )
+        chain = FoldedChain(at_light, observer, size, steps)
+        if places == 1:
+            computed.append(AtLight(predict_threshold(chain, **search), chain))
+        else:
+            unknown = UnknownPlaceChain(at_light, observer, size, places)
+            computed.append(AtLight(predict_at_unknown_place(unknown, chain, **search), unknown))
+    return computed
 
 
 def _fit(at_light: AtLight, group: dict[str, float | str], p_correct: float, run_time_s: float) -> Fit:
     """Return the record of a threshold."""
     from sensor_sim.chain.detector_noise import delta_t_as_printed_mk, delta_t_mk
 
-    found, chain, bound = at_light
+    found, chain = at_light
     sensor, steps = chain.sensor, chain.plan
     phases = Step("phases", True, f"{found.n_phases} trials, chosen to meet the tolerance")
     warm = warm_as_printed = None
@@ -235,7 +239,7 @@ def _fit(at_light: AtLight, group: dict[str, float | str], p_correct: float, run
         points=tuple(FitPoint(level, 0, p) for level, p in found.points),
         n_phases=found.n_phases,
         p_correct_error_bound=chain.non_gaussian_bound(found.threshold),
-        p_correct_left_out_bound=bound,
+        p_correct_left_out_bound=chain.plan.bound,
         plan=tuple(plan_object((*steps.steps, phases), chain.drawing_s / steps.unit_s)),
         delta_t_mk=warm,
         delta_t_as_printed_mk=warm_as_printed,

@@ -9,9 +9,7 @@ detectors, and corrected by the threshold at a known place, on these and on many
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 from sensor_sim.chain.detector_noise import NO_LINES
 from sensor_sim.chain.sensor import Sensor
@@ -27,9 +25,10 @@ from sensor_sim.thresholds.curve_plan import (
 from sensor_sim.thresholds.predict import (
     N_POINTS,
     FoldedChain,
+    KnownThreshold,
     PredictedThreshold,
     Progress,
-    Reference,
+    predict_threshold,
     predicted_on_lattices,
     references_of,
 )
@@ -44,6 +43,9 @@ from todframes.stimulus import ORIENTATIONS
 
 KNOWN_SHARE = 0.3
 """Share of the tolerance for the threshold at a known place, which takes little time."""
+
+HIGHER = 1.3
+"""Threshold at an unknown place over that at a known one, about, for a few places."""
 
 
 class UnknownPlaceChain(FoldedChain):
@@ -71,24 +73,6 @@ class UnknownPlaceChain(FoldedChain):
         return (4 * self.places - 1) / 3.0 * super().non_gaussian_bound(level)
 
 
-class _AtKnownPlace(NamedTuple):
-    """The threshold at a known place; that at an unknown one is higher, by a third or so for a few places."""
-
-    references: Mapping[int, Reference]
-    threshold: float
-
-    def near(self, chain: FoldedChain) -> float:  # noqa: ARG002
-        return 1.3 * self.threshold
-
-    def bound(self, chain: FoldedChain, threshold: float) -> float:  # noqa: ARG002
-        return chain.plan.bound
-
-    def share(self, deviations: FloatArray, of_reference: FloatArray) -> float:
-        apart = of_reference - of_reference.mean()
-        variance = float(apart @ apart)
-        return float(deviations @ apart) / variance if variance > 0.0 else 0.0
-
-
 def predict_at_unknown_place(
     chain: UnknownPlaceChain,
     known: FoldedChain,
@@ -100,13 +84,13 @@ def predict_at_unknown_place(
     progress: Progress = lambda _: None,
 ) -> PredictedThreshold:
     """Compute the threshold at an unknown place; `known` is the same sensor and observer at a known one."""
-    first, on_places, _ = predicted_on_lattices(
+    first, on_places = predicted_on_lattices(
         known, p_correct=p_correct, tolerance=KNOWN_SHARE * tolerance, seed=seed, n_points=0
     )
     start = None
     if first.threshold is not None:
-        start = _AtKnownPlace(references_of(on_places, first.threshold), first.threshold)
-    found, _, _ = predicted_on_lattices(
+        start = KnownThreshold(HIGHER * first.threshold, references_of(on_places, first.threshold))
+    return predict_threshold(
         chain,
         p_correct=p_correct,
         tolerance=tolerance,
@@ -115,7 +99,6 @@ def predict_at_unknown_place(
         known=start,
         progress=progress,
     )
-    return found
 
 
 def check_places(sensor: Sensor, places: int) -> None:

@@ -11,20 +11,19 @@ Hogervorst et al. 2001, sections 3 to 5 and 8.
 
 from __future__ import annotations
 
-import copy
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sensor_sim.chain.detector_noise import excess_kurtosis
 from sensor_sim.chain.photons import ContrastVariance, background_electrons, contrast_variance, largest_contrast
-from sensor_sim.chain.sensor import Scene, Sensor
+from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import (
     ORTHANT_TOLERANCE,
     CurvePlan,
@@ -41,7 +40,7 @@ from todframes.base.errors import argument
 from todframes.base.reading import check_positive
 from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer, Readout, non_gaussian_bound
-from todframes.psychometrics.threshold_search import TOO_UNCERTAIN, ComputedThreshold, Status, crossing, if_known
+from todframes.psychometrics.threshold_search import ComputedThreshold, Status, crossing, if_known
 from todframes.scoring.error_budget import REPLICATES, decision_change, half_width_95
 from todframes.stimulus import Orientation
 
@@ -244,13 +243,6 @@ class FoldedChain:
             drawn.append(self.plan.shared.trials.get((*key, *is_noisy, places, seed, len(drawn)), make))
         self.drawing_s += time.perf_counter() - started
         return drawn[:n]
-
-    def at(self, scene: Scene) -> FoldedChain:
-        """Return the chain of a camera that counts photons at another light; both keep their trials in common."""
-        other = copy.copy(self)
-        other.sensor = replace(self.sensor, scene=scene)
-        other.variance = contrast_variance(other.sensor)
-        return other
 
     @cached_property
     def jitter_detectors(self) -> float:
@@ -557,193 +549,49 @@ class PredictedThreshold(ComputedThreshold):
     highest: float | None = None
 
 
-def predict_threshold(
-    chain: FoldedChain,
-    *,
-    p_correct: float = 0.75,
-    tolerance: float = 2e-3,
-    seed: int = 1,
-    n_points: int = N_POINTS,
-    level: Level = "snr",
-    progress: Progress = lambda _: None,
-) -> PredictedThreshold:
-    """Compute a threshold, with more and more places until its error falls below the tolerance.
-
-    The error is the relative half-width of the 95 % interval; `n_points` is the number of points of the
-    psychometric function to return. `progress` is called with the share of the longest possible computation that
-    was just done.
-    """
-    return predicted_on_lattices(
-        chain,
-        p_correct=p_correct,
-        tolerance=tolerance,
-        seed=seed,
-        n_points=n_points,
-        level=level,
-        progress=progress,
-    )[0]
+def predict_threshold(chain: FoldedChain, **search: Any) -> PredictedThreshold:
+    """Return the threshold of `predicted_on_lattices` alone."""
+    return predicted_on_lattices(chain, **search)[0]
 
 
-class AtLight(NamedTuple):
-    """A threshold of a camera that counts photons, the chain at its light, and the bound on the change of
-    P(correct) from all that the plan leaves out.
-    """
+class KnownThreshold(NamedTuple):
+    """A threshold that is known, `near` an unknown one, whose lattices correct those of the unknown one."""
 
-    found: PredictedThreshold
-    chain: FoldedChain
-    left_out_bound: float
-
-
-def predict_each(
-    chain_at: Callable[[Scene], FoldedChain],
-    scenes: Sequence[Scene],
-    *,
-    p_correct: float = 0.75,
-    tolerance: float = 2e-3,
-    seed: int = 1,
-    progress: Progress = lambda _: None,
-) -> list[AtLight]:
-    """Return the thresholds of a camera that counts photons at several lights; `chain_at` has a plan of its own.
-
-    The middle one is computed by itself, and the others with its plan. On few places each threshold has nearly the
-    same error, so that their ratio corrects it. The places become more until this ratio, or the threshold itself,
-    is known well enough. At a light where the plan leaves out too much, the threshold is computed by itself too.
-    """
-    known: _AtKnownLight | None = None
-    computed: dict[int, AtLight] = {}
-    by_light = [0] if len(scenes) == 1 else sorted(range(len(scenes)), key=lambda n: scenes[n].background_cd_m2)
-    middle = len(scenes) // 2
-    for place in [*by_light[middle:], *by_light[:middle]]:
-        chain = chain_at(scenes[place]) if known is None else known.chain.at(scenes[place])
-        wanted = tolerance if known is not None or len(scenes) == 1 else FIRST_SHARE * tolerance
-        found, on_places, bound = predicted_on_lattices(
-            chain,
-            p_correct=p_correct,
-            tolerance=wanted,
-            seed=seed,
-            known=known,
-            progress=lambda share: progress(share / len(scenes)),
-        )
-        is_met = (found.numerical_error or 0.0) <= tolerance * (found.threshold or 1.0)
-        is_met &= found.status != TOO_UNCERTAIN
-        if known is not None and not is_met and bound > LEFT_OUT_GROWS * chain.plan.bound:
-            chain = chain_at(scenes[place])
-            found, _, bound = predicted_on_lattices(chain, p_correct=p_correct, tolerance=tolerance, seed=seed)
-        computed[place] = AtLight(found, chain, bound)
-        if known is None and found.threshold is not None:
-            references = references_of(on_places, found.threshold)
-            phases = pooled(chain.replicates(min(on_places), seed))
-            known = _AtKnownLight(references, chain, found.threshold, phases)
-    return [computed[place] for place in range(len(scenes))]
-
-
-class Known(Protocol):
-    """A known threshold near an unknown one, whose lattices correct those of the unknown one."""
-
-    @property
-    def references(self) -> Mapping[int, Reference]:
-        """Return what is known for each number of places on a lattice."""
-
-    def near(self, chain: FoldedChain) -> float:
-        """Return a level that the threshold of a chain is near."""
-
-    def bound(self, chain: FoldedChain, threshold: float) -> float:
-        """Return the bound on the change of P(correct) from what the plan of a chain omits."""
-
-    def share(self, deviations: FloatArray, of_reference: FloatArray) -> float:
-        """Return how far a threshold follows the known one from replicate to replicate, in logarithms."""
-
-
-class _AtKnownLight(NamedTuple):
-    """A known threshold at one light, from which a start and the bounds for another light follow."""
-
+    near: float
     references: Mapping[int, Reference]
-    chain: FoldedChain
-    threshold: float
-    phases: Sequence[Phases]
-
-    def share(self, deviations: FloatArray, of_reference: FloatArray) -> float:  # noqa: ARG002
-        return 1.0
-
-    def _covariance(self, chain: FoldedChain, level: float) -> FloatArray:
-        """Return the mean covariance of the score differences that decide, (3, 3), at a contrast."""
-        part = self.phases[0]
-        covariance = covariance_at("contrast", level, chain.noise_covariance, part, chain.variance)
-        others = np.delete(np.eye(4)[part.correct] - np.eye(4), part.correct, axis=0)
-        return np.asarray(others @ covariance.mean(axis=(0, 1)) @ others.T)
-
-    def near(self, chain: FoldedChain) -> float:
-        """Return the contrast at which the noise of a camera at another light is as large against the signal."""
-        at_threshold = float(np.trace(self._covariance(self.chain, self.threshold)))
-
-        def excess(log_level: float) -> float:
-            return math.log(float(np.trace(self._covariance(chain, math.exp(log_level)))) / at_threshold)
-
-        x = math.log(self.threshold)
-        for _ in range(3):  # the logarithm of the noise is nearly straight: its slope lies between -2 and 0
-            slope = (excess(x + STEP) - excess(x)) / STEP
-            if not slope < -LEAST_SLOPE:
-                break
-            x -= min(max(excess(x) / slope, -3.0), 3.0)
-        return math.exp(x)
-
-    def bound(self, chain: FoldedChain, threshold: float) -> float:
-        """Return the bound on the change of P(correct) from the plan's omissions at another light.
-
-        Where `decision_change` divides a change of the scores by their standard deviation, the largest ratio of
-        these at the two lights bounds its growth; where it divides a change of their covariance by the covariance,
-        the largest ratio of covariances, and of the parts of the noise, does.
-        """
-        before, after = self._covariance(self.chain, self.threshold), self._covariance(chain, threshold)
-        ratio = float(np.linalg.eigvals(np.linalg.solve(after, before)).real.max())
-        assert chain.variance is not None and self.chain.variance is not None
-        parts = [(1.0, 1.0), *zip(self.chain.variance[:3], chain.variance[:3], strict=True)]
-        of_parts = max(other / one for one, other in parts if one > 0.0) * (self.threshold / threshold) ** 2
-        return self.chain.plan.bound * max(math.sqrt(ratio), ratio * of_parts)
-
-
-LEFT_OUT_GROWS = 4.0
-"""Factor by which a plan's bound may grow at other lights; with several lights, a plan leaves out less."""
-
-FIRST_SHARE = 0.75
-"""Share of the tolerance for the threshold that corrects others; the rest is for their ratio to it."""
-
-LEAST_SLOPE = 1e-3
-"""Slope of the logarithm of noise against that of contrast at which a search for equal noise ends."""
 
 
 def predicted_on_lattices(
     chain: FoldedChain,
     *,
-    p_correct: float,
-    tolerance: float,
-    seed: int,
+    p_correct: float = 0.75,
+    tolerance: float = 2e-3,
+    seed: int = 1,
     n_points: int = N_POINTS,
     level: Level = "snr",
     check: Callable[[], None] = lambda: None,
-    known: Known | None = None,
+    known: KnownThreshold | None = None,
     progress: Progress = lambda _: None,
-) -> tuple[PredictedThreshold, dict[int, PooledThreshold], float]:
-    """Return a threshold, what each number of places gives, and the bound on what the plan leaves out.
+) -> tuple[PredictedThreshold, dict[int, PooledThreshold]]:
+    """Compute a threshold, with more and more places until its error falls below the tolerance.
 
-    Parameters are those of `predict_threshold`, and:
-
-    check : function of no arguments
-        Called every few milliseconds; it may raise an exception.
-    known : Known, optional
-        A threshold that is known, whose trials have nearly the same error.
+    Returns it, and what each number of places gave. The error is the relative half-width of the 95 % interval;
+    `n_points` is the number of points of the psychometric function to return. `check` is called every few
+    milliseconds, and may raise an exception; `progress` with the share of the longest possible computation that
+    was just done. Trials at a `known` threshold have nearly the same error, as far as the estimates of both go
+    together from replicate to replicate.
     """
     check_positive(argument.tolerance, tolerance)
     ladder = chain.lattices
     on_places: dict[int, PooledThreshold] = {}
     near, slope = chain.plan.near_level, chain.plan.slope
     if known is not None:
-        near = known.near(chain)
+        near = known.near
     bound = chain.plan.bound
     # Where the plan has found no threshold at the places that it tried, there often is none.
     never = chain.unreached(p_correct, seed, ladder[0], level) if near is None else None
     if never is not None:
-        return never, {}, bound
+        return never, {}
     work = _Work(progress, check, ladder)
     for places in ladder:
         parts = work.draw(chain, places, seed)
@@ -765,16 +613,16 @@ def predicted_on_lattices(
         if found.status != "ok":
             never = chain.unreached(p_correct, seed, places, level) if found.status == "never_reached" else None
             other = PredictedThreshold(found.status, size_detectors=chain.size_detectors, n_phases=n_phases)
-            return never or other, {}, bound
+            return never or other, {}
         near, slope = found.threshold, found.slope
         threshold = found.threshold
-        if known is not None:
-            bound = known.bound(chain, threshold)
         error, left_out = half_width_95(found.deviations), bound / found.slope
         on_places[places] = found
         if known is not None and places in known.references:
             reference = known.references[places]
-            share = known.share(found.deviations, reference.deviations)
+            apart = reference.deviations - reference.deviations.mean()
+            variance = float(apart @ apart)
+            share = float(found.deviations @ apart) / variance if variance > 0.0 else 0.0
             by_ratio = half_width_95(found.deviations - share * reference.deviations)
             if by_ratio + abs(share) * reference.error + left_out <= tolerance:
                 threshold *= math.exp(share * reference.correction)
@@ -790,4 +638,4 @@ def predicted_on_lattices(
         points = tuple(zip(levels, chain.proportions_correct(parts[0], levels, level).tolist(), strict=True))
     error = (error + left_out) * threshold
     predicted = PredictedThreshold(found.status, threshold, error, chain.size_detectors, n_phases, points)
-    return if_known(predicted), on_places, bound
+    return if_known(predicted), on_places
