@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -23,7 +24,7 @@ from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, FourBarSampler, field
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import PLACES, detector_covariance, lines_of
 from sensor_sim.thresholds.folding import Folding
-from sensor_sim.thresholds.predict import STEP, Lattice
+from sensor_sim.thresholds.predict import Lattice, find_threshold
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.four_bars import WIDTHS, FourBars
@@ -261,21 +262,18 @@ class BarChain:
                 )
                 parts.append(self.scores(lattice.x, lattice.y, lattice.displacement))
             scores = BarScores(*(np.stack(one) for one in zip(*parts, strict=True)))
-            found = self._mean_threshold(scores, p_correct)
-            if found.snr is None or (found.numerical_error or 0.0) <= tolerance * found.snr:
+            mean = find_threshold(partial(self._of_each, scores), p_correct)
+            if mean.status != "ok":
+                return BarThreshold(mean.status)
+            error = half_width_95(mean.deviations)
+            found = BarThreshold(mean.status, mean.threshold, mean.threshold * error)
+            if error <= tolerance:
                 break
         return found
 
-    def _mean_threshold(self, scores: BarScores, p_correct: float) -> BarThreshold:
-        def of_each(snr: float) -> FloatArray:
-            return np.asarray(self.proportion(scores, snr).mean(axis=(1, 2)))
-
-        status, snr = crossing(lambda level: float(of_each(level).mean()), p_correct, near=None, slope=math.nan)
-        if snr is None:
-            return BarThreshold(status)
-        low, high = (of_each(snr * math.exp(way * STEP / 2.0)) for way in (-1.0, 1.0))
-        slope = max(float((high - low).mean()) / STEP, 1e-12)
-        return BarThreshold(status, snr, snr * half_width_95((low + high) / 2.0) / slope)
+    def _of_each(self, scores: BarScores, snr: float) -> FloatArray:
+        """Return P(correct) of each replicate of scores, (replicates, places, displacements), at an SNR."""
+        return np.asarray(self.proportion(scores, snr).mean(axis=(1, 2)))
 
 
 def d_prime(p_correct: float) -> float:

@@ -195,7 +195,6 @@ def _at_size(
 ) -> list[AtLight]:
     """Return the thresholds of one size at each light; the only one where the sensor does not count photons."""
     from sensor_sim.thresholds.curve_plan import plan_curve
-    from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
     from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
     from sensor_sim.thresholds.sharing import NOTHING, Shared
 
@@ -214,6 +213,8 @@ def _at_size(
         if places == 1:
             computed.append(AtLight(predict_threshold(chain, **search), chain))
         else:
+            from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
+
             unknown = UnknownPlaceChain(at_light, observer, size, places)
             computed.append(AtLight(predict_at_unknown_place(unknown, chain, **search), unknown))
     return computed

@@ -19,7 +19,6 @@ from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sensor_sim.chain.detector_noise import excess_kurtosis
 from sensor_sim.chain.photons import ContrastVariance, background_electrons, contrast_variance, largest_contrast
@@ -136,45 +135,6 @@ class Phases(NamedTuple):
         return Phases(self.signal[places], self.noise[places], self.correct, of_light)
 
 
-def phases_on(
-    lattice: Lattice,
-    plan: CurvePlan,
-    orientations: Sequence[Orientation],
-    *,
-    size_detectors: float,
-    gain: float,
-    weights_by_row: Callable[[FloatArray, FloatArray], NDArray[Any]],
-    counts_photons: bool = False,
-) -> list[Phases]:
-    """Return the trials of each orientation on a lattice, with `of_light` for cameras that count photons.
-
-    `weights_by_row` returns the folded weights of places along x and y as `Folding.weights_by_row` does; `gain` is
-    the display contrast per unit of signal.
-    """
-    places, n_shown = len(lattice.x), lattice.displacement.shape[1]
-    x, y = lattice.triangles
-    found = []
-    for orientation in orientations:
-        dx, dy = centre_offset(plan.observer, orientation, size_detectors)
-        rows = weights_by_row(lattice.x + dx, lattice.y + dy)
-        at_once = max(WEIGHTS_AT_ONCE // (places * plan.field**2), 1)
-        signal, noise, of_light = [], [], []
-        for start in range(0, places, at_once):
-            some = rows[start : start + at_once]
-            weights = plan.all_four(np.concatenate(some).astype(np.float64)) * gain
-            part = slice(start * places * n_shown, (start + len(some)) * places * n_shown)
-            samples = plan.samples(x[part], y[part], orientation).reshape(len(weights), n_shown, -1)
-            signal.append(samples @ weights.swapaxes(1, 2))
-            noise.append(plan.noise(weights))
-            if counts_photons:
-                lines = np.stack(np.broadcast_arrays(*line_covariance(weights)), axis=1)[:, None]
-                lines = np.broadcast_to(lines, (len(weights), n_shown, *lines.shape[2:]))
-                of_light.append(np.concatenate([lines, signal_covariance(weights, samples)], axis=2))
-        light = np.concatenate(of_light) if counts_photons else None
-        found.append(Phases(np.concatenate(signal), np.concatenate(noise), orientation.quarter_turns, light))
-    return found
-
-
 def pooled(replicates: Sequence[Sequence[Phases]]) -> list[Phases]:
     """Return the trials of each orientation in all replicates, one replicate after the other."""
     return [
@@ -204,10 +164,6 @@ def covariance_at(
     of_term = [variance.row / value**2, variance.column / value**2, variance.per_signal / value]
     found = np.einsum("t,...tij->...ij", np.array([*of_term, variance.per_squared_signal]), phases.of_light)
     return np.asarray(found + (internal + phases.noise[:, None] * variance.white) / value**2)
-
-
-Decide = Callable[[FloatArray, FloatArray, int], FloatArray]
-"""Function of mean scores (..., 4), their covariance and the correct answer that returns P(correct), (...,)."""
 
 
 class FoldedChain:
@@ -253,16 +209,30 @@ class FoldedChain:
 
     def phases(self, places: int, rng: np.random.Generator) -> list[Phases]:
         """Return trials of each orientation on a `Lattice` of `places` × `places`, shifted at random."""
-        shift, first = rng.random(2), rng.random(2)
-        return phases_on(
-            Lattice.at(places, shift=shift, first=first, jitter=self.jitter_detectors),
-            self.plan,
-            self.orientations,
-            size_detectors=self.size_detectors,
-            gain=self.sensor.display.gain,
-            weights_by_row=partial(self.plan.weights_by_row, self.folding),
-            counts_photons=self.variance is not None,
-        )
+        plan, shift, first = self.plan, rng.random(2), rng.random(2)
+        lattice = Lattice.at(places, shift=shift, first=first, jitter=self.jitter_detectors)
+        n_shown = lattice.displacement.shape[1]
+        x, y = lattice.triangles
+        at_once = max(WEIGHTS_AT_ONCE // (places * plan.field**2), 1)
+        phases = []
+        for orientation in self.orientations:
+            dx, dy = centre_offset(plan.observer, orientation, self.size_detectors)
+            rows = plan.weights_by_row(self.folding, lattice.x + dx, lattice.y + dy)
+            signal, noise, of_light = [], [], []
+            for start in range(0, places, at_once):
+                some = rows[start : start + at_once]
+                weights = plan.all_four(np.concatenate(some).astype(np.float64)) * self.sensor.display.gain
+                part = slice(start * places * n_shown, (start + len(some)) * places * n_shown)
+                samples = plan.samples(x[part], y[part], orientation).reshape(len(weights), n_shown, -1)
+                signal.append(samples @ weights.swapaxes(1, 2))
+                noise.append(plan.noise(weights))
+                if self.variance is not None:
+                    lines = np.stack(np.broadcast_arrays(*line_covariance(weights)), axis=1)[:, None]
+                    lines = np.broadcast_to(lines, (len(weights), n_shown, *lines.shape[2:]))
+                    of_light.append(np.concatenate([lines, signal_covariance(weights, samples)], axis=2))
+            light = np.concatenate(of_light) if of_light else None
+            phases.append(Phases(np.concatenate(signal), np.concatenate(noise), orientation.quarter_turns, light))
+        return phases
 
     def decide(self, scores: FloatArray, covariance: FloatArray, correct: int) -> FloatArray:
         """Compute P(correct), (...,), for mean scores (..., 4) and their covariance."""
@@ -295,9 +265,9 @@ class FoldedChain:
         for n in (1, REPLICATES):
             parts = self.replicates(self.lattices[0] if places is None else places, seed, n)
             phases = pooled(parts)
-            (highest,) = self.proportions_correct(phases, [self.largest_level], level).tolist()
+            highest = self.proportion_correct(phases, self.largest_level, level=level)
             if highest <= p_correct - (SURELY_BELOW if n == 1 else 0.0):
-                (noiseless,) = self.proportions_correct(phases, [math.inf], "contrast")
+                noiseless = self.proportion_correct(phases, math.inf, level="contrast")
                 faint = TOO_FAINT if self.variance is None else SATURATING
                 reason = HIDDEN if noiseless <= p_correct else faint
                 n_phases = sum(part.signal[..., 0].size for part in phases)
@@ -362,63 +332,41 @@ class FoldedChain:
         )
         return bound + float(of_rounding[0])
 
-    def proportion_correct(self, phases: Sequence[Phases], snr: float, contrast: float = 1.0) -> float:
-        """Return the mean P(correct) over trials at a signal-to-noise ratio; infinity means no detector noise.
+    def proportion_correct(
+        self, phases: Sequence[Phases], value: float, contrast: float = 1.0, *, level: Level = "snr"
+    ) -> float:
+        """Return the mean P(correct) over trials at a value of the level, for photons a contrast.
 
-        `contrast` is that of the triangle, in units of the contrast that the sensor's gain gives it.
+        An infinite SNR means no detector noise. `contrast` is that of the triangle, in units of the contrast that
+        the sensor's gain gives it.
         """
-        return float(self.proportions_correct(phases, [snr], contrast=contrast)[0])
+        return float(self.proportions(phases, value, level, contrast=contrast)[0])
 
-    def proportions_correct(
-        self, phases: Sequence[Phases], values: Sequence[float], level: Level = "snr", *, contrast: float = 1.0
+    def proportions(
+        self,
+        phases: Sequence[Phases],
+        value: float,
+        level: Level,
+        *,
+        contrast: float = 1.0,
+        n_replicates: int = 1,
+        check: Callable[[], None] = lambda: None,
     ) -> FloatArray:
-        """Return the mean P(correct) over trials at each of several levels; for photons, these are contrasts.
+        """Return the mean P(correct), as above, over the trials of each replicate and all orientations.
 
-        `contrast` is as for `proportion_correct`.
+        `check` is called every few milliseconds; it may raise an exception.
         """
         internal = self.noise_covariance / contrast**2
         of_orientations = []
         for part in phases:
-            each = [
-                np.array(covariance_at(level, value, internal, part, self.variance), ndmin=4) for value in values
-            ]
-            p_correct = self.decide(part.signal, np.stack(each), part.correct)
-            of_orientations.append(p_correct.mean(axis=(1, 2)))
+            p_correct = np.empty(part.signal.shape[:-1])
+            for start in range(0, len(p_correct), PLACES_AT_ONCE):
+                check()
+                some = slice(start, start + PLACES_AT_ONCE)
+                covariance = covariance_at(level, value, internal, part.some(some), self.variance)
+                p_correct[some] = self.decide(part.signal[some], covariance, part.correct)
+            of_orientations.append(p_correct.reshape(n_replicates, -1).mean(axis=1))
         return np.asarray(np.mean(of_orientations, axis=0))
-
-
-def _each_proportion(
-    phases: Sequence[Phases],
-    covariance: Callable[[Phases], FloatArray],
-    n_replicates: int,
-    *,
-    decide: Decide,
-    check: Callable[[], None] = lambda: None,
-) -> FloatArray:
-    """Return the mean P(correct) over the trials of each replicate and all orientations: (replicates,).
-
-    Parameters
-    ----------
-    phases : sequence of Phases
-        Trials of each orientation, as of `pooled`.
-    covariance : function of Phases
-        Returns the covariance of the scores at some places, as `covariance_at` does.
-    n_replicates : int
-    decide : function
-        As `Decide`.
-    check : function of no arguments
-        Called every few milliseconds; it may raise an exception.
-    """
-    of_orientations = []
-    for part in phases:
-        p_correct = np.empty(part.signal.shape[:-1])
-        for start in range(0, len(p_correct), PLACES_AT_ONCE):
-            check()
-            some = slice(start, start + PLACES_AT_ONCE)
-            noise = covariance(part.some(some))
-            p_correct[some] = decide(part.signal[some], noise, part.correct)
-        of_orientations.append(p_correct.reshape(n_replicates, -1).mean(axis=1))
-    return np.asarray(np.mean(of_orientations, axis=0))
 
 
 Progress = Callable[[float], None]
@@ -494,38 +442,23 @@ def references_of(on_places: Mapping[int, PooledThreshold], threshold: float) ->
 
 
 def find_threshold(
-    phases: Sequence[Phases],
-    internal: FloatArray,
+    of_each: Callable[[float], FloatArray],
     p_correct: float,
     *,
-    n_replicates: int,
-    level: Level = "snr",
-    variance: ContrastVariance | None = None,
     most: float = math.inf,
     near: float | None = None,
     slope: float = math.nan,
-    tolerance: float = ORTHANT_TOLERANCE,
-    decide: Decide | None = None,
-    check: Callable[[], None] = lambda: None,
 ) -> PooledThreshold:
-    """Find the threshold of the trials of each orientation, and what it would be with each replicate alone.
+    """Find the level at which the mean P(correct) of several replicates is `p_correct`.
 
-    `internal` is the covariance of the internal noise on the scores, and `variance` that of a sample of a camera
-    that counts photons; the level is then the contrast, at `most` that of saturation. The search begins `near` a
-    level, with the slope dP / d ln level there. `check` is called every few milliseconds, and may raise an
-    exception.
+    `of_each` returns P(correct) of each replicate at a level. The search begins `near` a level, with the slope
+    dP / d ln level there; beyond `most` the threshold is never reached.
     """
-    decision = decide or partial(answer_probability, tolerance=tolerance)
-
-    def of_each(value: float) -> FloatArray:
-        covariance = partial(covariance_at, level, value, internal, variance=variance)
-        return _each_proportion(phases, covariance, n_replicates, decide=decision, check=check)
-
-    status, threshold = crossing(lambda value: float(of_each(value).mean()), p_correct, near=near, slope=slope)
+    status, threshold = crossing(lambda level: float(of_each(level).mean()), p_correct, near=near, slope=slope)
     if threshold is not None and threshold > most:
         status, threshold = "never_reached", None
     if threshold is None:
-        return PooledThreshold(status, math.nan, np.full(n_replicates, math.nan), math.nan)
+        return PooledThreshold(status, math.nan, np.array([math.nan]), math.nan)
     low, high = (of_each(threshold * math.exp(way * STEP / 2.0)) for way in (-1.0, 1.0))
     slope = max(float((high - low).mean()) / STEP, 1e-12)
     middle = (low + high) / 2.0
@@ -598,17 +531,13 @@ def predicted_on_lattices(
         phases = pooled(parts)
         n_phases = sum(part.signal[..., 0].size for part in phases)
         found = find_threshold(
-            phases,
-            chain.noise_covariance,
+            lambda value, phases=phases: chain.proportions(  # type: ignore[misc]
+                phases, value, level, n_replicates=REPLICATES, check=work.decide
+            ),
             p_correct,
-            n_replicates=REPLICATES,
-            level=level,
-            variance=chain.variance,
             most=chain.largest_level,
             near=near,
             slope=slope,
-            decide=chain.decide,
-            check=work.decide,
         )
         if found.status != "ok":
             never = chain.unreached(p_correct, seed, places, level) if found.status == "never_reached" else None
@@ -635,7 +564,7 @@ def predicted_on_lattices(
     points: tuple[tuple[float, float], ...] = ()
     if n_points:
         levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, n_points)).tolist()
-        points = tuple(zip(levels, chain.proportions_correct(parts[0], levels, level).tolist(), strict=True))
+        points = tuple((value, chain.proportion_correct(parts[0], value, level=level)) for value in levels)
     error = (error + left_out) * threshold
     predicted = PredictedThreshold(found.status, threshold, error, chain.size_detectors, n_phases, points)
     return if_known(predicted), on_places
