@@ -367,12 +367,11 @@ def test_luminance_is_between_black_and_white(make_dataset) -> None:
 def test_a_border_is_the_outermost_ring() -> None:
     values = np.zeros((4, 5, 1), np.float32)
     values[[0, -1]] = values[:, [0, -1]] = 1.0
-    dataset_display = {"eotf": "linear", "background_luminance_cd_m2": 50.0, "pixel_pitch_mrad": 0.5}
-    from todframes.display.display import Display
-
-    screen = AlgorithmDisplay(Display(**dataset_display, white_luminance_cd_m2=80.0))
-    assert EnhancedImage(screen, values).border_luminance() == 80.0
-    assert EnhancedImage(screen, values[:1]).border_luminance() == 80.0
+    display = tod.Display(
+        eotf="linear", background_luminance_cd_m2=50.0, pixel_pitch_mrad=0.5, white_luminance_cd_m2=80.0
+    )
+    assert EnhancedImage(display, values).border_luminance() == 80.0
+    assert EnhancedImage(display, values[:1]).border_luminance() == 80.0
 
 
 def test_a_measured_display_has_the_range_of_its_table(make_dataset) -> None:

@@ -87,4 +87,4 @@ class RepeatedFrames:
 
 def _luminance(picture: EnhancedImage) -> FloatArray:
     step = math.ceil(math.sqrt(math.prod(picture.values.shape[:2]) / MOST_COMPARED_PX))
-    return picture.luminance_at(slice(None, None, step), slice(None, None, step))
+    return picture.luminance(slice(None, None, step), slice(None, None, step))

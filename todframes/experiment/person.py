@@ -109,7 +109,8 @@ class SeenDataset(Dataset):
                 f"{row.sha256[:12]}…; restore it, or leave its trials out with {argument.on_error} skip",
             )
         codes = shown_codes(trial_image(self.shown, trial).contrast, self.monitor, row.dither_seed)
-        return ArrayFrame(self.frame_path(frame), 1.0 + shown_contrast(codes, self.monitor))
+        luminance = (1.0 + shown_contrast(codes, self.monitor)).astype(np.float32)
+        return ArrayFrame(self.frame_path(frame), luminance)
 
 
 def seen_dataset(dataset: Dataset, session: Session) -> SeenDataset:

@@ -169,14 +169,16 @@ class Frame:
     width: int
 
     @property
-    def values(self) -> NDArray[np.float32]:
-        """Code values as 32-bit floats, of the shape of `stored`; see `code_values`."""
+    def values(self) -> NDArray[np.floating]:
+        """Code values, of the shape of `stored`; see `code_values`."""
         return code_values(self.stored)
 
 
-def code_values(stored: NDArray[Any]) -> NDArray[np.float32]:
-    """Convert stored pixels of any shape to code values: integers are divided by full scale, 255 or 65535."""
-    values = np.array(stored, np.float32, order="C")
+def code_values(stored: NDArray[Any]) -> NDArray[np.floating]:
+    """Convert stored pixels to code values: 32-bit floats, integers divided by full scale; 64 bits stay."""
+    values: NDArray[np.floating] = np.array(
+        stored, np.float64 if stored.dtype == np.float64 else np.float32, order="C"
+    )
     if stored.dtype.kind == "u":
         values /= 2 ** (8 * stored.itemsize) - 1
     return values

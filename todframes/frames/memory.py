@@ -14,12 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 from todframes.base.errors import DataError, FrameError
 from todframes.base.remote import Location
 from todframes.display.display import Display
+from todframes.frames.contrast import row_bands
 from todframes.frames.dataset import Dataset, Experiment, Manifest
 from todframes.frames.files import Frame, FrameHeader, FrameSource, Range
 from todframes.frames.trials import FrameReference
 
-OIIO_TYPES: dict[str, Any] = {"uint8": "uint8", "uint16": "uint16", "float16": "half"}
-"""Pixel type by NumPy type; other floating-point arrays are held as "float", 32 bits."""
+OIIO_TYPES: dict[str, Any] = {
+    "uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float", "float64": "float"
+}  # fmt: skip
+"""Pixel type by NumPy type."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +43,9 @@ class MemoryDataset(Dataset):
 
     def open(self, frame: FrameReference, *, verify: bool = False) -> FrameSource:  # noqa: ARG002 - no checksums
         """Open a frame; raise FrameError if it cannot be used."""
-        return ArrayFrame(self.frame_path(frame), self.arrays[frame.path])
+        array = self.arrays[frame.path]
+        is_long = array.dtype.kind == "f" and array.dtype != np.float16
+        return ArrayFrame(self.frame_path(frame), array.astype(np.float32, copy=False) if is_long else array)
 
 
 class ArrayFrame(FrameSource):
@@ -52,11 +57,9 @@ class ArrayFrame(FrameSource):
 
     def __init__(self, path: Location, stored: NDArray[Any]) -> None:
         self.path = path
-        if stored.dtype.kind == "f" and stored.dtype != np.float16:
-            stored = stored.astype(np.float32, copy=False)
         if stored.ndim == 2:
             stored = stored[..., None]
-        pixel_type: Any = "float" if stored.dtype == np.float32 else OIIO_TYPES.get(stored.dtype.name)
+        pixel_type: Any = OIIO_TYPES.get(stored.dtype.name)
         if pixel_type is None or stored.ndim != 3 or stored.shape[2] not in (1, 3) or not stored.size:
             raise FrameError(
                 path,
@@ -68,15 +71,22 @@ class ArrayFrame(FrameSource):
         channels = ("Y",) if n_channels == 1 else ("R", "G", "B")
         self.header = FrameHeader(height, width, 0, 0, height, width, channels, pixel_type, {})
 
+    @property
+    def stored_type(self) -> np.dtype[Any]:
+        """Type of the values of `Frame.stored`, which may be floats of 64 bits, too."""
+        return self._stored.dtype
+
     def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
-        """Yield a rectangle of the frame in one band; raise FrameError if a pixel of it is NaN or infinite."""
+        """Yield a rectangle of the frame in bands of rows; raise FrameError if a pixel of it is NaN or infinite."""
         (top, bottom), (left, right) = self.clip(rows, columns)
         part = self._stored[top:bottom, left:right]
         if part.dtype.kind == "f" and not np.isfinite(part).all():
             bad = np.argwhere(~np.isfinite(part).all(axis=2))
             where = f"row {bad[0, 0] + top}, column {bad[0, 1] + left}"
             raise FrameError(self.path, f"{len(bad)} pixels are NaN or infinite, the first at {where}")
-        yield Frame(part, top, left, self.header.height, self.header.width)
+        for stored in row_bands(part):
+            yield Frame(stored, top, left, self.header.height, self.header.width)
+            top += len(stored)
 
 
 def memory_dataset(
