@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 from skimage.metrics import peak_signal_noise_ratio
 
 import todframes as tod
@@ -30,7 +31,6 @@ from todframes.enhancement.contrast_gain import MEASURED_TRIALS, measured_trials
 from todframes.enhancement.contrast_on_scenes import contrasts_on_scenes, views_to_measure
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame, EnhancedImage
 from todframes.enhancement.finding import find_enhancement
-from todframes.enhancement.records import algorithms
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame
@@ -194,8 +194,8 @@ def test_reference_and_identity_are_what_score_gives(make_dataset, background, m
             continue
         assert same_scores(result.scored, scored)
         assert [one.fit for one in result.scored.fits] == [one.fit for one in scored.fits]
-        assert [one.ratio.ratio for one in result.compared] == [1.0, 1.0][: len(result.compared)]
-        assert {one.verdict for one in result.compared} <= {"no difference shown"}
+        assert [one.ratio for one in result.record.ratios] == [1.0, 1.0][: len(result.record.ratios)]
+        assert {one.verdict for one in result.record.ratios} <= {"no difference shown"}
 
 
 def test_colour_windows_and_trials_of_several_frames(make_dataset) -> None:
@@ -261,9 +261,9 @@ def test_gain_of_noise_limited_frames_does_nothing(make_dataset) -> None:
     """A linear, invertible change: signal and noise are what they were to each other, so is the threshold."""
     made = noisy_frames(make_dataset, sigma=0.4)
     quiet = PyramidObserver(PyramidSettings(internal_noise=1e-3))
-    (one,) = compare(made.path, "own_enhancements:gain:by=1.5", observer=quiet, white=100.0)[1].compared
+    (one,) = compare(made.path, "own_enhancements:gain:by=1.5", observer=quiet, white=100.0)[1].record.ratios
     assert one.verdict == "no difference shown"
-    assert one.ratio.ratio == pytest.approx(1.0, abs=0.01)
+    assert one.ratio == pytest.approx(1.0, abs=0.01)
 
 
 def noisy_frames(
@@ -320,7 +320,7 @@ def test_the_edge_of_a_frame_does_not_set_its_contrast(make_dataset, background)
         row["background_luminance_cd_m2"] = "50"
     made.save()
     results = compare(made.path, *(f"own_enhancements:box{kind}" for kind in ("", ":beyond='black'", ":ring=1.0")))
-    none, mirrored, *others = found = algorithms(load_dataset(made.path), results)
+    none, mirrored, *others = found = [one.record for one in results]
     for one in found:  # 32-bit code values
         assert one.fits[0].background_luminance_cd_m2 == pytest.approx(
             none.fits[0].background_luminance_cd_m2, 1e-6
@@ -341,7 +341,7 @@ def test_only_the_luminance_around_the_triangle_counts(make_dataset) -> None:
     values = read_frame(made.frame(0)).values[..., 0]
     values[[0, -1]] = values[:, [0, -1]] = 0.0
     write_frame(made.frame(0), values)
-    assert compare(made.path, "gaussian")[1].edge_factor == pytest.approx(1.0, rel=1e-4)  # 16 bits
+    assert compare(made.path, "gaussian")[1].record.edge_factor == pytest.approx(1.0, rel=1e-4)  # 16 bits
     values[:] = 0.0
     write_frame(made.frame(0), values)
     with pytest.raises(FrameError, match=r"up_0.png: background luminance is 0 cd/m², expected > 0"):
@@ -393,7 +393,7 @@ def test_values_that_the_display_cannot_show(make_dataset, eotf: str) -> None:
     message = r"_up_0.png: own_enhancements:gain:by=6: \d+ of 2304 values lie beyond 0 to 1, from .* to 2.3; "
     with pytest.raises(FrameError, match=message):
         compare(made.path, "own_enhancements:gain:by=6")
-    clipped = compare(made.path, "own_enhancements:gain:by=6", allow_clipping=True)[1]
+    clipped = compare(made.path, "own_enhancements:gain:by=6", allow_clipping=True)[1].record
     frames = [read_frame(made.frame(number)).values for number in range(4)]
     assert clipped.n_clipped == sum(np.count_nonzero(np.abs(6 * (f - 0.5)) > 0.5 + 1e-6) for f in frames)
 
@@ -446,12 +446,12 @@ def test_psnr_of_a_known_error(make_dataset) -> None:
     """A tenth of white everywhere is 20 dB, whatever the display's luminance; gone, there is no error left."""
     made = with_reference(make_dataset, 0.1)
     reference, mended, again = compare(made.path, "own_enhancements:brighter:by=1", "own_enhancements:gain:by=1.0")
-    assert reference.psnr_db == pytest.approx(20.0, abs=1e-3)  # code values are rounded to 2⁻¹⁶
-    assert (mended.psnr_db, again.psnr_db) == (pytest.approx(20.0, abs=1e-3),) * 2
-    assert 0.9 < reference.ssim < 1.0
+    assert reference.record.psnr_db == pytest.approx(20.0, abs=1e-3)  # code values are rounded to 2⁻¹⁶
+    assert (mended.record.psnr_db, again.record.psnr_db) == (pytest.approx(20.0, abs=1e-3),) * 2
+    assert 0.9 < reference.record.ssim < 1.0
     exact = compare(with_reference(lambda **k: make_dataset("exact", **k), 0.0).path, "gaussian:sigma=3")
-    assert (exact[0].psnr_db, exact[0].ssim) == (None, 1.0)
-    assert exact[1].psnr_db is not None
+    assert (exact[0].record.psnr_db, exact[0].record.ssim) == (None, 1.0)
+    assert exact[1].record.psnr_db is not None
     assert exact[1].ssim < 1.0
 
 
@@ -467,13 +467,13 @@ def test_psnr_is_that_of_all_frames_together(make_dataset) -> None:
     expected = peak_signal_noise_ratio(
         100.0 * clean[..., 0].astype(np.float64), np.array([one.luminance() for one in blurred]), data_range=100.0
     )
-    assert compare(made.path, "gaussian:sigma=2")[1].psnr_db == pytest.approx(expected, abs=1e-9)
+    assert compare(made.path, "gaussian:sigma=2")[1].record.psnr_db == pytest.approx(expected, abs=1e-9)
 
 
 def test_frames_with_other_pixels_are_not_measured(make_dataset) -> None:
     made = with_reference(make_dataset, 0.1)
     finer = compare(made.path, "bicubic")[1]
-    assert (finer.psnr_db, finer.ssim) == (None, None)
+    assert (finer.record.psnr_db, finer.record.ssim) == (None, None)
 
 
 def test_rows_without_a_reference_are_left_out_of_the_measures(make_dataset) -> None:
@@ -481,7 +481,7 @@ def test_rows_without_a_reference_are_left_out_of_the_measures(make_dataset) -> 
     for row in made.rows[1:]:
         row["reference_frame"] = ""
     made.save()
-    assert compare(made.path, "gaussian")[0].psnr_db == pytest.approx(20.0, abs=1e-3)
+    assert compare(made.path, "gaussian")[0].record.psnr_db == pytest.approx(20.0, abs=1e-3)
 
 
 def test_small_frames_have_no_ssim(make_dataset) -> None:
@@ -491,8 +491,8 @@ def test_small_frames_have_no_ssim(make_dataset) -> None:
         write_frame(made.path / "clean.png", read_frame(made.frame(number)).values)
     made.save()
     reference = compare(made.path, "gaussian")[0]
-    assert reference.ssim is None
-    assert reference.psnr_db > 20.0
+    assert reference.record.ssim is None
+    assert reference.record.psnr_db > 20.0
 
 
 @pytest.mark.parametrize(
@@ -530,21 +530,21 @@ def test_a_reference_may_not_leave_the_dataset(make_dataset) -> None:
 def test_an_algorithm_that_takes_the_triangle_away(make_dataset) -> None:
     made = make_dataset(suffix=".png", contrasts=(0.05, 0.1, 0.2, 0.4), repeats=3)
     gone = compare(made.path, "own_enhancements:nothing")[1]
-    (one,) = gone.compared
+    (one,) = gone.record.ratios
     assert gone.scored.fits[0].fit.status == "never_reached"
-    assert (one.ratio.ratio, one.verdict, gone.overall) == (None, "worse", None)
+    assert (one.ratio, one.verdict, gone.record.overall) == (None, "worse", None)
 
 
 def test_corrected_for_all_comparisons(make_dataset) -> None:
     """Each p-value times those not smaller: two algorithms, two groups and their means are six."""
     made = make_dataset(suffix=".png", sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2, 0.4), repeats=2)
     results = compare(made.path, "gaussian:sigma=2", "own_enhancements:again")
-    every = [one for result in results[1:] for one in (*result.compared, result.overall)]
+    every = [one for result in results[1:] for one in (*result.record.ratios, result.record.overall)]
     assert len(every) == 6
-    smallest = min(every, key=lambda one: one.ratio.p_value)
-    assert smallest.p_value_holm == pytest.approx(6 * smallest.ratio.p_value)
+    smallest = min(every, key=lambda one: one.p_value)
+    assert smallest.p_value_holm == pytest.approx(6 * smallest.p_value)
     # More resamples than 200, or no verdict could survive the correction: 80 for each comparison.
-    assert smallest.ratio.p_value == pytest.approx(2 / 481)
+    assert smallest.p_value == pytest.approx(2 / 481)
 
 
 @pytest.mark.slow
@@ -556,7 +556,7 @@ def test_draws_are_common_and_do_not_depend_on_workers(make_dataset) -> None:
             three = compare(made.path, "median", "unsharp", run=Run(engine), decisions=decisions)
         for ours, theirs in zip(one, three, strict=True):
             assert same_scores(ours.scored, theirs.scored)
-            assert (ours.compared, ours.overall) == (theirs.compared, theirs.overall)
+            assert (ours.record.ratios, ours.record.overall) == (theirs.record.ratios, theirs.record.overall)
             assert np.array_equal(ours.scored.displacement_samples, one[0].scored.displacement_samples)
 
 
@@ -585,7 +585,7 @@ def test_an_observer_that_is_not_linear(make_dataset) -> None:
     scored = score_dataset(load_dataset(made.path), observer, decisions="sampled", fit_settings=FAST)
     assert same_scores(results[0].scored, scored)
     assert same_scores(results[1].scored, scored)
-    assert results[2].compared[0].ratio.ratio < 1.0
+    assert results[2].record.ratios[0].ratio < 1.0
     with pytest.raises(SettingsError, match="this observer is not linear"):
         compare(made.path, "own_enhancements:same", observer=observer)
 
@@ -645,13 +645,13 @@ def test_part_of_an_exr(make_dataset) -> None:
 def test_a_plain_gain_does_nothing_beyond_its_gain(make_dataset, by) -> None:
     made = make_dataset(suffix=".png", sizes_mrad=(1.5, 2.5), contrasts=(0.05, 0.08, 0.12, 0.2))
     _, found = compare(made.path, f"own_enhancements:gain:by={by}")
-    for one in (*found.compared, found.overall):
+    for one in (*found.record.ratios, found.record.overall):
         # Code values are 32-bit, and 16-bit PNG rounds contrast to 3e-5 of 0.2.
-        assert one.beyond_gain.contrast_gain == pytest.approx(by, rel=1e-3)
-        assert one.beyond_gain.ratio.ratio == pytest.approx(1.0, rel=1e-3)
+        assert one.contrast_gain == pytest.approx(by, rel=1e-3)
+        assert one.beyond_gain == pytest.approx(1.0, rel=1e-3)
         # Without noise in the frames the threshold follows the gain. The levels lie elsewhere on the observer's
         # curve, which a fitted one follows within some per cent.
-        assert one.ratio.ratio == pytest.approx(1.0 / by, rel=0.06)
+        assert one.ratio == pytest.approx(1.0 / by, rel=0.06)
 
 
 def test_a_gain_does_not_help_against_the_noise_of_the_frames(make_dataset) -> None:
@@ -662,11 +662,11 @@ def test_a_gain_does_not_help_against_the_noise_of_the_frames(make_dataset) -> N
         values = read_frame(made.frame(row)).values[..., 0]
         write_frame(made.frame(row), np.clip(values + rng.normal(0.0, 0.1, values.shape), 0.0, 1.0))
     _, found = compare(made.path, "own_enhancements:gain:by=1.8", allow_clipping=True)
-    (one,) = found.compared
-    assert 1.0 > one.ratio.ratio > 1.4 / 1.8
+    (one,) = found.record.ratios
+    assert 1.0 > one.ratio > 1.4 / 1.8
     # Clipping of the tails of the noise changes the triangle's contrast a little.
-    assert one.beyond_gain.contrast_gain == pytest.approx(1.8, rel=0.1)
-    low, high = one.beyond_gain.ratio.ratio_ci95
+    assert one.contrast_gain == pytest.approx(1.8, rel=0.1)
+    low, high = one.beyond_gain_ci95
     assert low < 1.1
     assert high > 0.9
 
@@ -678,16 +678,16 @@ def test_a_triangle_darker_than_its_background_has_a_gain_too(make_dataset) -> N
         write_frame(made.frame(row), 1.0 - read_frame(made.frame(row)).values[..., 0])
     made.save()
     _, found = compare(made.path, "own_enhancements:gain:by=2")
-    assert found.compared[0].beyond_gain.contrast_gain == pytest.approx(2.0, rel=1e-3)
+    assert found.record.ratios[0].contrast_gain == pytest.approx(2.0, rel=1e-3)
 
 
 def test_smallest_p_values_are_told(make_dataset) -> None:
     made = make_dataset(suffix=".png", contrasts=(0.05, 0.08, 0.12, 0.2), repeats=2)
     many = FitSettings(resamples=200)
     _, better, same = compare(made.path, "own_enhancements:gain", "own_enhancements:again", fit_settings=many)
-    assert [one.compared[0].is_p_value_least for one in (better, same)] == [True, False]
+    assert [one.record.ratios[0].p_value_is_least for one in (better, same)] == [True, False]
     # 200 resamples, 2/201, and two comparisons.
-    assert better.compared[0].p_value_holm == pytest.approx(4 / 201)
+    assert better.record.ratios[0].p_value_holm == pytest.approx(4 / 201)
 
 
 # Several observers.
@@ -705,8 +705,8 @@ def test_observers_together_are_each_alone(make_dataset) -> None:
         (alone,) = compare_observers(dataset, [observer], algorithms, fit_settings=FAST, screen=screen)
         for one, other in zip(found, alone, strict=True):
             np.testing.assert_allclose(one.scored.scores, other.scored.scores, rtol=1e-9, atol=1e-12)
-            assert [c.verdict for c in one.compared] == [c.verdict for c in other.compared]
-            assert one.n_clipped == other.n_clipped
+            assert [c.verdict for c in one.record.ratios] == [c.verdict for c in other.record.ratios]
+            assert one.record.n_clipped == other.record.n_clipped
 
 
 def test_observers_that_look_at_different_points_are_refused(make_dataset) -> None:
@@ -755,20 +755,20 @@ def test_scenes_change_intervals_alone(make_dataset) -> None:
     plain, four, one = (
         compare(on_scenes(make_dataset, n, f"made{n}"), "own_enhancements:gain:by=1.2") for n in (0, 4, 1)
     )
-    assert [each[1].n_backgrounds for each in (plain, four, one)] == [None, 4, 1]
-    (before,), (after,) = plain[1].compared, one[1].compared
-    assert before._replace(beyond_gain=None) == after._replace(
-        beyond_gain=None
-    )  # nothing is known of other scenes
+    assert [each[1].record.n_scenes for each in (plain, four, one)] == [None, 4, 1]
+    (before,), (after,) = plain[1].record.ratios, one[1].record.ratios
+    gain = {"contrast_gain": None, "beyond_gain": None, "beyond_gain_ci95": None}
+    # Nothing is known of other scenes.
+    assert structs.replace(before, **gain) == structs.replace(after, **gain)
     # The contrast is measured in another way; 16-bit PNG rounds it to 3e-5 of 0.2.
-    assert before.beyond_gain.contrast_gain == pytest.approx(after.beyond_gain.contrast_gain, rel=1e-3)
+    assert before.contrast_gain == pytest.approx(after.contrast_gain, rel=1e-3)
     without, of_scenes = (one[1].scored.fits[0].fit for one in (plain, four))
     assert of_scenes.threshold_ci95_same_scenes == without.threshold_ci95
     without, of_scenes = (
         replace(one, threshold_ci95=None, threshold_ci95_same_scenes=None) for one in (without, of_scenes)
     )
     assert without == of_scenes
-    ratio, of_four = plain[1].compared[0].ratio, four[1].compared[0].ratio
+    ratio, of_four = plain[1].record.ratios[0], four[1].record.ratios[0]
     assert (of_four.ratio, of_four.ratio_ci95 == ratio.ratio_ci95) == (ratio.ratio, False)
 
 
@@ -781,7 +781,7 @@ def test_scenes_that_are_groups_are_each_judged_by_their_trials(make_dataset) ->
         marked = [f"{line},{'eye' if k == 0 else k % 2}" for k, line in enumerate(lines)]
         (path / "manifest.csv").write_text("\n".join(marked) + "\n", encoding="utf-8")
         found.append(compare(path, "own_enhancements:gain:by=1.2")[1])
-    of_trials, of_scenes = ([one.ratio for one in each.compared] for each in found)
+    of_trials, of_scenes = ([(one.ratio, one.ratio_ci95) for one in each.record.ratios] for each in found)
     assert len(of_trials) == 2 and of_trials == of_scenes
 
 
@@ -791,16 +791,14 @@ SPECS_OF_GAIN = ("own_enhancements:gain:by=2", "own_enhancements:root")
 def test_displayed_contrast_before_and_after(make_dataset) -> None:
     """A gain has the same gain at all levels; a root of contrast has c^(1/2) / c on the triangle."""
     data = on_scenes(make_dataset, 0, sizes_mrad=(4.0,), side_px=96)
-    results = compare(data, *SPECS_OF_GAIN)
-    _, twice, root = results
-    (levels,) = twice.responses
+    none, of_gain, of_root = (one.record for one in compare(data, *SPECS_OF_GAIN))
+    levels = of_gain.contrast_responses[0].points
     assert [one.level for one in levels] == [0.02, 0.05, 0.1, 0.2]
     assert [one.gain for one in levels] == pytest.approx([2.0] * 4, rel=1e-3)  # 16 bits
     assert levels[0].n_trials == 16
-    (levels,) = root.responses
+    levels = of_root.contrast_responses[0].points
     # Pixels that the edge crosses have less contrast before, and more gain: some 2 % of the area.
     assert [one.gain for one in levels] == pytest.approx([0.3 / math.sqrt(one.level) for one in levels], rel=0.04)
-    (none, of_gain, of_root) = algorithms(load_dataset(data), results)
     assert (none.contrast_responses, len(of_gain.contrast_responses)) == ((), 1)
     (warning,) = not_proportional([none, of_gain, of_root])
     assert (warning.code, warning.group["algorithm"]) == ("not_proportional", "own_enhancements:root")
@@ -942,8 +940,8 @@ def test_displayed_contrast_on_scenes_is_that_on_an_even_field(make_dataset, tmp
         row |= {"scene": f"spot{number % 2}", "scene_turn": "r0", "scene_window": "0"}
     scenes.save()
     spec = "gaussian:sigma=2"
-    (levels,), (on_scenes,) = (compare(one.path, spec)[1].responses for one in (even, scenes))
-    for before, after in zip(levels, on_scenes, strict=True):
+    (levels,), (on_scenes,) = (compare(one.path, spec)[1].record.contrast_responses for one in (even, scenes))
+    for before, after in zip(levels.points, on_scenes.points, strict=True):
         # 16 bits are 2e-4 of the faintest contrast; the retina samples the shape, which is a per cent.
         assert after.before == pytest.approx(before.before, rel=0.01)
         assert after.gain == pytest.approx(before.gain, rel=0.01)

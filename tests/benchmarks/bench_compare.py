@@ -45,7 +45,7 @@ def rows() -> list[Row]:
                 started = time.process_time()
                 (results,) = compare_observers(dataset, [PyramidObserver()], algorithms)
                 whole_s = time.process_time() - started
-                needed_s = decoding_s + sum(result.cpu_s for result in results)
+                needed_s = decoding_s + sum(result.record.cpu_s for result in results)
                 shares.append(whole_s / needed_s - 1.0)
             per_frame_ms = 1e3 * (needed_s - decoding_s) / N_FRAMES
             about = f"compare {N_FRAMES} frames, 5 algorithms of {per_frame_ms:.0f} ms a frame in all"

@@ -61,8 +61,8 @@ def rows() -> list[Row]:
         decoded = time.process_time()
         ((_, after),) = compare_observers(dataset, [PyramidObserver()], [network])
         compared = time.process_time()
-        share = (compared - decoded) / (decoded - started + after.cpu_s) - 1.0
-        each_ms = 1e3 * after.cpu_s / len(paths)
+        share = (compared - decoded) / (decoded - started + after.record.cpu_s) - 1.0
+        each_ms = 1e3 * after.record.cpu_s / len(paths)
         peaks = [process("-c", COMPARE, str(one), str(path)).peak_mb for one in (few, folder)]
     about = f"compare {N_TRIALS} × {FRAMES_PER_TRIAL} frames, a network of {each_ms:.0f} ms"
     return [

@@ -9,19 +9,19 @@ from __future__ import annotations
 import math
 import time
 from array import array
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.enhancement.algorithm import REFERENCE, Enhancement
+from todframes.enhancement.comparison import NO_DIFFERENCE, Algorithm, ContrastResponse, Ratio
 from todframes.enhancement.contrast_gain import (
-    LevelContrast,
+    Responses,
     contrast_gains,
     contrast_responses,
     measured_trials,
@@ -36,8 +36,9 @@ from todframes.enhancement.enhanced_frame import (
 )
 from todframes.enhancement.finding import find_enhancement
 from todframes.enhancement.image_quality import psnr_db
+from todframes.enhancement.records import plain_value
 from todframes.enhancement.repeatability import RepeatedFrames
-from todframes.frames.dataset import Dataset, Skipped
+from todframes.frames.dataset import Dataset
 from todframes.frames.position import check_places
 from todframes.frames.trials import Trial, Trials
 from todframes.jobs.run import Run
@@ -52,7 +53,9 @@ from todframes.psychometrics.paired_bootstrap import (
     ratio_draws,
     threshold_ratio,
 )
+from todframes.results.data import group_of
 from todframes.scoring.plan import ScorePlan, plan_score
+from todframes.scoring.records import fit_record
 from todframes.scoring.retina_view import to_mean_place_px
 from todframes.scoring.score import (
     ScoredDataset,
@@ -73,7 +76,8 @@ from todframes.scoring.seen_trials import (
 from todframes.scoring.work import see_trials
 from todframes.stimulus import ORIENTATIONS
 
-Verdict = Literal["better", "worse", "no difference shown", "mixed"]
+PSNR_STEP_DB, SSIM_STEP = 0.1, 0.005
+"""Largest changes of PSNR and SSIM that count as no change."""
 
 SIGNIFICANCE = 0.05
 """Corrected p-value below which a difference of thresholds is reported."""
@@ -81,59 +85,16 @@ SIGNIFICANCE = 0.05
 RESAMPLES_PER_COMPARISON = 80
 """Resamples for each ratio: the smallest p-value, 2 / resamples, is half of 5 % even after Holm's correction."""
 
-
-class BeyondGain(NamedTuple):
-    """An algorithm's contrast gain, and its threshold over that of a plain gain of the same amount."""
-
-    contrast_gain: float
-    ratio: ThresholdRatio
+Gains = Mapping[tuple[float | str, ...], float]
+"""Contrast gains by group."""
 
 
-class Compared(NamedTuple):
-    """The threshold ratio of an algorithm to the reference and its verdict, in a group, or in all if it is None.
-
-    `p_value_holm` is corrected for the number of ratios in the whole comparison; the verdict is based on it.
-    `is_p_value_least` states whether the resamples allow no smaller one. `beyond_gain` is None if answers were
-    drawn, or if the triangle's contrast is not positive before or after the algorithm.
-    """
-
-    group: tuple[float | str, ...] | None
-    ratio: ThresholdRatio
-    p_value_holm: float
-    verdict: Verdict
-    is_p_value_least: bool
-    beyond_gain: BeyondGain | None
-
-
-@dataclass(frozen=True, slots=True)
-class AlgorithmResult:
-    """The scores of an algorithm and their comparison with those of the reference.
-
-    `compared` has one item for each group, in the order of `scored.fits`; for several groups `overall` is their
-    geometric mean. Both are empty for the reference itself, and so is `responses`: for each group, the displayed
-    contrast of the triangle level by level. `n_backgrounds` is the number of scenes that intervals and verdicts
-    count as drawn from many; None if the dataset names none. `psnr_db` and `ssim` compare the displayed luminance
-    with the frames without noise, over all frames that have one; None if there are none. `edge_factor` is the
-    median of that of the frames. `repeat_difference` is the largest difference of pictures of the same frame, in
-    units of their mean luminance, 0 if they are the same. `n_clipped` is the number of values beyond the display's
-    range. `cpu_s` is the algorithm's own processor time over all frames in seconds, `cpu_s_per_frame` that of a
-    frame, and `memory_mb` the most memory that it needed for one; None if it was not measured.
-    """
+class AlgorithmResult(NamedTuple):
+    """An algorithm, the scores of all trials after it, and their comparison with those of the reference."""
 
     enhancement: Enhancement
     scored: ScoredDataset
-    compared: tuple[Compared, ...]
-    overall: Compared | None
-    responses: tuple[tuple[LevelContrast, ...], ...]
-    n_backgrounds: int | None
-    psnr_db: float | None
-    ssim: float | None
-    edge_factor: float
-    repeat_difference: float
-    n_clipped: int
-    cpu_s: float
-    cpu_s_per_frame: float
-    memory_mb: float | None
+    record: Algorithm
 
 
 def compare_observers(
@@ -153,37 +114,16 @@ def compare_observers(
 ) -> tuple[tuple[AlgorithmResult, ...], ...]:
     """Show every trial to observers as it is and after each algorithm, and compare the thresholds of each.
 
-    Frames are decoded and enhanced once for all observers and gazes. Parameters not listed are those of
-    `score_dataset`. With the same plan, one observer and one gaze, the scores and fits of the reference are those
-    of `score_dataset`, number for number.
+    Frames are decoded and enhanced once for all observers, which look at the same point of the triangle, and for
+    all their gazes, by default that of the dataset. Comes back for each gaze of each observer: one result for each
+    algorithm, the reference, `none`, first. The default screen is the dataset's display with a white of 1, without
+    clipping. Other parameters are those of `score_dataset`; all algorithms have one plan, made from frames before
+    and after enhancement. With the same plan, one observer and one gaze, the scores and fits of the reference are
+    those of `score_dataset`, number for number.
 
-    Parameters
-    ----------
-    observers : sequence of Observer
-        Observers that look at the same point of the triangle.
-    gazes : sequence of {"tracked", "fixed"}
-        Gazes of each observer. Default: that of the dataset.
-    enhancements : sequence of Enhancement
-        Algorithms to compare. The reference, `none`, is the first in the result even if it is not among them.
-    screen : AlgorithmDisplay, optional
-        Default: the dataset's display with a white of 1, and no clipping.
-    plan_name : {"needed", "full"}
-        As in `score_dataset`. All algorithms have one plan, made from frames before and after enhancement.
-
-    Returns
-    -------
-    tuple of tuples of AlgorithmResult
-        For each gaze of each observer one for each algorithm, the reference first.
-
-    Raises
-    ------
-    FrameError, DataError
-        If a row or frame is bad, or an algorithm fails on a frame. If bad frames are skipped, the trial is skipped
-        for all algorithms instead.
-    SettingsError
-        If an algorithm is given twice, there are no resamples, decisions are "expected" and the observer is not
-        linear, or the observer's curve is asked for and decisions are not "expected"; or if observers look at
-        different points.
+    Raises FrameError or DataError if a row or frame is bad, or an algorithm fails on a frame; if bad frames are
+    skipped, the trial is skipped for all algorithms instead. Raises SettingsError if an algorithm is given twice,
+    there are no resamples, a setting does not suit the observer, or observers look at different points.
     """
     if len({one.centre for one in observers}) > 1:
         found = ", ".join(one.centre for one in observers)
@@ -244,21 +184,18 @@ def compare_observers(
         with_levels=True,
     )
     repeated.finish(run)
-    return tuple(
-        _results(
-            algorithms,
-            check_seen(dataset, columns.seen(), skipped),
-            columns,
-            partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected),
-            skipped=skipped,
-            expected=expected,
-            seed=seed,
-            fit_settings=fit_settings,
-            screen=screen,
-            repeat_differences=repeated.differences,
-        )
-        for plan, columns in zip(plans, of_observer, strict=True)
-    )
+    results = []
+    for plan, columns in zip(plans, of_observer, strict=True):
+        fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)
+        seen = check_seen(dataset, columns.seen(), skipped)
+        scored = [replace(fit(one), skipped=tuple(skipped)) for one in seen]
+        responses = contrast_responses(seen[0].trials, columns.contrasts[columns.is_seen])
+        gains = contrast_gains(responses)
+        plain = [_amplified(fit, seen[0], of_algorithm, fit_settings) for of_algorithm in gains[1:] if expected]
+        ratios = _ratios(dataset, scored, plain, gains, seed, fit_settings)
+        records = _records(dataset, algorithms, scored, ratios, responses, columns.measured, repeated, screen)
+        results.append(tuple(map(AlgorithmResult, algorithms, scored, records)))
+    return tuple(results)
 
 
 def parts_of(algorithms: Sequence[Enhancement]) -> list[object]:
@@ -274,50 +211,74 @@ def _parts(plans: Sequence[ScorePlan]) -> list[object]:
     return [(plan.observer, plan.whole_frames, sorted(map(repr, plan.stimuli.items()))) for plan in plans]
 
 
-def _results(
+def _records(
+    dataset: Dataset,
     algorithms: Sequence[Enhancement],
-    seen: Sequence[SeenTrials],
-    columns: _ResultColumns,
-    fit: Callable[..., ScoredDataset],
-    *,
-    skipped: Sequence[Skipped],
-    expected: bool,
-    seed: int,
-    fit_settings: FitSettings,
+    scored: Sequence[ScoredDataset],
+    ratios: Sequence[Sequence[Ratio]],
+    responses: Sequence[Responses],
+    measured: Sequence[array[float]],
+    repeated: RepeatedFrames,
     screen: AlgorithmDisplay,
-    repeat_differences: Mapping[str, float],
-) -> tuple[AlgorithmResult, ...]:
-    """Fit and compare the scores of one observer."""
-    scored = [replace(fit(one), skipped=tuple(skipped)) for one in seen]
-    contrasts = columns.contrasts[columns.is_seen]
-    responses = contrast_responses(seen[0].trials, contrasts)
-    gains = contrast_gains(responses)
-    backgrounds = seen[0].trials.scene_numbers
-    plain = [_amplified(fit, seen[0], of_algorithm, fit_settings) for of_algorithm in gains[1:] if expected]
-    compared = _compared(scored, plain, gains, seed, fit_settings, backgrounds)
+) -> Iterator[Algorithm]:
+    """Yield the records of algorithms as one observer judges them, the reference first."""
+    scenes, names = scored[0].trials.scene_numbers, [algorithm.name for algorithm in algorithms]
     black, white = screen.luminance_range
-    results = []
-    for k, (algorithm, own) in enumerate(zip(algorithms, compared, strict=True)):
-        measured = columns.measured[k]
-        results.append(
-            AlgorithmResult(
-                enhancement=algorithm,
-                scored=scored[k],
-                compared=tuple(one for one in own if one.group is not None),
-                overall=next((one for one in own if one.group is None), None),
-                responses=tuple(responses[k].get(fit.group, ()) for fit in scored[k].fits) if k else (),
-                n_backgrounds=None if backgrounds is None else int(backgrounds.max()) + 1,
-                psnr_db=psnr_db(_mean(measured.squared_errors), data_range=white - black),
-                ssim=_mean(measured.ssims),
-                edge_factor=float(np.median(measured.edge_factors)),
-                repeat_difference=repeat_differences[algorithm.spec],
-                n_clipped=measured.n_clipped,
-                cpu_s=math.fsum(measured.cpu_s),
-                cpu_s_per_frame=_mean(measured.cpu_s) or 0.0,
-                memory_mb=max(measured.memory_mb, default=None),
-            )
+    psnr_before: float | None = None
+    ssim_before: float | None = None
+    for k, (algorithm, own, of_algorithm) in enumerate(zip(algorithms, scored, ratios, strict=True)):
+        columns = np.reshape(measured[k], (-1, len(FrameMeasurements._fields))).T
+        errors, ssims, edges, clipped, cpu_s, memory = (column[~np.isnan(column)] for column in columns)
+        psnr, ssim = psnr_db(_mean(errors), data_range=white - black), _mean(ssims)
+        if not k:
+            psnr_before, ssim_before = psnr, ssim
+        changes = {"psnr": _difference(psnr, psnr_before), "ssim": _difference(ssim, ssim_before)}
+        verdict = of_algorithm[-1].verdict if of_algorithm else None
+        yield Algorithm(
+            name=algorithm.name if names.count(algorithm.name) == 1 else algorithm.spec,
+            spec=algorithm.spec,
+            what=algorithm.what,
+            library=algorithm.declaration.library,
+            domain=algorithm.declaration.domain,
+            parameters={name: plain_value(value) for name, value in algorithm.values.items()},
+            magnification=algorithm.magnification,
+            fits=tuple(fit_record(dataset, fit) for fit in own.fits),
+            ratios=tuple(of_algorithm[: len(own.fits)]),
+            overall=of_algorithm[-1] if len(of_algorithm) > len(own.fits) else None,
+            verdict=verdict,
+            contrast_responses=tuple(
+                ContrastResponse(group=group_of(dataset, fit.group), points=responses[k].get(fit.group, ()))
+                for fit in own.fits
+                if k
+            ),
+            n_scenes=None if scenes is None else int(scenes.max()) + 1,
+            psnr_db=psnr,
+            psnr_change_db=changes["psnr"],
+            ssim=ssim,
+            ssim_change=changes["ssim"],
+            disagrees=() if verdict is None else _disagreeing(changes, verdict),
+            edge_factor=float(np.median(edges)),
+            repeat_difference=repeated.differences[algorithm.spec],
+            n_clipped=int(clipped.sum()),
+            cpu_s=round(math.fsum(cpu_s), 4),
+            cpu_ms_per_frame=round(1e3 * (_mean(cpu_s) or 0.0), 3),
+            memory_mb=round(float(memory.max()), 1) if memory.size else None,
         )
-    return tuple(results)
+
+
+def _difference(value: float | None, reference: float | None) -> float | None:
+    return None if value is None or reference is None else value - reference
+
+
+def _disagreeing(changes: Mapping[str, float | None], verdict: str) -> tuple[str, ...]:
+    """List those of PSNR and SSIM that contradict the observer's verdict."""
+    steps = {"psnr": PSNR_STEP_DB, "ssim": SSIM_STEP}
+    opinions = {
+        name: NO_DIFFERENCE if abs(change) < steps[name] else "better" if change > 0 else "worse"
+        for name, change in changes.items()
+        if change is not None
+    }
+    return tuple(name for name, opinion in opinions.items() if opinion != verdict)
 
 
 class _SeenTrial(NamedTuple):
@@ -393,35 +354,16 @@ class _Show:
         return _SeenTrial(seen, tuple(one.measured for one in found), contrasts, tuple(others))
 
 
-class _Measurements:
-    """The measurements of all frames after an algorithm: numbers for those that have them, and a sum."""
-
-    def __init__(self) -> None:
-        self.squared_errors, self.ssims, self.cpu_s = array("d"), array("d"), array("d")
-        self.memory_mb, self.edge_factors = array("d"), array("d")
-        self.n_clipped = 0
-
-    def add(self, one: FrameMeasurements) -> None:
-        if one.squared_error is not None:
-            self.squared_errors.append(one.squared_error)
-        if one.ssim is not None:
-            self.ssims.append(one.ssim)
-        if one.memory_mb is not None:
-            self.memory_mb.append(one.memory_mb)
-        self.cpu_s.append(one.cpu_s)
-        self.edge_factors.append(one.edge_factor)
-        self.n_clipped += one.n_clipped
-
-
 class _ResultColumns:
     """The results of all trials, in columns that are filled in any order.
 
-    Sums are exact whatever the order: `math.fsum` rounds once.
+    `measured` has the `FrameMeasurements` of all frames, NaN for None. Sums are exact whatever the order:
+    `math.fsum` rounds once.
     """
 
     def __init__(self, trials: Trials, n_algorithms: int) -> None:
         self._seen = [SeenTrials(trials) for _ in range(n_algorithms)]
-        self.measured = [_Measurements() for _ in range(n_algorithms)]
+        self.measured = [array("d") for _ in range(n_algorithms)]
         self.contrasts = np.full((len(trials), n_algorithms, len(ORIENTATIONS)), np.nan)
         self.is_seen = np.zeros(len(trials), bool)
 
@@ -429,7 +371,7 @@ class _ResultColumns:
         for scores, measured, one, of_frames in zip(self._seen, self.measured, seen, found.measured, strict=True):
             scores.put(row, one)
             for of_frame in of_frames:
-                measured.add(of_frame)
+                measured.extend(math.nan if value is None else value for value in of_frame)
         self.contrasts[row], self.is_seen[row] = contrasts, True
 
     def seen(self) -> list[SeenTrials]:
@@ -438,119 +380,118 @@ class _ResultColumns:
 
 
 def _amplified(
-    fit: Callable[..., ScoredDataset],
-    seen: SeenTrials,
-    gains: Mapping[tuple[float | str, ...], float],
-    fit_settings: FitSettings,
+    fit: Callable[..., ScoredDataset], seen: SeenTrials, gains: Gains, fit_settings: FitSettings
 ) -> ScoredDataset:
     """Fit the trials after a plain gain of contrast; groups whose gain is not known stay as they are."""
     gain = np.array([gains.get(group, 1.0) for group in seen.trials.groups])[seen.trials.group_codes]
     return fit(seen.amplified(gain), fit_settings=replace(fit_settings, resamples=0))
 
 
-def _compared(
+def _ratios(
+    dataset: Dataset,
     scored: Sequence[ScoredDataset],
     plain: Sequence[ScoredDataset],
-    gains: Sequence[Mapping[tuple[float | str, ...], float]],
+    gains: Sequence[Gains],
     seed: int,
     fit_settings: FitSettings,
-    backgrounds: NDArray[np.intp] | None,
-) -> list[list[Compared]]:
+) -> list[list[Ratio]]:
     """Compare each algorithm with the reference: once a group, and once over all groups if there are several.
 
     `plain` are the reference's trials after a plain gain of contrast, as large as that of each other algorithm;
-    there are none if answers were drawn. `backgrounds` is the number of each trial's scene: the same scenes are
-    drawn in all groups.
+    there are none if answers were drawn. The same scenes are drawn in all groups.
     """
     trials, groups = scored[0].trials, [fit.group for fit in scored[0].fits]
-    several = len(groups) > 1
-    n_comparisons = (len(scored) - 1) * (len(groups) + several)
+    several, others = len(groups) > 1, range(1, len(scored))
+    n_comparisons = len(others) * (len(groups) + several)
     resamples = max(fit_settings.resamples, min(RESAMPLES_PER_COMPARISON * n_comparisons, MAX_RESAMPLES))
     settings = replace(fit_settings, resamples=resamples)
-    level = trials.levels
-    of_group = [trials.indices_of_group(group) for group in groups]
-
     # All series of a group at once: each is drawn and fitted only once.
-    others = range(1, len(scored))
     pairs = [(k, 0) for k in others] + [(k, k + len(plain)) for k in others if plain]
-
-    drawn = None
+    drawn, backgrounds = None, trials.scene_numbers
     if backgrounds is not None:
         stream = np.random.SeedSequence(seed, spawn_key=(RATIO_STREAMS, len(groups)))
         backgrounds = sets_of_backgrounds(backgrounds)
         drawn = draw_backgrounds(int(backgrounds.max()) + 1, resamples, np.random.default_rng(stream))
-
-    def of_group_backgrounds(these: NDArray[np.intp]) -> NDArray[np.intp] | None:
-        """Return the backgrounds of a group's trials; None if there is but one, which says nothing of others."""
-        found = None if backgrounds is None else backgrounds[these]
-        return None if found is None or len(np.unique(found)) < 2 else found
-
-    def draw(number: int) -> list[RatioDraws]:
-        these = of_group[number]
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(RATIO_STREAMS, number)))
-        fits = [one.fits[number].fit for one in (*scored, *plain)]
-        p_correct = np.array([one.p_correct[these] for one in (*scored, *plain)])
-        return ratio_draws(
-            level[these],
-            p_correct,
-            fits,
-            pairs=pairs,
-            settings=settings,
-            rng=rng,
-            backgrounds=of_group_backgrounds(these),
-            drawn_backgrounds=drawn,
+    of_groups = []
+    for number, group in enumerate(groups):
+        rows = trials.indices_of_group(group)
+        of_group = None if backgrounds is None else backgrounds[rows]
+        if of_group is not None and len(np.unique(of_group)) < 2:
+            of_group = None  # a single background says nothing of others
+        of_groups.append(
+            ratio_draws(
+                trials.levels[rows],
+                np.array([one.p_correct[rows] for one in (*scored, *plain)]),
+                [one.fits[number].fit for one in (*scored, *plain)],
+                pairs=pairs,
+                settings=settings,
+                rng=np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(RATIO_STREAMS, number))),
+                backgrounds=of_group,
+                drawn_backgrounds=drawn,
+            )
         )
-
-    draws = list(zip(*(draw(number) for number in range(len(groups))), strict=True))
+    draws = list(zip(*of_groups, strict=True))
     ratios = [
         [threshold_ratio([one]) for one in own] + ([threshold_ratio(own)] if several else [])
         for own in draws[: len(others)]
     ]
-    beyond = [
-        _beyond(own, of_algorithm, groups) if plain else [None] * (len(groups) + several)
-        for own, of_algorithm in zip(draws[-len(others) :], gains[1:], strict=True)
-    ]
-    least = 2 / (resamples + 1)
     corrected = iter(holm([ratio.p_value for own in ratios for ratio in own]).tolist())
-    compared: list[list[Compared]] = [[]]
-    for own, own_beyond in zip(ratios, beyond, strict=True):
+    names = [group_of(dataset, group) for group in groups] + ([{}] if several else [])
+    compared: list[list[Ratio]] = [[]]
+    for own, own_draws, own_gains in zip(ratios, draws[-len(others) :], gains[1:], strict=True):
         p_values = [next(corrected) for _ in own]
         verdicts = [_verdict(ratio, p) for ratio, p in zip(own, p_values, strict=True)]
         if several and {"better", "worse"} <= set(verdicts):
             verdicts[-1] = "mixed"
-        elif several and verdicts[-1] == "no difference shown":
-            verdicts[-1] = next((found for found in verdicts if found != "no difference shown"), verdicts[-1])
-        names = [*groups, None] if several else groups
-        at_least = [ratio.p_value <= least for ratio in own]
+        elif several and verdicts[-1] == NO_DIFFERENCE:
+            verdicts[-1] = next((verdict for verdict in verdicts if verdict != NO_DIFFERENCE), NO_DIFFERENCE)
+        beyond: list[dict[str, Any]] = _beyond(own_draws, own_gains, groups) if plain else [{}] * len(own)
         compared.append(
-            [Compared(*one) for one in zip(names, own, p_values, verdicts, at_least, own_beyond, strict=True)]
+            [
+                Ratio(
+                    verdict=verdict,
+                    group=name,
+                    ratio=ratio.ratio,
+                    ratio_ci95=ratio.ratio_ci95,
+                    p_value=ratio.p_value,
+                    p_value_holm=p_holm,
+                    p_value_is_least=ratio.p_value <= 2 / (resamples + 1),
+                    **more,
+                )
+                for verdict, name, ratio, p_holm, more in zip(verdicts, names, own, p_values, beyond, strict=True)
+            ]
         )
     return compared
 
 
 def _beyond(
-    draws: Sequence[RatioDraws],
-    gains: Mapping[tuple[float | str, ...], float],
-    groups: Sequence[tuple[float | str, ...]],
-) -> list[BeyondGain | None]:
-    """Return the comparison with a plain gain in each group, and in all together if there are several."""
+    draws: Sequence[RatioDraws], gains: Gains, groups: Sequence[tuple[float | str, ...]]
+) -> list[dict[str, Any]]:
+    """Return fields of `Ratio`: the comparison with a plain gain in each group, and in all if there are several.
+
+    They are empty where the triangle's contrast is not positive before or after the algorithm.
+    """
     found = [
-        BeyondGain(gains[group], threshold_ratio([one])) if group in gains else None
-        for group, one in zip(groups, draws, strict=True)
+        _of_gain(gains[group], [one]) if group in gains else {} for group, one in zip(groups, draws, strict=True)
     ]
     if len(groups) < 2:
         return found
-    if None in found:
-        return [*found, None]
+    if not all(found):
+        return [*found, {}]
     mean = math.exp(math.fsum(math.log(gains[group]) for group in groups) / len(groups))
-    return [*found, BeyondGain(mean, threshold_ratio(draws))]
+    return [*found, _of_gain(mean, draws)]
 
 
-def _verdict(ratio: ThresholdRatio, p_value: float) -> Verdict:
+def _of_gain(gain: float, draws: Sequence[RatioDraws]) -> dict[str, Any]:
+    ratio = threshold_ratio(draws)
+    return {"contrast_gain": gain, "beyond_gain": ratio.ratio, "beyond_gain_ci95": ratio.ratio_ci95}
+
+
+def _verdict(ratio: ThresholdRatio, p_value: float) -> str:
     if p_value >= SIGNIFICANCE:
-        return "no difference shown"
+        return NO_DIFFERENCE
     return "better" if ratio.is_lower else "worse"
 
 
-def _mean(values: array[float]) -> float | None:
-    return math.fsum(values) / len(values) if values else None
+def _mean(values: Sequence[float]) -> float | None:
+    return math.fsum(values) / len(values) if len(values) else None

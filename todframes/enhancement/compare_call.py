@@ -175,7 +175,7 @@ def compare(
     )
     from todframes.enhancement.enhanced_frame import AlgorithmDisplay
     from todframes.enhancement.finding import find_enhancement
-    from todframes.enhancement.records import algorithms, compared_trials
+    from todframes.scoring.records import trials_table
     from todframes.scoring.score import fitted_curve
 
     fit = fit or FitSettings()
@@ -210,10 +210,10 @@ def compare(
             skip_bad_frames=is_skip(on_error),
             run=run,
         )
-    reference, compared = results[0].scored, algorithms(data, results)
+    reference, compared = results[0].scored, tuple(one.record for one in results)
     further = tuple(
-        JudgedBy(settings=own, algorithms=algorithms(data, one))
-        for own, one in zip(each_settings[1:], others, strict=True)
+        JudgedBy(settings=own, algorithms=tuple(one.record for one in after))
+        for own, after in zip(each_settings[1:], others, strict=True)
     )
     names = observer_names(each_settings) if further else [""]
     judged = list(zip(names, [compared, *(one.algorithms for one in further)], strict=True))
@@ -251,7 +251,11 @@ def compare(
         negative_luminance_pixels=reference.n_negative,
         from_store=run.n_from_store,
         **more,
-    ).holding(make_trials=lambda: compared_trials(data, results))
+    ).holding(
+        make_trials=lambda: trials_table(
+            data, [({"algorithm": one.enhancement.spec}, one.scored) for one in results]
+        )
+    )
 
 
 def compare_frames(

@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
+from todframes.enhancement.comparison import ContrastPoint
 from todframes.enhancement.contrast_on_scenes import contrasts_on_scenes, views_to_measure
 from todframes.frames.trials import Trial, Trials, indices_by
 from todframes.observers.retina import RetinaGrid
@@ -32,19 +32,8 @@ MEASURED_TRIALS = 24
 GroupValues = tuple[float | str, ...]
 
 
-class LevelContrast(NamedTuple):
-    """Displayed contrast of the triangle at a level, before and after an algorithm: means over `n_trials` trials.
-
-    `gain` is their quotient and `gain_error` its standard error; None where the contrast before is not positive,
-    or with a single trial.
-    """
-
-    level: float
-    before: float
-    after: float
-    gain: float | None
-    gain_error: float | None
-    n_trials: int
+Responses = dict[GroupValues, tuple[ContrastPoint, ...]]
+"""Displayed contrasts of an algorithm in each group, at ascending levels."""
 
 
 def strongest_levels(trials: Sequence[Trial]) -> dict[GroupValues, float]:
@@ -78,26 +67,11 @@ def measured_trials(trials: Trials, strongest: Mapping[GroupValues, float]) -> f
 
 
 def triangle_contrasts(shown: Sequence[Shown], trial: Trial, *, grid: RetinaGrid, centre: Centre) -> FloatArray:
-    """Measure the contrast of the triangle as displayed: its mean minus that of a ring around it.
+    """Measure the contrast of the triangle as displayed, its mean minus that of a ring around it.
 
-    On scenes, those that triangles of the other orientations would have are measured as well.
-
-    Parameters
-    ----------
-    shown : sequence of Shown
-        The trial's frames as displayed after each algorithm.
-    trial : Trial
-        Size, orientation and polarity of the triangle; contrast counts as positive in its direction.
-    grid : RetinaGrid
-        Grid that the frames are averaged on, whose middle is the triangle's centre.
-    centre : {"centroid", "bounding_box"}
-        Point of the triangle that lies in the middle of the grid.
-
-    Returns
-    -------
-    ndarray, shape (algorithm, 4)
-        In the orientation of the trial, and a quarter, a half and three quarters of a turn from it, clockwise.
-        NaN in the latter three without a scene.
+    Comes back as (algorithm, 4): in the orientation of the trial, and a quarter, a half and three quarters of a
+    turn from it, clockwise; NaN in the latter three without a scene. Contrast counts as positive in the direction
+    of the trial's polarity. The triangle's `centre` lies in the middle of the grid.
     """
     found = np.full((len(shown), len(ORIENTATIONS)), np.nan)
     images = [retina_image(one, grid) for one in shown]
@@ -143,21 +117,10 @@ def sharp_share() -> float:
     return opposite / own
 
 
-def contrast_gains(
-    responses: Sequence[Mapping[GroupValues, Sequence[LevelContrast]]],
-) -> list[dict[GroupValues, float]]:
+def contrast_gains(responses: Sequence[Responses]) -> list[dict[GroupValues, float]]:
     """Return the contrast gain of each algorithm in each group, against the first algorithm: at the highest level.
 
-    Parameters
-    ----------
-    responses : sequence of mapping
-        Those of `contrast_responses`.
-
-    Returns
-    -------
-    list of dict
-        Gains by group for each algorithm; without the groups where the contrast is not positive before or
-        after.
+    Groups are left out where the contrast is not positive before or after.
     """
     return [
         {
@@ -169,25 +132,13 @@ def contrast_gains(
     ]
 
 
-def contrast_responses(
-    trials: Trials, contrasts: FloatArray
-) -> list[dict[GroupValues, tuple[LevelContrast, ...]]]:
+def contrast_responses(trials: Trials, contrasts: FloatArray) -> list[Responses]:
     """Return the displayed contrast of each algorithm against that of the first, level by level.
 
-    On scenes that trials share, it is that of the triangles alone.
-
-    Parameters
-    ----------
-    trials : Trials
-    contrasts : ndarray, shape (trial, algorithm, 4)
-        Displayed contrasts as by `triangle_contrasts`; NaN where nothing was measured.
-
-    Returns
-    -------
-    list of dict
-        The levels of each group, ascending, for each algorithm.
+    `contrasts`, (trial, algorithm, 4), are those of `triangle_contrasts`; NaN where nothing was measured. On
+    scenes that trials share, the contrast is that of the triangles alone.
     """
-    found: list[dict[GroupValues, tuple[LevelContrast, ...]]] = [{} for _ in range(contrasts.shape[1])]
+    found: list[Responses] = [{} for _ in range(contrasts.shape[1])]
     measured: NDArray[np.bool_] = np.all(np.isfinite(contrasts[..., 0]), axis=1)
     levels = trials.levels
     for group, of_group in trials.by_group():
@@ -198,7 +149,7 @@ def contrast_responses(
         if alone is not None:
             for own, after, error in zip(found, alone.contrast.T, alone.gain_error.T, strict=True):
                 columns = (alone.level, alone.contrast[:, 0], after, error, alone.n_trials)
-                own[group] = tuple(_on_scenes(*one) for one in zip(*map(np.ndarray.tolist, columns), strict=True))
+                own[group] = tuple(_point(*point) for point in zip(*map(np.ndarray.tolist, columns), strict=True))
             continue
         of_levels = [rows[levels[rows] == level] for level in np.unique(levels[rows])]
         for own, after in zip(found, contrasts[..., 0].T, strict=True):
@@ -209,18 +160,17 @@ def contrast_responses(
     return found
 
 
-def _on_scenes(level: float, before: float, after: float, error: float, n_trials: int) -> LevelContrast:
+def _point(level: float, before: float, after: float, error: float, n_trials: int) -> ContrastPoint:
     if not before > 0.0:
-        return LevelContrast(level, before, after, None, None, n_trials)
-    return LevelContrast(level, before, after, after / before, error if math.isfinite(error) else None, n_trials)
+        return ContrastPoint(level, before, after, None, None, n_trials)
+    return ContrastPoint(level, before, after, after / before, error if math.isfinite(error) else None, n_trials)
 
 
-def _level_contrast(level: float, before: FloatArray, after: FloatArray) -> LevelContrast:
+def _level_contrast(level: float, before: FloatArray, after: FloatArray) -> ContrastPoint:
     """Compute the means, and the standard error of their quotient from the trials' distances from it."""
     n, mean_before, mean_after = len(before), float(before.mean()), float(after.mean())
-    if not mean_before > 0.0:
-        return LevelContrast(level, mean_before, mean_after, None, None, n)
-    gain = mean_after / mean_before
-    distance = after - gain * before
-    error = None if n < 2 else math.sqrt(float(distance @ distance) / (n * (n - 1))) / mean_before
-    return LevelContrast(level, mean_before, mean_after, gain, error, n)
+    error = math.nan
+    if n > 1 and mean_before > 0.0:
+        distance = after - mean_after / mean_before * before
+        error = math.sqrt(float(distance @ distance) / (n * (n - 1))) / mean_before
+    return _point(level, mean_before, mean_after, error, n)
