@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ from todframes.importing.clips import (
     frames_with_those_before,
     share_of_other,
 )
-from todframes.importing.filmed_trials import Corrections, TrialDivision, TriangleDescription, merged_sizes
+from todframes.importing.filmed_trials import TrialDivision, TriangleDescription, merged_sizes
 from todframes.importing.geometry import Geometry, place_triangle
 from todframes.importing.importing import checked_time
 from todframes.importing.windows import RecordedWindow, WrittenWindow
@@ -599,16 +599,23 @@ def test_frames_that_are_left_out_leave_no_gap() -> None:
     assert [clip.n_transition for clip in {id(clip): clip for clip, _ in clean}.values()] == [2, 2]
 
 
-def write(division: TrialDivision, windows: Iterator[RecordedWindow]) -> None:
-    for window in windows:
-        division.written[window.name] = WrittenWindow("", window.values.size, 0)
+def division_of(
+    frames: Iterable[tuple[Clip, ClipFrame]], time_s: float | None, frame_s: float | None
+) -> TrialDivision:
+    def described(page: int, index: int) -> TriangleDescription:  # noqa: ARG001
+        return TriangleDescription(0.1, 1, {})
+
+    def write(window: RecordedWindow) -> WrittenWindow:
+        return WrittenWindow("", window.values.size, 0)
+
+    division = TrialDivision(described, time_s, steady=False, write=write)
+    division.take(frames, CodeRange(0, 255), frame_s)
+    return division
 
 
 def divided(frames: list[ClipFrame], time_s: float | None, frame_s: float | None) -> tuple[TrialDivision, Clip]:
-    division = TrialDivision(lambda page, index: TriangleDescription(0.1, 1, {}), time_s, steady=False)  # noqa: ARG005
     clip = Clip(1, 1)
-    write(division, division.windows(((clip, frame) for frame in frames), CodeRange(0, 255), frame_s))
-    return division, clip
+    return division_of(((clip, frame) for frame in frames), time_s, frame_s), clip
 
 
 def test_frames_before_a_gap_are_left_out() -> None:
@@ -641,7 +648,7 @@ def test_without_times_that_rise_there_are_no_frames_before(times_s) -> None:
     (trial,) = division.trials
     assert (len(trial.frames), trial.n_warm_up, trial.n_before) == (2, 0, 0)
     assert len(division.left_out) == (0 if None in times_s else 2)
-    rows = list(division.rows(Corrections(), level="contrast", pitch_mrad=1.0, field_places={}))
+    rows = list(division.rows(level="contrast", pitch_mrad=1.0, field_places={}))
     assert [row["clip"] for row in rows] == ["clip_0001" if times_s[3] == 3.0 else ""] * 2
     assert "judged" not in rows[0]
 
@@ -679,7 +686,10 @@ def test_a_triangle_that_leaves_a_trial_is_left_out_of_it_alone() -> None:
 
 def test_no_trial_goes_across_a_gap() -> None:
     division, clip = divided([clip_frame(1, k) for k in (0, 1, 2, 3, 6, 7, 8)], 0.1, 1 / RATE)
-    assert [trial.sources for trial in division.trials] == [["0", "1", "2"], ["6", "7", "8"]]
+    assert [[frame.source for frame in trial.frames] for trial in division.trials] == [
+        ["0", "1", "2"],
+        ["6", "7", "8"],
+    ]
     assert (clip.n_gaps, division.left_out) == (1, ["frames/clip_0001/trial_02_0.png"])
 
 
@@ -702,10 +712,9 @@ def test_variable_frame_rates_are_taken_as_they_are(intervals_s, sizes, n_gaps) 
 
 
 def test_the_time_between_two_clips_is_no_frame_rate() -> None:
-    division = TrialDivision(lambda page, index: TriangleDescription(0.1, 1, {}), 0.1, steady=False)  # noqa: ARG005
     clips = [Clip(1, 1), Clip(2, 2), Clip(3, 3)]
     frames = [(clip, clip_frame(1, 30 * clip.number + k)) for clip in clips for k in (0, 1, 2, 5, 6, 7)]
-    write(division, division.windows(frames, CodeRange(0, 255), 1 / RATE))
+    division = division_of(frames, 0.1, 1 / RATE)
     assert [clip.n_gaps for clip in clips] == [1, 1, 1]
     assert [len(trial.frames) for trial in division.trials] == [3] * 6
 

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 import subprocess
 import sys
-import tracemalloc
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +15,7 @@ from todframes.diagnosis.locate import locate_triangles
 from todframes.frames.contrast import read_contrast
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame
-from todframes.importing.importing import import_recordings
 from todframes.observers.pyramid import PyramidObserver
-from todframes.recordings.opening import open_recordings
-from todframes.recordings.recording import RecordedFrame
 from todframes.stimulus import ORIENTATIONS, coverage
 
 SIDE_PX, SIZE_PX, PITCH_MRAD = 4000, 1000.0, 0.01
@@ -96,32 +89,6 @@ def test_a_large_frame_takes_little_more_than_its_pixels(large_frames, command, 
     found = subprocess.run(command, capture_output=True, text=True, check=True)
     peak_mb = float(found.stderr.split()[-1])
     assert peak_mb <= 3 * DECODED_MB * n_workers + 200.0
-
-
-@pytest.mark.weekly
-def test_import_of_a_long_film_keeps_next_to_nothing_of_a_frame(tmp_path) -> None:
-    """25 bytes a frame were measured between 600 and 3,000 frames, and 100 between these, where buffers of clips
-    still grow; all of it in memory would be 1.9 kB."""
-    (sample,) = open_recordings([FILM / "recording"], frames_per_second=20)
-    short = [one.values for one in sample.frames()]
-    kept: dict[int, int] = {}
-
-    def frames(repeats):
-        rng = np.random.default_rng(1)
-        for number in range(repeats * len(short)):
-            page, place = divmod(number, 3 * repeats)
-            values = short[3 * page + (0 if place == 0 else 1 + place % 2)]
-            noise = rng.integers(0, 2, values.shape, dtype=np.uint8)
-            yield RecordedFrame(values + noise * (values < 255), number / 20, f"{number:05d}")
-        gc.collect()
-        kept[repeats] = tracemalloc.get_traced_memory()[0]
-
-    for repeats in (1, 1, 4):  # the first one loads what is imported on the way
-        film = replace(sample, read=partial(frames, repeats))
-        tracemalloc.start()
-        import_recordings([film], out=tmp_path / f"{repeats}_{len(kept)}", chart=FILM / "chart.toml")
-        tracemalloc.stop()
-    assert (kept[4] - kept[1]) / (3 * len(short)) < 200.0
 
 
 def test_bands_are_the_frame(tmp_path) -> None:

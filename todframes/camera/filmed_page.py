@@ -22,7 +22,6 @@ from todframes.importing.clips import ClipFrame, clean_clips
 from todframes.importing.geometry import Geometry
 from todframes.importing.lens_fit import MeasuredEdges, choose_lens
 from todframes.importing.marker_finder import MarkerFinder, SeenEdges
-from todframes.importing.spool import Spool
 from todframes.parameters import Progress
 from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning
 
@@ -143,7 +142,7 @@ class _SeenFilm:
 
         The search ends with the first clip of `ENOUGH_FRAMES`.
         """
-        edges: Spool[tuple[int, SeenEdges]] = Spool()
+        edges: list[tuple[int, SeenEdges]] = []
         best: list[int] = []
         present: list[int] = []
         number = None
@@ -163,7 +162,7 @@ class _SeenFilm:
         wanted = set(best)
         return page, best, [one for at, one in edges if at in wanted]
 
-    def _clip_frames(self, edges: Spool[tuple[int, SeenEdges]], progress: Progress | None) -> Iterator[ClipFrame]:
+    def _clip_frames(self, edges: list[tuple[int, SeenEdges]], progress: Progress | None) -> Iterator[ClipFrame]:
         """Yield the frames that show a page, named by their numbers; keep the edges of those for the camera."""
         frames = counted(self.recording.frames(), self.recording.n_frames, progress)
         for number, frame in enumerate(frames):

@@ -54,24 +54,11 @@ ROUNDING = 1e-6
 class Declaration:
     """The properties of an enhancement function, as its author declares them.
 
-    Attributes
-    ----------
-    domain : {"code_value", "luminance"}
-        Values of the image that it takes and returns: code values with white as 1, or luminance with black as 0
-        and white as 1.
-    magnification : float or str
-        Number of output pixels for one input pixel along each axis, or the name of the parameter with this number.
-    each_channel : bool
-        Whether it takes one channel at a time; otherwise it takes a colour image whole.
-    writes : bool
-        Whether it may write into the image; if so, it gets a copy.
-    clip : bool
-        Whether it takes the frames of a trial together.
-    warm_up_frames : int or str
-        Number of frames before a trial that an algorithm of clips needs, or the name of the parameter with this
-        number.
-    library : str
-        Library and function that do the work.
+    It takes and returns code values with white as 1, or luminance with black as 0 and white as 1: its `domain`.
+    `magnification` is the number of output pixels for one input pixel along each axis, and `warm_up_frames` the
+    number of frames before a trial that an algorithm of clips needs; both may be the name of the parameter with
+    this number. It takes a colour image whole unless it takes `each_channel` at a time, and the frames of a trial
+    together if it is of `clip`. If it `writes` into the image, it gets a copy. `library` names what does the work.
     """
 
     domain: Domain = "code_value"
@@ -219,49 +206,22 @@ class Enhancement:
         return int(self.values[declared] if isinstance(declared, str) else declared)
 
     def run(self, image: Image) -> tuple[Image, float]:
-        """Apply the algorithm to an image; return the result and the processor time in seconds.
+        """Apply the algorithm to an image, float32 of shape (rows, columns) or (rows, columns, 3).
 
-        Parameters
-        ----------
-        image : ndarray of float32, shape (rows, columns) or (rows, columns, 3)
-
-        Returns
-        -------
-        (ndarray, float)
-            The image after the algorithm, of a floating-point type and the given shape times the magnification,
-            and the processor time that the function took, in seconds.
-
-        Raises
-        ------
-        DataError
-            If the function fails or returns anything else, including NaN or infinity; the message names the
-            algorithm.
+        Returns the image after the algorithm, of a floating-point type and the given shape times the
+        magnification, and the processor time that the function took, in seconds. Raises DataError, with the
+        algorithm's name, if the function fails or returns anything else, including NaN or infinity.
         """
         return self._applied(image, "an image", {}, ())
 
     def run_clip(
         self, frames: Image, judged: NDArray[np.intp], frame_rate_hz: float | None
     ) -> tuple[Image, float]:
-        """Apply an algorithm of clips to frames; return the judged frames after it and the processor time.
+        """Apply an algorithm of clips to frames, (n, rows, columns) or (n, rows, columns, 3), in the order of
+        time.
 
-        Parameters
-        ----------
-        frames : ndarray of float32, shape (n, rows, columns) or (n, rows, columns, 3)
-            Frames in the order of time.
-        judged : ndarray of int, shape (m,)
-            Indices of the frames that are judged.
-        frame_rate_hz : float or None
-            None if it is not known.
-
-        Returns
-        -------
-        (ndarray, float)
-            The m frames after the algorithm, and the processor time that the function took, in seconds.
-
-        Raises
-        ------
-        DataError
-            As `run` does, and if the function returns another number of frames.
+        `judged` are the indices of the m frames that are judged. Returns these m frames after it and the processor
+        time in seconds; raises DataError as `run` does, and if the function returns another number of frames.
         """
         known = {"judged": judged, "frame_rate_hz": frame_rate_hz}
         return self._applied(frames, "frames", {name: known[name] for name in self.context}, (len(judged),))

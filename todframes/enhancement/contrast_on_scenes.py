@@ -47,14 +47,9 @@ KINDS = np.array([0, 1, 2, 1])
 class OnScenes(NamedTuple):
     """Displayed contrasts of the triangle at each level, ascending, without backgrounds.
 
-    Attributes
-    ----------
-    level : ndarray, shape (level,)
-    contrast : ndarray, shape (level, algorithm)
-    gain_error : ndarray, shape (level, algorithm)
-        Standard error of a contrast over that of the first algorithm, by leaving out scenes in turn, or views if
-        there are few scenes; NaN if there is only one view.
-    n_trials : ndarray of int, shape (level,)
+    `contrast` and `gain_error` have shape (level, algorithm). The latter is the standard error of a contrast over
+    that of the first algorithm, by leaving out scenes in turn, or views if there are few scenes; NaN if there is
+    only one view.
     """
 
     level: FloatArray
@@ -82,22 +77,12 @@ def views_to_measure(trials: Trials) -> NDArray[np.intp] | None:
 
 
 def contrasts_on_scenes(trials: Trials, contrasts: FloatArray, *, sharp_share: float) -> OnScenes | None:
-    """Separate the displayed contrast of triangles from that of the scenes behind them.
+    """Separate the displayed contrast of triangles of one group from that of the scenes behind them.
 
-    Parameters
-    ----------
-    trials : Trials
-        Trials of one group.
-    contrasts : ndarray, shape (trial, algorithm, 4)
-        Contrasts of triangles of the orientation shown, and of those a quarter, a half and three quarters of a
-        turn from it, clockwise.
-    sharp_share : float
-        That of the opposite orientation for a sharp triangle of contrast 1 on an even field.
-
-    Returns
-    -------
-    OnScenes or None
-        None if the trials do not determine it: too few share their background, or have other levels.
+    `contrasts`, (trial, algorithm, 4), are those of triangles of the orientation shown, and of those a quarter, a
+    half and three quarters of a turn from it, clockwise. `sharp_share` is that of the opposite orientation for a
+    sharp triangle of contrast 1 on an even field. None if the trials do not determine the contrasts: too few share
+    their background, or have other levels.
     """
     level, of_level = np.unique(trials.levels, return_inverse=True)
     views = trials.by_view()

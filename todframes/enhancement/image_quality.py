@@ -15,21 +15,10 @@ WINDOW_PX = 11
 def squared_error_and_ssim(
     image: FloatArray, reference: FloatArray, *, data_range: float
 ) -> tuple[float, float | None]:
-    """Compute the mean squared error and the mean structural similarity (SSIM) of two images.
+    """Compute the mean squared error in (cd/m²)² and the mean structural similarity (SSIM) of two images in cd/m².
 
-    SSIM has the Gaussian window and the constants of Wang et al. 2004, IEEE Trans. Image Process. 13, 600.
-
-    Parameters
-    ----------
-    image, reference : ndarray, shape (rows, columns)
-        Luminance in cd/m².
-    data_range : float
-        Luminance of white less that of black, in cd/m².
-
-    Returns
-    -------
-    (float, float or None)
-        Mean squared error in (cd/m²)², and SSIM; SSIM is None for images with a side of fewer than 11 pixels.
+    SSIM has the Gaussian window and the constants of Wang et al. 2004, IEEE Trans. Image Process. 13, 600. It is
+    None for images with a side of fewer than 11 pixels. `data_range` is the luminance of white less that of black.
     """
     from skimage.metrics import structural_similarity  # its mean_squared_error loads all of scipy.stats
 

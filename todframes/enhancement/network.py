@@ -47,20 +47,9 @@ Constants = Annotated[dict[Annotated[str, msgspec.Meta(max_length=200)], Constan
 class Network:
     """A neural network in an ONNX file.
 
-    It is pickled with its content: a worker needs no file, and results in the store are those of these bytes.
-
-    Attributes
-    ----------
-    name : str
-        Name of the file.
-    content : bytes
-        The model with all its weights.
-    version : str
-        Version of ONNX Runtime, which runs it.
-    size : (int or None, int or None)
-        Rows and columns of its pictures; None: any.
-    lost_px : int
-        Input pixels at each side of a picture that have no output.
+    It is pickled with its content, the model with all its weights: a worker needs no file, and results in the
+    store are those of these bytes. `version` is that of ONNX Runtime. `size` are the rows and columns of its
+    pictures, None: any; `lost_px` the input pixels at each side of a picture that have no output.
     """
 
     name: str
@@ -138,10 +127,7 @@ def read_network(path: Path) -> Network:
 def settings_beside(path: Path, kinds: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of the given names and types in the TOML file beside a network; empty if there is none.
 
-    Raises
-    ------
-    SettingsError
-        If it cannot be read, a key is unknown, or a value is not of its type.
+    Raises SettingsError if it cannot be read, a key is unknown, or a value is not of its type.
     """
     beside = path.with_suffix(SETTINGS_SUFFIX)
     if not beside.exists():
@@ -152,24 +138,12 @@ def settings_beside(path: Path, kinds: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -> tuple[Network, dict[str, Any]]:
-    """Try a network in another process, and return it with all its settings.
+    """Try a network in another process, and return it with all settings of `Network.enhanced`.
 
-    Parameters
-    ----------
-    network : Network
-    values : mapping
-        The settings of `Network.enhanced` that are given; None: as the model has them.
-    path : Path
-        File of the network; its weights may lie in files beside it.
-    where : str
-        Text that messages about settings begin with.
-
-    Raises
-    ------
-    DataError
-        If it cannot be read or run, or is no network of one picture that gives one picture.
-    SettingsError
-        If a setting contradicts the model, or has to be given because the model does not say it.
+    Settings in `values` that are None are as the model has them. Its weights may lie in files beside `path`;
+    messages about settings begin with `where`. Raises DataError if it cannot be read or run, or is no network of
+    one picture that gives one picture, and SettingsError if a setting contradicts the model, or has to be given
+    because the model does not say it.
     """
     if values["black"] == values["white"]:
         raise SettingsError(f"{where}: black and white: found {values['black']:g} for both, expected two values")

@@ -95,26 +95,11 @@ class _Failed(msgspec.Struct, frozen=True, tag=True):
 
 
 def probe(content: bytes, folder: Path, request: ProbeRequest) -> tuple[Found, bytes]:
-    """Read a model and run small pictures through it in another process.
+    """Read a model and run small pictures through it in another process; return its properties and the model with
+    all its weights, some of which may lie in files of `folder`.
 
-    Parameters
-    ----------
-    content : bytes
-    folder : Path
-        Folder of the model's file, in which its weights may lie.
-    request : ProbeRequest
-
-    Returns
-    -------
-    (Found, bytes)
-        What the model takes and gives, and the model with all its weights.
-
-    Raises
-    ------
-    DataError
-        If it cannot be read or run, or is no network of one picture that gives one picture.
-    SettingsError
-        If a setting contradicts the model, or has to be given because the model does not say it.
+    Raises DataError if it cannot be read or run, or is no network of one picture that gives one picture, and
+    SettingsError if a setting contradicts the model, or has to be given because the model does not say it.
     """
     command = [sys.executable, "-m", __name__, msgspec.json.encode(request).decode(), str(folder)]
     try:
@@ -147,10 +132,7 @@ def _end(status: int) -> str:
 def examine(model: Model, request: ProbeRequest) -> Found:
     """Find out the layout, channels, size and scale of a network by its inputs and by small pictures.
 
-    Raises
-    ------
-    DataError, SettingsError
-        As `probe` does.
+    Raises DataError or SettingsError as `probe` does.
     """
     layout, channels, rows, columns = _shape(model, request)
     if model.n_outputs != 1:

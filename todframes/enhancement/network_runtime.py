@@ -41,8 +41,7 @@ class Input(NamedTuple):
     def filled(self, value: float, layout: Layout, rows: int, columns: int) -> NDArray[Any]:
         """Return an array for this input that holds one value.
 
-        A free side is that of a picture of the given rows and columns if the input has four sides, as a picture
-        has. All other free sides are 1.
+        A free side is that of a picture if the input has four sides, as a picture has. All other free sides are 1.
         """
         free = {"nchw": (1, 1, rows, columns), "nhwc": (1, rows, columns, 1)}[layout]
         sides = free if len(self.shape) == len(free) else (1,) * len(self.shape)
@@ -51,15 +50,8 @@ class Input(NamedTuple):
 
 
 class Model(NamedTuple):
-    """A network that has been read.
-
-    Attributes
-    ----------
-    inputs : tuple of Input
-    n_outputs : int
-    run : callable
-        Function of the arrays of all inputs by their names that returns the first output.
-    """
+    """A network that has been read; `run` takes the arrays of all inputs by their names and returns the first
+    output."""
 
     inputs: tuple[Input, ...]
     n_outputs: int
@@ -76,22 +68,10 @@ class Model(NamedTuple):
         constants: Mapping[str, float],
         constant_channel: float | None,
     ) -> NDArray[np.float32]:
-        """Run the network on a picture.
+        """Run the network on a picture, (rows, columns, channels) in the values that it takes.
 
-        Parameters
-        ----------
-        picture : ndarray, shape (rows, columns, channels)
-            In the values that the network takes.
-        layout : {"nchw", "nhwc"}
-        constants : mapping
-            Values of its other inputs.
-        constant_channel : float or None
-            Value of a channel that it takes behind those of the picture; None: it takes none.
-
-        Returns
-        -------
-        ndarray
-            The first output, in the same layout.
+        `constants` are the values of its other inputs; `constant_channel` is the value of a channel that it takes
+        behind those of the picture, None: it takes none. Returns the first output, in the same layout.
         """
         rows, columns = picture.shape[:2]
         if constant_channel is not None:
@@ -109,14 +89,9 @@ class Model(NamedTuple):
 def with_weights(content: bytes, folder: Path) -> bytes:
     """Return the bytes of a model with all its weights, also those that lie in files beside it.
 
-    Files are read from the folder alone: the package onnx refuses links, `..` and absolute paths.
-
-    Raises
-    ------
-    DataError
-        If a file cannot be read, lies elsewhere, or model and weights are too large.
-    SettingsError
-        If the package onnx is not installed.
+    Files are read from the folder alone: the package onnx refuses links, `..` and absolute paths. Raises DataError
+    if a file cannot be read, lies elsewhere, or model and weights are too large, and SettingsError if the package
+    onnx is not installed.
     """
     if not ELSEWHERE.search(content):
         return content
@@ -145,14 +120,9 @@ def with_weights(content: bytes, folder: Path) -> bytes:
 def read_model(content: bytes) -> Model:
     """Read a network from the bytes of an ONNX file, which has all its weights.
 
-    A damaged file can crash the process: `network_probe` reads each file in a process of its own first.
-
-    Raises
-    ------
-    DataError
-        If ONNX Runtime cannot read it, or parts of it are in other files.
-    SettingsError
-        If ONNX Runtime is not installed.
+    A damaged file can crash the process: `network_probe` reads each file in a process of its own first. Raises
+    DataError if ONNX Runtime cannot read it, or parts of it are in other files, and SettingsError if ONNX Runtime
+    is not installed.
     """
     if ELSEWHERE.search(content):
         # ONNX Runtime might read any file that a model names, and a picture could show what the file holds.

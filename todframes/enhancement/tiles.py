@@ -27,28 +27,14 @@ def in_tiles(
     scale: int = 1,
     border_px: int = 0,
 ) -> Picture:
-    """Apply a function to an image in tiles of one size.
+    """Apply a function to an image, (rows, columns, channels) and at least as large as a tile, in tiles of one
+    size.
 
-    Parameters
-    ----------
-    function : callable
-        Function of a picture of shape (*tile, channels) that returns one without its border, of shape
-        (scale · (tile − 2 · border_px), channels).
-    image : ndarray, shape (rows, columns, channels)
-        Image that is at least as large as a tile.
-    tile : (int, int)
-        Rows and columns of a tile.
-    overlap_px : int
-        Smallest overlap of neighbouring tiles without their borders, in pixels, >= 0 and smaller than such a tile.
-    scale : int
-        Number of output pixels for one input pixel along each axis.
-    border_px : int
-        Number of pixels at each side of a picture for which the function returns nothing.
-
-    Returns
-    -------
-    ndarray, shape (rows', columns', channels of the function's result)
-        Its rows are scale · (rows − 2 · border_px), its columns likewise.
+    The function takes a picture of shape (*tile, channels) and returns one without its border, of shape (scale ·
+    (tile − 2 · border_px), channels): `border_px` at each side get no output, and an input pixel gives `scale`
+    output pixels along each axis. `overlap_px`, >= 0 and smaller than such a tile, is the smallest overlap of
+    neighbouring tiles without their borders. The result has scale · (rows − 2 · border_px) rows, and columns
+    likewise.
     """
     lengths = [length - 2 * border_px for length in image.shape[:2]]
     inner = [side - 2 * border_px for side in tile]

@@ -77,7 +77,7 @@ class ArrayFrame(FrameSource):
         return self._stored.dtype
 
     def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
-        """Yield a rectangle of the frame in bands of rows; raise FrameError if a pixel of it is NaN or infinite."""
+        """Yield a rectangle in bands of rows; raise FrameError if a pixel of it is NaN or infinite."""
         (top, bottom), (left, right) = self.clip(rows, columns)
         part = self._stored[top:bottom, left:right]
         if part.dtype.kind == "f" and not np.isfinite(part).all():

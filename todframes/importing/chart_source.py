@@ -11,7 +11,7 @@ from functools import partial
 from itertools import chain, islice, pairwise
 from pathlib import Path
 from statistics import fmean, median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +27,11 @@ from todframes.importing.filmed_trials import (
     FIELD_PLACE,
     OBJECT_SIZE,
     Correction,
-    Corrections,
     TriangleDescription,
 )
 from todframes.importing.geometry import Geometry, PlacedTriangle, place_triangle
 from todframes.importing.lens_fit import Pieces, choose_lens, solve
 from todframes.importing.marker_finder import MarkerFinder, SeenEdges, Sighting
-from todframes.importing.spool import Spool
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
 from todframes.parameters import Progress
 from todframes.recordings.recording import GAP, Recording, RecordingWarning
@@ -146,7 +144,7 @@ class RecordingReport:
     zoom_from: str | None = None
     misfit_px: float | None = None
     other_keys: dict[int, int] = field(default_factory=dict)
-    clips: list[dict[str, object]] = field(default_factory=list)
+    clips: list[dict[str, Any]] = field(default_factory=list)
 
     def add_other_key(self, key: int) -> None:
         """Count a frame of another chart, by the chart's key."""
@@ -154,23 +152,11 @@ class RecordingReport:
 
 
 class ChartSource:
-    """Source of clips from recordings of a chart.
+    """Source of clips from recordings of a chart: chart.toml, or its folder.
 
-    Parameters
-    ----------
-    path : path
-        chart.toml, or its folder.
-    pitch_mrad : float
-        Visual angle of a pixel of the display.
-    progress : function of two ints, optional
-        Called with the number of frames of a recording that are done, and of all, None if that is not known.
-    warm_up_frames : int
-        Number of recorded frames that each frame of a clip brings along from before it.
-
-    Raises
-    ------
-    SettingsError
-        If the chart cannot be read or has no markers.
+    `pitch_mrad` is the visual angle of a pixel of the display. Each frame of a clip brings along `warm_up_frames`
+    recorded frames from before it. `corrections` of triangles, by their numbers, are known at the end of a
+    recording. Raises SettingsError if the chart cannot be read or has no markers.
     """
 
     def __init__(
@@ -195,7 +181,7 @@ class ChartSource:
         self._pitch_mrad = pitch_mrad
         self._progress = progress
         self._warm_up_frames = warm_up_frames
-        self.corrections = Corrections()
+        self.corrections: dict[int, Correction] = {}
         self._n_runs = 0
         self._n_placed = 0
         self._reaches: dict[float, _Reach] = {}
@@ -209,16 +195,13 @@ class ChartSource:
     def frames(self, recording: Recording, number: int) -> Iterator[tuple[Clip, ClipFrame]]:  # noqa: ARG002
         """Yield the frames of a recording that show one page, each with its clip.
 
-        Raises
-        ------
-        FrameError, DataError
-            If a frame cannot be read.
+        Raises FrameError or DataError if a frame cannot be read.
         """
         report = RecordingReport(str(recording.path), frames_per_second=recording.frames_per_second)
         self.reports.append(report)
         clips: list[Clip] = []
         measured: list[_Measured] = []
-        seen: Spool[_SeenChart] = Spool()
+        seen: list[_SeenChart] = []
         finder = MarkerFinder(self._markers.all_centres_mm, self._markers.side_mm)
         looked = self._looked(recording, finder, report, measured, seen)
         for clip, frame in clean_clips(looked, key=self.chart.key, first_number=self._n_runs + 1):
@@ -246,7 +229,7 @@ class ChartSource:
         finder: MarkerFinder,
         report: RecordingReport,
         measured: list[_Measured],
-        charts: Spool[_SeenChart],
+        charts: list[_SeenChart],
     ) -> Iterator[ClipFrame]:
         last: NDArray[np.generic] | None = None
         seen: Sighting | None = None
@@ -320,7 +303,7 @@ class ChartSource:
         pieces: Pieces,
         shape: tuple[int, int],
         measured: list[_Measured],
-        seen: Spool[_SeenChart],
+        seen: list[_SeenChart],
         report: RecordingReport,
     ) -> None:
         """Solve the lens of a recording from frames of all of it, and place the triangles through it.
@@ -342,7 +325,7 @@ class ChartSource:
         pieces: Pieces,
         shape: tuple[int, int],
         measured: list[_Measured],
-        seen: Spool[_SeenChart],
+        seen: list[_SeenChart],
         part: range,
         report: RecordingReport,
     ) -> None:
@@ -374,8 +357,8 @@ class ChartSource:
                 geometry = start if solved is None else solved.geometries[0]
                 pairs = zip(self._placed(one.page, frame.geometry), self._placed(one.page, geometry), strict=True)
                 for number, (was, now) in enumerate(pairs, frame.number):
-                    moved = Correction(now.x_px - was.x_px, now.y_px - was.y_px, now.size_px)
-                    self.corrections.add(number, moved)
+                    moved = now.x_px - was.x_px, now.y_px - was.y_px
+                    self.corrections[number] = Correction(*moved, now.size_px)
             self._measure(one, geometry, shape)
 
     def _places(self, page: int, geometry: Geometry) -> FloatArray:
@@ -447,8 +430,8 @@ class ChartSource:
     def field_places(self) -> dict[int, dict[str, str]]:
         """Return the columns `FIELD_PLACE` by the numbers of clips; none if the chart stays at one place."""
         clips = [clip for report in self.reports for clip in report.clips]
-        found = {int(str(clip["number"])): [float(str(clip[name])) for name in FIELD_PLACE] for clip in clips}
-        scale = [float(str(clip["frame_mrad"])) for clip in clips]
+        found = {clip["number"]: [clip[name] for name in FIELD_PLACE] for clip in clips}
+        scale = [clip["frame_mrad"] for clip in clips]
         places: list[list[list[float]]] = []
         of_clip: dict[int, list[list[float]]] = {}
         for (number, place), frame_mrad in zip(found.items(), scale, strict=True):
@@ -582,7 +565,7 @@ class ChartSource:
 
     def _of_frames(self, report: RecordingReport) -> Iterator[RecordingWarning]:
         """Yield warnings about frames and windows that were left out, or that gaps and repetitions spoil."""
-        n_gaps = sum(int(str(clip["n_gaps"])) for clip in report.clips)
+        n_gaps = sum(clip["n_gaps"] for clip in report.clips)
         n_unread = report.n_without_markers + report.n_transition
         unread = f" or show no page clearly ({n_unread} of {report.n_frames} do not)" * bool(n_unread)
         for n_found, code, what in (
@@ -627,7 +610,7 @@ class ChartSource:
             if not report.clips:
                 continue
             first = report.clips[0]
-            turn, mirrored = float(str(first["turn_degrees"])), bool(first["mirrored"])
+            turn, mirrored = first["turn_degrees"], bool(first["mirrored"])
             yield (
                 f"{report.path}: {report.n_frames} frames, clips: {len(report.clips)}; left out: "
                 f"{report.n_transition} frames of transitions, {report.n_without_markers} without the four markers"
@@ -635,7 +618,7 @@ class ChartSource:
                 * bool(report.n_camera_page)
             )
             yield (
-                f"{report.path}: {float(str(first['scale_px_per_mm'])):.4g} px per mm of the chart, residual "
+                f"{report.path}: {first['scale_px_per_mm']:.4g} px per mm of the chart, residual "
                 f"{report.place_error_px or 0.0:.2g} px"
                 + _lens_words(report.lens)
                 + (", mirrored" if mirrored else "")
@@ -643,7 +626,7 @@ class ChartSource:
                 + ("; orientations are those in the frames" if mirrored or round(turn / 90) % 4 else "")
             )
         scales = {
-            report.path: median(float(str(clip["scale_px_per_mm"])) for clip in report.clips)
+            report.path: median(clip["scale_px_per_mm"] for clip in report.clips)
             for report in self.reports
             if report.clips
         }
@@ -721,7 +704,7 @@ def _count_unclear(n_frames: int, report: RecordingReport) -> None:
 
 def _worst(report: RecordingReport, name: str) -> float:
     """Return the value of a clip that is farthest from 0."""
-    return max((float(str(clip[name])) for clip in report.clips), key=abs)
+    return float(max((clip[name] for clip in report.clips), key=abs))
 
 
 def _of_view(report: RecordingReport) -> Iterator[RecordingWarning]:
@@ -768,20 +751,9 @@ def zoom_begin(
 ) -> int | None:
     """Return the number of the first frame in which a lens zooms; None if it does not.
 
-    Parameters
-    ----------
-    centres_mm : ndarray, shape (4, 2)
-        Corners of an area on the chart, one after the other.
-    geometries : iterable of Geometry
-        The chart in the n frames, in the order of time.
-    n : int
-    shape : (int, int)
-        Rows and columns of a frame.
-
-    Returns
-    -------
-    int or None
-        None also if the chart has been moved in the frame: its size in the picture then says nothing of the zoom.
+    `centres_mm`, (4, 2), are corners of an area on the chart, one after the other; `geometries` are the chart in
+    the frames, in the order of time. None also if the chart has been moved in the frame: its size in the picture
+    then says nothing of the zoom. `shape` are the rows and columns of a frame.
     """
     if n < 2:
         return None
@@ -813,19 +785,10 @@ def _scale_and_place(corners: FloatArray, middle: FloatArray) -> tuple[float, Fl
 def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> float | None:
     """Return the mean time from the start of a page to that of the next in a film, in seconds.
 
-    Parameters
-    ----------
-    starts : sequence of (int, float)
-        Page and time in seconds of the first frame of each run of frames that show one page.
-    frame_s : float
-        Interval from frame to frame, by which each time may be off.
-
-    Returns
-    -------
-    float or None
-        None with fewer than `FEWEST_PAGE_CHANGES`, with less than `FEWEST_FRAMES_PER_PAGE`, or if they are not
-        regular: a person has turned the pages.
-        Single pauses count for nothing.
+    `starts` are the page and the time in seconds of the first frame of each run of frames that show one page;
+    `frame_s` is the interval from frame to frame, by which each time may be off. None with fewer than
+    `FEWEST_PAGE_CHANGES`, with less than `FEWEST_FRAMES_PER_PAGE`, or if they are not regular: a person has turned
+    the pages. Single pauses count for nothing.
     """
     steps_s = [after_s - s for (page, s), (after, after_s) in pairwise(starts) if after == page + 1]
     if len(steps_s) < FEWEST_PAGE_CHANGES:

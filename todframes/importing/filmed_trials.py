@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-from array import array
-from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from todframes.importing.clips import Clip, ClipFrame, Integration, Placed, Rectangle
-from todframes.importing.spool import Spool
 from todframes.importing.windows import MARGIN_PX, RecordedWindow, WrittenWindow, narrowed, suffix
-from todframes.recordings.recording import CodeRange, RecordedFrame
+from todframes.recordings.recording import CodeRange
 from todframes.stimulus import Orientation
 
 OBJECT_SIZE = "object_size_mrad"
@@ -40,10 +38,6 @@ class TriangleDescription(NamedTuple):
     columns: Mapping[str, object]
 
 
-Described = Callable[[int, int], TriangleDescription]
-"""Function of the number of a page and of a triangle on it."""
-
-
 class Correction(NamedTuple):
     """The place and size of a triangle as known when all frames are read: motion of the place, and √(area)."""
 
@@ -52,24 +46,18 @@ class Correction(NamedTuple):
     size_px: float
 
 
-class Corrections:
-    """Corrections by the numbers of triangles, which come in increasing order; each takes 32 bytes."""
+class TrialFrame(NamedTuple):
+    """A frame of a trial: its window's name in the dataset and as written, its source, and its time."""
 
-    def __init__(self) -> None:
-        self._numbers = array("q")
-        self._values = array("d")
+    name: str
+    source: str
+    time_s: float | None
+    written: WrittenWindow
 
-    def add(self, number: int, correction: Correction) -> None:
-        """Add the correction of a triangle, whose number is larger than those before."""
-        self._numbers.append(number)
-        self._values.extend(correction)
-
-    def get(self, number: int) -> Correction | None:
-        """Return the correction of a triangle; None if it is where it was thought to be."""
-        place = bisect_left(self._numbers, number)
-        if place == len(self._numbers) or self._numbers[place] != number:
-            return None
-        return Correction(*self._values[3 * place : 3 * place + 3])
+    @property
+    def rounded_s(self) -> float:
+        """The time as the manifest has it; NaN if it is not known."""
+        return math.nan if self.time_s is None else round(self.time_s, 6)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -77,11 +65,10 @@ class ImportedTrial:
     """Frames of one triangle that the observer integrates, with its places in the windows.
 
     `window` and `start_px` are the window and the triangle's place in the first frame, `last_window` is that of
-    the last one. `written` are the windows of its frames as written, once the trial is over. `run` is the name of
-    the run of frames without a gap, of one triangle in one window, that the trial is from.
-
-    The first `n_warm_up` of `frames`, `sources`, `times_s` and `written` are frames of warm-up, which only the
-    first trial of a run has. `n_before` is the number of frames in the run before the trial.
+    the last one. `run` is the name of the run of frames without a gap, of one triangle in one window, that the
+    trial is from. The first `n_warm_up` of `frames` are frames of warm-up, which only the first trial of a run
+    has; `places_px`, `sizes_px` and `numbers` are those of the others. `n_before` is the number of frames in the
+    run before the trial.
     """
 
     name: str
@@ -94,13 +81,10 @@ class ImportedTrial:
     start_px: tuple[float, float]
     n_before: int = 0
     n_warm_up: int = 0
-    frames: list[str] = field(default_factory=list)
-    sources: list[str] = field(default_factory=list)
-    times_s: list[float | None] = field(default_factory=list)
+    frames: list[TrialFrame] = field(default_factory=list)
     places_px: list[tuple[float, float]] = field(default_factory=list)
     sizes_px: list[float] = field(default_factory=list)
     numbers: list[int | None] = field(default_factory=list)
-    written: list[WrittenWindow] = field(default_factory=list)
 
     @property
     def motion_px(self) -> float:
@@ -110,47 +94,26 @@ class ImportedTrial:
         places = np.array(self.places_px)
         return float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
-    def correct(self, corrections: Corrections) -> None:
-        """Move the places, and replace the sizes, for which the source knows better ones."""
-        for k, number in enumerate(self.numbers):
-            if number is not None and (found := corrections.get(number)) is not None:
-                x, y = self.places_px[k]
-                self.places_px[k] = x + found.right_px, y + found.down_px
-                self.sizes_px[k] = found.size_px
-
     @property
     def is_in_time(self) -> bool:
         """Whether the times of the frames are known and rise, as those of a clip do."""
-        return all(one < other for one, other in pairwise(rounded_times(self.times_s)))
+        return all(frame.rounded_s < after.rounded_s for frame, after in pairwise(self.frames))
 
+    def correct(self, corrections: Mapping[int, Correction]) -> None:
+        """Move the places, and replace the sizes, for which the source knows better ones."""
+        for k, number in enumerate(self.numbers):
+            if number is not None and (better := corrections.get(number)) is not None:
+                x, y = self.places_px[k]
+                self.places_px[k] = x + better.right_px, y + better.down_px
+                self.sizes_px[k] = better.size_px
 
-def rounded_times(times_s: Sequence[float | None]) -> list[float]:
-    """Return times as the manifest has them; NaN for those that are not known."""
-    return [math.nan if one is None else round(one, 6) for one in times_s]
-
-
-def _followed(trial: ImportedTrial, placed: Placed) -> Rectangle:
-    """Return the window of a trial's first frame, moved with the triangle by whole pixels."""
-    if placed.x_px is None or placed.y_px is None:
-        return trial.window
-    right, down = round(placed.x_px - trial.start_px[0]), round(placed.y_px - trial.start_px[1])
-    top, bottom, left, far = trial.window
-    return top + down, bottom + down, left + right, far + right
-
-
-def _warm_up(trial: ImportedTrial, before: Sequence[RecordedFrame], scale: CodeRange) -> Iterator[RecordedWindow]:
-    """Yield the windows of the recorded frames before a trial, its frames of warm-up, if they have times."""
-    if any(one.time_s is None for one in before):
-        return
-    top, bottom, left, right = trial.window
-    for number, one in enumerate(before):
-        values = one.values[top:bottom, left:right]
-        name = f"frames/{trial.name}_before_{number:03d}{suffix(scale, values.dtype)}"
-        trial.frames.append(name)
-        trial.sources.append(one.source)
-        trial.times_s.append(one.time_s)
-        yield RecordedWindow(name, values, scale)
-    trial.n_before = trial.n_warm_up = len(before)
+    def followed(self, placed: Placed) -> Rectangle:
+        """Return the window of the first frame, moved with the triangle by whole pixels."""
+        if placed.x_px is None or placed.y_px is None:
+            return self.window
+        right, down = round(placed.x_px - self.start_px[0]), round(placed.y_px - self.start_px[1])
+        top, bottom, left, far = self.window
+        return top + down, bottom + down, left + right, far + right
 
 
 def _is_near(window: Rectangle, other: Rectangle) -> bool:
@@ -158,7 +121,7 @@ def _is_near(window: Rectangle, other: Rectangle) -> bool:
     return max(abs(one - two) for one, two in zip(window, other, strict=True)) < MARGIN_PX
 
 
-def merged_sizes(sizes: Sequence[float]) -> list[float]:
+def merged_sizes(sizes: list[float]) -> list[float]:
     """Return sizes in which those that differ by less than `SAME_SIZE` share their mean.
 
     Measured sizes of equal triangles differ by 1e-4, and each size costs the observer templates of its own.
@@ -174,53 +137,41 @@ def merged_sizes(sizes: Sequence[float]) -> list[float]:
 
 
 class TrialDivision:
-    """The division of clips into trials.
+    """The division of clips into trials, whose windows are written.
 
     All frames of a trial have the same window of the recorded frames, as they have on the display: if the triangle
-    moves there within the integration time, the eye sees it blurred, and so does the observer. With `steady` the
-    window follows the triangle by whole pixels instead. Frames of warm-up have the window of the trial's first
-    frame.
+    moves there within the integration time, the eye sees it blurred, and so does the observer. If it is `steady`,
+    the window follows the triangle by whole pixels instead. Frames of warm-up have the window of the trial's first
+    frame. Without an integration time, each clip is a trial.
 
-    Parameters
-    ----------
-    described : function
-        Returns what a triangle on a page is.
-    integration_time_s : float or None
-        None: each clip is a trial.
-    steady : bool
-
-    Attributes
-    ----------
-    trials : Spool of ImportedTrial
-        All trials that have the whole integration time, on disk.
-    written : dict of WrittenWindow
-        Windows of trials that are not over, by name: the caller enters each one that it has written.
-    left_out : list of str
-        Names of frames that were written for a trial that turned out not to be whole.
-    n_moved : int
-        Number of trials left out since the triangle went farther than a window may, or off the frame.
-    n_before : Counter
-        Number of trials with each number of frames before them in their run.
+    `trials` have the whole integration time. `left_out` are names of frames that were written for a trial that
+    turned out not to be whole, `n_moved` counts trials left out since the triangle went farther than a window may,
+    or off the frame, and `n_before` has the number of trials with each number of frames before them in their run.
     """
 
-    def __init__(self, described: Described, integration_time_s: float | None, *, steady: bool) -> None:
-        self.trials: Spool[ImportedTrial] = Spool()
-        self.written: dict[str, WrittenWindow] = {}
+    def __init__(
+        self,
+        described: Callable[[int, int], TriangleDescription],
+        integration_time_s: float | None,
+        *,
+        steady: bool,
+        write: Callable[[RecordedWindow], WrittenWindow],
+    ) -> None:
+        self.trials: list[ImportedTrial] = []
         self.left_out: list[str] = []
         self.n_moved = 0
         self.n_before: Counter[int] = Counter()
         self._described = described
         self._time_s = integration_time_s
         self._steady = steady
+        self._write = write
         # By triangle; None for one that was lost before the end of the present trial.
         self._open: dict[int, ImportedTrial | None] = {}
         # By triangle; the whole trial that ended with the frame before.
         self._before: dict[int, ImportedTrial] = {}
 
-    def windows(
-        self, frames: Iterable[tuple[Clip, ClipFrame]], scale: CodeRange, frame_s: float | None
-    ) -> Iterator[RecordedWindow]:
-        """Yield the windows of the frames of one recording, in the order of time."""
+    def take(self, frames: Iterable[tuple[Clip, ClipFrame]], scale: CodeRange, frame_s: float | None) -> None:
+        """Divide the frames of one recording, in the order of time, and write their windows."""
         integration = Integration(self._time_s, frame_s)
         clip: Clip | None = None
         number = 0
@@ -243,9 +194,9 @@ class TrialDivision:
                 }
                 for trial in self._open.values():
                     if trial is not None and not trial.n_before:
-                        yield from _warm_up(trial, frame.before, scale)
+                        self._warm_up(trial, frame, scale)
             for index, placed in enumerate(frame.triangles):
-                yield from self._taken(frame, index, placed, scale)
+                self._take(frame, index, placed, scale)
         self._end(clip, integration.is_whole)
 
     def _begun(self, clip: Clip, frame: ClipFrame, index: int, number: int) -> ImportedTrial | None:
@@ -273,107 +224,100 @@ class TrialDivision:
             n_before=n_before,
         )
 
-    def _taken(
-        self, frame: ClipFrame, index: int, placed: Placed | None, scale: CodeRange
-    ) -> Iterator[RecordedWindow]:
-        """Yield the window of a triangle, unless its trial has ended early or does now."""
+    def _warm_up(self, trial: ImportedTrial, frame: ClipFrame, scale: CodeRange) -> None:
+        """Write the windows of the recorded frames before a trial, its frames of warm-up, if they have times."""
+        if any(before.time_s is None for before in frame.before):
+            return
+        top, bottom, left, right = trial.window
+        for number, before in enumerate(frame.before):
+            values = before.values[top:bottom, left:right]
+            self._add(trial, f"before_{number:03d}", values, before.source, before.time_s, scale)
+        trial.n_before = trial.n_warm_up = len(frame.before)
+
+    def _take(self, frame: ClipFrame, index: int, placed: Placed | None, scale: CodeRange) -> None:
+        """Write the window of a triangle, unless its trial has ended early or does now."""
         trial = self._open[index]
         if trial is None:
             return
-        window = _followed(trial, placed) if self._steady and placed is not None else trial.window
+        window = trial.followed(placed) if self._steady and placed is not None else trial.window
         values = None if placed is None else narrowed(placed.part, window)
         if placed is None or values is None:
             self.n_moved += 1
             self._discard(index)
             return
-        number = len(trial.frames) - trial.n_warm_up
-        name = f"frames/{trial.name}_{number}{suffix(scale, values.dtype)}"
+        number = str(len(trial.frames) - trial.n_warm_up)
+        self._add(trial, number, values, frame.source, frame.time_s, scale)
         trial.last_window = window
-        trial.frames.append(name)
-        trial.sources.append(frame.source)
-        trial.times_s.append(frame.time_s)
         trial.sizes_px.append(placed.size_px)
         trial.numbers.append(placed.number)
         if placed.x_px is not None and placed.y_px is not None:
             trial.places_px.append((placed.x_px - window[2], placed.y_px - window[0]))
-        yield RecordedWindow(name, values, scale)
+
+    def _add(
+        self,
+        trial: ImportedTrial,
+        end: str,
+        values: NDArray[Any],
+        source: str,
+        time_s: float | None,
+        scale: CodeRange,
+    ) -> None:
+        name = f"frames/{trial.name}_{end}{suffix(scale, values.dtype)}"
+        trial.frames.append(TrialFrame(name, source, time_s, self._write(RecordedWindow(name, values, scale))))
 
     def _end(self, clip: Clip | None, is_whole: bool) -> None:
         """End the present trials; keep them if they are whole."""
         self._before = {}
         for index, trial in self._open.items():
-            if trial is not None and clip is not None and is_whole:
-                if trial.n_warm_up and not trial.is_in_time:
-                    self._without_warm_up(trial)
-                self.n_before[trial.n_before] += 1
-                trial.written = [self.written.pop(name) for name in trial.frames]
-                self.trials.append(trial)
-                self._before[index] = trial
-                clip.n_trials += 1
-            else:
+            if trial is None or clip is None or not is_whole:
                 self._discard(index)
+                continue
+            if trial.n_warm_up and not trial.is_in_time:  # without times that rise it is from no clip
+                self.left_out += [frame.name for frame in trial.frames[: trial.n_warm_up]]
+                del trial.frames[: trial.n_warm_up]
+                trial.n_before = trial.n_warm_up = 0
+            self.n_before[trial.n_before] += 1
+            self.trials.append(trial)
+            self._before[index] = trial
+            clip.n_trials += 1
         self._open = {}
-
-    def _without_warm_up(self, trial: ImportedTrial) -> None:
-        """Leave out the frames of warm-up of a trial: without times that rise it is from no clip."""
-        for name in trial.frames[: trial.n_warm_up]:
-            self.written.pop(name)
-            self.left_out.append(name)
-        for column in (trial.frames, trial.sources, trial.times_s):
-            del column[: trial.n_warm_up]
-        trial.n_before = trial.n_warm_up = 0
 
     def _discard(self, index: int) -> None:
         trial, self._open[index] = self._open[index], None
-        for name in [] if trial is None else trial.frames:
-            self.written.pop(name, None)
-            self.left_out.append(name)
-
-    def corrected(self, corrections: Corrections) -> Iterator[ImportedTrial]:
-        """Yield all trials with the places and sizes that are known at the end."""
-        for trial in self.trials:
-            trial.correct(corrections)
-            yield trial
+        self.left_out += [] if trial is None else [frame.name for frame in trial.frames]
 
     def rows(
-        self,
-        corrections: Corrections,
-        *,
-        level: str,
-        pitch_mrad: float,
-        field_places: Mapping[int, Mapping[str, str]],
+        self, *, level: str, pitch_mrad: float, field_places: Mapping[int, Mapping[str, str]]
     ) -> Iterator[dict[str, object]]:
-        """Yield the rows of the manifest, given corrections and columns of each clip.
+        """Yield the rows of the manifest; `field_places` are further columns of each clip.
 
         Those of a dataset with frames of warm-up have the column `judged`.
         """
         has_judged = any(trial.n_warm_up for trial in self.trials)
-        sizes_px = merged_sizes([float(np.mean(trial.sizes_px)) for trial in self.corrected(corrections)])
+        sizes_px = merged_sizes([float(np.mean(trial.sizes_px)) for trial in self.trials])
         last_s: dict[str, float] = {}
-        for trial, size_px in zip(self.corrected(corrections), sizes_px, strict=True):
+        for trial, size_px in zip(self.trials, sizes_px, strict=True):
             # Times that are not known, or that a camera writes to the second, make no clip.
-            times_s = rounded_times(trial.times_s)
-            has_clip = trial.is_in_time and last_s.get(trial.run, -math.inf) < times_s[0]
-            last_s[trial.run] = times_s[-1] if has_clip else math.inf
-            size_mrad = size_px * pitch_mrad
+            first_s, end_s = trial.frames[0].rounded_s, trial.frames[-1].rounded_s
+            has_clip = trial.is_in_time and last_s.get(trial.run, -math.inf) < first_s
+            last_s[trial.run] = end_s if has_clip else math.inf
             x, y = (f"{at:.4f}" for at in np.mean(trial.places_px, axis=0)) if trial.places_px else ("", "")
-            of_frames = zip(trial.frames, trial.sources, trial.times_s, trial.written, strict=True)
-            for number, (name, source, time_s, written) in enumerate(of_frames):
+            for number, frame in enumerate(trial.frames):
                 is_judged = number >= trial.n_warm_up
                 row: dict[str, object] = {
-                    "frame": name,
+                    "frame": frame.name,
                     "orientation": trial.orientation.value,
-                    "size_mrad": f"{size_mrad:.7g}",
+                    "size_mrad": f"{size_px * pitch_mrad:.7g}",
                     level: repr(trial.stimulus.level),
                     "polarity": trial.stimulus.polarity,
                     "x_px": x,
                     "y_px": y,
                     "trial": trial.name if is_judged else "",
-                    "sha256": written.sha256,
+                    "sha256": frame.written.sha256,
                     "clip": trial.run if has_clip else "",
-                    "time_s": "" if time_s is None else f"{time_s:.6f}",
+                    "time_s": "" if frame.time_s is None else f"{frame.time_s:.6f}",
                     **({"judged": int(is_judged)} if has_judged else {}),
-                    "source": source,
+                    "source": frame.source,
                 }
                 others = {**trial.stimulus.columns, **field_places.get(trial.clip, {})}
                 yield row | {name: text for name, text in others.items() if name not in row}

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -26,13 +26,11 @@ from todframes.display.display_files import find_display, table_of_display
 from todframes.frames.dataset import Dataset, Experiment, load_dataset
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.importing.chart_source import ChartSource
-from todframes.importing.clips import TIME_TOLERANCE, Clip, ClipFrame
+from todframes.importing.clips import TIME_TOLERANCE
 from todframes.importing.filmed_trials import (
     FIELD_PLACE,
     SHAKE_PX,
-    Corrections,
     TrialDivision,
-    TriangleDescription,
 )
 from todframes.importing.schedule import read_schedule
 from todframes.importing.schedule_source import ScheduleSource
@@ -79,38 +77,8 @@ DEFAULT_LEVEL = "contrast"
 REPORT_FILE = "import.json"
 
 
-class Source(Protocol):
-    """Protocol of objects that find the clips in recordings: by a chart's markers, or by a schedule.
-
-    `level` and `group_by` are columns of the manifest, `clips` are those found so far. `corrections` are those of
-    triangles by their numbers, known at the end of a recording.
-    """
-
-    level: str
-    group_by: str
-    clips: list[Clip]
-    corrections: Corrections
-
-    def described(self, page: int, index: int) -> TriangleDescription:
-        """Return the description of a triangle of a page."""
-
-    def frames(self, recording: Recording, number: int) -> Iterator[tuple[Clip, ClipFrame]]:
-        """Yield the frames of a recording that show one page, each with its clip."""
-
-    def field_places(self) -> dict[int, dict[str, str]]:
-        """Return the columns `FIELD_PLACE` by the numbers of clips; none if the chart stays at one place."""
-
-    def why_nothing(self) -> str | None:
-        """Return why there is no clip at all; None if there are some."""
-
-    def warnings(self) -> Iterator[RecordingWarning]:
-        """Yield warnings about conditions that make the dataset less certain."""
-
-    def notes(self) -> Iterator[str]:
-        """Yield remarks that need no action."""
-
-    def report(self) -> list[dict[str, object]]:
-        """Return the findings for import.json."""
+Source = ChartSource | ScheduleSource
+"""What finds the clips in recordings: by a chart's markers, or by a schedule."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -242,13 +210,10 @@ def import_recordings(
     if schedule is None:
         source = ChartSource(Path(str(chart)), **reading)
     else:
-        source = ScheduleSource(
-            Path(schedule), opened, ifov_mrad=ifov_mrad, level=level or DEFAULT_LEVEL, **reading
-        )
+        level = level or DEFAULT_LEVEL
+        source = ScheduleSource(Path(schedule), opened, ifov_mrad=ifov_mrad, level=level, **reading)
     scales = [code_range(one, value_range) for one in opened]
     is_clipped = shown.display.eotf != "linear"
-    division = TrialDivision(source.described, time_s, steady=steady)
-
     going = Going(restart=restart, keep=keep_store)
     with (
         new_folder(str(out), going=going) as folder,
@@ -256,25 +221,25 @@ def import_recordings(
     ):
         if store.is_begun:
             store.tell(f"{len(store)} windows are there from an earlier run; going on with the others")
-        writer = WindowWriter(folder, clip=is_clipped, store=store)
+        writer = WindowWriter(folder, store, clip=is_clipped)
+        division = TrialDivision(source.described, time_s, steady=steady, write=writer)
         for number, (recording, scale) in enumerate(zip(opened, scales, strict=True)):
-            for window in division.windows(source.frames(recording, number), scale, _interval_s(recording)):
-                division.written[window.name] = writer.write(window)
+            division.take(source.frames(recording, number), scale, _interval_s(recording))
         if not division.trials:
             raise DataError(source.why_nothing() or _why_no_trial(division, source, time_s))
+        for trial in division.trials:
+            trial.correct(source.corrections)
         for name in division.left_out:
             (folder / name).unlink()
+        remove_others(folder, {frame.name for trial in division.trials for frame in trial.frames})
         field_places = source.field_places()
-        group_by = (source.group_by, *(FIELD_PLACE if field_places else ()))
-        remove_others(folder, {name for trial in division.trials for name in trial.frames})
-        rows = division.rows(
-            source.corrections, level=source.level, pitch_mrad=pitch_mrad, field_places=field_places
-        )
         n_frames = write_dataset_files(
             folder,
-            rows,
+            division.rows(level=source.level, pitch_mrad=pitch_mrad, field_places=field_places),
             display=table_of_display(shown.display, folder),
-            experiment=Experiment(level=source.level, group_by=group_by),
+            experiment=Experiment(
+                level=source.level, group_by=(source.group_by, *(FIELD_PLACE if field_places else ()))
+            ),
             comment=f"Imported by todframes {__version__}; {REPORT_FILE} says what was found\n"
             f"Display: {one_line(shown.title)}",
         )
@@ -282,32 +247,31 @@ def import_recordings(
             *(warning for recording in opened for warning in recording.warnings),
             *source.warnings(),
             *_of_trials(division, source, opened, time_s, steady=steady),
-            *_of_design(division, source),
+            *_of_design(division, source, field_places),
             *_of_windows(division, is_clipped=is_clipped),
         )
         dataset = load_dataset(folder, max_frame_mb=max_frame_mb)
         warnings += tuple(_of_frames(dataset, {code for code, _ in warnings}))
-        notes = (*source.notes(), *_of_time(opened, time_s), *_of_warm_up(division, warm_up_frames))
-        n_clips = sum(clip.n_trials > 0 for clip in source.clips)
+        imported = Imported(
+            path=Path(out),
+            n_frames=n_frames,
+            n_trials=len(division.trials),
+            n_clips=sum(clip.n_trials > 0 for clip in source.clips),
+            notes=(*source.notes(), *_of_time(opened, time_s), *_of_warm_up(division, warm_up_frames)),
+            warnings=warnings,
+        )
         report = {
             "version": __version__,
-            "n_frames": n_frames,
-            "n_trials": len(division.trials),
-            "n_clips": n_clips,
+            "n_frames": imported.n_frames,
+            "n_trials": imported.n_trials,
+            "n_clips": imported.n_clips,
             "from_store": store.n_used,
-            "warnings": [one._asdict() for one in warnings],
+            "warnings": [warning._asdict() for warning in warnings],
             "found": source.report(),
         }
         text = json.dumps(report, indent=1, ensure_ascii=False) + "\n"
         (folder / REPORT_FILE).write_text(in_utf8(text), encoding="utf-8")
-    return Imported(
-        path=Path(out),
-        n_frames=n_frames,
-        n_trials=len(division.trials),
-        n_clips=n_clips,
-        notes=notes,
-        warnings=warnings,
-    )
+    return imported
 
 
 def check_source(chart: PathLike | None, schedule: PathLike | None) -> None:
@@ -328,10 +292,7 @@ def open_for_import(
 ) -> tuple[Recording, ...]:
     """Open recordings; with a schedule one by one, so that a row can name an image, and folders by their files.
 
-    Raises
-    ------
-    DataError, FrameError
-        If a recording cannot be opened, or the schedule cannot be read.
+    Raises DataError or FrameError if a recording cannot be opened, or the schedule cannot be read.
     """
     listed = [recordings] if isinstance(recordings, str | os.PathLike) else list(recordings)
     opened = [one for one in listed if isinstance(one, Recording)]
@@ -427,8 +388,7 @@ def _of_trials(
                     f"{recording.path}: frames are {interval_s:.3g} s apart, more than the integration time of "
                     f"{time_s:g} s, so each is a trial of its own",
                 )
-    motions = (trial.motion_px for trial in division.corrected(source.corrections))
-    moving = [motion for motion in motions if motion > SHAKE_PX]
+    moving = [trial.motion_px for trial in division.trials if trial.motion_px > SHAKE_PX]
     n_trials = len(division.trials)
     if moving and steady:
         yield RecordingWarning(
@@ -445,15 +405,16 @@ def _of_trials(
         )
 
 
-def _of_design(division: TrialDivision, source: Source) -> Iterator[RecordingWarning]:
+def _of_design(
+    division: TrialDivision, source: Source, field_places: Mapping[int, Mapping[str, str]]
+) -> Iterator[RecordingWarning]:
     """Yield warnings about trials that do not suit one curve: repeats, two magnifications, more of one
     orientation."""
-    field_places = source.field_places()
     different: set[int] = set()
     sizes_px: dict[tuple[object, tuple[str, ...]], tuple[float, float]] = {}
     numbers: dict[tuple[object, float], Counter[str]] = defaultdict(Counter)
-    for trial in division.corrected(source.corrections):
-        different.add(hash(tuple(one.sha256 for one in trial.written[trial.n_warm_up :])))
+    for trial in division.trials:
+        different.add(hash(tuple(frame.written.sha256 for frame in trial.frames[trial.n_warm_up :])))
         size = trial.stimulus.columns.get(source.group_by)
         place = tuple(field_places.get(trial.clip, {}).values())
         least, most = sizes_px.get((size, place), (math.inf, 0.0))
@@ -531,12 +492,13 @@ def _of_warm_up(division: TrialDivision, n_frames: int) -> Iterator[str]:
 
 
 def _of_windows(division: TrialDivision, *, is_clipped: bool) -> Iterator[RecordingWarning]:
-    counts = ((one.n_beyond, one.n_values) for trial in division.trials for one in trial.written)
-    n_beyond, n_values = map(sum, zip(*counts, strict=True))
+    written = [frame.written for trial in division.trials for frame in trial.frames]
+    n_beyond = sum(window.n_beyond for window in written)
     if n_beyond:
+        percent = 100 * n_beyond / sum(window.n_values for window in written)
         done = "and were clipped, as the display does" if is_clipped else "and were kept"
         yield RecordingWarning(
             "beyond_range",
-            f"{100 * n_beyond / n_values:.2g} % of the values lie beyond black and white {done}; a wider "
+            f"{percent:.2g} % of the values lie beyond black and white {done}; a wider "
             f"{argument.value_range} keeps them",
         )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from todframes.base.errors import DataError, argument
 from todframes.base.progress import counted
 from todframes.importing.clips import Clip, ClipFrame, FramePart, Placed, frames_with_those_before
-from todframes.importing.filmed_trials import OBJECT_SIZE, Corrections, TriangleDescription
+from todframes.importing.filmed_trials import OBJECT_SIZE, Correction, TriangleDescription
 from todframes.importing.schedule import ScheduledTrial, assign_recordings, read_schedule
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
 from todframes.parameters import Progress
@@ -25,26 +25,10 @@ NO_MODULES = np.zeros((0, 0, 0))
 class ScheduleSource:
     """Source of clips from recordings with a schedule; each row is a clip.
 
-    Parameters
-    ----------
-    path : path
-        The schedule.
-    recordings : sequence of Recording
-    pitch_mrad : float
-        Visual angle of a pixel of the display.
-    ifov_mrad : float or None
-        Angle of a recorded pixel at the camera; None: sizes in mrad are those on the display.
-    level : str
-        Column of the stimulus strength.
-    progress : function of two ints, optional
-        Called with the number of frames of a recording that are done, and of all, None if that is not known.
-    warm_up_frames : int
-        Number of recorded frames that each frame of a clip brings along from before it.
-
-    Raises
-    ------
-    DataError
-        If the schedule cannot be used, or does not fit the recordings.
+    `pitch_mrad` is the visual angle of a pixel of the display, and `ifov_mrad` the angle of a recorded pixel at
+    the camera; None: sizes in mrad are those on the display. Each frame of a clip brings along `warm_up_frames`
+    recorded frames from before it. Raises DataError if the schedule cannot be used, or does not fit the
+    recordings.
     """
 
     def __init__(
@@ -61,7 +45,7 @@ class ScheduleSource:
         self.path = path
         self.level = level
         self.clips: list[Clip] = []
-        self.corrections = Corrections()
+        self.corrections: dict[int, Correction] = {}
         self._rows = read_schedule(path, level=level)
         self._recording_of = assign_recordings(self._rows, [one.path for one in recordings], schedule=path)
         self._pitch_mrad = pitch_mrad
@@ -97,12 +81,7 @@ class ScheduleSource:
     def frames(self, recording: Recording, number: int) -> Iterator[tuple[Clip, ClipFrame]]:
         """Yield the frames of a recording that the schedule names, each with its clip.
 
-        Raises
-        ------
-        DataError
-            If the schedule gives times and the frames have none.
-        FrameError
-            If a frame cannot be read.
+        Raises DataError if the schedule gives times and the frames have none, or FrameError for a damaged frame.
         """
         rows = [k for k, of_recording in enumerate(self._recording_of) if of_recording == number]
         rows.sort(key=lambda k: self._rows[k].start_s or 0.0)

@@ -99,15 +99,8 @@ def suffix(scale: CodeRange, dtype: np.dtype[Any]) -> str:
 def write_window(folder: Path, window: RecordedWindow, *, clip: bool) -> WrittenWindow:
     """Write a window into a dataset's folder: 8 or 16 bits as PNG, all else as EXR of the code values.
 
-    Parameters
-    ----------
-    clip : bool
-        Clip code values to [0, 1], as a display with this transfer function does.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
+    With `clip`, code values are clipped to [0, 1], as a display with this transfer function does. Raises
+    OutputError if the file cannot be written.
     """
     path = folder / window.name
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -121,54 +114,34 @@ def write_window(folder: Path, window: RecordedWindow, *, clip: bool) -> Written
     low, high = window.scale.low, window.scale.high
     code = ((window.values.astype(np.float64) - low) / (high - low)).astype(np.float32)
     n_beyond = int(np.count_nonzero((code < 0.0) | (code > 1.0)))
-    if clip and n_beyond:
-        code = np.clip(code, 0.0, 1.0)
-    write_frame(path, code, pixel_type="float", compression="zips")
-    with path.open("rb") as file:
-        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-    return WrittenWindow(sha256, code.size, n_beyond)
+    write_frame(path, np.clip(code, 0.0, 1.0) if clip else code, pixel_type="float", compression="zips")
+    return WrittenWindow(frame_sha256(path), code.size, n_beyond)
 
 
 class WindowWriter:
-    """Writer of the windows of a dataset; those that an earlier run has written are not written again.
+    """Function that writes the windows of a dataset, as `write_window` does, unless an earlier run has.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the dataset.
-    clip : bool
-        As in `write_window`.
-    store : Store or None
-        Store that states which windows of the folder are finished.
+    The store states which windows of the folder are finished.
     """
 
-    def __init__(self, folder: Path, *, clip: bool, store: Store | None) -> None:
-        self._folder, self._clip, self._store = folder, clip, store
-        self._finds = store is not None and store.is_begun
+    def __init__(self, folder: Path, store: Store, *, clip: bool) -> None:
+        self._folder, self._store, self._clip = folder, store, clip
+        self._finds = store.is_begun
         self._rows: list[tuple[bytes, bytes]] = []
 
-    def write(self, window: RecordedWindow) -> WrittenWindow:
-        """Write a window unless the same one is already there; raise OutputError if it cannot be written."""
-        if self._store is None:
-            return write_window(self._folder, window, clip=self._clip)
+    def __call__(self, window: RecordedWindow) -> WrittenWindow:
+        """Write a window; raise OutputError if it cannot be written."""
         key = fingerprint(window.name, window.values, window.scale, self._clip)
-        found = self._found(key, self._folder / window.name) if self._finds else None
-        if found is not None:
-            return found
-        written = write_window(self._folder, window, clip=self._clip)
-        self._rows.append((key, msgspec.msgpack.encode(written)))
-        if len(self._rows) >= WINDOWS_A_COMMIT:
-            self.flush()
+        written = self._found(key, self._folder / window.name) if self._finds else None
+        if written is None:
+            written = write_window(self._folder, window, clip=self._clip)
+            self._rows.append((key, msgspec.msgpack.encode(written)))
+            if len(self._rows) >= WINDOWS_A_COMMIT:
+                self._store.add(self._rows)
+                self._rows.clear()
         return written
 
-    def flush(self) -> None:
-        """Enter the windows written so far into the store."""
-        if self._store is not None:
-            self._store.add(self._rows)
-            self._rows.clear()
-
     def _found(self, key: bytes, path: Path) -> WrittenWindow | None:
-        assert self._store is not None
         encoded = self._store.get(key)
         if encoded is None:
             return None
