@@ -192,7 +192,7 @@ def test_tables_and_sentences(todframes, dataset: Path, here: Path) -> None:
             "p (Holm)",
             "verdict",
             "reference",
-            "never_reached",
+            "never reached",
             "all",
             "PSNR (dB)",
             "SSIM",

@@ -31,7 +31,6 @@ MEASURED_TRIALS = 24
 
 GroupValues = tuple[float | str, ...]
 
-
 Responses = dict[GroupValues, tuple[ContrastPoint, ...]]
 """Displayed contrasts of an algorithm in each group, at ascending levels."""
 

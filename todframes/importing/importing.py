@@ -76,7 +76,6 @@ DEFAULT_LEVEL = "contrast"
 
 REPORT_FILE = "import.json"
 
-
 Source = ChartSource | ScheduleSource
 """What finds the clips in recordings: by a chart's markers, or by a schedule."""
 
