@@ -49,18 +49,24 @@ class CameraContent(NamedTuple):
         ends = np.column_stack([self.square_mm, np.roll(self.square_mm, -1, axis=0)]).tolist()
         return tuple(Edge(x1_mm=x1, y1_mm=y1, x2_mm=x2, y2_mm=y2, free_mm=self.free_mm) for x1, y1, x2, y2 in ends)
 
-    def patches(self, levels: Sequence[float], quantity: str) -> tuple[Patch, ...]:
-        """Return the patches with levels of a quantity, "luminance_cd_m2" or "reflectance", to six digits."""
-        return tuple(
-            Patch(
-                x_mm=left + width / 2.0,
-                y_mm=top + height / 2.0,
-                width_mm=width,
-                height_mm=height,
-                **{quantity: float(f"{level:.6g}")},
-            )
-            for (left, top, width, height), level in zip(self.patches_mm, levels, strict=True)
+
+def grey_patches(
+    places_mm: Sequence[tuple[float, float, float, float]], levels: Sequence[float], quantity: str
+) -> tuple[Patch, ...]:
+    """Return patches, given left, top, width and height, with levels of a quantity to six digits.
+
+    The quantity is "luminance_cd_m2" or "reflectance".
+    """
+    return tuple(
+        Patch(
+            x_mm=left + width / 2.0,
+            y_mm=top + height / 2.0,
+            width_mm=width,
+            height_mm=height,
+            **{quantity: float(f"{level:.6g}")},
         )
+        for (left, top, width, height), level in zip(places_mm, levels, strict=True)
+    )
 
 
 def camera_content(

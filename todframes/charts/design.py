@@ -8,18 +8,19 @@ of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Meta
 
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
-from todframes.charts.layout import LARGEST_ON_CHART, Length, Triangle
+from todframes.charts.layout import LARGEST_ON_CHART, Chart, Length, Page, Triangle
 from todframes.charts.markers import MOST_PAGES
 from todframes.frames.surround import REACH_IN_SIZES
+from todframes.parameters import ChartKind
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 FIELD_PER_SIZE = 5.0
@@ -106,6 +107,33 @@ class Design:
             contrast_asked=None if drawn == asked else asked,
             dithered=dithered,
         )
+
+    def check_size(self, size_mrad: float, least_mm: float, why: str) -> float:
+        """Return √(area) on the page; SettingsError, with the reason, if it is less than a least one."""
+        size_mm = self.size_mm(size_mrad)
+        if size_mm < least_mm:
+            raise SettingsError(
+                f"sizes_mrad: {size_mrad:g} mrad at {self.distance_m:g} m are {size_mm:.3g} mm, {why}; expected "
+                f"at least {least_mm:g} mm ({least_mm / self.distance_m:.3g} mrad), or a larger distance"
+            )
+        return size_mm
+
+    def chart(
+        self, kind: ChartKind, width_mm: float, height_mm: float, pages: Iterable[Page], **parts: Any
+    ) -> Chart:
+        """Return the chart with some pages and its key; `parts` are the screen and the markers, if any."""
+        chart = Chart(
+            kind=kind,
+            name=self.name,
+            seed=self.seed,
+            distance_m=self.distance_m,
+            page_width_mm=width_mm,
+            page_height_mm=height_mm,
+            polarity=self.polarity,
+            pages=tuple(pages),
+            **parts,
+        )
+        return chart.with_key()
 
     @property
     def conditions(self) -> list[Condition]:

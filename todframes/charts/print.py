@@ -17,7 +17,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.progress import counted
 from todframes.base.reading import check_values, read_numbers
-from todframes.charts.camera_page import N_PATCHES, CameraContent, camera_codes, camera_content
+from todframes.charts.camera_page import N_PATCHES, camera_codes, camera_content, grey_patches
 from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
 from todframes.charts.layout import CHART_FILE, Chart, Length, Markers, Page, Patch, Point, write_chart
 from todframes.charts.markers import MODULES
@@ -175,7 +175,7 @@ def design_print_chart(design: Design, paper: Paper) -> PrintChart:
     pages, camera = [], None
     if paper.camera_page:
         camera = camera_content(sheet.left_mm, sheet.top_mm, sheet.width_mm, sheet.height_mm)
-        large = camera.patches(reflectance[wedge_codes].tolist(), "reflectance")
+        large = grey_patches(camera.patches_mm, reflectance[wedge_codes].tolist(), "reflectance")
         pages.append(Page(number=0, file="sheets/00.svg", edges=camera.edges, patches=large))
     for page_number, content in enumerate(sheets, len(pages)):
         triangles = tuple(
@@ -189,17 +189,7 @@ def design_print_chart(design: Design, paper: Paper) -> PrintChart:
         )
         name = f"sheets/{page_number:02d}.svg"
         pages.append(Page(number=page_number, file=name, triangles=triangles, patches=patches))
-    chart = Chart(
-        kind="print",
-        name=design.name,
-        seed=design.seed,
-        distance_m=design.distance_m,
-        page_width_mm=paper.paper_width_mm,
-        page_height_mm=paper.paper_height_mm,
-        polarity=design.polarity,
-        markers=sheet.markers,
-        pages=tuple(pages),
-    ).with_key()
+    chart = design.chart("print", paper.paper_width_mm, paper.paper_height_mm, pages, markers=sheet.markers)
     origin = "nominal" if paper.reflectances is None else "as measured"
     drawings = []
     for page in chart.pages:
@@ -207,10 +197,13 @@ def design_print_chart(design: Design, paper: Paper) -> PrintChart:
             rectangle(sheet.left_mm, sheet.top_mm, sheet.width_mm, sheet.height_mm, background_code)
         ]
         if page.edges and camera is not None:
-            shapes += _camera_shapes(camera, square_code, wedge_codes)
-        for one in page.triangles:
-            corners = vertices(size=one.size_mm, orientation=one.orientation, x=one.x_mm, y=one.y_mm)
-            shapes.append(area(corners, code_of_level[abs(one.contrast_asked or one.strength)]))
+            shapes += (rectangle(*at, code) for at, code in zip(camera.patches_mm, wedge_codes, strict=True))
+            shapes.append(area(camera.square_mm, square_code))
+        for triangle in page.triangles:
+            corners = vertices(
+                size=triangle.size_mm, orientation=triangle.orientation, x=triangle.x_mm, y=triangle.y_mm
+            )
+            shapes.append(area(corners, code_of_level[abs(triangle.contrast_asked or triangle.strength)]))
         shapes += _marker_shapes(chart, page)
         shapes += _patch_shapes(patches, patch_codes)
         shapes += _ruler(sheet)
@@ -223,7 +216,7 @@ def _codes(
     design: Design, reflectance: FloatArray, background_code: int, least: float, largest: float
 ) -> dict[float, int]:
     """Return the nearest code value of each level. Raises SettingsError if there is none of its own."""
-    codes: dict[float, int] = {}
+    level_of: dict[int, float] = {}
     for level in design.levels:
         contrast = design.polarity * level
         wanted = reflectance[background_code] * (1.0 + contrast)
@@ -233,14 +226,13 @@ def _codes(
                 f"contrasts: found {contrast:g}, expected {least:.2g} to {largest:.3g}, which the paper's greys "
                 "have; change background_reflectance, or take a screen for weaker ones"
             )
-        for other, its in codes.items():
-            if its == code:
-                raise SettingsError(
-                    f"contrasts: {other:g} and {level:g} have the same printed grey (code value {code}); expected "
-                    f"contrasts at least {least:.2g} apart"
-                )
-        codes[level] = code
-    return codes
+        if code in level_of:
+            raise SettingsError(
+                f"contrasts: {level_of[code]:g} and {level:g} have the same printed grey (code value {code}); "
+                f"expected contrasts at least {least:.2g} apart"
+            )
+        level_of[code] = level
+    return {level: code for code, level in level_of.items()}
 
 
 def _sheet(paper: Paper) -> _Sheet:
@@ -294,13 +286,7 @@ def _ruler_mm(room_mm: float) -> float:
 def _places(design: Design, size_mrad: float, sheet: _Sheet) -> list[tuple[float, float]]:
     """Return the places for triangles of one size on a sheet, from the middle outwards; SettingsError if there is
     none."""
-    size_mm = design.size_mm(size_mrad)
-    if size_mm < LEAST_PRINTED_SIZE_MM:
-        raise SettingsError(
-            f"sizes_mrad: {size_mrad:g} mrad at {design.distance_m:g} m are {size_mm:.3g} mm, in which the "
-            f"printer's dots show; expected at least {LEAST_PRINTED_SIZE_MM:g} mm "
-            f"({LEAST_PRINTED_SIZE_MM / design.distance_m:.3g} mrad), or a larger distance"
-        )
+    size_mm = design.check_size(size_mrad, LEAST_PRINTED_SIZE_MM, "in which the printer's dots show")
     field_mm = FIELD_PER_SIZE * size_mm
     axes = []
     for start_mm, length_mm in ((sheet.top_mm, sheet.height_mm), (sheet.left_mm, sheet.width_mm)):
@@ -321,28 +307,13 @@ def _places(design: Design, size_mrad: float, sheet: _Sheet) -> list[tuple[float
 
 def _patches(sheet: _Sheet, paper: Paper, levels: Sequence[float]) -> tuple[Patch, ...]:
     """Return the grey patches of every sheet, from left to right, with these reflectances."""
-    n_in_part = N_PATCHES // len(sheet.above_mm)
-    height_mm = 0.7 * sheet.band_mm
+    n_in_part, height_mm = N_PATCHES // len(sheet.above_mm), 0.7 * sheet.band_mm
     slots = [
-        (left + k * width / n_in_part, width / n_in_part)
+        (left + k * width / n_in_part, paper.margin_mm, width / n_in_part, height_mm)
         for left, width in sheet.above_mm
         for k in range(n_in_part)
     ]
-    return tuple(
-        Patch(
-            x_mm=left + pitch_mm / 2.0,
-            y_mm=paper.margin_mm + height_mm / 2.0,
-            width_mm=pitch_mm,
-            height_mm=height_mm,
-            reflectance=float(f"{level:.6g}"),
-        )
-        for (left, pitch_mm), level in zip(slots, levels, strict=True)
-    )
-
-
-def _camera_shapes(camera: CameraContent, square_code: int, codes: Sequence[int]) -> list[Shape]:
-    patches = zip(camera.patches_mm, codes, strict=True)
-    return [*(rectangle(*place, code) for place, code in patches), area(camera.square_mm, square_code)]
+    return grey_patches(slots, levels, "reflectance")
 
 
 def _marker_shapes(chart: Chart, page: Page) -> list[Shape]:

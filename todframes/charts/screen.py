@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.progress import counted
-from todframes.charts.camera_page import CameraContent, camera_codes, camera_content
+from todframes.charts.camera_page import CameraContent, camera_codes, camera_content, grey_patches
 from todframes.charts.design import FIELD_PER_SIZE, SURROUND_PER_SIZE, Condition, Design
 from todframes.charts.layout import CHART_FILE, Chart, Markers, Page, Screen, Triangle, write_chart
 from todframes.charts.markers import MODULES
@@ -179,21 +179,11 @@ def design_screen_chart(
                 Page(number=number, file=file, borders=borders[condition.size_mrad], triangles=(triangle,))
             )
         elif camera is not None:
-            patches = camera.content.patches(luminance_of_code[camera.patch_codes].tolist(), "luminance_cd_m2")
+            luminances = luminance_of_code[camera.patch_codes].tolist()
+            patches = grey_patches(camera.content.patches_mm, luminances, "luminance_cd_m2")
             pages.append(Page(number=number, file=file, edges=camera.content.edges, patches=patches))
-    chart = Chart(
-        kind="screen",
-        name=design.name,
-        seed=design.seed,
-        distance_m=design.distance_m,
-        page_width_mm=width_mm,
-        page_height_mm=height_mm,
-        polarity=design.polarity,
-        screen=screen,
-        markers=laid,
-        pages=tuple(pages),
-    )
-    return ScreenChart(chart.with_key(), tuple(order), drawn, background_code, camera)
+    chart = design.chart("screen", width_mm, height_mm, pages, screen=screen, markers=laid)
+    return ScreenChart(chart, tuple(order), drawn, background_code, camera)
 
 
 def _camera_page(
@@ -226,13 +216,8 @@ def _check_size(
 ) -> None:
     """Raise SettingsError if a triangle has too few pixels, or its surround no place on the page."""
     size_mm = design.size_mm(size_mrad)
-    what = f"sizes_mrad: {size_mrad:g} mrad at {design.distance_m:g} m are {size_mm:.4g} mm"
-    if size_mm < LEAST_MONITOR_SIZE_PX * pitch_mm:
-        raise SettingsError(
-            f"{what}, {size_mm / pitch_mm:.3g} pixels of the monitor, whose edges are then too coarse; expected "
-            f"at least {LEAST_MONITOR_SIZE_PX:g} pixels "
-            f"({LEAST_MONITOR_SIZE_PX * pitch_mm / design.distance_m:.3g} mrad), or a larger distance"
-        )
+    why = f"{size_mm / pitch_mm:.3g} pixels of the monitor, whose edges are then too coarse"
+    design.check_size(size_mrad, LEAST_MONITOR_SIZE_PX * pitch_mm, why)
     half_mm = FIELD_PER_SIZE / 2.0 * size_mm
     # Half of a square that keeps clear of the page's edge, and of each marker in x or in y.
     border_mm = (0.5 + 1.0 / MODULES) * markers.side_mm
@@ -240,9 +225,10 @@ def _check_size(
     room_mm = min(width_mm / 2.0, height_mm / 2.0, float(from_middle_mm.max(axis=1).min()))
     if half_mm > room_mm:
         raise SettingsError(
-            f"{what}, and with the background that the observer needs {2.0 * half_mm:.4g} mm; the page has "
-            f"{2.0 * room_mm:.4g} mm between its edges and markers; expected at most "
-            f"{2.0 * room_mm / FIELD_PER_SIZE / design.distance_m:.3g} mrad, or a smaller distance"
+            f"sizes_mrad: {size_mrad:g} mrad at {design.distance_m:g} m are {size_mm:.4g} mm, and with the "
+            f"background that the observer needs {2.0 * half_mm:.4g} mm; the page has {2.0 * room_mm:.4g} mm between "
+            f"its edges and markers; expected at most {2.0 * room_mm / FIELD_PER_SIZE / design.distance_m:.3g} mrad, "
+            "or a smaller distance"
         )
 
 

@@ -61,13 +61,7 @@ def design_thermal_chart(design: Design, plate: Plate) -> ThermalChart:
     largest_mm = design.size_mm(max(design.sizes_mrad))
     needed_mm = FIELD_PER_SIZE * largest_mm
     side_mm = math.ceil(needed_mm / PLATE_STEP_MM) * PLATE_STEP_MM if plate.plate_mm is None else plate.plate_mm
-    smallest_mm = design.size_mm(min(design.sizes_mrad))
-    if smallest_mm < LEAST_HOLE_SIZE_MM:
-        raise SettingsError(
-            f"sizes_mrad: {min(design.sizes_mrad):g} mrad at {design.distance_m:g} m are {smallest_mm:.3g} mm, "
-            f"whose corners cannot be cut; expected at least {LEAST_HOLE_SIZE_MM:g} mm "
-            f"({LEAST_HOLE_SIZE_MM / design.distance_m:.3g} mrad), or a larger distance"
-        )
+    design.check_size(min(design.sizes_mrad), LEAST_HOLE_SIZE_MM, "whose corners cannot be cut")
     if side_mm < needed_mm:
         raise SettingsError(
             f"plate_mm: found {side_mm:g}, expected at least {needed_mm:.4g}: five sizes of the largest triangle "
@@ -91,18 +85,8 @@ def design_thermal_chart(design: Design, plate: Plate) -> ThermalChart:
         )
         for number, condition in enumerate(order)
     )
-    chart = Chart(
-        kind="thermal",
-        name=design.name,
-        seed=design.seed,
-        distance_m=design.distance_m,
-        page_width_mm=side_mm,
-        page_height_mm=side_mm,
-        polarity=design.polarity,
-        pages=pages,
-    )
     drawings = {size: _drawing(design, size, side_mm) for size in design.sizes_mrad}
-    return ThermalChart(chart.with_key(), drawings, tuple(order))
+    return ThermalChart(design.chart("thermal", side_mm, side_mm, pages), drawings, tuple(order))
 
 
 def _order(design: Design) -> list[Condition]:

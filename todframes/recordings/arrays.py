@@ -9,8 +9,9 @@ import tokenize
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -83,12 +84,8 @@ def memory_recording(values: NDArray[Any], *, frames_per_second: float | None) -
     Raises DataError if the shape or type is another, or a value is NaN or infinite.
     """
     where = "recording: an array"
-    if values.dtype.name not in TYPES:
-        raise DataError(f"{where}: found values of type {values.dtype}, expected one of {', '.join(TYPES)}")
-    frames = values if values.ndim > 2 else values[None]
-    if frames.ndim not in (3, 4) or frames.shape[3:] not in ((), (3,)) or not frames.size:
-        found = f"found an array of shape {values.shape}"
-        raise DataError(f"{where}: {found}, expected (frames, rows, columns) and 3 if in colour")
+    frame_shape = _frame_shape(values.shape, values.dtype, lambda problem: DataError(f"{where}: {problem}"))
+    frames = values.reshape(-1, *frame_shape)
     is_code = values.dtype.kind == "u"
     frames = frames if is_code else frames.astype(np.float32)
     if not is_code and not np.isfinite(frames).all():
@@ -151,6 +148,18 @@ def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
         return read(io.BytesIO(start + file.read(length)))
 
 
+def _frame_shape(
+    shape: tuple[int, ...], dtype: np.dtype[Any], error: Callable[[str], DataError]
+) -> tuple[int, ...]:
+    """Return the shape of a frame of an array; raise an error if it is no recording."""
+    if dtype.name not in TYPES:
+        raise error(f"found values of type {dtype}, expected one of {', '.join(TYPES)}")
+    frame_shape = shape[1:] if len(shape) > 2 else shape
+    if len(frame_shape) not in (2, 3) or frame_shape[2:] not in ((), (3,)) or math.prod(shape) < 1:
+        raise error(f"found an array of shape {shape}, expected (frames, rows, columns) and 3 if in colour")
+    return frame_shape
+
+
 def _layout(path: Path, file: IO[bytes], n_bytes: int, max_frame_mb: int) -> _Layout:
     """Read the header of an array, which decides how much is read, and check it against the size of the file."""
     try:
@@ -159,13 +168,7 @@ def _layout(path: Path, file: IO[bytes], n_bytes: int, max_frame_mb: int) -> _La
         raise FrameError(
             path, f"the header of the array is damaged: {' '.join(str(error).split())[:200]}"
         ) from None
-    if dtype.name not in TYPES:
-        raise FrameError(path, f"found values of type {dtype}, expected one of {', '.join(TYPES)}")
-    frame_shape = shape[1:] if len(shape) > 2 else shape
-    if len(frame_shape) not in (2, 3) or frame_shape[2:] not in ((), (3,)) or math.prod(shape) < 1:
-        raise FrameError(
-            path, f"found an array of shape {shape}, expected (frames, rows, columns) and 3 if in colour"
-        )
+    frame_shape = _frame_shape(shape, dtype, partial(FrameError, path))
     if is_fortran and sum(side > 1 for side in shape) > 1:
         raise FrameError(path, "the array is in Fortran order; save numpy.ascontiguousarray(array)")
     check_size(path, (frame_shape[0], frame_shape[1]), max_frame_mb)

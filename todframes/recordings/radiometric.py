@@ -33,17 +33,13 @@ JOINS_FILES = True
 MAX_JPEG_MB = 256
 """Largest size of a radiometric JPEG, in 2**20 bytes."""
 
-MOST_RECORDS = 1000
-"""Number of records of a container that are looked at."""
+MOST_RECORDS, N_START = 1000, 256
+"""Number of records of a container that are looked at, and of bytes of a record of counts, in which the headers of
+a PNG or JPEG-LS are looked for."""
 
-JPEG_LS_START = b"\xff\xd8\xff\xf7"
-"""First bytes of counts that are compressed by JPEG-LS, as in CSQ: the start of the image, and of its frame."""
-
-N_START = 256
-"""Number of bytes of a record of counts in which the headers of a PNG or JPEG-LS are looked for."""
-
-START_OF_SCAN = 0xDA
-"""Marker of the header of a JPEG-LS scan, which has one component here."""
+JPEG_LS_START, START_OF_SCAN = b"\xff\xd8\xff\xf7", 0xDA
+"""First bytes of counts that are compressed by JPEG-LS, as in CSQ: the start of the image, and of its frame.
+Marker of the header of a scan, which has one component here."""
 
 LONGEST_REST = 2**20
 """Bytes that compressed counts may have besides twice those of plain ones; more are not read."""
@@ -118,16 +114,18 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
         if shape != shapes[0]:
             found, expected = (f"{columns} x {rows} pixels" for rows, columns in (shape, shapes[0]))
             raise FrameError(path, f"frame {number}: found {found}, expected {expected} as in frame 0")
+    warnings = []
+    if largest_error:
+        warnings.append(
+            RecordingWarning(
+                "lossy_compression",
+                f"the camera has compressed its counts with errors of up to {largest_error}: faint triangles and "
+                "noise are not what it saw; record plain counts (SEQ, FFF)",
+            )
+        )
     known_s = tuple(time_s for time_s in times_s if time_s is not None)
-    return StillHeader(
-        shapes[0],
-        False,
-        len(shapes),
-        None,
-        unit="counts",
-        times_s=known_s if len(known_s) == len(shapes) else None,
-        warnings=(_near_lossless(largest_error),) if largest_error else (),
-    )
+    all_s = known_s if len(known_s) == len(shapes) else None
+    return StillHeader(shapes[0], False, len(shapes), None, unit="counts", times_s=all_s, warnings=tuple(warnings))
 
 
 def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[np.uint16]]:
@@ -253,24 +251,17 @@ def _frame(number: int) -> str:
 def _record(path: Path, container: _Container, kind: int, smallest: int) -> tuple[int, int]:
     """Return where a record begins, and its length. FrameError if there is none of at least the smallest size."""
     begin, length = container.records.get(kind, (0, -1))
-    if length < 0:
-        raise FrameError(
-            path, f"{_frame(container.number)}the container has no record of type {kind}, expected one"
-        )
     if length < smallest:
-        raise FrameError(
-            path,
-            f"{_frame(container.number)}the record of type {kind} has {length} bytes, expected {smallest} or more",
-        )
+        found = f"has {length} bytes, expected {smallest} or more" if length >= 0 else "is missing, expected one"
+        raise FrameError(path, f"{_frame(container.number)}the record of type {kind} {found}")
     return begin, length
 
 
 Storage = Literal["<u2", ">u2", "PNG", "JPEG-LS"]
-"""Types of plain counts, and compressions."""
 
 
 class _Counts(NamedTuple):
-    """The place of the counts of a container, (first byte, bytes), their shape, and byte order or compression.
+    """The place of the counts of a container, (first byte, bytes), their shape, and their type or compression.
 
     `largest_error` is the number of counts by which compression may have changed each of them.
     """
@@ -291,8 +282,7 @@ def _counts(path: Path, file: BinaryIO, container: _Container, max_frame_mb: int
     check_size(path, (rows, columns), max_frame_mb)
     image = start[32:]
     plain: Storage = "<u2" if order == "<" else ">u2"
-    name: Storage = plain
-    layout = (columns, rows, 16, 1)
+    name, layout = plain, (columns, rows, 16, 1)
     if image.startswith(PNG_SIGNATURE) and len(image) >= 26:
         width, height, bits, colours = struct.unpack_from(">2I2B", image, 16)
         name, layout = "PNG", (width, height, bits, 1 if colours == 0 else 3)
@@ -324,14 +314,6 @@ def _near(image: bytes) -> int:
             return image[place + 7]
         place += 2 + int.from_bytes(image[place + 2 : place + 4], "big")
     return 0
-
-
-def _near_lossless(largest_error: int) -> RecordingWarning:
-    return RecordingWarning(
-        "lossy_compression",
-        f"the camera has compressed its counts with errors of up to {largest_error}: faint triangles and noise "
-        "are not what it saw; record plain counts (SEQ, FFF)",
-    )
 
 
 def _values(path: Path, counts: _Counts, data: bytes, frame: str, max_frame_mb: int) -> NDArray[np.uint16]:

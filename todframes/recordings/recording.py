@@ -91,8 +91,7 @@ class Recording:
             raise DataError(f"{self.path}: found no frame, expected at least one")
 
 
-@dataclass(frozen=True, slots=True)
-class CodeRange:
+class CodeRange(NamedTuple):
     """Recorded values that become code values 0 and 1 of the display."""
 
     low: float
@@ -227,15 +226,19 @@ def still_recording(
     paths = natural_order(paths)
     headers = [reader.read_header(path, max_frame_mb) for path in paths]
     first = headers[0]
-    for path, header in zip(paths, headers, strict=True):
-        for what, found, expected in (
-            ("size", _size(header.shape), _size(first.shape)),
-            ("channels", *("R, G, B" if one.is_colour else "grey" for one in (header, first))),
-            ("value of white", header.full_scale, first.full_scale),
-            ("unit", header.unit, first.unit),
-        ):
-            if found != expected:
-                problem = f"{what}: found {found}, expected {expected} as in {paths[0].name}"
+    kinds = [
+        {
+            "size": _size(header.shape),
+            "channels": "R, G, B" if header.is_colour else "grey",
+            "value of white": header.full_scale,
+            "unit": header.unit,
+        }
+        for header in headers
+    ]
+    for path, kind in zip(paths, kinds, strict=True):
+        for what, expected in kinds[0].items():
+            if kind[what] != expected:
+                problem = f"{what}: found {kind[what]}, expected {expected} as in {paths[0].name}"
                 raise FrameError(path, f"{problem}; a recording has frames of one kind")
     if times_s is not None:
         headers = [
