@@ -226,9 +226,9 @@ def _check_size(
     if half_mm > room_mm:
         raise SettingsError(
             f"sizes_mrad: {size_mrad:g} mrad at {design.distance_m:g} m are {size_mm:.4g} mm, and with the "
-            f"background that the observer needs {2.0 * half_mm:.4g} mm; the page has {2.0 * room_mm:.4g} mm between "
-            f"its edges and markers; expected at most {2.0 * room_mm / FIELD_PER_SIZE / design.distance_m:.3g} mrad, "
-            "or a smaller distance"
+            f"background that the observer needs {2.0 * half_mm:.4g} mm; the page has {2.0 * room_mm:.4g} mm "
+            "between its edges and markers; expected at most "
+            f"{2.0 * room_mm / FIELD_PER_SIZE / design.distance_m:.3g} mrad, or a smaller distance"
         )
 
 
