@@ -8,19 +8,22 @@ of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Meta
 
 from todframes.base.errors import SettingsError
+from todframes.base.progress import counted
 from todframes.base.reading import check_values
-from todframes.charts.layout import LARGEST_ON_CHART, Chart, Length, Page, Triangle
+from todframes.charts.layout import CHART_FILE, LARGEST_ON_CHART, Chart, Length, Page, Triangle, write_chart
 from todframes.charts.markers import MOST_PAGES
+from todframes.charts.page_drawing import Drawing, pdf, svg
 from todframes.frames.surround import REACH_IN_SIZES
-from todframes.parameters import ChartKind
+from todframes.parameters import ChartKind, Progress
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 FIELD_PER_SIZE = 5.0
@@ -29,6 +32,17 @@ FIELD_PER_SIZE = 5.0
 SURROUND_PER_SIZE = 2.0 * REACH_IN_SIZES
 """Side of the square around a triangle that markers along the borders keep free, in sizes: its background is
 measured there."""
+
+
+def write_drawings(
+    folder: Path, chart: Chart, drawings: Sequence[tuple[str, Drawing]], pdf_file: str, progress: Progress | None
+) -> None:
+    """Write `chart.toml`, an SVG file of each drawing, and a PDF with all of them into an empty folder."""
+    write_chart(folder / CHART_FILE, chart)
+    for file, drawing in counted(drawings, len(drawings), progress):
+        (folder / file).parent.mkdir(exist_ok=True)
+        (folder / file).write_text(svg(drawing), encoding="utf-8")
+    (folder / pdf_file).write_bytes(pdf([drawing for _, drawing in drawings], chart.name))
 
 
 class Condition(NamedTuple):

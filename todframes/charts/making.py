@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, cast
@@ -13,9 +13,9 @@ from todframes.base.reading import convert, from_table
 from todframes.base.seeds import Rng, seed_of
 from todframes.charts.design import Design
 from todframes.charts.layout import CHART_FILE, Chart, Screen
-from todframes.charts.print import Paper, design_print_chart, write_print_chart
+from todframes.charts.print import Paper, make_print_chart
 from todframes.charts.screen import design_screen_chart, write_screen_chart
-from todframes.charts.thermal import Plate, design_thermal_chart, write_thermal_chart
+from todframes.charts.thermal import Plate, make_thermal_chart
 from todframes.display.display import Display, Luminance, LuminanceTable
 from todframes.display.display_files import find_display
 from todframes.parameters import (
@@ -207,7 +207,7 @@ def chart(
     settings = {name: value for name, value in asked.items() if name in known and value is not None}
     convert(kind, ChartKind, "kind")
     for setting in settings:
-        others = [other for other in MAKERS if setting in SETTINGS[other] and setting not in SETTINGS[kind]]
+        others = [other for other in SETTINGS if setting in SETTINGS[other] and setting not in SETTINGS[kind]]
         if others:
             raise SettingsError(
                 f"{setting}: is given, but a {kind} chart has none; it is for {' and '.join(others)}"
@@ -231,7 +231,11 @@ def chart(
         "chart",
     )
     with new_folder(str(out), last=CHART_FILE) as folder:
-        return MAKERS[kind](design, settings, folder, progress)
+        if kind == "print":
+            return make_print_chart(design, from_table(settings, Paper, kind), folder, progress)
+        if kind == "thermal":
+            return make_thermal_chart(design, from_table(settings, Plate, kind), folder, progress)
+        return _screen(design, settings, folder, progress)
 
 
 def _screen(design: Design, settings: Mapping[str, Any], folder: Path, progress: Progress | None) -> Chart:
@@ -262,28 +266,8 @@ def _of_display(name: str) -> dict[str, Any]:
     """Return the settings of a monitor that a display of `find_display` gives."""
     display = find_display(name).display
     shared = {field.name for field in fields(Screen)} - {"background_luminance_cd_m2"}
-    found = {one: getattr(display, one) for one in shared & {field.name for field in fields(Display)}}
+    found = {name: getattr(display, name) for name in shared & {field.name for field in fields(Display)}}
     if display.lut is not None:
         found["white_luminance_cd_m2"] = float(display.lut.luminance_cd_m2[-1])
         found["black_luminance_cd_m2"] = float(display.lut.luminance_cd_m2[0])
-    return {one: value for one, value in found.items() if value is not None}
-
-
-def _print(design: Design, settings: Mapping[str, Any], folder: Path, progress: Progress | None) -> Chart:
-    made = design_print_chart(design, from_table(settings, Paper, "print"))
-    write_print_chart(folder, made, progress=progress)
-    return made.chart
-
-
-def _thermal(design: Design, settings: Mapping[str, Any], folder: Path, progress: Progress | None) -> Chart:
-    made = design_thermal_chart(design, from_table(settings, Plate, "thermal"))
-    write_thermal_chart(folder, made, progress=progress)
-    return made.chart
-
-
-MAKERS: dict[ChartKind, Callable[[Design, Mapping[str, Any], Path, Progress | None], Chart]] = {
-    "screen": _screen,
-    "print": _print,
-    "thermal": _thermal,
-}
-"""Functions that write a chart into an empty folder, by kind."""
+    return {name: value for name, value in found.items() if value is not None}

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
-from todframes.base.progress import counted
 from todframes.base.reading import check_values, read_numbers
 from todframes.charts.camera_page import N_PATCHES, camera_codes, camera_content, grey_patches
-from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
-from todframes.charts.layout import CHART_FILE, Chart, Length, Markers, Page, Patch, Point, write_chart
+from todframes.charts.design import FIELD_PER_SIZE, Condition, Design, write_drawings
+from todframes.charts.layout import Chart, Length, Markers, Page, Patch, Point
 from todframes.charts.markers import MODULES
-from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, pdf, rectangle, svg
+from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, rectangle
 from todframes.display.display import srgb_to_linear
 from todframes.parameters import MarkerPlaces, Progress
 from todframes.stimulus import vertices
@@ -114,14 +113,6 @@ class Paper:
 
 
 @dataclass(frozen=True, slots=True)
-class PrintChart:
-    """A chart on paper with a drawing of each sheet."""
-
-    chart: Chart
-    drawings: tuple[Drawing, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class _Sheet:
     """The parts of a sheet: markers, a grey field, and bands above and below it.
 
@@ -144,10 +135,11 @@ class _Sheet:
         return _ruler_mm(self.below_mm[0][1])
 
 
-def design_print_chart(design: Design, paper: Paper) -> PrintChart:
-    """Lay out a chart on paper: sheets with triangles of one size each, in blocks of random order.
+def make_print_chart(design: Design, paper: Paper, folder: Path, progress: Progress | None) -> Chart:
+    """Lay out a chart on paper, and write it into an empty folder.
 
-    Raises SettingsError if the paper is too small for a size, or its greys do not have a contrast.
+    Sheets have triangles of one size each, in blocks of random order. Raises SettingsError if the paper is too
+    small for a size, or its greys do not have a contrast.
     """
     reflectance = paper.reflectance_of_code()
     background_code = int(np.argmin(np.abs(reflectance - paper.background_reflectance)))
@@ -208,8 +200,9 @@ def design_print_chart(design: Design, paper: Paper) -> PrintChart:
         shapes += _patch_shapes(patches, patch_codes)
         shapes += _ruler(sheet)
         shapes += _text(chart, page, sheet, f"{least:.2g} to {largest:.2g}, {origin}")
-        drawings.append(Drawing(chart.page_width_mm, chart.page_height_mm, tuple(shapes)))
-    return PrintChart(chart, tuple(drawings))
+        drawings.append((str(page.file), Drawing(chart.page_width_mm, chart.page_height_mm, tuple(shapes))))
+    write_drawings(folder, chart, drawings, PDF_FILE, progress)
+    return chart
 
 
 def _codes(
@@ -387,14 +380,3 @@ def _text(chart: Chart, page: Page, sheet: _Sheet, contrasts: str) -> list[Shape
     return [
         Text(left, top + letter_mm * (LINE_SPACING * k + 1.0), line, letter_mm) for k, line in enumerate(wrapped)
     ]
-
-
-def write_print_chart(folder: Path, made: PrintChart, *, progress: Progress | None = None) -> None:
-    """Write `chart.toml`, an SVG for each sheet, and a PDF with all of them into an existing, empty folder."""
-    write_chart(folder / CHART_FILE, made.chart)
-    (folder / "sheets").mkdir()
-    pages = made.chart.pages
-    for page, drawing in counted(zip(pages, made.drawings, strict=True), len(pages), progress):
-        assert page.file is not None
-        (folder / page.file).write_text(svg(drawing), encoding="utf-8")
-    (folder / PDF_FILE).write_bytes(pdf(made.drawings, made.chart.name))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -13,11 +14,10 @@ import numpy as np
 from msgspec import Meta
 
 from todframes.base.errors import SettingsError
-from todframes.base.progress import counted
 from todframes.base.reading import check_values
-from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
-from todframes.charts.layout import CHART_FILE, LARGEST_ON_CHART, Chart, Page, Triangle, write_chart
-from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, pdf, rectangle, svg
+from todframes.charts.design import FIELD_PER_SIZE, Condition, Design, write_drawings
+from todframes.charts.layout import LARGEST_ON_CHART, Chart, Page, Triangle
+from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, rectangle
 from todframes.parameters import Progress
 from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, vertices
 
@@ -42,17 +42,8 @@ class Plate:
         check_values(self)
 
 
-@dataclass(frozen=True, slots=True)
-class ThermalChart:
-    """A thermal chart: its description, a drawing of each plate by size, and the settings in order."""
-
-    chart: Chart
-    drawings: dict[float, Drawing]
-    order: tuple[Condition, ...]
-
-
-def design_thermal_chart(design: Design, plate: Plate) -> ThermalChart:
-    """Lay out plates with one hole each, and order their settings.
+def make_thermal_chart(design: Design, plate: Plate, folder: Path, progress: Progress | None) -> Chart:
+    """Lay out plates with one hole each, and write their drawings and a schedule to fill in into an empty folder.
 
     All settings of a plate come one after the other. In each block of a plate, the temperature differences are in
     random order. For each of them, the plate is turned to the four orientations, in random order too. Raises
@@ -68,8 +59,7 @@ def design_thermal_chart(design: Design, plate: Plate) -> ThermalChart:
             f"({largest_mm:.4g} mm), the part of the background that the observer needs"
         )
     middle_mm = side_mm / 2.0
-    order = _order(design)
-    pages = tuple(
+    pages = (
         Page(
             number=number,
             triangles=(
@@ -83,21 +73,22 @@ def design_thermal_chart(design: Design, plate: Plate) -> ThermalChart:
                 ),
             ),
         )
-        for number, condition in enumerate(order)
+        for number, condition in enumerate(_order(design))
     )
-    drawings = {size: _drawing(design, size, side_mm) for size in design.sizes_mrad}
-    return ThermalChart(design.chart("thermal", side_mm, side_mm, pages), drawings, tuple(order))
+    chart = design.chart("thermal", side_mm, side_mm, pages)
+    drawings = [(f"plates/plate_{size:g}_mrad.svg", _drawing(design, size, side_mm)) for size in design.sizes_mrad]
+    write_drawings(folder, chart, drawings, PDF_FILE, progress)
+    (folder / SCHEDULE_FILE).write_text(_schedule(chart), encoding="utf-8")
+    return chart
 
 
-def _order(design: Design) -> list[Condition]:
+def _order(design: Design) -> Iterator[Condition]:
     generator = np.random.default_rng(design.seed)
-    order = []
     for size in generator.permutation(design.sizes_mrad):
         for _ in range(design.repeats):
             for level in generator.permutation(design.levels):
-                turns = generator.permutation(len(Orientation))
-                order += [Condition(float(size), float(level), tuple(Orientation)[turn]) for turn in turns]
-    return order
+                for turn in generator.permutation(len(Orientation)):
+                    yield Condition(float(size), float(level), tuple(Orientation)[turn])
 
 
 def _drawing(design: Design, size_mrad: float, side_mm: float) -> Drawing:
@@ -125,21 +116,14 @@ def _drawing(design: Design, size_mrad: float, side_mm: float) -> Drawing:
     return Drawing(page_mm, page_mm, tuple(shapes))
 
 
-def write_thermal_chart(folder: Path, made: ThermalChart, *, progress: Progress | None = None) -> None:
-    """Write `chart.toml`, the plates' drawings and the schedule to fill in into an existing, empty folder."""
-    write_chart(folder / CHART_FILE, made.chart)
-    (folder / "plates").mkdir()
-    for size_mrad, drawing in counted(made.drawings.items(), len(made.drawings), progress):
-        (folder / "plates" / f"plate_{size_mrad:g}_mrad.svg").write_text(svg(drawing), encoding="utf-8")
-    (folder / PDF_FILE).write_bytes(pdf(made.drawings.values(), made.chart.name))
-    (folder / SCHEDULE_FILE).write_text(_schedule(made), encoding="utf-8")
-
-
-def _schedule(made: ThermalChart) -> str:
+def _schedule(chart: Chart) -> str:
     """Return the table of settings as `todframes import --schedule` reads it, files and times still empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["file", "start_s", "end_s", "orientation", "size_mrad", "delta_t_k", "polarity"])
-    for size_mrad, level, orientation in made.order:
-        writer.writerow(["", "", "", orientation, repr(size_mrad), repr(level), made.chart.polarity])
+    for page in chart.pages:
+        (hole,) = page.triangles
+        writer.writerow(
+            ["", "", "", hole.orientation, repr(hole.size_mrad), repr(abs(hole.strength)), chart.polarity]
+        )
     return text.getvalue()
