@@ -22,8 +22,8 @@ from todframes.diagnosis.inspection import (
     noise_of_frames,
     strengths,
 )
-from todframes.diagnosis.places import Template, chosen_places
-from todframes.diagnosis.triangle import Shape, multiplicity
+from todframes.diagnosis.places import Template, chosen_places, strong_peaks
+from todframes.diagnosis.triangle import multiplicity
 from todframes.diagnosis.whole_frames import MeanFrames, search
 from todframes.diagnosis.windows import TrialSample, measure_trial
 from todframes.frames.contrast import skipped_frames
@@ -41,9 +41,6 @@ MOST_FITTED = 256
 
 MOST_STRONGEST = 24
 """Number of the strongest trials that are searched over whole frames for positions of their own."""
-
-LEAST_SURE_TRIALS = 4
-"""Least number of these with a high peak from which the middle of the positions is known."""
 
 STRONG = 0.5
 """Least level, as a share of the highest, of trials in which the triangle is looked for before it is known."""
@@ -84,6 +81,10 @@ class Location(NamedTuple):
     size_ratio: float = 1.0
 
 
+LeaveOut = Callable[[int, FrameError | str], None]
+"""Leave out the trial at an index because of an error, or raise it."""
+
+
 def locate_triangles(
     dataset: Dataset,
     *,
@@ -93,10 +94,13 @@ def locate_triangles(
     progress: Progress | None = None,
     sizes: Sequence[float] = (1.0,),
 ) -> tuple[Dataset, tuple[Location, ...]]:
-    """Find the positions of triangles.
+    """Return the dataset with the positions of triangles as found, without skipped trials, and the locations.
+
+    There is a location for each group; two if only a part of its trials has positions in the manifest.
 
     The search begins at the positions in the manifest: all of a group are moved by one displacement, or each by
-    its own. They stay if no triangle stands out near them. Of other trials whole frames are searched.
+    its own. They stay if no triangle stands out near them. Of other trials whole frames are searched, for
+    triangles of `sizes` times those in the manifest; `centre` is the point that all orientations have in common.
 
     The search of whole frames compares the mean frames of the orientations: the part that these share (bezel,
     overlay, shading, fixed pattern) is subtracted. There, the triangle is fitted to the group's strongest trials.
@@ -106,26 +110,8 @@ def locate_triangles(
     not depend on the stated one, and cannot make a right answer more probable. It is weighed against where the
     others are. A trial that shows no triangle has their mean position.
 
-    Parameters
-    ----------
-    dataset : Dataset
-    locate : {"group", "each"}
-        Find one position for all trials of a group, or one for each trial.
-    centre : {"centroid", "bounding_box"}
-        The point that the triangles of all orientations have in common.
-    skip_bad_frames : bool
-        Skip trials that cannot be read and groups in which no triangle stands out, and list them in `bad_rows`.
-    progress : callable
-        Called with the number of trials that are done, and of all; with "each" again for each.
-    sizes : sequence of float
-        Sizes to search whole frames for, as multiples of those in the manifest.
-
-    Returns
-    -------
-    Dataset
-        The dataset with `x_px` and `y_px` as found, and without the trials that were skipped.
-    tuple of Location
-        One for each group; two if only a part of its trials has positions in the manifest.
+    If bad frames are skipped, trials that cannot be read and groups in which no triangle stands out are listed in
+    `bad_rows`. `progress` is called with the number of trials that are done, and of all; with "each" again for each.
 
     Raises
     ------
@@ -134,7 +120,7 @@ def locate_triangles(
     FrameError
         If a frame cannot be read, unless bad frames are skipped.
     SettingsError
-        If `locate` is neither of the two.
+        If `locate` is neither "group" nor "each".
     """
     convert(locate, Locate, "locate")
     trials = dataset.trials
@@ -157,32 +143,31 @@ def locate_triangles(
         skipped.extend(skipped_frames(dataset, trials[k], error))
 
     for members in indices_by(2 * trials.group_codes.astype(np.int64) + is_placed):
+        has_positions = bool(is_placed[members[0]])
         try:
-            if is_placed[members[0]]:
-                start_px, reach_px, ratio = position_px[members], 0.0, 1.0
+            if has_positions:
+                start = _Start(members, position_px[members])
             else:
-                members, start_px, reach_px, ratio = _begun(
-                    dataset, members, locate, centre, sizes, leave_out, advance
-                )
-            if not len(members):
+                start = _begun(dataset, members, locate, centre, sizes, leave_out, advance)
+            if not len(start.members):
                 continue
-            found, of_size = [], list(alike(trials.select(members)))
-            for part in of_size:
-                ours = trials.select(members[part]).placed(start_px[part])
-                ways = _Ways(dataset, ours if ratio == 1.0 else _scaled(ours, ratio), reach_px)
-                found.append(
-                    ways.of_each(members[part], leave_out, advance) if locate == "each" else ways.of_all()
+            ours = trials.select(start.members)
+            parts, of_size = [], list(alike(ours))
+            for rows in of_size:
+                alike_trials = _scaled(ours.select(rows).placed(start.position_px[rows]), start.size_ratio)
+                search_of_size = _Search(dataset, alike_trials, start.reach_px)
+                parts.append(
+                    search_of_size.of_each(start.members[rows], leave_out, advance)
+                    if locate == "each"
+                    else search_of_size.of_all()
                 )
-            if not is_placed[members[0]] and all(one.error_px is None for one in found):
-                raise _nothing_stands_out(dataset, trials[int(members[0])].group)
-            if locate == "group":
-                common = _location(trials.select(members), found, 0.0 * start_px, None, 1.0)
-                found = [one._replace(way_px=0.0 * one.way_px + (common.x_px, common.y_px)) for one in found]
-            for part, one in zip(of_size, found, strict=True):
-                position_px[members[part]] = start_px[part] + one.way_px
-            wanted = None if is_placed[members[0]] else centre
-            location = _location(trials.select(members), found, start_px, wanted, dataset.display.pitch_mrad)
-            locations.append(location._replace(size_ratio=ratio * location.size_ratio))
+            if not has_positions and all(part.error_px is None for part in parts):
+                raise _nothing_stands_out(dataset, ours[0].group)
+            location, moved_px = _location(ours, parts, start, centre, dataset.display.pitch_mrad, has_positions)
+            locations.append(location)
+            for rows, part in zip(of_size, parts, strict=True):
+                moves_px = moved_px if locate == "group" else part.moves_px
+                position_px[start.members[rows]] = start.position_px[rows] + moves_px
         except FrameError:
             raise
         except DataError as error:
@@ -194,13 +179,25 @@ def locate_triangles(
 
 def _scaled(trials: Trials, ratio: float) -> Trials:
     """Return trials with another size."""
+    if ratio == 1.0:
+        return trials
     return Trials.of(
-        one._replace(stimulus=replace(one.stimulus, size_mrad=ratio * one.stimulus.size_mrad)) for one in trials
+        trial._replace(stimulus=replace(trial.stimulus, size_mrad=ratio * trial.stimulus.size_mrad))
+        for trial in trials
     )
 
 
-LeaveOut = Callable[[int, FrameError | str], None]
-"""Leave out the trial at an index because of an error, or raise it."""
+class _Start(NamedTuple):
+    """The trials of a group that can be read and the approximate centroids of their triangles, in pixels.
+
+    Single positions are expected within `reach_px`, 0 if that is not known. `size_ratio` is the size of the
+    triangles divided by the stated one.
+    """
+
+    members: NDArray[np.intp]
+    position_px: FloatArray
+    reach_px: float = 0.0
+    size_ratio: float = 1.0
 
 
 def _begun(
@@ -211,20 +208,8 @@ def _begun(
     sizes: Sequence[float],
     leave_out: LeaveOut,
     advance: Callable[[int], None],
-) -> tuple[NDArray[np.intp], FloatArray, float, float]:
-    """Find the approximate place of a group's triangles, anywhere on the frames.
-
-    Returns
-    -------
-    ndarray of int
-        The trials that can be read.
-    ndarray, shape (trial, 2)
-        Centroids, in pixels.
-    float
-        Distance within which the places of single trials are expected, in pixels; 0: not known.
-    float
-        Size of the triangles divided by the stated one: one of `sizes`.
-    """
+) -> _Start:
+    """Find the approximate position of a group's triangles, anywhere on the frames."""
     frames, is_usable = MeanFrames(dataset), np.ones(len(members), bool)
     for k, (member, trial) in enumerate(zip(members.tolist(), dataset.trials.select(members), strict=True)):
         try:
@@ -236,23 +221,22 @@ def _begun(
     members = members[is_usable]
     usable = dataset.trials.select(members)
     if not len(members):
-        return members, np.zeros((0, 2)), 0.0, 1.0
+        return _Start(members, np.zeros((0, 2)))
     pitch_mrad = dataset.display.pitch_mrad
-    strongest = _of_strongest(frames, usable, pitch_mrad) if locate == "each" else None
-    if strongest is not None:
-        (x_px, y_px), scatter_px = strongest
-        return members, np.tile([x_px, y_px], (len(members), 1)), NEARBY * scatter_px, 1.0
-    found = search(frames.take_means(), frames.block_px * pitch_mrad, centre, sizes)
-    if found.height == -math.inf:
+    if locate == "each" and (strongest := _of_strongest(frames, usable, pitch_mrad)) is not None:
+        middle_px, scatter_px = strongest
+        return _Start(members, np.tile(middle_px, (len(members), 1)), NEARBY * scatter_px)
+    peak = search(frames.take_means(), frames.block_px * pitch_mrad, centre, sizes)
+    if peak.height == -math.inf:
         rows, columns = frames.shape or (0, 0)
         size = f"frames of {columns} × {rows} pixels"
         raise DataError(f"{dataset.path}: {size} are smaller than the triangle")
-    if not found.height > LEAST_PEAK * found.spread:
+    if not peak.height > LEAST_PEAK * peak.spread:
         raise _nothing_stands_out(dataset, usable[0].group)
-    x_px, y_px = frames.in_pixels((found.x, found.y))
-    seen = usable if found.size == 1.0 else _scaled(usable, found.size)
-    start_px = np.array([to_centroid(one, x_px, y_px, centre, pitch_mrad) for one in seen])
-    return members, start_px, 0.0, found.size
+    x_px, y_px = frames.in_pixels((peak.x, peak.y))
+    scaled = _scaled(usable, peak.size)
+    position_px = np.array([to_centroid(trial, x_px, y_px, centre, pitch_mrad) for trial in scaled])
+    return _Start(members, position_px, size_ratio=peak.size)
 
 
 def _nothing_stands_out(dataset: Dataset, group: Group) -> DataError:
@@ -272,40 +256,33 @@ def _of_strongest(
     """
     strongest = trials.select(np.argsort(-trials.levels, kind="stable")[:MOST_STRONGEST])
     common = frames.mean()
-    tops: dict[int, list[tuple[float, float, float]]] = {1: [], -1: []}
-    for trial in strongest:
-        image = frames.of_trial(trial) - common
-        n = max(image.shape)
-        size = size_in_px(trial, pitch_mrad) / frames.block_px
-        if size > n / 2.0:
-            return None
-        noise = max(1.4826 * float(np.median(np.abs(image - np.median(image)))), 1e-12)
-        padded = np.zeros((n, n))
-        padded[: image.shape[0], : image.shape[1]] = image - np.median(image)
-        template = Template.of(Shape.upright(1.0, 0.0, 0.0, size), np.ones((2 * n, n + 1)), n)
-        for sign, of_sign in tops.items():
-            signed = sign * trial.stimulus.polarity * padded
-            peaks = template.peaks(signed, contrast=None, noise=noise, reach=n / 2.0 - 2.0)
-            if len(peaks.height):
-                x, y = peaks.places[0] + (n - 1) / 2.0
-                of_sign.append((float(x), float(y), math.sqrt(2.0 * max(float(peaks.height[0]), 0.0))))
-    best = max(tops.values(), key=lambda one: float(np.median([height for *_, height in one] or [0.0])))
-    sure = np.array([(x, y) for x, y, height in best if height >= LEAST_PEAK])
-    if len(sure) < max(LEAST_SURE_TRIALS, len(strongest) / 2.0):
+    n = max(common.shape)
+    if max(size_in_px(trial, pitch_mrad) for trial in strongest) / frames.block_px > n / 2.0:
         return None
-    middle = np.median(sure, axis=0)
-    scatter = 1.4826 * float(np.median(np.abs(sure - middle)))
-    return frames.in_pixels((float(middle[0]), float(middle[1]))), frames.block_px * scatter
+
+    def image_of(trial: Trial) -> tuple[FloatArray, float, float]:
+        image = frames.of_trial(trial) - common
+        image -= np.median(image)
+        padded = np.zeros((n, n))
+        padded[: image.shape[0], : image.shape[1]] = trial.stimulus.polarity * image
+        noise = max(1.4826 * float(np.median(np.abs(image))), 1e-12)
+        return padded, noise, size_in_px(trial, pitch_mrad) / frames.block_px
+
+    chosen = chosen_places(strong_peaks(map(image_of, strongest), reach=n / 2.0 - 2.0))
+    if chosen is None or chosen.is_own.sum() < len(strongest) / 2.0:
+        return None
+    x, y = (chosen.mean + (n - 1) / 2.0).tolist()
+    return frames.in_pixels((x, y)), frames.block_px * chosen.scatter
 
 
-class _Found(NamedTuple):
+class _Displacements(NamedTuple):
     """Displacements of trials from the start of their search, (trial, 2), and their mean, its error and scatter,
     in pixels.
 
-    `error_px` is None if no triangle stands out; `is_own`, (trial,), marks those with a place of their own.
+    `error_px` is None if no triangle stands out; `is_own`, (trial,), marks those with a position of their own.
     """
 
-    way_px: FloatArray
+    moves_px: FloatArray
     mean_px: FloatArray
     error_px: float | None
     arrangement: Arrangement
@@ -316,93 +293,84 @@ class _Found(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class _Ways:
-    """The search for the triangles of trials of similar sizes, from their approximate places."""
+class _Search:
+    """The search for the triangles of trials of similar sizes, from their approximate positions."""
 
     dataset: Dataset
     trials: Trials
     reach_px: float
 
-    def _size_px(self) -> float:
+    @property
+    def size_px(self) -> float:
+        """Median size in pixels."""
         pitch_mrad = self.dataset.display.pitch_mrad
-        return min(float(np.median([one.stimulus.size_mrad for one in self.trials])) / pitch_mrad, 1e300)
+        return min(float(np.median([trial.stimulus.size_mrad for trial in self.trials])) / pitch_mrad, 1e300)
 
     def _window(self, trial: Trial, reach_px: float) -> TrialSample:
-        return measure_trial(self.dataset, trial, "centroid", size_px=self._size_px(), reach_px=reach_px)
+        return measure_trial(self.dataset, trial, "centroid", size_px=self.size_px, reach_px=reach_px)
 
     def _windows(self, trials: Trials, reach_px: float = 0.0) -> list[TrialSample]:
         """Measure the strongest trials; those that cannot be read are reported where all are read."""
-        found = []
+        samples = []
         for trial in trials.select(np.sort(np.argsort(-trials.levels, kind="stable")[:MOST_FITTED])):
             try:
-                found.append(self._window(trial, reach_px))
+                samples.append(self._window(trial, reach_px))
             except DataError:
                 continue
-        return found
+        return samples
 
     def _fit(self, trials: Trials) -> tuple[GroupTriangle, int] | None:
         """Fit the triangle of the strongest trials; returns it and the pixels along a block, or None."""
         samples = self._windows(trials)
         if not samples:
             return None
-        found = GroupTriangle.of(self.dataset, samples, self._size_px())
-        return (found, samples[0].block_px) if found.signal >= LEAST_SIGNAL else None
+        triangle = GroupTriangle.of(self.dataset, samples, self.size_px)
+        return (triangle, samples[0].block_px) if triangle.signal >= LEAST_SIGNAL else None
 
-    def _nothing(self) -> _Found:
-        n = len(self.trials)
-        return _Found(np.zeros((n, 2)), np.zeros(2), None, ARRANGEMENTS[0], np.zeros(n, bool))
-
-    def of_all(self) -> _Found:
+    def of_all(self) -> _Displacements:
         """Find the displacement that all trials have in common."""
         fitted = self._fit(self.trials)
         if fitted is None:
-            return self._nothing()._replace(is_own=None)
-        found, block_px = fitted
-        mean = block_px * found.offset
-        way = np.tile(mean, (len(self.trials), 1))
-        error_px = block_px * float(found.error[1:3].max())
-        return _Found(way, mean, error_px, _arrangement(found), size_ratio=found.size_ratio)
+            return _Displacements(np.zeros((len(self.trials), 2)), np.zeros(2), None, ARRANGEMENTS[0])
+        triangle, block_px = fitted
+        mean_px = block_px * triangle.offset
+        moves_px = np.tile(mean_px, (len(self.trials), 1))
+        error_px = block_px * float(triangle.error[1:3].max())
+        return _Displacements(
+            moves_px, mean_px, error_px, _arrangement(triangle), size_ratio=triangle.size_ratio
+        )
 
-    def of_each(self, members: NDArray[np.intp], leave_out: LeaveOut, advance: Callable[[int], None]) -> _Found:
-        """Find the displacement of each trial."""
-        size_px = self._size_px()
-        reach_px = max(SEARCHED * size_px + LEAST_SEARCHED_PX, self.reach_px)
-        # The place of the strongest, with a triangle as stated, and the picture of the triangle from these.
-        levels = self.trials.levels
-        strong = self._windows(self.trials.select(levels >= STRONG * levels.max()), reach_px)
+    def _fit_strong(self, strong: Sequence[TrialSample], reach_px: float) -> GroupTriangle | None:
+        """Fit the triangle of strong trials about their own positions, first found with a triangle as stated."""
         if not strong:
-            advance(len(self.trials))
-            return self._nothing()
-        block_px = strong[0].block_px
-        size, n = size_px / block_px, len(strong[0].known)
-        first = Template.of(Shape.upright(1.0, 0.0, 0.0, size), np.ones((2 * n, n + 1)), n)
-        noise = self._noise(strong, size)
-        rough = max(
-            (
-                [
-                    first.peaks(sign * one.even, contrast=None, noise=spread, reach=reach_px / block_px)
-                    for one, spread in zip(strong, noise.tolist(), strict=True)
-                ]
-                for sign in (1.0, -1.0)
-            ),
-            key=lambda peaks: float(np.median([one.height[0] if len(one.height) else 0.0 for one in peaks])),
-        )
-        offsets = np.array([one.offset for one in strong])
-        chosen = chosen_places(
-            [one._replace(places=one.places - off) for one, off in zip(rough, offsets, strict=True)]
-        )
-        some = Trials.of([one.trial for one in strong])
+            return None
+        block_px, size = strong[0].block_px, self.size_px / strong[0].block_px
+        images = zip([sample.even for sample in strong], self._noise(strong, size).tolist(), strict=True)
+        peaks = strong_peaks(((image, noise, size) for image, noise in images), reach=reach_px / block_px)
+        chosen = chosen_places([one.moved(sample.offset) for one, sample in zip(peaks, strong, strict=True)])
+        trials = Trials.of([sample.trial for sample in strong])
         if chosen is not None:
-            some = some.placed(some.positions_px + block_px * chosen.places)
-        fitted = self._fit(some.select(chosen.is_own) if chosen is not None and chosen.is_own.any() else some)
-        if fitted is None:
-            advance(len(self.trials))
-            return self._nothing()
-        found, _ = fitted
-        polarity = strong[0].trial.stimulus.polarity
-        sign = polarity * math.copysign(1.0, found.fit.shape.amplitude)
-        template = Template.of(found.fit.shape, _isotropic(found.trials.spectrum, 2 * n), n)
-        slope = abs(found.fit.shape.amplitude) if is_contrast(self.dataset) else None
+            trials = trials.placed(trials.positions_px + block_px * chosen.places)
+            if chosen.is_own.any():
+                trials = trials.select(chosen.is_own)
+        fitted = self._fit(trials)
+        return None if fitted is None else fitted[0]
+
+    def of_each(
+        self, members: NDArray[np.intp], leave_out: LeaveOut, advance: Callable[[int], None]
+    ) -> _Displacements:
+        """Find the displacement of each trial."""
+        n_trials, levels = len(self.trials), self.trials.levels
+        reach_px = max(SEARCHED * self.size_px + LEAST_SEARCHED_PX, self.reach_px)
+        strong = self._windows(self.trials.select(levels >= STRONG * levels.max()), reach_px)
+        triangle = self._fit_strong(strong, reach_px)
+        if triangle is None:
+            advance(n_trials)
+            nowhere, is_own = np.zeros((n_trials, 2)), np.zeros(n_trials, bool)
+            return _Displacements(nowhere, np.zeros(2), None, ARRANGEMENTS[0], is_own)
+        shape, block_px, n = triangle.fit.shape, strong[0].block_px, len(strong[0].known)
+        sign = strong[0].trial.stimulus.polarity * math.copysign(1.0, shape.amplitude)
+        template = Template.of(shape, _isotropic(triangle.trials.spectrum, 2 * n), n)
         peaks, kept = [], []
         for k, (member, trial) in enumerate(zip(members.tolist(), self.trials, strict=True)):
             try:
@@ -410,37 +378,45 @@ class _Ways:
             except FrameError as error:
                 leave_out(member, error)
             else:
-                (spread,) = self._noise([sample], size)
-                contrast = None if slope is None else slope * float(strengths(self.dataset, np.array(trial.level)))
-                one = template.peaks(
-                    sign * sample.even, contrast=contrast, noise=spread, reach=reach_px / block_px
+                (noise,) = self._noise([sample], self.size_px / block_px)
+                contrast = None
+                if is_contrast(self.dataset):
+                    contrast = abs(shape.amplitude) * float(strengths(self.dataset, np.array(trial.level)))
+                of_trial = template.peaks(
+                    sign * sample.even, contrast=contrast, noise=noise, reach=reach_px / block_px
                 )
-                peaks.append(one._replace(places=one.places - sample.offset))
+                peaks.append(of_trial.moved(sample.offset))
                 kept.append(k)
             advance(1)
         chosen = chosen_places(peaks)
         if chosen is None:
-            return self.of_all()._replace(is_own=np.zeros(len(self.trials), bool))
-        mean = block_px * chosen.mean
-        way, is_own = np.tile(mean, (len(self.trials), 1)), np.zeros(len(self.trials), bool)
-        way[kept], is_own[kept] = block_px * chosen.places, chosen.is_own
+            return self.of_all()._replace(is_own=np.zeros(n_trials, bool))
+        mean_px = block_px * chosen.mean
+        moves_px, is_own = np.tile(mean_px, (n_trials, 1)), np.zeros(n_trials, bool)
+        moves_px[kept], is_own[kept] = block_px * chosen.places, chosen.is_own
         scatter_px = block_px * chosen.scatter
         mean_square = scatter_px**2 + float(np.square(block_px * chosen.error[chosen.is_own]).mean())
-        error_px = math.sqrt(mean_square / int(chosen.is_own.sum()))
-        error_mrad = block_px * self.dataset.display.pitch_mrad * chosen.error
-        sure_level = _sure_level(levels[kept], error_mrad)
-        return _Found(way, mean, error_px, _arrangement(found), is_own, scatter_px, sure_level, found.size_ratio)
+        return _Displacements(
+            moves_px,
+            mean_px,
+            math.sqrt(mean_square / int(chosen.is_own.sum())),
+            _arrangement(triangle),
+            is_own,
+            scatter_px,
+            _sure_level(levels[kept], block_px * self.dataset.display.pitch_mrad * chosen.error),
+            triangle.size_ratio,
+        )
 
     def _noise(self, samples: Sequence[TrialSample], size: float) -> FloatArray:
-        known = np.logical_and.reduce([one.known for one in samples])
-        level = strengths(self.dataset, np.array([one.trial.level for one in samples]))
-        return noise_of_frames(np.array([one.even for one in samples]), level, known, size)
+        known = np.logical_and.reduce([sample.known for sample in samples])
+        level = strengths(self.dataset, np.array([sample.trial.level for sample in samples]))
+        return noise_of_frames(np.array([sample.even for sample in samples]), level, known, size)
 
 
 def _sure_level(levels: FloatArray, error_mrad: FloatArray) -> float:
     """Return the lowest level from which single positions are known well; infinite if there is none."""
     distinct = np.unique(levels)
-    error = np.array([math.sqrt(float(np.square(error_mrad[levels == one]).mean())) for one in distinct])
+    error = np.array([math.sqrt(float(np.square(error_mrad[levels == level]).mean())) for level in distinct])
     is_sure = np.logical_and.accumulate((error <= MOST_ERROR_MRAD)[::-1])[::-1]
     first = int(is_sure.argmax())
     if not is_sure.any() or first == 0:
@@ -451,9 +427,9 @@ def _sure_level(levels: FloatArray, error_mrad: FloatArray) -> float:
     return float(distinct[first] * (distinct[first - 1] / distinct[first]) ** share)
 
 
-def _arrangement(found: GroupTriangle) -> Arrangement:
-    sign = 1 if found.fit.shape.amplitude > 0.0 else -1
-    return next(one for one in ARRANGEMENTS if (one.shown, one.sign) == (found.fit.shown, sign))
+def _arrangement(triangle: GroupTriangle) -> Arrangement:
+    key = triangle.fit.shown, 1 if triangle.fit.shape.amplitude > 0.0 else -1
+    return next(arrangement for arrangement in ARRANGEMENTS if (arrangement.shown, arrangement.sign) == key)
 
 
 def _isotropic(spectrum: FloatArray, length: int) -> FloatArray:
@@ -465,7 +441,7 @@ def _isotropic(spectrum: FloatArray, length: int) -> FloatArray:
     n_rings = 16
     ring = np.minimum((2.0 * n_rings * distance(len(spectrum))).astype(int), n_rings)
     weight = multiplicity(len(spectrum))
-    total, weights = (np.bincount(ring.ravel(), one.ravel()) for one in (weight * spectrum, weight))
+    total, weights = (np.bincount(ring.ravel(), values.ravel()) for values in (weight * spectrum, weight))
     power = total / np.maximum(weights, weight.min())  # a ring may be empty
     floor = 1e-3 * float(power.mean()) + 1e-12
     at = 2.0 * n_rings * distance(length) - 0.5
@@ -473,31 +449,37 @@ def _isotropic(spectrum: FloatArray, length: int) -> FloatArray:
 
 
 def _location(
-    trials: Trials, found: Sequence[_Found], start_px: FloatArray, centre: Centre | None, pitch_mrad: float
-) -> Location:
-    """Return the location of a group from those of its sizes. `centre` is None if the manifest gives positions."""
-    errors = [one.error_px for one in found if one.error_px is not None]
-    weight = np.array([0.0 if one.error_px is None else 1.0 / max(one.error_px, 1e-9) ** 2 for one in found])
-    moved = np.average([one.mean_px for one in found], axis=0, weights=weight if errors else None)
-    middle = start_px.mean(axis=0) + moved
-    if centre is not None:
-        middle += np.mean([from_centroid(one, centre, pitch_mrad) for one in trials], axis=0)
-    own = [one.is_own for one in found if one.is_own is not None]
-    sure_level = max(one.sure_level for one in found)
-    surest = found[int(weight.argmax())]
-    return Location(
+    trials: Trials,
+    parts: Sequence[_Displacements],
+    start: _Start,
+    centre: Centre,
+    pitch_mrad: float,
+    has_positions: bool,
+) -> tuple[Location, FloatArray]:
+    """Return the location of a group from those of its sizes, and the mean displacement from the start, (2,)."""
+    is_found = any(part.error_px is not None for part in parts)
+    weight = np.array([0.0 if part.error_px is None else 1.0 / max(part.error_px, 1e-9) ** 2 for part in parts])
+    moved_px = np.average([part.mean_px for part in parts], axis=0, weights=weight if is_found else None)
+    middle_px = start.position_px.mean(axis=0) + moved_px
+    if not has_positions:
+        middle_px += np.mean([from_centroid(trial, centre, pitch_mrad) for trial in trials], axis=0)
+    own = [part.is_own for part in parts if part.is_own is not None]
+    sure_level = max(part.sure_level for part in parts)
+    surest = parts[int(weight.argmax())]
+    location = Location(
         trials[0].group,
-        float(middle[0]),
-        float(middle[1]),
-        1.0 / math.sqrt(float(weight.sum())) if errors else None,
+        float(middle_px[0]),
+        float(middle_px[1]),
+        1.0 / math.sqrt(float(weight.sum())) if is_found else None,
         surest.arrangement,
         len(trials) if own else None,
-        int(sum(one.sum() for one in own)) if own else None,
-        math.sqrt(float(np.mean([one.scatter_px**2 for one in found]))) if own else None,
-        (float(moved[0]), float(moved[1])) if centre is None else None,
+        int(sum(is_own.sum() for is_own in own)) if own else None,
+        math.sqrt(float(np.mean([part.scatter_px**2 for part in parts]))) if own else None,
+        (float(moved_px[0]), float(moved_px[1])) if has_positions else None,
         None if math.isinf(sure_level) else sure_level,
-        surest.size_ratio,
+        start.size_ratio * surest.size_ratio,
     )
+    return location, np.asarray(moved_px)
 
 
 def location_warnings(
@@ -507,26 +489,31 @@ def location_warnings(
 
     Without a group's threshold, its faint triangles are not judged.
     """
-    found = []
-    for one in locations:
-        group = dict(zip(dataset.experiment.group_by, one.group, strict=True))
-        for code in one.arrangement.mismatches:
-            what, remedy = (
+    warnings = []
+    for location in locations:
+        group = dict(zip(dataset.experiment.group_by, location.group, strict=True))
+        arrangement = location.arrangement
+        for code in arrangement.mismatches:
+            change, remedy = (
                 ("of the opposite polarity to that in the manifest", "correct the column polarity")
                 if code == "polarity_mismatch"
                 else (
-                    f"not as the manifest says: {one.arrangement.words.format(are='are')}",
+                    f"not as the manifest says: {arrangement.words.format(are='are')}",
                     "mirror or turn the frames back, or correct the column orientation",
                 )
             )
-            message = f"the triangles that were located are {what}; {remedy}"
-            found.append(DatasetWarning(code, group, message, found=1.0, expected=0.0))
-        threshold = (thresholds or {}).get(one.group)
-        if threshold is not None and one.n_trials and not threshold >= (one.sure_level or math.inf):
+            message = f"the triangles that were located are {change}; {remedy}"
+            warnings.append(DatasetWarning(code, group, message, found=1.0, expected=0.0))
+        threshold = (thresholds or {}).get(location.group)
+        if (
+            threshold is not None
+            and location.n_trials
+            and not threshold >= (location.sure_level or math.inf)
+        ):
             message = (
                 f"triangles at the threshold, {threshold:.3g}, are too faint for a position of their own, and the "
-                f"positions scatter by {one.scatter_px:.2g} pixels: the observer looks beside them, and the "
+                f"positions scatter by {location.scatter_px:.2g} pixels: the observer looks beside them, and the "
                 "threshold comes out high; fix the camera and record again, or give each frame its x_px and y_px"
             )
-            found.append(DatasetWarning("position_scatter", group, message, one.scatter_px or 0.0, 0.0))
-    return found
+            warnings.append(DatasetWarning("position_scatter", group, message, location.scatter_px or 0.0, 0.0))
+    return warnings

@@ -8,10 +8,12 @@ its logarithm are weighed with a normal distribution about the mean place, which
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.diagnosis.triangle import Shape, Square, multiplicity, picture
@@ -46,30 +48,23 @@ class Template(NamedTuple):
         """Return the template of a shape, for noise whose power spectrum, (length, length/2 + 1), has mean 1."""
         centred = shape._replace(amplitude=1.0, x=0.0, y=0.0)
         square = Square.about(centred, n)
-        images = picture(centred, square, n).images
         length = len(noise)
-        # The middle of the square goes to (0, 0), so that peaks lie where the centroids are.
-        reach = square.side // 2
+        reach = min(square.side, length - 1) // 2  # of a large triangle, the square is larger than all
+        part = slice(square.side // 2 - reach, square.side // 2 + reach + 1)
         padded = np.zeros((4, length, length))
-        padded[:, : square.side, : square.side] = images
+        padded[:, : 2 * reach + 1, : 2 * reach + 1] = picture(centred, square, n).images[:, part, part]
+        # The middle of the square goes to (0, 0), so that peaks lie where the centroids are.
         spectrum = np.fft.rfft2(np.roll(padded, (-reach, -reach), axis=(1, 2)))
         spectrum[:, 0, 0] = 0.0
         energy = (multiplicity(length) * np.square(np.abs(spectrum)) / noise).sum(axis=(1, 2))
         return cls(np.asarray(np.conj(spectrum) / noise, np.complex128), energy, length)
 
     def peaks(self, window: FloatArray, *, contrast: float | None, noise: float, reach: float) -> Peaks:
-        """Return the peaks of the log likelihood within a distance from the middle, the highest first.
+        """Return the peaks of the log likelihood within a distance from the middle, along each axis, the highest
+        first.
 
-        Parameters
-        ----------
-        window : ndarray, shape (n, n)
-            Contrast.
-        contrast : float or None
-            Contrast of the triangle; None: not known.
-        noise : float
-            Standard deviation of a block.
-        reach : float
-            Largest distance along each axis.
+        `window`, (n, n), is a contrast, `contrast` that of the triangle, None if it is not known, and `noise` the
+        standard deviation of a block.
         """
         n = len(window)
         spectrum = np.fft.rfft2(window, (self.length, self.length))
@@ -83,25 +78,18 @@ class Template(NamedTuple):
         middle = (n - 1) // 2
         first = max(middle - math.ceil(reach), 1)
         inner = slice(first, n - first)
-        around = np.array(
-            [
-                likelihood[first + dy : n - first + dy, first + dx : n - first + dx]
-                for dy in (-1, 0, 1)
-                for dx in (-1, 0, 1)
-            ]
-        )
-        rows, columns = np.nonzero(likelihood[inner, inner] >= around.max(axis=0))
-        order = np.argsort(-around[4][rows, columns], kind="stable")[:MOST_PEAKS]
-        rows, columns = rows[order] + first, columns[order] + first
+        highest_around = maximum_filter(likelihood, 3)[inner, inner]
+        rows, columns = np.nonzero(likelihood[inner, inner] >= highest_around) + np.array(first)
+        order = np.argsort(-likelihood[rows, columns], kind="stable")[:MOST_PEAKS]
+        rows, columns = rows[order], columns[order]
         at = likelihood[rows, columns]
         left, right = likelihood[rows, columns - 1], likelihood[rows, columns + 1]
         above, below = likelihood[rows - 1, columns], likelihood[rows + 1, columns]
         bend_x, bend_y = (
-            np.maximum(2.0 * at - one - other, 1e-9) for one, other in ((left, right), (above, below))
+            np.maximum(2.0 * at - before - after, 1e-9) for before, after in ((left, right), (above, below))
         )
-        places = np.column_stack(
-            [columns + (right - left) / (2.0 * bend_x), rows + (below - above) / (2.0 * bend_y)]
-        )
+        x, y = columns + (right - left) / (2.0 * bend_x), rows + (below - above) / (2.0 * bend_y)
+        places = np.column_stack([x, y])
         return Peaks(places - (n - 1) / 2.0, 2.0 / (bend_x + bend_y), at)
 
 
@@ -112,21 +100,36 @@ class Peaks(NamedTuple):
     variance: FloatArray
     height: FloatArray
 
+    def moved(self, offset: tuple[float, float]) -> Peaks:
+        """Return the peaks with places counted from an offset from the middle."""
+        return self._replace(places=self.places - offset)
+
+
+def strong_peaks(images: Iterable[tuple[FloatArray, float, float]], *, reach: float) -> list[Peaks]:
+    """Return the peaks of strong trials for a triangle of unknown contrast, in the polarity that shows it better.
+
+    Each item has an image, (n, n), the standard deviation of its white noise and the size of the triangle.
+    """
+    of_sign: dict[float, list[Peaks]] = {1.0: [], -1.0: []}
+    template, its_size = None, 0.0
+    for image, noise, size in images:
+        if template is None or size != its_size:
+            n, its_size = len(image), size
+            template = Template.of(Shape.upright(1.0, 0.0, 0.0, size), np.ones((2 * n, n + 1)), n)
+        for sign, peaks in of_sign.items():
+            peaks.append(template.peaks(sign * image, contrast=None, noise=noise, reach=reach))
+
+    def typical_height(peaks: list[Peaks]) -> float:
+        return float(np.median([one.height[0] if len(one.height) else 0.0 for one in peaks]))
+
+    return max(of_sign.values(), key=typical_height)
+
 
 class TrialPlaces(NamedTuple):
-    """Places of trials.
+    """Places of trials, (trial, 2), with their standard errors along an axis, (trial,).
 
-    Attributes
-    ----------
-    places : ndarray, shape (trial, 2)
-    error : ndarray, shape (trial,)
-        Standard error along an axis.
-    is_own : ndarray of bool, shape (trial,)
-        Whether the trial's own frames show its place.
-    mean : ndarray, shape (2,)
-        Place of trials that show none.
-    scatter : float
-        Standard deviation of the places along an axis.
+    `is_own` marks trials whose own frames show the place; the others have the `mean`, (2,). `scatter` is the
+    standard deviation of the places along an axis.
     """
 
     places: FloatArray
@@ -162,6 +165,7 @@ def chosen_places(peaks: list[Peaks]) -> TrialPlaces | None:
         score = np.where(np.isfinite(height), height - away / (2.0 * both) - np.log(both / variance), -np.inf)
         best = score.argmax(axis=1)
         top = score[each, best]
+        top = np.maximum(top, -1e300)  # of a trial without any peak
         total = np.exp(score - top[:, None]).sum(axis=1) + np.exp(-np.maximum(top, -50.0))
         likely = 1.0 / total
         is_clear = (likely > 0.99) & (height[each, best] > CLEAR_LIKELIHOOD / 2.0)

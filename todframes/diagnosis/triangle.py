@@ -81,18 +81,8 @@ OF_TRIAL[0, AMPLITUDE] = OF_TRIAL[1, X] = OF_TRIAL[2, Y] = OF_TRIAL[3, XX] = OF_
 
 
 class Shape(NamedTuple):
-    """Parameters of the picture of a triangle.
-
-    Attributes
-    ----------
-    amplitude : float
-        Contrast, per unit of the level.
-    x, y : float
-        Place of the centroid from the middle of the window.
-    map : ndarray, shape (2, 2)
-        Affine map of a triangle of size 1 in the stated orientation.
-    variance : float
-        Variance of the Gaussian blur.
+    """The picture of a triangle: contrast per unit of the level, centroid from the middle of the window, affine
+    map (2, 2) of a triangle of size 1 in the stated orientation, and variance of the Gaussian blur.
     """
 
     amplitude: float
@@ -177,14 +167,13 @@ class RenderedTriangle(NamedTuple):
 def picture(shape: Shape, square: Square, n: int) -> RenderedTriangle:
     """Compute the picture of a triangle on a square of a window of n × n blocks, in each orientation."""
     side = square.side
-    x, y = _place(shape, square, n)
+    x, y = _position(shape, square, n)
     parts = np.array([moving_coverage(_corners(shape, square, n, turn), (side, side)) for turn in range(4)])
-    of_x, of_y = parts[:, 1], parts[:, 2]
-    for k, (moved, at) in enumerate(((of_x, x), (of_x, y), (of_y, x), (of_y, y))):
-        parts[:, 3 + k] -= at * moved  # the map is about the centroid
+    for entry, (motion, at) in enumerate(((1, x), (1, y), (2, x), (2, y)), 3):
+        parts[:, entry] -= at * parts[:, motion]  # the map is about the centroid
     shown = np.flatnonzero(parts.any(axis=(0, 1, 3)) | parts.any(axis=(0, 1, 2)))
     box = slice(shown[0], shown[-1] + 1) if shown.size else slice(0, 1)
-    kernel, slope = (one[:, box] for one in blur_matrices(shape.variance, side))
+    kernel, slope = (matrix[:, box] for matrix in blur_matrices(shape.variance, side))
     inner = parts[:, :, box, box]
     half = inner @ kernel.T
     blurred = kernel @ half
@@ -195,14 +184,20 @@ def picture(shape: Shape, square: Square, n: int) -> RenderedTriangle:
     return RenderedTriangle(shape.amplitude * blurred[:, 0], slopes)
 
 
-def _place(shape: Shape, square: Square, n: int) -> FloatArray:
-    """Return the place (x, y) of a triangle on a square of a window."""
+def differences(shape: Shape, square: Square, weight: FloatArray) -> FloatArray:
+    """Return the weighted pictures of the orientations less their mean, (4, side, side)."""
+    images = picture(shape, square, len(weight)).images
+    return (images - images.mean(axis=0)) * square.of(weight)
+
+
+def _position(shape: Shape, square: Square, n: int) -> FloatArray:
+    """Return the position (x, y) of a triangle on a square of a window."""
     return np.array([shape.x - square.column, shape.y - square.row]) + (n - 1) / 2.0
 
 
 def _corners(shape: Shape, square: Square, n: int, turn: int) -> FloatArray:
     """Return the corners (x, y) of a triangle in an orientation on a square of a window: (3, 2)."""
-    return vertices(size=1.0, orientation=ORIENTATIONS[turn]) @ shape.map.T + _place(shape, square, n)
+    return vertices(size=1.0, orientation=ORIENTATIONS[turn]) @ shape.map.T + _position(shape, square, n)
 
 
 def blur_matrices(variance: float, side: int) -> tuple[FloatArray, FloatArray]:
@@ -221,20 +216,11 @@ def blur_matrices(variance: float, side: int) -> tuple[FloatArray, FloatArray]:
 class Images(NamedTuple):
     """Mean frames of a group by orientation, with their weights.
 
-    Attributes
-    ----------
-    background : ndarray, shape (n, n)
-        What all frames share.
-    triangles : ndarray, shape (4, n, n)
-        What grows with the level, by stated orientation.
-    shares : ndarray, shape (5, trial)
-        Weights of the frames in these, the triangles first.
-    information : ndarray, shape (4, 4)
-        Inverse covariance of a block of the triangles for noise of unit variance.
-    weight : ndarray, shape (n, n)
-        Share with which a block counts: 0 beyond the frames, less than 1 where they are unsteady.
-    of_view : ndarray, shape (view, trial), or None
-        Weights of the frames in the mean of each background, for frames on several.
+    `background`, (n, n), is what all frames share, `triangles`, (4, n, n), what grows with the level by stated
+    orientation. `shares`, (5, trial), are the weights of the frames in these, the triangles first. `information`,
+    (4, 4), is the inverse covariance of a block of the triangles for noise of unit variance. `weight`, (n, n), is
+    the share with which a block counts: 0 beyond the frames, less than 1 where they are unsteady. `of_view`,
+    (view, trial), are the weights of the frames in the mean of each background, for frames on several.
     """
 
     background: FloatArray
@@ -258,24 +244,12 @@ class Images(NamedTuple):
     ) -> Images:
         """Separate the part that all frames share from the part that grows with the level in each orientation.
 
-        If the levels hardly differ, the two cannot be separated, and all of it counts as triangle. With `view`,
-        frames share what others of their background have; if its levels do not differ, only the differences of the
-        orientations count as triangle, which `information` accounts for.
-
-        Parameters
-        ----------
-        frames : ndarray, shape (trial, n, n)
-            Contrast.
-        level, noise : ndarray, shape (trial,)
-            Level, and standard deviation of a block's noise.
-        turns : ndarray of int, shape (trial,)
-            Stated orientation, an index into `ORIENTATIONS`.
-        known : ndarray of bool, shape (n, n)
-            Blocks that all frames have.
-        hole : float
-            Distance from the middle within which all blocks count.
-        view : ndarray of int, shape (trial,), optional
-            Number of each frame's background, from 0.
+        If the levels hardly differ, the two cannot be separated, and all of it counts as triangle. `frames`,
+        (trial, n, n), are contrasts; `level`, `noise` and `turns` are each trial's level, standard deviation of a
+        block and stated quarter turns. `known` are the blocks that all frames have; within `hole` from the middle
+        all of them count. With `view`, the number of each frame's background, frames share what others of their
+        background have; if its levels do not differ, only the differences of the orientations count as triangle,
+        which `information` accounts for.
         """
         columns = np.array([np.where(turns == k, level, 0.0) for k in range(4)])
         certain = np.square(1.0 / noise)
@@ -371,19 +345,10 @@ def _without_background(images: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> TriangleFit:
-    """Fit the picture of a triangle to mean frames by Gauss–Newton steps.
+    """Fit the picture of a triangle to mean frames by Gauss–Newton steps, in the orientations `shown` for the
+    stated ones.
 
-    Parameters
-    ----------
-    images : Images
-    start : Shape
-    shown : tuple of int
-        Orientation on the frames for each stated one.
-
-    Returns
-    -------
-    TriangleFit
-        `covariance` is that for noise as the fit leaves it.
+    The covariance is that for noise as the fit leaves it.
     """
     n = images.weight.shape[0]
     order = np.array(shown)
@@ -436,8 +401,7 @@ def _design(slopes: FloatArray, factors: FloatArray, weight: FloatArray) -> Floa
 def _solved(design: FloatArray, away: FloatArray) -> FloatArray:
     scale = np.maximum(np.linalg.norm(design, axis=1), 1e-300)
     scaled = design / scale[:, None]
-    normal = scaled @ scaled.T
-    return np.asarray(np.linalg.lstsq(normal, scaled @ away, rcond=1e-10)[0] / scale)
+    return np.asarray(np.linalg.lstsq(scaled @ scaled.T, scaled @ away, rcond=1e-10)[0] / scale)
 
 
 def _limited(step: FloatArray, shape: Shape) -> FloatArray:
@@ -480,11 +444,9 @@ def noise_spectrum(noise: FloatArray, weight: FloatArray, side: int) -> FloatArr
 
 def multiplicity(length: int) -> FloatArray:
     """Return how often each value of a real spectrum, (length, length/2 + 1), counts in a mean over an image."""
-    twice = np.full((length, length // 2 + 1), 2.0 / length**2)
-    twice[:, 0] = 1.0 / length**2
-    if length % 2 == 0:
-        twice[:, -1] = 1.0 / length**2
-    return twice
+    counts = np.full((length, length // 2 + 1), 2.0 / length**2)
+    counts[:, [0, -1] if length % 2 == 0 else 0] = 1.0 / length**2
+    return counts
 
 
 def filter_covariance(filters: NDArray[np.floating], spectrum: FloatArray) -> FloatArray:
@@ -492,7 +454,7 @@ def filter_covariance(filters: NDArray[np.floating], spectrum: FloatArray) -> Fl
 
     Each of the p outputs is a sum over k images with independent noise.
     """
-    length = spectrum.shape[0]
+    length = len(spectrum)
     seen = np.fft.rfft2(filters, (length, length)).reshape(*filters.shape[:2], spectrum.size)
     weighted = seen * (spectrum * multiplicity(length)).ravel()
     return np.asarray(np.einsum("kaf,kbf->ab", weighted, seen.conj(), optimize=True).real, np.float64)
@@ -500,7 +462,7 @@ def filter_covariance(filters: NDArray[np.floating], spectrum: FloatArray) -> Fl
 
 def filter_variances(filters: NDArray[np.floating], spectrum: FloatArray) -> FloatArray:
     """Return the variance of the output of each filter, (…, side, side), for noise with this spectrum: (…)."""
-    length = spectrum.shape[0]
+    length = len(spectrum)
     seen = np.fft.rfft2(filters, (length, length))
     power = np.square(seen.real) + np.square(seen.imag)
     return np.asarray(power.reshape(*power.shape[:-2], -1) @ (spectrum * multiplicity(length)).ravel())
@@ -518,17 +480,11 @@ def _covariance(design: FloatArray, square: Square, weight: FloatArray, spectrum
 class TrialEstimates(NamedTuple):
     """Estimates of single trials by one step of the fit from the picture that all share.
 
-    Attributes
-    ----------
-    away : ndarray, shape (trial, 4)
-        Deviation of the contrast per level, of the place along x and y, and of the size as a ratio.
-    error : ndarray, shape (trial, 4)
-        Standard errors of these.
-    likeness, likeness_error : ndarray, shapes (trial, 4) and (trial,)
-        Product of each trial, without its background, with the differences of the orientations, less what these
-        differ in energy; its noise.
-    spectrum : ndarray, shape (length, length/2 + 1)
-        Power spectrum of the noise, in units of the trials' noise.
+    `away` and `error`, (trial, 4), are the deviations of the contrast per level, of the place along x and y, and
+    of the size as a ratio, and their standard errors. `likeness`, (trial, 4), is the product of each trial,
+    without its background, with the differences of the orientations, less what these differ in energy;
+    `likeness_error`, (trial,), is its noise. `spectrum`, (length, length/2 + 1), is the power of the noise in
+    units of the trials' noise.
     """
 
     away: FloatArray
@@ -583,19 +539,11 @@ def of_trials(
 def aligned(
     frames: FloatArray, found: TriangleFit, *, level: FloatArray, turns: NDArray[np.intp], apart: FloatArray
 ) -> FloatArray:
-    """Return frames as if their triangles were at one place and of one size.
+    """Return frames, (trial, n, n), as if their triangles were at one place and of one size.
 
     The picture of the fit where a triangle is said to be is replaced by the picture at the place of the fit.
-
-    Parameters
-    ----------
-    frames : ndarray, shape (trial, n, n)
-        Contrast.
-    found : TriangleFit
-    level, turns : ndarray, shape (trial,)
-        As in `Images.of`.
-    apart : ndarray, shape (trial, 3)
-        Distance of the stated place, along x and y, and of the logarithm of the size from those of the group.
+    `apart`, (trial, 3), are the distances of the stated place, along x and y, and of the logarithm of the size
+    from those of the group.
     """
     moved, n = frames.copy(), frames.shape[-1]
     # The places apart have blurred the first fit.
@@ -648,16 +596,13 @@ def first_guess(images: Images, size: float) -> Shape:
 
 def _stated(images: Images, size: float) -> Shape:
     """Return the shape of the stated place and size; its amplitude is that of the differences of images."""
-    n = len(images.weight)
     start = Shape.upright(1.0, 0.0, 0.0, size)
-    square = Square.about(start, n)
-    upright = picture(start, square, n).images
-    differ = (upright - upright.mean(axis=0)) * square.of(images.weight)
-    counts = np.diag(images.information)
-    like = float((counts[:, None, None] * square.of(images.triangles) * differ).sum())
-    energy = float((counts[:, None, None] * np.square(differ)).sum())
-    amplitude = like / energy if energy > 0.0 else 0.0
-    return start._replace(amplitude=amplitude if amplitude != 0.0 else 1e-9)
+    square = Square.about(start, len(images.weight))
+    differ = differences(start, square, images.weight)
+    counts = np.diag(images.information)[:, None, None]
+    like = float((counts * square.of(images.triangles) * differ).sum())
+    energy = float((counts * np.square(differ)).sum())
+    return start._replace(amplitude=(like / energy if energy > 0.0 else 0.0) or 1e-9)
 
 
 def fitted(images: Images, start: Shape) -> TriangleFit:
@@ -667,15 +612,13 @@ def fitted(images: Images, start: Shape) -> TriangleFit:
     stated = np.flatnonzero(counts)
     if len(stated) < 2:
         return found
-    n = len(images.weight)
-    square = Square.about(start, n)
-    weight = square.of(images.weight)
-    upright = picture(start, square, n).images
-    differ = (upright - upright.mean(axis=0)) * weight
+    square = Square.about(start, len(images.weight))
+    differ = differences(start, square, images.weight)
     like = np.einsum("ayx,byx->ab", square.of(images.triangles), differ, optimize=True)
     like -= np.average(like, axis=0, weights=counts)
     gain = {
-        one.shown: float(sum(counts[k] * (like[k, one.shown[k]] - like[k, k]) for k in stated)) for one in TURNED
+        shown: float(sum(counts[k] * (like[k, shown[k]] - like[k, k]) for k in stated))
+        for shown in (arrangement.shown for arrangement in TURNED)
     }
     best = max(gain, key=lambda shown: gain[shown])
     if gain[best] <= 0.0:
