@@ -11,19 +11,10 @@ from todframes.stimulus import ORIENTATIONS, Orientation
 class Arrangement(NamedTuple):
     """A change of all orientations that a camera or an import may cause, with its words.
 
-    Attributes
-    ----------
-    name : str
-    shown : tuple of int
-        The orientation on the frames for each orientation of the manifest, in the order of `ORIENTATIONS`.
-    code : str or None
-        Code of the warning about it; None: as stated.
-    words : str
-        A clause with {are} for its verb.
-    question : str
-        The question for somebody whose answers are all wrong.
-    sign : int
-        -1 if triangles are darker where the manifest says brighter, and the other way round.
+    `shown` is the orientation on the frames for each of the manifest, in the order of `ORIENTATIONS`. `code` is
+    that of the warning about it, None: as stated. `words` is a clause with {are} for its verb, `question` that for
+    somebody whose answers are all wrong. `sign` is -1 if triangles are darker where the manifest says brighter, or
+    the other way round.
     """
 
     name: str

@@ -89,30 +89,20 @@ class Deviation(NamedTuple):
 
 
 def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[DatasetWarning]:
-    """Return the warnings about frames that do not show what the dataset says.
+    """Return the warnings about frames that do not show what the dataset says, at most one of each code and group.
 
     A deviation counts if it is far larger than its error and changes a threshold by more than some per cent.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    inspections : sequence of Inspection
-
-    Returns
-    -------
-    list of DatasetWarning
-        In the order of the groups; at most one of each code and group.
     """
-    found: dict[tuple[str, tuple[float | str, ...]], DatasetWarning] = {}
-    for one in inspections:
-        group = dict(zip(dataset.experiment.group_by, one.group, strict=True))
+    warnings: dict[tuple[str, Group], DatasetWarning] = {}
+    for inspection in inspections:
+        group = dict(zip(dataset.experiment.group_by, inspection.group, strict=True))
         for judge in JUDGES:
-            for code, value, expected, seen, advice in judge(dataset, one):
-                message = f"{seen}: {advice}"
-                found.setdefault((code, one.group), DatasetWarning(code, group, message, value, expected))
+            for code, found, expected, seen, advice in judge(dataset, inspection):
+                warning = DatasetWarning(code, group, f"{seen}: {advice}", found, expected)
+                warnings.setdefault((code, inspection.group), warning)
     for warning in _several_sizes(dataset, inspections):
-        found.setdefault((warning.code, tuple(warning.group.values())), warning)
-    return list(found.values())
+        warnings.setdefault((warning.code, tuple(warning.group.values())), warning)
+    return list(warnings.values())
 
 
 def _several_sizes(dataset: Dataset, inspections: Sequence[Inspection]) -> Iterator[DatasetWarning]:
@@ -120,257 +110,213 @@ def _several_sizes(dataset: Dataset, inspections: Sequence[Inspection]) -> Itera
     if dataset.experiment.level.strip() == "size_mrad":
         return
     sizes: dict[Group, set[float]] = {}
-    for one in inspections:
-        sizes.setdefault(one.group, set()).add(one.stimulus.size_mrad)
-    for group, of_group in sizes.items():
-        if max(of_group) > SIZES_ALIKE * min(of_group):
-            yield DatasetWarning(
-                "mixed_sizes",
-                dict(zip(dataset.experiment.group_by, group, strict=True)),
-                f"triangles of {min(of_group):g} to {max(of_group):g} mrad share a curve, and each size has a "
-                "threshold of its own; name the size in group_by",
-                max(of_group) / min(of_group) - 1.0,
-                0.0,
+    for inspection in inspections:
+        sizes.setdefault(inspection.group, set()).add(inspection.stimulus.size_mrad)
+    for key, of_group in sizes.items():
+        least, most = min(of_group), max(of_group)
+        if most > SIZES_ALIKE * least:
+            group = dict(zip(dataset.experiment.group_by, key, strict=True))
+            message = (
+                f"triangles of {least:g} to {most:g} mrad share a curve, and each size has a threshold of its "
+                "own; name the size in group_by"
             )
+            yield DatasetWarning("mixed_sizes", group, message, most / least - 1.0, 0.0)
 
 
-def place_deviations(dataset: Dataset, inspection: Inspection) -> Iterator[Deviation]:
+def place_deviations(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
     """Yield the differences of place, size and turn between the triangles and what the dataset says."""
     for judge in (_orientation, _place, _size):
-        yield from judge(dataset, inspection)
+        yield from judge(dataset, shown)
 
 
-def _geometry(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
-    if one.size_px < LEAST_DISPLAYED_SIZE_PX:
-        yield Deviation(
-            "size_unit",
-            one.size_px,
-            LEAST_DISPLAYED_SIZE_PX,
-            f"a triangle of {one.stimulus.size_mrad:g} mrad is {one.size_px:.2g} pixels of "
-            f"{dataset.display.pitch_mrad:g} mrad",
-            "the display cannot show where it points; check that size_mrad and the pixel pitch are in mrad",
+def _geometry(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
+    if shown.size_px < LEAST_DISPLAYED_SIZE_PX:
+        pitch_mrad, least = dataset.display.pitch_mrad, LEAST_DISPLAYED_SIZE_PX
+        seen = (
+            f"a triangle of {shown.stimulus.size_mrad:g} mrad is {shown.size_px:.2g} pixels of {pitch_mrad:g} mrad"
         )
-    if len(one.frame_sizes_px) > 1 and not one.are_windows:
-        sizes = ", ".join(f"{columns} × {rows}" for rows, columns in one.frame_sizes_px)
-        yield Deviation(
-            "mixed_frame_sizes",
-            float(len(one.frame_sizes_px)),
-            1.0,
-            f"the frames of one group have {sizes} pixels",
-            "their triangles differ in size or place; give each size of frames a dataset, or a group, of its own",
+        advice = "the display cannot show where it points; check that size_mrad and the pixel pitch are in mrad"
+        yield Deviation("size_unit", shown.size_px, least, seen, advice)
+    if len(shown.frame_sizes_px) > 1 and not shown.are_windows:
+        sizes = ", ".join(f"{columns} × {rows}" for rows, columns in shown.frame_sizes_px)
+        seen = f"the frames of one group have {sizes} pixels"
+        advice = (
+            "their triangles differ in size or place; give each size of frames a dataset, or a group, of its own"
         )
+        yield Deviation("mixed_frame_sizes", float(len(shown.frame_sizes_px)), 1.0, seen, advice)
 
 
-def _codes(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
+def _codes(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
     ends: tuple[tuple[WarningCode, float | None, str], ...] = (
-        ("saturated", one.saturated_share, "the largest code value"),
-        ("crushed", one.crushed_share, "code value 0"),
+        ("saturated", shown.saturated_share, "the largest code value"),
+        ("crushed", shown.crushed_share, "code value 0"),
     )
     for code, share, end in ends:
-        if share is not None and share > (MOST_CLIPPED if one.noise_contrast < LOUD else MOST_CLIPPED_NOISE):
-            yield Deviation(
-                code,
-                share,
-                0.0,
-                f"{100.0 * share:.2g} % of the pixels at the triangle have {end}",
+        if share is not None and share > (MOST_CLIPPED if shown.noise_contrast < LOUD else MOST_CLIPPED_NOISE):
+            seen = f"{100.0 * share:.2g} % of the pixels at the triangle have {end}"
+            advice = (
                 "its contrast is cut off there, or pixels are stuck; change exposure or gain and record again, or "
-                "take the stuck pixels out",
+                "take the stuck pixels out"
             )
-    if one.code_step_contrast is None or not is_contrast(dataset):
+            yield Deviation(code, share, 0.0, seen, advice)
+    step = shown.code_step_contrast
+    if step is None or not is_contrast(dataset):
         return
-    step = one.code_step_contrast
-    if step > COARSE_PER_LEVEL * one.level and one.noise_contrast < DITHERED * step:
-        yield Deviation(
-            "coarse_codes",
-            step,
-            COARSE_PER_LEVEL * one.level,
-            f"one step of the code values is a contrast of {step:.2g}, and the median level is {one.level:.2g}",
-            "the triangle's contrast is rounded; store more bits",
+    if step > COARSE_PER_LEVEL * shown.level and shown.noise_contrast < DITHERED * step:
+        seen = (
+            f"one step of the code values is a contrast of {step:.2g}, and the median level is {shown.level:.2g}"
         )
+        advice = "the triangle's contrast is rounded; store more bits"
+        yield Deviation("coarse_codes", step, COARSE_PER_LEVEL * shown.level, seen, advice)
 
 
-def _background(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
+def _background(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
     rule = dataset.display.background_luminance_cd_m2
-    by_noise = SKEWED if one.noise_contrast > LOUD else SKEW * one.noise_contrast
+    by_noise = SKEWED if shown.noise_contrast > LOUD else SKEW * shown.noise_contrast
     by_pattern = min(
-        CERTAIN * one.ring_ratio_error, MOST_BY_PATTERN * math.hypot(one.noise_contrast, one.ring_scatter)
+        CERTAIN * shown.ring_ratio_error, MOST_BY_PATTERN * math.hypot(shown.noise_contrast, shown.ring_scatter)
     )
-    if abs(one.ring_ratio - 1.0) > max(MATTERS, by_noise, by_pattern):
+    if abs(shown.ring_ratio - 1.0) > max(MATTERS, by_noise, by_pattern):
         advice = (
             'set background_luminance_cd_m2 = "surround", and check eotf and white_luminance_cd_m2'
             if not isinstance(rule, str) or rule == "column"
             else 'the frames are not even; set background_luminance_cd_m2 = "surround"'
         )
-        bits = _container_bits(one)
-        is_shallow = bits is not None and one.ring_ratio < 0.5
-        if is_shallow:
-            codes = f"the files have 16 bits and no code above {one.peak_code}: are these values of {bits} bits?"
-            advice = f"{codes} {advice}"
-        yield Deviation(
-            "bit_depth" if is_shallow else "background_mismatch",
-            one.ring_ratio,
-            1.0,
-            f"the luminance around the triangle is {one.ring_luminance_cd_m2:.3g} cd/m², "
-            f"{one.ring_ratio:.3g} times the background ({one.background_luminance_cd_m2:.3g} cd/m²)",
-            f"every contrast is wrong by about this factor; {advice}",
+        code: WarningCode = "background_mismatch"
+        if shown.full_scale == 65535 and shown.peak_code is not None and shown.ring_ratio < 0.5:
+            bits = next((bits for bits in BIT_DEPTHS if shown.peak_code < 2**bits), None)
+            if bits is not None:
+                code = "bit_depth"
+                codes = f"the files have 16 bits and no code above {shown.peak_code}"
+                advice = f"{codes}: are these values of {bits} bits? {advice}"
+        seen = (
+            f"the luminance around the triangle is {shown.ring_luminance_cd_m2:.3g} cd/m², "
+            f"{shown.ring_ratio:.3g} times the background ({shown.background_luminance_cd_m2:.3g} cd/m²)"
         )
-    least = max(UNEVEN_PER_LEVEL * one.level * abs(one.contrast_slope or 1.0), CERTAIN * one.uneven_error)
-    if is_contrast(dataset) and one.uneven > max(least, TIMES_TEXTURE * one.uneven_texture):
         yield Deviation(
-            "background_uneven",
-            one.uneven,
-            0.0,
-            f"the background has a structure of its own under the triangle, with a contrast of {one.uneven:.2g} "
-            f"where the median level is {one.level:.2g}",
+            code, shown.ring_ratio, 1.0, seen, f"every contrast is wrong by about this factor; {advice}"
+        )
+    least = max(UNEVEN_PER_LEVEL * shown.level * abs(shown.contrast_slope or 1.0), CERTAIN * shown.uneven_error)
+    if is_contrast(dataset) and shown.uneven > max(least, TIMES_TEXTURE * shown.uneven_texture):
+        seen = (
+            f"the background has a structure of its own under the triangle, with a contrast of {shown.uneven:.2g} "
+            f"where the median level is {shown.level:.2g}"
+        )
+        advice = (
             "it favours one orientation; move the triangle away from edges, text and stuck pixels, or take them "
-            "out of the frames",
+            "out of the frames"
         )
+        yield Deviation("background_uneven", shown.uneven, 0.0, seen, advice)
 
 
-def _container_bits(one: Inspection) -> int | None:
-    """Return the bits of values that would fill the codes found, if the files have 16; None if no usual number."""
-    if one.full_scale != 65535 or one.peak_code is None:
-        return None
-    return next((bits for bits in BIT_DEPTHS if one.peak_code < 2**bits), None)
-
-
-def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
-    slope, error = one.contrast_slope, one.contrast_slope_error
+def _contrast(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
+    slope, error = shown.contrast_slope, shown.contrast_slope_error
     if slope is None or error is None:
         return
-    if one.size_ratio is not None and not _is_other_size(one):
+    if shown.size_ratio is not None and not _is_other_size(shown):
         # Noise and blur hide whether a triangle is larger or stronger; its light is known better.
-        slope = min(slope, slope * one.size_ratio**2, key=lambda value: abs(abs(value) - 1.0))
-    if slope < -CERTAIN * error and one.shown_as is not None:
-        shown, stated = ("darker", "brighter")[:: one.stimulus.polarity]
-        yield Deviation(
-            "polarity_mismatch",
-            -float(one.stimulus.polarity),
-            float(one.stimulus.polarity),
-            f"the triangles are {shown} than their background, and the manifest says {stated}",
-            f"the answers are wrong; set the column polarity to {-one.stimulus.polarity}, or turn black and white "
-            "round",
-        )
+        slope = min(slope, slope * shown.size_ratio**2, key=lambda value: abs(abs(value) - 1.0))
+    if slope < -CERTAIN * error and shown.shown_as is not None:
+        polarity = shown.stimulus.polarity
+        look, stated = ("darker", "brighter")[::polarity]
+        seen = f"the triangles are {look} than their background, and the manifest says {stated}"
+        advice = f"the answers are wrong; set the column polarity to {-polarity}, or turn black and white round"
+        yield Deviation("polarity_mismatch", -float(polarity), float(polarity), seen, advice)
         slope = -slope
     if not is_contrast(dataset):
         return
-    if one.signal == 0.0:
+    off_level = "check that frames and rows of the manifest belong together, and that gain and exposure are fixed"
+    if shown.signal == 0.0:
         seen = "the frames show no triangle, the displayed contrast is 0"
-        yield Deviation("contrast_mismatch", 0.0, 1.0, seen, "check that the frames are those of the manifest")
+        advice = "check that the frames are those of the manifest"
+        yield Deviation("contrast_mismatch", 0.0, 1.0, seen, advice)
     elif abs(slope - 1.0) > max(CONTRAST_ERROR, CERTAIN * error):
-        yield Deviation(
-            "contrast_mismatch",
-            slope,
-            1.0,
-            f"the displayed contrast is {slope:.3g} ± {error:.1g} times the level in the manifest",
-            "the threshold is in units of that level; check eotf, gamma and the unit of the level",
+        seen = f"the displayed contrast is {slope:.3g} ± {error:.1g} times the level in the manifest"
+        advice = "the threshold is in units of that level; check eotf, gamma and the unit of the level"
+        yield Deviation("contrast_mismatch", slope, 1.0, seen, advice)
+    elif shown.wrong_level >= 2 and shown.wrong_level > MATTERS * shown.n_level:
+        seen = (
+            f"in {shown.wrong_level} of {shown.n_level} frames the triangle's contrast does not follow its level"
         )
-    elif one.wrong_level >= 2 and one.wrong_level > MATTERS * one.n_level:
-        yield Deviation(
-            "contrast_mismatch",
-            float(one.wrong_level),
-            0.0,
-            f"in {one.wrong_level} of {one.n_level} frames the triangle's contrast does not follow its level",
-            "check that frames and rows of the manifest belong together, and that gain and exposure are fixed",
-        )
-    elif one.level_scatter is not None and one.level_scatter > OFF_LEVEL:
-        yield Deviation(
-            "contrast_mismatch",
-            one.level_scatter,
-            0.0,
-            f"the displayed contrast scatters by {100.0 * one.level_scatter:.0f} % about that of its level",
-            "check that frames and rows of the manifest belong together, and that gain and exposure are fixed",
-        )
+        yield Deviation("contrast_mismatch", float(shown.wrong_level), 0.0, seen, off_level)
+    elif shown.level_scatter is not None and shown.level_scatter > OFF_LEVEL:
+        seen = f"the displayed contrast scatters by {100.0 * shown.level_scatter:.0f} % about that of its level"
+        yield Deviation("contrast_mismatch", shown.level_scatter, 0.0, seen, off_level)
 
 
-def _orientation(_: Dataset, one: Inspection) -> Iterator[Deviation]:
-    if one.shown_as is None or one.turned_rad is None or one.turned_error_rad is None:
+def _orientation(_: Dataset, shown: Inspection) -> Iterator[Deviation]:
+    if shown.shown_as is None or shown.turned_rad is None or shown.turned_error_rad is None:
         return
-    shown = next(turned for turned in TURNED if turned.name == one.shown_as)
-    if shown.code is not None:
-        yield Deviation(
-            shown.code,
-            1.0,
-            0.0,
-            f"{shown.words.format(are='are')} in the frames, against the orientations in the manifest",
-            "the answers are wrong; turn or mirror the frames, or correct the orientations",
-        )
-    degrees = math.degrees(one.turned_rad)
-    if abs(one.turned_rad) > MOST_TURN_RAD + CERTAIN * one.turned_error_rad:
-        yield Deviation(
-            "turned",
-            degrees,
-            0.0,
-            f"the triangles are turned by {degrees:.2g}° to the right",
+    arrangement = next(turned for turned in TURNED if turned.name == shown.shown_as)
+    if arrangement.code is not None:
+        seen = f"{arrangement.words.format(are='are')} in the frames, against the orientations in the manifest"
+        advice = "the answers are wrong; turn or mirror the frames, or correct the orientations"
+        yield Deviation(arrangement.code, 1.0, 0.0, seen, advice)
+    if abs(shown.turned_rad) > MOST_TURN_RAD + CERTAIN * shown.turned_error_rad:
+        degrees = math.degrees(shown.turned_rad)
+        advice = (
             "the camera is tilted, or some frames show another orientation than stated; straighten the camera, "
-            "check the manifest",
+            "check the manifest"
         )
-    if one.wrong_orientation >= 2 and one.wrong_orientation > MATTERS * one.n_orientation:
-        yield Deviation(
-            "orientation_mismatch",
-            float(one.wrong_orientation),
-            0.0,
-            f"{one.wrong_orientation} of {one.n_orientation} frames that show it clearly have another orientation "
-            "than the manifest says",
-            "check that frames and rows belong together",
+        yield Deviation("turned", degrees, 0.0, f"the triangles are turned by {degrees:.2g}° to the right", advice)
+    if shown.wrong_orientation >= 2 and shown.wrong_orientation > MATTERS * shown.n_orientation:
+        seen = (
+            f"{shown.wrong_orientation} of {shown.n_orientation} frames that show it clearly have another "
+            "orientation than the manifest says"
         )
+        advice = "check that frames and rows belong together"
+        yield Deviation("orientation_mismatch", float(shown.wrong_orientation), 0.0, seen, advice)
 
 
-def _place(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
-    if one.offset_px is None or one.offset_error_px is None:
+def _place(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
+    if shown.offset_px is None or shown.offset_error_px is None:
         return
-    pitch, error, blur_px = dataset.display.pitch_mrad, math.hypot(*one.offset_error_px), one.blur_px or 0.0
-    (dx, dy), offset = one.offset_px, math.hypot(*one.offset_px)
+    pitch, error, blur_px = dataset.display.pitch_mrad, math.hypot(*shown.offset_error_px), shown.blur_px or 0.0
+    (x, y), (dx, dy), offset = shown.stated_px, shown.offset_px, math.hypot(*shown.offset_px)
     if offset > max(OFFSET_MRAD / pitch, LEAST_OFFSET_PX, OFFSET_PER_BLUR * blur_px, CERTAIN * error):
-        yield Deviation(
-            "position_offset",
-            (one.stated_px[0] + dx, one.stated_px[1] + dy),
-            one.stated_px,
-            f"the triangles lie {offset:.3g} pixels ({dx:+.2f} in x, {dy:+.2f} in y) from where the dataset says",
-            f"the observer looks beside them; correct x_px and y_px, or take them out and use {argument.locate}",
+        seen = (
+            f"the triangles lie {offset:.3g} pixels ({dx:+.2f} in x, {dy:+.2f} in y) from where the dataset says"
         )
-    if (one.scatter_px or 0.0) > max(SCATTER_MRAD / pitch, LEAST_OFFSET_PX, SCATTER_PER_BLUR * blur_px):
-        yield Deviation(
-            "position_scatter",
-            one.scatter_px or 0.0,
-            0.0,
-            f"the triangles' places scatter by {one.scatter_px:.2g} pixels from frame to frame",
-            f"the camera moved; fix it, give each frame its x_px and y_px, or use {argument.locate} each",
+        advice = (
+            f"the observer looks beside them; correct x_px and y_px, or take them out and use {argument.locate}"
         )
+        yield Deviation("position_offset", (x + dx, y + dy), (x, y), seen, advice)
+    scatter_px = shown.scatter_px or 0.0
+    if scatter_px > max(SCATTER_MRAD / pitch, LEAST_OFFSET_PX, SCATTER_PER_BLUR * blur_px):
+        seen = f"the triangles' places scatter by {scatter_px:.2g} pixels from frame to frame"
+        advice = f"the camera moved; fix it, give each frame its x_px and y_px, or use {argument.locate} each"
+        yield Deviation("position_scatter", scatter_px, 0.0, seen, advice)
 
 
-def _is_other_size(one: Inspection) -> bool:
+def _is_other_size(shown: Inspection) -> bool:
     """Return whether the triangles are larger or smaller than stated, beyond what their blur may hide."""
-    if one.size_ratio is None or one.size_ratio_error is None or one.blur_px is None:
+    if shown.size_ratio is None or shown.size_ratio_error is None or shown.blur_px is None:
         return False
-    hidden = LEAST_SIZE_ERROR + (one.blur_px / one.size_px) ** 2
-    least = max(hidden, SIZE_MRAD / one.stimulus.size_mrad, CERTAIN * one.size_ratio_error)
-    return abs(one.size_ratio - 1.0) > least
+    hidden = LEAST_SIZE_ERROR + (shown.blur_px / shown.size_px) ** 2
+    least = max(hidden, SIZE_MRAD / shown.stimulus.size_mrad, CERTAIN * shown.size_ratio_error)
+    return abs(shown.size_ratio - 1.0) > least
 
 
-def _size(_: Dataset, one: Inspection) -> Iterator[Deviation]:
-    ratio = one.size_ratio
-    if ratio is None:
+def _size(_: Dataset, shown: Inspection) -> Iterator[Deviation]:
+    if shown.size_ratio is None:
         return
-    if _is_other_size(one):
-        yield Deviation(
-            "size_mismatch",
-            ratio * one.stimulus.size_mrad,
-            one.stimulus.size_mrad,
-            f"the triangles are {ratio:.3g} times as large as size_mrad says ({ratio * one.size_px:.3g} instead "
-            f"of {one.size_px:.3g} pixels)",
+    ratio, scatter, stated_mrad = shown.size_ratio, shown.size_scatter or 0.0, shown.stimulus.size_mrad
+    if _is_other_size(shown):
+        seen = (
+            f"the triangles are {ratio:.3g} times as large as size_mrad says ({ratio * shown.size_px:.3g} instead "
+            f"of {shown.size_px:.3g} pixels)"
+        )
+        advice = (
             "the observer looks for another size; check that size_mrad is the root of the area in mrad, and the "
-            "pixel pitch",
+            "pixel pitch"
         )
-    elif (one.size_scatter or 0.0) > max(SIZE_SCATTER, SIZE_PER_BLUR * (one.blur_px or 0) / one.size_px):
-        yield Deviation(
-            "mixed_sizes",
-            one.size_scatter or 0.0,
-            0.0,
-            f"the sizes of the triangles differ by {100.0 * (one.size_scatter or 0.0):.2g} % from frame to frame, "
-            "and the manifest gives one",
-            "check that frames and rows belong together",
+        yield Deviation("size_mismatch", ratio * stated_mrad, stated_mrad, seen, advice)
+    elif scatter > max(SIZE_SCATTER, SIZE_PER_BLUR * (shown.blur_px or 0) / shown.size_px):
+        seen = (
+            f"the sizes of the triangles differ by {100.0 * scatter:.2g} % from frame to frame, and the manifest "
+            "gives one"
         )
+        yield Deviation("mixed_sizes", scatter, 0.0, seen, "check that frames and rows belong together")
 
 
 JUDGES: tuple[Callable[[Dataset, Inspection], Iterator[Deviation]], ...] = (

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,14 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
 from todframes.diagnosis.arrangement import TURNED
+from todframes.diagnosis.scene_backgrounds import (
+    SceneParts,
+    numbered_views,
+    that_share,
+    view_middles,
+    whole_views,
+    without_scenes,
+)
 from todframes.diagnosis.triangle import (
     AMPLITUDE,
     Images,
@@ -33,9 +42,6 @@ from todframes.frames.position import size_in_px
 from todframes.frames.surround import HOLE_IN_SIZES
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.stimulus import ORIENTATIONS, Centre, Stimulus, level_of, orientation_weights
-
-if TYPE_CHECKING:
-    from todframes.diagnosis.scene_backgrounds import SceneParts
 
 LEAST_APART = 1e-3
 """Least difference of stated places, in blocks, and of sizes for frames to be aligned: a twentieth of what fits of
@@ -187,37 +193,23 @@ class Inspection:
 
 
 def inspect(dataset: Dataset, trials: Sequence[Trial], *, centre: Centre = "centroid") -> list[Inspection]:
-    """Measure what the frames of each group show, on a sample of the trials.
+    """Return what the frames of each group show for each stimulus, from a sample of the trials, in their order.
 
-    Frames that cannot be read are left out: scoring reports them.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    trials : sequence of Trial
-        The trials of all groups.
-    centre : {"centroid", "bounding_box"}
-        The point of a triangle without a position that lies at the frame's centre.
-
-    Returns
-    -------
-    list of Inspection
-        One for each stimulus of each group, in the order of the trials.
+    Frames that cannot be read are left out: scoring reports them. `centre` is the point of a triangle without a
+    position that lies at the frame's centre.
     """
     trials = Trials.of(trials)
     of_stimulus = list(alike(trials))
     frames_a_trial = max(trials.n_frames / max(len(trials), 1), 1.0)
     of_each = max(SAMPLED, SAMPLED_SHARE * trials.n_frames) / frames_a_trial / max(len(of_stimulus), 1)
     most = int(min(max(of_each, LEAST_SAMPLED), MOST_SAMPLED))
-    found = []
+    inspections = []
     for members in of_stimulus:
         ours = trials.select(members)
         size_mrad = float(np.median(_sizes_mrad(ours)))
-        samples = _samples(dataset, ours, most, centre, size_mrad)
-        if samples:
-            first = samples[0].trial
-            found.append(_measured(dataset, first.group, replace(first.stimulus, size_mrad=size_mrad), samples))
-    return found
+        if samples := _samples(dataset, ours, most, centre, size_mrad):
+            inspections.append(_measured(dataset, samples, size_mrad))
+    return inspections
 
 
 def is_contrast(dataset: Dataset) -> bool:
@@ -237,10 +229,8 @@ def _sizes_mrad(trials: Trials) -> FloatArray:
 
 def alike(trials: Trials) -> Iterator[NDArray[np.intp]]:
     """Yield the trials, ascending, of each group and polarity whose sizes are one size in perspective."""
-    sizes, polarity = (
-        _sizes_mrad(trials),
-        np.array([one.polarity for one in trials.stimuli])[trials.stimulus_codes],
-    )
+    sizes = _sizes_mrad(trials)
+    polarity = np.array([stimulus.polarity for stimulus in trials.stimuli])[trials.stimulus_codes]
     parts = []
     for group, sign in np.unique([trials.group_codes, polarity], axis=1).T:
         left = np.flatnonzero((trials.group_codes == group) & (polarity == sign))
@@ -263,23 +253,18 @@ def _samples(
     dataset: Dataset, trials: Trials, most: int, centre: Centre, size_mrad: float
 ) -> Sequence[TrialSample]:
     """Measure some of the trials of a group; on scenes, only those that share their background with others."""
-    middles: Sequence[tuple[float, float] | None]
     if trials.has_scenes:
-        from todframes.diagnosis.scene_backgrounds import that_share, view_middles, whole_views
-
         chosen = trials.select(whole_views(trials, strengths(dataset, trials.levels), most))
         middles = view_middles(chosen)
     else:
         chosen = _spread(trials, most)
         middles = [None] * len(chosen)
     size_px = min(size_mrad / dataset.display.pitch_mrad, 1e300)
-    found = []
+    samples = []
     for trial, middle in zip(chosen, middles, strict=True):
-        try:
-            found.append(measure_trial(dataset, trial, centre, size_px=size_px, middle_px=middle))
-        except DataError:
-            continue
-    return that_share(found) if trials.has_scenes else found
+        with suppress(DataError):
+            samples.append(measure_trial(dataset, trial, centre, size_px=size_px, middle_px=middle))
+    return that_share(samples) if trials.has_scenes else samples
 
 
 def _are_windows(samples: Sequence[TrialSample]) -> bool:
@@ -293,44 +278,39 @@ def _are_windows(samples: Sequence[TrialSample]) -> bool:
     return max(reaches) <= SIZES_ALIKE * min(reaches)
 
 
-def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Sequence[TrialSample]) -> Inspection:
-    level = np.array([sample.trial.level for sample in samples])
-    strength = strengths(dataset, level)
-    block_px = samples[0].block_px
-    size_px = min(stimulus.size_mrad / dataset.display.pitch_mrad, 1e300)
-    of_group = GroupTriangle.of(dataset, samples, size_px)
-    names = ["" if sample.trial.view is None else sample.trial.view.scene for sample in samples]
-    if of_group.scenes is not None:
+def _measured(dataset: Dataset, samples: Sequence[TrialSample], size_mrad: float) -> Inspection:
+    """Measure samples of one stimulus, whose sizes are alike: about `size_mrad`."""
+    trial, level = samples[0].trial, np.array([sample.trial.level for sample in samples])
+    stimulus = replace(trial.stimulus, size_mrad=size_mrad)
+    size_px = min(size_mrad / dataset.display.pitch_mrad, 1e300)
+    size = size_px / samples[0].block_px
+    triangle = GroupTriangle.of(dataset, samples, size_px)
+    names = np.array(["" if sample.trial.view is None else sample.trial.view.scene for sample in samples])
+    if triangle.scenes is not None:
         keeps_ring = dataset.display.background_luminance_cd_m2 == "surround"
-        samples = of_group.scenes.on_even_field(
-            samples, stimulus.polarity, size_px / block_px, keeps_ring=keeps_ring
-        )
+        samples = triangle.scenes.on_even_field(samples, stimulus.polarity, size, keeps_ring=keeps_ring)
     ratio = np.array([sample.ring_cd_m2 / sample.background_cd_m2 for sample in samples])
-    if of_group.scenes is not None:  # trials on one scene have the same luminance around their triangles
-        ratio = np.array([ratio[np.array(names) == name].mean() for name in sorted(set(names))])
+    if triangle.scenes is not None:  # trials on one scene have the same luminance around their triangles
+        ratio = np.array([ratio[names == name].mean() for name in sorted(set(names))])
     scatter = float(ratio.std(ddof=1)) if len(ratio) > 1 else 0.0
+    stated_x, stated_y = np.mean([sample.stated_px for sample in samples], axis=0).tolist()
     return Inspection(
-        group=group,
+        group=trial.group,
         stimulus=stimulus,
         size_px=size_px,
-        stated_px=(
-            float(np.mean([sample.stated_px[0] for sample in samples])),
-            float(np.mean([sample.stated_px[1] for sample in samples])),
-        ),
+        stated_px=(stated_x, stated_y),
         are_windows=_are_windows(samples),
         n_trials=len(samples),
         frame_sizes_px=tuple(sorted({sample.frame_px for sample in samples})),
         background_luminance_cd_m2=float(np.mean([sample.background_cd_m2 for sample in samples])),
         ring_luminance_cd_m2=float(np.mean([sample.ring_cd_m2 for sample in samples])),
         ring_ratio=float(ratio.mean()),
-        ring_ratio_error=math.hypot(
-            scatter / math.sqrt(len(ratio)), _static_error(samples, scatter, size_px / block_px)
-        ),
+        ring_ratio_error=math.hypot(scatter / math.sqrt(len(ratio)), _static_error(samples, scatter, size)),
         ring_scatter=scatter,
         level=float(np.median(level)),
         noise_contrast=float(np.median([sample.noise for sample in samples])),
         **_of_codes([(sample.trial.level, sample.codes) for sample in samples if sample.codes is not None]),
-        **_of_triangle(of_group, samples, strength, max(size_px / block_px, LEAST_SIZE), names),
+        **_of_triangle(triangle, samples, strengths(dataset, level), max(size, LEAST_SIZE), names.tolist()),
     )
 
 
@@ -369,39 +349,30 @@ def _of_codes(of_trials: Sequence[tuple[float, Codes]]) -> dict[str, Any]:
     """
     if not of_trials:
         return {}
-    codes = [one for _, one in of_trials]
-    faintest = min((level for level, one in of_trials if one.step), default=math.inf)
-    vanished = [level for level, one in of_trials if not one.step]
+    faintest = min((level for level, codes in of_trials if codes.step), default=math.inf)
+    vanished = [level for level, codes in of_trials if not codes.step]
     are_rounded = bool(vanished) and max(vanished) <= faintest < math.inf
-    steps = [(one.step, one.step_contrast) for one in codes if one.step and (are_rounded or not one.is_flat)]
-    steps = steps or [(1, one.bit_contrast) for one in codes]
+    each = [codes for _, codes in of_trials]
+    stepped = [codes for codes in each if codes.step and (are_rounded or not codes.is_flat)]
+    contrasts = [codes.step_contrast for codes in stepped] or [codes.bit_contrast for codes in each]
     return {
-        "saturated_share": float(np.mean([one.top_share for one in codes])),
-        "crushed_share": float(np.mean([one.bottom_share for one in codes])),
-        "peak_code": max(one.peak for one in codes),
-        "full_scale": codes[0].full_scale,
-        "code_step": min(step for step, _ in steps),
-        "code_step_contrast": float(np.median([contrast for _, contrast in steps])),
+        "saturated_share": float(np.mean([codes.top_share for codes in each])),
+        "crushed_share": float(np.mean([codes.bottom_share for codes in each])),
+        "peak_code": max(codes.peak for codes in each),
+        "full_scale": each[0].full_scale,
+        "code_step": min((codes.step for codes in stepped), default=1),
+        "code_step_contrast": float(np.median(contrasts)),
     }
 
 
 class GroupTriangle(NamedTuple):
     """The triangle of a group's frames, and of each of them, in blocks.
 
-    Attributes
-    ----------
-    images : Images
-    fit : TriangleFit
-        The triangle that all share; its contrast is positive if of the stated polarity.
-    trials : TrialEstimates
-    middle : ndarray, shape (3,)
-        Mean stated place, from the middle of the window, and mean logarithm of the stated size.
-    error : ndarray, shape (4,)
-        Standard errors of contrast, x, y and size (as a share): by noise, and by the spread over the trials.
-    signal : float
-        Contrast in standard errors by noise alone; 0 if the frames show none.
-    scenes : SceneParts or None
-        The frames as background, triangle and noise, if they show scenes.
+    The contrast of `fit`, the triangle that all share, is positive if of the stated polarity. `middle`, (3,), is
+    the mean stated place, from the middle of the window, and the mean logarithm of the stated size. `error`, (4,),
+    has the standard errors of contrast, x, y and size (as a share): by noise, and by the spread over the trials.
+    `signal` is the contrast in standard errors by noise alone; 0 if the frames show none. `scenes` are the frames
+    as background, triangle and noise, if they show scenes.
     """
 
     images: Images
@@ -420,17 +391,13 @@ class GroupTriangle(NamedTuple):
         sizes = np.maximum([size_in_px(sample.trial, pitch) / block_px for sample in samples], LEAST_SIZE)
         level = strengths(dataset, np.array([sample.trial.level for sample in samples]))
         turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
-        view = None
-        if any(sample.trial.view is not None for sample in samples):
-            from todframes.diagnosis.scene_backgrounds import SceneParts, numbered_views
-
-            view = numbered_views(samples)
+        has_views = any(sample.trial.view is not None for sample in samples)
+        view = numbered_views(samples) if has_views else None
         shown = [sample.even if view is None else sample.seen for sample in samples]
         even = samples[0].trial.stimulus.polarity * np.array(shown)
         known = np.logical_and.reduce([sample.known for sample in samples])
-        noise = noise_of_frames(
-            even if view is None else _parted(even, level, turns, known, view), level, known, size
-        )
+        left = even if view is None else without_scenes(even, level, turns, known, view)
+        noise = noise_of_frames(left, level, known, size)
         share = np.square(level / noise) / np.square(level / noise).sum()
         stated = np.column_stack([[sample.offset for sample in samples], np.log(sizes)])
         frames = {"level": level, "noise": noise, "turns": turns}
@@ -474,24 +441,6 @@ class GroupTriangle(NamedTuple):
     def offset(self) -> FloatArray:
         """The displacement from the stated place to the triangle, (2,)."""
         return np.array([self.fit.shape.x, self.fit.shape.y]) - self.middle[:2]
-
-
-def _parted(
-    windows: FloatArray,
-    level: FloatArray,
-    turns: NDArray[np.intp],
-    known: NDArray[np.bool_],
-    view: NDArray[np.intp],
-) -> FloatArray:
-    """Return windows on scenes without their backgrounds, as a first fit with equal noise finds them."""
-    first = Images.of(
-        windows, level=level, noise=np.ones(len(level)), turns=turns, known=known, hole=0.0, view=view
-    )
-    assert first.of_view is not None
-    left = windows - level[:, None, None] * first.triangles[turns]
-    counts = np.bincount(view)[view].astype(np.float64)
-    left -= np.tensordot(first.of_view, left, 1)[view]
-    return np.asarray(left * np.sqrt(counts / np.maximum(counts - 1.0, 0.5))[:, None, None])
 
 
 def _of_triangle(
@@ -635,9 +584,9 @@ def _unevenness(
 def records(dataset: Dataset, inspections: Sequence[Inspection]) -> list[dict[str, Any]]:
     """Return inspections as plain values for JSON; the group's values have the names of their columns."""
     found = []
-    for one in inspections:
-        values = asdict(one)
-        values["group"] = dict(zip(dataset.experiment.group_by, one.group, strict=True))
+    for inspection in inspections:
+        values = asdict(inspection)
+        values["group"] = dict(zip(dataset.experiment.group_by, inspection.group, strict=True))
         values |= values.pop("stimulus")
         found.append({name: value for name, value in values.items() if value is not None})
     return found

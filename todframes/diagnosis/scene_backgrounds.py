@@ -31,16 +31,9 @@ LEAST_SCENES = 4
 def whole_views(trials: Trials, strength: FloatArray, most: int) -> NDArray[np.intp]:
     """Choose trials so that their backgrounds are known: of views spread over the manifest, up to a few of each.
 
-    A view is left out if all of its trials have one orientation and one strength.
-
-    Parameters
-    ----------
-    trials : Trials
-        The trials of a group, with scenes.
-    strength : ndarray
-        Value of each that its displayed contrast is proportional to.
-    most : int
-        Number of trials that would be chosen on an even background; on scenes they are `VIEWED_TIMES` as many.
+    `trials` are those of a group, `strength` what their displayed contrast is proportional to, and `most` the
+    number that would be chosen on an even background. A view is left out if all of its trials have one orientation
+    and one strength.
     """
     usable = []
     for _, members in trials.by_view():
@@ -82,17 +75,33 @@ def that_share(samples: Sequence[TrialSample]) -> list[TrialSample]:
     return kept if len(kept) > int((counts > 1).sum()) + 4 else []
 
 
+def _parted(left: FloatArray, of_view: FloatArray, view: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    """Return the mean of each view, (view, n, n), and the noise, of which that mean has taken a part."""
+    backgrounds = np.tensordot(of_view, left, 1)
+    counts = np.bincount(view)[view].astype(np.float64)
+    noise = (left - backgrounds[view]) * np.sqrt(counts / np.maximum(counts - 1.0, 0.5))[:, None, None]
+    return backgrounds, noise
+
+
+def without_scenes(
+    windows: FloatArray,
+    level: FloatArray,
+    turns: NDArray[np.intp],
+    known: NDArray[np.bool_],
+    view: NDArray[np.intp],
+) -> FloatArray:
+    """Return windows on scenes without their backgrounds, as a first fit with equal noise finds them."""
+    equal = np.ones(len(level))
+    first = Images.of(windows, level=level, noise=equal, turns=turns, known=known, hole=0.0, view=view)
+    assert first.of_view is not None
+    return _parted(windows - level[:, None, None] * first.triangles[turns], first.of_view, view)[1]
+
+
 class SceneParts(NamedTuple):
     """Windows on scenes as background, triangle and noise.
 
-    Attributes
-    ----------
-    view : ndarray of int, shape (trial,)
-    backgrounds : ndarray, shape (view, n, n)
-        Contrast, in the sign of the triangles' polarity.
-    even : ndarray, shape (trial, n, n)
-        Triangle and noise, as on an even field.
-    noise : ndarray, shape (trial, n, n)
+    `backgrounds`, (view, n, n), are contrasts in the sign of the triangles' polarity; `even`, (trial, n, n), are
+    triangle and noise, as on an even field; `view` is the number of each trial's background.
     """
 
     view: NDArray[np.intp]
@@ -118,12 +127,8 @@ class SceneParts(NamedTuple):
             triangles = np.zeros_like(images.triangles)
             subtract(triangles, -found.picture.images[list(found.shown)], found.square)
         shown = level[:, None, None] * triangles[turns]
-        left = windows - shown
-        backgrounds = np.tensordot(images.of_view, left, 1)
-        left -= backgrounds[view]
-        counts = np.bincount(view)[view].astype(np.float64)
-        left *= np.sqrt(counts / np.maximum(counts - 1.0, 0.5))[:, None, None]  # the mean has taken a part of it
-        return cls(view, backgrounds, shown + left, left)
+        backgrounds, noise = _parted(windows - shown, images.of_view, view)
+        return cls(view, backgrounds, shown + noise, noise)
 
     def on_even_field(
         self, samples: Sequence[TrialSample], polarity: int, size: float, *, keeps_ring: bool
@@ -134,19 +139,18 @@ class SceneParts(NamedTuple):
         With `keeps_ring` it is as good as measured: the dataset takes its background from the same pixels.
         """
         n = self.backgrounds.shape[-1]
-        local = np.zeros(len(self.backgrounds))
+        local, offsets = np.zeros(len(self.backgrounds)), np.array([sample.offset for sample in samples])
         for number in range(0 if keeps_ring else len(local)):
-            offsets = [one.offset for one, of in zip(samples, self.view, strict=True) if of == number]
-            x, y = (np.mean(offsets, axis=0) + (n - 1) / 2.0).tolist()
+            x, y = (offsets[self.view == number].mean(axis=0) + (n - 1) / 2.0).tolist()
             circle = circle_about((n, n), size_px=size, x_px=x, y_px=y)
             local[number] = polarity * float((circle * self.backgrounds[number]).sum())
         return [
-            one._replace(
-                ring_cd_m2=one.background_cd_m2 * max(1.0 + float(local[number]), 1e-9),
-                noise=float(noise[one.known].std()) * one.block_px,
+            sample._replace(
+                ring_cd_m2=sample.background_cd_m2 * max(1.0 + float(local[number]), 1e-9),
+                noise=float(noise[sample.known].std()) * sample.block_px,
                 even=polarity * even,
             )
-            for one, number, noise, even in zip(samples, self.view, self.noise, self.even, strict=True)
+            for sample, number, noise, even in zip(samples, self.view, self.noise, self.even, strict=True)
         ]
 
     def of_scenes(self, names: Sequence[str]) -> FloatArray | None:

@@ -187,7 +187,7 @@ def picture(shape: Shape, square: Square, n: int) -> RenderedTriangle:
 def differences(shape: Shape, square: Square, weight: FloatArray) -> FloatArray:
     """Return the weighted pictures of the orientations less their mean, (4, side, side)."""
     images = picture(shape, square, len(weight)).images
-    return (images - images.mean(axis=0)) * square.of(weight)
+    return np.asarray((images - images.mean(axis=0)) * square.of(weight))
 
 
 def _position(shape: Shape, square: Square, n: int) -> FloatArray:

@@ -57,8 +57,7 @@ class MeanFrames:
 
     def of_trial(self, trial: Trial) -> FloatArray:
         """Return the mean contrast of a trial's frames, in blocks."""
-        contrasts = [self._contrast(frame, trial.stimulus) for frame in trial.frames]
-        return contrasts[0] if len(contrasts) == 1 else np.asarray(sum(contrasts) / len(contrasts))
+        return np.asarray(sum(self._contrast(frame, trial.stimulus) for frame in trial.frames) / len(trial.frames))
 
     def mean(self) -> FloatArray:
         """Return the mean of all frames."""
@@ -128,10 +127,9 @@ def _size(shape: tuple[int, ...]) -> str:
 
 
 class CorrelationPeak(NamedTuple):
-    """The highest correlation on whole blocks: its place, its height, and the multiple of the stated size.
-
-    `height` is that of the peak above the median of the correlation as stated, `spread` the standard deviation of
-    that correlation over the frame. The height is -inf if the frames are smaller than the triangles.
+    """The highest correlation on whole blocks: its position, its height above the median of the correlation, and
+    the multiple of the stated size. `spread` is the standard deviation of the correlation over the frame. The
+    height is -inf if the frames are smaller than the triangles.
     """
 
     x: int

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -10,10 +11,10 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError
-from todframes.display.display import border_values
+from todframes.display.display import Display, border_values
 from todframes.frames.contrast import LuminanceFound
 from todframes.frames.dataset import Dataset
-from todframes.frames.files import FULL_SCALE
+from todframes.frames.files import FULL_SCALE, FrameSource
 from todframes.frames.position import centroid_position
 from todframes.frames.surround import (
     Range,
@@ -38,27 +39,12 @@ REACH_IN_SIZES = 3.0
 class TrialSample(NamedTuple):
     """Measurements of a trial: contrast is the mean over its frames, all else is that of its first.
 
-    Attributes
-    ----------
-    trial : Trial
-    known : ndarray of bool, shape (n, n)
-        Blocks of which the frame has at least half of the pixels.
-    seen, even : ndarray, shape (n, n)
-        Contrast of the blocks against the background that the dataset declares, and against the surface fitted
-        around the triangle; 0 beyond the frame. With `reach_px`, that surface is level.
-    stated_px : (float, float)
-        Stated centroid (x, y) on the frame, in pixels.
-    offset : (float, float)
-        Stated centroid (x, y) from the middle of the blocks, in blocks.
-    block_px : int
-    frame_px : (int, int)
-        Rows and columns of the frame.
-    background_cd_m2, ring_cd_m2 : float
-        Luminance that contrast refers to, and that around the triangle.
-    noise : float
-        Standard deviation of a pixel's contrast, from neighbouring blocks of the surround.
-    codes : Codes or None
-        None for floating-point frames.
+    `known` marks the blocks, (n, n), of which the frame has at least half of the pixels. `seen` and `even` are
+    their contrasts against the background that the dataset declares, and against the surface fitted around the
+    triangle; 0 beyond the frame. With `reach_px`, that surface is level. `stated_px` is the stated centroid (x, y)
+    on the frame, `offset` its distance from the middle of the blocks, in blocks. `background_cd_m2` is what
+    contrast refers to, `ring_cd_m2` the luminance around the triangle, and `noise` the standard deviation of a
+    pixel's contrast, from neighbouring blocks of the surround. There are no `codes` of floating-point frames.
     """
 
     trial: Trial
@@ -105,36 +91,21 @@ def measure_trial(
 ) -> TrialSample:
     """Measure the frames of a trial about its stated place.
 
-    Parameters
-    ----------
-    dataset : Dataset
-    trial : Trial
-    centre : {"centroid", "bounding_box"}
-    size_px : float
-        The size that the window and its blocks are made for: that of the trial, or one for several alike.
-    reach_px : float
-        Least distance from the stated place that the window has.
-    middle_px : (float, float), optional
-        Place (x, y) about which the window is cut, so that windows of several trials show the same pixels.
-        Default: the stated one.
-
-    Raises
-    ------
-    FrameError, DataError
-        If a frame cannot be read, or has no background.
+    The window and its blocks are made for `size_px`, that of the trial or one for several alike; it reaches as far
+    as `reach_px` at least. It is cut about `middle_px`, so that windows of several trials show the same pixels; by
+    default about the stated place. Raises FrameError or DataError if a frame cannot be read, or has no background.
     """
     # Frames of a triangle that moves cannot be averaged: its place on the pixels differs.
     n_alike = 1 if any(frame.motion_px is not None for frame in trial.frames) else len(trial.frames)
-    first, *others = (
+    frames = [
         _measured(dataset, trial, frame, centre, size_px, reach_px, middle_px) for frame in trial.frames[:n_alike]
-    )
-    if not others:
-        return first
-    frames = (first, *others)
-    return first._replace(
-        known=np.logical_and.reduce([one.known for one in frames]),
-        seen=np.mean([one.seen for one in frames], axis=0),
-        even=np.mean([one.even for one in frames], axis=0),
+    ]
+    if n_alike == 1:
+        return frames[0]
+    return frames[0]._replace(
+        known=np.logical_and.reduce([sample.known for sample in frames]),
+        seen=np.mean([sample.seen for sample in frames], axis=0),
+        even=np.mean([sample.even for sample in frames], axis=0),
     )
 
 
@@ -147,64 +118,38 @@ def _measured(
     reach_px: float,
     middle_px: tuple[float, float] | None,
 ) -> TrialSample:
-    display = dataset.display
-    rule = display.background_luminance_cd_m2
+    rule = dataset.display.background_luminance_cd_m2
     with dataset.open(frame) as file:
         header = file.header
-        x, y = centroid_position(trial, header, centre, display.pitch_mrad, frame)
-        triangle = TrianglePlace(x, y, size_px)
-        all_rows, all_columns = file.clip(None, None)
-        window = surround_window(triangle, rows=all_rows, columns=all_columns)
-        read = Window(*(
-            (max(min(first, round(at - reach_px)), low), min(max(stop, round(at + reach_px) + 1), high))
-            for (first, stop), at, (low, high) in zip(window, (y, x), (all_rows, all_columns), strict=True)
-        ))  # fmt: skip
-        if triangle.size_px > 2 * max(header.height, header.width) or min(b - a for a, b in window) < 1:
-            raise FrameError(file.path, "the triangle does not lie on the frame")
-        whole = rule in ("border", "frame_mean")
-        blocks = _BlockMeans.about(triangle, reach_px, middle_px or (x, y))
-        surround, found, codes = SurroundSums(triangle, window), LuminanceFound(), _CodeCounts(triangle)
-        stop_row = all_rows[1]
-        for band in file.bands() if whole else file.bands(rows=read.rows, columns=read.columns):
-            luminance = display.luminance(band.values)
-            begin, end = band.first_row, band.first_row + len(luminance)
-            if rule == "border":
-                found.average(border_values(luminance, top=begin == all_rows[0], bottom=end == stop_row))
-            elif rule == "frame_mean":
-                found.average(luminance)
-            surround.add(luminance, begin, band.first_column)
-            blocks.add(luminance, begin, band.first_column, read)
-            if header.pixel_type in FULL_SCALE:
-                codes.add(band.stored, begin, band.first_column)
-        surface: Surface | None
-        try:
-            surface = surround.surface()
-        except DataError:
-            surface = None
-    means, known = blocks.means()
-    at = blocks.places()
+        x, y = centroid_position(trial, header, centre, dataset.display.pitch_mrad, frame)
+        sums = _WindowSums(file, dataset.display, TrianglePlace(x, y, size_px), reach_px, middle_px)
+    means, known = sums.blocks.means()
+    rows_columns = sums.blocks.middles()
+    surface: Surface | None = None
+    with suppress(DataError):
+        surface = sums.surround.surface()
     even_cd_m2: float | FloatArray
     if surface is None:
-        ring = float(np.median(means[known]))
-        even_cd_m2, noise = ring, 0.0
+        even_cd_m2 = ring = float(np.median(means[known]))
+        noise = 0.0
     else:
         ring = surface.middle_cd_m2
-        even_cd_m2 = ring if reach_px else surface.luminance_at(*at)
-        noise = surface.noise_cd_m2 * surround.block_px / ring
-    background = (
-        frame.background_luminance_cd_m2
-        if rule == "column"
-        else ring if rule == "surround" else found.sum / found.n_averaged if isinstance(rule, str) else rule
-    )  # fmt: skip
-    assert background is not None
+        even_cd_m2 = ring if reach_px else surface.luminance_at(*rows_columns)
+        noise = surface.noise_cd_m2 * sums.surround.block_px / ring
+    if rule == "column":
+        assert frame.background_luminance_cd_m2 is not None  # the manifest was checked for it
+        background = frame.background_luminance_cd_m2
+    elif rule == "surround":
+        background = ring
+    else:
+        background = sums.luminance.sum / sums.luminance.n_averaged if isinstance(rule, str) else rule
     if not (background > 0.0 and ring > 0.0):
         raise FrameError(file.path, "there is no background")
     with np.errstate(divide="ignore", invalid="ignore"):
         even = np.where(known & (np.asarray(even_cd_m2) > 0.0), means / even_cd_m2 - 1.0, 0.0)
     seen = np.where(known, means / background - 1.0, 0.0)
     if surface is not None and not reach_px:
-        outside = ~surface.has(*at)
-        even[outside] = 0.0
+        even[~surface.has(*rows_columns)] = 0.0
         if rule == "surround":
             seen = even
     return TrialSample(
@@ -213,34 +158,70 @@ def _measured(
         seen=seen,
         even=even,
         stated_px=(x, y),
-        offset=blocks.offset,
-        block_px=blocks.block_px,
+        offset=sums.blocks.offset,
+        block_px=sums.blocks.block_px,
         frame_px=(header.height, header.width),
         background_cd_m2=background,
         ring_cd_m2=ring,
         noise=noise,
-        codes=codes.found(dataset, ring) if header.pixel_type in FULL_SCALE else None,
+        codes=sums.codes.found(dataset, ring) if header.pixel_type in FULL_SCALE else None,
     )
+
+
+class _WindowSums:
+    """Sums over the pixels about a triangle, by bands, and over the whole frame if the background rule needs
+    these.
+    """
+
+    def __init__(
+        self,
+        file: FrameSource,
+        display: Display,
+        triangle: TrianglePlace,
+        reach_px: float,
+        middle_px: tuple[float, float] | None,
+    ) -> None:
+        header, rule = file.header, display.background_luminance_cd_m2
+        all_rows, all_columns = file.clip(None, None)
+        window = surround_window(triangle, rows=all_rows, columns=all_columns)
+        read = Window(*(
+            (max(min(first, round(at - reach_px)), low), min(max(stop, round(at + reach_px) + 1), high))
+            for (first, stop), at, (low, high) in zip(
+                window, (triangle.y_px, triangle.x_px), (all_rows, all_columns), strict=True
+            )
+        ))  # fmt: skip
+        if triangle.size_px > 2 * max(header.height, header.width) or min(b - a for a, b in window) < 1:
+            raise FrameError(file.path, "the triangle does not lie on the frame")
+        self.blocks = _BlockMeans(triangle, reach_px, middle_px or (triangle.x_px, triangle.y_px))
+        self.surround, self.luminance = SurroundSums(triangle, window), LuminanceFound()
+        self.codes = _CodeCounts(triangle)
+        is_whole = rule in ("border", "frame_mean")
+        for band in file.bands() if is_whole else file.bands(rows=read.rows, columns=read.columns):
+            luminance = display.luminance(band.values)
+            begin, end = band.first_row, band.first_row + len(luminance)
+            if rule == "border":
+                is_top, is_bottom = begin == all_rows[0], end == all_rows[1]
+                self.luminance.average(border_values(luminance, top=is_top, bottom=is_bottom))
+            elif rule == "frame_mean":
+                self.luminance.average(luminance)
+            self.surround.add(luminance, begin, band.first_column)
+            self.blocks.add(luminance, begin, band.first_column, read)
+            if header.pixel_type in FULL_SCALE:
+                self.codes.add(band.stored, begin, band.first_column)
 
 
 class _BlockMeans:
     """The means of square blocks about a triangle, by bands; their number depends on its size alone."""
 
-    def __init__(
-        self, triangle: TrianglePlace, middle_px: tuple[float, float], block_px: int, n_blocks: int
-    ) -> None:
-        self.block_px, self.n = block_px, n_blocks
-        length = n_blocks * block_px
+    def __init__(self, triangle: TrianglePlace, reach_px: float, middle_px: tuple[float, float]) -> None:
+        self.block_px = block_px = max(int(triangle.size_px / PICTURE_BLOCKS_PER_SIZE), 1)
+        reach = max(REACH_IN_SIZES * triangle.size_px, hole_radius_px(triangle.size_px) + 8.0, reach_px)
+        self.n = 2 * math.ceil(reach / block_px) + 1
+        length = self.n * block_px
         self.first = tuple(round(at) - length // 2 for at in reversed(middle_px))
         middle_y, middle_x = (first + (length - 1) / 2.0 for first in self.first)
         self.offset = (triangle.x_px - middle_x) / block_px, (triangle.y_px - middle_y) / block_px
-        self.sums, self.counts = np.zeros((n_blocks, n_blocks)), np.zeros((n_blocks, n_blocks))
-
-    @classmethod
-    def about(cls, triangle: TrianglePlace, reach_px: float, middle_px: tuple[float, float]) -> _BlockMeans:
-        block_px = max(int(triangle.size_px / PICTURE_BLOCKS_PER_SIZE), 1)
-        reach = max(REACH_IN_SIZES * triangle.size_px, hole_radius_px(triangle.size_px) + 8.0, reach_px)
-        return cls(triangle, middle_px, block_px, 2 * math.ceil(reach / block_px) + 1)
+        self.sums, self.counts = np.zeros((2, self.n, self.n))
 
     def add(self, luminance: FloatArray, row: int, column: int, window: Window) -> None:
         """Add the part of a rectangle of luminance, its first pixel at (row, column), that lies in the window."""
@@ -269,7 +250,7 @@ class _BlockMeans:
         """Return the means, and which blocks have at least half of their pixels."""
         return self.sums / np.maximum(self.counts, 1), self.counts >= self.block_px**2 / 2.0
 
-    def places(self) -> tuple[FloatArray, FloatArray]:
+    def middles(self) -> tuple[FloatArray, FloatArray]:
         """Return the rows and columns of the middles of the blocks."""
         middles = np.asarray((np.arange(self.n) + 0.5) * self.block_px - 0.5)
         return self.first[0] + middles, self.first[1] + middles
