@@ -111,7 +111,7 @@ def locate_triangles(
     others are. A trial that shows no triangle has their mean position.
 
     If bad frames are skipped, trials that cannot be read and groups in which no triangle stands out are listed in
-    `bad_rows`. `progress` is called with the number of trials that are done, and of all; with "each" again for each.
+    `bad_rows`. `progress` is called with the number of trials done, and of all; with "each" again for each.
 
     Raises
     ------
@@ -336,9 +336,7 @@ class _Search:
         mean_px = block_px * triangle.offset
         moves_px = np.tile(mean_px, (len(self.trials), 1))
         error_px = block_px * float(triangle.error[1:3].max())
-        return _Displacements(
-            moves_px, mean_px, error_px, _arrangement(triangle), size_ratio=triangle.size_ratio
-        )
+        return _Displacements(moves_px, mean_px, error_px, _arrangement(triangle), size_ratio=triangle.size_ratio)
 
     def _fit_strong(self, strong: Sequence[TrialSample], reach_px: float) -> GroupTriangle | None:
         """Fit the triangle of strong trials about their own positions, first found with a triangle as stated."""
@@ -505,11 +503,7 @@ def location_warnings(
             message = f"the triangles that were located are {change}; {remedy}"
             warnings.append(DatasetWarning(code, group, message, found=1.0, expected=0.0))
         threshold = (thresholds or {}).get(location.group)
-        if (
-            threshold is not None
-            and location.n_trials
-            and not threshold >= (location.sure_level or math.inf)
-        ):
+        if threshold is not None and location.n_trials and not threshold >= (location.sure_level or math.inf):
             message = (
                 f"triangles at the threshold, {threshold:.3g}, are too faint for a position of their own, and the "
                 f"positions scatter by {location.scatter_px:.2g} pixels: the observer looks beside them, and the "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,18 +37,13 @@ from todframes.results.data import observer_names
 from todframes.results.result import Result, repeatable
 from todframes.scoring.error_budget import plan_object
 from todframes.scoring.opening import (
-    background_of,
-    described_each,
     each_once,
     gazes_of,
     in_memory,
     inspected,
     is_skip,
-    knowing_background,
-    loaded,
-    locate_name,
-    located,
     of_observer,
+    opened,
 )
 
 if TYPE_CHECKING:
@@ -185,16 +180,12 @@ def compare(
     if not found:
         raise SettingsError(f"{argument.enhance}: found none, expected one algorithm or more")
     gazes = gazes_of(gaze)
-    data = replace(loaded(dataset), gaze=gazes[0])
-    judges, each_settings = described_each(observer, lambda: background_of(data))
-    judge, settings = judges[0], each_settings[0]
+    data, judges, of_judges, way, more, placed_wrong = opened(
+        dataset, observer, gaze=gazes[0], locate=locate, on_error=on_error, progress=progress
+    )
     screen = AlgorithmDisplay(data.display, white, allow_clipping)
-    data, more, placed_wrong = located(data, judge, locate, on_error, progress)
-    known = [knowing_background(*one, data) for one in zip(judges, each_settings, strict=True)]
-    judges, each_settings = [one for one, _ in known], [own for _, own in known]
-    judge = judges[0]
-    each_settings = [own | {"gaze": one} for own in each_settings for one in gazes]
-    settings = each_settings[0]
+    each_settings = [own | {"gaze": own_gaze} for own in of_judges for own_gaze in gazes]
+    judge, settings = judges[0], each_settings[0]
     with opened_run(workers, cluster, store, progress) as run:
         results, *others = compare_observers(
             data,
@@ -232,7 +223,7 @@ def compare(
         started,
         settings=settings
         | asdict(fit)
-        | {"decisions": decisions, "curve": fitted_curve(curve, decisions), "locate": locate_name(locate)}
+        | {"decisions": decisions, "curve": fitted_curve(curve, decisions), "locate": way}
         | {"plan": plan, "white": white, "allow_clipping": allow_clipping},
         seed=seed,
         algorithms=compared,

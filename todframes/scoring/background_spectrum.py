@@ -7,8 +7,6 @@ times a Hann window, in which a hole with a smooth edge leaves the triangle out.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -19,9 +17,7 @@ from todframes.frames.dataset import Dataset
 from todframes.frames.position import centroid_position, size_in_px
 from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import Trial, Trials
-from todframes.observers.csf import FRAMES
 from todframes.observers.eye import MRAD_PER_DEG
-from todframes.observers.interface import Observer
 from todframes.stimulus import Centre
 
 HOLE_SIZES = (1.3, 2.0)
@@ -40,41 +36,13 @@ LEAST_SHARE = 0.05
 """Share of the window's weight that the hole has to leave."""
 
 
-def knowing_background(observer: Observer, dataset: Dataset, trials: Trials) -> Observer:
-    """Return the observer with the spectrum of the frames, if its settings ask for it.
-
-    Raises
-    ------
-    DataError
-        If no frame can be read, or frames end too near to the triangle.
-    """
-    settings: Any = getattr(observer, "settings", None)
-    if getattr(settings, "external_noise_spectrum", None) != FRAMES or settings.template != "ideal":
-        return observer
-    spectrum = background_spectrum(dataset, trials, observer.centre)
-    return type(observer)(replace(settings, external_noise_spectrum=spectrum))
-
-
 def background_spectrum(dataset: Dataset, trials: Trials, centre: Centre) -> tuple[tuple[float, float], ...]:
     """Measure the spectral density behind the triangles.
 
-    Parameters
-    ----------
-    dataset : Dataset
-    trials : Trials
-    centre : {"centroid", "bounding_box"}
-        Point of the triangle that lies at the frame's centre where the manifest has no position.
-
-    Returns
-    -------
-    tuple of (float, float)
-        Frequencies in cycles/degree, ascending, and the mean density over all directions, in squared contrast ×
-        squared degrees, as displayed: pixels are held over their area.
-
-    Raises
-    ------
-    DataError
-        If no frame can be read, or frames end too near to the triangle.
+    Returns frequencies in cycles/degree, ascending, and the mean density over all directions, in squared contrast
+    × squared degrees, as displayed: pixels are held over their area. `centre` is the point of the triangle that
+    lies at the frame's centre where the manifest has no position. Raises DataError if no frame can be read, or
+    frames end too near to the triangle.
     """
     weak = trials.select(trials.levels <= np.median(trials.levels))
     chosen = weak.select(np.unique(np.linspace(0, len(weak) - 1, MOST_TRIALS).astype(np.intp)))

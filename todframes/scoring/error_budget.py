@@ -25,20 +25,10 @@ SAFETY = 2.0
 
 
 class Step(NamedTuple):
-    """A line of a plan.
+    """A line of a plan: a stage of the computation that could be left out, whether it is kept, and why.
 
-    Attributes
-    ----------
-    stage : str
-        Stage of the computation that could be left out.
-    kept : bool
-        Whether the stage is kept.
-    why : str
-        Decision and its reason.
-    bound : float
-        Bound on the change of P(correct); 0 if nothing changes.
-    saves_s, saves_once_s : float
-        Estimated time saved at each place that is computed, and once for all places, in seconds.
+    `bound` is the bound on the change of P(correct), 0 if nothing changes. `saves_s` and `saves_once_s` are the
+    estimated times saved at each place that is computed, and once for all places, in seconds.
     """
 
     stage: str
@@ -69,24 +59,15 @@ def total_bound(steps: Sequence[Step]) -> float:
 
 
 def decision_change(score_change: FloatArray, covariance: FloatArray, covariance_change: FloatArray) -> FloatArray:
-    """Compute a bound on the change of P(each answer) for a change of scores and of their covariance.
+    """Compute a bound on the change of P(each answer), (…, 4), for a change of scores and of their covariance.
 
     The answer is k while the differences D_j of score k from the others are positive. Moving their means by δ_j
     changes that with probability Σ |δ_j| / (σ_j √(2π)) at most, as no density of D_j exceeds 1/(σ_j √(2π)).
-    Changing their covariance by E, relative to itself, changes the probability of any event by the total
-    variation at most, which is ‖E‖/√8 by Pinsker's inequality, to first order in E.
+    Changing their covariance by E, relative to itself, changes the probability of any event by the total variation
+    at most, which is ‖E‖/√8 by Pinsker's inequality, to first order in E.
 
-    Parameters
-    ----------
-    score_change : ndarray, shape (..., 4)
-        Change of the mean scores.
-    covariance, covariance_change : ndarray, shape (..., 4, 4)
-        Covariance of the scores and its change, broadcast against `score_change`.
-
-    Returns
-    -------
-    ndarray, shape (..., 4)
-        Bound, at most 1; 1 if the score differences have no noise.
+    `score_change`, (…, 4), is the change of the mean scores; the covariance of the scores and its change, (…, 4,
+    4), are broadcast against it. The bound is at most 1; 1 if the score differences have no noise.
     """
     to_differences = np.array([np.delete(np.eye(4)[k] - np.eye(4), k, axis=0) for k in range(4)])
     mean = np.einsum("kij,...j->...ki", to_differences, score_change)

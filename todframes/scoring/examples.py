@@ -22,7 +22,7 @@ from todframes.observers.interface import Observer
 from todframes.results.data import Example, Thumbnail, group_of
 from todframes.results.thumbnails import ExamplePatch, pictures, png, reach_px_of, srgb
 from todframes.results.wording import evenly
-from todframes.scoring.retina_view import view_trial
+from todframes.scoring.retina_view import read_trial, retina_image
 from todframes.scoring.score import GroupFit, ScoredDataset
 from todframes.stimulus import vertices
 
@@ -58,9 +58,10 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tup
         trial = scored.trials[place]
         # The displacement is NaN if the trial was seen at several displacements.
         dx, dy = np.nan_to_num(scored.displacement_samples[place]).tolist()
+        grid = observer.grid(trial.stimulus)
         width_mrad, drawn = pictures(
             _shown(dataset, trial, observer),
-            view_trial(dataset, trial, observer, (dx, dy)).contrast,
+            retina_image(read_trial(dataset, trial, observer, grid, [(dx, dy)]), grid, (dx, dy)),
             observer=observer,
             stimulus=trial.stimulus,
             pixel_pitch_mrad=dataset.display.pitch_mrad,

@@ -1,11 +1,12 @@
-"""Parts that several calls share: the dataset and the warnings about it."""
+"""Parts that several calls share: the dataset, its observers and the warnings about it."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args
 
 from msgspec.structs import replace as replace_struct
 from numpy.typing import ArrayLike
@@ -17,13 +18,10 @@ from todframes.diagnosis.inspection import inspect, records
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset, dataset_warnings, load_dataset
 from todframes.frames.trials import Trial
+from todframes.observers.csf import FRAMES
 from todframes.observers.interface import Observer, described
 from todframes.parameters import Gaze, OnError, Progress
-from todframes.results.data import (
-    DatasetRecord,
-    ResultWarning,
-    group_of,
-)
+from todframes.results.data import DatasetRecord, ResultWarning, group_of
 from todframes.stimulus import Centre
 
 if TYPE_CHECKING:
@@ -41,8 +39,7 @@ def described_each(
 ) -> tuple[list[Observer], list[Json]]:
     """Return observers, several also named as "pyramid,csf", and their settings, as `described` does for one."""
     asked = observer.split(",") if isinstance(observer, str) else observer
-    several = asked if isinstance(asked, Sequence) else [asked]
-    each = [described(one, find_background) for one in several]
+    each = [described(one, find_background) for one in (asked if isinstance(asked, Sequence) else [asked])]
     if not each:
         raise SettingsError("observer: found none, expected one or several")
     return [judge for judge, _ in each], [settings for _, settings in each]
@@ -63,18 +60,18 @@ def of_observer(name: str, warnings: Iterable[ResultWarning]) -> tuple[ResultWar
     """Return warnings that name the observer that they are about; as they are if it has no name."""
     if not name:
         return tuple(warnings)
-    return tuple(replace_struct(one, message=f"{name}: {one.message}") for one in warnings)
+    return tuple(replace_struct(warning, message=f"{name}: {warning.message}") for warning in warnings)
 
 
-def background_of(data: Dataset) -> float:
+def _background_of(data: Dataset) -> float:
     """Return the luminance of a dataset's background in cd/m²: the mean over its groups where frames show it."""
     rule = data.display.background_luminance_cd_m2
     if not isinstance(rule, str):
         return float(rule)
-    found = [one.background_luminance_cd_m2 for one in inspect(data, data.trials)]
-    if not found:
+    luminances = [inspection.background_luminance_cd_m2 for inspection in inspect(data, data.trials)]
+    if not luminances:
         raise SettingsError("luminance_cd_m2: found background, which no frame shows; expected a number")
-    return math.fsum(found) / len(found)
+    return math.fsum(luminances) / len(luminances)
 
 
 def in_memory(frames: Iterable[ArrayLike], display: Display | str, **shown: Any) -> Dataset:
@@ -85,24 +82,42 @@ def in_memory(frames: Iterable[ArrayLike], display: Display | str, **shown: Any)
     return memory_dataset(frames, display=find_display(display).display, **shown)
 
 
-def locate_name(locate: Locate | bool) -> Locate | None:
-    """Return the way of `locate`, which may be true for the first; None if nothing is located."""
-    return "group" if locate is True else locate or None
+class Opened(NamedTuple):
+    """A dataset and the observers that look at it, each with its settings.
+
+    `way` is the way of locating triangles, None if they are not. `more` are the positions for the result, and
+    `location_warnings` gives the warnings about these once the dataset is scored.
+    """
+
+    data: Dataset
+    judges: list[Observer]
+    settings: list[Json]
+    way: Locate | None
+    more: Json
+    location_warnings: Callable[[ScoredDataset], tuple[ResultWarning, ...]]
 
 
-def located(
+def opened(
     dataset: Path | str | Dataset,
-    observer: Observer,
+    observer: str | Observer | Sequence[str | Observer],
+    *,
+    gaze: Gaze,
     locate: Locate | bool,
     on_error: OnError,
     progress: Progress | None,
-) -> tuple[Dataset, Json, Callable[[ScoredDataset], tuple[ResultWarning, ...]]]:
-    """Load a dataset and find its positions if asked to.
+) -> Opened:
+    """Load a dataset, make its observers, and find its positions if asked to."""
+    data = dataclasses.replace(loaded(dataset), gaze=gaze)
+    judges, each_settings = described_each(observer, lambda: _background_of(data))
+    way: Locate | None = "group" if locate is True else locate or None
+    data, more, warnings = _located(data, judges[0], way, on_error, progress)
+    known = [_knowing_background(*one, data) for one in zip(judges, each_settings, strict=True)]
+    return Opened(data, [judge for judge, _ in known], [own for _, own in known], way, more, warnings)
 
-    Returns it, the positions, and a function that gives the warnings about these once the dataset is scored.
-    """
-    data = loaded(dataset)
-    way = locate_name(locate)
+
+def _located(
+    data: Dataset, observer: Observer, way: Locate | None, on_error: OnError, progress: Progress | None
+) -> tuple[Dataset, Json, Callable[[ScoredDataset], tuple[ResultWarning, ...]]]:
     if way is None:
         return data, {}, lambda _: ()
     from todframes.diagnosis.locate import locate_triangles, location_warnings
@@ -112,39 +127,34 @@ def located(
             f"{argument.locate}: the dataset has scenes, in which texture may look like a triangle; expected it "
             "without, as their places are known"
         )
-
+    skip = is_skip(on_error)
     data, locations = locate_triangles(
-        data,
-        locate=way,
-        centre=observer.centre,
-        skip_bad_frames=is_skip(on_error),
-        progress=progress,
+        data, locate=way, centre=observer.centre, skip_bad_frames=skip, progress=progress
     )
     located = tuple(
-        {
-            **one._asdict(),
-            "group": group_of(data, one.group),
-            "arrangement": list(one.arrangement.mismatches),
-        }
-        for one in locations
+        location._asdict()
+        | {"group": group_of(data, location.group), "arrangement": list(location.arrangement.mismatches)}
+        for location in locations
     )
 
     def warnings(scored: ScoredDataset) -> tuple[ResultWarning, ...]:
-        thresholds = {one.group: one.fit.threshold for one in scored.fits}
-        return tuple(ResultWarning(**one._asdict()) for one in location_warnings(data, locations, thresholds))
+        thresholds = {fit.group: fit.fit.threshold for fit in scored.fits}
+        found = location_warnings(data, locations, thresholds)
+        return tuple(ResultWarning(**warning._asdict()) for warning in found)
 
     return data, {"located": located}, warnings
 
 
-def knowing_background(judge: Observer, settings: Json, data: Dataset) -> tuple[Observer, Json]:
-    """Return an observer and its settings with the spectrum of the frames, if these ask for it."""
-    if settings.get("external_noise_spectrum") != "frames":
+def _knowing_background(judge: Observer, settings: Json, data: Dataset) -> tuple[Observer, Json]:
+    """Return an observer and its settings with the spectrum of the frames, if its ideal template asks for it."""
+    own: Any = getattr(judge, "settings", None)
+    if settings.get("external_noise_spectrum") != FRAMES or own.template != "ideal":
         return judge, settings
-    from todframes.scoring import background_spectrum
+    from todframes.scoring.background_spectrum import background_spectrum
 
-    judge = background_spectrum.knowing_background(judge, data, data.trials)
-    known: Any = judge
-    return judge, settings | {"external_noise_spectrum": known.settings.external_noise_spectrum}
+    spectrum = background_spectrum(data, data.trials, judge.centre)
+    judge = type(judge)(dataclasses.replace(own, external_noise_spectrum=spectrum))
+    return judge, settings | {"external_noise_spectrum": spectrum}
 
 
 def inspected(
@@ -154,15 +164,15 @@ def inspected(
     inspections = inspect(data, trials, centre=centre)
     warnings = (*dataset_warnings(data, trials), *frame_warnings(data, inspections))
     record = DatasetRecord.of(data, records(data, inspections))
-    return record, tuple(ResultWarning(**one._asdict()) for one in warnings)
+    return record, tuple(ResultWarning(**warning._asdict()) for warning in warnings)
 
 
 def each_once(*warnings: ResultWarning) -> tuple[ResultWarning, ...]:
     """Return the warnings without those whose code and group an earlier one has."""
-    found: dict[tuple[str, tuple[tuple[str, float | str], ...]], ResultWarning] = {}
-    for one in warnings:
-        found.setdefault((one.code, tuple(one.group.items())), one)
-    return tuple(found.values())
+    first: dict[tuple[str, tuple[tuple[str, float | str], ...]], ResultWarning] = {}
+    for warning in warnings:
+        first.setdefault((warning.code, tuple(warning.group.items())), warning)
+    return tuple(first.values())
 
 
 def is_skip(on_error: OnError) -> bool:

@@ -20,21 +20,10 @@ from todframes.base.errors import FrameError, SettingsError, argument
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import check_place
 from todframes.frames.trials import Trial, Trials
-from todframes.observers.interface import (
-    PYRAMID_LEVELS,
-    Observer,
-    OmittedWeights,
-    Readout,
-)
-from todframes.observers.retina import RetinaGrid
+from todframes.observers.interface import PYRAMID_LEVELS, Observer, Readout
 from todframes.parameters import PlanName
-from todframes.scoring.error_budget import (
-    LEFT_OUT_SHARE,
-    SAFETY,
-    Step,
-    decision_change,
-)
-from todframes.scoring.retina_view import Reader, Shown, read_as_it_is, retina_image
+from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, Step, decision_change
+from todframes.scoring.retina_view import Reader, Shown, read_trial, retina_image
 from todframes.stimulus import ORIENTATIONS, Stimulus, bounding_box_offset
 
 HALF_FIELDS_IN_SIZES = (1.5, 2.0, 2.5)
@@ -89,10 +78,7 @@ class ScorePlan:
     def readout(self, stimulus: Stimulus) -> Readout | None:
         """Return the readout for a stimulus, no wider than needed; None if the observer is not linear.
 
-        Raises
-        ------
-        SettingsError
-            If the observer has no grid for this size.
+        Raises SettingsError if the observer has no grid for this size.
         """
         observer = self.observer_of(stimulus)
         observer.grid(stimulus)  # refuses a stimulus that is too large before its readout is made
@@ -113,27 +99,13 @@ def plan_score(
     name: PlanName = "needed",
     tolerance: float = 2e-3,
     expected: bool = True,
-    read: Reader = read_as_it_is,
+    read: Reader | None = None,
 ) -> ScorePlan:
     """Plan the part of the frames and of the retina needed for thresholds within a relative tolerance.
 
-    Parameters
-    ----------
-    dataset : Dataset
-    trials : sequence of Trial
-    observer : Observer
-    name : {"needed", "full"}
-        With "full" nothing is left out.
-    tolerance : float
-        Relative error allowed for the thresholds.
-    expected : bool
-        False if answers are drawn: they need the observer with its whole grid, so nothing is left out.
-    read : Reader
-        Function that reads a trial; if it returns several versions of a trial, the plan covers all of them.
-
-    Returns
-    -------
-    ScorePlan
+    With the name "full" nothing is left out, nor if answers are drawn (not `expected`): they need the observer
+    with its whole grid. If `read` returns several versions of a trial, the plan covers all of them; by default
+    trials are read as they are.
     """
     trials = Trials.of(trials)
     of_stimulus = dict(trials.by_stimulus())
@@ -148,11 +120,11 @@ def plan_score(
             why = f"the triangle may be at any of {places} places, whose scores are compared whole"
         return ScorePlan(observer, plans, name == "full", (Step("everything", True, why),), pitch)
     budget = LEFT_OUT_SHARE * tolerance * SLOPE / 2.0
-    weighed = {
-        stimulus: _weigh(dataset, _by_level(trials.select(members)), observer, budget, read)
-        for stimulus, members in of_stimulus.items()
-    }
-    plans = {stimulus: one.plan for stimulus, one in weighed.items()}
+    weighed = {}
+    for stimulus, members in of_stimulus.items():
+        by_level = members[np.argsort(trials.levels[members], kind="stable")]
+        weighed[stimulus] = _weigh(dataset, trials.select(by_level), observer, budget, read)
+    plans = {stimulus: of_one.plan for stimulus, of_one in weighed.items()}
     return ScorePlan(observer, plans, False, _steps(list(weighed.values()), observer.omitted_part), pitch)
 
 
@@ -166,58 +138,60 @@ class _Weighed:
     retina: float = 1.0
 
 
-def _by_level(trials: Trials) -> Trials:
-    return trials.select(np.argsort(trials.levels, kind="stable"))
-
-
-def _weigh(dataset: Dataset, trials: Trials, observer: Observer, budget: float, read: Reader) -> _Weighed:
+def _weigh(dataset: Dataset, trials: Trials, observer: Observer, budget: float, read: Reader | None) -> _Weighed:
     """Plan one stimulus from a few of its trials, which must be in the order of their level."""
-    stimulus = trials[0].stimulus
+    stimulus, whole = trials[0].stimulus, _Weighed(StimulusPlan())
     tried = _tried(trials, observer, dataset.display.pitch_mrad)
     others = range(min(len(trials), MOST_BAD + len(tried)))
     candidates = trials.select(list(dict.fromkeys((*tried, *others)))[: MOST_BAD + len(tried)])
     if not any(_has_place(dataset, trial, observer) for trial in candidates[:MOST_BAD]):
-        return _Weighed(StimulusPlan())  # scoring reports the error; the readout may be huge
+        return whole  # scoring reports the error; the readout may be huge
     try:
         missing = observer.omitted_bands(stimulus)
         widest = missing.grid if missing is not None else observer.grid(stimulus)
-        displaced_mrad = _displaced_mrad(observer, stimulus)
+        # The contribution of what is left out is about linear in the displacement, so the corners of its range are
+        # enough, and one of each opposite pair.
+        most = observer.position_jitter_samples * observer.grid(stimulus).pitch_mrad / widest.pitch_mrad
+        displaced = most * np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0]])[: 3 if most else 1]
         readout = observer.readout(stimulus)
     except SettingsError:
-        return _Weighed(StimulusPlan())  # scoring reports the error
+        return whole  # scoring reports the error
     started = time.perf_counter()
     shown: list[Shown] = []
     n_read = 0
     # Scoring reports frames that cannot be read; here others replace them.
     for trial in candidates:
         with suppress(FrameError):
-            shown += read(dataset, trial, observer, widest, displaced_mrad / widest.pitch_mrad)
+            if read is None:
+                shown.append(read_trial(dataset, trial, observer, widest, displaced))
+            else:
+                shown += read(dataset, trial, observer, widest, displaced)
             n_read += 1
         if n_read == len(tried):
             break
     reading_s = (time.perf_counter() - started) / len(tried)
     # Without internal noise the smallest difference may decide.
     if not shown or readout is None or not readout.noise_covariance.any():
-        return _Weighed(StimulusPlan())
-    images = _images(shown, widest, displaced_mrad)
+        return whole
+    images = np.array([retina_image(one, widest, (dx, dy)) for one in shown for dx, dy in displaced.tolist()])
     weights = readout.deviations if missing is None else missing.kept
     bounds: dict[str, float] = {}
     full = False
     if missing is not None:
-        bounds[OMITTED] = _levels_bound(readout, missing, images)
-        full = bounds[OMITTED] > budget
+        bound = _bound(readout, missing.deviations, images, missing.noise_covariance)
+        full = bound > budget
         if full:
-            del bounds[OMITTED]
             readout = observer.with_extra_level().readout(stimulus)
             assert readout is not None
             weights = weights + missing.deviations
+        else:
+            bounds[OMITTED] = bound
     half_width, bounds["field"] = _half_width(readout, stimulus, widest.pitch_mrad, weights, images, budget)
     kept = readout.grid.side if half_width is None else 2 * half_width + 1
-    frame = shown[0]
     return _Weighed(
         StimulusPlan(half_width, full, bounds),
         saves_s=reading_s * len(trials) * (1.0 - kept * readout.grid.pitch_mrad / widest.width_mrad),
-        rows=min(kept * readout.grid.pitch_mrad / dataset.display.pitch_mrad / frame.frame_rows, 1.0),
+        rows=min(kept * readout.grid.pitch_mrad / dataset.display.pitch_mrad / shown[0].frame_rows, 1.0),
         retina=(kept / readout.grid.side) ** 2,
     )
 
@@ -232,49 +206,30 @@ def _has_place(dataset: Dataset, trial: Trial, observer: Observer) -> bool:
 
 
 def _tried(trials: Trials, observer: Observer, pitch_mrad: float) -> list[int]:
-    """Choose trials at middle levels and, if positions differ, those nearest to the edges of the frame.
-
-    Returns their indices.
-    """
+    """Return the indices of trials at middle levels and, if positions differ, nearest to the edges of the "
+    "frame."""
     n_tried = min(max(len(trials) // ONE_TRIED_OF, 1), MOST_TRIED)
     first = (len(trials) - n_tried) // 2
     chosen = list(range(first, first + n_tried))
     # Either all positions are known, or an unknown position is the middle of the frame.
-    place = trials.positions_px
-    placed = np.flatnonzero(~np.isnan(place[:, 0]))
+    position = trials.positions_px
+    placed = np.flatnonzero(~np.isnan(position[:, 0]))
     if len(placed):
-        place = place[placed]
+        position = position[placed]
     else:
-        placed, place = np.arange(len(trials)), np.zeros_like(place)
+        placed, position = np.arange(len(trials)), np.zeros_like(position)
     if observer.centre == "bounding_box":
         offset = np.array([bounding_box_offset(orientation) for orientation in ORIENTATIONS])
-        place += offset[trials.quarter_turns[placed]] * trials[0].stimulus.size_mrad / pitch_mrad
-    if np.ptp(place, axis=0).any():
-        chosen += placed[np.argmax(place @ OUTWARDS, axis=0)].tolist()
+        position += offset[trials.quarter_turns[placed]] * trials[0].stimulus.size_mrad / pitch_mrad
+    if np.ptp(position, axis=0).any():
+        chosen += placed[np.argmax(position @ OUTWARDS, axis=0)].tolist()
     return list(dict.fromkeys(chosen))
 
 
-def _displaced_mrad(observer: Observer, stimulus: Stimulus) -> FloatArray:
-    """Return the displacements of the retina to try, in mrad, (n, 2): none, and two corners of their range.
-
-    The contribution of what is left out is about linear in the displacement, so the corners of the range are
-    enough, and one of each opposite pair.
-    """
-    most = observer.position_jitter_samples * observer.grid(stimulus).pitch_mrad
-    return most * np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0]])[: 3 if most else 1]
-
-
-def _images(shown: Sequence[Shown], grid: RetinaGrid, displaced_mrad: FloatArray) -> FloatArray:
-    """Compute the retina image of each trial at each displacement: (n, side, side)."""
-    displacements = (displaced_mrad / grid.pitch_mrad).tolist()
-    return np.array([retina_image(one, grid, (dx, dy)) for one in shown for dx, dy in displacements])
-
-
-def _levels_bound(readout: Readout, missing: OmittedWeights, images: FloatArray) -> float:
-    change = decision_change(
-        _score(missing.deviations, images), readout.noise_covariance, missing.noise_covariance
-    )
-    return SAFETY * float(change.max())
+def _bound(readout: Readout, weights: FloatArray, images: FloatArray, covariance_change: FloatArray) -> float:
+    """Return the bound on the change of P(correct) without the scores of some weights, (4, side, side)."""
+    scores = np.einsum("kyx,nyx->nk", weights, images, optimize=True)
+    return SAFETY * float(decision_change(scores, readout.noise_covariance, covariance_change).max())
 
 
 def _half_width(
@@ -298,16 +253,10 @@ def _half_width(
         inner = math.floor(half_width * readout.grid.pitch_mrad / pitch_mrad)
         outer = weights.copy()
         outer[:, middle - inner : middle + inner + 1, middle - inner : middle + inner + 1] = 0.0
-        change = decision_change(_score(outer, images), readout.noise_covariance, np.zeros((4, 4)))
-        bound = SAFETY * float(change.max())
+        bound = _bound(readout, outer, images, np.zeros((4, 4)))
         if bound <= budget:
             return half_width, bound
     return None, 0.0
-
-
-def _score(weights: FloatArray, images: FloatArray) -> FloatArray:
-    """Compute the four scores of each image: (n, 4)."""
-    return np.asarray(np.einsum("kyx,nyx->nk", weights, images, optimize=True))
 
 
 def _steps(weighed: Sequence[_Weighed], omitted: str) -> tuple[Step, ...]:
@@ -315,15 +264,16 @@ def _steps(weighed: Sequence[_Weighed], omitted: str) -> tuple[Step, ...]:
 
     `omitted` is the name of what the observer's readout omits.
     """
-    n = len(weighed)
-    n_narrow = sum(one.plan.half_width is not None for one in weighed)
-    levels = max((one.plan.bounds.get(OMITTED, 0.0) for one in weighed), default=0.0)
-    narrow = max((one.plan.bounds.get("field", 0.0) for one in weighed), default=0.0)
-    retina = f"{100.0 * float(np.mean([one.retina for one in weighed])):.2g} % of the retina"
-    rows = [100.0 * one.rows for one in weighed]
+    plans, n = [of_one.plan for of_one in weighed], len(weighed)
+    n_narrow = sum(plan.half_width is not None for plan in plans)
+    n_thrifty = n - sum(plan.full_observer for plan in plans)
+    levels, narrow = (
+        max((plan.bounds.get(stage, 0.0) for plan in plans), default=0.0) for stage in (OMITTED, "field")
+    )
+    retina = f"{100.0 * float(np.mean([of_one.retina for of_one in weighed])):.2g} % of the retina"
+    rows = [100.0 * of_one.rows for of_one in weighed]
     shares = f"{min(rows):.3g} % of" if max(rows) - min(rows) < 0.5 else f"{min(rows):.3g} to {max(rows):.3g} % of"
-    saves_s = sum(one.saves_s for one in weighed)
-    n_thrifty = n - sum(one.plan.full_observer for one in weighed)
+    saves_s = sum(of_one.saves_s for of_one in weighed)
     less = "one level less than full" if omitted == PYRAMID_LEVELS else "left out"
     return (
         Step("frame rows", min(rows) >= 100.0, f"{shares} a frame's rows are looked at", saves_once_s=saves_s),

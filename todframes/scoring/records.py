@@ -35,11 +35,6 @@ def fit_record(dataset: Dataset, fit: GroupFit, explanation: Explanation | None 
     )
 
 
-def scored_trials(dataset: Dataset, scored: ScoredDataset) -> Table:
-    """Make the table of scored trials: stimulus, scores, probability of each answer, answer."""
-    return trials_table(dataset, [({}, scored)])
-
-
 def trials_table(dataset: Dataset, parts: Sequence[tuple[Mapping[str, str], ScoredDataset]]) -> Table:
     """Make a table of scored trials, each part with some texts in front."""
     more, first = parts[0]

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.frames.contrast import (
-    ContrastPatch,
-    read_contrast,
-)
+from todframes.frames.contrast import ContrastPatch, read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import FrameSource
 from todframes.frames.position import (
@@ -51,11 +48,7 @@ def place_grid(
     """Find the position of a retina grid on an open frame, and the pixels it touches at all of its displacements.
 
     The grid follows a triangle that moves, or stays at its mean place in the trial, as the dataset's `gaze` says.
-
-    Raises
-    ------
-    FrameError
-        If the triangle, or one at another place where it may be, does not lie on the frame.
+    Raises FrameError if the triangle, or one at another place where it may be, does not lie on the frame.
     """
     pitch, header = dataset.display.pitch_mrad, file.header
     x, y = centroid_position(trial, header, observer.centre, pitch, frame)
@@ -80,17 +73,6 @@ def _touched(grid: RetinaGrid, lowest: float, highest: float, pitch: float, n_pi
     if highest > lowest:
         _, stop = grid.pixel_range(centre_px=highest, pixel_pitch_mrad=pitch, n_pixels=n_pixels)
     return first, stop
-
-
-class RetinalContrast(NamedTuple):
-    """The contrast on the retina that an observer sees in a trial.
-
-    `contrast` has shape (side, side) of the observer's grid; `n_negative` counts display pixels with a luminance
-    below zero among those that were read.
-    """
-
-    contrast: FloatArray
-    n_negative: int
 
 
 class Shown(NamedTuple):
@@ -119,36 +101,21 @@ class Shown(NamedTuple):
     def with_gaze_fixed(self, trial: Trial, frame_pitch_mrad: float) -> Shown:
         """Return frames that were read with a tracked gaze as seen with a fixed one.
 
-        Parameters
-        ----------
-        trial : Trial
-        frame_pitch_mrad : float
-            Pixel pitch of the frames in the dataset, which an algorithm may have changed since.
+        `frame_pitch_mrad` is the pixel pitch of the frames in the dataset, which an algorithm may have changed
+        since.
         """
         motion_px = to_mean_place_px(trial) * (frame_pitch_mrad / self.pixel_pitch_mrad)
         xs, ys = (np.array([self.x_px, self.y_px]) + motion_px.T).tolist()
         return self._replace(x_px=tuple(xs), y_px=tuple(ys))
 
 
+Reader = Callable[..., Sequence[Shown]]
+"""Function that reads a trial in one or several ways; its arguments are those of `read_trial`."""
+
+
 def to_mean_place_px(trial: Trial) -> FloatArray:
     """Return the distances in pixels from the triangle in each frame of a trial to its mean place: (n, 2)."""
     return -np.array([frame.motion_px or (0.0, 0.0) for frame in trial.frames])
-
-
-class Reader(Protocol):
-    """Protocol of functions that read a trial in one or several ways; arguments are those of `read_trial`."""
-
-    def __call__(
-        self,
-        dataset: Dataset,
-        trial: Trial,
-        observer: Observer,
-        grid: RetinaGrid,
-        displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
-        *,
-        whole: bool = False,
-    ) -> Sequence[Shown]:
-        """Return the trial as shown in each way."""
 
 
 def read_trial(
@@ -162,49 +129,19 @@ def read_trial(
 ) -> Shown:
     """Read the part of a trial's frames that a retina grid touches at all of its displacements, or whole frames.
 
-    Parameters
-    ----------
-    dataset : Dataset
-    trial : Trial
-    observer : Observer
-    grid : RetinaGrid
-    displacement_samples : sequence of (float, float), or ndarray, shape (n, 2)
-        Displacements of the retina grid along x and y, in retina samples.
-    whole : bool
-        Read whole frames.
-
-    Returns
-    -------
-    Shown
-
-    Raises
-    ------
-    FrameError
-        If a frame cannot be used, or the triangle does not lie on it.
+    `displacement_samples`, (n, 2), are displacements along x and y in retina samples. Raises FrameError if a frame
+    cannot be used, or the triangle does not lie on it.
     """
-    patches, places, n_rows = [], [], []
+    patches, places, n_rows = [], [], 0
     for frame in trial.frames:
         with dataset.open(frame, verify=True) as file:
             place = place_grid(dataset, trial, frame, file, observer, grid, displacement_samples)
             part = (None, None) if whole else (place.rows, place.columns)
             patches.append(read_contrast(file, dataset.display, frame, *part, triangle=place.triangle))
-            places.append(place)
-            n_rows.append(file.header.height)
-    xs, ys = tuple(place.x_px for place in places), tuple(place.y_px for place in places)
-    return Shown(tuple(patches), xs, ys, dataset.display.pitch_mrad, n_rows[0])
-
-
-def read_as_it_is(
-    dataset: Dataset,
-    trial: Trial,
-    observer: Observer,
-    grid: RetinaGrid,
-    displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
-    *,
-    whole: bool = False,
-) -> tuple[Shown]:
-    """Read a trial without enhancement: `read_trial` as a `Reader`."""
-    return (read_trial(dataset, trial, observer, grid, displacement_samples, whole=whole),)
+            places.append((place.x_px, place.y_px))
+            n_rows = n_rows or file.header.height
+    xs, ys = zip(*places, strict=True)
+    return Shown(tuple(patches), xs, ys, dataset.display.pitch_mrad, n_rows)
 
 
 def retina_image(
@@ -224,39 +161,7 @@ def _on_retina(
     patch: ContrastPatch, grid: RetinaGrid, x_px: float, y_px: float, pixel_pitch_mrad: float
 ) -> FloatArray:
     image = np.zeros((grid.side, grid.side))
+    at = {"x_px": x_px, "y_px": y_px, "pixel_pitch_mrad": pixel_pitch_mrad}
     for band in patch.bands():
-        resample(
-            band.values,
-            grid,
-            x_px=x_px,
-            y_px=y_px,
-            pixel_pitch_mrad=pixel_pitch_mrad,
-            first_row=band.row,
-            first_column=band.column,
-            onto=image,
-        )
+        resample(band.values, grid, first_row=band.row, first_column=band.column, onto=image, **at)
     return image
-
-
-def view_trial(
-    dataset: Dataset, trial: Trial, observer: Observer, displacement_samples: tuple[float, float] = (0.0, 0.0)
-) -> RetinalContrast:
-    """Read a trial's frames and average them in contrast on the retina.
-
-    Parameters
-    ----------
-    displacement_samples : (float, float)
-        Displacement of the retina grid along x and y, in retina samples.
-
-    Returns
-    -------
-    RetinalContrast
-
-    Raises
-    ------
-    FrameError
-        If a frame cannot be used, or the triangle does not lie on it.
-    """
-    grid = observer.grid(trial.stimulus)
-    shown = read_trial(dataset, trial, observer, grid, [displacement_samples])
-    return RetinalContrast(retina_image(shown, grid, displacement_samples), shown.n_negative)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from todframes.display.display import Display
 from todframes.frames.dataset import Dataset
 from todframes.jobs.run import opened_run
 from todframes.jobs.work import Engine
-from todframes.observers.interface import Observer, described
+from todframes.observers.interface import Observer
 from todframes.parameters import (
     Cluster,
     Count,
@@ -31,28 +31,14 @@ from todframes.parameters import (
 )
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import levels_to_add, numerical_errors
-from todframes.results.data import (
-    ResultWarning,
-    group_of,
-)
+from todframes.results.data import ResultWarning, group_of
 from todframes.results.result import Result, repeatable
 from todframes.scoring.error_budget import plan_object
-from todframes.scoring.opening import (
-    background_of,
-    each_once,
-    in_memory,
-    inspected,
-    is_skip,
-    knowing_background,
-    loaded,
-    locate_name,
-    located,
-)
+from todframes.scoring.opening import each_once, in_memory, inspected, is_skip, opened
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store
     from todframes.parameters import Locate
-    from todframes.results.table import Table
     from todframes.results.thresholds import Thresholds
 
 
@@ -147,14 +133,13 @@ def score(
     ({'size_mrad': 0.6}, 'extrapolated')
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from todframes.scoring.records import fit_record, scored_trials
+    from todframes.scoring.records import fit_record, trials_table
     from todframes.scoring.score import fitted_curve, score_dataset
 
-    data = replace(loaded(dataset), gaze=gaze)
-    judge, settings = described(observer, lambda: background_of(data))
     fit = fit or FitSettings()
-    data, more, placed_wrong = located(data, judge, locate, on_error, progress)
-    judge, settings = knowing_background(judge, settings, data)
+    data, (judge,), (settings,), way, more, placed_wrong = opened(
+        dataset, [observer], gaze=gaze, locate=locate, on_error=on_error, progress=progress
+    )
     with opened_run(workers, cluster, store, progress) as run:
         scored = score_dataset(
             data,
@@ -173,42 +158,39 @@ def score(
 
         more["examples"] = drawn(data, scored, judge)
     explained = {}
-    if any(one.fit.status != "ok" for one in scored.fits):
+    if any(group_fit.fit.status != "ok" for group_fit in scored.fits):
         from todframes.scoring.missing_threshold import explain_missing
 
         missing = explain_missing(data, scored, judge, decisions=decisions, seed=seed)
-        explained = {one.group: one for one in missing}
-    fits = tuple(fit_record(data, one, explained.get(one.group)) for one in scored.fits)
+        explained = {explanation.group: explanation for explanation in missing}
+    fits = tuple(fit_record(data, group_fit, explained.get(group_fit.group)) for group_fit in scored.fits)
     hints = [
-        ResultWarning(**hint._asdict(), group=group_of(data, one.group))
-        for one in explained.values()
-        for hint in one.hints
+        ResultWarning(**hint._asdict(), group=group_of(data, explanation.group))
+        for explanation in explained.values()
+        for hint in explanation.hints
     ]
     hinted = [hint.group for hint in hints]  # with a mistake mended, other levels may be near the threshold
-    levels = levels_to_add([one for one in fits if one.group not in hinted], settings.get("aperture_sd_deg"))
-    inexact = numerical_errors(fits, tolerance)
+    levels = levels_to_add([fit for fit in fits if fit.group not in hinted], settings.get("aperture_sd_deg"))
     record, shown_wrong = inspected(data, scored.trials, judge.centre)
-
-    def trials() -> Table:
-        return scored_trials(data, scored)
-
     return Result.made(
         "score",
         started,
         settings=settings
         | asdict(fit)
-        | {"decisions": decisions, "curve": fitted_curve(curve, decisions), "locate": locate_name(locate)}
+        | {"decisions": decisions, "curve": fitted_curve(curve, decisions), "locate": way}
         | {"tolerance": tolerance, "plan": plan, "gaze": gaze},
         seed=seed,
         fits=fits,
         plan=tuple(plan_object(scored.plan, 1.0)),
-        skipped=tuple(one._asdict() for one in scored.skipped),
+        skipped=tuple(skipped._asdict() for skipped in scored.skipped),
         dataset=record,
-        warnings=each_once(*hints, *placed_wrong(scored), *shown_wrong, *levels, *inexact),
+        warnings=each_once(
+            *hints, *placed_wrong(scored), *shown_wrong, *levels, *numerical_errors(fits, tolerance)
+        ),
         negative_luminance_pixels=scored.n_negative,
         from_store=run.n_from_store,
         **more,
-    ).holding(make_trials=trials)
+    ).holding(make_trials=lambda: trials_table(data, [({}, scored)]))
 
 
 def score_frames(

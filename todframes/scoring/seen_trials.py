@@ -38,24 +38,12 @@ KRONECKER_STEPS_2D = np.array([0.7548776662466927, 0.5698402909980532])
 class SeenTrial(NamedTuple):
     """The observer's scores of a trial and, if drawn, its answer.
 
-    Attributes
-    ----------
-    displacement_samples : ndarray, shape (d, 2)
-        Displacements of the retina grid along x and y, in retina samples.
-    scores, deviations : ndarray, shape (d, 4)
-        Noise-free inner products with the templates, and their deviations from their mean, computed without
-        cancellation; NaN if the observer is not linear.
-    answer : int
-        Answer drawn, an index into `ORIENTATIONS`, or `NO_ANSWER`. At an unknown place it is drawn from
-        `place_scores` later, for all trials.
-    n_negative : int
-        Number of display pixels with a luminance below zero.
-    background_luminance_cd_m2 : float
-        Luminance that contrast refers to, averaged over the trial's frames.
-    seconds : float
-        Time that the trial took.
-    place_scores : ndarray, shape (d, place, 4)
-        Scores at each place at which the triangle may be; without places if its place is known.
+    `displacement_samples`, (d, 2), are displacements of the retina grid along x and y, in retina samples. `scores`
+    and `deviations`, (d, 4), are noise-free inner products with the templates, and their deviations from their
+    mean, computed without cancellation; NaN if the observer is not linear. `answer` is the answer drawn, an index
+    into `ORIENTATIONS`, or `NO_ANSWER`; at an unknown place it is drawn from `place_scores`, (d, place, 4), later,
+    for all trials. `n_negative` counts display pixels with a luminance below zero. The luminance that contrast
+    refers to is the mean over the frames.
     """
 
     displacement_samples: FloatArray
@@ -143,7 +131,7 @@ class TrialViewing(NamedTuple):
 
     @property
     def reached_samples(self) -> FloatArray:
-        """Displacements of the grid at which the trial is looked at, in retina samples: (d or d · places, 2)."""
+        """Displacements at which the trial is looked at, in retina samples: (d or d · places, 2)."""
         if not len(self.offsets):
             return self.displacement_samples
         return np.asarray((self.displacement_samples[:, None] + self.offsets).reshape(-1, 2))
@@ -152,10 +140,7 @@ class TrialViewing(NamedTuple):
 def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> TrialViewing:
     """Return the observer, retina grid and displacements for a trial.
 
-    Raises
-    ------
-    SettingsError
-        If the observer is not linear and its answer is not drawn, or the place is unknown.
+    Raises SettingsError if the observer is not linear and its answer is not drawn, or the place is unknown.
     """
     places = scoring.dataset.experiment.places
     if places > 1 and readout is None:
@@ -177,33 +162,24 @@ def see(
 ) -> list[SeenTrial]:
     """Show a trial to the observer in each of several ways, with the same displacements and the same noise.
 
-    Parameters
-    ----------
-    ways : sequence of Shown
-        The trial as shown in each way.
-    started : float
-        Value of `time.perf_counter` at the start of the trial; the time since then is divided among the ways.
-
-    Returns
-    -------
-    list of SeenTrial
-        One for each way.
+    The time since `started`, by `time.perf_counter`, is divided among the ways.
     """
     reading_s = (time.perf_counter() - started) / len(ways)
-    displaced = viewing.displacement_samples
-    places: list[tuple[float, float]] = list(map(tuple, displaced.tolist()))
+    displaced, readout = viewing.displacement_samples, viewing.readout
     seen = []
     for shown in ways:
         started = time.perf_counter()
         answer = NO_ANSWER
-        if viewing.readout is None:
-            scores = deviations = np.full((len(places), 4), np.nan)
+        at_places = np.empty((len(displaced), len(viewing.offsets), 4))
+        if readout is None:
+            scores = deviations = np.full((len(displaced), 4), np.nan)
         else:
-            pairs = [_scores(viewing, viewing.readout, shown, place) for place in places]
-            scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
-        at_places = _place_scores(viewing, shown)
+            scores, deviations = _scores(readout, shown, displaced)
+            if len(viewing.offsets):
+                at_places = _scores(readout, shown, viewing.reached_samples)[0].reshape(at_places.shape)
         if scoring.decisions == "sampled" and not len(viewing.offsets):
-            image = retina_image(shown, viewing.grid, places[0])
+            dx, dy = displaced[0].tolist()
+            image = retina_image(shown, viewing.grid, (dx, dy))
             rng = random_stream(scoring.seed, TRIAL_STREAMS, trial.number)
             rng.random(2)  # the displacement
             answer = viewing.observer.respond(image, trial.stimulus, rng).quarter_turns
@@ -218,25 +194,13 @@ def see(
 def score_trial(scoring: Scoring, trial: Trial, readout: Readout | None) -> SeenTrial:
     """Read a trial and show it to the observer.
 
-    Raises
-    ------
-    FrameError
-        If a frame cannot be used.
-    SettingsError
-        If the observer is not linear and its answer is not drawn.
+    Raises FrameError if a frame cannot be used, and SettingsError as `trial_viewing` does.
     """
     started = time.perf_counter()
     viewing = trial_viewing(scoring, trial, readout)
-    shown = read_trial(
-        scoring.dataset,
-        trial,
-        viewing.observer,
-        viewing.grid,
-        viewing.reached_samples,
-        whole=scoring.plan.whole_frames,
-    )
-    (seen,) = see(scoring, trial, viewing, [shown], started)
-    return seen
+    observer, grid, reached = viewing.observer, viewing.grid, viewing.reached_samples
+    shown = read_trial(scoring.dataset, trial, observer, grid, reached, whole=scoring.plan.whole_frames)
+    return see(scoring, trial, viewing, [shown], started)[0]
 
 
 def _displacements(scoring: Scoring, trial: Trial, jitter: float) -> FloatArray:
@@ -248,29 +212,16 @@ def _displacements(scoring: Scoring, trial: Trial, jitter: float) -> FloatArray:
     return np.asarray(jitter * (2.0 * evenly.reshape(-1, 2) - 1.0))
 
 
-def _place_scores(viewing: TrialViewing, shown: Shown) -> FloatArray:
-    """Compute the scores at each displacement and place, (d, place, 4)."""
-    n_displaced, n_places = len(viewing.displacement_samples), len(viewing.offsets)
-    scores = np.empty((n_displaced * n_places, 4))
-    if viewing.readout is not None and n_places:
-        for row, (dx, dy) in enumerate(viewing.reached_samples.tolist()):
-            scores[row], _ = _scores(viewing, viewing.readout, shown, (dx, dy))
-    return scores.reshape(n_displaced, n_places, 4)
+def _scores(readout: Readout, shown: Shown, displacement_samples: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the scores with displacements of the retina, and their deviations from their mean, (d, 4) each.
 
-
-def _scores(
-    viewing: TrialViewing, readout: Readout, shown: Shown, displacement_samples: tuple[float, float]
-) -> tuple[FloatArray, FloatArray]:
-    """Return the scores with a displacement of the retina, and their deviations from their mean, (4,) each."""
-    contrast = retina_image(shown, viewing.grid, displacement_samples)
-    deviations = readout.score_deviations(contrast)
-    deviations = _without_rounding(readout, deviations, math.sqrt(inner_product(contrast, contrast)))
-    return deviations + readout.common_score(contrast), deviations
-
-
-def _without_rounding(readout: Readout, deviations: FloatArray, length: float) -> FloatArray:
-    """Return deviations with 0 for those that are rounding, of a retina image with this Euclidean norm.
-
-    Without noise or with huge contrast, equal scores may differ by rounding alone.
+    Deviations that are rounding are 0: without noise or with huge contrast, equal scores may differ by it alone.
     """
-    return np.where(np.abs(deviations) < 1e-13 * readout.norm * length, 0.0, deviations)
+    scores, deviations = np.empty((2, len(displacement_samples), 4))
+    for row, (dx, dy) in enumerate(displacement_samples.tolist()):
+        contrast = retina_image(shown, readout.grid, (dx, dy))
+        of_templates = readout.score_deviations(contrast)
+        rounding = 1e-13 * readout.norm * math.sqrt(inner_product(contrast, contrast))
+        deviations[row] = np.where(np.abs(of_templates) < rounding, 0.0, of_templates)
+        scores[row] = deviations[row] + readout.common_score(contrast)
+    return scores, deviations

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar, cast
+from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -27,9 +27,6 @@ from todframes.observers.interface import Readout
 from todframes.scoring.seen_trials import Scoring
 from todframes.stimulus import Stimulus
 
-if TYPE_CHECKING:
-    pass
-
 SETTLED_NS = 2_000_000_000
 """Time after which a file that is written again has another time; the coarsest file system counts 2 s."""
 
@@ -37,18 +34,12 @@ Stamp = tuple[str, int, int, int, int]
 """Path, size, times of the last changes of content and status in ns, and number of a file."""
 
 T = TypeVar("T")
-T_co = TypeVar("T_co", covariant=True)
 
+Show = Callable[[Scoring, Trial, Readout | None], T]
+"""Function that shows a trial to the observer, such as `score_trial`, from any thread; it can be pickled.
 
-class Show(Protocol[T_co]):
-    """Protocol of functions that show a trial to the observer, from any thread: `score_trial` is one.
-
-    They can be pickled. They raise FrameError if a frame cannot be used.
-    """
-
-    def __call__(self, scoring: Scoring, trial: Trial, readout: Readout | None) -> T_co:
-        """Return what the observer sees in a trial; `readout` is None if the observer is not linear."""
-        ...
+The readout is None if the observer is not linear. Raises FrameError if a frame cannot be used.
+"""
 
 
 class Unusable(NamedTuple):
@@ -61,21 +52,10 @@ class Unusable(NamedTuple):
 class TrialWork(Generic[T]):
     """The showing of trials to an observer, as a `StoredWork`.
 
-    Its results are encoded where the work is done: as bytes they take a tenth of the time to another process.
-
-    Attributes
-    ----------
-    scoring : Scoring
-        Its dataset may be without trials.
-    show : Show
-    kind : type
-        Type of the results: a NamedTuple of numbers, arrays of float64 and such tuples.
-    depends_on : object
-        What results depend on besides the scoring and the frames.
-    with_references : bool
-        Whether the frames without noise are read too.
-    with_levels : bool
-        Whether a result also depends on the level and the group of its trial.
+    Its results, of type `kind`, are NamedTuples of numbers, arrays of float64 and such tuples. They are encoded
+    where the work is done: as bytes they take a tenth of the time to another process. `depends_on` is what results
+    depend on besides the scoring and the frames; `with_references` states whether the frames without noise are
+    read too, `with_levels` whether a result also depends on the level and the group of its trial.
     """
 
     scoring: Scoring
@@ -146,7 +126,7 @@ class TrialWork(Generic[T]):
         Within `SETTLED_NS` a file can be written twice with one time.
         """
         stamps = cast("list[Stamp]", stamp)
-        newest = max((max(one[2:4]) for one in stamps or ()), default=sys.maxsize)
+        newest = max((max(times[2:4]) for times in stamps or ()), default=sys.maxsize)
         if self.identity is None or newest > time.time_ns() - SETTLED_NS:
             return None
         values = [frame.background_luminance_cd_m2 for frame in item.frames]
@@ -228,22 +208,9 @@ def see_trials(
 ) -> list[Skipped]:
     """Show trials to the observer; return the frames that were skipped.
 
-    Parameters
-    ----------
-    scoring : Scoring
-    trials : Trials
-    show, kind, depends_on, with_references, with_levels
-        As in `TrialWork`.
-    collect : callable
-        Called with the place of each trial that was seen, in any order, and its result.
-    skip_bad_frames : bool
-        Skip trials that cannot be read and list their frames, instead of raising the first error.
-    run : Run
-
-    Raises
-    ------
-    FrameError
-        If a frame cannot be used, unless bad frames are skipped.
+    `show` and what follows `run` are as in `TrialWork`. `collect` is called with the index of each trial that was
+    seen, in any order, and its result. Raises FrameError if a frame cannot be used, unless bad frames are skipped:
+    then the trials are left out and their frames listed.
     """
     bare = replace(scoring, dataset=replace(scoring.dataset, trials=Trials.of(())))
     work = TrialWork(bare, show, kind, depends_on, with_references, with_levels)
@@ -252,15 +219,13 @@ def see_trials(
         run = replace(run, store=None)
     unusable: dict[int, FrameError] = {}
     in_order = trials.select(order)
-    for number, found in run_stored(work, in_order, run):
-        if isinstance(found, Unusable):
-            error = found.error
-            assert isinstance(error, FrameError)
+    for number, result in run_stored(work, in_order, run):
+        if isinstance(result, Unusable):
             if not skip_bad_frames:
-                raise error
-            unusable[number] = error
+                raise result.error
+            unusable[number] = result.error
         else:
-            collect(int(order[number]), work.decoder.decode(found))
+            collect(int(order[number]), work.decoder.decode(result))
     return [
         skipped
         for number in sorted(unusable)
@@ -270,7 +235,7 @@ def see_trials(
 
 def by_stimulus(trials: Trials) -> NDArray[np.intp]:
     """Return the indices of trials in the order of their stimuli, so that few readouts are held at a time."""
-    sizes, polarities = np.array([(one.size_mrad, one.polarity) for one in trials.stimuli]).T
+    sizes, polarities = np.array([(stimulus.size_mrad, stimulus.polarity) for stimulus in trials.stimuli]).T
     codes = trials.stimulus_codes
     return np.lexsort((polarities[codes], sizes[codes]))
 
