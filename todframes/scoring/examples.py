@@ -44,37 +44,30 @@ OUTLINE_BGR = (0, 128, 255)
 def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tuple[Example, ...]:
     """Draw the trial nearest to threshold of up to `MOST_EXAMPLES` groups, and the strongest where there is none.
 
-    On scenes it is one of each scene of a group, up to `MOST_SCENES`.
-
-    Raises
-    ------
-    FrameError
-        If a frame can no longer be used.
+    On scenes it is one of each scene of a group, up to `MOST_SCENES`. Raises FrameError if a frame can no longer
+    be used.
     """
-    known = [one for one in scored.fits if one.fit.threshold is not None]
-    found = []
-    drawn_places = [place for one in evenly(known, MOST_EXAMPLES) for place in _nearest_trials(scored, one)]
-    for place in drawn_places:
-        trial = scored.trials[place]
+    known = [group for group in scored.fits if group.fit.threshold is not None]
+    drawn = []
+    for row in [row for group in evenly(known, MOST_EXAMPLES) for row in _nearest_trials(scored, group)]:
+        trial, grid = scored.trials[row], observer.grid(scored.trials[row].stimulus)
         # The displacement is NaN if the trial was seen at several displacements.
-        dx, dy = np.nan_to_num(scored.displacement_samples[place]).tolist()
-        grid = observer.grid(trial.stimulus)
-        width_mrad, drawn = pictures(
+        dx, dy = np.nan_to_num(scored.displacement_samples[row]).tolist()
+        width_mrad, images = pictures(
             _shown(dataset, trial, observer),
             retina_image(read_trial(dataset, trial, observer, grid, [(dx, dy)]), grid, (dx, dy)),
             observer=observer,
             stimulus=trial.stimulus,
             pixel_pitch_mrad=dataset.display.pitch_mrad,
         )
-        found.append(example_of(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
-    for one in evenly([one for one in scored.fits if one.fit.threshold is None], MOST_WITHOUT):
-        trials = scored.trials
-        places = trials.indices_of_group(one.group)
-        place = int(places[np.argmax(trials.levels[places])])
-        trial = scored.trials[place]
-        width_mrad, drawn = _whole(dataset, trial, observer)
-        found.append(example_of(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
-    return tuple(found)
+        drawn.append(example_of(dataset, trial, float(scored.p_correct[row]), width_mrad, images))
+    trials = scored.trials
+    for group in evenly([group for group in scored.fits if group.fit.threshold is None], MOST_WITHOUT):
+        rows = trials.indices_of_group(group.group)
+        row = int(rows[np.argmax(trials.levels[rows])])
+        width_mrad, whole = _whole(dataset, trials[row], observer)
+        drawn.append(example_of(dataset, trials[row], float(scored.p_correct[row]), width_mrad, whole))
+    return tuple(drawn)
 
 
 def _whole(dataset: Dataset, trial: Trial, observer: Observer) -> tuple[float, tuple[Thumbnail]]:
@@ -136,39 +129,38 @@ def example_of(
     )
 
 
-def _nearest_trials(scored: ScoredDataset, one: GroupFit) -> list[int]:
+def _nearest_trials(scored: ScoredDataset, group: GroupFit) -> list[int]:
     """Return the index of the trial nearest to threshold, or on scenes that of each scene."""
     trials = scored.trials
     names = np.array(["" if view is None else view.scene for view in trials.views])[trials.view_codes]
-    members = trials.indices_of_group(one.group)
+    members = trials.indices_of_group(group.group)
     of_scenes = [members[names[members] == name] for name in dict.fromkeys(names[members].tolist())]
-    return [nearest_trial(scored, one, of_scene) for of_scene in evenly(of_scenes, MOST_SCENES)]
+    return [nearest_trial(scored, group, of_scene) for of_scene in evenly(of_scenes, MOST_SCENES)]
 
 
-def nearest_trial(scored: ScoredDataset, one: GroupFit, places: NDArray[np.intp] | None = None) -> int:
+def nearest_trial(scored: ScoredDataset, group: GroupFit, rows: NDArray[np.intp] | None = None) -> int:
     """Return the trial's index: level nearest to threshold, and of those P(correct) nearest to the criterion.
 
-    `places` are the indices to choose from, by default all of the group.
+    `rows` are the indices to choose from, by default all of the group.
     """
-    threshold, criterion = one.fit.threshold, one.fit.p_correct
+    threshold, trials = group.fit.threshold, scored.trials
     assert threshold is not None
-    trials = scored.trials
-    places = trials.indices_of_group(one.group) if places is None else places
-    from_threshold = np.abs(np.log(trials.levels[places] / threshold))
-    from_criterion = np.abs(scored.p_correct[places] - criterion)
-    return int(places[np.lexsort([from_criterion, from_threshold])[0]])
+    rows = trials.indices_of_group(group.group) if rows is None else rows
+    from_threshold = np.abs(np.log(trials.levels[rows] / threshold))
+    from_criterion = np.abs(scored.p_correct[rows] - group.fit.p_correct)
+    return int(rows[np.lexsort([from_criterion, from_threshold])[0]])
 
 
 def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[ExamplePatch]:
     """Read the part of each frame of a trial that surrounds the triangle."""
     pitch_mrad = dataset.display.pitch_mrad
     reach_px = reach_px_of(observer, trial.stimulus, pitch_mrad)
-    found = []
+    patches = []
     for frame in trial.frames:
         with dataset.open(frame, verify=True) as file:
             x, y = centroid_position(trial, file.header, observer.centre, pitch_mrad, frame)
-            rows, columns = ((round(place) - reach_px, round(place) + reach_px + 1) for place in (y, x))
+            rows, columns = ((round(at) - reach_px, round(at) + reach_px + 1) for at in (y, x))
             triangle = TrianglePlace(x, y, size_in_px(trial, pitch_mrad))
             patch = read_contrast(file, dataset.display, frame, rows, columns, triangle=triangle)
-            found.append(ExamplePatch(patch, x, y))
-    return found
+            patches.append(ExamplePatch(patch, x, y))
+    return patches

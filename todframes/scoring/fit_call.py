@@ -16,9 +16,7 @@ from todframes.parameters import Seed
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
 from todframes.results.advice import levels_to_add
-from todframes.results.data import (
-    Fit,
-)
+from todframes.results.data import Fit
 from todframes.results.result import Result, repeatable
 
 if TYPE_CHECKING:
@@ -75,13 +73,13 @@ def fit_counts(
     rows: dict[tuple[float | str, ...], list[int]] = {}
     for row in range(columns[0].size):
         key = tuple(values[row] for values in names.values())
-        rows.setdefault(tuple(one if isinstance(one, str) else float(one) for one in key), []).append(row)
+        rows.setdefault(tuple(part if isinstance(part, str) else float(part) for part in key), []).append(row)
     fits = []
     for number, (key, of_group) in enumerate((rows or {(): []}).items()):
-        of_curve = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+        own_rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
         counts = columns if len(rows) < 2 else [column[of_group] for column in columns]
-        one = fit_counts_of_one(*counts, settings=fit, rng=of_curve)
-        fits.append(Fit.of_counts(dict(zip(names, key, strict=True)), "level", one))
+        fitted = fit_counts_of_one(*counts, settings=fit, rng=own_rng)
+        fits.append(Fit.of_counts(dict(zip(names, key, strict=True)), "level", fitted))
     return Result.made(
         "fit", started, settings=asdict(fit), seed=seed, fits=tuple(fits), warnings=levels_to_add(fits)
     )

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import rel_entr
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, TodframesError, argument
@@ -23,7 +24,7 @@ from todframes.frames.position import centroid_position
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.observers.interface import Observer
 from todframes.parameters import Decisions, Locate
-from todframes.psychometrics.fit import FitSettings, PsychometricFit
+from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.score import ScoredDataset, score_dataset
 
 SIZES_SOUGHT = tuple(np.geomspace(1.0 / 20.0, 20.0, 15).tolist())
@@ -95,7 +96,8 @@ def explain_missing(
     decisions: Decisions = "expected",
     seed: int = 1,
 ) -> tuple[Explanation, ...]:
-    """Explain each threshold that is missing.
+    """Return an explanation for each group without a threshold, in the order of `scored.fits`, and for groups
+    whose threshold is extrapolated to stronger levels, if there is a hint.
 
     For groups whose criterion is not reached at the levels shown, the strongest trials are looked at. Their
     answers show triangles that are mirrored or turned. The fit of the triangle, anywhere on their frames, shows
@@ -103,36 +105,23 @@ def explain_missing(
     extrapolated, or the place is unknown to the observer. A hint is given only for a change after which most
     answers are right.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        Dataset that was scored.
-    scored : ScoredDataset
-    observer : Observer
-    decisions : {"expected", "sampled"}
-    seed : int
-        Seed of all random streams, as for `scored`.
-
-    Returns
-    -------
-    tuple of Explanation
-        One for each group without a threshold, in the order of `scored.fits`, and for groups whose threshold is
-        extrapolated to stronger levels, if there is a hint.
+    `dataset`, `decisions` and `seed` are those that `scored` was made with.
     """
-    found = []
+    explanations = []
     trials = scored.trials
-    for one in scored.fits:
-        is_missing = one.fit.threshold is None
-        if not (is_missing or _is_beyond(one.fit)):
+    for group_fit in scored.fits:
+        fit = group_fit.fit
+        is_missing = fit.threshold is None
+        if fit.threshold is not None and fit.threshold <= max(point.level for point in fit.points):
             continue
-        strong = _strongest(trials, one.group)
-        answers = _answers(scored, strong)
-        shown = trials.quarter_turns[strong]
+        strong = _strongest(trials, group_fit.group)
         table = np.zeros((4, 4))
-        np.add.at(table, shown, answers)
+        np.add.at(table, trials.quarter_turns[strong], _answers(scored, strong))
         hints: tuple[Hint, ...] = ()
-        if one.fit.status == "never_reached" or not is_missing:
-            strong = _some(strong, MOST_TRIALS)
+        if fit.status == "never_reached" or not is_missing:
+            # At most so many of the trials, at an odd step, so that all orientations are among them.
+            step = math.ceil(len(strong) / MOST_TRIALS)
+            strong = strong[:: step + (step + 1) % 2 if step > 1 else 1]
             search = _MistakeSearch(
                 dataset,
                 observer,
@@ -147,13 +136,9 @@ def explain_missing(
             )
             hints = search.hints(is_scored_again=is_missing and dataset.experiment.places == 1)
         if is_missing or hints:
-            found.append(Explanation(one.group, table, float(trials.levels[strong].min()), hints))
-    return tuple(found)
-
-
-def _is_beyond(fit: PsychometricFit) -> bool:
-    """Return whether a threshold is extrapolated to levels stronger than all that were shown."""
-    return fit.threshold is not None and fit.threshold > max(point.level for point in fit.points)
+            level = float(trials.levels[strong].min())
+            explanations.append(Explanation(group_fit.group, table, level, hints))
+    return tuple(explanations)
 
 
 def _strongest(trials: Trials, group: Group) -> NDArray[np.intp]:
@@ -165,12 +150,6 @@ def _strongest(trials: Trials, group: Group) -> NDArray[np.intp]:
     return np.asarray(members[level >= -levels[is_taken][-1]])
 
 
-def _some(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Return at most this number of the places, at an odd step, so that all orientations are among them."""
-    step = math.ceil(len(places) / most)
-    return places[:: step + (step + 1) % 2 if step > 1 else 1]
-
-
 def _strongest_and_others(trials: Trials, strong: NDArray[np.intp]) -> Trials:
     """Return strong trials of a group and the next weaker ones, `MOST_TRIALS` in all if the group has them."""
     others = np.setdiff1d(trials.indices_of_group(trials[int(strong[0])].group), strong)
@@ -178,21 +157,21 @@ def _strongest_and_others(trials: Trials, strong: NDArray[np.intp]) -> Trials:
     return trials.select(np.sort(np.concatenate([strong, others])))
 
 
-def _orientations(trials: Trials, places: NDArray[np.intp]) -> tuple[int, ...]:
+def _orientations(trials: Trials, rows: NDArray[np.intp]) -> tuple[int, ...]:
     """Return the orientations of some trials, indices into `ORIENTATIONS`; the last trial is before the first."""
-    return tuple(trials.quarter_turns[places % len(trials)].tolist())
+    return tuple(trials.quarter_turns[rows % len(trials)].tolist())
 
 
-def _answers(scored: ScoredDataset, places: NDArray[np.intp]) -> FloatArray:
+def _answers(scored: ScoredDataset, rows: NDArray[np.intp]) -> FloatArray:
     """Return the probability of each answer in some trials; 1 for the answer drawn if there are none."""
-    drawn, probabilities = np.eye(4)[scored.answers[places]], scored.probabilities[places]
+    drawn, probabilities = np.eye(4)[scored.answers[rows]], scored.probabilities[rows]
     return np.where(np.isfinite(probabilities), probabilities, drawn)
 
 
 def _named_size(ratio: float) -> tuple[float, str]:
     """Return a ratio of sizes, replaced by that of a mistaken unit if it is near one, and the question to ask."""
     named = ((1.0, ""), *SIZE_UNITS, (ratio, "Is it the root of the area, and is the pixel pitch right?"))
-    return next(one for one in named if max(ratio / one[0], one[0] / ratio) <= SIZES_ALIKE)
+    return next((size, question) for size, question in named if max(ratio / size, size / ratio) <= SIZES_ALIKE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,15 +243,15 @@ class _MistakeSearch:
                     self._of(trials), locate=locate, centre=self.observer.centre, sizes=sizes
                 )
                 size, question = _named_size(location.size_ratio)
-                ways = [*self._size(size, question), *self._place(location), *self._polarity(location)]
+                ways = [*self._ways(size, question, location)]
                 if not ways:
                     continue
                 answers = self._answers(placed.trials, size, location.arrangement.sign)
             except TodframesError:
                 continue
             clauses, codes = zip(*ways, strict=True)
-            found = next(one for one in TURNED if one.shown == location.arrangement.shown)
-            yield _Change(answers, clauses, codes, (found,))
+            turned = next(turned for turned in TURNED if turned.shown == location.arrangement.shown)
+            yield _Change(answers, clauses, codes, (turned,))
 
     def _are_as_stated(self) -> bool:
         """Return whether the frames are known to show the triangles with the stated place, size and polarity.
@@ -282,22 +261,28 @@ class _MistakeSearch:
         """
         if self.strongest.has_scenes:
             return False
-        found = inspect(self.dataset, self.strongest, centre=self.observer.centre)
-        return bool(found) and all(
-            one.signal >= LEAST_SIGNAL
-            and (one.contrast_slope or 0.0) > 0.0
-            and 2 * one.n_level >= one.n_trials
-            and one.wrong_level < LEAST_WRONG
-            and (one.scatter_px is not None or (one.blur_px or 0.0) <= LEAST_OFFSET * one.size_px)
-            and not any(place_deviations(self.dataset, one))
-            for one in found
+        inspections = inspect(self.dataset, self.strongest, centre=self.observer.centre)
+        return bool(inspections) and all(
+            shown.signal >= LEAST_SIGNAL
+            and (shown.contrast_slope or 0.0) > 0.0
+            and 2 * shown.n_level >= shown.n_trials
+            and shown.wrong_level < LEAST_WRONG
+            and (shown.scatter_px is not None or (shown.blur_px or 0.0) <= LEAST_OFFSET * shown.size_px)
+            and not any(place_deviations(self.dataset, shown))
+            for shown in inspections
         )
 
-    def _size(self, ratio: float, question: str) -> Iterator[tuple[str, _Code]]:
+    def _ways(self, ratio: float, question: str, location: Location) -> Iterator[tuple[str, _Code]]:
+        """Yield a clause and a code for each way in which the triangles are not as stated."""
+        size_mrad, polarity = self.trials[0].stimulus.size_mrad, self.trials[0].stimulus.polarity
         if max(ratio, 1.0 / ratio) > SIZES_ALIKE:
-            stated = self.trials[0].stimulus.size_mrad
             clause = f"triangles had {ratio:.3g} times the size in the manifest: {question}"
-            yield clause, ("size_mismatch", ratio * stated, stated)
+            yield clause, ("size_mismatch", ratio * size_mrad, size_mrad)
+        yield from self._place(location)
+        if location.arrangement.sign == -1:
+            contrast = "brighter" if polarity == -1 else "darker"
+            clause = f"polarity were {-polarity}: Are the triangles {contrast} than the background?"
+            yield clause, ("polarity_mismatch", -polarity, polarity)
 
     def _place(self, location: Location) -> Iterator[tuple[str, _Code]]:
         size_px = location.size_ratio * self.trials[0].stimulus.size_mrad / self.dataset.display.pitch_mrad
@@ -317,13 +302,6 @@ class _MistakeSearch:
                 f"{stated[1]:g}: Give it in the manifest, or let {argument.locate} find it."
             )
             yield clause, ("position_offset", here, stated)
-
-    def _polarity(self, location: Location) -> Iterator[tuple[str, _Code]]:
-        polarity = self.trials[0].stimulus.polarity
-        if location.arrangement.sign == -1:
-            contrast = "brighter" if polarity == -1 else "darker"
-            clause = f"polarity were {-polarity}: Are the triangles {contrast} than the background?"
-            yield clause, ("polarity_mismatch", -polarity, polarity)
 
     def _answers(self, placed: Trials, size_ratio: float, sign: int) -> FloatArray:
         """Score the trials at other places, for another size, and for another polarity if the sign is -1."""
@@ -359,11 +337,8 @@ class _MistakeSearch:
         now = self._right(_Change(self.answers))
         if share < max(LEAST_RIGHT, now + LEAST_GAIN):
             return False
-        wrong = 1.0 - share
-        against_guessing = share * math.log(share / 0.25) + (
-            wrong * math.log(wrong / 0.75) if wrong > 0.0 else 0.0
-        )
-        return len(self.trials) * against_guessing >= LEAST_EVIDENCE
+        against_guessing = rel_entr([share, 1.0 - share], [0.25, 0.75]).sum()
+        return bool(len(self.trials) * against_guessing >= LEAST_EVIDENCE)
 
     def _hints(self, change: _Change, arrangement: Arrangement, share: float) -> tuple[Hint, ...]:
         clauses, codes = list(change.clauses), list(change.codes)
@@ -377,4 +352,4 @@ class _MistakeSearch:
             f"{100.0 * share:.0f} % of the answers from {self.dataset.experiment.level} {level:g} on, instead of "
             f"{100.0 * now:.0f} %, would be right if {' and if '.join(conditions)}. {' '.join(remedies)}"
         )
-        return tuple(Hint(code, message, found, expected) for code, found, expected in codes)
+        return tuple(Hint(code, message, *values) for code, *values in codes)

@@ -53,18 +53,8 @@ def proportion_correct(
 ) -> float:
     """Compute P(correct) for a triangle seen directly, averaged over orientation and displacement.
 
-    Parameters
-    ----------
-    observer : Observer
-        A linear observer.
-    size_mrad : float
-        √(area) of the triangle in mrad, > 0.
-    contrast : float
-        Weber contrast, > 0.
-    nodes : int
-        Number of Gauss–Legendre displacements along each axis.
-    places : int
-        Number of places, far apart, at which the triangle may be; with 1, its place is known.
+    `size_mrad` is √(area), `contrast` a Weber contrast, both > 0; `nodes` is the number of Gauss–Legendre
+    displacements along each axis. The triangle may be at any of `places`, far apart; with 1, its place is known.
 
     Raises
     ------
@@ -74,13 +64,7 @@ def proportion_correct(
     if not 0 < contrast <= CONTRAST_RANGE[1] * 1.000001:  # the limit of the search, with room for rounding
         raise SettingsError(f"{argument.contrast}: found {contrast!r}, expected a finite number > 0, at most 1e12")
     _size_samples(observer, size_mrad)
-    return _proportion_at(observer, size_mrad, contrast, nodes, places)
-
-
-def _proportion_at(
-    observer: Observer, size_mrad: float, contrast: float, nodes: int = 16, places: int = 1
-) -> float:
-    return _proportion_correct(contrast, _responses(observer, size_mrad, nodes, places))
+    return _Responses.to(observer, size_mrad, nodes, places).proportion_correct(contrast)
 
 
 def contrast_threshold(
@@ -88,97 +72,48 @@ def contrast_threshold(
 ) -> ComputedThreshold:
     """Find the Weber contrast at which a triangle of a given size is answered correctly with `p_correct`.
 
-    Parameters
-    ----------
-    observer : Observer
-        A linear observer.
-    size_mrad : float
-        √(area) of the triangle in mrad, > 0.
-    p_correct : float
-        Probability of a correct answer at the threshold.
-    places : int
-        Number of places, far apart, at which the triangle may be; with 1, its place is known.
-
-    Returns
-    -------
-    ComputedThreshold
-        A Weber contrast.
-
-    Raises
-    ------
-    SettingsError
-        If the observer is not linear, or a value is out of range.
+    `size_mrad` is √(area), > 0; `places` is as for `proportion_correct`, and so are the errors.
     """
     size_samples = _size_samples(observer, size_mrad)
 
     def threshold(nodes: int) -> ComputedThreshold:
-        response = _responses(observer, size_mrad, nodes, places)
-        return _crossing(
-            lambda contrast: _proportion_correct(contrast, response),
-            p_correct,
-            CONTRAST_RANGE,
-            1.0,
-            saturates=True,  # at P without internal noise
+        proportion = _Responses.to(observer, size_mrad, nodes, places).proportion_correct
+        # It saturates at P without internal noise.
+        return ComputedThreshold(
+            *find_crossing(proportion, p_correct, bounds=CONTRAST_RANGE, start=1.0, factor=4.0, saturates=True)
         )
 
+    def proportion_of(judge: Observer, contrast: float) -> float:
+        return _Responses.to(judge, size_mrad, places=places).proportion_correct(contrast)
+
     found = _refined(threshold, NODES if size_samples < FEW_NODES_FROM_SAMPLES else FEW_NODES + NODES)
-    return _with_step_error(
-        found,
-        observer,
-        size_mrad,
-        lambda judge, level: _proportion_at(judge, size_mrad, level, places=places),
-        p_correct,
-    )
+    return _with_step_error(found, observer, size_mrad, proportion_of, p_correct)
 
 
 def acuity(
     observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75, places: int = 1
 ) -> ComputedThreshold:
-    """Find the size at which a triangle of a given contrast is answered correctly with `p_correct`.
+    """Find the size, √(area) in mrad, at which a triangle of a Weber contrast is answered with `p_correct`.
 
-    Parameters
-    ----------
-    observer : Observer
-        A linear observer.
-    contrast : float
-        Weber contrast, > 0.
-    p_correct : float
-        Probability of a correct answer at the threshold.
-    places : int
-        Number of places, far apart, at which the triangle may be; with 1, its place is known.
-
-    Returns
-    -------
-    ComputedThreshold
-        √(area) of the triangle in mrad.
-
-    Raises
-    ------
-    SettingsError
-        If the observer is not linear, or a value is out of range.
+    `places` is as for `proportion_correct`, and so are the errors.
     """
     pitch = observer.grid(Stimulus(1e-6)).pitch_mrad  # of a size that every grid holds
     sizes = (SIZE_RANGE_SAMPLES[0] * pitch, SIZE_RANGE_SAMPLES[1] * pitch)
 
     def threshold(nodes: int) -> ComputedThreshold:
-        return _crossing(
-            lambda size: proportion_correct(
-                observer, size_mrad=size, contrast=contrast, nodes=nodes, places=places
-            ),
-            p_correct,
-            sizes,
-            4.0 * pitch,
+        def proportion(size_mrad: float) -> float:
+            return proportion_correct(observer, size_mrad=size_mrad, contrast=contrast, nodes=nodes, places=places)
+
+        return ComputedThreshold(
+            *find_crossing(proportion, p_correct, bounds=sizes, start=4.0 * pitch, factor=4.0)
         )
+
+    def proportion_of(judge: Observer, size_mrad: float) -> float:
+        return _Responses.to(judge, size_mrad, places=places).proportion_correct(contrast)
 
     # Each step of this search computes a new readout and its displacements.
     found = _refined(threshold, NODES[:-2])
-    return _with_step_error(
-        found,
-        observer,
-        SPAN * (found.threshold or 1.0),
-        lambda judge, size: _proportion_at(judge, size, contrast, places=places),
-        p_correct,
-    )
+    return _with_step_error(found, observer, SPAN * (found.threshold or 1.0), proportion_of, p_correct)
 
 
 def _with_step_error(
@@ -222,9 +157,7 @@ def _other_step(observer: Observer, stimulus: Stimulus) -> tuple[float, Observer
     return found
 
 
-def _refined(
-    threshold: Callable[[int], ComputedThreshold], nodes_to_try: Sequence[int] = NODES
-) -> ComputedThreshold:
+def _refined(threshold: Callable[[int], ComputedThreshold], nodes_to_try: Sequence[int]) -> ComputedThreshold:
     """Compute a threshold with more and more displacements until it is stable."""
     result = threshold(nodes_to_try[0])
     for nodes in nodes_to_try[1:]:
@@ -252,32 +185,41 @@ class _Responses(NamedTuple):
     weights: FloatArray
     places: int
 
-
-def _responses(observer: Observer, size_mrad: float, nodes: int, places: int = 1) -> _Responses:
-    """Compute the scores at contrast 1 for a triangle of each orientation at each node."""
-    check_whole(argument.places, places, 1, MOST_PLACES)
-    readout = observer.linear_readout(Stimulus(size_mrad))
-    side, pitch = readout.grid.side, readout.grid.pitch_mrad
-    jitter = observer.position_jitter_samples
-    displaced, weights = np.polynomial.legendre.leggauss(nodes if jitter > 0 else 1)
-    # The triangle covers a part of the grid; its apex is farthest from its centre.
-    reach = 2.0 / 3.0 * HEIGHT_PER_SIZE * size_mrad / pitch + jitter
-    half_width = math.ceil(min(reach + 1.0, side // 2))
-    seen = readout.cropped(half_width)
-    images = [
-        [
-            triangle_on(seen.grid, size_mrad, orientation, x=jitter * dx, y=jitter * dy, centre=observer.centre)
-            for dy in displaced
-            for dx in displaced
-        ]
+    @classmethod
+    def to(cls, observer: Observer, size_mrad: float, nodes: int = 16, places: int = 1) -> _Responses:
+        """Compute the scores for a triangle of each orientation at each node."""
+        check_whole(argument.places, places, 1, MOST_PLACES)
+        readout = observer.linear_readout(Stimulus(size_mrad))
+        side, pitch = readout.grid.side, readout.grid.pitch_mrad
+        jitter = observer.position_jitter_samples
+        displaced, weights = np.polynomial.legendre.leggauss(nodes if jitter > 0 else 1)
+        # The triangle covers a part of the grid; its apex is farthest from its centre.
+        reach = 2.0 / 3.0 * HEIGHT_PER_SIZE * size_mrad / pitch + jitter
+        half_width = math.ceil(min(reach + 1.0, side // 2))
+        seen = readout.cropped(half_width)
         # A turned triangle has the turned scores: where a decision takes longer, one orientation is enough.
-        for orientation in (ORIENTATIONS if places == 1 else ORIENTATIONS[:1])
-    ]
-    deviations = np.array([[seen.score_deviations(image) for image in row] for row in images])
-    common = None
-    if places > 1:
-        common = np.array([[seen.common_score(image) for image in row] for row in images])
-    return _Responses(readout, deviations, common, np.outer(weights, weights).ravel() / 4.0, places)
+        shown = ORIENTATIONS if places == 1 else ORIENTATIONS[:1]
+        at = [{"x": jitter * dx, "y": jitter * dy} for dy in displaced for dx in displaced]
+        images = [
+            [triangle_on(seen.grid, size_mrad, turn, centre=observer.centre, **node) for node in at]
+            for turn in shown
+        ]
+        deviations = np.array([[seen.score_deviations(image) for image in row] for row in images])
+        common = None
+        if places > 1:
+            common = np.array([[seen.common_score(image) for image in row] for row in images])
+        return cls(readout, deviations, common, np.outer(weights, weights).ravel() / 4.0, places)
+
+    def proportion_correct(self, contrast: float) -> float:
+        """Compute P(correct) at a contrast."""
+        if self.common is None:
+            answers = self.readout.answer_probabilities(contrast * self.deviations)
+        else:
+            scores = contrast * (self.deviations + self.common[..., None])
+            scores = scores[..., None, :]
+            answers, _ = self.readout.place_probabilities(scores, None, empty_places=self.places - 1)
+        correct = np.stack([of_shown[:, k] for k, of_shown in enumerate(answers)])
+        return float((correct @ self.weights).mean())
 
 
 def _size_samples(observer: Observer, size_mrad: float) -> float:
@@ -291,26 +233,3 @@ def _size_samples(observer: Observer, size_mrad: float) -> float:
             f"at most {most * pitch:g}, {most:g} samples, which take half a minute"
         )
     return size_mrad / pitch
-
-
-def _proportion_correct(contrast: float, responses: _Responses) -> float:
-    readout, deviations, common, weights, places = responses
-    if common is None:
-        answers = readout.answer_probabilities(contrast * deviations)
-    else:
-        scores = contrast * (deviations + common[..., None])
-        answers, _ = readout.place_probabilities(scores[..., None, :], None, empty_places=places - 1)
-    correct = np.stack([of_shown[:, k] for k, of_shown in enumerate(answers)])
-    return float((correct @ weights).mean())
-
-
-def _crossing(
-    proportion: Callable[[float], float],
-    p_correct: float,
-    bounds: tuple[float, float],
-    start: float,
-    *,
-    saturates: bool = False,
-) -> ComputedThreshold:
-    found = find_crossing(proportion, p_correct, bounds=bounds, start=start, factor=4.0, saturates=saturates)
-    return ComputedThreshold(*found)

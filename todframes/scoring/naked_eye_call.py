@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -11,10 +12,9 @@ from todframes.base.progress import counted
 from todframes.observers.interface import Observer, described
 from todframes.parameters import Numbers, ObserverName, PlaceCount, Probability, Progress
 from todframes.psychometrics.fit import FitSettings
+from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.results.advice import above_contrast_1, numerical_errors
-from todframes.results.data import (
-    Fit,
-)
+from todframes.results.data import Fit
 from todframes.results.result import Result, repeatable
 from todframes.results.thresholds import Thresholds
 
@@ -75,13 +75,11 @@ def naked_eye(
     FitSettings(p_correct=p_correct)  # checks it
     values = np.atleast_1d(np.asarray(size_mrad if contrast is None else contrast, dtype=np.float64)).tolist()
     level, given = ("contrast", "size_mrad") if contrast is None else ("size_mrad", "contrast")
+    search: Callable[..., ComputedThreshold] = contrast_threshold if contrast is None else acuity
     fits = []
     for value in counted(values, len(values), progress):
-        if contrast is None:
-            found = contrast_threshold(judge, size_mrad=value, p_correct=p_correct, places=places)
-        else:
-            found = acuity(judge, contrast=value, p_correct=p_correct, places=places)
-        fits.append(Fit.of_computed({given: value}, level, p_correct, found))
+        threshold = search(judge, p_correct=p_correct, places=places, **{given: value})
+        fits.append(Fit.of_computed({given: value}, level, p_correct, threshold))
 
     def is_easier_if_smaller(fit: Fit) -> bool:
         half = 0.5 * float(fit.group["size_mrad"])

@@ -54,9 +54,9 @@ class GroupFit:
     `non_gaussian_bound` bounds the error in P(correct) from taking the summed internal noise as Gaussian; 0 if
     answers were drawn with noise on every neuron. `left_out_bound` bounds the change of P(correct) by all that the
     plan leaves out. `numerical_error` is the half-width of the threshold's 95 % interval over displacements; None
-    if each trial has one displacement. `background_luminance_cd_m2` is the mean over trials of the luminance that
-    contrast refers to. `run_time_s` is the time for the trials and the fit, in seconds. `places_error` is the
-    largest standard error of a trial's P(correct) by correlated noise of places; None if the place is known.
+    if each trial has one displacement. The luminance that contrast refers to is the mean over trials. `run_time_s`
+    is the time for the trials and the fit, in seconds. `places_error` is the largest standard error of a trial's
+    P(correct) by correlated noise of places; None if the place is known.
     """
 
     group: tuple[float | str, ...]
@@ -72,27 +72,14 @@ class GroupFit:
 
 @dataclass(frozen=True, slots=True)
 class ScoredDataset:
-    """The scores of every trial that could be read, and the fits.
+    """The scores of every trial that could be read, in the order of the manifest, and the fits.
 
-    Attributes
-    ----------
-    trials : Trials
-        Trials in the order of the manifest; the rows of the arrays have the same order.
-    displacement_samples : ndarray, shape (n, 2)
-        Displacement of the retina grid along x and y, in retina samples; NaN if a trial had several.
-    scores, probabilities : ndarray, shape (n, 4)
-        Noise-free inner products with the templates and the probability of each answer, in the order of
-        `ORIENTATIONS`, averaged over displacements; NaN if the observer is not linear.
-    answers : ndarray of int, shape (n,)
-        Answer drawn, or the most probable answer; an index into `ORIENTATIONS`.
-    p_correct : ndarray, shape (n,)
-        Probability of the correct answer; 1 or 0 if answers were drawn.
-    fits : tuple of GroupFit
-    skipped : tuple of Skipped
-    n_negative : int
-        Number of display pixels with a luminance below zero, among those read.
-    plan : tuple of Step
-        Stages that were kept or left out.
+    `displacement_samples`, (n, 2), are displacements of the retina grid along x and y, in retina samples; NaN if a
+    trial had several. `scores` and `probabilities`, (n, 4), are noise-free inner products with the templates and
+    the probability of each answer, in the order of `ORIENTATIONS`, averaged over displacements; NaN if the
+    observer is not linear. `answers`, (n,), are the answers drawn, or the most probable ones, indices into
+    `ORIENTATIONS`; `p_correct`, (n,), is 1 or 0 if answers were drawn. `n_negative` counts the display pixels with
+    a luminance below zero, among those read.
     """
 
     trials: Trials
@@ -123,34 +110,11 @@ def score_dataset(
     """Show every trial to the observer and fit a psychometric function to each group.
 
     The random numbers depend on the seed alone: each trial has its own random stream, whatever the order of the
-    trials or the number of workers.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    observer : Observer
-    decisions : {"expected", "sampled"}
-        "expected": the probability of a correct answer under the internal noise. "sampled": one answer drawn for
-        each trial with noise on every neuron, as in the paper.
-    curve : {"observer", "weibull"}, optional
-        Psychometric function of the thresholds. Default: that of `fitted_curve`.
-    seed : int
-        Seed of all random streams.
-    fit_settings : FitSettings, optional
-        Settings of the psychometric fits.
-    tolerance : float, optional
-        Largest relative error of the thresholds due to the displacement of the retina: each trial is seen with as
-        many displacements as this needs. Without it each trial is seen with one displacement.
-    plan_name : {"needed", "full"}
-        "needed": leave out stages that change thresholds far less than the tolerance. "full": leave out nothing.
-    skip_bad_frames : bool
-        Skip trials that cannot be read and list them, instead of raising the first error.
-    run : Run, optional
-        Where the work is done and what is kept of it. Default: in this thread, and nothing.
-
-    Returns
-    -------
-    ScoredDataset
+    trials or the number of workers. With "expected" decisions the probability of a correct answer under the
+    internal noise counts, with "sampled" ones an answer drawn for each trial with noise on every neuron, as in
+    the paper. `tolerance` is the largest relative error of the thresholds due to the displacement of the retina:
+    each trial is seen with as many displacements as this needs; without it with one. If bad frames are skipped,
+    trials that cannot be read are listed.
 
     Raises
     ------
@@ -177,14 +141,9 @@ def score_dataset(
 
     def see(scoring: Scoring, trials: Trials, run: Run) -> tuple[SeenTrials, list[Skipped]]:
         seen = SeenTrials(trials)
+        skip, collect = skip_bad_frames, seen.put
         unread = see_trials(
-            scoring,
-            trials,
-            score_trial,
-            kind=SeenTrial,
-            collect=seen.put,
-            skip_bad_frames=skip_bad_frames,
-            run=run,
+            scoring, trials, score_trial, kind=SeenTrial, collect=collect, skip_bad_frames=skip, run=run
         )
         return seen.usable(), unread
 
@@ -195,23 +154,15 @@ def score_dataset(
     fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)
     decided = fit(seen)
     if tolerance is not None:
-        again = {
-            number: displacements
-            for number, group in enumerate(decided.fits)
-            if (displacements := _displacements_needed(group, tolerance)) > 1
-        }
-        if again:
-            groups = groups_of(seen.trials)
-            looks = []
-            for number, displacements in again.items():
-                _, rows = groups[number]
-                more, _ = see(
-                    replace(scoring, displacements=displacements),
-                    seen.trials.select(rows),
-                    replace(run, progress=None),
-                )
+        looks = []
+        for group, (_, rows) in zip(decided.fits, groups_of(seen.trials), strict=True):
+            displacements = _displacements_needed(group, tolerance)
+            if displacements > 1:
+                closer = replace(scoring, displacements=displacements)
+                more, _ = see(closer, seen.trials.select(rows), replace(run, progress=None))
                 if len(more) == len(rows):  # no frame has gone meanwhile
                     looks.append(more)
+        if looks:
             decided = fit(seen, looks)
     return replace(decided, skipped=tuple(skipped))
 
@@ -219,10 +170,7 @@ def score_dataset(
 def fitted_curve(curve: CurveName | None, decisions: Decisions) -> CurveName:
     """Return the curve to fit: by default the observer's for expected decisions, Weibull's for sampled ones.
 
-    Raises
-    ------
-    SettingsError
-        If the observer's curve is asked for and decisions are sampled.
+    Raises SettingsError if the observer's curve is asked for and decisions are sampled.
     """
     if decisions == "expected":
         return curve or "observer"
@@ -247,10 +195,7 @@ def settings_of_experiment(settings: FitSettings | None, experiment: Experiment)
 def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[Trials, list[Skipped]]:
     """Return the trials whose rows are all good, and the frames that are skipped.
 
-    Raises
-    ------
-    DataError
-        If there are bad rows and `skip_bad_frames` is not set, or no trial is left.
+    Raises DataError if there are bad rows and `skip_bad_frames` is not set, or no trial is left.
     """
     if dataset.bad_rows and not skip_bad_frames:
         raise DataError(dataset.bad_rows[0].error)
@@ -279,15 +224,9 @@ def _displacements_needed(group: GroupFit, tolerance: float) -> int:
     return min(math.ceil(1.1 * ratio**2), MOST_DISPLACEMENTS) if ratio > 1.0 else 1
 
 
-def _displacement_step(numbers: Sequence[int]) -> Step:
-    least, most = min(numbers), max(numbers)
-    why = f"{least} of each trial" if least == most else f"{least} to {most} of each trial, as the tolerance takes"
-    return Step("displacements", True, why)
-
-
 def groups_of(trials: Trials) -> list[tuple[Group, NDArray[np.intp]]]:
     """Return the groups of trials, numbers before texts, and the indices of each group's trials."""
-    return sorted(trials.by_group(), key=lambda one: [(isinstance(value, str), value) for value in one[0]])
+    return sorted(trials.by_group(), key=lambda group: [(isinstance(value, str), value) for value in group[0]])
 
 
 def fit_groups(
@@ -300,39 +239,28 @@ def fit_groups(
     curve: CurveName,
     expected: bool,
 ) -> ScoredDataset:
-    """Compute the answers of trials that were seen, and fit a curve to each group.
+    """Compute the answers of all trials, in the order of the manifest, and fit a curve to each group; nothing is
+    skipped.
 
-    Parameters
-    ----------
-    plan : ScorePlan
-    seen : SeenTrials
-        All trials, in the order of the manifest.
-    looks : sequence of SeenTrials
-        Groups that were seen again, with more displacements: these count.
-
-    Returns
-    -------
-    ScoredDataset
-        Trials in the order of the manifest; `skipped` is empty.
+    `looks` are groups that were seen again, with more displacements: these count.
     """
     trials, n = seen.trials, len(seen)
-    again = [np.searchsorted(trials.numbers, look.trials.numbers) for look in looks]
-    of_look = np.zeros(n, np.int16)  # 0: the first one
-    for number, rows in enumerate(again):
-        of_look[rows] = number + 1
-    first = np.flatnonzero(of_look == 0)
-    parts = [(first, seen if not looks else seen.select(first)), *zip(again, looks, strict=True)]
+    parts = [(np.searchsorted(trials.numbers, look.trials.numbers), look) for look in looks]
+    rest = np.setdiff1d(np.arange(n), np.concatenate([np.zeros(0, np.intp), *(rows for rows, _ in parts)]))
+    if len(rest):
+        parts.insert(0, (rest, seen if not looks else seen.select(rest)))
     table = np.empty(n, _DECIDED)
-    p_each: dict[int, FloatArray] = {}
+    p_each, of_part = [], np.zeros(n, np.intp)
     for number, (rows, part) in enumerate(parts):
-        if len(rows):
-            table[rows], p_each[number] = _decided(plan, part)
+        table[rows], p_of_part = _decided(plan, part)
+        p_each.append(p_of_part)
+        of_part[rows] = number
     has_places = seen["place_scores"].shape[2] > 0
     answers = table["probabilities"].argmax(axis=1)
     if not expected:
         answers = _drawn_at_places(plan, seen, seed) if has_places else seen["answer"]
         table["p_correct"] = answers == trials.quarter_turns
-        p_each, table["bound"] = {0: table["p_correct"][:, None]}, 0.0
+        p_each, table["bound"] = [table["p_correct"][:, None]], 0.0
     fits, scenes = [], trials.scene_numbers
     for number, (group, rows) in enumerate(groups_of(trials)):
         started = time.perf_counter()
@@ -340,8 +268,8 @@ def fit_groups(
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FIT_STREAMS, number)))
         backgrounds = None if scenes is None else scenes[rows]
         fit = fit_trials(level, p_correct, curve=curve, settings=fit_settings, rng=rng, backgrounds=backgrounds)
-        look = int(of_look[rows[0]])
-        p_of_rows = p_each[look][np.searchsorted(parts[look][0], rows)]
+        part_rows, p_of_part = parts[of_part[rows[0]]][0], p_each[of_part[rows[0]]]
+        p_of_rows = p_of_part[np.searchsorted(part_rows, rows)]
         fits.append(
             GroupFit(
                 group=group,
@@ -355,6 +283,10 @@ def fit_groups(
                 places_error=float(table["place_error"][rows].max()) if has_places else None,
             )
         )
+    least, most = min(numbers := [p.shape[1] for p in p_each]), max(numbers)
+    how_many = f"{least} of each trial"
+    if least < most:
+        how_many = f"{least} to {most} of each trial, as the tolerance takes"
     return ScoredDataset(
         trials=trials,
         displacement_samples=table["displacement_samples"],
@@ -365,7 +297,7 @@ def fit_groups(
         fits=tuple(fits),
         skipped=(),
         n_negative=int(sum(part["n_negative"].sum() for _, part in parts)),
-        plan=(*plan.steps, _displacement_step([p.shape[1] for p in p_each.values()])),
+        plan=(*plan.steps, Step("displacements", True, how_many)),
     )
 
 
@@ -422,8 +354,8 @@ def _of_places(
     """
     scores = seen["place_scores"][rows]
     probability, error = np.empty((2, *scores.shape[:2], 4))
-    for these, readout, joint in _noise_at_places(plan, stimulus, seen, rows):
-        probability[these], error[these] = readout.place_probabilities(scores[these], joint)
+    for members, readout, joint in _noise_at_places(plan, stimulus, seen, rows):
+        probability[members], error[members] = readout.place_probabilities(scores[members], joint)
     return probability, error
 
 
@@ -436,12 +368,13 @@ def _drawn_at_places(plan: ScorePlan, seen: SeenTrials, seed: int) -> NDArray[np
 
     answers = np.empty(len(seen), np.intp)
     for stimulus, rows in seen.trials.by_stimulus():
-        for these, readout, joint in _noise_at_places(plan, stimulus, seen, rows):
-            keys = seen.trials.numbers[rows[these]].tolist()
-            streams = [np.random.SeedSequence(seed, spawn_key=(PLACE_STREAMS, number)) for number in keys]
+        for members, readout, joint in _noise_at_places(plan, stimulus, seen, rows):
+            drawn = rows[members]
+            numbers = seen.trials.numbers[drawn].tolist()
+            streams = [np.random.SeedSequence(seed, spawn_key=(PLACE_STREAMS, number)) for number in numbers]
             noise = readout.full_covariance if joint is None else joint
-            answers[rows[these]] = drawn_answers(
-                seen["place_scores"][rows[these], 0], noise, [np.random.default_rng(one) for one in streams]
+            answers[drawn] = drawn_answers(
+                seen["place_scores"][drawn, 0], noise, [np.random.default_rng(stream) for stream in streams]
             )
     return answers
 
@@ -456,12 +389,12 @@ def _noise_at_places(
     observer = plan.observer_of(stimulus)
     readout = observer.readout(stimulus)
     assert readout is not None
-    steps = np.unique(seen.trials.place_steps_px[rows], return_inverse=True)
-    for number, step_px in enumerate(steps[0].tolist()):
+    steps_px, n_places = seen.trials.place_steps_px[rows], seen["place_scores"].shape[2]
+    for step_px in np.unique(steps_px).tolist():
         step_mrad = step_px * plan.pixel_pitch_mrad
-        grid = candidate_places(0.0, 0.0, place=1, step_px=step_mrad, places=seen["place_scores"].shape[2])
-        these = np.flatnonzero(steps[1] == number)
-        yield these, readout, joint_noise_covariance(observer, readout, stimulus, grid)
+        grid = candidate_places(0.0, 0.0, place=1, step_px=step_mrad, places=n_places)
+        members = np.flatnonzero(steps_px == step_px)
+        yield members, readout, joint_noise_covariance(observer, readout, stimulus, grid)
 
 
 def _numerical_error(
@@ -473,7 +406,5 @@ def _numerical_error(
     settings, rng = replace(fit_settings, resamples=0), np.random.default_rng(0)
     sets = p_each.reshape(len(p_each), REPLICATES, -1).mean(axis=2).T
     thresholds = [fit_trials(level, p, curve=fit.curve, settings=settings, rng=rng).threshold for p in sets]
-    found = [threshold for threshold in thresholds if threshold is not None]
-    if len(found) < REPLICATES:
-        return None
-    return half_width_95(found)
+    known = [threshold for threshold in thresholds if threshold is not None]
+    return half_width_95(known) if len(known) == REPLICATES else None
