@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from todframes.base.errors import argument
-from todframes.diagnosis.arrangement import TURNED
 from todframes.diagnosis.inspection import OFF_LEVEL, SIZES_ALIKE, Inspection, is_contrast
+from todframes.diagnosis.triangle import TURNED
 from todframes.frames.dataset import Dataset, DatasetWarning, WarningCode
 from todframes.frames.trials import Group
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
-from todframes.diagnosis.arrangement import TURNED
 from todframes.diagnosis.scene_backgrounds import (
     SceneParts,
     numbered_views,
@@ -24,6 +23,7 @@ from todframes.diagnosis.scene_backgrounds import (
 )
 from todframes.diagnosis.triangle import (
     AMPLITUDE,
+    TURNED,
     Images,
     TrialEstimates,
     TriangleFit,

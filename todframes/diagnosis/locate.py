@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError
 from todframes.base.reading import convert
-from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
 from todframes.diagnosis.inspection import (
     LEAST_SIGNAL,
     GroupTriangle,
@@ -23,7 +22,7 @@ from todframes.diagnosis.inspection import (
     strengths,
 )
 from todframes.diagnosis.places import Template, chosen_places, strong_peaks
-from todframes.diagnosis.triangle import multiplicity
+from todframes.diagnosis.triangle import ARRANGEMENTS, Arrangement, multiplicity
 from todframes.diagnosis.whole_frames import MeanFrames, search
 from todframes.diagnosis.windows import TrialSample, measure_trial
 from todframes.frames.contrast import skipped_frames

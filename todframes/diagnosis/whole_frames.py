@@ -11,7 +11,7 @@ import numpy as np
 
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import FrameError
-from todframes.diagnosis.arrangement import TURNED
+from todframes.diagnosis.triangle import TURNED
 from todframes.frames.contrast import ContrastPatch, read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.surround import block_sums

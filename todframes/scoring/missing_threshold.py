@@ -15,10 +15,10 @@ from scipy.special import rel_entr
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, TodframesError, argument
-from todframes.diagnosis.arrangement import ARRANGEMENTS, TURNED, Arrangement
 from todframes.diagnosis.findings import place_deviations
 from todframes.diagnosis.inspection import LEAST_SIGNAL, SIZES_ALIKE, inspect
 from todframes.diagnosis.locate import Location, locate_triangles
+from todframes.diagnosis.triangle import ARRANGEMENTS, TURNED, Arrangement
 from todframes.frames.dataset import Dataset, WarningCode
 from todframes.frames.position import centroid_position
 from todframes.frames.trials import Group, Trial, Trials

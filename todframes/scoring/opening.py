@@ -18,7 +18,6 @@ from todframes.diagnosis.inspection import inspect, records
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset, dataset_warnings, load_dataset
 from todframes.frames.trials import Trial
-from todframes.observers.csf import FRAMES
 from todframes.observers.interface import Observer, described
 from todframes.parameters import Gaze, OnError, Progress
 from todframes.results.data import DatasetRecord, ResultWarning, group_of
@@ -148,7 +147,7 @@ def _located(
 def _knowing_background(judge: Observer, settings: Json, data: Dataset) -> tuple[Observer, Json]:
     """Return an observer and its settings with the spectrum of the frames, if its ideal template asks for it."""
     own: Any = getattr(judge, "settings", None)
-    if settings.get("external_noise_spectrum") != FRAMES or own.template != "ideal":
+    if settings.get("external_noise_spectrum") != "frames" or own.template != "ideal":
         return judge, settings
     from todframes.scoring.background_spectrum import background_spectrum
 
