@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import http.client
 import json
+import math
 import pickle
 import re
 import shlex
@@ -44,7 +45,7 @@ from sensor_sim.explorer.parameters import SLIDERS, observer_fields, sensor_fiel
 from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves, mtf_plot
 from sensor_sim.explorer.ranges import ThresholdSent, range_answer, range_from, weibull_slope
 from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
-from sensor_sim.explorer.threshold_engine import Request, ThresholdEngine
+from sensor_sim.explorer.threshold_engine import CurvePoint, Request, ThresholdEngine
 from sensor_sim.sweeps.designs import numeric_keys
 from sensor_sim.sweeps.ranges import Aim
 from sensor_sim.thresholds.predict import PredictedThreshold
@@ -347,9 +348,7 @@ def explored(sensor: ss.Sensor, sizes: tuple[float, ...], n_points: int = routes
     engine, unit = ThresholdEngine(lambda: None), pickle.dumps(PyramidObserver())
     asked = Request(1, sensor, unit, tuple(enumerate(sizes)), 0.75, (0.03, 0.02), "snr", n_points)
     found = {one.index: one for one in engine.answers(asked)}
-    points = [found[place] for place in range(len(sizes))]
-    columns = [tuple(getattr(one, name) for one in points) for name in ("threshold", "shares", "slope")]
-    return LiveCurve(columns[0], columns[1], 0.02, 0.0, True, columns[2])
+    return LiveCurve(tuple(found[place] for place in range(len(sizes))), 0.02, 0.0, True)
 
 
 def sent(sensor: ss.Sensor, curve: LiveCurve) -> list[ThresholdSent]:
@@ -570,8 +569,10 @@ class FakeCurves:
         sizes = sensor_observer_sizes[2]
         reached = PredictedThreshold("ok", 2.0, 0.04, sizes[0], 8)
         never = PredictedThreshold("never_reached", size_detectors=sizes[1], n_phases=8)
-        shares = Shares(0.25, 0.5, 0.25)
-        yield LiveCurve((reached, never), (shares, shares), 0.03, p_correct, True)
+        points = [
+            CurvePoint(n, one, Shares(0.25, 0.5, 0.25), math.nan, True) for n, one in enumerate((reached, never))
+        ]
+        yield LiveCurve(tuple(points), 0.03, p_correct, True)
 
 
 @pytest.fixture

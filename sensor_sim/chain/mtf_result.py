@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from sensor_sim.chain.sensor import Sensor
-from sensor_sim.chain.transfer import stages
 from todframes.results.data import Content
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
 from todframes.results.mtf_figure import MtfLine, draw_mtf
-from todframes.results.result import Result
 from todframes.results.table import Column, Table
 from todframes.results.wording import plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-
-POINTS = 201
 
 TABLE_STEP = 20
 
@@ -141,19 +135,3 @@ class SensorMtf(Content, frozen=True, kw_only=True):
             xlabel="frequency in the scene (cycles/mrad)",
             ylabel="MTF along x",
         )
-
-
-def sensor_mtf(sensor: Sensor) -> Result[SensorMtf]:
-    """Compute the transfer of every stage along x, up to the frequency at which optics or display pass nothing."""
-    started = time.perf_counter()
-    cut_off, nyquist = sensor.optics.cut_off_cyc_per_mrad, sensor.detector.nyquist_cyc_per_mrad
-    frequency = np.linspace(0.0, min(1.05 * cut_off, 10.0 * nyquist), POINTS)
-    return Result.made(
-        "sensor-mtf",
-        started,
-        sensor=sensor.name,
-        cut_off_cyc_per_mrad=cut_off,
-        nyquist_cyc_per_mrad=nyquist,
-        frequency_cyc_per_mrad=frequency.tolist(),
-        mtf={name: values.tolist() for name, values in stages(frequency, sensor=sensor).items()},
-    )

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from inspect import cleandoc
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -53,31 +55,36 @@ FOLLOWS = float("nan")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Optics:
-    """A circular aperture with a Gaussian blur on top of its diffraction.
+    """A circular aperture with a Gaussian blur on top of its diffraction, or measured optics.
 
     Attributes
     ----------
-    aperture_mm, wavelength_um : float or None
-        Both > 0; measured optics do without them. With `f_number`, the aperture is the focal length divided by it,
-        whatever is given here.
+    aperture_mm : float or None
+        Diameter of the circular aperture. With `f_number`, it is the focal length divided by it.
+    wavelength_um : float or None
+        Of the diffraction, and of the light of a luminance. Measured optics do without aperture and wavelength.
     blur_sigma_mrad : float
-        Standard deviation of the Gaussian, never a 1/e width; >= 0.
-    f_number, focal_length_mm : float or None
-        Both > 0. The focal length turns lengths on the chip into angles.
+        Standard deviation of a Gaussian blur on top of the diffraction, never a 1/e width.
+    f_number : float or None
+        Focal length over the diameter of the aperture.
+    focal_length_mm : float or None
+        Turns lengths on the chip into angles.
     transmission : float
-        Share of the light that the lens passes, above 0 and at most 1. It matters to photons only.
+        Share of the light that the lens passes; for photons only.
     obscuration_ratio : float
-        Diameter of a central obscuration over that of the aperture, >= 0 and below 1.
+        Diameter of a central obscuration over that of the aperture.
     defocus_waves : float
-        Wavefront error of defocus at the rim of the aperture, in wavelengths, >= 0.
+        Wavefront error of defocus at the rim, in wavelengths.
     mtf : MeasuredMtf or None
-        Measured MTF in place of diffraction, blur, obscuration and defocus.
+        Table of a measured MTF, in place of the model of the optics.
     mtf_includes_detector : bool
-        Whether the measured MTF holds the detector's active width too, as that of a whole camera does.
+        Whether that MTF holds the width of the detectors too, as that of a whole camera does.
     psf : MeasuredPsf or None
-        Image of a point in their place, with one of the next two.
-    psf_pitch_um, psf_pitch_mrad : float or None
-        Distance of its samples on the chip, or as an angle.
+        Image of a point, in place of the model of the optics.
+    psf_pitch_um : float or None
+        Distance of the samples of that image on the chip.
+    psf_pitch_mrad : float or None
+        Or their distance as an angle.
     measured_units : float
         Units of the table's frequencies, or cycles per sample of the PSF, in a cycle/mrad; a `Sensor` sets it.
 
@@ -172,17 +179,18 @@ class Detector:
     Attributes
     ----------
     pitch_mrad : float
-        Distance from one detector to the next, > 0.
+        From one detector to the next. With lengths on the chip, a `Sensor` sets both angles, until then NaN.
     width_mrad : float
-        Side of the active area, > 0 and at most the pitch: pitch × √(fill factor).
-    pitch_um, width_um : float or None
-        Pitch and side of the active area on the chip. With them, a `Sensor` sets the two angles from its focal
-        length, whatever is given here; until then they are NaN. By default the width is the pitch.
+        Side of the active area: pitch times the root of the fill factor.
+    pitch_um : float or None
+        From one detector to the next on the chip.
+    width_um : float or None
+        Side of the active area; without it, the pitch.
 
     Raises
     ------
     SettingsError
-        If a value is out of its range, or there is no pitch.
+        If a value is out of its range, the width is larger than the pitch, or there is no pitch.
     """
 
     pitch_mrad: Positive = FOLLOWS
@@ -241,19 +249,25 @@ class Noise:
     Attributes
     ----------
     distribution : {"uniform", "gaussian"}
+        Uniform or gaussian.
     netd_mk : float or None
-        Noise-equivalent temperature difference, > 0. None: no temperatures are reported.
+        Noise-equivalent temperature difference of one frame. None: no temperatures are reported.
     fixed_pattern_ratio : float
-        Static divided by dynamic standard deviation, >= 0.
+        Static over dynamic standard deviation.
     frames_integrated : int
-        Frames that the observer's eye averages, from 1 to 10,000.
-    row_noise_ratio, column_noise_ratio : float
-        Standard deviation of what all detectors of a row or column have in common, new in each frame, divided by
-        the dynamic standard deviation, of which it is a part: the sum of their squares is at most 1.
-    row_pattern_ratio, column_pattern_ratio : float
-        The same in the fixed pattern, of which they are parts; also divided by the dynamic standard deviation.
+        Frames that the eye averages.
+    row_noise_ratio : float
+        What a row has in common, new in each frame, over the dynamic deviation. With columns it is a part of that:
+        the sum of their squares is at most 1.
+    column_noise_ratio : float
+        The same of columns.
+    row_pattern_ratio : float
+        What a row has in common in all frames, over the dynamic deviation. With columns it is a part of the fixed
+        pattern.
+    column_pattern_ratio : float
+        The same of columns.
     couple_netd : bool
-        Whether the NETD follows f-number² / area of a detector where a sweep varies them.
+        The NETD follows f-number² / area of a detector where a sweep varies them.
 
     Raises
     ------
@@ -290,36 +304,44 @@ class Noise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotonNoise:
-    """Noise of a camera that counts photons, by the figures of EMVA 1288; the level is then the contrast.
+    """Noise of a camera that counts photons, in the words of EMVA 1288. The level is then the contrast.
 
     Attributes
     ----------
     quantum_efficiency : float or None
-        Electrons for each photon that falls on the area of a pixel, its insensitive part included. None: the scene
-        has its electrons.
+        Electrons for each photon on the area of a pixel, its insensitive part included. None: the scene has its
+        electrons.
     system_gain_dn_per_electron : float or None
-        Digital numbers for each electron, > 0. None: nothing is rounded.
+        K: digital numbers for each electron. None: nothing is rounded.
     dark_noise_electrons : float
-        Standard deviation of a frame's noise in the dark, >= 0.
+        Standard deviation of a frame in the dark.
     dark_current_electrons_per_s : float
-    dsnu_electrons, prnu_percent : float
-        Standard deviations, over the pixels, of the fixed pattern in the dark and of the pixels' responses.
+        At the temperature of use.
+    dsnu_electrons : float
+        Standard deviation of the fixed pattern in the dark.
+    prnu_percent : float
+        Standard deviation of the responses of the pixels.
     full_well_electrons : float or None
         Electrons at which a pixel saturates. None: never.
     bits : int or None
-        Bits of the analogue-to-digital converter, whose largest number is 2**bits − 1. None: no largest number.
+        Of the converter, whose largest number is 2**bits − 1. None: no largest number.
     exposure_ms : float
-    row_noise_electrons, column_noise_electrons : float
-        Standard deviations of what all pixels of a row or column have in common, new in each frame.
-    row_pattern_electrons, column_pattern_electrons : float
-        The same in the fixed pattern, not contained in `dsnu_electrons`.
+        Of a frame.
+    row_noise_electrons : float
+        What the pixels of a row have in common, new in each frame.
+    column_noise_electrons : float
+        What the pixels of a column have in common, new in each frame.
+    row_pattern_electrons : float
+        What the pixels of a row have in common in all frames.
+    column_pattern_electrons : float
+        What the pixels of a column have in common in all frames.
     frames_integrated : int
-        Frames that the observer's eye averages, from 1 to 10,000.
+        Frames that the eye averages.
 
     Raises
     ------
     SettingsError
-        If a value is out of its range.
+        If a value is out of its range, or bits are given without the gain.
     """
 
     quantum_efficiency: Annotated[float | None, Meta(ge=1e-6, le=1.0)] = None
@@ -364,16 +386,16 @@ class Scene:
     Attributes
     ----------
     luminance_cd_m2 : float or None
-        Luminance of the background, > 0.
-    illuminance_lx, reflectance : float or None
-        In its place: illuminance of a matt background and the share of light that it reflects. Its luminance is
-        illuminance · reflectance / π.
+        Of the background. In its place: illuminance · reflectance / π.
+    illuminance_lx : float or None
+        Of a matt background.
+    reflectance : float or None
+        Share of the light that this background reflects.
     photons_per_lux_s_um2 : float or None
-        Photons that a lux brings to a µm² in a second. None: those of monochromatic light of the optics'
-        wavelength.
+        Photons of a lux; without it, those of monochromatic light of the wavelength.
     background_electrons : float or None
-        Electrons that the background frees in a pixel in an exposure, as measured, > 0: lens, light and quantum
-        efficiency then play no part. The luminance is needed only to compute others.
+        Measured, of the background in a pixel and exposure, in place of lens and QE. The luminance is needed only
+        to compute others.
 
     Raises
     ------
@@ -429,9 +451,9 @@ class Motion:
     Attributes
     ----------
     smear_mrad : float
-        Length of an even motion along x, >= 0.
+        Length of an even motion along x during an exposure.
     jitter_sigma_mrad : float
-        Standard deviation of a random motion, the same along x and y, >= 0.
+        Standard deviation of a random motion, the same along x and y.
 
     Raises
     ------
@@ -453,7 +475,7 @@ class Electronics:
     Attributes
     ----------
     blur_sigma_px : float
-        Standard deviation in display pixels, in [0, 1000].
+        Gaussian blur in display pixels.
 
     Raises
     ------
@@ -474,15 +496,17 @@ class SensorDisplay:
     Attributes
     ----------
     pixels_per_detector : int
-        Display pixels along each side of a detector, 1 to 1000.
-    pixel_pitch_mm, viewing_distance_mm : float
-        Both > 0.
+        Display pixels along each side of a displayed detector.
+    pixel_pitch_mm : float
+        From one display pixel to the next.
+    viewing_distance_mm : float
+        From the eye to the display.
     background_luminance_cd_m2 : float
-        Luminance of a signal of zero, > 0.
+        Luminance where there is no signal.
     blur_sigma_px : float
-        Standard deviation of the Gaussian display spot in display pixels, in [0, 1000].
+        Gaussian spot of the display in its pixels.
     gain : float
-        Display contrast per unit of signal, > 0.
+        Display contrast per unit of signal.
 
     Raises
     ------
@@ -784,62 +808,14 @@ def sensor_toml(sensor: Sensor) -> str:
     return toml_text({"schema": SCHEMA, "name": sensor.name} | sensor_tables(sensor))
 
 
-EXPLAINED = {
-    "optics.aperture_mm": "diameter of the circular aperture",
-    "optics.wavelength_um": "of the diffraction, and of the light of a luminance",
-    "optics.blur_sigma_mrad": "standard deviation of a Gaussian blur on top of the diffraction",
-    "optics.f_number": "focal length over the diameter of the aperture",
-    "optics.focal_length_mm": "turns lengths on the chip into angles",
-    "optics.transmission": "share of the light that the lens passes; for photons only",
-    "optics.obscuration_ratio": "diameter of a central obscuration over that of the aperture",
-    "optics.defocus_waves": "wavefront error of defocus at the rim, in wavelengths",
-    "optics.mtf": "table of a measured MTF, in place of the model of the optics",
-    "optics.mtf_includes_detector": "whether that MTF holds the width of the detectors too",
-    "optics.psf": "image of a point, in place of the model of the optics",
-    "optics.psf_pitch_um": "distance of the samples of that image on the chip",
-    "optics.psf_pitch_mrad": "or their distance as an angle",
-    "motion.smear_mrad": "length of an even motion along x during an exposure",
-    "motion.jitter_sigma_mrad": "standard deviation of a random motion",
-    "detector.pitch_mrad": "from one detector to the next",
-    "detector.width_mrad": "side of the active area: pitch times the root of the fill factor",
-    "detector.pitch_um": "from one detector to the next on the chip",
-    "detector.width_um": "side of the active area; without it, the pitch",
-    "scene.luminance_cd_m2": "of the background",
-    "scene.illuminance_lx": "of a matt background",
-    "scene.reflectance": "share of the light that this background reflects",
-    "scene.photons_per_lux_s_um2": "photons of a lux; without it, those of monochromatic light of the wavelength",
-    "scene.background_electrons": "measured, of the background in a pixel and exposure, in place of lens and QE",
-    "noise.model": "noise of a camera that counts photons, in the words of EMVA 1288",
-    "noise.distribution": "uniform or gaussian",
-    "noise.netd_mk": "noise-equivalent temperature difference of one frame",
-    "noise.fixed_pattern_ratio": "static over dynamic standard deviation",
-    "noise.frames_integrated": "frames that the eye averages",
-    "noise.row_noise_ratio": "what a row has in common, new in each frame, over the dynamic deviation",
-    "noise.column_noise_ratio": "the same of columns",
-    "noise.row_pattern_ratio": "what a row has in common in all frames, over the dynamic deviation",
-    "noise.column_pattern_ratio": "the same of columns",
-    "noise.couple_netd": "the NETD follows f-number² / area of a detector where a sweep varies them",
-    "noise.quantum_efficiency": "electrons for each photon on the area of a pixel",
-    "noise.system_gain_dn_per_electron": "K: digital numbers for each electron",
-    "noise.dark_noise_electrons": "standard deviation of a frame in the dark",
-    "noise.dark_current_electrons_per_s": "at the temperature of use",
-    "noise.dsnu_electrons": "standard deviation of the fixed pattern in the dark",
-    "noise.prnu_percent": "standard deviation of the responses of the pixels",
-    "noise.full_well_electrons": "electrons at which a pixel saturates",
-    "noise.bits": "of the converter",
-    "noise.exposure_ms": "of a frame",
-    "noise.row_noise_electrons": "what the pixels of a row have in common, new in each frame",
-    "noise.column_noise_electrons": "what the pixels of a column have in common, new in each frame",
-    "noise.row_pattern_electrons": "what the pixels of a row have in common in all frames",
-    "noise.column_pattern_electrons": "what the pixels of a column have in common in all frames",
-    "electronics.blur_sigma_px": "Gaussian blur in display pixels",
-    "display.pixels_per_detector": "display pixels along each side of a displayed detector",
-    "display.pixel_pitch_mm": "from one display pixel to the next",
-    "display.viewing_distance_mm": "from the eye to the display",
-    "display.background_luminance_cd_m2": "luminance where there is no signal",
-    "display.blur_sigma_px": "Gaussian spot of the display in its pixels",
-    "display.gain": "display contrast per unit of signal",
-}
+def _explained() -> Iterator[tuple[str, str]]:
+    """Yield keys of a SENSOR.toml, and the first sentence of each attribute in the docstring of its table."""
+    for table, settings in (*TABLES.items(), *(("noise", model) for model in NOISE_MODELS.values())):
+        for name, text in re.findall(r"^(\w+) : .*\n((?: {4}.+\n?)+)", cleandoc(settings.__doc__ or ""), re.M):
+            yield f"{table}.{name}", re.split(r"\.(?:\s|$)", " ".join(text.split()))[0]
+
+
+EXPLAINED = dict(_explained())
 """Each key of a SENSOR.toml in words."""
 
 
@@ -852,10 +828,13 @@ def explained_toml(sensor: Sensor, *, source: str = "") -> str:
         lines += ["", f"[{table}]"]
         values = set_keys[table]
         if "model" in values:
-            lines.append(f"model = {toml_literal(values['model'])}  # {EXPLAINED['noise.model']}")
+            lines.append(f"model = {toml_literal(values['model'])}  # in the words of EMVA 1288")
         for name in names:
             value = _plain(getattr(getattr(sensor, part_of(table, sensor)), name))
             text = f"{name} =" if value is None else f"{name} = {toml_literal(value)}"
             is_set = values.get(name) is not None
-            lines.append(f"{'' if is_set else '# '}{text}  # {EXPLAINED[f'{table}.{name}']}")
+            explained = EXPLAINED.get(f"{table}.{name}", "")
+            if explained[1:2].islower():
+                explained = explained[0].lower() + explained[1:]
+            lines.append(f"{'' if is_set else '# '}{text}  # {explained}")
     return "\n".join([*lines, ""])

@@ -7,6 +7,7 @@ next.
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import multiprocessing
 import pickle
@@ -15,12 +16,12 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from typing import Any
+from typing import Any, NamedTuple
 
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.explorer.limits import SATURATING, WITHOUT_NOISE, Limits, Shares, what_limits
+from sensor_sim.explorer.limits import SATURATING, WITHOUT_NOISE, Limits, what_limits
+from sensor_sim.explorer.threshold_engine import CurvePoint, Request, ThresholdEngine
 from sensor_sim.thresholds.curve_plan import Level
 from sensor_sim.thresholds.predict import PredictedThreshold
 from todframes.base.errors import TodframesError
@@ -39,35 +40,40 @@ BETWEEN_S = 0.25
 POLL_S = 0.004
 """Longest time between two checks whether the curve is still wanted."""
 
+IDLE_S = 0.2
+"""Time without a request after which a process gives memory back."""
+
 END_S = 1.0
 """Time that a process has to end by itself."""
 
 NOTHING_WANTED = 0
 
 
-@dataclass(frozen=True, slots=True)
-class LiveCurve:
-    """Thresholds of one sensor, in the order of the sizes asked for, with what limits each of them.
+class LiveCurve(NamedTuple):
+    """Thresholds of one sensor, in the order of the sizes asked for, and what limits each of them.
 
     `tolerance` is the relative half-width of the 95 % intervals that was aimed at; each threshold states its own.
-    `slopes` are dP / d ln level at each threshold, NaN without one. `counts_photons`: they are contrasts at the
-    light of the scene.
+    `counts_photons`: they are contrasts at the light of the scene.
     """
 
-    thresholds: tuple[PredictedThreshold, ...]
-    shares: tuple[Shares, ...]
+    points: tuple[CurvePoint, ...]
     tolerance: float
     seconds: float
     is_last: bool
-    slopes: tuple[float, ...] = ()
     counts_photons: bool = False
+
+    @property
+    def thresholds(self) -> list[PredictedThreshold]:
+        """The thresholds alone."""
+        return [one.threshold for one in self.points]
 
     @property
     def limits(self) -> Limits:
         """Mean shares of the causes that limit the curve, and a sentence."""
         reached = [one.threshold is not None for one in self.thresholds]
         strongest = SATURATING if self.counts_photons else WITHOUT_NOISE
-        return what_limits([one.size_detectors for one in self.thresholds], self.shares, reached, strongest)
+        sizes = [one.size_detectors for one in self.thresholds]
+        return what_limits(sizes, [one.shares for one in self.points], reached, strongest)
 
 
 class LiveCurves:
@@ -109,8 +115,6 @@ class LiveCurves:
         SettingsError if the observer is not linear, or the proportion, a size or a field is out of range;
         TodframesError if a process dies twice.
         """
-        from sensor_sim.explorer.threshold_engine import Request
-
         started = time.perf_counter()
         while not self._turn.acquire(timeout=POLL_S):
             if self._is_closed or not is_wanted():
@@ -124,21 +128,16 @@ class LiveCurves:
                 Request(self._number, sensor, pickled, part, p_correct, tolerances, level, n_points)
                 for part in divided(sizes, len(self._workers))
             ]
-            found: dict[int, Any] = {}
-            next_s = 0.0
-            for answer in self._answers(requests, is_wanted):
-                found[answer.index] = answer
-                is_last = len(found) == len(sizes) and all(one.is_refined for one in found.values())
+            points: dict[int, CurvePoint] = {}
+            next_s, counts_photons = 0.0, sensor.photons is not None and level == "snr"
+            for point in self._answers(requests, is_wanted):
+                points[point.index] = point
+                is_whole = len(points) == len(sizes)
+                is_last = is_whole and all(one.is_refined for one in points.values())
                 seconds = time.perf_counter() - started
-                if is_last or (len(found) == len(sizes) and seconds >= next_s):
-                    in_order = [found[index] for index in range(len(sizes))]
-                    thresholds, shares, slopes = (
-                        tuple(getattr(one, name) for one in in_order) for name in ("threshold", "shares", "slope")
-                    )
-                    with_photons = sensor.photons is not None and level == "snr"
-                    yield LiveCurve(
-                        thresholds, shares, tolerances[is_last], seconds, is_last, slopes, with_photons
-                    )
+                if is_last or (is_whole and seconds >= next_s):
+                    in_order = tuple(points[index] for index in range(len(sizes)))
+                    yield LiveCurve(in_order, tolerances[is_last], seconds, is_last, counts_photons)
                     next_s = time.perf_counter() - started + BETWEEN_S
                 if is_last:
                     return
@@ -146,7 +145,7 @@ class LiveCurves:
             self._wanted.value = NOTHING_WANTED
             self._turn.release()
 
-    def _answers(self, requests: Sequence[Any], is_wanted: Callable[[], bool]) -> Iterator[Any]:
+    def _answers(self, requests: Sequence[Request], is_wanted: Callable[[], bool]) -> Iterator[CurvePoint]:
         """Yield the answers to requests of one number, a request for each process, until none is wanted."""
         working = {}
         for worker, request in zip(self._workers, requests, strict=True):
@@ -244,8 +243,6 @@ def _serve(connection: Connection, wanted: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other end deals with it
     import scipy.sparse  # noqa: F401 # now, not in the first curve
 
-    from sensor_sim.explorer.threshold_engine import ThresholdEngine
-
     number = NOTHING_WANTED
 
     def check() -> None:
@@ -256,6 +253,8 @@ def _serve(connection: Connection, wanted: Any) -> None:
     gc.freeze()  # what is loaded stays: an observer that is no longer needed is found sooner
     with suppress(EOFError, OSError):
         while True:
+            if not connection.poll(IDLE_S):
+                give_back_memory()
             folders, request = connection.recv()
             search_last(folders)
             number = request.number
@@ -267,3 +266,12 @@ def _serve(connection: Connection, wanted: Any) -> None:
                 continue
             except Exception as error:  # raised at the other end
                 connection.send((number, error))
+
+
+def give_back_memory() -> None:
+    """Give the pages of memory that are free back to the system, where the C library is GNU's.
+
+    It keeps what the large arrays of a refinement have left, by default: a third of the memory of a process.
+    """
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)

@@ -141,8 +141,7 @@ def sensor_fields() -> tuple[PageField, ...]:
             for field, hint in settings_of(settings):
                 key = f"{table}.{field.name}"
                 if key not in NO_FIELD and key not in found:
-                    text = EXPLAINED[key]
-                    found[key] = _field(key, hint, text[:1].upper() + text[1:] + ".")
+                    found[key] = _field(key, hint, EXPLAINED.get(key, "") + ".")
     return tuple(found.values())
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import math
 import pickle
 import re
 import shlex
@@ -21,7 +20,7 @@ from msgspec import Meta
 from starlette.applications import Starlette
 
 from sensor_sim.chain.detector_noise import delta_t_mk
-from sensor_sim.chain.mtf_result import sensor_mtf
+from sensor_sim.chain.mtf import mtf
 from sensor_sim.chain.sampling import field_detectors
 from sensor_sim.chain.sensor import SCHEMA, Sensor, sensor_from, sensor_settings, sensor_toml
 from sensor_sim.chain.simulation import SimulatedTrial
@@ -197,9 +196,7 @@ class Explorer:
             call("/api/plot", PlotAsked, curve_plot),
             call("/api/range", RangeAsked, lambda asked: range_answer(self.range_of(asked))),
             call("/api/range-plot", RangePlotAsked, self.range_plot),
-            call(
-                "/api/mtf-plot", MtfPlotAsked, lambda asked: mtf_plot(sensor_mtf(self.made(asked)), asked.format)
-            ),
+            call("/api/mtf-plot", MtfPlotAsked, lambda asked: mtf_plot(mtf(self.made(asked)), asked.format)),
         ]
         return page(files("sensor_sim.explorer") / "static", calls, self.running)
 
@@ -400,7 +397,6 @@ def presets() -> dict[str, Sensor]:
 
 
 def _line(sequence: int, sensor: Sensor, level: Level, curve: LiveCurve) -> dict[str, Any]:
-    slopes = curve.slopes or (math.nan,) * len(curve.thresholds)
     return {
         "sequence": sequence,
         "level": level,
@@ -409,8 +405,8 @@ def _line(sequence: int, sensor: Sensor, level: Level, curve: LiveCurve) -> dict
         "tolerance": curve.tolerance,
         "seconds": round(curve.seconds, 4),
         "thresholds": [
-            _threshold(sensor, level, one) | {"slope": slope, "points": one.points}
-            for one, slope in zip(curve.thresholds, slopes, strict=True)
+            _threshold(sensor, level, one.threshold) | {"slope": one.slope, "points": one.threshold.points}
+            for one in curve.points
         ],
         "limits": curve.limits._asdict(),
     }
@@ -440,7 +436,7 @@ def _threshold(sensor: Sensor, level: Level, found: PredictedThreshold) -> dict[
 
 def transfer(sensor: Sensor) -> dict[str, Any]:
     """Return the transfer before and after sampling, as `sensor-sim mtf` computes it."""
-    found = sensor_mtf(sensor)
+    found = mtf(sensor)
     return {
         "frequency_cyc_per_mrad": found.frequency_cyc_per_mrad,
         "presample": [round(value, 6) for value in found.mtf["pre_sample"]],

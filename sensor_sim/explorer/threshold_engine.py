@@ -32,7 +32,7 @@ from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.error_budget import REPLICATES
 
-SHARED_MB = 64
+SHARED_MB = 32
 """Largest size of the parts that are kept, in units of 2**20 bytes."""
 
 THRESHOLDS_KEPT = 2000
