@@ -19,10 +19,10 @@ from todframes.base.reading import shipped_names
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.field.acquisition import acquire, cycles_ratio, transfer_probability, with_search
+from todframes.field.acquisition_range import range_words
 from todframes.field.atmosphere import FOLDER as AIRS
 from todframes.field.atmosphere import find_atmosphere
 from todframes.field.measured_curve import _slope_error
-from todframes.field.range_result import range_words
 from todframes.field.target import FOLDER as TARGETS
 from todframes.field.target import find_target
 from todframes.field.threshold_curve import Psychometric, ThresholdCurve

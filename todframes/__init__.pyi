@@ -24,9 +24,9 @@ from .enhancement.finding import find_enhancement as find_enhancement
 from .experiment.calibrate import calibrate as calibrate
 from .experiment.run_experiment import SessionProgress as SessionProgress
 from .experiment.run_experiment import run_experiment as run_experiment
+from .field.acquisition_range import FieldRange as FieldRange
 from .field.acquisition_range import acquisition_range as acquisition_range
 from .field.atmosphere import Atmosphere as Atmosphere
-from .field.range_result import FieldRange as FieldRange
 from .field.target import Target as Target
 from .frames.dataset import Dataset as Dataset
 from .frames.dataset import load_dataset as load_dataset

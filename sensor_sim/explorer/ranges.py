@@ -13,8 +13,7 @@ from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sensor import Sensor, sensor_settings
 from sensor_sim.sweeps.ranges import Aim
 from todframes.base.errors import SettingsError, argument
-from todframes.field.acquisition_range import acquisition_range
-from todframes.field.range_result import FieldRange, range_words
+from todframes.field.acquisition_range import FieldRange, acquisition_range, range_words
 from todframes.psychometrics.threshold_search import ComputedThreshold, Status
 from todframes.results.data import Fit, FitPoint
 from todframes.results.result import Result

@@ -35,7 +35,7 @@ from sensor_sim.thresholds.sizes import SIZES_CHOSEN, computed_sizes
 from todframes import __version__
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys, from_table, parse_toml, toml_literal
-from todframes.field.range_result import FieldRange
+from todframes.field.acquisition_range import FieldRange
 from todframes.observers.interface import Observer, adapted, described
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.result import Result

@@ -12,12 +12,12 @@ Contrast falls and thresholds rise with range, so there is one such range at mos
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, structs
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
@@ -65,6 +65,9 @@ K_SHOWN = np.geomspace(1.0, 16.0, 17)
 
 LIMITS: tuple[Limit, ...] = ("contrast", "resolution", "air")
 
+TO_THE_LAST_DIGIT: dict[str, float] = {"xtol": 1e-300, "rtol": 4.0 * np.finfo(float).eps}
+"""Tolerances of a root: the least that SciPy takes."""
+
 STEP, LEAST_SLOPE = 1e-3, 1e-9
 """Relative step of a difference quotient over range; least slope of a margin, where gains have no end."""
 
@@ -82,23 +85,15 @@ def transfer_probability(ratio: ArrayLike) -> FloatArray:
 
 def cycles_ratio(probability: float) -> float:
     """Return N / N50 at a probability in (0, 1), the inverse of `transfer_probability`."""
-    return _root(lambda a: float(transfer_probability(a)) - probability, 0.0, 100.0)
+    from scipy.optimize import brentq
+
+    return float(brentq(lambda a: transfer_probability(a) - probability, 0.0, 100.0, **TO_THE_LAST_DIGIT))
 
 
 def with_search(probability: ArrayLike, time_s: float) -> FloatArray:
     """Compute the probability to find the target in a time: P∞ (1 − exp(−P∞ t / 3.4 s)), from P∞ of any shape."""
     unlimited = np.asarray(probability, dtype=np.float64)
     return unlimited * -np.expm1(-unlimited * time_s / SEARCH_TIME_CONSTANT_S)
-
-
-def _root(rises: Callable[[float], float], low: float, high: float) -> float:
-    """Return the root of a rising function by bisection, to the last digit."""
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        if middle in (low, high):
-            break
-        low, high = (middle, high) if rises(middle) < 0.0 else (low, middle)
-    return 0.5 * (low + high)
 
 
 Ends = tuple[float | None, float | None]
@@ -147,15 +142,6 @@ class TaskCurve(Struct, frozen=True, kw_only=True):
     bound: Numbers
     limited_by: tuple[Limit, ...]
 
-    @classmethod
-    def of(
-        cls, task: str, limited_by: tuple[Limit, ...], band: Sequence[FloatArray | None], **arrays: FloatArray
-    ) -> TaskCurve:
-        """Return the curve of some arrays and the two ends of its band."""
-        low, high = (None if one is None else tuple(one.tolist()) for one in band)
-        numbers: Any = {name: tuple(one.tolist()) for name, one in arrays.items()}
-        return cls(task=task, limited_by=limited_by, low=low, high=high, **numbers)
-
 
 class RangeAtK(Struct, frozen=True, kw_only=True):
     """Range of a TOD at its own criterion for a divisor k of its sizes, with its 95 % interval."""
@@ -169,19 +155,9 @@ class RangeAtK(Struct, frozen=True, kw_only=True):
 class Acquisition:
     """Ranges and probabilities of a target, seen through air with a sensor whose curve is known.
 
-    Attributes
-    ----------
-    target : Target
-    atmosphere : Atmosphere
-    curve : ThresholdCurve
-        Curve of triangles, or of bars, also if it was converted.
-    road : {"tod", "cycles"}
-    draws, betas : ndarray, shape (draws, points)
-        Curves of ln(threshold) and slopes β that are drawn from their errors.
-    ranges : tuple of TaskRange
-        Range for each task and probability.
-    curves : tuple of TaskCurve
-        Probability against range for each task; empty for a TOD whose psychometric functions are not known.
+    The curve is that of triangles, or of bars, also if it was converted. `draws` and `betas`, shape (draws,
+    points), are curves of ln(threshold) and slopes β that are drawn from their errors. `curves` is empty for a TOD
+    whose psychometric functions are not known.
     """
 
     target: Target
@@ -226,21 +202,12 @@ class Acquisition:
         return rising(known)
 
     def crossing(self, kappa: float, ln_threshold: FloatArray) -> tuple[FloatArray, float, float]:
-        """Find the ranges at which curves meet the contrast.
+        """Find the ranges in km, shape (n,), at which `threshold_curves` meet the contrast, and those of their
+        ends.
 
-        Parameters
-        ----------
-        kappa : float
-            k, or line pairs across the target.
-        ln_threshold : ndarray, shape (n, points)
-            From `threshold_curves`.
-
-        Returns
-        -------
-        (ndarray of shape (n,), float, float)
-            Ranges in km: 0 nearer than the curve's first point, infinity beyond its last or beyond the table of
-            the air; and the ranges of these two ends. If the table ends before the first point, the contrast at
-            its end shows which: thresholds do not fall with frequency.
+        `kappa` is k, or the line pairs across the target. A range is 0 nearer than the curve's first point, and
+        infinity beyond its last or beyond the table of the air. If the table ends before the first point, the
+        contrast at its end shows which: thresholds do not fall with frequency.
         """
         knots = self.curve.per_mrad * self.target.size_m / kappa
         end = min(float(knots[-1]), self.atmosphere.longest_km)
@@ -254,70 +221,59 @@ class Acquisition:
 
     def _first_crossing(self, knots: FloatArray, ln_threshold: FloatArray, grid: FloatArray) -> FloatArray:
         margin = self.ln_contrast(grid) - ln_threshold @ _weights(knots, grid)
-        place = (margin >= 0.0).sum(axis=1)  # margins fall with range
-        cell = np.clip(place, 1, grid.size - 1)
+        n_above = (margin >= 0.0).sum(axis=1)  # margins fall with range
+        cell = np.clip(n_above, 1, grid.size - 1)
         rows = np.arange(len(margin))
         above, below = margin[rows, cell - 1], margin[rows, cell]
         share = above / np.maximum(above - below, 1e-300)
-        found = grid[cell - 1] + share * (grid[cell] - grid[cell - 1])
-        return np.where(place == 0, 0.0, np.where(place == grid.size, np.inf, found))
+        crossing = grid[cell - 1] + share * (grid[cell] - grid[cell - 1])
+        return np.where(n_above == 0, 0.0, np.where(n_above == grid.size, np.inf, crossing))
 
     def _refined(self, knots: FloatArray, ln_threshold: FloatArray, near: float, end: float) -> float:
         width = float(np.diff(knots).max()) / CELLS
         for _ in range(REFINEMENTS):
             low, high = max(near - width, float(knots[0])), min(near + width, end)
-            found = self._first_crossing(knots, ln_threshold, np.linspace(low, high, 2 * CELLS + 1))
-            near, width = float(np.clip(found[0], low, high)), (high - low) / (2 * CELLS)
+            crossing = self._first_crossing(knots, ln_threshold, np.linspace(low, high, 2 * CELLS + 1))
+            near, width = float(np.clip(crossing[0], low, high)), (high - low) / (2 * CELLS)
         return near
 
     def task_range(self, task: str, probability: float | None) -> TaskRange:
         """Return the range of a task at a probability, with its interval and what limits it."""
         criterion = self.criteria[task]
         kappa = self._kappa(criterion, probability)
+        made = TaskRange(
+            task=task, criterion=criterion, probability=probability, kappa=kappa, status="never_reached"
+        )
         if kappa is None:
-            return TaskRange(task=task, criterion=criterion, probability=probability, status="never_reached")
-        found, first, end = self.crossing(kappa, self.threshold_curves(probability))
-        interval = self._interval(found[1:])
-        range_km = float(found[0])
+            return made
+        ln_threshold = self.threshold_curves(probability)
+        ranges, first, end = self.crossing(kappa, ln_threshold)
+        range_km = float(ranges[0])
+        made = structs.replace(made, range_ci95_km=self._interval(ranges[1:]))
         if 0.0 < range_km < np.inf:
-            gains = self._gains(range_km, kappa, self.threshold_curves(probability)[0])
-            return TaskRange(
-                task=task,
-                criterion=criterion,
-                probability=probability,
-                kappa=kappa,
+            gains = self._gains(range_km, kappa, ln_threshold[0])
+            return structs.replace(
+                made,
                 range_km=range_km,
-                range_ci95_km=interval,
                 status="ok",
                 limited_by=LIMITS[int(np.argmax(gains))],
                 gain_contrast_percent=100.0 * gains[0],
                 gain_resolution_percent=100.0 * gains[1],
                 gain_air_percent=100.0 * gains[2],
             )
-        least = most = None
         if range_km == 0.0:
-            never = math.log(self.target.signal) < self.threshold_curves(probability)[0, 0]
-            status: Status = "never_reached" if never else "nearer_than_curve"
-            most = None if never else first
-        else:
-            last = float(self.curve.per_mrad[-1]) * self.target.size_m / kappa
-            status = "beyond_curve" if last <= self.atmosphere.longest_km else "beyond_air_table"
-            least = end
-            if self.curve.unreached_per_mrad is not None:
-                most = self.curve.unreached_per_mrad * self.target.size_m / kappa
-        return TaskRange(
-            task=task,
-            criterion=criterion,
-            probability=probability,
-            kappa=kappa,
-            range_ci95_km=interval,
-            status=status,
-            at_least_km=least,
-            at_most_km=most,
-        )
+            is_never = math.log(self.target.signal) < ln_threshold[0, 0]
+            return made if is_never else structs.replace(made, status="nearer_than_curve", at_most_km=first)
+        curve, km_mrad = self.curve, self.target.size_m / kappa
+        is_of_curve = float(curve.per_mrad[-1]) * km_mrad <= self.atmosphere.longest_km
+        most = None if curve.unreached_per_mrad is None else curve.unreached_per_mrad * km_mrad
+        status: Status = "beyond_curve" if is_of_curve else "beyond_air_table"
+        return structs.replace(made, status=status, at_least_km=end, at_most_km=most)
 
     def _kappa(self, criterion: float, probability: float | None) -> float | None:
         """Return k, or the line pairs that a probability needs; None if no number is enough in the time."""
+        from scipy.optimize import brentq
+
         if self.road == "tod" or probability is None:
             return criterion
         time_s = self.target.search_time_s
@@ -325,8 +281,8 @@ class Acquisition:
             return criterion * cycles_ratio(probability)
         if float(with_search(1.0, time_s)) <= probability:
             return None
-        unlimited = _root(lambda p: float(with_search(p, time_s)) - probability, 0.0, 1.0)
-        return criterion * cycles_ratio(unlimited) if unlimited < 1.0 else None
+        unlimited = brentq(lambda p: with_search(p, time_s) - probability, 0.0, 1.0, **TO_THE_LAST_DIGIT)
+        return criterion * cycles_ratio(float(unlimited)) if unlimited < 1.0 else None
 
     def _interval(self, drawn_km: FloatArray) -> Ends | None:
         """Return the middle 95 % of drawn ranges; an end off the curve is None."""
@@ -351,9 +307,9 @@ class Acquisition:
         self, range_km: FloatArray, frequency: FloatArray, ln_threshold: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return d ln(threshold) / d ln(frequency) and −d ln(contrast) / d ln(range), one a range."""
-        places = self.curve.per_mrad
-        cell = np.clip(np.searchsorted(places, frequency), 1, places.size - 1)
-        slope = np.diff(ln_threshold)[cell - 1] / np.diff(places)[cell - 1] * frequency
+        knots = self.curve.per_mrad
+        cell = np.clip(np.searchsorted(knots, frequency), 1, knots.size - 1)
+        slope = np.diff(ln_threshold)[cell - 1] / np.diff(knots)[cell - 1] * frequency
         near, far = (self.ln_contrast(range_km * (1.0 + step)) for step in (-STEP, STEP))
         return slope, (near - far) / math.log((1.0 + STEP) / (1.0 - STEP))
 
@@ -367,15 +323,15 @@ class Acquisition:
     def _of_triangles(self, task: str, k: float, ranges: FloatArray) -> TaskCurve:
         psychometric = self.curve.psychometric
         assert psychometric is not None
-        places = self.curve.per_mrad
+        knots = self.curve.per_mrad
         frequency = ranges * k / self.target.size_m
-        weights = _weights(places, np.clip(frequency, places[0], places[-1]))
+        weights = _weights(knots, np.clip(frequency, knots[0], knots[-1]))
         ln_threshold = self.threshold_curves()
         margin = self.ln_contrast(ranges) - ln_threshold @ weights
         probability = psychometric.probability(margin, np.vstack([psychometric.beta, self.betas]), weights)
-        bound = np.where(frequency < places[0], 1.0, np.where(frequency > places[-1], -1.0, 0.0))
-        limited_by, band = self._limits(ranges, frequency, ln_threshold[0]), self._ends(probability[1:])
-        return TaskCurve.of(task, limited_by, band, range_km=ranges, probability=probability[0], bound=bound)
+        bound = np.where(frequency < knots[0], 1.0, np.where(frequency > knots[-1], -1.0, 0.0))
+        limits = self._limits(ranges, frequency, ln_threshold[0])
+        return _task_curve(task, ranges, (probability[0], *self._ends(probability[1:])), bound, limits)
 
     def _of_bars(self, ranges: FloatArray) -> tuple[TaskCurve, ...]:
         """Return the probabilities from the highest frequency that is resolved, N = f(contrast) · size / R.
@@ -384,27 +340,25 @@ class Acquisition:
         resolves the first at most.
         """
         contrast, ln_threshold = self.ln_contrast(ranges), self.threshold_curves()
-        places, size_m, time_s = self.curve.per_mrad, self.target.size_m, self.target.search_time_s
+        knots, size_m, time_s = self.curve.per_mrad, self.target.size_m, self.target.search_time_s
         # np.interp needs rising abscissae; the steps are far below the errors of measured thresholds.
-        steps = 1e-12 * np.arange(places.size)
-        resolved = np.stack([np.interp(contrast, one + steps, places) for one in ln_threshold])
+        steps = 1e-12 * np.arange(knots.size)
+        resolved = np.stack([np.interp(contrast, one + steps, knots) for one in ln_threshold])
         above, below = contrast > ln_threshold[0, -1], contrast < ln_threshold[0, 0]
         bound = np.where(above, 1.0, np.where(below, -1.0, 0.0))
-        limit = self._limits(ranges, resolved[0], ln_threshold[0])
-        ends = self._ends(resolved[1:])
+        limits = self._limits(ranges, resolved[0], ln_threshold[0])
+        frequencies = (resolved[0], *self._ends(resolved[1:]))
 
         def probability(frequency: FloatArray, n50: float) -> FloatArray:
             unlimited = transfer_probability(frequency * size_m / (ranges * n50))
             return unlimited if time_s is None else with_search(unlimited, time_s)
 
-        found = []
-        for task, n50 in self.criteria.items():
-            band, p = (
-                [None if one is None else probability(one, n50) for one in ends],
-                probability(resolved[0], n50),
+        return tuple(
+            _task_curve(
+                task, ranges, [one if one is None else probability(one, n50) for one in frequencies], bound, limits
             )
-            found.append(TaskCurve.of(task, limit, band, range_km=ranges, probability=p, bound=bound))
-        return tuple(found)
+            for task, n50 in self.criteria.items()
+        )
 
     def _ends(self, drawn: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
         if self.curve.ln_sd is None:
@@ -421,24 +375,38 @@ class Acquisition:
 
     def against_k(self) -> tuple[RangeAtK, ...]:
         """Return k, range and 95 % interval for divisors k of a TOD at its own criterion; None off the curve."""
-        found = []
+        curves, found = self.threshold_curves(), []
         for k in K_SHOWN.tolist():
-            ranges, _, _ = self.crossing(k, self.threshold_curves())
-            range_km, interval = _on_curve(float(ranges[0])), self._interval(ranges[1:])
-            found.append(RangeAtK(k=k, range_km=range_km, range_ci95_km=interval))
+            ranges = self.crossing(k, curves)[0]
+            interval = self._interval(ranges[1:])
+            found.append(RangeAtK(k=k, range_km=_on_curve(float(ranges[0])), range_ci95_km=interval))
         return tuple(found)
+
+
+def _task_curve(
+    task: str,
+    ranges: FloatArray,
+    probability: Sequence[FloatArray | None],
+    bound: FloatArray,
+    limited_by: tuple[Limit, ...],
+) -> TaskCurve:
+    """Return the record of a probability and the ends of its band."""
+    numbers = dict(zip(("probability", "low", "high"), probability, strict=True))
+    numbers |= {"range_km": ranges, "bound": bound}
+    known: Any = {name: None if one is None else tuple(one.tolist()) for name, one in numbers.items()}
+    return TaskCurve(task=task, limited_by=limited_by, **known)
 
 
 def _on_curve(range_km: float) -> float | None:
     return range_km if 0.0 < range_km < np.inf else None
 
 
-def _weights(knots: FloatArray, places: FloatArray) -> FloatArray:
-    """Return the weights of knots, shape (knots, places), that interpolate linearly between them."""
-    cell = np.clip(np.searchsorted(knots, places, side="right"), 1, knots.size - 1)
-    share = (places - knots[cell - 1]) / (knots[cell] - knots[cell - 1])
-    weights = np.zeros((knots.size, places.size))
-    columns = np.arange(places.size)
+def _weights(knots: FloatArray, points: FloatArray) -> FloatArray:
+    """Return the weights of knots, shape (knots, points), that interpolate linearly between them."""
+    cell = np.clip(np.searchsorted(knots, points, side="right"), 1, knots.size - 1)
+    share = (points - knots[cell - 1]) / (knots[cell] - knots[cell - 1])
+    weights = np.zeros((knots.size, points.size))
+    columns = np.arange(points.size)
     weights[cell - 1, columns] = 1.0 - share
     weights[cell, columns] = share
     return weights
@@ -456,12 +424,8 @@ def acquire(
 ) -> Acquisition:
     """Compute ranges and probabilities for all tasks of a target.
 
-    Raises
-    ------
-    SettingsError
-        If the target's contrast or the air are not those of the curve, or a TOD has no k.
-    DataError
-        If the target is smaller than the curve's smallest detail at all ranges.
+    SettingsError if the target's contrast or the air are not those of the curve, or a TOD has no k; DataError if
+    the target is smaller than the curve's smallest detail at all ranges.
     """
     made = _prepared(curve, target, atmosphere, rng)
     ranges = tuple(made.task_range(task, p) for task in made.criteria for p in made.probabilities)

@@ -1,30 +1,391 @@
-"""The call `acquisition_range`: how far a person with a sensor can do a task."""
+"""The call `acquisition_range`, how far a person with a sensor can do a task, and its result."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from msgspec import Struct, field, structs
 
+from todframes.base._typing import Json
 from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.reading import from_table
 from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
+from todframes.field.acquisition import (
+    GAIN,
+    LIMITS,
+    SEARCH_TIME_CONSTANT_S,
+    Acquisition,
+    Numbers,
+    RangeAtK,
+    Road,
+    TaskCurve,
+    TaskRange,
+    acquire,
+)
 from todframes.field.atmosphere import Atmosphere, find_atmosphere
-from todframes.field.target import Target, chosen_target
+from todframes.field.measured_curve import measured_curve
+from todframes.field.target import Quantity, Target, chosen_target
+from todframes.field.threshold_curve import Pattern, ThresholdCurve, read_curve
 from todframes.parameters import Cycles, CyclesPerSize, GroupValues, NamedFile, Seconds, Seed, TargetFactors
-from todframes.results.result import Result, repeatable
+from todframes.results.data import Content, Record, ResultWarning, as_read
+from todframes.results.figure import ReportFigure
+from todframes.results.figure_style import INK, add_legend, curve_style, label_text, plain_ticks
+from todframes.results.result import Result, load_result, repeatable
+from todframes.results.table import Column, Table
+from todframes.results.tables import records_table
 from todframes.results.thresholds import Thresholds
+from todframes.results.wording import interval_phrase, plain
 
 if TYPE_CHECKING:
-    from todframes.field.range_result import FieldRange
-    from todframes.field.threshold_curve import RangeWarning, ThresholdCurve
+    from matplotlib.axes import Axes
 
 TABLE_SUFFIX = ".csv"
 """End of the names of tables; any other path is that of a result."""
+
+EQUATIONS = {
+    "tod": "TOD(1/S) = C(R), S = size / (k R): the triangle of size / k at range R is judged as often as asked.",
+    "cycles": (
+        "N = f(C(R)) · size / R, f the highest frequency resolved at the contrast C(R) that arrives; P = a^γ / "
+        "(1 + a^γ), γ = 2.7 + 0.7 a, a = N / N50."
+    ),
+}
+"""Equation of each road, with R in km, size in m, angles in mrad."""
+
+K_IS_YOURS = "No public value of k exists: the range is as good as the k that you have validated."
+
+NO_RANGE = {
+    "never_reached": "the contrast stays below all thresholds, however near",
+    "nearer_than_curve": "it is nearer than the curve begins; measure larger triangles or lower frequencies",
+    "beyond_curve": "it is farther than the curve ends; measure smaller triangles or higher frequencies",
+    "beyond_air_table": "it is farther than the table of the air ends",
+}
+"""Reasons for a missing range, by status."""
+
+MOST_CURVES = 7
+
+ABOVE_CONTRAST = 10.0
+"""Highest threshold in the figure of the crossing, divided by the contrast at the target."""
+
+
+class CurveNumbers(Struct, frozen=True, kw_only=True):
+    """The sensor's curve; `needed` is its threshold, or that of coarser detail if that is higher."""
+
+    name: str
+    pattern: Pattern
+    quantity: Quantity
+    per_mrad: Numbers
+    threshold: Numbers
+    ln_threshold_sd: tuple[Numbers, Numbers] | None
+    p_correct: float | None
+    needed: Numbers
+    needed_ci95: tuple[Numbers, Numbers] | None
+
+
+class RangeNumbers(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The key `range` of the result.
+
+    Attributes
+    ----------
+    road : {"tod", "cycles"}
+        Range of a TOD with k, or by line pairs.
+    target, atmosphere : dict
+        Their settings.
+    curve : CurveNumbers
+    criteria : dict of float
+        k, or N50 in line pairs, of each task.
+    ranges : tuple of TaskRange
+        Range for each task and probability.
+    probability : tuple of TaskCurve
+        Probability against range for each task.
+    against_k : tuple of RangeAtK
+        Of a TOD whose range lies on the curve for some k.
+    """
+
+    road: Road
+    equation: str
+    target: Record
+    atmosphere: Record
+    curve: CurveNumbers
+    criteria: dict[str, float]
+    r46_distance_m: float | None = field(default_factory=lambda: None)
+    ranges: tuple[TaskRange, ...]
+    probability: tuple[TaskCurve, ...]
+    against_k: tuple[RangeAtK, ...] = ()
+
+
+class FieldRange(Content, frozen=True, kw_only=True):
+    """Range of a sensor for a target in the field.
+
+    Attributes
+    ----------
+    numbers : RangeNumbers
+        The key `range` of the JSON.
+    acquired : Acquisition or None
+        All that was computed; None for a result that was read.
+    """
+
+    numbers: RangeNumbers = field(name="range")
+
+    acquired: ClassVar[Acquisition | None] = None
+
+    @property
+    def name(self) -> str:
+        """Return target and air in words."""
+        target, air = self.target, self.atmosphere
+        signal = f"ΔT {target.signal:g} K" if target.quantity == "delta_t_k" else f"contrast {target.signal:g}"
+        return f"{target.title or 'target'}, {target.size_m:g} m, {signal}; {air.title or 'air'}"
+
+    @property
+    def target(self) -> Target:
+        """The target."""
+        return from_table(self.numbers.target, Target, "range.target")
+
+    @property
+    def atmosphere(self) -> Atmosphere:
+        """The air to the target."""
+        return from_table(self.numbers.atmosphere, Atmosphere, "range.atmosphere")
+
+    def check(self, where: str) -> None:
+        """Raise DataError if target or air are invalid."""
+        try:
+            _ = self.target, self.atmosphere
+        except SettingsError as error:
+            raise DataError(f"{where}: {error}") from None
+
+    @property
+    def is_tod(self) -> bool:
+        """Return whether the range is that of a TOD with k."""
+        return self.numbers.road == "tod"
+
+    @property
+    def probability_name(self) -> str:
+        """The name of the probability."""
+        return "P(correct)" if self.is_tod else "probability"
+
+    def tables(self) -> list[Table]:
+        """List the ranges; folded those against k, the probability against range, and target and air."""
+        numbers, p_name = self.numbers, "P(correct)" if self.is_tod else "P"
+        km = Column(key="range_km", header="range (km)")
+        km_ci95 = Column(key="range_ci95_km", header="95 % interval", interval="range_ci95_km", digits=3)
+        columns = [
+            Column(key="task", is_name=True),
+            Column(key="criterion", header="k" if self.is_tod else "N50", digits=3, rank=1),
+            Column(key="probability", header=p_name, digits=3, is_name=True),
+            km,
+            km_ci95,
+            Column(key="at_least_km", header="at least (km)", digits=3),
+            Column(key="at_most_km", header="at most (km)", digits=3),
+            Column(key="limited_by", header="limited by", rank=2),
+            *(
+                Column(key=f"gain_{name}_percent", header=f"10 % {_more(name)}", digits=2, is_detail=True)
+                for name in LIMITS
+            ),
+            Column(key="status"),
+        ]
+        records = map(structs.asdict, numbers.ranges)
+        ranges = Table.of(f"Range: {self.name}", "ranges.csv", columns, records)
+        tables = [ranges.without_empty_columns("probability", "range_km", "range_ci95_km")]
+        if numbers.against_k:
+            title, records = f"Range at {self._criterion()} against k", map(structs.asdict, numbers.against_k)
+            columns = [Column(key="k", digits=3), km, km_ci95]
+            tables.append(Table.of(title, "range_against_k.csv", columns, records).folded())
+        if numbers.probability:
+            columns = [
+                Column(key="task", is_name=True),
+                Column(key="range_km", header="range (km)", digits=3),
+                Column(key="probability", header=p_name, digits=3),
+                Column(key="probability_ci95", header="95 % interval", interval="probability_ci95", digits=3),
+                Column(key="bound", header="off the curve", none=""),
+                Column(key="limited_by", header="limited by"),
+            ]
+            rows = [row for one in numbers.probability for row in _rows(one)]
+            tables.append(Table.of("Probability against range", "probability.csv", columns, rows).folded())
+        values = [
+            {"setting": f"{part}.{key}", "value": value}
+            for part, settings in (("target", numbers.target), ("atmosphere", numbers.atmosphere))
+            for key, value in settings.items()
+            if value is not None and value != ""
+        ]
+        return [*tables, records_table("Target and air", "", values).folded()]
+
+    def sentences(self) -> list[str]:
+        """Return the findings in words: a range for each task, and the conventions on which the numbers depend."""
+        named, texts = self._named(), []
+        for one in named:
+            p = one.probability
+            level = "the criterion" if p is None else f"{100 * p:g} %{' correct' * self.is_tod}"
+            texts.append(f"At {level}, {one.task}: {range_words(one)}.")
+        limited = next((one for one in named if one.limited_by is not None), None)
+        if limited is not None:
+            parts = ", ".join(
+                f"{_more(name)} gains {plain(getattr(limited, f'gain_{name}_percent'), 2)} %" for name in LIMITS
+            )
+            limit = f"What limits {limited.task}: {limited.limited_by}."
+            texts.append(f"{limit} In range, {100 * GAIN:.0f} % more {parts}.")
+        return [*texts, *self._notes()]
+
+    def _notes(self) -> list[str]:
+        """Return the conventions on which the numbers depend."""
+        numbers, target = self.numbers, self.target
+        if self.is_tod:
+            notes = [K_IS_YOURS]
+        else:
+            is_named = isinstance(target.cycles, str)
+            n50 = ", ".join(f"{f'{task} ' * is_named}{value:g}" for task, value in numbers.criteria.items())
+            source = target.cycles if is_named else "your own"
+            notes = [f"N50: {n50} line pairs on the target ({source})."]
+        if numbers.curve.ln_threshold_sd is None:
+            notes.append("The curve has no errors (ci95_low, ci95_high), so the ranges have no interval.")
+        if not self.is_tod and target.cycles_per_size is not None:
+            notes.append(
+                f"The TOD was converted to line pairs: {target.cycles_per_size:g} cycles in √area, which is your "
+                "convention."
+            )
+        if self.atmosphere.is_humidity_form:
+            notes.append(
+                "The extinction from humidity is that of dstl's RET; in 8–12 µm it is 1.4 to 2 times MODTRAN's, "
+                "so the range is rather longer."
+            )
+        if numbers.r46_distance_m is not None:
+            distance = plain(numbers.r46_distance_m)
+            notes.append(f"By its pixels alone (UN R46), the system shows the target up to {distance} m.")
+        if target.search_time_s is not None:
+            notes.append(f"With {target.search_time_s:g} s to search.")
+        return notes
+
+    def _named(self) -> list[TaskRange]:
+        """Return the range of each task that a sentence names: at 50 %, for a TOD at its own criterion."""
+        wanted, ranges = self.numbers.curve.p_correct if self.is_tod else 0.5, self.numbers.ranges
+        firsts = {one.task: one for one in reversed(ranges)}
+        return [
+            next((one for one in ranges if one.task == task and one.probability == wanted), first)
+            for task, first in reversed(firsts.items())
+        ]
+
+    def _criterion(self) -> str:
+        p_correct = self.numbers.curve.p_correct
+        return "the criterion" if p_correct is None else f"{100 * p_correct:g} % correct"
+
+    def remarks(self) -> list[str]:
+        """Return the equation."""
+        return [self.numbers.equation]
+
+    def figures(self) -> list[ReportFigure]:
+        """List probability and contrast against range, and range against k."""
+        figures = []
+        if self.numbers.probability:
+            note = "Bands: 95 %, from the errors of the curve. " * (self.numbers.curve.ln_threshold_sd is not None)
+            note += "Dotted: the curve ends there, and the probability is a bound."
+            title = "Probability against range"
+            figures.append(ReportFigure(title, note, self._draw_probability, "probability.png"))
+        note = (
+            "Falling: the contrast that arrives. Rising: the threshold of the detail that each task needs, within "
+            "the curve's ends. A task can be done up to their crossing."
+        )
+        figures.append(ReportFigure("Contrast at the aperture", note, self._draw_crossing, "crossing.png"))
+        if self.numbers.against_k:
+            title = f"Range at {self._criterion()} against k"
+            note = f"{K_IS_YOURS} Vertical: yours."
+            figures.append(ReportFigure(title, note, self._draw_against_k, "range_against_k.png"))
+        return figures
+
+    def _draw_crossing(self, axes: Axes) -> None:
+        numbers = self.numbers
+        curve, target, air = numbers.curve, self.target, self.atmosphere
+        per_mrad, needed = np.array(curve.per_mrad), np.array(curve.needed)
+        tasks = list(numbers.criteria.items())[:MOST_CURVES]
+        ends = [curve.per_mrad[-1] * target.size_m / criterion for _, criterion in tasks]
+        known = [one.range_km for one in numbers.ranges if one.range_km is not None]
+        most = min(1.3 * max(known, default=math.inf), max(ends), air.longest_km)
+        ranges = np.linspace(most / 400, most, 400)
+        arriving = target.signal * np.exp(air.ln_contrast_left(ranges))
+        axes.plot(ranges, arriving, color=INK, lw=1.8, label="contrast that arrives")
+        values = [float(arriving[-1]), float(arriving[0])]
+        for number, (task, criterion) in enumerate(tasks):
+            colour = curve_style(number, len(tasks)).colour
+            knots = per_mrad * target.size_m / criterion
+            axes.plot(knots, needed, "o-", color=colour, markersize=3.5, label=label_text(task))
+            if curve.needed_ci95 is not None:
+                axes.fill_between(knots, *curve.needed_ci95, color=colour, alpha=0.2, lw=0.0)
+            values += needed[knots <= most].tolist()
+        heading = "ΔT (K)" if curve.quantity == "delta_t_k" else "contrast"
+        axes.set(yscale="log", xlabel="range (km)", ylabel=f"{heading}, arriving and needed", xlim=(0.0, most))
+        low, high = 0.7 * min(values), min(1.5 * max(values), ABOVE_CONTRAST * float(arriving[0]))
+        axes.set_ylim(low, high)
+        plain_ticks(axes.yaxis, [low, high])
+        add_legend(axes)
+
+    def _draw_probability(self, axes: Axes) -> None:
+        curves = self.numbers.probability[:MOST_CURVES]
+        for number, one in enumerate(curves):
+            colour = curve_style(number, len(curves)).colour
+            if one.low is not None and one.high is not None:
+                axes.fill_between(one.range_km, one.low, one.high, color=colour, alpha=0.2, lw=0.0)
+            on_curve = np.where(np.array(one.bound) == 0.0, one.probability, np.nan)
+            axes.plot(one.range_km, one.probability, ":", color=colour)
+            axes.plot(one.range_km, on_curve, color=colour, label=label_text(one.task))
+        for level in sorted({one.probability for one in self.numbers.ranges if one.probability}):
+            axes.axhline(level, color=INK, alpha=0.4, ls="--", lw=0.8)
+        axes.set(ylim=(0.0, 1.02), xlabel="range (km)", ylabel=self.probability_name)
+        axes.set_xlim(left=0.0)
+        add_legend(axes)
+
+    def _draw_against_k(self, axes: Axes) -> None:
+        known = [(one.k, one.range_km, one.range_ci95_km) for one in self.numbers.against_k if one.range_km]
+        axes.plot([k for k, _, _ in known], [km for _, km, _ in known], color=curve_style(0, 1).colour)
+        banded = [(k, *ends) for k, _, ends in known if ends is not None and None not in ends]
+        if banded:
+            k, low, high = zip(*banded, strict=True)
+            axes.fill_between(k, low, high, color=curve_style(0, 1).colour, alpha=0.2, lw=0.0)
+        for value in self.numbers.criteria.values():
+            axes.axvline(value, color=INK, alpha=0.5, ls="--", lw=0.8)
+        axes.set(xlabel="k", ylabel="range (km)", xscale="log", yscale="log")
+        plain_ticks(axes.xaxis, [k for k, _, _ in known])
+        plain_ticks(axes.yaxis, [km for _, km, _ in known])
+
+
+def _more(limit: str) -> str:
+    """Return the improvement of a factor in words."""
+    return "clear air" if limit == "air" else limit
+
+
+def _rows(curve: TaskCurve) -> Iterator[Json]:
+    words = {0.0: None, 1.0: "at least", -1.0: "at most"}
+    for k, range_km in enumerate(curve.range_km):
+        ends = None if curve.low is None or curve.high is None else (curve.low[k], curve.high[k])
+        yield {
+            "task": curve.task,
+            "range_km": range_km,
+            "probability": curve.probability[k],
+            "probability_ci95": ends,
+            "bound": words[curve.bound[k]],
+            "limited_by": curve.limited_by[k],
+        }
+
+
+def range_words(one: TaskRange) -> str:
+    """Return a range with its interval, or its bounds and why there is none, in words."""
+    if one.range_km is not None:
+        interval = "" if one.range_ci95_km is None else f" (95 % interval {interval_phrase(one.range_ci95_km)})"
+        return f"{plain(one.range_km)} km{interval}"
+    ends = [f"at least {plain(one.at_least_km)} km"] if one.at_least_km is not None else []
+    ends += [f"at most {plain(one.at_most_km)} km"] if one.at_most_km is not None else []
+    reason = NO_RANGE[one.status]
+    if one.kappa is None and one.probability is not None:
+        least_s = -SEARCH_TIME_CONSTANT_S * math.log1p(-one.probability)
+        reason = f"it takes a search of more than {plain(least_s, 2)} s, however near; allow more time"
+    if one.status == "beyond_curve" and one.at_most_km is not None:
+        reason = (
+            "it lies between the curve's last size and the next, which no contrast reaches; measure sizes between"
+        )
+    return f"{' and '.join(ends) or 'no range'}; {reason}"
 
 
 @repeatable
@@ -106,25 +467,44 @@ def acquisition_range(
     started, seed = time.perf_counter(), seed_of(rng)
     if magnification is not None and not (math.isfinite(magnification) and magnification > 0.0):
         raise SettingsError(f"{argument.magnification}: found {magnification!r}, expected a number > 0")
-    from todframes.field.acquisition import acquire
-    from todframes.field.range_result import range_result
-
     aim = chosen_target(target, k=k, cycles=cycles, cycles_per_size=cycles_per_size, search_time_s=search_time_s)
     air = find_atmosphere(atmosphere)
     curve, warnings = _curve(result, aim, group, magnification)
     _check_used(curve, k=k, cycles=cycles, cycles_per_size=cycles_per_size)
     acquired = acquire(curve, aim, air, rng=np.random.default_rng(seed))
-    facts = (*warnings, *_warnings(curve, air))
-    return range_result(acquired, facts, seed=seed, started=started)
+    curve, needed = acquired.curve, np.exp(acquired.threshold_curves())
+    against_k = acquired.against_k() if acquired.road == "tod" else ()
+    band = None if curve.ln_sd is None else np.quantile(needed[1:], (0.025, 0.975), axis=0).tolist()
+    numbers: Json = {
+        "road": acquired.road,
+        "equation": EQUATIONS[acquired.road],
+        "target": asdict(aim),
+        "atmosphere": asdict(air),
+        "curve": {
+            "name": curve.name,
+            "pattern": curve.pattern,
+            "quantity": curve.quantity,
+            "per_mrad": curve.per_mrad.tolist(),
+            "threshold": curve.threshold.tolist(),
+            "ln_threshold_sd": None if curve.ln_sd is None else curve.ln_sd.tolist(),
+            "p_correct": curve.p_correct,
+            "needed": needed[0].tolist(),
+            "needed_ci95": band,
+        },
+        "criteria": acquired.criteria,
+        "r46_distance_m": aim.r46_distance_m,
+        "ranges": acquired.ranges,
+        "probability": acquired.curves,
+        "against_k": against_k if any(one.range_km is not None for one in against_k) else (),
+    }
+    found = as_read(numbers, RangeNumbers)
+    made = Result.made("range", started, seed=seed, warnings=(*warnings, *_warnings(curve, air)), numbers=found)
+    return made.holding(acquired=acquired)
 
 
 def _curve(
     result: Result[Any] | Path | str, aim: Target, group: Mapping[str, str] | None, magnification: float | None
-) -> tuple[ThresholdCurve, tuple[RangeWarning, ...]]:
-    from todframes.field.measured_curve import measured_curve
-    from todframes.field.threshold_curve import read_curve
-    from todframes.results.result import load_result
-
+) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
     of_result: dict[str, Any] = {"quantity": aim.quantity, "group": group, "magnification": magnification}
     if isinstance(result, Result):
         return measured_curve(_thresholds(result, "the result"), "the result", **of_result)
@@ -160,21 +540,19 @@ def _check_used(curve: ThresholdCurve, **criteria: object) -> None:
             raise SettingsError(f"{where}: is given but not used: {curve.name} is a curve {pattern}")
 
 
-def _warnings(curve: ThresholdCurve, air: Atmosphere) -> tuple[RangeWarning, ...]:
-    from todframes.field.threshold_curve import RangeWarning
-
-    found = []
+def _warnings(curve: ThresholdCurve, air: Atmosphere) -> tuple[ResultWarning, ...]:
+    warnings = []
     if not curve.is_rising:
         message = (
             "the curve falls somewhere towards finer detail; each threshold counts as at least that of all "
             "coarser detail"
         )
-        found.append(RangeWarning(code="curve_not_rising", message=message))
+        warnings.append(ResultWarning(code="curve_not_rising", message=message))
     if air.varies_unseen and air.band_um is not None:
         low, high = air.band_um
         message = (
             f"one extinction for all ranges in {low:g} to {high:g} µm is wrong by up to a factor of 5 between 1 "
             "and 20 km; give a table of transmission over range"
         )
-        found.append(RangeWarning(code="one_extinction", message=message))
-    return tuple(found)
+        warnings.append(ResultWarning(code="one_extinction", message=message))
+    return tuple(warnings)

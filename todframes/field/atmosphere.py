@@ -189,16 +189,13 @@ def _check_table(ranges: tuple[float, ...], transmission: tuple[float, ...]) -> 
     if len(transmission) != len(ranges) or not ranges:
         raise SettingsError(f"transmission: found {len(transmission)} values, expected {len(ranges)}, one a range")
     if not (np.diff(ranges) > 0.0).all():
-        raise SettingsError(f"range_km: found {_few(ranges)}, expected rising ranges")
-    for place in np.flatnonzero(np.diff(transmission) > 0.0)[:1].tolist():
+        few = ", ".join(f"{one:g}" for one in ranges[:4]) + " …" * (len(ranges) > 4)
+        raise SettingsError(f"range_km: found {few}, expected rising ranges")
+    for k in np.flatnonzero(np.diff(transmission) > 0.0)[:1].tolist():
         raise SettingsError(
-            f"transmission: grows from {transmission[place]:.3g} at {ranges[place]:g} km to "
-            f"{transmission[place + 1]:.3g} at {ranges[place + 1]:g} km, expected it to fall with range"
+            f"transmission: grows from {transmission[k]:.3g} at {ranges[k]:g} km to "
+            f"{transmission[k + 1]:.3g} at {ranges[k + 1]:g} km, expected it to fall with range"
         )
-
-
-def _few(values: tuple[float, ...]) -> str:
-    return ", ".join(f"{one:g}" for one in values[:4]) + " …" * (len(values) > 4)
 
 
 def thermal_extinction_per_km(
@@ -225,25 +222,19 @@ def find_atmosphere(asked: Atmosphere | Path | str) -> Atmosphere:
     """Return the air of this package with a name, that of a TOML file, or the one given.
 
     The table of a file is relative to its folder, and lies in it.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such air, or its file cannot be read or has a wrong value.
     """
     if isinstance(asked, Atmosphere):
         return asked
     path = settings_path(asked, FOLDER, "atmosphere")
     table, texts = read_described(path, "atmosphere", SCHEMA)
-    place = f"{path}: [atmosphere]"
+    where = f"{path}: [atmosphere]"
     if "table" in table:
-        rows = _read_table(path.parent, table["table"], f"{place}: table")
-        table = {key: value for key, value in table.items() if key != "table"} | rows
+        table |= _read_table(path.parent, table.pop("table"), f"{where}: table")
     if isinstance(table.get("extinction_per_km"), list):
-        table = _as_transmission(table, place)
+        table = _as_transmission(table, where)
     if "modtran_height_m" in table:
-        table = _from_modtran(table, place)
-    return from_table(texts | table, Atmosphere, place)
+        table = _from_modtran(table, where)
+    return from_table(texts | table, Atmosphere, where)
 
 
 def _from_modtran(table: dict[str, Any], where: str) -> dict[str, Any]:
@@ -256,11 +247,7 @@ def _from_modtran(table: dict[str, Any], where: str) -> dict[str, Any]:
         raise SettingsError(f"{where}: {missing[0]}: is missing, expected it beside modtran_height_m")
     height, visibility, band = (convert(table[name], kind, f"{where}: {name}") for name, kind in names.items())
     try:
-        ranges, transmissions = modtran_table(
-            band_um=band,
-            visibility_km=visibility,
-            height_m=height,
-        )
+        ranges, transmissions = modtran_table(band_um=band, visibility_km=visibility, height_m=height)
     except SettingsError as error:
         raise SettingsError(f"{where}: {error}") from None
     others = {key: value for key, value in table.items() if key not in ("modtran_height_m", "visibility_km")}
@@ -280,9 +267,9 @@ def _as_transmission(table: dict[str, Any], where: str) -> dict[str, Any]:
 def _read_table(folder: Path, name: object, where: str) -> dict[str, Any]:
     """Return `range_km` and the other column of the CSV file that a TOML file names."""
     with table_beside(name, folder, where) as file:
-        header, found = read_table(file)
+        header, lines = read_table(file)
         column = "transmission" if "transmission" in header else "extinction_per_km"
         check_columns(header, ["range_km", column], file)
-        rows = [row.numbers(["range_km", column]) for row in found]
+        rows = [line.numbers(["range_km", column]) for line in lines]
     rows = [row for row in rows if row[0] != 0.0]  # no air, no loss
     return {"range_km": [row[0] for row in rows], column: [row[1] for row in rows]}

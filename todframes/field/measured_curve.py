@@ -9,8 +9,8 @@ import numpy as np
 
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.field.target import Quantity
-from todframes.field.threshold_curve import Psychometric, RangeWarning, ThresholdCurve, ln_sd_of_interval
-from todframes.results.data import Fit
+from todframes.field.threshold_curve import Psychometric, ThresholdCurve, ln_sd_of_interval
+from todframes.results.data import Fit, ResultWarning
 from todframes.results.thresholds import Thresholds
 from todframes.results.wording import unit_of, value_text
 from todframes.stimulus import LEVELS, level_of
@@ -38,27 +38,14 @@ def measured_curve(
     quantity: Quantity,
     group: Mapping[str, str] | None = None,
     magnification: float | None = None,
-) -> tuple[ThresholdCurve, tuple[RangeWarning, ...]]:
-    """Return the curve of a result's thresholds, and the warnings about it.
+) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
+    """Return the curve of a result's thresholds, and the warnings about it; messages begin with `where`.
 
-    Parameters
-    ----------
-    result : Thresholds
-    where : str
-        Name of the result; messages begin with it.
-    quantity : {"delta_t_k", "contrast"}
-        Quantity of the target's contrast, in which a level without a name of its own is read.
-    group : mapping, optional
-        Values of the columns that tell one curve from the others.
-    magnification : float, optional
-        Angle on the display divided by the angle in the field, for sizes as displayed.
-
-    Raises
-    ------
-    DataError
-        If there are no thresholds over sizes, or their level is no contrast of the field.
-    SettingsError
-        If the result has several curves and `group` does not name one.
+    `quantity` is that of the target's contrast, in which a level without a name of its own is read. `group` has
+    the values of the columns that tell one curve from the others. `magnification` is the angle on the display
+    divided by the angle in the field, for sizes as displayed. DataError if there are no thresholds over sizes, or
+    their level is no contrast of the field; SettingsError if the result has several curves and `group` does not
+    name one.
     """
     fits = _of_group(result.thresholds, where, dict(group or {}))
     size = next((name for name in SIZES if fits and name in fits[0].group), None)
@@ -68,7 +55,7 @@ def measured_curve(
     if fits[0].level == NAMELESS:
         unit = "K" if quantity == "delta_t_k" else "Weber contrast"
         message = f"the level has no unit; it is taken for that of the target's contrast, {unit}"
-        warnings = (*warnings, RangeWarning(code="level_without_unit", message=message))
+        warnings = (*warnings, ResultWarning(code="level_without_unit", message=message))
     quantity, level_factor = (quantity, 1.0) if fits[0].level == NAMELESS else _level(fits, where)
     known = sorted((one for one in fits if one.threshold is not None), key=lambda one: -float(one.group[size]))
     sizes = factor * np.array([float(one.group[size]) for one in known])
@@ -78,7 +65,7 @@ def measured_curve(
         message = (
             f"the thresholds at {', '.join(extrapolated)} {unit_of(size)} are extrapolated from the levels shown"
         )
-        warnings = (*warnings, RangeWarning(code="extrapolated_thresholds", message=message))
+        warnings = (*warnings, ResultWarning(code="extrapolated_thresholds", message=message))
     curve = ThresholdCurve.of_sizes(
         sizes,
         level_factor * thresholds,
@@ -116,7 +103,7 @@ def _of_group(fits: Sequence[Fit], where: str, group: dict[str, str]) -> list[Fi
 
 def _to_field_mrad(
     result: Thresholds, size: str, where: str, magnification: float | None
-) -> tuple[float, tuple[RangeWarning, ...]]:
+) -> tuple[float, tuple[ResultWarning, ...]]:
     """Return the factor from a column of sizes to mrad in the field, and the warnings about it."""
     if magnification is not None and size != "size_mrad":
         raise SettingsError(
@@ -135,7 +122,7 @@ def _to_field_mrad(
             "the sizes are those on the display; they are taken for angles in the field, as for a display that "
             f"magnifies once ({argument.magnification} gives another)"
         )
-        return 1.0, (RangeWarning(code="size_at_the_eye", message=message),)
+        return 1.0, (ResultWarning(code="size_at_the_eye", message=message),)
     return 1.0 / (magnification or 1.0), ()
 
 
@@ -174,10 +161,10 @@ def _ln_sd(fits: Sequence[Fit]) -> np.ndarray | None:
         low, high = one.threshold_ci95 or (None, None)
         if one.threshold_ci95 is None and one.threshold_numerical_error is not None:
             high = threshold + one.threshold_numerical_error
-        ends.append((threshold, np.nan if low is None else low, np.nan if high is None else high))
-    found = ln_sd_of_interval(*np.array(ends).T)
+        ends.append((threshold, low, high))
+    ln_sd = ln_sd_of_interval(*np.array(ends, np.float64).T)  # None becomes NaN
     # A point without both ends has the largest error of the others, and none if there are no others.
-    return np.where(np.isnan(found), np.nanmax(found, initial=0.0), found)
+    return np.where(np.isnan(ln_sd), np.nanmax(ln_sd, initial=0.0), ln_sd)
 
 
 def _psychometric(fits: Sequence[Fit]) -> Psychometric | None:

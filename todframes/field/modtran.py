@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -32,26 +31,9 @@ def modtran_table(
 ) -> tuple[list[float], list[float]]:
     """Read the transmission of a band over range from the tables of pyBSM.
 
-    Thermal bands are weighted with dB/dT at 300 K, others evenly.
-
-    Parameters
-    ----------
-    band_um : (float, float)
-        Wavelengths in µm, 0.3 to 14.
-    visibility_km : float
-        23 or 5.
-    height_m : float
-        Height of the sensor above a target on the ground, 75 m to 20 km.
-
-    Returns
-    -------
-    (list of float, list of float)
-        Slant ranges in km, and transmissions, which do not rise.
-
-    Raises
-    ------
-    SettingsError
-        If pyBSM is not installed, or a value is out of range.
+    Thermal bands are weighted with dB/dT at 300 K, others evenly. `height_m` is that of the sensor above a target
+    on the ground. Returns slant ranges in km, and transmissions, which do not rise. SettingsError if pyBSM is not
+    installed, or a value is out of range.
     """
     if visibility_km not in HAZES:
         raise SettingsError(f"visibility_km: found {visibility_km:g}, expected 23 or 5, those of MODTRAN's tables")
@@ -61,11 +43,19 @@ def modtran_table(
         )
     if not TABLED_UM[0] <= band_um[0] < band_um[1] <= TABLED_UM[1]:
         raise SettingsError(f"band_um: found {list(band_um)}, expected two rising wavelengths from 0.3 to 14 µm")
-    load = _loader()
+    try:
+        from pybsm.utils import load_database_atmosphere
+    except ImportError as error:
+        raise SettingsError(
+            f"modtran_height_m: needs the package {error.name or 'pybsm'}, which is not installed: "
+            "pip install 'todframes[atmosphere]'"
+        ) from None
     ranges, transmissions = [], []
     for ground_km in GROUND_RANGES_KM:
         try:
-            table = load(altitude=height_m, ground_range=1000.0 * ground_km, ihaze=HAZES[visibility_km])
+            table = load_database_atmosphere(
+                altitude=height_m, ground_range=1000.0 * ground_km, ihaze=HAZES[visibility_km]
+            )
         except IndexError:  # beyond the horizon
             break
         ranges.append(math.hypot(ground_km, height_m / 1000.0))
@@ -85,14 +75,3 @@ def _in_band(wavelength_um: FloatArray, transmission: FloatArray, band_um: tuple
         x = 14_387.77 / (wavelength_um[inside] * SCENE_K)
         weight = np.exp(-x) / np.square(-np.expm1(-x)) / wavelength_um[inside] ** 6
     return float(np.average(transmission[inside], weights=weight))
-
-
-def _loader() -> Any:
-    try:
-        from pybsm.utils import load_database_atmosphere
-    except ImportError as error:
-        raise SettingsError(
-            f"modtran_height_m: needs the package {error.name or 'pybsm'}, which is not installed: "
-            "pip install 'todframes[atmosphere]'"
-        ) from None
-    return load_database_atmosphere

@@ -21,12 +21,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta
 
 from todframes.base.errors import SettingsError, argument
-from todframes.base.reading import (
-    check_values,
-    from_table,
-    read_described,
-    settings_path,
-)
+from todframes.base.reading import check_values, from_table, read_described, settings_path
 
 SCHEMA = 1
 """Version of the format of target files that this package reads."""
@@ -174,11 +169,6 @@ def chosen_target(target: Target | Path | str, **changes: Any) -> Target:
 
     `k` and `cycles` may be numbers, `cycles` also as a text with commas: each is the criterion of a task, which
     has the number as its name.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such target, or a value is refused.
     """
     for name, unit in (("k", "k {}"), ("cycles", "{} line pairs")):
         value = changes.get(name)
@@ -193,18 +183,11 @@ def chosen_target(target: Target | Path | str, **changes: Any) -> Target:
         if isinstance(value, Sequence) and not isinstance(value, str):
             changes[name] = {unit.format(f"{one:g}"): float(one) for one in value}
     changes = {name: value for name, value in changes.items() if value is not None}
-    found = find_target(target)
-    return replace(found, **changes) if changes else found
+    return replace(find_target(target), **changes)
 
 
 def find_target(asked: Target | Path | str) -> Target:
-    """Return the target of this package with a name, that of a TOML file, or the one given.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such target, or its file cannot be read or has a wrong value.
-    """
+    """Return the target of this package with a name, that of a TOML file, or the one given."""
     if isinstance(asked, Target):
         return asked
     path = settings_path(asked, FOLDER, "target")

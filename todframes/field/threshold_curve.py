@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -54,17 +54,6 @@ THRESHOLDS: dict[str, tuple[Quantity, float]] = {
 }
 """Columns of a table that hold thresholds: the quantity, and the factor to K or Weber contrast."""
 
-RangeWarningCode = Literal[
-    "size_at_the_eye", "level_without_unit", "extrapolated_thresholds", "curve_not_rising", "one_extinction"
-]
-
-
-class RangeWarning(NamedTuple):
-    """A fact about curve or air that makes a range less certain."""
-
-    code: RangeWarningCode
-    message: str
-
 
 class Psychometric(NamedTuple):
     """Weibull functions of contrast / threshold at the points of a TOD (Hogervorst et al. 2001, eq. 3).
@@ -96,14 +85,9 @@ class Psychometric(NamedTuple):
         return np.minimum(found, UNREACHED)
 
     def probability(self, ln_ratio: FloatArray, beta: FloatArray, weights: FloatArray) -> FloatArray:
-        """Compute the proportion correct at ln(contrast / threshold).
+        """Compute the proportion correct at ln(contrast / threshold), shape (..., m), for β of shape (..., n).
 
-        Parameters
-        ----------
-        ln_ratio : ndarray, shape (..., m)
-        beta : ndarray, shape (..., n)
-        weights : ndarray, shape (n, m)
-            Weights of the n points at each of the m places between them.
+        `weights`, shape (n, m), are those of the n points at each of the m places between them.
         """
         slope, lapse = np.exp(np.log(beta) @ weights), self.lapse_rate @ weights
         halves = _halves(self.p_correct, self.guess_rate, lapse)
@@ -123,31 +107,12 @@ def _halves(p_correct: float, guess_rate: float, lapse_rate: FloatArray) -> Floa
 class ThresholdCurve:
     """Thresholds over spatial frequency; between points ln(threshold) is linear in frequency.
 
-    Attributes
-    ----------
-    pattern : {"triangle", "bars"}
-        A TOD, whose frequency is 1 / √area; or MRTD and MRC, of four bars.
-    quantity : {"delta_t_k", "contrast"}
-        Quantity of the thresholds: ΔT in K, or Weber contrast (MRC: modulation as the table has it).
-    per_mrad : ndarray, shape (n,)
-        Frequencies in cycles/mrad, or 1 / √area in mrad⁻¹; rising, n >= 2.
-    threshold : ndarray, shape (n,)
-        Thresholds, > 0.
-    ln_sd : ndarray, shape (2, n), or None
-        Standard deviations of ln(threshold) below and above it. None: the errors are not known.
-    psychometric : Psychometric or None
-        Proportion correct against contrast / threshold at each point; None if it is not known.
-    p_correct : float or None
-        Proportion correct of a TOD's thresholds, if it is known.
-    unreached_per_mrad : float or None
-        First frequency above those of the curve at which no contrast suffices, if one was found.
-    name : str
-        Name of the file or sensor.
-
-    Raises
-    ------
-    DataError
-        If there are fewer than two points, or a value is out of its range.
+    The pattern is a triangle for a TOD, whose frequency is 1 / √area; or bars for MRTD and MRC. Thresholds, shape
+    (n,), are ΔT in K, or Weber contrast (MRC: modulation as the table has it); `per_mrad`, shape (n,), are rising
+    frequencies in cycles/mrad, or 1 / √area in mrad⁻¹. `ln_sd`, shape (2, n), are the standard deviations of
+    ln(threshold) below and above it; None if the errors are not known. `p_correct` is that of a TOD's thresholds.
+    `unreached_per_mrad` is the first frequency above those of the curve at which no contrast suffices, if one was
+    found. DataError if there are fewer than two points, or a value is out of its range.
     """
 
     pattern: Pattern
@@ -166,35 +131,28 @@ class ThresholdCurve:
             raise DataError(f"{self.name}: found thresholds at {n} sizes or frequencies, expected two or more")
         if not (np.diff(self.per_mrad) > 0.0).all() or not self.per_mrad[0] > 0.0:
             raise DataError(f"{self.name}: found a size or frequency twice, expected each once and above 0")
-        if self.per_mrad[-1] > LARGEST_PER_MRAD:
-            what = "a frequency" if self.pattern == "bars" else "an inverse size"
+        article, name = ("a", "frequency") if self.pattern == "bars" else ("an", "inverse size")
+        highest = self.per_mrad[-1]
+        if highest > LARGEST_PER_MRAD:
             raise DataError(
-                f"{self.name}: found {what} of {self.per_mrad[-1]:g} per mrad, expected at most "
+                f"{self.name}: found {article} {name} of {highest:g} per mrad, expected at most "
                 f"{LARGEST_PER_MRAD:g}; are the angles in rad?"
             )
-        if self.per_mrad[-1] < LEAST_PER_MRAD:
-            what = "frequency" if self.pattern == "bars" else "inverse size"
+        if highest < LEAST_PER_MRAD:
             raise DataError(
-                f"{self.name}: found {self.per_mrad[-1]:g} per mrad as the highest {what}, expected at least "
+                f"{self.name}: found {highest:g} per mrad as the highest {name}, expected at least "
                 f"{LEAST_PER_MRAD:g}; are the angles in µrad, or the frequencies in cycles/rad?"
             )
-        least, most = float(self.threshold.min()), LARGEST_LEAST[self.quantity]
-        if least < LEAST_LEAST[self.quantity]:
-            unit, hint = (
-                (" K", "are they in K, not mK?")
-                if self.quantity == "delta_t_k"
-                else ("", "are they in thousandths?")
-            )
-            raise DataError(
-                f"{self.name}: found {least:g}{unit} as the lowest threshold, expected at least "
-                f"{LEAST_LEAST[self.quantity]:g}{unit}; {hint}"
-            )
-        if least > most:
-            unit, hint = (" K", "are they in mK?") if self.quantity == "delta_t_k" else ("", "are they in %?")
-            raise DataError(
-                f"{self.name}: found {least:g}{unit} as the lowest threshold, expected at most {most:g}{unit}; "
-                f"{hint}"
-            )
+        is_delta_t = self.quantity == "delta_t_k"
+        unit, least, most = " K" * is_delta_t, LEAST_LEAST[self.quantity], LARGEST_LEAST[self.quantity]
+        lowest, problem = float(self.threshold.min()), ""
+        if lowest < least:
+            hint = "are they in K, not mK?" if is_delta_t else "are they in thousandths?"
+            problem = f"expected at least {least:g}{unit}; {hint}"
+        if lowest > most:
+            problem = f"expected at most {most:g}{unit}; are they in {'mK' if is_delta_t else '%'}?"
+        if problem:
+            raise DataError(f"{self.name}: found {lowest:g}{unit} as the lowest threshold, {problem}")
 
     @classmethod
     def of_sizes(
@@ -218,16 +176,14 @@ class ThresholdCurve:
 
     def as_bars(self, cycles_per_size: float) -> ThresholdCurve:
         """Return a TOD as the curve of bars that are as hard: f = cycles_per_size / √area, the same thresholds."""
-        return ThresholdCurve(
+        unreached = self.unreached_per_mrad
+        return replace(
+            self,
             pattern="bars",
-            quantity=self.quantity,
             per_mrad=self.per_mrad * cycles_per_size,
-            threshold=self.threshold,
-            ln_sd=self.ln_sd,
-            unreached_per_mrad=None
-            if self.unreached_per_mrad is None
-            else self.unreached_per_mrad * cycles_per_size,
-            name=self.name,
+            psychometric=None,
+            p_correct=None,
+            unreached_per_mrad=None if unreached is None else unreached * cycles_per_size,
         )
 
     def ln_thresholds(self, ln_sd: FloatArray, drawn: FloatArray) -> FloatArray:
@@ -257,21 +213,16 @@ def read_curve(path: Path) -> ThresholdCurve:
     """Return the curve in a CSV table with units in its header.
 
     The columns are one of `FREQUENCIES` and one of `THRESHOLDS`; `ci95_low` and `ci95_high`, in the unit of the
-    thresholds, are their 95 % intervals.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, a column is missing, or a value is not a number > 0.
+    thresholds, are their 95 % intervals. DataError if a column is missing, or a value is not a number > 0.
     """
     header, rows = read_table(path)
-    place, level = (_one_column(header, known, path) for known in (FREQUENCIES, THRESHOLDS))
-    pattern, to_per_mrad = FREQUENCIES[place]
+    frequency, level = (_one_column(header, known, path) for known in (FREQUENCIES, THRESHOLDS))
+    pattern, to_per_mrad = FREQUENCIES[frequency]
     quantity, factor = THRESHOLDS[level]
     ends = ["ci95_low", "ci95_high"] if {"ci95_low", "ci95_high"} & set(header) else []
     check_columns(header, ends, path)
-    found = [row.numbers((place, level, *ends), positive=True) for row in rows]
-    values = np.array(found, dtype=np.float64).reshape(-1, 2 + len(ends))
+    values = np.array([row.numbers((frequency, level, *ends), positive=True) for row in rows])
+    values = values.reshape(-1, 2 + len(ends))
     per_mrad = to_per_mrad / values[:, 0] if pattern == "triangle" else to_per_mrad * values[:, 0]
     order = np.argsort(per_mrad, kind="stable")
     values, per_mrad = values[order], per_mrad[order]
@@ -289,11 +240,10 @@ def read_curve(path: Path) -> ThresholdCurve:
 
 
 def _one_column(header: Sequence[str], known: Iterable[str], path: Path) -> str:
-    known = list(known)
-    found = [name for name in header if name in known]
-    if len(found) != 1:
+    names = [name for name in header if name in known]
+    if len(names) != 1:
         listed = ", ".join(header) or "none"
         raise DataError(
-            f"{path}: found {len(found)} of the columns {', '.join(known)}, expected one; the columns are {listed}"
+            f"{path}: found {len(names)} of the columns {', '.join(known)}, expected one; the columns are {listed}"
         )
-    return found[0]
+    return names[0]

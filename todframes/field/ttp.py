@@ -89,21 +89,10 @@ def contrast_threshold(
     width_deg: float,
     settings: TtpSettings | None = None,
 ) -> FloatArray:
-    """Compute the eye's threshold of the contrast of a sine wave (CTF).
+    """Compute the eye's threshold of the contrast of a sine wave (CTF) at frequencies > 0 at the eye, of any
+    shape.
 
-    Parameters
-    ----------
-    frequency_cyc_per_deg : array_like, any shape
-        Frequency at the eye, > 0.
-    luminance_cd_m2, width_deg : float
-        Mean luminance, and width of the field; both > 0.
-    settings : TtpSettings, optional
-
-    Returns
-    -------
-    ndarray, the shape of the frequency
-
-    Barten 2003, as whale-ir-model has it.
+    `luminance_cd_m2` is the mean, `width_deg` that of the field. Barten 2003, as whale-ir-model has it.
     """
     settings = settings or TtpSettings()
     f = np.asarray(frequency_cyc_per_deg, dtype=np.float64)
@@ -163,17 +152,9 @@ def noise_bandwidth(
 ) -> tuple[FloatArray, float]:
     """Compute the bandwidths of noise in the eye's channels along x, and along y, where there are none.
 
-    Parameters
-    ----------
-    frequency : array_like, shape (n,)
-        Rising frequencies > 0, from next to nothing to where the transfer ends.
-    transfer : array_like, shape (n,)
-        Transfer of what follows the noise, the eye included.
-
-    Returns
-    -------
-    (ndarray, shape (n,), float)
-        ∫ |transfer · channel|² df for the channel at each frequency, and ∫ |transfer|² df, over both signs of f.
+    They are ∫ |transfer · channel|² df for the channel at each frequency, shape (n,), and ∫ |transfer|² df, over
+    both signs of f. Frequencies rise from next to nothing to where the transfer ends, which is that of all that
+    follows the noise, the eye included.
     """
     f, square = np.asarray(frequency, dtype=np.float64), np.square(np.asarray(transfer, dtype=np.float64))
     along_x = [np.trapezoid(square * channel(f, middle, settings=settings) ** 2, f) for middle in f]
@@ -183,21 +164,8 @@ def noise_bandwidth(
 def cycles_of_contrast(frequency: ArrayLike, threshold: ArrayLike, contrast: float) -> float:
     """Integrate √(contrast / threshold) over the frequencies at which the contrast is above the threshold (TTP).
 
-    Between two frequencies ln(threshold) is linear.
-
-    Parameters
-    ----------
-    frequency : array_like, shape (n,)
-        Rising frequencies, such as cycles/mrad.
-    threshold : array_like, shape (n,)
-        Contrast thresholds of the system, > 0; infinite where it passes nothing.
-    contrast : float
-        Contrast of the target, > 0.
-
-    Returns
-    -------
-    float
-        In the unit of the frequency; times size / range in mrad it is V.
+    Between two of the rising frequencies ln(threshold) is linear; a threshold is infinite where the system passes
+    nothing. The integral has the unit of the frequency; times size / range in mrad it is V.
     """
     f, height = np.asarray(frequency, dtype=np.float64), np.asarray(threshold, dtype=np.float64)
     seen = np.isfinite(height)

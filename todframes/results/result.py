@@ -111,7 +111,7 @@ KINDS = {
     ),
     "range": Kind(
         "Range in the field",
-        "todframes.field.range_result:FieldRange",
+        "todframes.field.acquisition_range:FieldRange",
         "numbers",
         "todframes.field.acquisition_range:acquisition_range",
     ),
