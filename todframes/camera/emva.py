@@ -33,6 +33,7 @@ from todframes.camera.noise3d import (
     combinations,
     estimate,
     fit_drift,
+    straight_line,
 )
 from todframes.parameters import Progress
 from todframes.recordings.recording import Recording, RecordingWarning
@@ -464,16 +465,15 @@ def _measured(
         sums.level()
     squares, degrees = sums.mean_squares()
     t, v, h = sums.n, height, width
-    of = {name: squares[name] * degrees[name] for name in squares}
-    temporal = (of["tv"] + of["th"] + of["tvh"]) / ((t - 1) * v * h)
-    stack_variance = temporal + of["t"] / ((t - 1) * v * h)
-    means = np.array(sums.frame_means) + float(sums.reference.mean())
+    sums_of = {name: squares[name] * degrees[name] for name in squares}
+    temporal = (sums_of["tv"] + sums_of["th"] + sums_of["tvh"]) / ((t - 1) * v * h)
+    means = sums.means()
     _check_exposure(stack, means, temporal, v * h, darkest)
     # EMVA 1288 release 4.0 linear: variances of the mean image, of its rows and of its columns, each with
     # its share of the other parts and of the temporal noise, are solved for the three parts.
     # Changes of the whole frame leave nothing in the pattern: their variance, in that of the stack, is left out.
-    measured, left_over = (of["v"] + of["h"] + of["vh"]) / (t * v * h), temporal / t
-    of_rows, of_columns = of["v"] / (t * h * v), of["h"] / (t * v * h)
+    measured, left_over = (sums_of["v"] + sums_of["h"] + sums_of["vh"]) / (t * v * h), temporal / t
+    of_rows, of_columns = sums_of["v"] / (t * h * v), sums_of["h"] / (t * v * h)
     row, column, pixel = np.linalg.solve(
         [[1.0, 0.0, 1.0 / h], [0.0, 1.0, 1.0 / v], [1.0, 1.0, 1.0]],
         [of_rows - left_over / h, of_columns - left_over / v, measured - left_over],
@@ -485,7 +485,7 @@ def _measured(
         photons=stack.photons,
         mean=float(means.mean()),
         temporal=temporal,
-        temporal_stack=stack_variance,
+        temporal_stack=temporal + sums_of["t"] / ((t - 1) * v * h),
         spatial_measured=measured,
         spatial=measured - left_over,
         row=row,
@@ -527,16 +527,17 @@ def _check_exposure(
     """Refuse a stack whose frames have two exposures: sorted by their means, they fall into two groups."""
     order = np.sort(means)
     steps = np.diff(order)
-    place = int(steps.argmax())
-    within = max(float(np.std(one)) for one in (order[: place + 1], order[place + 1 :]))
+    n_low = int(steps.argmax()) + 1
+    groups = order[:n_low], order[n_low:]
+    within = max(float(np.std(one)) for one in groups)
     signal = 0.0 if darkest is None else abs(float(np.median(means)) - darkest)
     sd = math.sqrt(temporal)
     least = (MIXED_SIGNAL * signal, MIXED_SD * sd, MIXED_ERRORS * sd / math.sqrt(n_pixels), MIXED_ERRORS * within)
-    if steps[place] > max(least):
-        low, high = float(order[: place + 1].mean()), float(order[place + 1 :].mean())
+    if steps.max() > max(least):
+        low, high = (float(one.mean()) for one in groups)
         raise DataError(
-            f"{stack.recording.path}: frames have means about {low:.5g} ({place + 1} of them) and {high:.5g} "
-            f"({len(order) - place - 1}), expected one exposure in a stack; give each one as a stack of its own"
+            f"{stack.recording.path}: frames have means about {low:.5g} ({n_low} of them) and {high:.5g} "
+            f"({len(order) - n_low}), expected one exposure in a stack; give each one as a stack of its own"
         )
 
 
@@ -571,18 +572,17 @@ def _with_common_frames(stacks: Sequence[StackNoise]) -> list[StackNoise]:
 
 
 def _saturation(points: Sequence[TransferPoint]) -> int | None:
-    """Return the place of the largest temporal variance, the saturation point; None if nothing is saturated.
+    """Return the index of the largest temporal variance, the saturation point; None if nothing is saturated.
 
     Behind it the variance falls, or values are at the end of the scale.
     """
     variances = [one.bright.temporal for one in points]
     most = max(variances)
-    place = variances.index(most)
-    beyond = points[place + 1 :]
+    index = variances.index(most)
     is_reached = any(
-        one.bright.temporal < SATURATED_VARIANCE * most or one.bright.saturated > MOST_SATURATED for one in beyond
+        one.bright.temporal < SATURATED_VARIANCE * most or one.is_saturated for one in points[index + 1 :]
     )
-    return place if is_reached else None
+    return index if is_reached else None
 
 
 class _Draws(NamedTuple):
@@ -923,12 +923,8 @@ def _dark_current(
     if len(np.unique(seconds)) < 3:
         return None
     values = np.array([getattr(one, quantity) for one in known])
-    x, y = seconds - seconds.mean(), values - values.mean()
-    slope = float(x @ y / (x @ x))
-    rest = y - slope * x
-    error = math.sqrt(float(rest @ rest) / (len(x) - 2) / float(x @ x))
-    slopes = slope + error * rng.standard_t(len(x) - 2, DRAWS)
-    return gain.electrons(slope, slopes, power)
+    slope, error, _ = straight_line(seconds, values)
+    return gain.electrons(slope, slope + error * rng.standard_t(len(known) - 2, DRAWS), power)
 
 
 def _linearity(points: Sequence[TransferPoint], most: float) -> tuple[float, float] | None:
@@ -941,7 +937,7 @@ def _linearity(points: Sequence[TransferPoint], most: float) -> tuple[float, flo
     if len(used) < 3:
         return None
     photons, signal = np.array(used, np.float64).T
-    design = np.column_stack([np.ones_like(photons), photons]) / signal[:, None]
-    line = np.column_stack([np.ones_like(photons), photons]) @ np.linalg.lstsq(design, np.ones_like(signal))[0]
+    design = np.column_stack([np.ones_like(photons), photons])
+    line = design @ np.linalg.lstsq(design / signal[:, None], np.ones_like(signal))[0]
     deviation = 100.0 * (signal - line) / line
     return float(deviation.min()), float(deviation.max())

@@ -6,6 +6,7 @@ leaf `Value`, `Unit` and `Symbol`. Leaves that are not known are ignored.
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 from collections.abc import Mapping
@@ -26,61 +27,20 @@ KNOWN_RELEASES = ("3.", "4.")
 
 MAX_XML_MB = 16
 
-PERCENT = "%"
-
 
 class Leaf(NamedTuple):
-    """A quantity of a result: its unit, symbol and meaning."""
+    """A quantity of a result: its section and name, unit, symbol and meaning."""
 
+    section: str
+    name: str
     unit: str
     symbol: str
-    short: str
+    meaning: str
 
 
-LEAVES: dict[str, dict[str, Leaf]] = {
-    "info": {
-        "release": Leaf("", "", "Release of EMVA 1288, linear"),
-        "bits": Leaf("bit", "", "Bits of a pixel"),
-        "exposure": Leaf("ms", "t_exp", "Exposure time of the spatial measurement"),
-    },
-    "sensitivity": {
-        "QE": Leaf(PERCENT, r"\eta", "Quantum efficiency"),
-        "R": Leaf("DN/p", "R", "Responsivity"),
-        "K": Leaf("DN/e^-", "K", "Overall system gain"),
-        "inverse_K": Leaf("e^-/DN", "1/K", "Inverse of the overall system gain"),
-        "sigma_y_dark": Leaf("DN", r"\sigma_{y.dark}", "Temporal dark noise (DN)"),
-        "sigma_d": Leaf("e^-", r"\sigma_d", "Temporal dark noise (electrons)"),
-        "u_p_min": Leaf("p", r"\mu_{p.min}", "Absolute sensitivity threshold"),
-        "u_p_sat": Leaf("p", r"\mu_{p.sat}", "Saturation capacity (photons)"),
-        "u_e_sat": Leaf("e^-", r"\mu_{e.sat}", "Saturation capacity (electrons)"),
-        "SNR_max": Leaf("", "SNR_{max}", "Maximum signal-to-noise ratio"),
-        "SNR_max_dB": Leaf("dB", "SNR_{max.dB}", "Maximum signal-to-noise ratio in dB"),
-        "SNR_max_bit": Leaf("bit", "SNR_{max.bit}", "Maximum signal-to-noise ratio in bits"),
-        "DR": Leaf("", "DR", "Dynamic range"),
-        "DR_dB": Leaf("dB", "DR_{dB}", "Dynamic range in dB"),
-        "DR_bit": Leaf("bit", "DR_{bit}", "Dynamic range in bits"),
-    },
-    "linearity": {
-        "LE_min": Leaf(PERCENT, "LE_{min}", "Smallest linearity error"),
-        "LE_max": Leaf(PERCENT, "LE_{max}", "Largest linearity error"),
-    },
-    "spatial": {
-        "sigma_2_y_stack": Leaf("DN^2", r"\sigma^2_{y.stack}", "Temporal variance of the bright stack"),
-        "sigma_2_y_stack_dark": Leaf("DN^2", r"\sigma^2_{y.stack.dark}", "Temporal variance of the dark stack"),
-        "s_2_y_measured": Leaf("DN^2", "s^2_{y.measured}", "Variance of the mean of the bright stack"),
-        "s_2_y_measured_dark": Leaf("DN^2", "s^2_{y.measured.dark}", "Variance of the mean of the dark stack"),
-        "s_2_y": Leaf("DN^2", "s^2_y", "Spatial variance of the bright stack"),
-        "s_2_y_dark": Leaf("DN^2", "s^2_{y.dark}", "Spatial variance of the dark stack"),
-        "DSNU1288": Leaf("e^-", "DSNU_{1288}", "Dark signal nonuniformity"),
-        "DSNU1288_DN": Leaf("DN", "DSNU_{1288.DN}", "Dark signal nonuniformity (DN)"),
-        "PRNU1288": Leaf(PERCENT, "PRNU_{1288}", "Photo response nonuniformity"),
-    },
-    "dark_current": {
-        "u_I_mean": Leaf("e^-/s", r"\mu_{I.mean}", "Dark current from means"),
-        "u_I_var": Leaf("e^-/s", r"\mu_{I.var}", "Dark current from variances"),
-    },
-}
-"""Quantities of a result by section and name."""
+with Path(__file__).with_name("emva_results.csv").open(encoding="utf-8", newline="") as _file:
+    LEAVES = [Leaf(*row) for row in list(csv.reader(_file))[1:]]
+"""Quantities of a result, in the order of the file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,17 +81,16 @@ def emva_xml(values: Mapping[str, float | int | None]) -> bytes:
     Those that are None or missing are left out.
     """
     root = ElementTree.Element("results")
-    for section, leaves in LEAVES.items():
-        parent = ElementTree.SubElement(root, section)
-        for name, (unit, symbol, short) in leaves.items():
-            value = RELEASE if name == "release" else values.get(name)
-            if value is None:
-                continue
-            leaf = ElementTree.SubElement(parent, name)
-            texts = {"Short": short, "Symbol": f"${symbol}$" * bool(symbol)}
-            texts |= {"Value": value if isinstance(value, str) else f"{value:.10g}", "Unit": unit}
-            for key, text in texts.items():
-                ElementTree.SubElement(leaf, key).text = text
+    sections = {name: ElementTree.SubElement(root, name) for name in dict.fromkeys(one.section for one in LEAVES)}
+    for section, name, unit, symbol, meaning in LEAVES:
+        value = RELEASE if name == "release" else values.get(name)
+        if value is None:
+            continue
+        leaf = ElementTree.SubElement(sections[section], name)
+        texts = {"Short": meaning, "Symbol": f"${symbol}$" * bool(symbol)}
+        texts |= {"Value": value if isinstance(value, str) else f"{value:.10g}", "Unit": unit}
+        for key, text in texts.items():
+            ElementTree.SubElement(leaf, key).text = text
     ElementTree.indent(root)
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
 
@@ -142,7 +101,7 @@ def read_emva_xml(path: Path) -> EmvaCamera:
     DataError if the file cannot be read, is of another release or form, or has a value that no camera has.
     """
     results = _results(path)
-    values = {name: _number(path, results, section, name) for section, names in LEAVES.items() for name in names}
+    values = {one.name: _number(path, results, one) for one in LEAVES}
     gain, dark_noise = values["K"], values["sigma_d"]
     if gain is None and (inverse := values["inverse_K"]) is not None:
         gain = 1.0 / inverse if inverse > 0.0 else math.nan
@@ -201,16 +160,16 @@ def _results(path: Path) -> ElementTree.Element:
     return root
 
 
-def _number(path: Path, results: ElementTree.Element, section: str, name: str) -> float | None:
-    """Return the number of a leaf in the unit of `LEAVES`; None if it is not there."""
+def _number(path: Path, results: ElementTree.Element, wanted: Leaf) -> float | None:
+    """Return the number of a leaf in its unit; None if it is not there."""
+    section, name, expected, *_ = wanted
     leaf = results.find(f"{section}/{name}")
     text = None if leaf is None else leaf.findtext("Value")
     if leaf is None or text is None or not text.strip() or name == "release":
         return None
     unit = (leaf.findtext("Unit") or "").strip().strip("$").replace("\\", "")
-    wanted = LEAVES[section][name].unit
-    if unit and wanted and _plain_unit(unit) != _plain_unit(wanted):
-        raise DataError(f"{path}: {section}/{name}: found the unit {unit[:20]!r}, expected {wanted!r}")
+    if unit and expected and _plain_unit(unit) != _plain_unit(expected):
+        raise DataError(f"{path}: {section}/{name}: found the unit {unit[:20]!r}, expected {expected!r}")
     try:
         value = float(text)
     except ValueError:

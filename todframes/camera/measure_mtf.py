@@ -14,10 +14,10 @@ import numpy as np
 from msgspec import Struct, structs
 from numpy.typing import NDArray
 
-from todframes.base._typing import FloatArray
+from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.safe_text import in_utf8
-from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, EdgeMtf
+from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, EdgeMtf, EdgeValue
 from todframes.camera.mtf_table import (
     MAPPER_PER_CYC_PER_PIXEL,
     RADIAL,
@@ -474,29 +474,14 @@ def _result(
 
 def _record(number: int, colour: str | None, edge: EdgeMtf) -> EdgeRecord:
     left, top, width, height = edge.box
-    mtf50, at_nyquist = edge.mtf50_cyc_per_pixel, edge.mtf_at_nyquist
-    return EdgeRecord(
-        edge=number,
-        colour=colour,
-        x_px=left,
-        y_px=top,
-        width_px=width,
-        height_px=height,
-        angle_deg=edge.angle_deg,
-        normal_deg=edge.normal_deg,
-        bend_px=edge.bend_px,
-        dark=edge.dark,
-        bright=edge.bright,
-        noise_percent=100.0 * edge.relative_noise,
-        mtf50_cyc_per_pixel=None if mtf50 is None else mtf50.value,
-        mtf50_cyc_per_pixel_ci95=None if mtf50 is None else mtf50.ci95,
-        mtf_at_nyquist=at_nyquist.value,
-        mtf_at_nyquist_ci95=at_nyquist.ci95,
-        overshoot=edge.overshoot.value,
-        overshoot_ci95=edge.overshoot.ci95,
-        undershoot=edge.undershoot.value,
-        undershoot_ci95=edge.undershoot.ci95,
-    )
+    values: Json = {"edge": number, "colour": colour, "x_px": left, "y_px": top}
+    values |= {"width_px": width, "height_px": height, "noise_percent": 100.0 * edge.relative_noise}
+    values |= {name: getattr(edge, name) for name in ("angle_deg", "normal_deg", "bend_px", "dark", "bright")}
+    for name in ("mtf50_cyc_per_pixel", "mtf_at_nyquist", "overshoot", "undershoot"):
+        estimate: EdgeValue | None = getattr(edge, name)
+        if estimate is not None:
+            values |= {name: estimate.value, f"{name}_ci95": estimate.ci95}
+    return EdgeRecord(**values)
 
 
 def _of_mapper(edges: Sequence[MapperEdge], source: str, started: float) -> Result[Mtf]:

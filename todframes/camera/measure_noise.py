@@ -336,11 +336,7 @@ def noise(
         ratio = measured.fixed_pattern_ratio
     numbers = {
         "recording": in_utf8(str(whole.path)),
-        "unit": measured.unit,
-        "n_frames": measured.n_frames,
-        "frames_per_second": measured.frames_per_second,
-        "region": measured.region,
-        "mean": measured.mean,
+        **{name: getattr(measured, name) for name in ("unit", "n_frames", "frames_per_second", "region", "mean")},
         "parts": {name: in_mk(one) for name, one in measured.parts.items()},
         "dynamic": in_mk(measured.dynamic),
         "fixed_pattern": in_mk(measured.fixed),

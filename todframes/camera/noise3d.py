@@ -275,7 +275,7 @@ class _Gathered:
             dynamic, fixed = (
                 estimate(added([weights[name] for name in names]), squares, degrees) for names in (DYNAMIC, STATIC)
             )
-        means = np.array(sums.frame_means) + float(sums.reference.mean())
+        means = sums.means()
         return Noise3D(
             n_frames=sums.n,
             region=self.region,
@@ -349,7 +349,7 @@ def fit_drift(frame_means: FloatArray, times_s: list[float | None]) -> Drift | N
         return None
     known = [one for one in times_s if one is not None]
     x = np.array(known if len(known) == n else range(n), np.float64)
-    slope, error, _ = _straight_line(x, frame_means)
+    slope, error, _ = straight_line(x, frame_means)
     duration = float(x[-1] - x[0])
     return Drift(slope, error, slope * duration, error * duration)
 
@@ -357,13 +357,13 @@ def fit_drift(frame_means: FloatArray, times_s: list[float | None]) -> Drift | N
 def fit_transfer(levels: Sequence[float], means: Sequence[float]) -> Transfer:
     """Fit a straight line to the means of patches of at least two different levels by least squares."""
     x, y = np.array(levels, np.float64), np.array(means, np.float64)
-    gain, error, rest = _straight_line(x, y)
+    gain, error, rest = straight_line(x, y)
     reach = float(np.ptp(y))
     nonlinearity = float(np.abs(rest).max()) / reach if reach > 0 else 0.0
     return Transfer(gain, error if len(x) > 2 else None, float(y.mean() - gain * x.mean()), nonlinearity)
 
 
-def _straight_line(x: FloatArray, y: FloatArray) -> tuple[float, float, FloatArray]:
+def straight_line(x: FloatArray, y: FloatArray) -> tuple[float, float, FloatArray]:
     """Fit a straight line by least squares: its slope, the standard error (NaN with two points), the residuals."""
     centred = x - x.mean()
     spread = float(centred @ centred)
@@ -401,9 +401,13 @@ class FrameSums:
 
     def level(self) -> None:
         """Take a plane, fitted by least squares, from the mean image; its mean and the noise over time stay."""
-        image, places = self.mean_image(), np.indices(self.reference.shape, np.float64)
-        for one in places - places.mean(axis=(1, 2), keepdims=True):
-            self.reference = self.reference - one * float((one * image).sum() / (one**2).sum())
+        image, axes = self.mean_image(), np.indices(self.reference.shape, np.float64)
+        for ramp in axes - axes.mean(axis=(1, 2), keepdims=True):
+            self.reference = self.reference - ramp * float((ramp * image).sum() / (ramp**2).sum())
+
+    def means(self) -> FloatArray:
+        """Return the mean of each frame."""
+        return np.array(self.frame_means) + float(self.reference.mean())
 
     def mean_image(self) -> FloatArray:
         """Return the mean of each pixel."""
@@ -460,6 +464,7 @@ def _warnings(noise: Noise3D, gathered: _Gathered) -> Iterator[RecordingWarning]
     last = gathered.last
     assert last is not None
     saturated = gathered.n_saturated / (noise.n_frames * last.size)
+    of_pixels = noise.parts.get("tvh")
     if noise.n_frames == 1:
         yield RecordingWarning(
             "one_frame",
@@ -478,7 +483,6 @@ def _warnings(noise: Noise3D, gathered: _Gathered) -> Iterator[RecordingWarning]
             f"{100 * saturated:.2g} % of the values are at an end of the scale: their noise is cut; change "
             "exposure or gain, or choose a region",
         )
-    of_pixels = noise.parts.get("tvh")
     if last.dtype.kind == "u" and of_pixels is not None and of_pixels.sd < SMALLEST_STEPS:
         yield RecordingWarning(
             "quantised",
@@ -486,11 +490,11 @@ def _warnings(noise: Noise3D, gathered: _Gathered) -> Iterator[RecordingWarning]
             "its size; record with more bits or gain",
         )
     drift = noise.drift
-    if drift is not None and abs(drift.change) > DRIFT_ERRORS * drift.change_error and "tvh" in noise.parts:
-        pixel = noise.parts["tvh"].sd
-        if abs(drift.change) > pixel / 2:
-            yield RecordingWarning(
-                "drift",
-                f"the mean drifts by {drift.change:.3g} over the recording, against {pixel:.3g} of noise of "
-                "pixels: it is contained in t; warm the camera up, or record for a shorter time",
-            )
+    if drift is None or of_pixels is None:
+        return
+    if abs(drift.change) > max(DRIFT_ERRORS * drift.change_error, of_pixels.sd / 2):
+        yield RecordingWarning(
+            "drift",
+            f"the mean drifts by {drift.change:.3g} over the recording, against {of_pixels.sd:.3g} of noise of "
+            "pixels: it is contained in t; warm the camera up, or record for a shorter time",
+        )
