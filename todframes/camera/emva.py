@@ -586,7 +586,10 @@ def _saturation(points: Sequence[TransferPoint]) -> int | None:
 
 
 class _Draws(NamedTuple):
-    """Draws of the pivotal quantities of a stack: its temporal and spatial variance, and its mean."""
+    """Temporal and spatial variance of a stack, and its mean: each the value, then draws of its pivotal quantity.
+
+    What is computed of such arrays is again a value with its draws, shape (1 + DRAWS,).
+    """
 
     temporal: FloatArray
     spatial: FloatArray
@@ -607,27 +610,14 @@ def _drawn(stack: StackNoise, rng: np.random.Generator) -> _Draws:
     # Without changes of the whole frame the mean square of frames would be that of rows and columns of a frame.
     squares = stack.squares
     of_mean = max(squares["t"], squares["tv"] + squares["th"] - squares["tvh"], squares["tvh"])
-    return _Draws(temporal, spatial, stack.mean + math.sqrt(of_mean / (t * v * h)) * rng.standard_normal(DRAWS))
+    mean = stack.mean + math.sqrt(of_mean / (t * v * h)) * rng.standard_normal(DRAWS)
+    return _Draws(
+        np.append(stack.temporal, temporal), np.append(stack.spatial, spatial), np.append(stack.mean, mean)
+    )
 
 
-class _Gain(NamedTuple):
-    """The system gain, draws of it, and the factor from the line's gain to that of a faint signal."""
-
-    value: float
-    draws: FloatArray
-    to_faint: float
-
-    def electrons(self, value: float, draws: FloatArray, power: int = 1) -> Estimate:
-        """Return a quantity in DN, or in DN² with a power of 2, in electrons."""
-        return _estimate(value / self.value**power, draws / self.draws**power, self.to_faint**-power)
-
-
-class _Response(NamedTuple):
-    """Responsivity and quantum efficiency, and draws of the latter."""
-
-    responsivity: Estimate
-    efficiency: Estimate
-    efficiencies: FloatArray
+def _root(variance: FloatArray) -> FloatArray:
+    return np.sqrt(np.maximum(variance, 0.0))
 
 
 def _evaluated(
@@ -646,62 +636,55 @@ def _evaluated(
     rng = np.random.default_rng(SEED)
     drawn = {id(one): _drawn(one, rng) for one in (*of_dark, *(point.bright for point in points))}
     fitted = [one for one in points if one.is_fitted]
-    gain, misfit, bend = _gain(fitted, drawn)
-    response = _response(fitted, drawn, gain, rng)
+    gain, misfit, bend, to_faint = _gain(fitted, drawn)
+    response = _response(fitted, drawn, rng)
 
     step = math.gcd(*(one.step for one in (*of_dark, *(point.bright for point in points))))
     darkest = min(of_dark, key=lambda one: (one.exposure_ms or 0.0, -one.n_frames))
-    of_darkest = drawn[id(darkest)].temporal
-    dark_sd, rounding = math.sqrt(darkest.temporal), QUANTISATION_VARIANCE * step**2
-    dark_noise = gain.electrons(
-        math.sqrt(max(darkest.temporal - rounding, 0.0)), np.sqrt(np.maximum(of_darkest - rounding, 0.0))
-    )
+    of_darkest, rounding = drawn[id(darkest)].temporal, QUANTISATION_VARIANCE * step**2
+    dark_noise = _estimate(_root(of_darkest - rounding) / gain, 1.0 / to_faint)
     of_bright, of_spatial_dark = drawn[id(spatial.bright)], drawn[id(spatial.dark)]
-    dsnu = gain.electrons(
-        math.sqrt(max(spatial.dark.spatial, 0.0)), np.sqrt(np.maximum(of_spatial_dark.spatial, 0.0))
-    )
-    currents = [_dark_current(of_dark, gain, rng, name, n) for name, n in (("mean", 1), ("temporal", 2))]
+    dsnu = _estimate(_root(of_spatial_dark.spatial) / gain, 1.0 / to_faint)
+    slopes = [_slope_over_time(of_dark, name, rng) for name in ("mean", "temporal")]
+    currents = [
+        None if slope is None else _estimate(slope / gain**power, to_faint**-power)
+        for power, slope in enumerate(slopes, 1)
+    ]
     if darkest.temporal < LEAST_DARK_VARIANCE * step**2:
-        largest = LEAST_DARK_SD * step / gain.value
+        largest = LEAST_DARK_SD * step / float(gain[0])
         dark_noise, currents = Estimate(largest, (0.0, largest)), [None, None]
     if spatial.dark.temporal < LEAST_DARK_VARIANCE * step**2:
-        reach = LARGEST_ROUNDING * step / gain.value
+        reach = LARGEST_ROUNDING * step / float(gain[0])
         dsnu = Estimate(dsnu.value, (max(dsnu.value - reach, 0.0), dsnu.value + reach))
-    nonuniformities = np.sqrt(np.maximum(of_bright.spatial - of_spatial_dark.spatial, 0.0)) / (
-        of_bright.mean - of_spatial_dark.mean
-    )
-    slope = 1.0 + bend * spatial.signal_dn / 3.0
+    signal = of_bright.mean - of_spatial_dark.mean
+    prnu = 100.0 * _root(of_bright.spatial - of_spatial_dark.spatial) / signal
+    to_even = 1.0 / (1.0 + bend * spatial.signal_dn / 3.0)
 
-    electrons, capacity = _capacity(series, saturated, most, gain, response)
-    threshold = None
-    if response is not None:
-        threshold = _estimate(
-            (dark_sd / gain.value + 0.5) / response.efficiency.value,
-            (np.sqrt(of_darkest) / gain.draws + 0.5) / response.efficiencies,
-        )
+    electrons, capacity = _capacity(series, saturated, most, gain, to_faint, response)
+    least_electrons = np.sqrt(of_darkest) / gain + 0.5
     warnings = (
-        *_about_gain(fitted, misfit, gain),
+        *_about_gain(fitted, misfit, gain, to_faint),
         *_about_dark(of_dark, darkest, step),
         *_about_light(points, spatial),
         *_about_saturation(saturated, most, bits),
     )
     of_background = None
     if background is not None:
-        signal = next(one.signal_dn for one in points if one.bright.name == str(background.recording.path))
-        of_background = gain.electrons(signal, np.full(DRAWS, signal))
+        signal_dn = next(one.signal_dn for one in points if one.bright.name == str(background.recording.path))
+        of_background = _estimate(signal_dn / gain, 1.0 / to_faint)
     figures: dict[str, Estimate | None] = {
-        "system_gain": _estimate(gain.value, gain.draws, gain.to_faint),
-        "quantum_efficiency": None if response is None else response.efficiency,
-        "responsivity": None if response is None else response.responsivity,
+        "system_gain": _estimate(gain, to_faint),
+        "quantum_efficiency": None if response is None else _estimate(response / gain, 1.0 / to_faint),
+        "responsivity": None if response is None else _estimate(response),
         "dark_noise": dark_noise,
-        "dark_noise_dn": _estimate(dark_sd, np.sqrt(of_darkest)),
+        "dark_noise_dn": _estimate(np.sqrt(of_darkest)),
         "dark_current": currents[0],
         "dark_current_from_variance": currents[1],
         "dsnu": dsnu,
-        "prnu": _estimate(100.0 * _prnu(spatial), 100.0 * nonuniformities, 1.0 / slope),
+        "prnu": _estimate(prnu, to_even),
         "saturation_electrons": electrons,
         "saturation_photons": capacity,
-        "sensitivity_threshold": threshold,
+        "sensitivity_threshold": None if response is None else _estimate(least_electrons / (response / gain)),
         "background_electrons": of_background,
     }
     values: dict[str, Any] = {name: None if one is None else one.value for name, one in figures.items()}
@@ -711,10 +694,10 @@ def _evaluated(
         bits=bits,
         exposure_ms=spatial.bright.exposure_ms,
         **values,
-        lines_electrons={key: sd / gain.value for key, sd in spatial.dark.lines_dn().items()},
+        lines_electrons={key: sd / float(gain[0]) for key, sd in spatial.dark.lines_dn().items()},
         rounding_variance_dn2=rounding,
         snr_max=None if electrons is None else math.sqrt(electrons.value),
-        dynamic_range=None if electrons is None else electrons.value / (dark_sd / gain.value + 0.5),
+        dynamic_range=None if electrons is None else electrons.value / float(least_electrons[0]),
         linearity_percent=_linearity(series, most),
         is_saturation_reached=saturated is not None,
         bright=spatial.bright,
@@ -724,45 +707,42 @@ def _evaluated(
     return numbers, warnings
 
 
-def _gain(fitted: Sequence[TransferPoint], drawn: Mapping[int, _Draws]) -> tuple[_Gain, float, float]:
-    """Return K, the slope of variance against signal, both above dark; its misfit and the bend of the response."""
-    signal, variance = np.array([(one.signal_dn, one.variance_dn2) for one in fitted]).T
+def _gain(fitted: Sequence[TransferPoint], drawn: Mapping[int, _Draws]) -> tuple[FloatArray, float, float, float]:
+    """Return K, the slope of variance against signal, both above dark; its misfit, the bend of the response, and
+    the factor from the line's gain to that of a faint signal."""
     signals = np.array([drawn[id(one.bright)].mean - drawn[id(one.dark)].mean for one in fitted])
     variances = np.array([drawn[id(one.bright)].temporal - drawn[id(one.dark)].temporal for one in fitted])
-    gain = float(signal @ variance / (signal @ signal))
     gains = (signals * variances).sum(axis=0) / (signals**2).sum(axis=0)
-    if gain <= 0.0:
+    if gains[0] <= 0.0:
         raise DataError(
             f"{fitted[-1].bright.name}: its temporal variance is not above that of dark frames, so there is no "
             "photon transfer; expected raw values of a camera that is not saturated"
         )
-    errors = variances.std(axis=1)
-    misfit, bend = _misfit(signal, variance, errors), _bend(fitted, errors)
+    signal, errors = signals[:, 0], variances[:, 1:].std(axis=1)
+    misfit, bend = _misfit(signal, variances[:, 0], errors), _bend(fitted, errors)
     bent = 1.0 + bend * float((signal**3).sum() / (signal**2).sum())
-    return _Gain(gain, gain + misfit * (gains - gain), 1.0 / bent), misfit, bend
+    return gains[0] + misfit * (gains - gains[0]), misfit, bend, 1.0 / bent
 
 
 def _response(
-    fitted: Sequence[TransferPoint], drawn: Mapping[int, _Draws], gain: _Gain, rng: np.random.Generator
-) -> _Response | None:
-    """Return the slope of the signal against photons; None without photons."""
+    fitted: Sequence[TransferPoint], drawn: Mapping[int, _Draws], rng: np.random.Generator
+) -> FloatArray | None:
+    """Return the responsivity, the slope of the signal against photons; None without photons."""
     if not all(one.photons for one in fitted):
         return None
     photons, signal = np.array([(one.photons, one.signal_dn) for one in fitted], np.float64).T
+    if len(fitted) == 1:
+        return np.asarray((drawn[id(fitted[0].bright)].mean - drawn[id(fitted[0].dark)].mean) / photons[0])
     slope = float(photons @ signal / (photons @ photons))
-    if len(fitted) > 1:
-        rest = signal - slope * photons
-        error = math.sqrt(float(rest @ rest) / (len(fitted) - 1) / float(photons @ photons))
-        slopes = slope + error * rng.standard_t(len(fitted) - 1, DRAWS)
-    else:
-        slopes = (drawn[id(fitted[0].bright)].mean - drawn[id(fitted[0].dark)].mean) / photons[0]
-    return _Response(_estimate(slope, slopes), gain.electrons(slope, slopes), slopes / gain.draws)
+    rest = signal - slope * photons
+    error = math.sqrt(float(rest @ rest) / (len(fitted) - 1) / float(photons @ photons))
+    return np.append(slope, slope + error * rng.standard_t(len(fitted) - 1, DRAWS))
 
 
-def _estimate(value: float, draws: FloatArray, factor: float = 1.0) -> Estimate:
+def _estimate(drawn: FloatArray, factor: float = 1.0) -> Estimate:
     """Return a value with its 95 % interval, which reaches as far as that of the value times a factor."""
-    low, high = np.quantile(draws, (0.025, 0.975)).tolist()
-    return Estimate(value, (low * min(factor, 1.0), high * max(factor, 1.0)))
+    low, high = np.quantile(drawn[1:], (0.025, 0.975)).tolist()
+    return Estimate(float(drawn[0]), (low * min(factor, 1.0), high * max(factor, 1.0)))
 
 
 def _prnu(point: TransferPoint, *, of_smooth: bool = True) -> float:
@@ -813,9 +793,11 @@ def _misfit(signal: FloatArray, variance: FloatArray, errors: FloatArray) -> flo
     return 1.0 if is_likely else math.sqrt(chi2 / (n - 1))
 
 
-def _about_gain(fitted: Sequence[TransferPoint], misfit: float, gain: _Gain) -> Iterator[RecordingWarning]:
+def _about_gain(
+    fitted: Sequence[TransferPoint], misfit: float, gain: FloatArray, to_faint: float
+) -> Iterator[RecordingWarning]:
     """Yield warnings about the line of photon transfer."""
-    error, bent = float(np.std(gain.draws)) / gain.value, abs(gain.to_faint - 1.0)
+    error, bent = float(np.std(gain[1:])) / float(gain[0]), abs(to_faint - 1.0)
     if misfit > 1.0 and error > LARGEST_GAIN_ERROR:
         yield RecordingWarning(
             "not_linear",
@@ -895,7 +877,12 @@ def _spatial_point(points: Sequence[TransferPoint], most: float) -> TransferPoin
 
 
 def _capacity(
-    points: Sequence[TransferPoint], saturated: int | None, most: float, gain: _Gain, response: _Response | None
+    points: Sequence[TransferPoint],
+    saturated: int | None,
+    most: float,
+    gain: FloatArray,
+    to_faint: float,
+    response: FloatArray | None,
 ) -> tuple[Estimate | None, Estimate | None]:
     """Return the saturation capacity in electrons and in photons.
 
@@ -904,27 +891,20 @@ def _capacity(
     """
     photons = None if saturated is None else points[saturated].photons
     if photons is not None and response is not None:
-        return _estimate(photons * response.efficiency.value, photons * response.efficiencies), Estimate(photons)
+        return _estimate(photons * (response / gain)), Estimate(photons)
     if not math.isfinite(most):
         return None, None
-    electrons = gain.electrons(most, np.full(DRAWS, most))
-    if response is None:
-        return electrons, None
-    slope = response.responsivity.value
-    return electrons, _estimate(most / slope, most / (response.efficiencies * gain.draws))
+    return _estimate(most / gain, 1.0 / to_faint), None if response is None else _estimate(most / response)
 
 
-def _dark_current(
-    of_dark: Sequence[StackNoise], gain: _Gain, rng: np.random.Generator, quantity: str, power: int
-) -> Estimate | None:
-    """Return electrons per second from the slope of a quantity of dark stacks over time; K's power converts it."""
+def _slope_over_time(of_dark: Sequence[StackNoise], quantity: str, rng: np.random.Generator) -> FloatArray | None:
+    """Return the slope of a quantity of dark stacks over the exposure, per second; None for less than three."""
     known = [one for one in _with_common_frames(of_dark) if one.exposure_ms is not None]
     seconds = np.array([one.exposure_ms for one in known], np.float64) / 1e3
     if len(np.unique(seconds)) < 3:
         return None
-    values = np.array([getattr(one, quantity) for one in known])
-    slope, error, _ = straight_line(seconds, values)
-    return gain.electrons(slope, slope + error * rng.standard_t(len(known) - 2, DRAWS), power)
+    slope, error, _ = straight_line(seconds, np.array([getattr(one, quantity) for one in known]))
+    return np.append(slope, slope + error * rng.standard_t(len(known) - 2, DRAWS))
 
 
 def _linearity(points: Sequence[TransferPoint], most: float) -> tuple[float, float] | None:
