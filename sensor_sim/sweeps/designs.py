@@ -45,15 +45,8 @@ class Range(NamedTuple):
 
 
 class Designs(NamedTuple):
-    """Values of some keys for each design.
-
-    Attributes
-    ----------
-    keys : tuple of str
-        Keys of SENSOR.toml and of the observer.
-    values : ndarray, shape (designs, keys)
-    names : tuple of str, or None
-        Names of the designs, where they have some.
+    """Values of some keys of SENSOR.toml and of the observer for each design, (designs, keys), and the designs'
+    names, where they have some.
     """
 
     keys: tuple[str, ...]
@@ -82,12 +75,8 @@ def numeric_keys(sensor: Sensor, observer_settings: type) -> dict[str, bool]:
 
 
 def parse_range(text: str, where: str) -> Range:
-    """Return the range of a text FROM:TO:N, FROM:TO:N:log, FROM:TO or FROM:TO:log.
-
-    Raises
-    ------
-    SettingsError
-        If it is none; `where` begins the message.
+    """Return the range of a text FROM:TO:N, FROM:TO:N:log, FROM:TO or FROM:TO:log; SettingsError, which begins
+    with `where`, if it is none.
     """
     *parts, last = text.split(":")
     if is_log := last.strip() == "log":
@@ -118,19 +107,8 @@ def parse_range(text: str, where: str) -> Range:
 
 
 def grid(vary: Mapping[str, str | Sequence[float]], known: Mapping[str, bool]) -> Designs:
-    """Return all combinations of some values of each key; the last key's values change fastest.
-
-    Parameters
-    ----------
-    vary : mapping
-        For each key the text of a range, or its values.
-    known : mapping
-        Keys that can be varied, from `numeric_keys`.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such key, a range is invalid, or there are too many designs.
+    """Return all combinations of some values of each key, or the text of a range; the last key's values change
+    fastest. SettingsError if a key is not `known`, a range is invalid, or there are too many designs.
     """
     _check(vary, known)
     axes = [_axis(key, of_key, is_whole=known[key]) for key, of_key in vary.items()]
@@ -179,11 +157,7 @@ def latin_hypercube(
     vary: Mapping[str, str | Sequence[float]], known: Mapping[str, bool], *, n: int, seed: int
 ) -> Designs:
     """Return designs that cover ranges evenly: each key's range in `n` equal parts has one design in each.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such key, or a range is invalid or has a number of values.
+    SettingsError if a key is not `known`, or a range is invalid or has a number of values.
     """
     from scipy.stats import qmc
 
@@ -212,11 +186,7 @@ def latin_hypercube(
 
 def read_designs(path: Path, known: Mapping[str, bool]) -> Designs:
     """Return the designs of a CSV file: a column for each key, a row for each design, and perhaps a column `name`.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, a column is no key, or a value is no number.
+    DataError if the file cannot be read, a column is no key, or a value is no number.
     """
     header, rows = read_table(path)
     keys = [name for name in header if name != NAME_COLUMN]
@@ -247,12 +217,8 @@ def make_designs(
 ) -> Designs:
     """Return the designs that a call or command asks for, in one of three ways.
 
-    Raises
-    ------
-    SettingsError
-        If it asks in none of them or in several, or for a design that `grid` or `latin_hypercube` refuses.
-    DataError
-        If a file of designs is refused.
+    SettingsError if it asks in none of them or in several, or for a design that `grid` or `latin_hypercube`
+    refuses; DataError if a file of designs is refused.
     """
     if design is None:
         if not vary:
@@ -298,12 +264,8 @@ def _check(keys: Iterable[str], known: Mapping[str, bool]) -> None:
 
 
 def check_coupling(sensor: Sensor, keys: Iterable[str]) -> None:
-    """Check that the NETD of designs can follow their aperture and detectors.
-
-    Raises
-    ------
-    SettingsError
-        If the sensor has no NETD, or the designs have NETDs of their own.
+    """Check that the NETD of designs can follow their aperture and detectors; SettingsError if the sensor has no
+    NETD, or the designs have NETDs of their own.
     """
     if NETD in keys:
         raise SettingsError(
@@ -334,17 +296,11 @@ def _check_number(n: int) -> None:
 
 @dataclass(frozen=True)
 class Base:
-    """The sensor and observer that designs differ from.
+    """The sensor and observer that designs differ from; `observer_settings` is a frozen dataclass, or None if it
+    has none.
 
-    Attributes
-    ----------
-    sensor : Sensor
-    observer_settings : object
-        Settings of the observer, a frozen dataclass; None if it has no settings.
-    keep_fill_factor : bool
-        Whether the detectors' width follows a varied pitch.
-    couple_netd : bool
-        Whether the NETD follows (f-number)² / (area of a detector).
+    With `keep_fill_factor` the detectors' width follows a varied pitch; with `couple_netd` the NETD follows
+    (f-number)² / (area of a detector).
     """
 
     sensor: Sensor
@@ -361,12 +317,8 @@ class Base:
         return numeric_keys(sensor, type(self.observer_settings))
 
     def design(self, values: Mapping[str, float]) -> tuple[Sensor, Changes]:
-        """Return the sensor of a design, and the changes of the observer's settings.
-
-        Raises
-        ------
-        SettingsError
-            If there is no such design.
+        """Return the sensor of a design, and the changes of the observer's settings; SettingsError if there is no
+        such design.
         """
         whole = self.keys
         tables: dict[str, dict[str, Any]] = {}

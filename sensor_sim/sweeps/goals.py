@@ -61,12 +61,8 @@ class Criterion(NamedTuple):
 
     @classmethod
     def of(cls, snr: float | None, delta_t_mk: float | None, *, has_netd: bool) -> Criterion | None:
-        """Return the criterion that one of the two values names; None if both are None.
-
-        Raises
-        ------
-        SettingsError
-            If both are given, a value is no number > 0, or NETD is not known for the one in mK.
+        """Return the criterion that one of the two values names; None if both are None. SettingsError if both are
+        given, a value is no number > 0, or NETD is not known for the one in mK.
         """
         given = {"snr": snr, "delta_t_mk": delta_t_mk}
         found = [cls(level, value) for level, value in given.items() if value is not None]
@@ -96,22 +92,11 @@ class Acuity(NamedTuple):
 def acuity(
     size_detectors: FloatArray, threshold: FloatArray, error: FloatArray, status: Sequence[str], criterion: float
 ) -> Acuity:
-    """Interpolate the size at which thresholds fall to a criterion, by a straight line between logarithms.
+    """Interpolate the size at which thresholds fall to a criterion > 0, by a straight line between logarithms.
 
-    Parameters
-    ----------
-    size_detectors, threshold, error : ndarray, shape (sizes,)
-        Sizes with their thresholds and numerical errors; NaN if there is none.
-    status : sequence of str
-        Status of each threshold.
-    criterion : float
-        > 0, in the unit of the thresholds.
-
-    Returns
-    -------
-    Acuity
-        Its error is that of the two thresholds beside the crossing, as if both deviate to the same side. It does
-        not contain the difference of the curve from a straight line.
+    Arrays have the shape (sizes,), with NaN where there is no threshold. The error is that of the two thresholds
+    beside the crossing, as if both deviate to the same side. It does not contain the difference of the curve from
+    a straight line.
     """
     order = np.argsort(size_detectors)
     size, value, spread = size_detectors[order], threshold[order], error[order]
@@ -137,16 +122,8 @@ def acuity(
 
 
 def front(costs: FloatArray) -> NDArray[np.bool_]:
-    """Return which rows are on the trade-off front: no other is as low in all columns and lower in one.
-
-    Parameters
-    ----------
-    costs : ndarray, shape (n, columns)
-        To be minimised; a row with a NaN is not on the front.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
+    """Return which rows of costs, (n, columns), are on the trade-off front: no other is as low in all columns and
+    lower in one. A row with a NaN is not on the front.
     """
     is_on = np.zeros(len(costs), dtype=bool)
     known = np.flatnonzero(np.isfinite(costs).all(axis=1))
@@ -179,11 +156,7 @@ def objectives(
     level: str = "snr",
 ) -> tuple[Objective, ...]:
     """Return the columns of the trade-off front; without any, the range, ΔT, or if NETD is not known, the level.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such column, or it would be empty.
+    SettingsError if there is no such column, or it would be empty.
     """
     if not (minimise or maximise) and has_range:
         return (Objective(OF_RANGE, -1),)
@@ -213,27 +186,11 @@ def columns_of(
     couple_netd: bool,
     whole_keys: Sequence[str],
 ) -> Columns:
-    """Return the table of a sweep by column: a value for each design and size, those of a design together.
+    """Return the table of a sweep by column: a value for each design and size, those of a design together; None
+    where there is no value.
 
-    Parameters
-    ----------
-    swept : Swept
-    goals : sequence of Objective
-        Columns of the trade-off front.
-    criterion : Criterion or None
-        Signal for the acuity; None if none is asked for.
-    aim : Aim or None
-        Target and air of the range; None if none is asked for.
-    p_correct : float
-    couple_netd : bool
-        Whether each design has its own NETD.
-    whole_keys : sequence of str
-        Varied keys whose values are whole numbers.
-
-    Returns
-    -------
-    dict of list
-        None where there is no value.
+    Without `criterion` or `aim` no acuity or no range is asked for. With `couple_netd` each design has its own
+    NETD. The values of `whole_keys` are whole numbers.
     """
     designs, sizes = swept.designs, np.array(swept.size_detectors)
     n_designs, pitch = len(designs.values), swept.pitch_mrad

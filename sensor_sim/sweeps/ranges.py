@@ -69,12 +69,8 @@ class Aim(NamedTuple):
 def chosen_aim(
     target: Target | Path | str | None, atmosphere: Atmosphere | Path | str | None, k: float | None
 ) -> Aim | None:
-    """Return the target and the air of these names or files; None if there is no target.
-
-    Raises
-    ------
-    SettingsError
-        If one of them is missing or invalid.
+    """Return the target and the air of these names or files; None if there is no target. SettingsError if one of
+    them is missing or invalid.
     """
     if target is None:
         for name, value in ((argument.atmosphere, atmosphere), (argument.k, k)):

@@ -275,12 +275,8 @@ def _aim(
     has_netd: bool,
     p_correct: float,
 ) -> Aim | None:
-    """Return the target and air of the range; None if there is no target.
-
-    Raises
-    ------
-    SettingsError
-        If one of them is missing or invalid, or the thresholds are SNRs and NETD is not known.
+    """Return the target and air of the range; None if there is no target. SettingsError if one of them is missing
+    or invalid, or the thresholds are SNRs and NETD is not known.
     """
     from sensor_sim.sweeps.ranges import chosen_aim
 

@@ -47,15 +47,8 @@ LUMINANCE = "luminance_cd_m2"
 
 
 class Chain(NamedTuple):
-    """Everything that a threshold depends on.
-
-    Attributes
-    ----------
-    sensor : Sensor
-        With the default noise and background: thresholds in SNR do not depend on them.
-    observer_changes : tuple of (str, value)
-        Settings of the observer that are not the usual ones.
-    size_detectors : float
+    """Everything that a threshold depends on: the sensor with the default noise and background, on which
+    thresholds in SNR do not depend, the settings of the observer that are not the usual ones, and the size.
     """
 
     sensor: Sensor
@@ -65,14 +58,8 @@ class Chain(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Variants:
-    """Observers of one class that differ in their settings.
-
-    Attributes
-    ----------
-    kind : type, or Observer
-        Class, which is called with settings; an observer that has no settings.
-    settings : object
-        Settings without changes, a frozen dataclass; None if the observer has none.
+    """Observers of one class, `kind`, that differ in their settings: a frozen dataclass, here without changes.
+    Without settings, None, `kind` is the observer.
     """
 
     kind: Any
@@ -85,28 +72,15 @@ class Variants:
         return cls(type(observer), settings) if is_dataclass(settings) else cls(observer, None)
 
     def __call__(self, changes: Changes) -> Observer:
-        """Return the observer with some settings changed.
-
-        Raises
-        ------
-        SettingsError
-            If a value is refused.
-        """
+        """Return the observer with some settings changed; SettingsError if a value is refused."""
         observer: Observer = self.kind
         return observer if self.settings is None else self.kind(replace(self.settings, **dict(changes)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepWork:
-    """Work that computes the threshold of a `Chain`.
-
-    Attributes
-    ----------
-    observers : Variants
-    p_correct, tolerance, seed, plan, places
-        As for `sensor_sim.curve`.
-    shared_mb : int
-        Largest size of the parts that are shared, in units of 2**20 bytes; no number depends on it.
+    """Work that computes the threshold of a `Chain`, with the settings of `sensor_sim.curve`. No number depends on
+    `shared_mb`, the largest size of the parts that are shared, in units of 2**20 bytes.
     """
 
     observers: Variants
@@ -186,23 +160,11 @@ class SweepWork:
 class Swept:
     """Thresholds of all designs.
 
-    Attributes
-    ----------
-    designs : Designs
-    size_detectors : tuple of float
-    pitch_mrad, netd_mk : ndarray, shape (designs,)
-        Pitch of the detectors in the scene, and NETD; NaN where there is no such design, or no NETD.
-    mk_per_snr : ndarray, shape (designs,)
-        ΔT of a signal-to-noise ratio of 1; NaN where NETD is not known.
-    threshold, numerical_error : ndarray, shape (designs, sizes)
-        In SNR, or in contrast for cameras that count photons; NaN where there is no threshold.
-    n_phases : ndarray of int, shape (designs, sizes)
-    status, reason : list of list of str
-        For each design and size.
-    level : str
-        Quantity of the thresholds, "snr" or "contrast".
-    n_computed : int
-        Number of thresholds that were computed; designs that differ in noise alone have theirs in common.
+    Of each design, (designs,): the pitch of the detectors in the scene, the NETD, and the ΔT in mK of a
+    signal-to-noise ratio of 1; NaN where there is no such design, or no NETD. Of each design and size, (designs,
+    sizes): the threshold in SNR, or in contrast (`level`) for cameras that count photons, with its numerical
+    error, NaN where there is none. `n_computed` thresholds were computed; designs that differ in noise alone have
+    theirs in common.
     """
 
     designs: Designs
@@ -225,18 +187,9 @@ class Swept:
 
 
 class SweepPlan(NamedTuple):
-    """Computations of a sweep.
-
-    Attributes
-    ----------
-    chains : list of Chain
-        In the order in which they share most.
-    places : ndarray of int, shape (designs, sizes)
-        Place in `chains` of each threshold; −1 if there is no such design.
-    sensors : list of Sensor or None
-        For each design.
-    reasons : dict of str
-        By design, why there is no such design.
+    """Computations of a sweep: the chains in the order in which they share most; the index among them of each
+    threshold, (designs, sizes), −1 if there is no such design; the sensor of each design; and by design, why there
+    is none.
     """
 
     chains: list[Chain]
@@ -248,12 +201,8 @@ class SweepPlan(NamedTuple):
 def check_sweep(
     sensor: Sensor, observer: Observer, sizes: Sequence[float], *, p_correct: float, tolerance: float
 ) -> None:
-    """Check what is the same for all designs.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range, a size is there twice, or the observer is not linear.
+    """Check what is the same for all designs; SettingsError if a value is out of its range, a size is there twice,
+    or the observer is not linear.
     """
     FitSettings(p_correct=p_correct)  # checks it
     check_positive(argument.tolerance, tolerance)

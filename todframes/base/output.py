@@ -64,15 +64,8 @@ class Going:
 def output_folder(name: str, going: Going | None = None) -> Iterator[Path]:
     """Yield a staging folder. If the block ends without an exception, all its files move into the folder named.
 
-    Parameters
-    ----------
-    going : Going, optional
-        For a run that can go on later: its finished results, in `store_path`, stay if it fails.
-
-    Raises
-    ------
-    OutputError
-        If the place cannot be written, or another run is writing there.
+    With `going` the run can go on later: its finished results, in `store_path`, stay if it fails. Raises
+    OutputError if the place cannot be written, or another run is writing there.
     """
     with _as_output_error(name), _place(name) as out, _hidden(out / STAGING, name, going, {STORE}) as hidden:
         staged = hidden / STAGED
@@ -85,20 +78,11 @@ def output_folder(name: str, going: Going | None = None) -> Iterator[Path]:
 
 @contextmanager
 def new_folder(name: str, *, last: str = LAST_OF_DATASET, going: Going | None = None) -> Iterator[Path]:
-    """Yield a staging folder. If the block ends without an exception, its content moves into the folder named.
+    """Yield a staging folder. If the block ends without an exception, its content moves into the folder named,
+    which has to be new or empty. Without the file `last`, which is moved last, it is no dataset or no chart.
 
-    Parameters
-    ----------
-    last : str
-        The file without which the folder is no dataset, or no chart; it is the last to get its name.
-    going : Going, optional
-        For a run that can go on later: its finished results, in `store_path`, and the files in the staging
-        folder stay if it fails. The next run finds both.
-
-    Raises
-    ------
-    OutputError
-        If the place cannot be written or is not empty, or another run is writing there.
+    With `going` the run can go on later: its finished results, in `store_path`, and the files in the staging
+    folder stay if it fails. Raises OutputError as `output_folder` does.
     """
     kept = {STORE, STAGED}
     with _as_output_error(name), _place(name) as out, _hidden(out / STAGING, name, going, kept) as hidden:
@@ -123,13 +107,8 @@ def store_path(staged: Path) -> Path:
 
 
 def remove_others(folder: Path, names: Collection[str]) -> None:
-    """Remove from a staging folder all files that an earlier run with other settings has left, except the given
-    ones.
-
-    Parameters
-    ----------
-    names : collection of str
-        Paths relative to the folder; folders that are left empty are removed, too.
+    """Remove the files of an earlier run with other settings from a staging folder, and folders that are left
+    empty. Paths in `names`, relative to the folder, stay.
     """
     for parent, _, files in os.walk(folder, topdown=False):
         for path in (Path(parent, file) for file in files):
@@ -142,12 +121,8 @@ def remove_others(folder: Path, names: Collection[str]) -> None:
 def write_file(path: Path, content: bytes, *, not_over: Path | None = None, is_private: bool = False) -> None:
     """Write a whole file or nothing. An older file of that name is replaced; its permissions are kept.
 
-    Only its owner can read a new file that `is_private`.
-
-    Raises
-    ------
-    OutputError
-        If the place cannot be written, is that of `not_over`, or another run is writing there.
+    Only its owner can read a new file that `is_private`. Raises OutputError if the place cannot be written, is
+    that of `not_over`, or another run is writing there.
     """
     name = str(path)
     with _as_output_error(name):
@@ -168,13 +143,7 @@ def write_file(path: Path, content: bytes, *, not_over: Path | None = None, is_p
 
 
 def write_folder(folder: Path | str, files: Mapping[str, bytes | Iterable[bytes]]) -> None:
-    """Write files into a result folder, all of them or none; see `output_folder` and `write_files`.
-
-    Raises
-    ------
-    OutputError
-        If the place cannot be written, or another run is writing there.
-    """
+    """Write files into a result folder, all of them or none; see `output_folder` and `write_files`."""
     with output_folder(str(folder)) as staged:
         write_files(staged, files)
 
@@ -190,12 +159,8 @@ def write_files(folder: Path, files: Mapping[str, bytes | Iterable[bytes]]) -> N
 
 
 def locked(file: int) -> bool:
-    """Lock an open file until it is closed. Returns whether the file system has locks.
-
-    Raises
-    ------
-    BlockingIOError
-        If another process has locked it.
+    """Lock an open file until it is closed. Returns whether the file system has locks; raises BlockingIOError if
+    another process has locked it.
     """
     try:
         if sys.platform == "win32":

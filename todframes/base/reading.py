@@ -69,12 +69,8 @@ FIELDS_FOUND = "\0fields"
 def read_file(path: Location, *, most_mb: int) -> bytes:
     """Return the bytes of a file. Pipes and devices are refused: reading them may never end.
 
-    Raises
-    ------
-    DataError
-        If it is not a regular file, cannot be read, or is longer than `most_mb` · 2**20 bytes.
-    RemoteError
-        If it is behind a URL that cannot be reached or may not be read.
+    Raises DataError if it is no regular file, cannot be read, or is longer than `most_mb` · 2**20 bytes;
+    RemoteError if it is behind a URL that cannot be reached or may not be read.
     """
     with _opened(path, most_mb) as file:
         content = file.read(most_mb * 2**20 + 1)
@@ -120,15 +116,11 @@ def resolved(folder: Location) -> str | RemotePath:
 def path_inside(
     folder: str | RemotePath, name: str, where: str, real_folders: dict[str, str] | None = None
 ) -> str:
-    """Return the full path or URL of a file that a file of the user names, with symbolic links resolved.
+    """Return the full path or URL of a file that a file of the user names, with symbolic links resolved. DataError
+    if it is not in the dataset's folder: an error message might show its content.
 
     `folder` is that of `resolved`. `real_folders` caches resolved folders: without it a million rows would take a
     minute.
-
-    Raises
-    ------
-    DataError
-        If the file is not in the dataset's folder: an error message might show its content.
     """
     if not name or "\0" in name:
         raise DataError(f"{where}: found {name!r}, expected a path")
@@ -155,13 +147,7 @@ def path_inside(
 
 
 def read_text(path: Location, *, most_mb: int) -> str:
-    """Return the text of a UTF-8 file, with or without a byte-order mark.
-
-    Raises
-    ------
-    DataError
-        If `read_file` raises it, or the file is not UTF-8.
-    """
+    """Return the text of a UTF-8 file, with or without a byte-order mark; DataError if it is not UTF-8."""
     try:
         return read_file(path, most_mb=most_mb).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -179,13 +165,7 @@ def _lines(path: Location, *, most_mb: int) -> Generator[str, None, None]:
 
 
 def read_toml(path: Location) -> dict[str, Any]:
-    """Return the content of a TOML file.
-
-    Raises
-    ------
-    SettingsError
-        If it cannot be read or is not TOML.
-    """
+    """Return the content of a TOML file; SettingsError if it cannot be read or is not TOML."""
     try:
         text = read_text(path, most_mb=MAX_TOML_MB)
     except DataError as error:
@@ -194,13 +174,7 @@ def read_toml(path: Location) -> dict[str, Any]:
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """Return the content of a TOML text.
-
-    Raises
-    ------
-    SettingsError
-        If it is not TOML; the message begins with `where`.
-    """
+    """Return the content of a TOML text; SettingsError that begins with `where` if it is not TOML."""
     try:
         return _parsed_toml(text)
     except tomllib.TOMLDecodeError as error:
@@ -208,12 +182,8 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 
 
 def without_schema(content: Mapping[str, Any], schema: int, known: Iterable[str], where: str) -> dict[str, Any]:
-    """Return the content of a file of settings without its key `schema`.
-
-    Raises
-    ------
-    SettingsError
-        If another key is not known, or the file has another schema; the message begins with `where`.
+    """Return the content of a file of settings without its key `schema`; SettingsError if it has another schema or
+    a key that is not known.
     """
     check_keys(content, ["schema", *known], where)
     convert(content.get("schema"), Literal[schema], f"{where}: schema")
@@ -270,12 +240,8 @@ def _is_tables(value: object) -> bool:
 
 
 def toml_value(text: str) -> Any:
-    """Return the TOML value that a text stands for, or the text itself if it is not TOML.
-
-    Raises
-    ------
-    ValueError
-        If the text is more than one value.
+    """Return the TOML value that a text stands for, or the text itself if it is not TOML. Raises ValueError if the
+    text is more than one value.
     """
     try:
         parsed = _parsed_toml(f"value = {text}")
@@ -287,13 +253,8 @@ def toml_value(text: str) -> Any:
 
 
 def _parsed_toml(text: str) -> dict[str, Any]:
-    """Return the content of a TOML text; integers beyond 64 bits and too deep nesting are refused.
-
-    Raises
-    ------
-    tomllib.TOMLDecodeError
-        If the text is not such TOML. Without these checks Python would raise other errors, here or when a value
-        is printed.
+    """Return the content of a TOML text. TOMLDecodeError also for integers beyond 64 bits and too deep nesting:
+    without these checks Python would raise other errors, here or when a value is printed.
     """
     # The time for a key grows with the square of the number of its parts.
     for number_of_line, line in enumerate(text.split("\n"), 1):
@@ -350,13 +311,7 @@ def distinct_numbers(name: str, values: Iterable[float]) -> list[float]:
 
 
 def check_keys(found: Iterable[str], known: Iterable[str], where: str) -> None:
-    """Raise SettingsError if a key is unknown.
-
-    Raises
-    ------
-    SettingsError
-        If a key is not known; the message names the nearest known key.
-    """
+    """Raise SettingsError, which names the nearest known key, if a key is not known."""
     if problem := _unknown_key(found, known):
         raise SettingsError(f"{where}: {problem}")
 
@@ -392,12 +347,8 @@ class _RefusedError(Exception):
 
 
 def check_values(settings: Any) -> None:
-    """Check the values of a settings dataclass by its annotations; its `__post_init__` calls this.
-
-    Raises
-    ------
-    SettingsError
-        If a field is of another type or out of its range.
+    """Check the values of a settings dataclass by its annotations; its `__post_init__` calls this. SettingsError
+    if a field is of another type or out of its range.
     """
     kind: Any = type(settings)
     try:
@@ -412,21 +363,11 @@ def check_values(settings: Any) -> None:
 
 
 def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
-    """Return a dataclass made from a table of plain values.
+    """Return a dataclass made from a table of plain values by field name; tables in it become the dataclasses of
+    its fields.
 
-    Parameters
-    ----------
-    table : mapping
-        Values by field name.
-    kind : type
-        A dataclass; tables in the table become the dataclasses of its fields.
-    where : str
-        File and table, or option; every message begins with it.
-
-    Raises
-    ------
-    SettingsError
-        If a key is unknown or missing, or a value is of the wrong type or refused by the dataclass.
+    SettingsError, which begins with `where`, if a key is unknown or missing, or a value is of the wrong type or
+    refused by the dataclass.
     """
     try:
         made: T = _checked(table, kind)
@@ -436,12 +377,8 @@ def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
 
 
 def convert(value: object, kind: Any, where: str) -> Any:
-    """Return a plain value in an annotated type: `float`, a Literal, `Annotated` with a range, ….
-
-    Raises
-    ------
-    SettingsError
-        If it is of another type or out of range; the message begins with `where`.
+    """Return a plain value in an annotated type: `float`, a Literal, `Annotated` with a range, …. SettingsError,
+    which begins with `where`, if it is of another type or out of range.
     """
     try:
         return _checked(value, kind)
@@ -636,12 +573,7 @@ def shipped_names(folder: Path) -> tuple[str, ...]:
 
 def settings_path(name: Path | str, folder: Path, where: str) -> Path:
     """Return the path of a file of settings: the one named, or that of this name in a folder of the package.
-
-    Raises
-    ------
-    SettingsError
-        If the name does not end with ".toml", and the folder has no file of it; the message begins with `where`
-        and names all files of the folder.
+    SettingsError, which names all files of the folder, if it has none of this name.
     """
     name = str(name)
     if name.endswith(SETTINGS_SUFFIX):
@@ -657,11 +589,7 @@ def settings_path(name: Path | str, folder: Path, where: str) -> Path:
 
 def read_described(path: Location, kind: str, schema: int) -> tuple[dict[str, Any], dict[str, str]]:
     """Return the table `kind` of a file of settings, and the texts that describe it: `title` and `source`.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, has another schema, an unknown key or no such table.
+    SettingsError if the file cannot be read, has another schema, an unknown key or no such table.
     """
     content = without_schema(read_toml(path), schema, ["title", "source", kind], str(path))
     texts = {name: convert(content.get(name, ""), str, f"{path}: {name}") for name in ("title", "source")}
@@ -672,15 +600,11 @@ def read_described(path: Location, kind: str, schema: int) -> tuple[dict[str, An
 
 
 def read_csv(path: Location, *, most_rows: int | None = MAX_ROWS) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the rows of a CSV file with a header as they are read, each with its place: file and line.
+    """Yield the rows of a CSV file with a header as they are read, each with its place: file and line. The first
+    item is the header: a row with all keys and empty values.
 
-    The first item is the header: a row with all keys and empty values.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read or is not CSV, two columns have the same name, or there are more rows than
-        `most_rows`, empty lines included.
+    DataError if the file cannot be read or is not CSV, two columns have the same name, or there are more rows than
+    `most_rows`, empty lines included.
     """
     lines, name_of_file = _lines(path, most_mb=MAX_CSV_MB), str(path)
     reader = csv.reader(lines, strict=True)
@@ -725,13 +649,8 @@ class TableRow(NamedTuple):
 
 
 def read_table(path: Location, needed: Iterable[str] = ()) -> tuple[tuple[str, ...], Iterator[TableRow]]:
-    """Return the columns of a CSV file, and its rows as they are read.
-
-    Raises
-    ------
-    DataError
-        If `read_csv` raises it, or a column is missing; on the way, if a row has more or fewer fields than the
-        header.
+    """Return the columns of a CSV file, and its rows as they are read. DataError if `read_csv` raises it or a
+    column is missing; on the way, if a row has more or fewer fields than the header.
     """
     rows = read_csv(path)
     _, header = next(rows)
@@ -746,12 +665,8 @@ def read_table(path: Location, needed: Iterable[str] = ()) -> tuple[tuple[str, .
 
 
 def read_numbers(path: Location, columns: Sequence[str]) -> list[list[float]]:
-    """Return the numbers in the named columns of a CSV file, row by row.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, a column is missing, or a value is not a finite number.
+    """Return the numbers in the named columns of a CSV file, row by row; DataError as `read_table` raises it, or
+    if a value is not a finite number.
     """
     _, rows = read_table(path, columns)
     return [row.numbers(columns) for row in rows]
@@ -761,10 +676,7 @@ def read_numbers(path: Location, columns: Sequence[str]) -> list[list[float]]:
 def table_beside(name: object, folder: Location, where: str) -> Iterator[Location]:
     """Yield the path of the CSV file that a file of settings names; it is relative to the folder of this file.
 
-    Raises
-    ------
-    SettingsError
-        If the name is no text, the file lies outside of the folder, or the block raises a DataError.
+    SettingsError if the name is no text, the file lies outside of the folder, or the block raises a DataError.
     """
     if not isinstance(name, str):
         raise SettingsError(f"{where}: found {name!r}, expected the name of a CSV file")
@@ -798,12 +710,8 @@ def check_fields(row: Mapping[str, str], n_columns: int, where: str) -> None:
 
 
 def number(text: str, where: str, *, positive: bool = False) -> float:
-    """Return the finite number in a field of a CSV file.
-
-    Raises
-    ------
-    DataError
-        If the text is not a finite number, or `positive` and not above zero; `where` names file, line and column.
+    """Return the finite number in a field of a CSV file; DataError if it is none, or not above zero but has to be
+    `positive`. `where` names file, line and column.
     """
     text = text.strip()
     try:

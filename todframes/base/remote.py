@@ -88,11 +88,8 @@ Location = Path | RemotePath
 def location(name: str | os.PathLike[str] | RemotePath) -> Location:
     """Return the location that a text names: a local path, or a URL whose scheme is not that of local files.
 
-    Raises
-    ------
-    DataError
-        If a URL holds a user name, a password, a parameter or a query, or names several file systems. The message
-        does not show it: it may hold a secret.
+    DataError if a URL holds a user name, a password, a parameter or a query, or names several file systems. The
+    message does not show it: it may hold a secret.
     """
     if isinstance(name, RemotePath):
         return name
@@ -123,12 +120,8 @@ def location(name: str | os.PathLike[str] | RemotePath) -> Location:
 def local_file(path: Location, *, most_mb: int = FRAME_FILE_MB) -> Iterator[Path]:
     """Yield the local path of a file; of one behind a URL, that of a copy, which is removed at the end.
 
-    Raises
-    ------
-    OSError
-        If there is no such file behind the URL, or it is longer than `most_mb` · 2**20 bytes.
-    RemoteError
-        If the file behind the URL cannot be copied for any other reason.
+    OSError if there is no such file behind the URL, or it is longer than `most_mb` · 2**20 bytes; RemoteError if
+    it cannot be copied for any other reason.
     """
     if isinstance(path, Path):
         yield path

@@ -12,12 +12,8 @@ Rng = int | np.integer[Any] | np.random.SeedSequence | np.random.Generator
 
 
 def seed_of(rng: object) -> int:
-    """Return the seed that `rng` is or gives; a generator is advanced by one draw.
-
-    Raises
-    ------
-    SettingsError
-        If it gives none, or is below zero.
+    """Return the seed that `rng` is or gives; a generator is advanced by one draw. SettingsError if it gives none,
+    or is below zero.
     """
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(2**53))

@@ -68,14 +68,9 @@ def searched_last() -> list[str]:
 
 
 def import_named(module: str, name: str, where: str) -> Any:
-    """Import a module, which runs its code, and return its attribute of the given name.
-
-    The current folder is searched last, so that no file in it takes the place of an installed module.
-
-    Raises
-    ------
-    SettingsError
-        If the module cannot be imported or has no such attribute; the message begins with `where`.
+    """Import a module, which runs its code, and return its attribute of the given name; SettingsError, which
+    begins with `where`, if there is none. The current folder is searched last, so that no file in it takes the
+    place of an installed module.
     """
     try:
         search_last([os.getcwd()])  # noqa: PTH109 - a text, as the finder has them

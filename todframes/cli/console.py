@@ -55,14 +55,7 @@ class Staged(NamedTuple):
 def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) -> Iterator[Staged]:
     """Reserve the folder `out` before the work; the files written into it appear if the block ends well.
 
-    Parameters
-    ----------
-    out : str or None
-        None: nothing is written.
-    going : Going, optional
-        For a run that can go on later: what becomes of its finished results.
-    quiet : bool
-        Say nothing about results that an earlier run has finished.
+    With `going` the run can go on later; `quiet` says nothing about results that an earlier run has finished.
     """
     if out is None:
         yield Staged(lambda _: None)
@@ -154,12 +147,8 @@ def print_result(
 def print_content(
     content: bytes | str, warnings: Sequence[ResultWarning] = (), *, quiet: bool = False, strict: bool = False
 ) -> None:
-    """Print what a program reads, JSON or TOML, on standard output, and the warnings on standard error.
-
-    Raises
-    ------
-    DataError
-        If `strict` and there are warnings; everything is shown before.
+    """Print what a program reads, JSON or TOML, on standard output, and the warnings on standard error. DataError
+    as in `finish`.
     """
     for line in () if quiet else warning_lines(warnings):
         say(line)
@@ -176,11 +165,7 @@ def print_end(
     is_timed: bool = True,
 ) -> None:
     """Print what follows the tables of a command: sentences, warnings, the time, and the folder that was written.
-
-    Raises
-    ------
-    DataError
-        If `strict` and there are warnings; everything is shown before.
+    DataError as in `finish`.
     """
     print_sentences([*sentences, *warning_lines(warnings)])
     if is_timed:

@@ -20,12 +20,8 @@ LOCATE = ("group", "each")
 
 
 def parts(text: str, option: str, value: Value) -> Sequence[Any]:
-    """Return the values in a text with separators between them.
-
-    Raises
-    ------
-    SettingsError
-        If a part is not of the kind, or there is another number of them.
+    """Return the values in a text with separators between them; SettingsError if a part is not of the kind, or
+    there is another number of them.
     """
     kind, form = value.kind, value.form
     try:
@@ -117,15 +113,11 @@ class LocatingCommand(click.Command):
 
 
 def make_observer(asked: dict[str, Any], *, fitted: bool = True) -> tuple[Observer, FitSettings]:
-    """Return the observer and the fit settings of `OBSERVER_OPTIONS`, which are removed from `asked`.
+    """Return the observer and the fit settings of `OBSERVER_OPTIONS`, which are removed from `asked`;
+    SettingsError if there is no such observer or setting, or a value is refused.
 
     A separate option takes precedence over `--set`, and `--set` over the file. If not `fitted`, the criterion is
     the only setting of the fit.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such observer or setting, or a value is refused.
     """
     if "," in (names := asked["observer"]):
         raise SettingsError(f"observer: found {names!r}, expected a single one here")
@@ -195,12 +187,8 @@ def _set(asked: dict[str, Any], *names: str) -> dict[str, Any]:
 
 
 def assigned(assignments: Sequence[str]) -> dict[str, Any]:
-    """Return the values of `--set NAME=VALUE` by name: TOML values, or texts if they are not TOML.
-
-    Raises
-    ------
-    SettingsError
-        If an assignment has no name or no equals sign.
+    """Return the values of `--set NAME=VALUE` by name: TOML values, or texts if they are not TOML. SettingsError
+    if an assignment has no name or no equals sign.
     """
     from todframes.base.reading import toml_value
 

@@ -70,39 +70,21 @@ def resolved(name: str) -> Any:
 class Command(NamedTuple):
     """A command: the call that it is made of, and what is shown of the result.
 
-    Attributes
-    ----------
-    call : str
-        The call, "module:function".
-    arguments : str
-        Parameters that stand without a name on the command line.
-    showing : str
-        The options of `SHOWING` that apply.
-    files : str
-        What `-o` writes into a folder; empty if the command has no such option.
-    task : str
-        What the bar of the progress says.
-    title : function of the result and the given values
-        Title of the table of thresholds, if the result has one.
-    details : str
-        What `--verbose` adds.
-    is_timed : bool
-        Print the time that the command took.
-    show : function of a result, the given values and those of the showing options, optional
-        What prints the result, if it has no tables.
-    further : tuple
-        Arguments and options that are not parameters of the call.
-    prepare : function of the values for the call and those of these options
-        What sets the values for the call by them.
-    text : str
-        Paragraph of `--help` about these.
-    without : str
-        Parameters of the call, or options of an observer, that the command does not have.
-    also : str
-        Another call whose parameters are options, too; a body chooses between them.
-    body : str
-        "module:function" that does all this for a command: of the given values, those of the showing options, and
-        the folder for files.
+    - `call`: the call, "module:function"; `also`: another call whose parameters are options, too, for a body that
+      chooses between them.
+    - `arguments`: parameters that stand without a name on the command line.
+    - `showing`: the options of `SHOWING` that apply; `details`: what `--verbose` adds.
+    - `files`: what `-o` writes into a folder; empty if the command has no such option.
+    - `task`: what the bar of the progress says. `is_timed`: print the time that the command took.
+    - `title`: function of the result and the given values, the title of the table of thresholds, if the result has
+      one.
+    - `show`: function of a result, the given values and those of the showing options that prints the result, if it
+      has no tables.
+    - `further`: arguments and options that are not parameters of the call; `prepare` sets the values for the call
+      by them; `text` is the paragraph of `--help` about these.
+    - `without`: parameters of the call, or options of an observer, that the command does not have.
+    - `body`: "module:function" that does all this for a command: of the given values, those of the showing
+      options, and the folder for files.
     """
 
     call: str
@@ -163,16 +145,10 @@ def _flag(name: str, text: str) -> click.Option:
 
 
 class Commands(click.Group):
-    """A group of commands, each made when it is asked for.
+    """A group of commands, each made when it is asked for: those of calls from `table`, others from the module and
+    attribute, "module:attribute", that `modules` names.
 
     They raise `Interruption` at Ctrl-C; click itself would print an empty line.
-
-    Parameters
-    ----------
-    table : mapping
-        Commands by name that are made of calls.
-    modules : mapping
-        Module and attribute, "module:attribute", of each other command.
     """
 
     def __init__(
@@ -388,13 +364,7 @@ def _show(command: Command, result: Any, given: dict[str, Any], shown: dict[str,
 
 
 def _mapping(name: str, pairs: Iterable[tuple[Any, Any]]) -> dict[Any, Any]:
-    """Return the pairs of a repeated option as a mapping.
-
-    Raises
-    ------
-    SettingsError
-        If a key is there twice.
-    """
+    """Return the pairs of a repeated option as a mapping; SettingsError if a key is there twice."""
     found: dict[Any, Any] = {}
     for key, value in pairs:
         if key in found:

@@ -61,12 +61,8 @@ class Argument(NamedTuple):
 
     @property
     def value(self) -> Value:
-        """Return how a command line writes the value.
-
-        Raises
-        ------
-        TypeError
-            If its kind is only one of Python, or its default cannot be read.
+        """Return how a command line writes the value; TypeError if its kind is only one of Python, or its default
+        cannot be read.
         """
         value = _value(eval(compile(self.annotation, self.where, "eval"), {}, _Kinds()))
         if self.default is UNREAD:

@@ -37,19 +37,8 @@ PITCH_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LuminanceTable:
-    """The measured luminance of a display by code value, interpolated linearly.
-
-    Attributes
-    ----------
-    code_value : ndarray, shape (n,)
-        Rising, within [0, 1].
-    luminance_cd_m2 : ndarray, shape (n,)
-        Luminance at each code value, in cd/m².
-
-    Raises
-    ------
-    SettingsError
-        If there are fewer than two rows, code values do not rise or leave [0, 1], or a luminance is negative.
+    """The measured luminance in cd/m² of a display by code value, which rises within [0, 1]; interpolated
+    linearly.
     """
 
     code_value: FloatArray
@@ -210,18 +199,9 @@ def bt1886_luminance(
 
 
 def border_values(pixels: NDArray[Any], *, top: bool = True, bottom: bool = True) -> NDArray[Any]:
-    """Return the pixels of a band of rows that lie on the border of the frame.
+    """Return the pixels, (n,) or (n, channels), of a band of whole rows that lie on the border of the frame.
 
-    Parameters
-    ----------
-    pixels : ndarray, shape (rows, columns) or (rows, columns, channels)
-        A band of whole rows.
-    top, bottom : bool
-        Whether the band's first row is the frame's first, and its last row the frame's last.
-
-    Returns
-    -------
-    ndarray, shape (n,) or (n, channels)
+    `top` and `bottom` state whether the band's first row is the frame's first, and its last row the frame's last.
     """
     on_border = np.zeros(pixels.shape[:2], np.bool_)
     on_border[:, [0, -1]] = True
@@ -231,13 +211,7 @@ def border_values(pixels: NDArray[Any], *, top: bool = True, bottom: bool = True
 
 
 def weber_contrast(luminance: FloatArray, background_luminance_cd_m2: float) -> FloatArray:
-    """Compute the signed contrast L / L_background − 1, of the shape of `luminance`.
-
-    Raises
-    ------
-    DataError
-        If the background is not a positive number.
-    """
+    """Compute the signed contrast L / L_background − 1; DataError if the background is not a positive number."""
     check_background(background_luminance_cd_m2)
     return luminance / background_luminance_cd_m2 - 1.0
 

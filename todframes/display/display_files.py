@@ -58,22 +58,11 @@ class DisplayDescription:
 def find_display(
     asked: Display | str, *, where: str = "display", folder: Location | None = None
 ) -> DisplayDescription:
-    """Return the display of this package with a name, that of a file, or the one given.
+    """Return the display given, that of this package with a name, or that of a file that ends with ".toml".
 
-    Parameters
-    ----------
-    asked : Display or str
-        A display, the name of one, or the path of a file that ends with ".toml".
-    where : str
-        Start of messages about the name: the option, or the file and key.
-    folder : Path, RemotePath or None
-        Folder that a file's path is relative to and may not leave: that of a dataset. None: any file, relative to
-        the working folder.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such display, or its file cannot be read or has a wrong value.
+    A file's path is relative to `folder`, that of a dataset, and may not leave it; without one it is any file.
+    SettingsError, which begins with `where`, if there is no such display, or its file cannot be read or has a
+    wrong value.
     """
     if isinstance(asked, Display):
         return DisplayDescription(display=asked)
@@ -88,11 +77,7 @@ def find_display(
 
 def read_display(path: Location) -> DisplayDescription:
     """Return the display that a TOML file describes; the path of its LUT is relative to the file's folder.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read or has a wrong value.
+    SettingsError if the file cannot be read or has a wrong value.
     """
     table, texts = read_described(path, "display", SCHEMA)
     table = {"background_luminance_cd_m2": "surround"} | table
@@ -101,21 +86,9 @@ def read_display(path: Location) -> DisplayDescription:
 
 
 def display_of_table(table: Mapping[str, Any], where: str, folder: Location) -> Display:
-    """Return the display that a table [display] describes.
-
-    Parameters
-    ----------
-    table : mapping
-        Values by key.
-    where : str
-        File and table; every message begins with it.
-    folder : Path or RemotePath
-        Folder that the path of a LUT is relative to and may not leave.
-
-    Raises
-    ------
-    SettingsError
-        If a key is unknown or missing, a value is refused, or the LUT cannot be read.
+    """Return the display that a table [display] describes. The path of a LUT is relative to `folder` and may not
+    leave it. SettingsError, which begins with `where`, if a key is unknown or missing, a value is refused, or the
+    LUT cannot be read.
     """
     check_keys(table, [field.name for field in fields(Display)], where)
     table, eotf = dict(table), table.get("eotf")
@@ -132,15 +105,7 @@ def display_of_table(table: Mapping[str, Any], where: str, folder: Location) -> 
 
 
 def table_of_display(display: Display, folder: Path) -> dict[str, object]:
-    """Return a display as the table [display] of a dataset; write its LUT, if it has one, into the folder.
-
-    Parameters
-    ----------
-    display : Display
-        Display to describe; the same display is read from the table again.
-    folder : Path
-        Folder of the dataset.
-    """
+    """Return a display as the table [display] of a dataset; write its LUT, if it has one, into the folder."""
     values: dict[str, object] = {field.name: getattr(display, field.name) for field in fields(display)}
     if display.lut is not None:
         columns = display.lut.code_value.tolist(), display.lut.luminance_cd_m2.tolist()

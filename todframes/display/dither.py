@@ -43,20 +43,11 @@ def blue_noise() -> FloatArray:
 
 
 def dithered(luminance: FloatArray, luminance_of_code: FloatArray) -> NDArray[np.uint16]:
-    """Return code values whose luminances have the required sum, as exactly as code values allow.
+    """Return code values whose luminances have the required sum, as exactly as code values allow: (rows, columns).
 
-    Parameters
-    ----------
-    luminance : ndarray, shape (rows, columns)
-        Luminance of each pixel, within the range of `luminance_of_code`.
-    luminance_of_code : ndarray, shape (n,)
-        Luminance of the code values 0 … n − 1, strictly rising.
-
-    Returns
-    -------
-    ndarray of uint16, shape (rows, columns)
-        Each pixel has one of the two code values on either side of its luminance, and that of its luminance if
-        there is one. The sum over all pixels is off by at most half of a code step of one pixel.
+    `luminance_of_code` rises strictly, and `luminance` is within its range. Each pixel has one of the two code
+    values on either side of its luminance, and that of its luminance if there is one. The sum over all pixels is
+    off by at most half of a code step of one pixel.
     """
     index = np.searchsorted(luminance_of_code, luminance * (1.0 + SAME_LUMINANCE), side="right") - 1
     below = np.clip(index, 0, luminance_of_code.size - 2)

@@ -36,21 +36,10 @@ class DeadWorkerError(Exception):
 
 
 class PoolEngine(ABC):
-    """An `Engine` that hands batches to a pool, in whose processes `do_batch` does them.
+    """An `Engine` that hands batches to a pool of `n_workers`, in whose processes `do_batch` does them.
 
-    Parameters
-    ----------
-    n_workers : int
-        Number of batches that are done at a time.
-
-    Attributes
-    ----------
-    name : str
-        What messages call the pool.
-    batch_s : float
-        Time that a batch is meant to take.
-    batches_per_worker : int
-        Largest number of batches in flight for each worker.
+    Messages call the pool `name`. A batch is meant to take `batch_s`; at most `batches_per_worker` are in flight
+    for each worker.
     """
 
     dashboard: str | None = None
@@ -64,12 +53,8 @@ class PoolEngine(ABC):
     def run(self, work: Work[T, R], items: Iterable[tuple[int, T]]) -> Generator[list[tuple[int, R]], None, None]:
         """Yield the results of numbered items with their numbers, in batches, in any order.
 
-        Raises
-        ------
-        SettingsError
-            If the work cannot be pickled.
-        TodframesError
-            If workers cannot be started, cannot do the work, or die with it.
+        SettingsError if the work cannot be pickled; TodframesError if workers cannot be started, cannot do the
+        work, or die with it.
         """
         items, left = iter(items), list[Sequence[tuple[int, T]]]()
         seconds = self.batch_s  # that an item takes

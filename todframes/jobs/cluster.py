@@ -61,12 +61,7 @@ LOGGERS = ("distributed", "tornado", "bokeh", "asyncio")
 def cluster_engine(cluster: str) -> Iterator[ClusterEngine]:
     """Yield the engine of a cluster: `local:N`, N processes of this machine, or the address of a Dask scheduler.
 
-    Raises
-    ------
-    SettingsError
-        If the text is neither of the two.
-    ClusterError
-        If there is no scheduler or no worker, or the scheduler has another version.
+    SettingsError if the text is neither of the two; ClusterError if there is no scheduler or no worker.
     """
     local = re.fullmatch(LOCAL + "([1-9][0-9]*)", cluster)
     if not local and not re.fullmatch("(tcp|tls|ws|wss)://.+:[0-9]{1,5}", cluster):
@@ -83,14 +78,8 @@ def cluster_engine(cluster: str) -> Iterator[ClusterEngine]:
 
 
 class ClusterEngine(PoolEngine):
-    """The engine whose work is done by a Dask cluster; `cluster_engine` makes it.
-
-    Attributes
-    ----------
-    n_workers : int
-        Number of threads of all workers at present.
-    dashboard : str or None
-        URL of the scheduler's dashboard; None if it has none.
+    """The engine whose work is done by a Dask cluster; `cluster_engine` makes it. `n_workers` is the number of
+    threads of all workers at present, `dashboard` the URL of the scheduler's page.
     """
 
     name, batch_s, batches_per_worker = "cluster", 2.0, 4

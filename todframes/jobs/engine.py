@@ -12,22 +12,12 @@ from todframes.jobs.work import Engine, LocalEngine
 
 @contextmanager
 def open_engine(cluster: str | Engine | None, workers: int) -> Iterator[Engine]:
-    """Open the engine that `--cluster` names for the time of a `with` statement.
+    """Open an engine for the time of a `with` statement: of a Dask cluster by the address of its scheduler,
+    "local:N" for one of N processes of this machine, or one that is open already. Without a cluster, `workers`
+    processes do the work; with one, the calling thread.
 
-    Parameters
-    ----------
-    cluster : str, Engine or None
-        Address of a Dask scheduler, "local:N" for N processes of this machine, or an engine that is open already.
-        None: `workers` processes of this machine.
-    workers : int
-        Number of processes without a cluster. One: the calling thread does the work.
-
-    Raises
-    ------
-    SettingsError
-        If the package for clusters is not installed, or the text names no cluster.
-    ClusterError
-        If there is no such cluster, or its workers cannot do this work.
+    SettingsError if the package for clusters is not installed, or the text names no cluster; ClusterError if there
+    is no such cluster, or its workers cannot do this work.
     """
     if cluster is None and workers == 1:
         yield LocalEngine()

@@ -22,16 +22,9 @@ PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "OpenImageIO", "
 def fingerprint(*values: object) -> bytes:
     """Return a hash, 32 bytes, of values and of all that they hold, and of the code of this package.
 
-    Parameters
-    ----------
-    *values : object
-        Numbers, texts, arrays, enumerations, classes, functions, mappings, sequences, and objects with attributes.
-        Classes and functions count by name and by their code, see `code_fingerprint`.
-
-    Raises
-    ------
-    TypeError
-        If the code of a class or function is in no file, as in a notebook.
+    Values are numbers, texts, arrays, enumerations, mappings, sequences, and objects with attributes; classes and
+    functions count by name and by their code, see `code_fingerprint`, which raises TypeError if that is in no
+    file, as in a notebook.
     """
     found = hashlib.sha256(code_fingerprint(__name__))
     for part in _parts(values):
@@ -82,15 +75,9 @@ def _attributes(value: Any) -> dict[str, object]:
 
 @cache
 def code_fingerprint(module: str) -> bytes:
-    """Return a hash of a module's code: of all Python files of its package, or of its file if it is in none.
-
-    For this package the versions of the libraries count too. Modules that a module imports from other packages do
-    not count.
-
-    Raises
-    ------
-    TypeError
-        If the module is in no file.
+    """Return a hash of a module's code: of all Python files of its package, or of its file if it is in none;
+    TypeError if it is in no file. For this package the versions of the libraries count too. Modules that a module
+    imports from other packages do not count.
     """
     top = module.partition(".")[0]
     found = hashlib.sha256()

@@ -29,11 +29,6 @@ class ProcessEngine(PoolEngine):
 
     Each process imports the script that runs, so a script calls below `if __name__ == "__main__":`. All end with
     this process, however it ends.
-
-    Parameters
-    ----------
-    n_workers : int
-        Number of processes.
     """
 
     name, batch_s, batches_per_worker = "workers", 0.5, 2

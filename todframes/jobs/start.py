@@ -36,13 +36,8 @@ def starting_processes() -> Iterator[None]:
     """Keep the current folder off the import path of processes that the block starts, and Ctrl-C from them.
 
     Python starts processes by `python -c`, which searches the current folder first; a dataset of unknown origin
-    may lie there. Ctrl-C in a terminal reaches all processes; new ones inherit the mask of signals of the thread
-    that starts them, as its new threads do.
-
-    Raises
-    ------
-    SettingsError
-        If this process ignores the environment, and others would.
+    may lie there. SettingsError if this process ignores the environment, and others would. Ctrl-C in a terminal
+    reaches all processes; new ones inherit the mask of signals of the thread that starts them.
     """
     if sys.flags.ignore_environment and not sys.flags.safe_path:
         raise SettingsError(

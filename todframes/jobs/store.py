@@ -42,19 +42,8 @@ class Store:
     The checksum binds a result to its key. It finds damage and results that changed places; it is no signature,
     and whoever can write the file can write results into it.
 
-    Parameters
-    ----------
-    path : Path
-        The file; neither it nor its folder need exist.
-    name : str
-        Name of the place in messages.
-    tell : function of a text, optional
-        Called with a remark if results of an earlier run are found.
-
-    Attributes
-    ----------
-    n_used : int
-        Number of results of earlier runs that this run has used.
+    Messages call the place `name`. `tell` gets a remark if results of an earlier run are found; `n_used` of these
+    this run has used.
     """
 
     def __init__(self, path: Path, name: str, tell: Callable[[str], None] | None = None) -> None:
@@ -73,12 +62,8 @@ class Store:
         return self._file is not None or self.path.exists()
 
     def begin(self) -> None:
-        """Open the file and make it if there is none; one that is damaged is used up to the damage.
-
-        Raises
-        ------
-        OutputError
-            If it cannot be written, or another process is writing it.
+        """Open the file and make it if there is none; one that is damaged is used up to the damage. OutputError if
+        it cannot be written, or another process is writing it.
         """
         if self._file is not None:
             return
@@ -115,13 +100,7 @@ class Store:
         return None
 
     def add(self, results: Sequence[tuple[bytes, bytes]]) -> None:
-        """Write results by key, all or none; without results nothing is done.
-
-        Raises
-        ------
-        OutputError
-            If they cannot be written.
-        """
+        """Write results by key, all or none; OutputError if they cannot be written."""
         if not results:
             return
         self.begin()

@@ -33,18 +33,8 @@ class UnfitError(Exception):
 
 
 class Done(NamedTuple):
-    """The results of the first items of a batch.
-
-    Attributes
-    ----------
-    results : bytes
-        The list of results, pickled.
-    n_items : int
-        Number of results.
-    seconds : float
-        Time that the items took.
-    error : Exception or None
-        Exception of the item after them.
+    """The results of the first `n_items` items of a batch, pickled; the seconds that they took, and the exception
+    of the item after them.
     """
 
     results: bytes
@@ -82,14 +72,8 @@ def do_batch_of_file(path: str, items: bytes) -> Done:
 
 
 def do_batch(key: str, items: bytes) -> Done:
-    """Do the items of a batch, a pickled list, by the work with a key.
-
-    The batch ends at the first exception, and after `LONGEST_BATCH_S`.
-
-    Raises
-    ------
-    UnfitError
-        If the work cannot be loaded here.
+    """Do the items of a batch, a pickled list, by the work with a key; UnfitError if the work cannot be loaded
+    here. The batch ends at the first exception, and after `LONGEST_BATCH_S`.
     """
     try:
         function = _function(key)
