@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 HAS_DASK = find_spec("distributed") is not None
 if HAS_DASK:
     import cloudpickle
-    import distributed
 
     from todframes.jobs import cluster
 
@@ -476,13 +475,8 @@ def test_a_worker_without_the_package_or_of_another_version_is_one_line(
 
 
 @dask
-def test_a_scheduler_without_workers_or_of_another_version_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_without_workers_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with scheduler_process() as (address, _):
-        with monkeypatch.context() as patched:
-            patched.setattr(distributed, "__version__", "2001.1.0")
-            message = rf"^{address}: the scheduler has distributed \S+, expected 2001\.1\.0 as here$"
-            with pytest.raises(ClusterError, match=message), open_engine(address, 1):
-                pass
         monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
         with (
             pytest.raises(ClusterError, match=f"^{address}: the scheduler has no workers"),

@@ -29,13 +29,7 @@ from todframes.base.output import (
     write_files,
 )
 
-QUICK = "SIGINT", "SIGKILL"
-SIGNALS = [
-    pytest.param(number, id=number.name, marks=[] if number.name in QUICK else pytest.mark.slow)
-    for number in (*signals.SIGNALS, *([signal.SIGKILL] if hasattr(signal, "SIGKILL") else []))
-]
-MOMENTS = [pytest.param(False, id="before"), pytest.param(True, id="after", marks=pytest.mark.slow)]
-"""Whether a signal comes after a call or before it."""
+NUMBERS = [signal.SIGINT, *([signal.SIGKILL] if hasattr(signal, "SIGKILL") else [])]
 CALLS = ("mkdir", "open", "rename", "replace", "unlink", "rmdir", "chmod")
 """Of `os`, each one that changes something on disk."""
 NOT_REACHED, INTERRUPTED = 99, 130
@@ -55,11 +49,9 @@ def write(folder: Path, files: dict[str, str]) -> None:
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def simulate(path: Path, files: dict[str, str], *, meanwhile: dict[str, str] | None = None) -> None:
-    """Make a dataset in a run that can go on, while somebody else writes other files into the same folder."""
+def simulate(path: Path, files: dict[str, str]) -> None:
     with new_folder(str(path), going=Going()) as folder:
         write(folder, files)
-        write(path, meanwhile or {})
 
 
 def score(path: Path, files: dict[str, str]) -> None:
@@ -90,72 +82,51 @@ def tree(path: Path) -> dict[Path, object]:
 # Signals and kills at every call ------------------------------------------------------------------------------
 
 
-def ended_at(call: int, number: int, act: Callable[[], None], *, after: bool) -> tuple[int, str]:
-    """Send a signal to a child process at one of its calls that change something on disk.
+def ended_at(call: int, number: int, act: Callable[[], None]) -> int:
+    """Send a signal to a child process before one of its calls that change something on disk.
 
-    Returns
-    -------
-    (int, str)
-        Exit status: 0, that of an interruption, minus the signal, or NOT_REACHED if there are fewer calls. The
-        message that the child has about its interruption.
+    Returns its exit status: 0, that of an interruption, minus the signal, or NOT_REACHED if there are fewer calls.
     """
-    reading, writing = os.pipe()
     if not (child := os.fork()):
-        status, calls = 0, 0
+        status, calls = 1, 0
 
         def interrupting(function: Callable[..., Any]) -> Callable[..., Any]:
             def inner(*arguments: Any, **options: Any) -> Any:
                 nonlocal calls
                 calls += 1
-                if calls == call and not after:
+                if calls == call:
                     os.kill(os.getpid(), number)
-                try:
-                    return function(*arguments, **options)
-                finally:
-                    if calls == call and after:
-                        os.kill(os.getpid(), number)
+                return function(*arguments, **options)
 
             return inner
 
         try:
             for name in CALLS:
                 setattr(os, name, interrupting(getattr(os, name)))
-            signals.written.clear()
             with signals.raised():
                 act()
             status = 0 if calls >= call else NOT_REACHED
         except KeyboardInterrupt:
             status = INTERRUPTED
-        except BaseException as error:
-            os.write(writing, repr(error).encode())
-            status = 1
         finally:
-            os.write(writing, signals.interruption_message().encode())
             os._exit(status)
-    os.close(writing)
-    with os.fdopen(reading, encoding="utf-8") as message:
-        said = message.read()
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
 def endings(
-    tmp_path: Path, number: int, prepare: Callable[[Path], None], act: Callable[[Path], None], *, after: bool
-) -> Iterator[tuple[Path, bool]]:
-    """Places in which a run was ended by a signal before or after each of its calls; whether it says it wrote."""
+    tmp_path: Path, number: int, prepare: Callable[[Path], None], act: Callable[[Path], None]
+) -> Iterator[Path]:
+    """Places in which a run was ended by a signal before each of its calls."""
     for call in range(1, 1000):
         path = tmp_path / str(call) / "out"
         path.parent.mkdir()
         prepare(path)
-        status, said = ended_at(call, number, lambda path=path: act(path), after=after)  # type: ignore[misc]
+        status = ended_at(call, number, lambda path=path: act(path))  # type: ignore[misc]
         if status == NOT_REACHED:
             assert call > 5
             return
-        if number == getattr(signal, "SIGKILL", None):
-            assert status == -number
-        else:
-            assert status == INTERRUPTED, said
-            assert staging_folders(path.parent) == []
-        yield path, "was written before" in said
+        assert status == (INTERRUPTED if number == signal.SIGINT else -number)
+        yield path
     raise AssertionError("the run has no end")
 
 
@@ -164,64 +135,37 @@ OLD, NEW, NEXT = dataset("old", "abc"), dataset("new"), dataset("next")
 
 @forks
 @forks_with_threads
-@pytest.mark.parametrize("there", [False, True], ids=["absent", "empty"])
-@pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("after", MOMENTS)
-@pytest.mark.slow
-def test_a_dataset_appears_whole_or_not_at_all(tmp_path: Path, number: int, after: bool, there: bool) -> None:
-    """If a kill has left parts without dataset.toml, the next run puts the others there, and says so."""
+@pytest.mark.parametrize("number", NUMBERS)
+def test_a_folder_with_dataset_toml_holds_the_whole_dataset(tmp_path: Path, number: int) -> None:
     seen = []
-    for path, says_written in endings(
-        tmp_path,
-        number,
-        lambda path: path.mkdir() if there else None,
-        lambda path: simulate(path, NEW),
-        after=after,
-    ):
-        found = contents(path)
-        is_dataset = "dataset.toml" in (found or {})
-        seen.append(is_dataset)
-        if is_dataset:
-            assert found == NEW
+    for path in endings(tmp_path, number, lambda _: None, lambda path: simulate(path, NEW)):
+        found = contents(path) or {}
+        seen.append("dataset.toml" in found)
         if found:
+            assert found == NEW or not seen[-1]
             with pytest.raises(OutputError, match=r"is not empty, found .*; expected a new name"):
                 simulate(path, NEXT)
-            assert contents(path) == NEW
         else:
-            if number in signals.SIGNALS:
-                assert found == ({} if there else None)
             simulate(path, NEXT)
             assert contents(path) == NEXT
-        if number in signals.SIGNALS:
-            assert says_written == is_dataset == bool(found)
         assert staging_folders(path.parent) == []
     assert set(seen) == {False, True}
 
 
 @forks
 @forks_with_threads
-@pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("after", MOMENTS)
-@pytest.mark.slow
-def test_results_are_replaced_together_and_result_json_last(tmp_path: Path, number: int, after: bool) -> None:
+@pytest.mark.parametrize("number", NUMBERS)
+def test_results_are_replaced_and_result_json_last(tmp_path: Path, number: int) -> None:
     old = dict.fromkeys(("notes.txt", "scores.csv", "psychometric.png"), "old")
     old["result.json"] = '{"files": ["psychometric.png", "scores.csv"], "seed": 1}'
     made = dict.fromkeys(("report.html", "scores.csv"), "new") | {"result.json": '{"command": "score"}'}
-    new = {"notes.txt": "old"} | made
     seen = []
-    for path, says_written in endings(
-        tmp_path, number, lambda path: score(path, old), lambda path: score(path, made), after=after
-    ):
+    for path in endings(tmp_path, number, lambda path: score(path, old), lambda path: score(path, made)):
         found = contents(path)
         assert found is not None and found["notes.txt"] == "old"
-        is_new = found["result.json"] == new["result.json"]
-        seen.append(is_new)
-        if is_new:
-            assert found == new
-        elif number in signals.SIGNALS:
-            assert found == old
-        if number in signals.SIGNALS:
-            assert says_written == is_new
+        seen.append(found["result.json"] == made["result.json"])
+        if seen[-1]:
+            assert found == {"notes.txt": "old"} | made
         score(path, {"scores.csv": "next"})
         assert contents(path) == found | {"scores.csv": "next"}
         assert staging_folders(path.parent) == []
@@ -230,39 +174,22 @@ def test_results_are_replaced_together_and_result_json_last(tmp_path: Path, numb
 
 @forks
 @forks_with_threads
-@pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("after", MOMENTS)
-def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int, after: bool) -> None:
+@pytest.mark.parametrize("number", NUMBERS)
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int) -> None:
     seen = []
-    for path, says_written in endings(
+    for path in endings(
         tmp_path,
         number,
         lambda path: path.write_text("old", encoding="utf-8") and None,
         lambda path: write_file(path, b"new", not_over=tmp_path),
-        after=after,
     ):
-        found = path.read_text(encoding="utf-8")
-        assert found in ("old", "new")
-        seen.append(found == "new")
-        if number in signals.SIGNALS:
-            assert says_written == (found == "new")
+        seen.append(path.read_text(encoding="utf-8"))
         write_file(path, b"next", not_over=tmp_path)
         assert names(path.parent) == {"out"}
-    assert set(seen) == {False, True}
+    assert set(seen) == {"old", "new"}
 
 
 # Files that the run did not write -----------------------------------------------------------------------------
-
-
-def test_a_file_that_comes_into_an_empty_folder_is_kept(tmp_path: Path) -> None:
-    path = tmp_path / "out"
-    simulate(path, NEW, meanwhile={"notes.txt": "mine"})
-    assert contents(path) == NEW | {"notes.txt": "mine"}
-    path = tmp_path / "other"
-    with pytest.raises(OutputError, match=r"manifest\.csv was put there meanwhile; expected a new name"):
-        simulate(path, NEW, meanwhile={"manifest.csv": "mine"})
-    assert contents(path) == {"manifest.csv": "mine"}
-    assert staging_folders(tmp_path) == []
 
 
 def test_a_result_takes_only_its_own_files_with_it(tmp_path: Path) -> None:
@@ -337,44 +264,6 @@ def test_a_staging_folder_of_somebody_else(tmp_path: Path) -> None:
 
 def not_here(*_: object) -> None:
     raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
-
-
-@pytest.fixture
-def other_disk(tmp_path: Path) -> Iterator[Path]:
-    memory = Path("/dev/shm")
-    if not memory.is_dir() or memory.stat().st_dev == tmp_path.stat().st_dev:
-        pytest.skip("there is no other disk than that of temporary files")
-    with tempfile.TemporaryDirectory(dir=memory) as folder:
-        yield Path(folder)
-
-
-def test_a_link_to_another_disk(tmp_path: Path, other_disk: Path) -> None:
-    for name in ("results", "dataset"):
-        (other_disk / name).mkdir()
-        (tmp_path / name).symlink_to(other_disk / name)
-    score(tmp_path / "results", {"result.json": "{}"})
-    assert contents(other_disk / "results") == {"result.json": "{}"}
-    simulate(tmp_path / "dataset", NEW)
-    assert contents(other_disk / "dataset") == NEW
-    assert names(other_disk) == names(tmp_path) == {"dataset", "results"}
-
-
-def test_a_mount_point(tmp_path: Path) -> None:
-    """It is filled, on the same disk too."""
-    (tmp_path / "real").mkdir()
-    (tmp_path / "out").mkdir()
-    mounted = ("unshare", "--mount", "sh", "-c", 'mount --bind real out && exec "$@"', "sh")
-    script = "from todframes.base.output import new_folder\nwith new_folder('out') as folder: "
-    script += "print('begun'); (folder / 'dataset.toml').touch()"
-    try:
-        subprocess.run([*mounted, "true"], cwd=tmp_path, check=True, capture_output=True)
-    except (OSError, subprocess.CalledProcessError):
-        pytest.skip("nothing can be mounted here")
-    done = subprocess.run(
-        [*mounted, sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert (done.returncode, done.stdout) == (0, "begun\n"), done.stderr
-    assert names(tmp_path / "real") == {"dataset.toml"}
 
 
 @contextmanager

@@ -142,9 +142,8 @@ def simulate(
     from sensor_sim.chain.simulation import Filming, plan_trials
     from sensor_sim.frames.dataset import write_dataset
     from sensor_sim.thresholds.sizes import sizes_in_detectors
-    from todframes.base.output import Going, new_folder, store_path
-    from todframes.jobs.run import opened_run
-    from todframes.jobs.store import Store
+    from todframes.base.output import new_folder
+    from todframes.jobs.run import continued, opened_run
 
     sensor = sensor_of(sensor)
     levels, others = (snr, contrast) if sensor.level == "snr" else (contrast, snr)
@@ -184,10 +183,9 @@ def simulate(
         if tell is not None:
             for note in notes:
                 tell(f"note: {note}")
-    going = Going(restart=restart, keep=keep_store)
     with (
-        new_folder(str(out), going=going) as folder,
-        opened_run(workers, cluster, Store(store_path(folder), str(out), tell), progress) as run,
+        continued(new_folder, str(out), restart=restart, keep=keep_store, tell=tell) as (folder, store),
+        opened_run(workers, cluster, store, progress) as run,
     ):
         written = write_dataset(
             folder,

@@ -8,7 +8,7 @@ holds.
 A run that can go on later keeps its finished results in the hidden folder, in `STORE`. When it fails or is killed
 they stay there, and the next run into the same place finds them; when it ends well they are removed.
 
-At the end, with signals held back, the files are renamed into place:
+At the end the files are renamed into place:
 
 - Files of a result folder replace those of the same names one by one, `result.json` last.
 - A dataset or a chart needs a new or empty folder. Its files get their names there, `dataset.toml` or `chart.toml`
@@ -33,7 +33,6 @@ import msgspec
 
 from todframes.base import signals
 from todframes.base.errors import OutputError, TodframesError
-from todframes.base.signals import held_back
 
 if sys.platform != "win32":
     import fcntl
@@ -71,9 +70,8 @@ def output_folder(name: str, going: Going | None = None) -> Iterator[Path]:
         staged = hidden / STAGED
         staged.mkdir()
         yield staged
-        with held_back():
-            _join(name, staged, out)
-            signals.written.append(name)
+        _join(name, staged, out)
+        signals.written.append(name)
 
 
 @contextmanager
@@ -89,16 +87,15 @@ def new_folder(name: str, *, last: str = LAST_OF_DATASET, going: Going | None = 
         staged = hidden / STAGED
         if there := sorted(_names(out) - {STAGING}):
             if (staged / last).exists():  # a run was killed as it moved them
-                _fill(name, staged, out, last)
+                _fill(staged, out, last)
             raise OutputError(f"{name}: is not empty, found {there[0]}; expected a new name or an empty folder")
         staged.mkdir(exist_ok=going is not None)
         try:
             yield staged
         except OutputError as error:  # names frames as they would have been named
             raise OutputError(str(error).replace(str(staged), name)) from None
-        with held_back():
-            _fill(name, staged, out, last)
-            signals.written.append(name)
+        _fill(staged, out, last)
+        signals.written.append(name)
 
 
 def store_path(staged: Path) -> Path:
@@ -137,9 +134,8 @@ def write_file(path: Path, content: bytes, *, not_over: Path | None = None, is_p
                 shutil.copymode(path, new)
             elif is_private:
                 new.chmod(0o600)
-            with held_back():
-                new.replace(path)
-                signals.written.append(name)
+            new.replace(path)
+            signals.written.append(name)
 
 
 def write_folder(folder: Path | str, files: Mapping[str, bytes | Iterable[bytes]]) -> None:
@@ -198,23 +194,17 @@ def _place(name: str) -> Iterator[Path]:
         raise OutputError(f"found {name!r} as the folder for results, expected a name")
     if "://" in name:  # it may hold a secret
         raise OutputError("found a URL as the folder for results, expected a local folder")
-    path = Path(name)
+    path = Path(name).absolute()
     if path.exists() and not path.is_dir():
-        raise OutputError(f"{path}: is a file, expected a folder or a new name")
-    if path.is_symlink() and not path.exists():
-        raise OutputError(f"{path}: is a link to {path.readlink()}, which does not exist")
-    parent = path.absolute().parent
-    if not parent.is_dir():
-        raise OutputError(f"{path}: {parent} is not a folder")
-    path = path.resolve()
-    made = False
+        raise OutputError(f"{name}: is a file, expected a folder or a new name")
+    if not path.parent.is_dir():
+        raise OutputError(f"{name}: {path.parent} is not a folder")
+    is_new = not path.exists()
+    path.mkdir(exist_ok=True)
     try:
-        with held_back(), suppress(FileExistsError):
-            path.mkdir()
-            made = True
         yield path
     except BaseException:
-        if made:
+        if is_new:
             with suppress(OSError):
                 path.rmdir()
         raise
@@ -234,14 +224,10 @@ def _hidden(hidden: Path, name: str, going: Going | None = None, kept: Set[str] 
     If the run can go on later, what is `kept` may be there at the start, and stays if the run fails and has a
     store. Another command into the same place leaves the store alone.
     """
-    lock: BinaryIO | None = None
-    is_ours = False
+    lock = _lock(hidden, name)
     stays: Set[str] = frozenset()
     try:
-        with held_back():
-            lock = _lock(hidden, name)
-            is_ours = True
-            _clear(hidden, {STORE} if going is None else frozenset() if going.restart else kept)
+        _clear(hidden, {STORE} if going is None else frozenset() if going.restart else kept)
         yield hidden
         stays = {STORE} if going is None or going.keep else frozenset()
     except BaseException:
@@ -249,17 +235,15 @@ def _hidden(hidden: Path, name: str, going: Going | None = None, kept: Set[str] 
             stays = {STORE} if going is None else kept
         raise
     finally:
-        with held_back():
-            with suppress(OSError):  # the next run removes what is left
-                if is_ours and (lock is None or _is_at(lock, hidden / LOCK)):
-                    _clear(hidden, stays)
-                    is_empty = not stays & _names(hidden)
-                    if is_empty or lock is None:
-                        (hidden / LOCK).unlink()
-                    if is_empty:
-                        hidden.rmdir()
-            if lock is not None:
-                lock.close()
+        with suppress(OSError):  # the next run removes what is left
+            _clear(hidden, stays)
+            is_empty = not stays & _names(hidden)
+            if is_empty or lock is None:
+                (hidden / LOCK).unlink()
+            if is_empty:
+                hidden.rmdir()
+        if lock is not None:
+            lock.close()
 
 
 def _lock(hidden: Path, name: str) -> BinaryIO | None:
@@ -267,60 +251,29 @@ def _lock(hidden: Path, name: str) -> BinaryIO | None:
 
     Returns the open lock file; None if the file system has no locks: then the file itself is the lock.
     """
-    while True:
-        made = True
-        try:
-            hidden.mkdir(mode=0o700)
-        except FileExistsError:
-            made = False
-        lock = None
-        try:
-            names = _names(hidden)
-            if names - {LOCK, STAGED, STORE}:
-                raise OutputError(f"{hidden}: was not made by todframes; move it away, or take another name")
-            is_new = False
-            try:
-                lock = (hidden / LOCK).open("xb")
-                is_new = True
-            except FileExistsError:
-                lock = (hidden / LOCK).open("ab")
-            if not locked(lock.fileno()):
-                if not is_new:
-                    raise OutputError(
-                        f"{hidden}: belongs to another run, or to one that was killed; remove it if none is "
-                        "under way"
-                    )
-                lock.close()  # Windows removes no open file
-                return None
-            if _is_at(lock, hidden / LOCK):
-                return lock
-            lock.close()  # its last owner has removed it
-        except FileNotFoundError:
-            continue  # its run has just ended
-        except BaseException as error:
-            if lock is not None:
-                lock.close()
-            if made:
-                with suppress(OSError):
-                    hidden.rmdir()
-            if isinstance(error, BlockingIOError):
-                raise OutputError(
-                    f"{name}: another run is writing there; wait for it, or take another name"
-                ) from None
-            raise
-
-
-def _is_at(file: BinaryIO, path: Path) -> bool:
-    """Return whether an open file still has its name."""
-    with suppress(FileNotFoundError):
-        return os.path.samestat(os.fstat(file.fileno()), path.stat())
-    return False
+    hidden.mkdir(mode=0o700, exist_ok=True)
+    if _names(hidden) - {LOCK, STAGED, STORE}:
+        raise OutputError(f"{hidden}: was not made by todframes; move it away, or take another name")
+    is_new = not (hidden / LOCK).exists()
+    lock = (hidden / LOCK).open("ab")
+    try:
+        if locked(lock.fileno()):
+            return lock
+    except BlockingIOError:
+        lock.close()
+        raise OutputError(f"{name}: another run is writing there; wait for it, or take another name") from None
+    lock.close()  # Windows removes no open file
+    if not is_new:
+        raise OutputError(
+            f"{hidden}: belongs to another run, or to one that was killed; remove it if none is under way"
+        )
+    return None
 
 
 def _clear(hidden: Path, stays: Set[str]) -> None:
     """Remove the files of a run from its hidden folder, except the lock and what stays."""
     for path in [path for path in hidden.iterdir() if path.name not in {LOCK, *stays}]:
-        if path.is_dir() and not path.is_symlink():
+        if path.is_dir():
             shutil.rmtree(path)
         else:
             path.unlink()
@@ -333,7 +286,7 @@ def _join(name: str, staged: Path, out: Path) -> None:
     """Move staged files into a result folder, over older ones, one by one."""
     made = _names(staged)
     for part in made:
-        if (out / part).is_dir() and not (out / part).is_symlink():
+        if (out / part).is_dir():
             raise OutputError(f"{Path(name) / part}: is a folder, expected a file or none")
     stale = _files_of_result(out) - made if LAST_OF_RESULT in made else set()
     new: list[str] = []
@@ -359,16 +312,7 @@ def _files_of_result(path: Path) -> set[str]:
     return set()
 
 
-def _fill(name: str, staged: Path, out: Path, last: str) -> None:
-    """Move staged files and folders into a folder that has none of them; no file is replaced."""
-    moved: list[str] = []
-    try:
-        for part in sorted(_names(staged), key=lambda part: (part == last, part)):
-            if os.path.lexists(out / part):
-                raise OutputError(f"{name}: {part} was put there meanwhile; expected a new name")
-            (staged / part).rename(out / part)
-            moved.append(part)
-    except OSError:  # an OutputError is one, too
-        for part in reversed(moved):
-            (out / part).rename(staged / part)
-        raise
+def _fill(staged: Path, out: Path, last: str) -> None:
+    """Move staged files and folders into a folder that has none of them, `last` at the end."""
+    for part in sorted(_names(staged), key=lambda part: (part == last, part)):
+        (staged / part).rename(out / part)

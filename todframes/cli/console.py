@@ -10,8 +10,8 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
-from typing import TYPE_CHECKING, Any, NamedTuple
+from contextlib import contextmanager, redirect_stdout, suppress
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,9 +20,6 @@ from todframes.base.errors import DataError, TodframesError, in_command
 from todframes.base.safe_text import visible, without_secrets
 
 if TYPE_CHECKING:
-    from todframes.base.output import Going
-    from todframes.jobs.store import Store
-    from todframes.jobs.work import Engine
     from todframes.parameters import Progress
     from todframes.results.data import ResultWarning
     from todframes.results.result import Result
@@ -41,39 +38,24 @@ WHOLE = 10_000
 """Width of a line, in letters, if standard output is not a terminal."""
 
 
-class Staged(NamedTuple):
-    """A place that is reserved for the output of a run.  `write` takes a function that makes the files, by name.
-    `store` keeps the finished results of a run that can be continued; None if the run cannot, or there is no such
-    place.
-    """
-
-    write: Callable[[Callable[[], Mapping[str, bytes | Iterable[bytes]]]], None]
-    store: Store | None = None
+Write = Callable[[Callable[[], Mapping[str, bytes | Iterable[bytes]]]], None]
+"""Function that writes what another function makes: files by name."""
 
 
 @contextmanager
-def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) -> Iterator[Staged]:
-    """Reserve the folder `out` before the work; the files written into it appear if the block ends well.
-
-    With `going` the run can go on later; `quiet` says nothing about results that an earlier run has finished.
-    """
+def staged(out: str | None) -> Iterator[Write]:
+    """Reserve the folder `out` before the work; what is written appears there if the block ends well."""
     if out is None:
-        yield Staged(lambda _: None)
+        yield lambda _: None
         return
-    from todframes.base.output import output_folder, store_path, write_files
+    from todframes.base.output import output_folder, write_files
 
-    with output_folder(out, going) as folder, ExitStack() as stack:
-        store = None
-        if going is not None:
-            from todframes.jobs.store import Store
-
-            store = Store(store_path(folder), out, None if quiet else say)
-            stack.callback(store.close)
-        yield Staged(lambda make: write_files(folder, make()), store)
+    with output_folder(out) as folder:
+        yield lambda make: write_files(folder, make())
 
 
 @contextmanager
-def opened_engine(asked: dict[str, Any], *, quiet: bool) -> Iterator[Engine]:
+def opened_engine(asked: dict[str, Any], *, quiet: bool) -> Iterator[None]:
     """Open the engine of `--cluster` and `--workers`, and print the address of its dashboard.
 
     `cluster` is replaced by the engine in `asked`.
@@ -84,24 +66,28 @@ def opened_engine(asked: dict[str, Any], *, quiet: bool) -> Iterator[Engine]:
         if engine.dashboard is not None and not quiet:
             say(f"dashboard: {engine.dashboard}")
         asked["cluster"] = engine
-        yield engine
+        yield
 
 
 @contextmanager
-def long_run(out: str | None, asked: dict[str, Any], *, quiet: bool) -> Iterator[Staged]:
+def long_run(out: str | None, asked: dict[str, Any], *, quiet: bool) -> Iterator[Write]:
     """Reserve the folder `out` for a run that can be continued, and open its engine.
 
     Of `asked`, `restart` and `keep_store` are removed; `cluster` is replaced by the engine, and `store` is set.
     """
-    restart, keep = asked.pop("restart", False), asked.pop("keep_store", False)
-    going = None
-    if out is not None:
-        from todframes.base.output import Going
+    how = {"restart": asked.pop("restart", False), "keep": asked.pop("keep_store", False)}
+    if out is None:
+        with opened_engine(asked, quiet=quiet):
+            yield lambda _: None
+        return
+    from todframes.base.output import output_folder, write_files
+    from todframes.jobs.run import continued
 
-        going = Going(restart=restart, keep=keep)
-    with staged(out, going, quiet=quiet) as place, opened_engine(asked, quiet=quiet):
-        asked["store"] = place.store
-        yield place
+    with (
+        continued(output_folder, out, **how, tell=None if quiet else say) as (folder, asked["store"]),
+        opened_engine(asked, quiet=quiet),
+    ):
+        yield lambda make: write_files(folder, make())
 
 
 def print_result(

@@ -28,7 +28,7 @@ def noise(given: dict[str, Any], shown: dict[str, Any], out: str | None) -> None
         raise SettingsError("noise: found no RECORDING, expected one, or --emva DESCRIPTOR")
     import todframes as tod
 
-    with staged(out) as place:
+    with staged(out) as write:
         with progress("reading", quiet=shown["quiet"]) as advance:
             if is_emva:
                 bright = given.pop("recording", ())
@@ -36,7 +36,7 @@ def noise(given: dict[str, Any], shown: dict[str, Any], out: str | None) -> None
             else:
                 result = tod.noise(given.pop("recording"), progress=advance, **given)
         table = result.sensor_toml() if as_sensor else None
-        place.write(result.files)
+        write(result.files)
     if table is not None:
         print_content(table, result.warnings, **shown)
         return

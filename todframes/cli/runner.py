@@ -339,9 +339,9 @@ def _run(command: Command, **values: Any) -> None:
     has_progress = "progress" in parameters
     with ExitStack() as stack:
         if "store" in parameters:
-            place = stack.enter_context(long_run(out, given, quiet=quiet))
+            write = stack.enter_context(long_run(out, given, quiet=quiet))
         else:
-            place = stack.enter_context(staged(out))
+            write = stack.enter_context(staged(out))
             if "cluster" in parameters:
                 stack.enter_context(opened_engine(given, quiet=quiet))
         if "enhance" in parameters:
@@ -349,7 +349,7 @@ def _run(command: Command, **values: Any) -> None:
         with progress(command.task, quiet=quiet) if has_progress else nullcontext() as advance:
             result = call(**given, **({"progress": advance} if has_progress else {}))
         if command.files:
-            place.write(result.files)
+            write(result.files)
     _show(command, result, given | further, shown, out)
 
 

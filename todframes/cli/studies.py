@@ -110,7 +110,7 @@ def accuracy(
                 raise
             if not quiet:
                 say(f"left out: {name}: {error}")
-    with staged(out) as place:
+    with staged(out) as write:
         with progress("measuring", quiet=quiet) as advance:
             measured = [
                 measure(scene, seconds=seconds, seed=rng) for scene in counted(scenes, len(scenes), advance)
@@ -122,5 +122,5 @@ def accuracy(
             seed=rng,
             scenes=tuple(map(accuracy_report.scene_result, measured)),
         )
-        place.write(lambda: accuracy_report.files(result))
+        write(lambda: accuracy_report.files(result))
     print_result(result, as_json=json, out=out, quiet=quiet)

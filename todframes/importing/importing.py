@@ -7,7 +7,6 @@ import math
 import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import numpy as np
 
 from todframes import __version__
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.output import Going, new_folder, remove_others, store_path
+from todframes.base.output import new_folder, remove_others
 from todframes.base.reading import WarmUpFrames, check_positive, convert
 from todframes.base.safe_text import in_utf8, one_line
 from todframes.diagnosis.findings import place_deviations
@@ -35,7 +34,7 @@ from todframes.importing.filmed_trials import (
 from todframes.importing.schedule import read_schedule
 from todframes.importing.schedule_source import ScheduleSource
 from todframes.importing.windows import WindowWriter
-from todframes.jobs.store import Store
+from todframes.jobs.run import continued
 from todframes.parameters import (
     MAX_FRAME_MB,
     Angle,
@@ -213,11 +212,7 @@ def import_recordings(
         source = ScheduleSource(Path(schedule), opened, ifov_mrad=ifov_mrad, level=level, **reading)
     scales = [code_range(one, value_range) for one in opened]
     is_clipped = shown.display.eotf != "linear"
-    going = Going(restart=restart, keep=keep_store)
-    with (
-        new_folder(str(out), going=going) as folder,
-        closing(Store(store_path(folder), str(out), tell)) as store,
-    ):
+    with continued(new_folder, str(out), restart=restart, keep=keep_store, tell=tell) as (folder, store):
         if store.is_begun:
             store.tell(f"{len(store)} windows are there from an earlier run; going on with the others")
         writer = WindowWriter(folder, store, clip=is_clipped)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 
+from todframes.base.output import Going, store_path
 from todframes.base.progress import counted
 from todframes.jobs.engine import open_engine
 from todframes.jobs.work import ITEMS_PER_TASK, Engine, LocalEngine, Work
@@ -82,6 +83,29 @@ def opened_run(
             store.n_used = 0
             stack.callback(store.close)
         yield Run(engine, store, progress)
+
+
+@contextmanager
+def continued(
+    place: Callable[..., AbstractContextManager[Path]],
+    name: str,
+    *,
+    restart: bool,
+    keep: bool,
+    tell: Callable[[str], None] | None,
+) -> Iterator[tuple[Path, Store]]:
+    """Yield the staging folder and the store of a run that goes on where an earlier one into this place ended.
+
+    `place` is `output_folder` or `new_folder`. With `restart` nothing is taken from an earlier run; with `keep` the
+    store stays when the run has ended well. `tell` gets a remark about what an earlier run has finished.
+    """
+    from todframes.jobs.store import Store
+
+    with (
+        place(name, going=Going(restart=restart, keep=keep)) as folder,
+        closing(Store(store_path(folder), name, tell)) as store,
+    ):
+        yield folder, store
 
 
 def run_stored(
