@@ -96,7 +96,7 @@ def continued(
 ) -> Iterator[tuple[Path, Store]]:
     """Yield the staging folder and the store of a run that goes on where an earlier one into this place ended.
 
-    `place` is `output_folder` or `new_folder`. With `restart` nothing is taken from an earlier run; with `keep` the
+    `place` is `output_folder` or `new_folder`. With `restart` nothing of an earlier run is used; with `keep` the
     store stays when the run has ended well. `tell` gets a remark about what an earlier run has finished.
     """
     from todframes.jobs.store import Store
