@@ -6,9 +6,11 @@ The module is light, so that the commands know their options before NumPy is loa
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple, TypeVar
+
+T = TypeVar("T")
 
 
 class Form(NamedTuple):
@@ -116,3 +118,11 @@ Preset = Literal["emva_basler", "boson"]
 
 MAX_FRAME_MB = 256
 """Default of the largest frame that is decoded: all channels, in their own pixel types. One MB is 2**20 bytes."""
+
+
+def counted(parts: Iterable[T], total: int | None, progress: Progress | None) -> Iterator[T]:
+    """Yield the parts of some work; report after each how many are done of how many, None if that is not known."""
+    for done, part in enumerate(parts, 1):
+        yield part
+        if progress is not None:
+            progress(done, total)

@@ -8,7 +8,6 @@ from typing import Any
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.four_bars.mrtd_result import LLOYD_FACTOR, BarsAt, SensorMrtd, bars_at, sensor_ttp
 from todframes.base.errors import SettingsError, argument
-from todframes.base.progress import counted
 from todframes.base.reading import check_positive, convert
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.ttp import TtpSettings
@@ -24,6 +23,7 @@ from todframes.parameters import (
     SensorFile,
     SignalToNoise,
     Tolerance,
+    counted,
 )
 from todframes.results.advice import missed_tolerance
 from todframes.results.data import Fit, Group, Record, ResultWarning, as_read

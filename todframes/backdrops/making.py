@@ -29,7 +29,6 @@ from todframes.backdrops.views import (
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.output import new_folder
-from todframes.base.progress import counted
 from todframes.base.reading import MOST_TRIALS, check_positive, check_whole, distinct_numbers
 from todframes.base.safe_text import csv_text, in_utf8, one_line
 from todframes.base.seeds import Rng, seed_of
@@ -55,6 +54,7 @@ from todframes.parameters import (
     StepMrad,
     Turns,
     WholeNumber,
+    counted,
 )
 from todframes.stimulus import CIRCLE_PER_SIZE, Orientation, coverage
 

@@ -20,7 +20,6 @@ from msgspec import Struct, structs
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, argument
-from todframes.base.progress import counted
 from todframes.camera.emva_xml import EmvaCamera
 from todframes.camera.noise3d import (
     DRIFT_ERRORS,
@@ -35,7 +34,7 @@ from todframes.camera.noise3d import (
     fit_drift,
     straight_line,
 )
-from todframes.parameters import Progress
+from todframes.parameters import Progress, counted
 from todframes.recordings.recording import Recording, RecordingWarning
 
 QUANTISATION_VARIANCE = 1.0 / 12.0

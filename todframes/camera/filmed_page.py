@@ -13,7 +13,6 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.progress import counted
 from todframes.camera.noise3d import FramePatch, Region
 from todframes.camera.slanted_edges import PlacedEdge, box_about
 from todframes.charts.layout import Chart, Edge, Page, Patch, read_chart
@@ -22,7 +21,7 @@ from todframes.importing.clips import ClipFrame, clean_clips
 from todframes.importing.geometry import Geometry
 from todframes.importing.lens_fit import MeasuredEdges, choose_lens
 from todframes.importing.marker_finder import MarkerFinder, SeenEdges
-from todframes.parameters import Progress
+from todframes.parameters import counted, Progress
 from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning
 
 INNER_SHARE = 0.7

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.progress import counted
 from todframes.camera.edge_mtf import LEAST_SIDE_PX, Box, EdgeMtf, MtfBand, mean_band, measure_edge
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS, Display
-from todframes.parameters import Progress
+from todframes.parameters import Progress, counted
 from todframes.recordings.recording import Recording, RecordingWarning
 
 LUMA, COLOURS = "luma", ("red", "green", "blue")

@@ -17,13 +17,12 @@ import numpy as np
 from msgspec import Meta
 
 from todframes.base.errors import SettingsError
-from todframes.base.progress import counted
 from todframes.base.reading import check_values
 from todframes.charts.layout import CHART_FILE, LARGEST_ON_CHART, Chart, Length, Page, Triangle, write_chart
 from todframes.charts.markers import MOST_PAGES
 from todframes.charts.page_drawing import Drawing, pdf, svg
 from todframes.frames.surround import REACH_IN_SIZES
-from todframes.parameters import ChartKind, Progress
+from todframes.parameters import counted, ChartKind, Progress
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 FIELD_PER_SIZE = 5.0

@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.progress import counted
 from todframes.charts.camera_page import CameraContent, camera_codes, camera_content, grey_patches
 from todframes.charts.design import FIELD_PER_SIZE, SURROUND_PER_SIZE, Condition, Design
 from todframes.charts.layout import CHART_FILE, Chart, Markers, Page, Screen, Triangle, write_chart
 from todframes.charts.markers import MODULES
 from todframes.display.dither import dithered
-from todframes.parameters import MarkerPlaces, Progress
+from todframes.parameters import MarkerPlaces, Progress, counted
 from todframes.stimulus import ORIENTATIONS, coverage
 
 PLAYER = "play.html"

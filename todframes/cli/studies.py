@@ -8,9 +8,9 @@ from pathlib import Path
 import click
 
 from todframes.base.errors import DataError, SettingsError
-from todframes.base.progress import counted
 from todframes.cli.console import echo, print_result, print_table, progress, say, staged
 from todframes.cli.runner import showing
+from todframes.parameters import counted
 
 RECORDED = "recorded"
 """Name of the scene that needs a dataset."""

@@ -24,7 +24,6 @@ from msgspec import Meta
 from todframes import __version__
 from todframes.base._typing import Json
 from todframes.base.errors import DataError, OutputError, SettingsError, argument
-from todframes.base.progress import counted
 from todframes.base.reading import check_values
 from todframes.display.dither import blue_noise
 from todframes.experiment.answers import (
@@ -64,7 +63,7 @@ from todframes.experiment.stimuli import clipped, contrast_range, dithered_codes
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import frame_sha256
 from todframes.frames.trials import Trial
-from todframes.parameters import Method, Progress
+from todframes.parameters import Method, Progress, counted
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 CONSENT = """\

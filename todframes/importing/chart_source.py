@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
-from todframes.base.progress import counted
 from todframes.charts.layout import Chart, read_chart
 from todframes.charts.markers import CORNERS, page_of
 from todframes.diagnosis.findings import MOST_TURN_RAD
@@ -33,7 +32,7 @@ from todframes.importing.geometry import Geometry, PlacedTriangle, place_triangl
 from todframes.importing.lens_fit import Pieces, choose_lens, solve
 from todframes.importing.marker_finder import MarkerFinder, SeenEdges, Sighting
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
-from todframes.parameters import Progress
+from todframes.parameters import Progress, counted
 from todframes.recordings.recording import GAP, Recording, RecordingWarning
 
 SLACK_PX = 16

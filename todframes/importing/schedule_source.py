@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, argument
-from todframes.base.progress import counted
 from todframes.importing.clips import Clip, ClipFrame, FramePart, Placed, frames_with_those_before
 from todframes.importing.filmed_trials import OBJECT_SIZE, Correction, TriangleDescription
 from todframes.importing.schedule import ScheduledTrial, assign_recordings, read_schedule
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
-from todframes.parameters import Progress
+from todframes.parameters import Progress, counted
 from todframes.recordings.recording import Recording, RecordingWarning
 
 NO_MODULES = np.zeros((0, 0, 0))

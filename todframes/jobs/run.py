@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 import msgspec
 
 from todframes.base.output import Going, store_path
-from todframes.base.progress import counted
 from todframes.jobs.engine import open_engine
 from todframes.jobs.work import ITEMS_PER_TASK, Engine, LocalEngine, Work
-from todframes.parameters import Progress
+from todframes.parameters import Progress, counted
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store

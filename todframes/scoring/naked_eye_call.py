@@ -8,9 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from todframes.base.errors import SettingsError, argument
-from todframes.base.progress import counted
 from todframes.observers.interface import Observer, described
-from todframes.parameters import Numbers, ObserverName, PlaceCount, Probability, Progress
+from todframes.parameters import Numbers, ObserverName, PlaceCount, Probability, Progress, counted
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.results.advice import above_contrast_1, numerical_errors

@@ -6,12 +6,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from todframes.base.progress import counted
 from todframes.frames.checksums import check_writable, write_sha256
 from todframes.frames.contrast import frame_problems, unjudged_problems
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import frame_sha256
-from todframes.parameters import Progress
+from todframes.parameters import Progress, counted
 from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
 from todframes.scoring.opening import inspected, loaded
