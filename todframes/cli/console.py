@@ -37,7 +37,6 @@ MOST_ALIKE = 10
 WHOLE = 10_000
 """Width of a line, in letters, if standard output is not a terminal."""
 
-
 Write = Callable[[Callable[[], Mapping[str, bytes | Iterable[bytes]]]], None]
 """Function that writes what another function makes: files by name."""
 
