@@ -21,7 +21,7 @@ from todframes.importing.clips import ClipFrame, clean_clips
 from todframes.importing.geometry import Geometry
 from todframes.importing.lens_fit import MeasuredEdges, choose_lens
 from todframes.importing.marker_finder import MarkerFinder, SeenEdges
-from todframes.parameters import counted, Progress
+from todframes.parameters import Progress, counted
 from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning
 
 INNER_SHARE = 0.7

@@ -22,7 +22,7 @@ from todframes.charts.layout import CHART_FILE, LARGEST_ON_CHART, Chart, Length,
 from todframes.charts.markers import MOST_PAGES
 from todframes.charts.page_drawing import Drawing, pdf, svg
 from todframes.frames.surround import REACH_IN_SIZES
-from todframes.parameters import counted, ChartKind, Progress
+from todframes.parameters import ChartKind, Progress, counted
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 FIELD_PER_SIZE = 5.0
