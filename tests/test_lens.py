@@ -191,9 +191,9 @@ def test_a_zoom_begins_where_the_picture_grows() -> None:
     corners = np.array([[0.0, 0.0], [480.0, 0.0], [480.0, 270.0], [0.0, 270.0]])
     still = [view(0.8 * (1.0 + 5e-4 * (-1) ** k)) for k in range(20)]
     zooming = [view(0.8 * (1.0 + 0.01 * k)) for k in range(1, 8)]
-    assert zoom_begin(corners, still, len(still), SHAPE) is None
+    assert zoom_begin(corners, still, SHAPE) is None
     film = [*still, *zooming]
-    assert zoom_begin(corners, film, len(film), SHAPE) == 20
+    assert zoom_begin(corners, film, SHAPE) == 20
     # A chart that is moved to another place of the frame, where the lens shows it larger, is no zoom.
     film = [*still, *(view(0.9, 120.0) for _ in range(5))]
-    assert zoom_begin(corners, film, len(film), SHAPE) is None
+    assert zoom_begin(corners, film, SHAPE) is None

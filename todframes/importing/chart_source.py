@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from array import array
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from itertools import chain, islice, pairwise
+from itertools import pairwise
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any, NamedTuple
@@ -29,7 +28,7 @@ from todframes.importing.filmed_trials import (
     TriangleDescription,
 )
 from todframes.importing.geometry import Geometry, PlacedTriangle, place_triangle
-from todframes.importing.lens_fit import Pieces, choose_lens, solve
+from todframes.importing.lens_fit import choose_lens, solve
 from todframes.importing.marker_finder import MarkerFinder, SeenEdges, Sighting
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
 from todframes.parameters import Progress, counted
@@ -111,15 +110,14 @@ class RecordingReport:
 
     `n_without_markers` are frames in which the four markers were not found, or one cannot be read in more than
     `MOST_TRANSITION` frames in a row; `n_transition` those with markers of two pages or with a share of another
-    page, `n_other_page` those with the chart's key but a page that it does
-    not have, `n_rolled` those turned too far, `n_camera_page` those of a page without triangles. `n_doubled` are
-    equal to the frame before, bit by bit, and kept. `n_off_frame` and `n_cut` count triangles that do not lie on
-    the frame, and windows that its border cuts.
-    `page_duration_s` is the mean time from a page to the next by the times of the frames, None if not regular.
-    `frame_rate_varies` states that the intervals between frames are longer without missing frames.
-    `place_error_px` is the standard error of the triangles' places, `size_error` that of their sizes, relative,
-    and `lens` the lens that they were placed through; None for one that bends nothing. `lens_unsolved` states that
-    the edges of the markers fit none, an ideal one included.
+    page, `n_other_page` those with the chart's key but a page that it does not have, `n_rolled` those turned too
+    far, `n_camera_page` those of a page without triangles. `n_doubled` are equal to the frame before, bit by bit,
+    and kept. `n_off_frame` and `n_cut` count triangles that do not lie on the frame, and windows that its border
+    cuts. `page_duration_s` is the mean time from a page to the next by the times of the frames, None if not
+    regular. `frame_rate_varies`: the intervals between frames are longer without missing frames. `place_error_px`
+    is the standard error of the triangles' places, `size_error` that of their sizes, relative, and `lens` the lens
+    that they were placed through; None for one that bends nothing. `lens_unsolved`: the edges of the markers fit
+    none, an ideal one included.
     """
 
     path: str
@@ -145,9 +143,16 @@ class RecordingReport:
     other_keys: dict[int, int] = field(default_factory=dict)
     clips: list[dict[str, Any]] = field(default_factory=list)
 
-    def add_other_key(self, key: int) -> None:
-        """Count a frame of another chart, by the chart's key."""
-        self.other_keys[key] = self.other_keys.get(key, 0) + 1
+    def count_unclear(self, n_frames: int) -> None:
+        """Count frames in a row whose markers name no page."""
+        if n_frames > MOST_TRANSITION:
+            self.n_without_markers += n_frames
+        else:
+            self.n_transition += n_frames
+
+    def worst(self, name: str) -> float:
+        """Return the value of a clip that is farthest from 0."""
+        return float(max((clip[name] for clip in self.clips), key=abs))
 
 
 class ChartSource:
@@ -183,7 +188,8 @@ class ChartSource:
         self.corrections: dict[int, Correction] = {}
         self._n_runs = 0
         self._n_placed = 0
-        self._reaches: dict[float, _Reach] = {}
+        # By size on the chart: the largest size in the frame, and to where windows reach that hold it.
+        self._reaches: dict[float, tuple[int, int]] = {}
 
     def described(self, page: int, index: int) -> TriangleDescription:
         """Return the description of a triangle of a page."""
@@ -198,42 +204,34 @@ class ChartSource:
         """
         report = RecordingReport(str(recording.path), frames_per_second=recording.frames_per_second)
         self.reports.append(report)
-        clips: list[Clip] = []
-        measured: list[_Measured] = []
-        seen: list[_SeenChart] = []
         finder = MarkerFinder(self._markers.all_centres_mm, self._markers.side_mm)
-        looked = self._looked(recording, finder, report, measured, seen)
-        for clip, frame in clean_clips(looked, key=self.chart.key, first_number=self._n_runs + 1):
+        film = _Film(recording, finder, report, [], [])
+        clips: list[Clip] = []
+        for clip, frame in clean_clips(self._looked(film), key=self.chart.key, first_number=self._n_runs + 1):
             if not clips or clip is not clips[-1]:
                 clips.append(clip)
             yield clip, frame
         report.n_transition += sum(clip.n_transition for clip in clips)
-        self._settle(finder.pieces, recording.shape, measured, seen, report)
+        self._settle(film)
         shown = [clip for clip in clips if self.chart.pages[clip.page].triangles]
         report.n_camera_page = sum(clip.n_frames for clip in clips) - sum(clip.n_frames for clip in shown)
-        report.clips = [asdict(clip) | measured[clip.number - self._n_runs - 1].medians for clip in shown]
+        report.clips = [asdict(clip) | film.runs[clip.number - self._n_runs - 1].medians() for clip in shown]
         if recording.frames_per_second is not None:
             starts = [
-                (one.page, one.start_s)
-                for one in measured
-                if one.start_s is not None and self.chart.pages[one.page].triangles
+                (run.page, run.start_s)
+                for run in film.runs
+                if run.start_s is not None and self.chart.pages[run.page].triangles
             ]
             report.page_duration_s = page_duration_s(starts, 1.0 / recording.frames_per_second)
         self.clips += shown
-        self._n_runs += len(measured)
+        self._n_runs += len(film.runs)
 
-    def _looked(
-        self,
-        recording: Recording,
-        finder: MarkerFinder,
-        report: RecordingReport,
-        measured: list[_Measured],
-        charts: list[_SeenChart],
-    ) -> Iterator[ClipFrame]:
+    def _looked(self, film: _Film) -> Iterator[ClipFrame]:
+        recording, finder, report = film.recording, film.finder, film.report
         last: NDArray[np.generic] | None = None
         seen: Sighting | None = None
         n_unclear = 0
-        times_s = array("d")
+        times_s: list[float] = []
         frames = frames_with_those_before(recording, self._warm_up_frames)
         for frame, before in counted(frames, recording.n_frames, self._progress):
             report.n_frames += 1
@@ -248,7 +246,7 @@ class ChartSource:
             if seen is not None and page_of(seen.ids) is None:
                 n_unclear += 1
                 continue
-            _count_unclear(n_unclear, report)
+            report.count_unclear(n_unclear)
             n_unclear = 0
             page = self._page(seen, finder.key, report)
             if page is not None and seen is not None:
@@ -257,10 +255,11 @@ class ChartSource:
                 if abs(roll) > LARGEST_ROLL_DEGREES:
                     report.n_rolled += 1
                     continue
-                if not measured or measured[-1].page != page:
-                    measured.append(_Measured(page, frame.time_s))
-                run = len(measured) - 1
-                charts.append(_SeenChart(run, seen.geometry, seen.edges, self._n_placed, frame.source))
+                if not film.runs or film.runs[-1].page != page:
+                    film.runs.append(_Run(page, frame.time_s))
+                film.charts.append(
+                    _SeenChart(film.runs[-1], seen.geometry, seen.edges, self._n_placed, frame.source)
+                )
                 sizes_mm = [one.size_mm for one in self.chart.pages[page].triangles]
                 parts = tuple(
                     self._part(frame.values, one, self._reach_px(size_mm, one.size_px), report, number)
@@ -268,7 +267,7 @@ class ChartSource:
                 )
                 self._n_placed += len(placed)
                 yield ClipFrame(page, frame.time_s, frame.source, parts, seen.modules, before)
-        _count_unclear(n_unclear, report)
+        report.count_unclear(n_unclear)
         report.frame_rate_varies = rate_varies(np.diff(times_s))
 
     def _page(self, seen: Sighting | None, searched_key: int | None, report: RecordingReport) -> int | None:
@@ -276,13 +275,13 @@ class ChartSource:
             if searched_key is None or searched_key == self.chart.key:
                 report.n_without_markers += 1
             else:
-                report.add_other_key(searched_key)
+                report.other_keys[searched_key] = report.other_keys.get(searched_key, 0) + 1
             return None
         found = page_of(seen.ids)
         assert found is not None
         page, key = found
         if key != self.chart.key:
-            report.add_other_key(key)
+            report.other_keys[key] = report.other_keys.get(key, 0) + 1
             return None
         if page >= len(self.chart.pages):
             report.n_other_page += 1
@@ -297,43 +296,26 @@ class ChartSource:
             for one in self.chart.pages[page].triangles
         ]
 
-    def _settle(
-        self,
-        pieces: Pieces,
-        shape: tuple[int, int],
-        measured: list[_Measured],
-        seen: list[_SeenChart],
-        report: RecordingReport,
-    ) -> None:
+    def _settle(self, film: _Film) -> None:
         """Solve the lens of a recording from frames of all of it, and place the triangles through it.
 
         From where the lens zooms on it is another lens.
         """
-        begin = zoom_begin(self._markers.centres_mm, (one.geometry for one in seen), len(seen), shape)
+        geometries = [chart.geometry for chart in film.charts]
+        begin = zoom_begin(self._markers.centres_mm, geometries, film.recording.shape)
         if begin is not None:
-            report.zoom_from = seen[begin].source
-        end = len(seen) if begin is None else begin
-        for part in (range(end), range(end, len(seen))):
+            film.report.zoom_from = film.charts[begin].source
+        for part in (film.charts[:begin], [] if begin is None else film.charts[begin:]):
             if part:
-                self._settle_part(pieces, shape, measured, seen, part, report)
-        for one in measured:
-            one.settle()
+                self._settle_part(film, part)
 
-    def _settle_part(
-        self,
-        pieces: Pieces,
-        shape: tuple[int, int],
-        measured: list[_Measured],
-        seen: list[_SeenChart],
-        part: range,
-        report: RecordingReport,
-    ) -> None:
-        places = np.unique(np.linspace(0, len(part) - 1, MOST_SOLVED).round().astype(int)).tolist()
-        some = [seen[part[place]] for place in places]
+    def _settle_part(self, film: _Film, part: Sequence[_SeenChart]) -> None:
+        pieces, shape, report = film.finder.pieces, film.recording.shape, film.report
+        some = [part[k] for k in np.unique(np.linspace(0, len(part) - 1, MOST_SOLVED).round().astype(int))]
         choice = choose_lens(
             pieces,
-            [frame.edges.measured(pieces) for frame in some],
-            [partial(self._places, measured[frame.run].page) for frame in some],
+            [chart.edges.measured(pieces) for chart in some],
+            [partial(self._places, chart.run.page) for chart in some],
             shape,
         )
         lens = None
@@ -345,20 +327,17 @@ class ChartSource:
             report.size_error = max(round(choice.size_error, 8), report.size_error or 0.0)
             if lens is not None:
                 report.lens = lens.described(choice.fit.free)
-        for place in part:
-            frame = seen[place]
-            one, geometry = measured[frame.run], frame.geometry
-            if frame.run:
-                measured[frame.run - 1].settle()
+        for chart in part:
+            geometry, page = chart.geometry, chart.run.page
             if geometry.lens != lens:
                 start = geometry.with_lens(lens, pieces.places_mm)
-                solved = solve(pieces, [frame.edges.measured(pieces)._replace(start=start)], lens, 0)
+                solved = solve(pieces, [chart.edges.measured(pieces)._replace(start=start)], lens, 0)
                 geometry = start if solved is None else solved.geometries[0]
-                pairs = zip(self._placed(one.page, frame.geometry), self._placed(one.page, geometry), strict=True)
-                for number, (was, now) in enumerate(pairs, frame.number):
+                pairs = zip(self._placed(page, chart.geometry), self._placed(page, geometry), strict=True)
+                for number, (was, now) in enumerate(pairs, chart.number):
                     moved = now.x_px - was.x_px, now.y_px - was.y_px
                     self.corrections[number] = Correction(*moved, now.size_px)
-            self._measure(one, geometry, shape)
+            chart.run.measurements.append(self._measured(page, geometry, shape))
 
     def _places(self, page: int, geometry: Geometry) -> FloatArray:
         """Return the places of a page's triangles, and of those of another page if it has none."""
@@ -366,39 +345,40 @@ class ChartSource:
             page = next(one.number for one in self.chart.pages if one.triangles)
         return np.array([(one.x_px, one.y_px, one.size_px) for one in self._placed(page, geometry)])
 
-    def _measure(self, measured: _Measured, geometry: Geometry, shape: tuple[int, int]) -> None:
+    def _measured(self, page: int, geometry: Geometry, shape: tuple[int, int]) -> dict[str, float]:
         middle_mm = self._markers.centres_mm.mean(axis=0)
-        triangles = self.chart.pages[measured.page].triangles
+        triangles = self.chart.pages[page].triangles
         places_mm = [(one.x_mm, one.y_mm) for one in triangles] or [tuple(middle_mm.tolist())]
         views = [geometry.view(one) for one in (places_mm if geometry.lens else places_mm[:1])]
-        placed = self._placed(measured.page, geometry)
+        placed = self._placed(page, geometry)
         x_px, y_px = (placed[0].x_px, placed[0].y_px) if placed else geometry.to_px(middle_mm).tolist()
         middle_px = (np.array(shape[::-1]) - 1.0) / 2.0
         x_mrad, y_mrad = geometry.direction_mrad(
             middle_mm, middle_px=middle_px, distance_m=self.chart.distance_m
         ).tolist()
-        measured.add(
-            residual_px=geometry.residual_px,
-            scale_px_per_mm=views[0].scale_px_per_mm,
-            turn_degrees=views[0].turn_degrees,
-            mirrored=float(views[0].is_mirrored),
-            stretch=max(one.stretch for one in views),
-            lens_stretch=max(geometry.lens_stretch(one) for one in places_mm),
-            roll_degrees=max((one.roll_degrees for one in placed), key=abs, default=0.0),
-            x_px=x_px,
-            y_px=y_px,
-            object_x_mrad=x_mrad,
-            object_y_mrad=y_mrad,
-            frame_mrad=math.hypot(*shape) / (views[0].scale_px_per_mm * self.chart.distance_m),
-        )
+        return {
+            "residual_px": geometry.residual_px,
+            "scale_px_per_mm": views[0].scale_px_per_mm,
+            "turn_degrees": views[0].turn_degrees,
+            "mirrored": float(views[0].is_mirrored),
+            "stretch": max(view.stretch for view in views),
+            "lens_stretch": max(geometry.lens_stretch(place) for place in places_mm),
+            "roll_degrees": max((triangle.roll_degrees for triangle in placed), key=abs, default=0.0),
+            "x_px": x_px,
+            "y_px": y_px,
+            "object_x_mrad": x_mrad,
+            "object_y_mrad": y_mrad,
+            "frame_mrad": math.hypot(*shape) / (views[0].scale_px_per_mm * self.chart.distance_m),
+        }
 
     def _reach_px(self, size_mm: float, size_px: float) -> int:
         """Return the reach of a window, which is the same for all triangles of one displayed size."""
-        reach = self._reaches.get(size_mm)
-        if reach is None or size_px > reach.size_px or size_px * SIZE_MARGIN**2 < reach.size_px:
+        held_px, reach_px = self._reaches.get(size_mm, (0, 0))
+        if size_px > held_px or size_px * SIZE_MARGIN**2 < held_px:
             held_px = math.ceil(size_px * SIZE_MARGIN)
-            reach = self._reaches[size_mm] = _Reach(held_px, field_reach_px(held_px, self._pitch_mrad))
-        return reach.reach_px
+            reach_px = field_reach_px(held_px, self._pitch_mrad)
+            self._reaches[size_mm] = held_px, reach_px
+        return reach_px
 
     def _part(
         self,
@@ -529,7 +509,7 @@ class ChartSource:
 
     def _of_lens(self, report: RecordingReport) -> Iterator[RecordingWarning]:
         """Yield warnings about triangles that the lens places wrong, and about a zoom."""
-        residual, error_px = _worst(report, "residual_px"), report.place_error_px or 0.0
+        residual, error_px = report.worst("residual_px"), report.place_error_px or 0.0
         lens = "an ideal lens" if report.lens is None else f"a lens of the {report.lens['model']} model"
         if report.lens_unsolved:
             yield RecordingWarning(
@@ -651,70 +631,53 @@ class ChartSource:
         return f"pages with triangles that were not found: {len(lost)} of the chart's {len(pages)} ({numbers})"
 
 
-class _Reach(NamedTuple):
-    """The distance from their middle to which windows of triangles up to a size reach."""
+class _Film(NamedTuple):
+    """A recording that is searched: its report, its runs of frames of one page, and the chart in each frame."""
 
-    size_px: float
-    reach_px: int
+    recording: Recording
+    finder: MarkerFinder
+    report: RecordingReport
+    runs: list[_Run]
+    charts: list[_SeenChart]
+
+
+@dataclass
+class _Run:
+    """A run of frames of one page, the time of its first one, and measurements in each frame, by name."""
+
+    page: int
+    start_s: float | None
+    measurements: list[dict[str, float]] = field(default_factory=list)
+
+    def medians(self) -> dict[str, float]:
+        """Return the medians of the measurements, and the root mean square motion of the first triangle."""
+        columns = {name: [frame[name] for frame in self.measurements] for name in self.measurements[0]}
+        columns["turn_degrees"] = np.unwrap(columns["turn_degrees"], period=360.0).tolist()
+        medians = {name: round(float(np.median(column)), 6) for name, column in columns.items()}
+        motion = math.hypot(*(float(np.std(columns[name])) for name in ("x_px", "y_px")))
+        return medians | {"motion_px": round(motion, 6)}
 
 
 class _SeenChart(NamedTuple):
-    """The chart in one frame: the number of its run of frames of one page, its geometry as far as known then, its
-    edges, the number of its first triangle, and the frame's name."""
+    """The chart in one frame: its run, its geometry as far as known then, its edges, the number of its first
+    triangle, and the frame's name."""
 
-    run: int
+    run: _Run
     geometry: Geometry
     edges: SeenEdges
     number: int
     source: str
 
 
-class _Measured:
-    """Measurements in the frames of one clip, by name; `medians` has their medians once it is settled."""
-
-    def __init__(self, page: int, start_s: float | None) -> None:
-        self.page = page
-        self.start_s = start_s
-        self.medians: dict[str, float] = {}
-        self._values: dict[str, array[float]] = {}
-
-    def add(self, **values: float) -> None:
-        for name, value in values.items():
-            self._values.setdefault(name, array("d")).append(value)
-
-    def settle(self) -> None:
-        """Keep the medians alone, and the root mean square motion of the first triangle."""
-        if not self._values:
-            return
-        values = self._values | {"turn_degrees": np.unwrap(self._values["turn_degrees"], period=360.0)}
-        self.medians = {name: round(float(np.median(of_frames)), 6) for name, of_frames in values.items()}
-        motion = math.hypot(*(float(np.std(self._values[name])) for name in ("x_px", "y_px")))
-        self.medians["motion_px"] = round(motion, 6)
-        self._values = {}
-
-
-def _count_unclear(n_frames: int, report: RecordingReport) -> None:
-    """Count frames in a row whose markers name no page."""
-    if n_frames > MOST_TRANSITION:
-        report.n_without_markers += n_frames
-    else:
-        report.n_transition += n_frames
-
-
-def _worst(report: RecordingReport, name: str) -> float:
-    """Return the value of a clip that is farthest from 0."""
-    return float(max((clip[name] for clip in report.clips), key=abs))
-
-
 def _of_view(report: RecordingReport) -> Iterator[RecordingWarning]:
     """Yield warnings about triangles that the view turns or stretches."""
-    if abs(roll := _worst(report, "roll_degrees")) > math.degrees(MOST_TURN_RAD):
+    if abs(roll := report.worst("roll_degrees")) > math.degrees(MOST_TURN_RAD):
         yield RecordingWarning(
             "rolled",
             f"triangles are turned by {abs(roll):.1f}° from their orientation, which the observer does not "
             "expect; turn the camera, or the chart",
         )
-    stretch, by_lens = _worst(report, "stretch"), _worst(report, "lens_stretch")
+    stretch, by_lens = report.worst("stretch"), report.worst("lens_stretch")
     if stretch >= MOST_LENS_STRETCH and by_lens >= MOST_LENS_STRETCH:
         yield RecordingWarning(
             "lens_stretch",
@@ -745,26 +708,23 @@ def _lens_words(lens: dict[str, object] | None) -> str:
     return f", the lens distorts ({lens['model']} model: {named})"
 
 
-def zoom_begin(
-    centres_mm: FloatArray, geometries: Iterable[Geometry], n: int, shape: tuple[int, int]
-) -> int | None:
+def zoom_begin(centres_mm: FloatArray, geometries: Sequence[Geometry], shape: tuple[int, int]) -> int | None:
     """Return the number of the first frame in which a lens zooms; None if it does not.
 
     `centres_mm`, (4, 2), are corners of an area on the chart, one after the other; `geometries` are the chart in
     the frames, in the order of time. None also if the chart has been moved in the frame: its size in the picture
     then says nothing of the zoom. `shape` are the rows and columns of a frame.
     """
-    if n < 2:
+    if len(geometries) < 2:
         return None
     middle = (np.array(shape[::-1]) - 1.0) / 2.0
-    views = (_scale_and_place(one.to_px(centres_mm), middle) for one in geometries)
-    first = list(islice(views, min(FIRST_FRAMES, max(n // 2, 1))))
-    scales, places = np.array([scale for scale, _ in first]), np.array([place for _, place in first])
+    views = [_scale_and_place(geometry.to_px(centres_mm), middle) for geometry in geometries]
+    scales, places = map(np.array, zip(*views[: min(FIRST_FRAMES, len(views) // 2)], strict=True))
     start, noise = float(np.median(scales)), float(np.std(scales) / np.median(scales))
     start_place = np.median(places, axis=0)
     noticed = max(NOTICED_ZOOM, 5.0 * noise)
     still = -1
-    for number, (scale, place) in enumerate(chain(first, views)):
+    for number, (scale, place) in enumerate(views):
         change = scale / start
         moved = float(np.linalg.norm(place - start_place * change))
         if abs(change - 1.0) > LEAST_ZOOM and moved < MOST_MOVED * math.hypot(*shape):

@@ -132,16 +132,9 @@ class Clip:
 def clean_clips(frames: Iterable[ClipFrame], *, key: int, first_number: int) -> Iterator[tuple[Clip, ClipFrame]]:
     """Yield the frames of each clip that show its page alone, each with its clip.
 
-    Frames are held back only as long as needed for the comparison, so memory does not grow with the clip.
-
-    Parameters
-    ----------
-    frames : iterable of ClipFrame
-        Frames of one recording that show a page, in the order of time.
-    key : int
-        Key of the chart.
-    first_number : int
-        Number of the first clip.
+    `frames` are those of one recording that show a page of the chart with this key, in the order of time;
+    `first_number` is that of the first clip. Frames are held back only as long as needed for the comparison, so
+    memory does not grow with the clip.
     """
     clip: Clip | None = None
     held: list[ClipFrame] = []
@@ -210,19 +203,10 @@ def _without_other(
 def share_of_other(modules: FloatArray, ids: tuple[int, ...], other_ids: tuple[int, ...]) -> float:
     """Estimate the share of another page in a frame, from the modules in which the markers of the two differ.
 
-    Parameters
-    ----------
-    modules : ndarray, shape (4, 7, 7)
-        Values in the modules of the four markers.
-    ids, other_ids : tuple of int
-        The markers of the page that the frame shows, and those of the other page.
-
-    Returns
-    -------
-    float
-        The largest share among the markers, which the change of a display that is read line by line reaches at
-        different times; about 0 for a clean frame, up to what blur spreads from module to module. 0 if the
-        markers are the same.
+    `modules`, (4, 7, 7), are the values in those of the four markers; `ids` are the markers of the page that the
+    frame shows, `other_ids` those of the other page. Returns the largest share among the markers, which the change
+    of a display that is read line by line reaches at different times; about 0 for a clean frame, up to what blur
+    spreads from module to module. 0 if the markers are the same.
     """
     shares = [0.0]
     for values, marker, other in zip(modules, ids, other_ids, strict=True):
@@ -249,14 +233,8 @@ class Integration:
 
     Each frame is shown until the next one. The interval between frames may vary: where it is far from the mean,
     the latest one counts. Frames are missing where it is longer, by `GAP`, than one of the latest and the mean.
-
-    Parameters
-    ----------
-    time_s : float or None
-        Integration time; None: a clip is one trial, and so is each still without a time.
-    frame_s : float or None
-        Mean interval from frame to frame; None if it is not known, then each frame is a trial unless `time_s` is
-        None.
+    Without an integration time a clip is one trial, and so is each still without a time. Without a mean interval
+    from frame to frame, `frame_s`, each frame is a trial if there is an integration time.
     """
 
     def __init__(self, time_s: float | None, frame_s: float | None) -> None:

@@ -37,14 +37,8 @@ _NUMBER = r"[+-]?[0-9]+(?:[.,p][0-9]+)?(?:e[+-]?[0-9]+)?"
 
 
 class FramesFound(NamedTuple):
-    """The number of frames that a manifest was made of, and the files beside them that do not match the pattern.
-
-    Attributes
-    ----------
-    n_frames : int
-    unmatched : tuple of str
-        Names of the files that were left out.
-    """
+    """The number of frames that a manifest was made of, and the names of files beside them that do not match the
+    pattern."""
 
     n_frames: int
     unmatched: tuple[str, ...]
@@ -140,10 +134,7 @@ def new_dataset(
 def _expression(pattern: str, level: str) -> re.Pattern[str]:
     """Return the regular expression of a pattern, with a group for each column.
 
-    Raises
-    ------
-    SettingsError
-        If a column is missing, is there twice, or cannot come from a name.
+    Raises SettingsError if a column is missing, is there twice, or cannot come from a name.
     """
     parts, names, end = [], [], 0
     for field in _FIELD.finditer(pattern):

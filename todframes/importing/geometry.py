@@ -43,15 +43,10 @@ class View(NamedTuple):
 class Geometry:
     """A page of a chart as a camera sees it.
 
-    Attributes
-    ----------
-    homography : ndarray, shape (3, 3)
-        Matrix that maps homogeneous chart coordinates in millimetres to pixels of an ideal picture.
-    residual_px : float
-        Root mean square distance of the points that the homography was fitted to from where it puts them, per
-        degree of freedom; 0 for four points.
-    lens : Lens or None
-        Map from pixels of the ideal picture to those of the frame; None if they are the same.
+    `homography`, (3, 3), maps homogeneous chart coordinates in millimetres to pixels of an ideal picture, and
+    `lens` these to pixels of the frame; None if they are the same. `residual_px` is the root mean square distance
+    of the points that the homography was fitted to from where it puts them, per degree of freedom; 0 for four
+    points.
     """
 
     homography: FloatArray
@@ -137,21 +132,11 @@ def stretch_of(jacobian: FloatArray) -> float:
 
 
 def fit_geometry(places_mm: ArrayLike, places_px: ArrayLike) -> Geometry:
-    """Fit the homography that maps places on a chart to pixels with the least sum of squared distances.
+    """Fit the homography that maps places on a chart to pixels, (n, 2) each, with the least sum of squared
+    distances.
 
-    Parameters
-    ----------
-    places_mm, places_px : array_like, shape (n, 2)
-        At least four places, no three of four on a line.
-
-    Returns
-    -------
-    Geometry
-
-    Raises
-    ------
-    DataError
-        If the places do not determine a homography.
+    At least four places are needed, no three of four on a line. Raises DataError if they do not determine a
+    homography.
     """
     import cv2
 
@@ -189,23 +174,11 @@ class PlacedTriangle(NamedTuple):
 def place_triangle(
     geometry: Geometry, *, orientation: Orientation, size_mm: float, x_mm: float, y_mm: float
 ) -> PlacedTriangle:
-    """Place a triangle of a chart in the frame.
+    """Place a triangle of a chart, whose apex points in `orientation` there and whose size is √(area), in the
+    frame.
 
     A homography maps a triangle to a triangle, so its corners give centroid and area exactly; the mapped centroid
     would be off by the second order of the perspective. A lens bends the sides, which are then followed in steps.
-
-    Parameters
-    ----------
-    orientation : Orientation
-        Where its apex points on the chart.
-    size_mm : float
-        √(area) on the chart.
-    x_mm, y_mm : float
-        Its centroid on the chart.
-
-    Returns
-    -------
-    PlacedTriangle
     """
     corners_mm = np.asarray(vertices(size=size_mm, orientation=orientation, x=x_mm, y=y_mm))
     steps = 1 if geometry.lens is None else SIDE_STEPS

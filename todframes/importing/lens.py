@@ -37,14 +37,8 @@ RADII = 33
 class Lens:
     """A lens: the map from the pixels of an ideal picture to those of a frame.
 
-    Attributes
-    ----------
-    model : {"polynomial", "fisheye"}
-    middle_px : (float, float)
-        Middle of the frame, x and y.
-    half_diagonal_px : float
-    coefficients : tuple of float
-        In the order of `PARAMETERS`; all 0 for an ideal lens.
+    `middle_px` is the middle of the frame, x and y; the coefficients are in the order of `PARAMETERS`, all 0 for
+    an ideal lens.
     """
 
     model: LensModel

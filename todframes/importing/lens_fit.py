@@ -217,20 +217,9 @@ def solve(
 ) -> LensFit | None:
     """Solve the homographies of frames, and the first `free` coefficients of their lens, by least squares.
 
-    Parameters
-    ----------
-    pieces : Pieces
-    measured : sequence of MeasuredEdges
-    lens : Lens or None
-        First estimate of the lens; None for an ideal one, which stays so.
-    free : int
-    edge_variance_px2 : float
-        Variance of an edge, for which coefficients are weighed against the usual ones; 0: edges alone count.
-
-    Returns
-    -------
-    LensFit or None
-        None if the edges do not determine the coefficients, or the lens would show a place twice.
+    `lens` is the first estimate; None for an ideal one, which stays so. `edge_variance_px2` is the variance of an
+    edge, for which coefficients are weighed against the usual ones; 0: edges alone count. None if the edges do not
+    determine the coefficients, or the lens would show a place twice.
     """
     geometries = [one.start.with_lens(lens, pieces.places_mm) for one in measured]
     normals = np.array([one.normals for one in measured])
@@ -317,22 +306,10 @@ class LensChoice(NamedTuple):
 def choose_lens(
     pieces: Pieces, measured: Sequence[MeasuredEdges], placed: Sequence[Places], shape: tuple[int, int]
 ) -> LensChoice | None:
-    """Choose the model of a lens that fits the edges best for its number of coefficients.
+    """Choose the model of a lens that fits the edges in frames best for its number of coefficients.
 
-    Parameters
-    ----------
-    pieces : Pieces
-    measured : sequence of MeasuredEdges
-        Edges in frames of the recording.
-    placed : sequence of Places
-        Function for each frame that places its triangles.
-    shape : (int, int)
-        Rows and columns of a frame.
-
-    Returns
-    -------
-    LensChoice or None
-        None if no model fits at all.
+    `placed` has a function for each frame that places its triangles; `shape` are the rows and columns of a frame.
+    None if no model fits at all.
     """
     ladders: dict[str, list[LensFit]] = {"polynomial": [], "fisheye": []}
     ideal = solve(pieces, measured, None, 0)

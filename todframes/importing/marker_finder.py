@@ -141,26 +141,14 @@ class Sighting(NamedTuple):
 class MarkerFinder:
     """Finder of a chart's markers in a sequence of frames.
 
-    Parameters
-    ----------
-    centres_mm : ndarray, shape (n, 2)
-        Places of the markers' centres on the chart: top left, top right, bottom right, bottom left, then those
-        along the borders.
-    side_mm : float
-        Side of a marker.
+    `centres_mm`, (n, 2), are the places of the markers' centres on the chart: top left, top right, bottom right,
+    bottom left, then those along the borders.
 
-    Attributes
-    ----------
-    n_searched : int
-        Number of frames that were searched whole.
-    most_found : int
-        Largest number of corners of the chart of which one frame showed a marker.
-    misfit_px : float or None
-        How far markers that were found, with those in all corners, lie off a flat chart behind a lens, if none
-        fits: the least of all frames, root mean square.
-    key : int or None
-        Key of the chart in the present frame if it was searched and the marker that carries the key was found.
-        Markers of another chart are no sighting where they stand at other places.
+    `n_searched` counts the frames that were searched whole, and `most_found` is the largest number of corners of
+    the chart of which one frame showed a marker. `misfit_px` is how far markers that were found, with those in all
+    corners, lie off a flat chart behind a lens, if none fits: the least of all frames, root mean square. `key` is
+    that of the chart in the present frame if it was searched and the marker that carries the key was found.
+    Markers of another chart are no sighting where they stand at other places.
     """
 
     def __init__(self, centres_mm: FloatArray, side_mm: float) -> None:
@@ -190,10 +178,7 @@ class MarkerFinder:
     def look(self, frame: NDArray[Any]) -> Sighting | None:
         """Find the markers in a frame of any number type, (rows, columns) or (rows, columns, 3).
 
-        Returns
-        -------
-        Sighting or None
-            None if the frame does not show all four.
+        None if the frame does not show all four.
         """
         grey, self.key = _grey(frame), None
         seen = self._sighting(grey, self._last) if self._last is not None else None

@@ -34,28 +34,11 @@ SCHEDULE_COLUMNS = ("file", "start_s", "end_s", "orientation", *SIZE_COLUMNS, "x
 class ScheduledTrial:
     """One row of a schedule: a part of a recording and the triangle that it shows.
 
-    Attributes
-    ----------
-    where : str
-        The schedule's path and the line, for messages.
-    file : str or None
-        The recording as written in the schedule; None: the only recording there is.
-    start_s, end_s : float or None
-        Part of the recording, 0 <= start_s < end_s; both None: the whole recording.
-    orientation : Orientation
-        Direction of the apex in the recorded frames.
-    size_mrad : float or None
-        √(area) at the camera, > 0; None if only `size_px` is given.
-    size_px : float or None
-        √(area) in pixels of the camera, > 0; None if only `size_mrad` is given.
-    level : float
-        Stimulus strength, > 0.
-    polarity : int
-        1 for brighter and -1 for darker (thermal: warmer and colder) than the background.
-    x_px, y_px : float or None
-        Centroid of the triangle in the recorded frame; both None: unknown.
-    other : mapping of str to str
-        The remaining columns, as written.
+    `where` is the schedule's path and the line, for messages. `file` is the recording as written, None: the only
+    one there is. The part has 0 <= start_s < end_s, both None: all of the recording. `orientation` and the
+    centroid, None if unknown, are those in the recorded frames. Sizes are √(area) > 0, in mrad at the camera or in
+    its pixels; one of them is given. `level` is > 0. `polarity` is 1 for brighter and -1 for darker (thermal:
+    warmer and colder) than the background. `other` are the remaining columns, as written.
     """
 
     where: str
@@ -73,26 +56,12 @@ class ScheduledTrial:
 
 
 def read_schedule(path: Path, *, level: str = "contrast") -> tuple[ScheduledTrial, ...]:
-    """Read and check a schedule.
+    """Read and check a schedule, whose stimulus strength has the column `level`; return its rows, at least one.
 
-    Parameters
-    ----------
-    path : Path
-        CSV file. The columns `orientation`, a size and the level are needed. `file` is needed unless there is one
-        recording. `start_s` and `end_s`, `x_px` and `y_px`, and `polarity` are optional, and may be empty in a
-        row.
-    level : str
-        Name of the column with the stimulus strength.
-
-    Returns
-    -------
-    tuple of ScheduledTrial
-        In the order of the rows; at least one.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, a column is missing, a value is wrong, or two rows use the same part of a file.
+    The columns `orientation`, a size and the level are needed. `file` is needed unless there is one recording.
+    `start_s` and `end_s`, `x_px` and `y_px`, and `polarity` are optional, and may be empty in a row. Raises
+    DataError if the file cannot be read, a column is missing, a value is wrong, or two rows use the same part of a
+    file.
     """
     header, rows = read_table(path)
     _check_header(header, level, path)
@@ -106,26 +75,10 @@ def read_schedule(path: Path, *, level: str = "contrast") -> tuple[ScheduledTria
 def assign_recordings(
     trials: Sequence[ScheduledTrial], paths: Sequence[Path], *, schedule: Path
 ) -> tuple[int, ...]:
-    """Find the recording of each scheduled trial.
+    """Find the recording of each scheduled trial, as an index in `paths`, the files that were recorded.
 
-    Parameters
-    ----------
-    trials : sequence of ScheduledTrial
-        Rows of the schedule.
-    paths : sequence of Path
-        Files that were recorded.
-    schedule : Path
-        Path of the schedule; names in it may be relative to its folder.
-
-    Returns
-    -------
-    tuple of int
-        Index in `paths` for each trial: that of the same file, or else of the only one whose path ends as written.
-
-    Raises
-    ------
-    DataError
-        If a name fits no recording or several, or is missing and there are several recordings.
+    It is that of the same file, also relative to the folder of the schedule, or else of the only one whose path
+    ends as written. Raises DataError if a name fits no recording or several, or is missing and there are several.
     """
     real_paths = {os.path.realpath(path): number for number, path in enumerate(paths)}
     by_name: dict[str | None, int] = {}
