@@ -86,15 +86,6 @@ def photons_per_lux_s_um2(sensor: Sensor) -> float:
     return watt_per_um2 * wavelength_um / PHOTON_ENERGY_J_UM
 
 
-def image_illuminance_lx(sensor: Sensor) -> float:
-    """Return the illuminance of the background's image: π·τ·L / (4 N²), for a distant scene behind a good lens."""
-    optics = sensor.optics
-    assert sensor.scene is not None and optics.focal_length_mm is not None  # checked by `Sensor`
-    assert optics.aperture_mm is not None
-    f_number = optics.focal_length_mm / optics.aperture_mm
-    return math.pi * optics.transmission * sensor.scene.background_cd_m2 / (4.0 * f_number**2)
-
-
 def background_electrons(sensor: Sensor) -> float:
     """Return the mean electrons that the background's light frees in a pixel in one exposure.
 
@@ -124,11 +115,17 @@ def background_electrons(sensor: Sensor) -> float:
 
 
 def _electrons_of_light(sensor: Sensor) -> float:
-    """Return the electrons of the background by lens, light and quantum efficiency."""
+    """Return the electrons of the background by lens, light and quantum efficiency.
+
+    The illuminance of its image is π·τ·L / (4 N²), for a distant scene behind a good lens.
+    """
     photons, optics = _photons_of(sensor), sensor.optics
-    assert optics.focal_length_mm is not None and photons.quantum_efficiency is not None  # checked by `Sensor`
+    assert sensor.scene is not None and optics.aperture_mm is not None  # checked by `Sensor`
+    assert optics.focal_length_mm is not None and photons.quantum_efficiency is not None
+    f_number = optics.focal_length_mm / optics.aperture_mm
+    image_lx = math.pi * optics.transmission * sensor.scene.background_cd_m2 / (4.0 * f_number**2)
     pitch_um = sensor.detector.pitch_mrad * optics.focal_length_mm
-    of_light = photons_per_lux_s_um2(sensor) * image_illuminance_lx(sensor) * pitch_um**2
+    of_light = photons_per_lux_s_um2(sensor) * image_lx * pitch_um**2
     return float(photons.quantum_efficiency * of_light * photons.exposure_ms / 1000.0)
 
 
@@ -139,19 +136,15 @@ def largest_contrast(sensor: Sensor) -> float:
     return min(room / electrons - 1.0, LARGEST_CONTRAST)
 
 
-def rounding_variance_electrons(photons: PhotonNoise) -> float:
-    """Return the variance of the converter's rounding in squared electrons; 0 if nothing is rounded."""
-    gain = photons.system_gain_dn_per_electron
-    return 0.0 if gain is None else 1.0 / 12.0 / gain**2
-
-
 def contrast_variance(sensor: Sensor) -> ContrastVariance:
     """Return the variance of a displayed sample; see the text of this module, and `background_electrons` for its
     errors.
     """
     photons, electrons = _photons_of(sensor), background_electrons(sensor)
     n, prnu = photons.frames_integrated, photons.prnu_percent / 100.0
-    in_dark = photons.dark_noise_electrons**2 + photons.dark_electrons + rounding_variance_electrons(photons)
+    gain = photons.system_gain_dn_per_electron
+    rounding = 0.0 if gain is None else 1.0 / 12.0 / gain**2
+    in_dark = photons.dark_noise_electrons**2 + photons.dark_electrons + rounding
 
     def lines(noise: float, pattern: float) -> float:
         return (noise**2 / n + pattern**2) / electrons**2

@@ -141,8 +141,8 @@ class Optics:
 
         SettingsError if there is no focal length for lengths on the chip.
         """
-        on_chip = (self.mtf is not None and self.mtf.unit == "cyc_per_mm") or self.psf_pitch_um is not None
-        if on_chip and self.focal_length_mm is None:
+        in_mm = self.mtf is not None and self.mtf.unit == "cyc_per_mm"
+        if self.focal_length_mm is None and (in_mm or self.psf_pitch_um is not None):
             name = "mtf in cycles/mm" if self.mtf is not None else "psf_pitch_um"
             raise SettingsError(f"optics.focal_length_mm is missing: {name} needs it for its angle")
         units = 1.0
@@ -150,7 +150,7 @@ class Optics:
             units = self.psf_pitch_mrad
         elif self.focal_length_mm is not None and self.psf_pitch_um is not None:
             units = self.psf_pitch_um / self.focal_length_mm
-        elif self.focal_length_mm is not None and self.mtf is not None and self.mtf.unit == "cyc_per_mm":
+        elif self.focal_length_mm is not None and in_mm:
             units = 1000.0 / self.focal_length_mm
         elif self.mtf is not None and self.mtf.unit == "cyc_per_pixel":
             units = detector.pitch_mrad
@@ -766,7 +766,12 @@ def sensor_tables(sensor: Sensor) -> dict[str, Any]:
         part = part_of(table, sensor)
         values = {name: _plain(getattr(getattr(sensor, part), name)) for name in names}
         model = {"model": "photon"} if part == "photons" else {}
-        found[table] = model | {name: values[name] for name in names if not _is_left_out(name, values[name])}
+        # A NETD that is not known is null in results; other keys that say nothing are left out.
+        found[table] = model | {
+            name: value
+            for name, value in values.items()
+            if (value is not None or name == "netd_mk") and not (name in _NOTHING and value == _NOTHING[name])
+        }
     return found
 
 
@@ -774,14 +779,6 @@ def sensor_settings(sensor: Sensor) -> dict[str, Any]:
     """Return the tables and the name of a sensor as plain values, in the order of its attributes, for results."""
     content = {"name": sensor.name} | sensor_tables(sensor)
     return {one.name: content[one.name] for one in fields(sensor) if one.name in content}
-
-
-def _is_left_out(name: str, value: object) -> bool:
-    """Return whether a key is left out of a sensor's tables: it says nothing.
-
-    `netd_mk` is null in results where it is not known.
-    """
-    return (value is None and name != "netd_mk") or (name in _NOTHING and bool(_NOTHING[name] == value))
 
 
 _NOTHING = {

@@ -204,11 +204,14 @@ class Simulator:
 
     def frames(self, trials: Sequence[SimulatedTrial]) -> Iterator[SimulatedFrame]:
         """Yield the trials as displayed, in their order."""
-        display = self.sensor.display
         for (x, y), samples in zip(*self.samples(trials), strict=True):
-            x_px, y_px = (display_position_px(at, n_detectors=self.field, display=display) for at in (x, y))
-            luminance = luminance_cd_m2(display_signal(samples, self.matrix), display=display)
-            yield SimulatedFrame(luminance, x_px, y_px)
+            yield self._displayed(samples, x, y)
+
+    def _displayed(self, samples: FloatArray, x: float, y: float) -> SimulatedFrame:
+        """Return samples as displayed, with the triangle at (x, y) in detectors from the field's middle."""
+        display = self.sensor.display
+        x_px, y_px = (display_position_px(at, n_detectors=self.field, display=display) for at in (x, y))
+        return SimulatedFrame(luminance_cd_m2(display_signal(samples, self.matrix), display=display), x_px, y_px)
 
     def clip(self, trial: SimulatedTrial) -> list[SimulatedFrame]:
         """Return the frames of a trial's clip as displayed: those of warm-up, then those of the trial.
@@ -217,7 +220,7 @@ class Simulator:
         trial is that of a single frame.
         """
         assert self.filming is not None
-        display, rng = self.sensor.display, self._rng(trial)
+        rng = self._rng(trial)
         middle = rng.uniform(-0.5, 0.5, 2)
         scene = None
         if self.scenery is not None:
@@ -234,9 +237,7 @@ class Simulator:
             if scene is not None:
                 sample += scene
             self._add_noise(sample, level, rng)
-            x_px, y_px = (display_position_px(at, n_detectors=self.field, display=display) for at in (x, y))
-            luminance = luminance_cd_m2(display_signal(sample, self.matrix), display=display)
-            found.append(SimulatedFrame(luminance, x_px, y_px))
+            found.append(self._displayed(sample, x, y))
         return found
 
     def _rng(self, trial: SimulatedTrial) -> np.random.Generator:

@@ -147,8 +147,6 @@ def sensor_fields() -> tuple[PageField, ...]:
 
 def observer_fields(settings_type: type) -> tuple[PageField, ...]:
     """Return a field for each setting of an observer that moves on the page."""
-    if settings_type is NoneType:
-        return ()
     return tuple(
         _field(f"observer.{field.name}", hint, OBSERVER_FIELDS[field.name])
         for field, hint in settings_of(settings_type)

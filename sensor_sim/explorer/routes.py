@@ -10,7 +10,7 @@ import shlex
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, closing
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict
 from importlib.resources import files
 from typing import Annotated, Any
 
@@ -245,8 +245,8 @@ class Explorer:
         """Return the observer with some settings changed; SettingsError if there is no such setting, or a value is
         refused.
         """
-        settings = getattr(self._observer, "settings", None)
-        known = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else {}
+        settings = self._observer.settings
+        known = asdict(settings)
         check_keys(changes, known, "[observer]")
         if not changes:
             return self._observer
@@ -260,10 +260,8 @@ class Explorer:
         """
         sensor = self.made(asked)
         name = re.sub(r"[^\w-]+", "_", sensor.name).strip("_")[:60] or "sensor"
-        file, beside = (
-            f"{name}.toml",
-            [one.file for one in (sensor.optics.mtf, sensor.optics.psf) if one is not None],
-        )
+        file, measured = f"{name}.toml", (sensor.optics.mtf, sensor.optics.psf)
+        beside = [one.file for one in measured if one is not None]
         found = {"file": file, "text": sensor_toml(sensor), "beside": beside, "command": None}
         if asked.sizes_detectors is None:
             return found
@@ -285,11 +283,9 @@ class Explorer:
 
     def _options(self, changes: Tables) -> Iterator[str]:
         """Yield the options of a command that make the observer with some settings changed."""
-        settings = getattr(self.observed_by(changes), "settings", None)
+        settings = self.observed_by(changes).settings
         if self._observer_name != "pyramid":
             yield f"--observer {shlex.quote(self._observer_name)}"
-        if settings is None:
-            return
         usual = asdict(type(settings)())
         for key, value in asdict(settings).items():
             if value != usual[key] and value is not None:
@@ -297,7 +293,7 @@ class Explorer:
 
     def _observer_fields(self) -> tuple[PageField, ...]:
         """Return the fields of the observer's settings that move on the page."""
-        settings = getattr(self._observer, "settings", None)
+        settings = self._observer.settings
         without_effect = {
             # A standard deviation of the noise stands in place of its full width.
             "observer.internal_noise": getattr(settings, "internal_noise_sd", None) is not None,
@@ -312,7 +308,7 @@ class Explorer:
 
     def _setting(self, one: PageField) -> object:
         """Return the value of a setting of the observer."""
-        return getattr(getattr(self._observer, "settings", None), one.key.partition(".")[2])
+        return getattr(self._observer.settings, one.key.partition(".")[2])
 
     def _fingerprint(self) -> str:
         """Return a text that tells measured files of the same name apart; empty if there are none."""
@@ -414,8 +410,8 @@ def _line(sequence: int, sensor: Sensor, level: Level, curve: LiveCurve) -> dict
 
 def _threshold(sensor: Sensor, level: Level, found: PredictedThreshold) -> dict[str, Any]:
     """Return a threshold in all units of its level; errors are half-widths of 95 % intervals."""
-    in_mk = 0.0 if sensor.noise.netd_mk is None else float(delta_t_mk(1.0, noise=sensor.noise))
     threshold, error = found.threshold, found.numerical_error
+    in_mk = 0.0 if sensor.noise.netd_mk is None else float(delta_t_mk(1.0, noise=sensor.noise))
     values: dict[str, float | None] = {}
     for of_level, name, error_name, factor in (
         ("contrast", "contrast", "contrast_error", 1.0),
@@ -423,8 +419,8 @@ def _threshold(sensor: Sensor, level: Level, found: PredictedThreshold) -> dict[
         ("snr", "delta_t_mk", "delta_t_error_mk", in_mk),
     ):
         is_known = of_level == level and factor > 0.0
-        values[name] = threshold * factor if is_known and threshold is not None else None
-        values[error_name] = error * factor if is_known and error is not None else None
+        for key, value in ((name, threshold), (error_name, error)):
+            values[key] = value * factor if is_known and value is not None else None
     return {
         "size_detectors": found.size_detectors,
         "size_mrad": found.size_detectors * sensor.detector.pitch_mrad,

@@ -139,6 +139,11 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
     def _in_mk(self) -> bool:
         return self.ttp is not None
 
+    @property
+    def _keys(self) -> tuple[str, str]:
+        """Keys of the thresholds in the unit shown: as a mean over places, and at the best place."""
+        return ("mrtd_mk", "best_mrtd_mk") if self._in_mk else ("threshold_snr", "best_threshold_snr")
+
     def tables(self) -> list[Table]:
         """List the tables of the bars and of the triangles."""
         return [self._bars_table(), self._tod_table()]
@@ -152,8 +157,7 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
             Column(key="frequency_cyc_per_mrad", header="cycles/mrad", digits=4),
             Column(key="frequency_nyquist", header="Nyquist", digits=3),
         ]
-        averaged, best = ("mrtd_mk", "best_mrtd_mk") if self._in_mk else ("threshold_snr", "best_threshold_snr")
-        unit = "mK" if self._in_mk else "SNR"
+        (averaged, best), unit = self._keys, "mK" if self._in_mk else "SNR"
         if self._in_mk:
             columns.append(Column(key="lloyd_mrtd_mk", header="Lloyd mK", digits=3))
         columns += [
@@ -189,7 +193,7 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
     def sentences(self) -> list[str]:
         """Return the findings in words."""
         other = "a uniform square of their mean" if self.settings["against"] == "square" else "the background"
-        what, key, unit = ("MRTD", "mrtd_mk", " mK") if self._in_mk else ("threshold SNR", "threshold_snr", "")
+        key, (what, unit) = self._keys[0], ("MRTD", " mK") if self._in_mk else ("threshold SNR", "")
         known = [(getattr(one, key), one.frequency_nyquist) for one in self.bars if getattr(one, key) is not None]
         ends = " and ".join(
             f"{plain(value)}{unit} at {frequency:g} times the Nyquist frequency"
@@ -226,8 +230,6 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
         return [ReportFigure(f"{self.sensor}: four bars and triangles", NOTE, self._draw, "mrtd.png")]
 
     def _draw(self, axes: Axes) -> None:
-        unit = "mK" if self._in_mk else "SNR"
-        keys = ("mrtd_mk", "best_mrtd_mk") if self._in_mk else ("threshold_snr", "best_threshold_snr")
         shown: list[float] = []
 
         def line(x: Sequence[float], y: Sequence[float | None], label: str, **style: Any) -> None:
@@ -237,7 +239,7 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
                 shown.extend(other for _, other in known)
 
         of_nyquist = [one.frequency_nyquist for one in self.bars]
-        averaged, best = ([getattr(one, key) for one in self.bars] for key in keys)
+        averaged, best = ([getattr(one, key) for one in self.bars] for key in self._keys)
         inverse = [1.0 / float(fit.group["size_detectors"]) for fit in self.tod]
         tod = [fit.delta_t_mk if self._in_mk else fit.threshold for fit in self.tod]
         line(inverse, tod, "TOD", color=INK, marker="^", lw=2.0)
@@ -253,7 +255,7 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
             xscale="log",
             yscale="log",
             xlabel="frequency / Nyquist, or 1 / size (detectors⁻¹)",
-            ylabel=f"threshold ΔT ({unit})" if self._in_mk else "threshold SNR",
+            ylabel="threshold ΔT (mK)" if self._in_mk else "threshold SNR",
         )
         plain_ticks(axes.xaxis, [*of_nyquist, *inverse])
         if shown:
@@ -282,14 +284,8 @@ def lloyd_mrtd_mk(frequency_cyc_per_mrad: ArrayLike, sensor: Sensor, *, snr: flo
     assert noise.netd_mk is not None
     with np.errstate(divide="ignore"):
         falls = f / np.maximum(mtf, 0.0)
-    return np.asarray(
-        LLOYD_FACTOR
-        * snr
-        * noise.netd_mk
-        * falls
-        * sensor.detector.width_mrad
-        / math.sqrt(noise.frames_integrated)
-    )
+    of_noise = LLOYD_FACTOR * snr * noise.netd_mk
+    return np.asarray(of_noise * falls * sensor.detector.width_mrad / math.sqrt(noise.frames_integrated))
 
 
 def system_mtf(frequency_cyc_per_mrad: FloatArray, sensor: Sensor) -> FloatArray:
@@ -352,10 +348,12 @@ def sensor_ttp(
         contrast=display.gain,
         cyc_per_mrad=cycles_of_contrast(f, threshold, display.gain),
         v50_cycles=settings.criteria,
-        settings={"width_deg": width_deg, "eye_time_s": eye_time_s} | _plain(settings),
+        settings={
+            "width_deg": width_deg,
+            "eye_time_s": eye_time_s,
+            "width_exponent": settings.width_exponent,
+            "width_frequency_exponent": settings.width_frequency_exponent,
+            "channel_log": settings.channel_log,
+            "eyes": settings.eyes,
+        },
     )
-
-
-def _plain(settings: TtpSettings) -> Json:
-    names = ("width_exponent", "width_frequency_exponent", "channel_log", "eyes")
-    return {name: getattr(settings, name) for name in names}

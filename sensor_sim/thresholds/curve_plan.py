@@ -82,40 +82,21 @@ contrast of the triangle."""
 class CurvePlan:
     """Choices for the computation of a sensor's threshold at one size.
 
-    Attributes
-    ----------
-    observer : Observer
-        Observer with the pyramid levels that are needed.
-    field, sampler : int, TriangleSampler
-        Detectors along each side of the field, and samples of the triangle in it.
-    dtype : float32 or float64
-        Precision of the folding.
-    orientations : tuple of Orientation
-        Orientations that are computed; one stands for all where the others are the same, turned.
-    three_templates : bool
-        Whether three of the four score deviations are folded: they add up to zero.
-    merge_pixels : bool
-        Whether display pixels that must be alike count as one.
-    level : {"snr", "contrast"}
-        Quantity that is varied; with "contrast" there is no detector noise.
-    lines : LineShares
-        Shares of rows and columns in the noise; none for cameras that count photons, whose variances are apart.
-    places : tuple of int
-        Numbers of places along each axis of a detector, tried in turn.
-    steps : tuple of Step
-        Parts that are left out, with their bounds, and parts that are kept.
-    repetition_bound : float
-        Bound on the change of P(correct) because the scene repeats, with the longest period that is considered.
-    least_jitter : float
-        Displacement of the retina, in detectors, up to which it is left out.
-    half_width : int or None
-        Samples on each side of the retina's middle one that are needed; None: the whole retina.
-    near_level, slope : float
-        Threshold at the places that were tried, and the slope dP / d ln level there; None and NaN without one.
-    unit_s : float
-        Time that folding and sampling took at each place tried, in seconds.
-    shared : Shared
-        Parts of this computation that others may have in common with it.
+    `observer` has the pyramid levels that are needed, and `sampler` the samples of the triangle in `field` ×
+    `field` detectors. `dtype` is the precision of the folding. `orientations` are those that are computed: one
+    stands for all where the others are the same, turned. With `three_templates`, three of the four score
+    deviations are folded, as they add up to zero; with `merge_pixels`, display pixels that must be alike count as
+    one. `lines` are the shares of rows and columns in the noise, none for cameras that count photons, whose
+    variances are apart.
+
+    `places` are numbers of places along each axis of a detector, tried in turn. `steps` are the parts that are
+    left out, with their bounds, and those that are kept. `repetition_bound` bounds the change of P(correct)
+    because the scene repeats, with the longest period that is considered. Up to `least_jitter` detectors, the
+    retina's displacement is left out. `half_width` is the number of samples on each side of the retina's middle
+    one that are needed; None: all.
+
+    `near_level` is the threshold at the places that were tried, with the `slope` dP / d ln level there; None and
+    NaN without one. `unit_s` is the time that folding and sampling took at each place tried, in seconds.
     """
 
     observer: Observer
@@ -214,12 +195,7 @@ def plan_curve(
         full = full_plan(sensor, observer.with_extra_level(), size_detectors, shared)
         planner = _CurvePlanner(sensor, size_detectors, full, p_correct, tolerance)
         return replace(full, repetition_bound=planner.repetition_bound(full))
-    full = replace(
-        full_plan(sensor, observer, size_detectors, shared),
-        level=level,
-        places=PLACES,
-        steps=(),
-    )
+    full = replace(full_plan(sensor, observer, size_detectors, shared), level=level, places=PLACES, steps=())
     stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
     fewer_levels = observer.with_fewer_levels(stimulus)
     if fewer_levels is not None:
@@ -436,11 +412,8 @@ class _CurvePlanner:
     def _find_covariance(self, p_correct: float) -> None:
         """Find the covariance of the scores near threshold, the level there and the slope of P(correct)."""
         signal, noise = self._scores(self.weights, self.samples), self._noise(self.weights, 1.0)
-        internal, variance, is_contrast = (
-            self.readout.noise_covariance,
-            self.variance,
-            self.full.level == "contrast",
-        )
+        internal, variance = self.readout.noise_covariance, self.variance
+        is_contrast = self.full.level == "contrast"
         if variance is not None:
             by_signal = signal_covariance(self.weights, self.samples[:, None])[:, 0]
 
@@ -477,15 +450,8 @@ class _CurvePlanner:
         plan, period = self._period(plan)
         plan, precision = self._precision(plan)
         plan, identities = self._identities(plan)
-        steps = (
-            *levels,
-            self._optics(self.full),
-            *beyond_table,
-            field_step,
-            *period,
-            precision,
-            *identities,
-        )
+        optics = self._optics(self.full)
+        steps = (*levels, optics, *beyond_table, field_step, *period, precision, *identities)
         near = (self.near_level, self.slope) if self.is_reached else (None, math.nan)
         return replace(plan, steps=steps, near_level=near[0], slope=near[1], unit_s=self.unit_s)
 
