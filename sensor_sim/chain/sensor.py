@@ -228,9 +228,7 @@ class Detector:
             raise SettingsError("optics.focal_length_mm is missing: detector.pitch_um needs it for its angle")
         width_um = self.pitch_um if self.width_um is None else self.width_um
         return replace(
-            self,
-            pitch_mrad=self.pitch_um / optics.focal_length_mm,
-            width_mrad=width_um / optics.focal_length_mm,
+            self, pitch_mrad=self.pitch_um / optics.focal_length_mm, width_mrad=width_um / optics.focal_length_mm
         )
 
     @property

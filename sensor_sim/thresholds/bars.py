@@ -237,12 +237,7 @@ class BarChain:
         return status, snr, best
 
     def averaged(
-        self,
-        p_correct: float,
-        *,
-        tolerance: float = 2e-3,
-        seed: int = 1,
-        check: Callable[[], None] = lambda: None,
+        self, p_correct: float, *, tolerance: float = 2e-3, seed: int = 1, check: Callable[[], None] = lambda: None
     ) -> BarThreshold:
         """Compute the threshold of P(correct) averaged over all places of the bars on the detectors.
 

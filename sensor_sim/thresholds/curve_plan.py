@@ -31,13 +31,7 @@ from todframes.observers.interface import Observer, Readout
 from todframes.observers.pyramid import PyramidObserver
 from todframes.parameters import PlanName
 from todframes.psychometrics.threshold_search import crossing
-from todframes.scoring.error_budget import (
-    LEFT_OUT_SHARE,
-    SAFETY,
-    Step,
-    decision_change,
-    total_bound,
-)
+from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, Step, decision_change, total_bound
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, bounding_box_offset
 
 PLACES = (5, 7, 11, 17, 25, 37)
@@ -380,8 +374,7 @@ class _CurvePlanner:
         dx, dy = centre_offset(self.observer, Orientation.UP, self.size)
         started = time.perf_counter()
         weights = plan.shared.weights.get(
-            (folding.key, dx, dy, places),
-            lambda: folding.weights(*np.add(places, (dx, dy)).T),
+            (folding.key, dx, dy, places), lambda: folding.weights(*np.add(places, (dx, dy)).T)
         )
         spent = (time.perf_counter() - started) / len(places)
         return plan.all_four(weights) * self.sensor.display.gain, spent

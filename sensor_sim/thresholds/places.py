@@ -127,8 +127,5 @@ def _plan(sensor: Sensor, observer: Observer, size_detectors: float, places: int
         plan = replace(plan, orientations=ORIENTATIONS[:1])
         steps.append(Step("orientations", False, "one stands for all four, which are its turns"))
     return replace(
-        plan,
-        places=PLACES,
-        steps=tuple(steps),
-        repetition_bound=(4 * places - 1) / 3.0 * plan.repetition_bound,
+        plan, places=PLACES, steps=tuple(steps), repetition_bound=(4 * places - 1) / 3.0 * plan.repetition_bound
     )
