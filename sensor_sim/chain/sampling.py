@@ -220,7 +220,9 @@ class PatternSampler:
         """Compute the samples, (places, field, field), of patterns with their centroids at these places, in
         detectors from the middle of the field; x to the right, y down.
         """
-        x, y = _upright_place(x_detectors, y_detectors, orientation)
+        x, y = np.broadcast_arrays(np.atleast_1d(np.asarray(x_detectors, float)), np.asarray(y_detectors, float))
+        for _ in range(orientation.quarter_turns):  # the turns that make the pattern upright
+            x, y = y, -x
         upright = np.empty((x.size, self._field, self._field))
         samples_of = self._covered_area
         if not self.sharp:
@@ -238,15 +240,13 @@ class PatternSampler:
         """
         turn, first = -2j * np.pi / self.period, -(self._field - 1) / 2.0
         x, y = x - first, y - first
-        waves_x = _outer(
-            np.exp(turn * np.outer(self._folded_x, x)), np.exp(-2j * np.pi * np.outer(self._replicas_x, x))
-        )
-        waves_y = _outer(
-            np.exp(-2j * np.pi * np.outer(self._replicas_y, y)), np.exp(turn * np.outer(self._folded_y, y))
-        )
-        replicas_y = (seen @ waves_x).reshape(-1, *waves_y.shape)
-        replicas_y *= waves_y
-        folded = replicas_y.sum(axis=1)
+        of_replicas_x = np.exp(-2j * np.pi * np.outer(self._replicas_x, x))
+        of_replicas_y = np.exp(-2j * np.pi * np.outer(self._replicas_y, y))[:, None]
+        waves_x = np.exp(turn * np.outer(self._folded_x, x))[:, None] * of_replicas_x
+        waves_y = of_replicas_y * np.exp(turn * np.outer(self._folded_y, y))
+        unfolded = (seen @ waves_x).reshape(-1, *waves_y.shape)
+        unfolded *= waves_y
+        folded = unfolded.sum(axis=1)
         on_rows, on_columns = self._on_places(self._field)
         samples = on_columns @ (on_rows @ folded).transpose(1, 0, 2)
         return np.asarray(samples.real.transpose(2, 0, 1))
@@ -399,21 +399,6 @@ def field_sampler(sensor: Sensor, size_detectors: float, field: int | None = Non
         period_detectors=2 * field,
         motion=sensor.motion,
     )
-
-
-def _outer(first: ComplexArray, second: ComplexArray) -> ComplexArray:
-    """Return the products of waves (n, places) and (m, places): (n, m, places)."""
-    return np.asarray(first[:, None] * second)
-
-
-def _upright_place(
-    x_detectors: ArrayLike, y_detectors: ArrayLike, orientation: Orientation
-) -> tuple[FloatArray, FloatArray]:
-    """Return places in the field after the turn that makes the triangle upright."""
-    x, y = np.broadcast_arrays(np.atleast_1d(np.asarray(x_detectors, float)), np.asarray(y_detectors, float))
-    for _ in range(orientation.quarter_turns):
-        x, y = y, -x
-    return x, y
 
 
 def _passes_nothing(optics: Optics, cycles: float) -> str:
