@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Annotated, Any, Literal, TypeVar
+from functools import partial
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
 
 from todframes.enhancement.algorithm import Image, algorithm, meaning, parameter
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 Sigma = Annotated[float, parameter(0.1, 50.0, unit="px", what="standard deviation of the Gaussian")]
 
@@ -26,18 +25,17 @@ Factor = Annotated[int, parameter(2, 8, what="pixels for one along each axis")]
 Iterations = Annotated[int, parameter(1, 1000, what="iterations")]
 
 
-def _built_in(library: str, *, magnification: float | str = 1.0) -> Callable[[F], F]:
-    """Declare an algorithm of code values that takes one channel at a time and does not write into its input."""
-    return algorithm(each_channel=True, writes=False, magnification=magnification, library=library)
+_built_in = partial(algorithm, each_channel=True, writes=False)
+"""Declare an algorithm of code values that takes one channel at a time and does not write into its input."""
 
 
-@_built_in("–")
+@_built_in(library="–")
 def none(image: Image) -> Image:
     """The frame as it is; all others are compared with it."""
     return image
 
 
-@_built_in("OpenCV: createCLAHE")
+@_built_in(library="OpenCV: createCLAHE")
 def clahe(
     image: Image,
     *,
@@ -53,7 +51,7 @@ def clahe(
     return np.asarray(cv2.createCLAHE(clip_limit, (tiles, tiles)).apply(codes) / np.float32(full_scale))
 
 
-@_built_in("scikit-image: filters.unsharp_mask")
+@_built_in(library="scikit-image: filters.unsharp_mask")
 def unsharp(
     image: Image,
     *,
@@ -68,13 +66,13 @@ def unsharp(
     return np.asarray(unsharp_mask(image, radius=radius, amount=amount, preserve_range=True))
 
 
-@_built_in("OpenCV: GaussianBlur")
+@_built_in(library="OpenCV: GaussianBlur")
 def gaussian(image: Image, *, sigma: Sigma = 1.0) -> Image:
     """Gaussian blur."""
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT_101))
 
 
-@_built_in("OpenCV: medianBlur; from radius 3 scikit-image: filters.median")
+@_built_in(library="OpenCV: medianBlur; from radius 3 scikit-image: filters.median")
 def median(
     image: Image, *, radius: Annotated[int, parameter(1, 20, unit="px", what="half the window's side")] = 1
 ) -> Image:
@@ -87,7 +85,7 @@ def median(
     return np.asarray(median_filter(image, np.ones((side, side)), mode="nearest"))
 
 
-@_built_in("OpenCV: bilateralFilter")
+@_built_in(library="OpenCV: bilateralFilter")
 def bilateral(
     image: Image,
     *,
@@ -100,7 +98,7 @@ def bilateral(
     return np.asarray(cv2.bilateralFilter(image, -1, sigma_value, sigma))
 
 
-@_built_in("scikit-image: restoration.denoise_nl_means")
+@_built_in(library="scikit-image: restoration.denoise_nl_means")
 def nlm(
     image: Image,
     *,
@@ -121,7 +119,7 @@ def nlm(
     )
 
 
-@_built_in("scikit-image: restoration.denoise_tv_chambolle")
+@_built_in(library="scikit-image: restoration.denoise_tv_chambolle")
 def tv(
     image: Image,
     *,
@@ -134,7 +132,7 @@ def tv(
     return np.asarray(denoise_tv_chambolle(image, weight=weight, max_num_iter=iterations))
 
 
-@_built_in("scikit-image: restoration.wiener")
+@_built_in(library="scikit-image: restoration.wiener")
 def wiener(
     image: Image,
     *,
@@ -147,7 +145,7 @@ def wiener(
     return _deconvolved(image, lambda wide, psf: deconvolve(wide, psf, balance, clip=False), sigma, 16.0)
 
 
-@_built_in("scikit-image: restoration.richardson_lucy")
+@_built_in(library="scikit-image: restoration.richardson_lucy")
 def richardson_lucy(image: Image, *, sigma: Sigma = 1.0, iterations: Iterations = 10) -> Image:
     """Richardson–Lucy deconvolution of a Gaussian blur."""
     from skimage.restoration import richardson_lucy as deconvolve
@@ -158,7 +156,7 @@ def richardson_lucy(image: Image, *, sigma: Sigma = 1.0, iterations: Iterations 
     return _deconvolved(image, lambda wide, psf: deconvolve(wide, psf, iterations, clip=False), sigma, reach)
 
 
-@_built_in("OpenCV contrib: ximgproc.guidedFilter")
+@_built_in(library="OpenCV contrib: ximgproc.guidedFilter")
 def guided(
     image: Image,
     *,
@@ -169,7 +167,7 @@ def guided(
     return np.asarray(cv2.ximgproc.guidedFilter(image, image, radius, eps))
 
 
-@_built_in("scikit-image: exposure.adjust_gamma")
+@_built_in(library="scikit-image: exposure.adjust_gamma")
 def gamma(image: Image, *, gamma: Annotated[float, parameter(0.05, 20.0, what="exponent")] = 0.7) -> Image:
     """Code values to the power of gamma: below 1 brighter."""
     from skimage.exposure import adjust_gamma
@@ -177,7 +175,7 @@ def gamma(image: Image, *, gamma: Annotated[float, parameter(0.05, 20.0, what="e
     return np.asarray(adjust_gamma(_not_negative(image), gamma))
 
 
-@_built_in("scikit-image: exposure.equalize_hist")
+@_built_in(library="scikit-image: exposure.equalize_hist")
 def equalize(
     image: Image, *, bins: Annotated[int, parameter(2, 65536, what="bins of the histogram")] = 256
 ) -> Image:
@@ -187,13 +185,13 @@ def equalize(
     return np.asarray(equalize_hist(image, nbins=bins))
 
 
-@_built_in("OpenCV: resize, INTER_CUBIC", magnification="factor")
+@_built_in(library="OpenCV: resize, INTER_CUBIC", magnification="factor")
 def bicubic(image: Image, *, factor: Factor = 2) -> Image:
     """Super-resolution by bicubic interpolation: smaller pixels."""
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC))
 
 
-@_built_in("OpenCV: resize, INTER_LANCZOS4", magnification="factor")
+@_built_in(library="OpenCV: resize, INTER_LANCZOS4", magnification="factor")
 def lanczos(image: Image, *, factor: Factor = 2) -> Image:
     """Super-resolution by Lanczos interpolation: smaller pixels."""
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_LANCZOS4))

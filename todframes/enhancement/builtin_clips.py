@@ -8,9 +8,9 @@ appear in lists and reports.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from todframes.base.reading import MOST_WARM_UP
 from todframes.enhancement.algorithm import Image, algorithm, meaning, parameter
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 Judged = NDArray[np.intp]
 
@@ -49,27 +47,17 @@ SURE_CORRELATION = 5.0
 UINT16_WHITE = 65535
 
 
-def _of_clips(
-    library: str, *, warm_up_frames: int | str = 0, magnification: float | str = 1.0
-) -> Callable[[F], F]:
-    """Declare an algorithm of clips of code values that takes one channel at a time and does not write into it."""
-    return algorithm(
-        clip=True,
-        each_channel=True,
-        writes=False,
-        warm_up_frames=warm_up_frames,
-        magnification=magnification,
-        library=library,
-    )
+_of_clips = partial(algorithm, clip=True, each_channel=True, writes=False)
+"""Declare an algorithm of clips of code values that takes one channel at a time and does not write into it."""
 
 
-@_of_clips("NumPy: mean", warm_up_frames="before")
+@_of_clips(library="NumPy: mean", warm_up_frames="before")
 def temporal_mean(frames: Image, *, judged: Judged, before: Before = 3) -> Image:
     """Mean of a frame and those before it."""
     return np.stack([frames[k - before : k + 1].mean(axis=0) for k in judged])
 
 
-@_of_clips("OpenCV: accumulateWeighted", warm_up_frames="before")
+@_of_clips(library="OpenCV: accumulateWeighted", warm_up_frames="before")
 def recursive(
     frames: Image,
     *,
@@ -90,7 +78,7 @@ def recursive(
     return np.stack(found)
 
 
-@_of_clips("OpenCV: fastNlMeansDenoisingMulti", warm_up_frames="before")
+@_of_clips(library="OpenCV: fastNlMeansDenoisingMulti", warm_up_frames="before")
 def temporal_nlm(
     frames: Image,
     *,
@@ -129,7 +117,7 @@ def temporal_nlm(
     return np.stack(found)
 
 
-@_of_clips("OpenCV: findTransformECC, warpAffine", warm_up_frames="before")
+@_of_clips(library="OpenCV: findTransformECC, warpAffine", warm_up_frames="before")
 def registered_mean(
     frames: Image,
     *,
@@ -149,7 +137,7 @@ def registered_mean(
     return np.stack(found)
 
 
-@_of_clips("OpenCV: findTransformECC, warpAffine")
+@_of_clips(library="OpenCV: findTransformECC, warpAffine")
 def stabilize(frames: Image, *, smoothing_px: Smoothing = 5) -> Image:
     """Frames of a trial shifted to their mean place, found from frame to frame (ECC)."""
     steps = [_ecc_warp(one, other, "translation", smoothing_px)[:, 2] for one, other in pairwise(frames)]
@@ -160,7 +148,7 @@ def stabilize(frames: Image, *, smoothing_px: Smoothing = 5) -> Image:
     return np.stack(found)
 
 
-@_of_clips("OpenCV: findTransformECC, warpAffine", warm_up_frames="before", magnification="factor")
+@_of_clips(library="OpenCV: findTransformECC, warpAffine", warm_up_frames="before", magnification="factor")
 def shift_and_add(
     frames: Image,
     *,

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -287,19 +287,9 @@ class TrialReader:
     def __reduce__(self) -> tuple[type, tuple[tuple[Enhancement, ...], AlgorithmDisplay]]:
         return TrialReader, (self.algorithms, self.screen)
 
-    def __call__(
-        self,
-        dataset: Dataset,
-        trial: Trial,
-        observer: Observer,
-        grid: RetinaGrid,
-        displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
-        *,
-        whole: bool = False,
-    ) -> list[Shown]:
-        """Return the trial as shown after each algorithm."""
-        trials = self.read(dataset, trial, observer, grid, displacement_samples, whole=whole)
-        return [after.shown for after in trials]
+    def __call__(self, *trial: Any, **options: Any) -> list[Shown]:
+        """Return a trial as shown after each algorithm; arguments are those of `read`."""
+        return [after.shown for after in self.read(*trial, **options)]
 
     def read(
         self,
@@ -315,9 +305,14 @@ class TrialReader:
 
         Raises FrameError if a frame cannot be used, the triangle is not on it, or an algorithm fails with it.
         """
-        placed: Iterable[tuple[DecodedFrame, Placement]] = self._placed(
-            dataset, trial, observer, grid, displacement_samples
-        )
+
+        def opened() -> Iterator[tuple[DecodedFrame, Placement]]:
+            for frame in trial.frames:
+                with dataset.open(frame, verify=True) as file:
+                    place = place_grid(dataset, trial, frame, file, observer, grid, displacement_samples)
+                    yield DecodedFrame(file, self.screen), place
+
+        placed: Iterable[tuple[DecodedFrame, Placement]] = opened()
         after_clip: dict[str, list[EnhancedImage]] = {}
         if self._of_clips:
             placed = list(placed)
@@ -363,20 +358,6 @@ class TrialReader:
     def _decoded(self, dataset: Dataset, frame: FrameReference) -> DecodedFrame:
         with dataset.open(frame, verify=True) as file:
             return DecodedFrame(file, self.screen)
-
-    def _placed(
-        self,
-        dataset: Dataset,
-        trial: Trial,
-        observer: Observer,
-        grid: RetinaGrid,
-        displacement_samples: Sequence[tuple[float, float]] | FloatArray,
-    ) -> Iterator[tuple[DecodedFrame, Placement]]:
-        for frame in trial.frames:
-            with dataset.open(frame, verify=True) as file:
-                place = place_grid(dataset, trial, frame, file, observer, grid, displacement_samples)
-                decoded = DecodedFrame(file, self.screen)
-            yield decoded, place
 
     def _after_clips(
         self, dataset: Dataset, trial: Trial, judged: list[DecodedFrame]

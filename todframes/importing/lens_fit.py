@@ -140,13 +140,6 @@ class MeasuredEdges(NamedTuple):
     normals: FloatArray
 
 
-def measured_edges(pieces: Pieces, start: Geometry, shifts_px: NDArray[np.floating]) -> MeasuredEdges:
-    """Return edges that lie at a distance outwards, (n,) in pixels, of where a geometry has them."""
-    normals, outwards = pieces.directions(start)
-    away = (shifts_px * (normals * outwards).sum(axis=1))[:, None] * normals
-    return MeasuredEdges(start, start.to_px(pieces.places_mm) + away, normals)
-
-
 def corner_pieces(corners_mm: FloatArray) -> Pieces:
     """Return the corners of markers, (marker, 4, 2), each of them twice: to be measured along x and along y."""
     places = np.repeat(corners_mm.reshape(-1, 2), 2, axis=0)

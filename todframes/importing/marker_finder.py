@@ -41,7 +41,6 @@ from todframes.importing.lens_fit import (
     Pieces,
     corner_pieces,
     first_fits,
-    measured_edges,
     solve,
 )
 
@@ -57,6 +56,10 @@ measured, and of the white around, which is as wide."""
 
 PROFILE_STEPS = 8
 """Samples of a profile on either side of an edge."""
+
+ALONG = ((np.arange(PIECES * POINTS) + 0.5) / (PIECES * POINTS) - 0.5) * EDGE
+ACROSS = np.linspace(-PROFILE_REACH, PROFILE_REACH, 2 * PROFILE_STEPS + 1)
+"""Points along an edge, from its middle in units of its length, and samples across it, in modules."""
 
 BESIDE_WHITE = 1.5
 """Distance from an edge, in modules, of the page beside the white border."""
@@ -121,7 +124,9 @@ class SeenEdges(NamedTuple):
 
     def measured(self, pieces: Pieces) -> MeasuredEdges:
         """Return the places of the edges."""
-        return measured_edges(pieces, self.start, self.shifts_px)
+        normals, outwards = pieces.directions(self.start)
+        away = (self.shifts_px * (normals * outwards).sum(axis=1))[:, None] * normals
+        return MeasuredEdges(self.start, self.start.to_px(pieces.places_mm) + away, normals)
 
 
 class Sighting(NamedTuple):
@@ -396,14 +401,12 @@ class MarkerEdges:
 
     def __init__(self, corners_mm: FloatArray, module_mm: float) -> None:
         after = np.roll(corners_mm, -1, axis=1)
-        along = ((np.arange(PIECES * POINTS) + 0.5) / (PIECES * POINTS) - 0.5) * EDGE + 0.5
-        middles = corners_mm[:, :, None] + along[:, None] * (after - corners_mm)[:, :, None]
+        middles = corners_mm[:, :, None] + (ALONG + 0.5)[:, None] * (after - corners_mm)[:, :, None]
         inwards = corners_mm.mean(axis=1)[:, None] - (corners_mm + after) / 2.0
         outwards = -inwards / np.linalg.norm(inwards, axis=-1, keepdims=True)
-        distances = np.linspace(-PROFILE_REACH, PROFILE_REACH, 2 * PROFILE_STEPS + 1) * module_mm
         self._module_mm = module_mm
         # (marker, edge, point along the edge, place across it, x and y)
-        self._places_mm = middles[..., None, :] + distances[:, None] * outwards[:, :, None, None]
+        self._places_mm = middles[..., None, :] + (ACROSS * module_mm)[:, None] * outwards[:, :, None, None]
         self._outside_mm = middles + BESIDE_WHITE * module_mm * outwards[:, :, None]
         pieces_mm = middles.reshape(-1, POINTS, 2).mean(axis=1)
         self.pieces = Pieces(
@@ -486,9 +489,7 @@ class MarkerEdges:
         page = _sampled(grey, outside_px).reshape(len(profiles), 4, PIECES, POINTS).mean(axis=3)[..., None]
         white_share = np.clip((page - black) / (white - black), 0.0, 1.0)
         turned = np.stack([np.rot90(bits[there], turn, axes=(1, 2))[:, 1] for turn in range(4)], axis=1)
-        at = np.floor(
-            ((np.arange(PIECES * POINTS) + 0.5) / (PIECES * POINTS) - 0.5) * EDGE * MODULES + MODULES / 2
-        )
+        at = np.floor(ALONG * MODULES + MODULES / 2)
         inside = turned[..., at.astype(int)].reshape(len(profiles), 4, PIECES, POINTS).mean(axis=3)[..., None]
         middle = PROFILE_STEPS
         rise = (profiles[..., middle + 1] - profiles[..., middle - 1])[..., None] / (white - black)
@@ -496,12 +497,11 @@ class MarkerEdges:
         blur_px2 = (np.interp(-rise[..., 0], -_rises(), BLURS) * length_px) ** 2 - interpolated_px2[..., middle]
         blur_px2 = np.maximum(float(np.median(blur_px2)) + interpolated_px2, 0.0)
         blur = np.clip(np.sqrt(blur_px2) / length_px[..., None], BLURS[0], BLURS[-1])
-        places = np.linspace(-PROFILE_REACH, PROFILE_REACH, 2 * PROFILE_STEPS + 1)
         shifts = edges.shifts_px.astype(np.float64).reshape(len(bits), 4, PIECES)
         measured = shifts[there] / length_px
         shift = np.zeros_like(measured)
         for _ in range(CORRECTIONS):
-            away = places - np.clip(shift, -MOST_CORRECTED, MOST_CORRECTED)[..., None]
+            away = ACROSS - np.clip(shift, -MOST_CORRECTED, MOST_CORRECTED)[..., None]
             modelled = ndtr(away / blur) - (1.0 - white_share) * ndtr((away - 1.0) / blur)
             modelled += inside * ndtr(-(away + 1.0) / blur)
             shift += measured - _shift_per_module(modelled)
