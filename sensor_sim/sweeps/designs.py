@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from sensor_sim.chain.sensor import Detector, Sensor, part_of, used_keys
+from sensor_sim.chain.sensor import Sensor, part_of, used_keys
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import MAX_ROWS, check_keys, kinds_of, read_table, settings_of
@@ -350,10 +350,11 @@ class Base:
         """Return the changes of the detector with a width in place of a fill factor."""
         changes = dict(changes)
         detector = self.sensor.detector
-        unit = "mrad" if detector.pitch_um is None else "um"
-        before, width = (detector.pitch_um, detector.width_um) if unit == "um" else _angles(detector)
+        unit, before, width = "um", detector.pitch_um, detector.width_um
+        if before is None:
+            unit, before, width = "mrad", detector.pitch_mrad, detector.width_mrad
         pitch, share = changes.get(f"pitch_{unit}", before), changes.pop("fill_factor", None)
-        assert before is not None and pitch is not None
+        assert pitch is not None
         if share is not None:
             if not 0.0 < share <= 1.0:
                 raise SettingsError(f"{FILL_FACTOR}: found {share:g}, expected a number above 0 and at most 1")
@@ -361,7 +362,3 @@ class Base:
         elif self.keep_fill_factor and f"width_{unit}" not in changes and width is not None:
             changes[f"width_{unit}"] = pitch * (width / before)
         return changes
-
-
-def _angles(detector: Detector) -> tuple[float, float]:
-    return detector.pitch_mrad, detector.width_mrad

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import cached_property, partial
 from itertools import repeat
@@ -160,13 +159,13 @@ class Sweep(Content, frozen=True, kw_only=True):
         for name, values in self.columns.items():
             kinds.setdefault(name, next((type(one) for one in values if one is not None), float))
         n = len(self.columns["design"])
-        records = LongRecords({name: kinds[name] for name in self.columns}, n, self._blocks)
-        return Table.of("All designs and sizes", "sweep.csv", self.columns, records)
 
-    def _blocks(self) -> Iterator[dict[str, list[Any]]]:
-        """Yield the columns of some thousand records at a time."""
-        for start in range(0, len(self.columns["design"]), BLOCK):
-            yield {name: values[start : start + BLOCK] for name, values in self.columns.items()}
+        def blocks() -> Iterator[dict[str, list[Any]]]:
+            for start in range(0, n, BLOCK):
+                yield {name: values[start : start + BLOCK] for name, values in self.columns.items()}
+
+        records = LongRecords({name: kinds[name] for name in self.columns}, n, blocks)
+        return Table.of("All designs and sizes", "sweep.csv", self.columns, records)
 
     def tables(self) -> list[Table]:
         """List the best designs and the thresholds that there are not."""
@@ -201,8 +200,7 @@ class Sweep(Content, frozen=True, kw_only=True):
         columns += [Column(key=NAME_COLUMN, rank=3)] if NAME_COLUMN in self.columns else []
         columns += [Column(key=key, header=heading(key)) for key in self.keys]
         columns += [Column(key="netd_mk", header="NETD (mK)")] if "netd_mk" in self.columns else []
-        unit = in_words(self.threshold_column)[1] or self.threshold_column.removeprefix("threshold_")
-        unit = "SNR" if unit == "snr" else unit
+        unit = {"threshold_snr": "SNR", "delta_t_mk": "mK"}.get(self.threshold_column, "contrast")
         columns += [
             Column(key=f"at_{place}", header=f"{unit} at {size:g}", rank=min(place, 2))
             for place, size in enumerate(sizes)
@@ -221,17 +219,15 @@ class Sweep(Content, frozen=True, kw_only=True):
 
     def problems(self) -> Table | None:
         """Return the table of statuses other than "ok" with their reasons, by frequency; None if all are "ok"."""
-        found: Counter[tuple[str, str | None]] = Counter()
-        first: dict[tuple[str, str | None], int] = {}
+        designs: dict[tuple[str, str | None], list[int]] = {}
         for design, *pair in zip(*(self.columns[key] for key in ("design", "status", "reason")), strict=True):
             if pair[0] != "ok":
-                found[pair[0], pair[1]] += 1
-                first.setdefault((pair[0], pair[1]), design)
-        if not found:
+                designs.setdefault((pair[0], pair[1]), []).append(design)
+        if not designs:
             return None
         records = [
-            {"status": pair[0], "thresholds": number, "first_design": first[pair], "reason": pair[1]}
-            for pair, number in found.most_common(ROWS_SHOWN)
+            {"status": pair[0], "thresholds": len(found), "first_design": found[0], "reason": pair[1]}
+            for pair, found in sorted(designs.items(), key=lambda item: -len(item[1]))[:ROWS_SHOWN]
         ]
         columns: list[Column | str] = ["status", "thresholds", "first_design", Column(key="reason", wraps=True)]
         table = Table.of("Designs and sizes without a threshold", "problems.csv", columns, records)
@@ -303,7 +299,42 @@ class Sweep(Content, frozen=True, kw_only=True):
 
     def figures(self) -> list[ReportFigure]:
         """List the figures, the most important first."""
-        return pictures(self)
+        names = [in_words(self.keys[number])[0] for number in varied(self)]
+        others = len(names) > 2
+        found = []
+        if len(self.objectives) > 1:
+            note = (
+                f"Grey: all designs; coloured: those that no other one beats in all of "
+                f"{listed(in_words(one.column)[0] for one in self.objectives)}."
+            )
+            draw = partial(draw_front, result=self, size=0)
+            found.append(ReportFigure(f"Trade-off{self.at_size}", note, draw, "front.png"))
+        if len(names) > 1 and OF_RANGE in self.columns and np.isfinite(self.column(OF_RANGE)).any():
+            note = (
+                f"Range over {names[0]} and {names[1]}. Dotted: beyond the smallest size; crossed: never reached;"
+                " hatched once: none for another reason." + " The longest over the others that vary." * others
+            )
+            found.append(ReportFigure("Map of range", note, partial(draw_range_map, result=self), "range_map.png"))
+        if len(names) > 1:
+            seen = np.flatnonzero(self.known.any(axis=0)).tolist()
+            note = (
+                f"Threshold over {names[0]} and {names[1]}. Hatched once: impossible; crossed: never reached;"
+                " dotted: always exceeded." + " The lowest over the others that vary." * others
+            )
+            for size in evenly(seen, MOST_MAPS):
+                draw = partial(draw_map, result=self, size=size)
+                file = "map.png" if size == seen[0] else ""
+                found.append(ReportFigure(f"Map at {self.sizes[size]:g} detectors", note, draw, file))
+        elif names:
+            draw = partial(draw_lines, result=self)
+            found.append(
+                ReportFigure(f"Threshold against {names[0]}", "A line for each size.", draw, "by_key.png")
+            )
+        if (self.known.sum(axis=1) > 1).any():
+            note = f"Threshold against 1 / size of up to {MOST_CURVES} designs"
+            note += f", coloured by {names[0]}." if names else "."
+            found.append(ReportFigure("TOD curves", note, partial(draw_curves, result=self), "tod_curves.png"))
+        return found
 
     def plot_tod(self, ax: Axes | None = None) -> Axes:
         """Draw the TOD curves of the designs, coloured by the first varied key; returns the axes."""
@@ -320,49 +351,6 @@ class Sweep(Content, frozen=True, kw_only=True):
     def plot_front(self, size: int = 0, ax: Axes | None = None) -> Axes:
         """Draw all designs over the first two objectives, and their trade-off front; returns the axes."""
         return drawn(lambda axes: draw_front(axes, self, size), ax)
-
-
-def pictures(result: Sweep) -> list[ReportFigure]:
-    """List the figures of a sweep, the most important first."""
-    keys, sizes = result.keys, result.sizes
-    names = [in_words(keys[place])[0] for place in varied(result)]
-    found = []
-    if len(result.objectives) > 1:
-        note = (
-            f"Grey: all designs; coloured: those that no other one beats in all of "
-            f"{listed(in_words(one.column)[0] for one in result.objectives)}."
-        )
-        found.append(
-            ReportFigure(
-                f"Trade-off{result.at_size}", note, partial(draw_front, result=result, size=0), "front.png"
-            )
-        )
-    has_range = OF_RANGE in result.columns and np.isfinite(result.column(OF_RANGE)).any()
-    if len(names) > 1 and has_range:
-        note = f"Range over {names[0]} and {names[1]}. Dotted: beyond the smallest size; crossed: never reached;"
-        note += " hatched once: none for another reason."
-        note += " The longest over the others that vary." * (len(names) > 2)
-        found.append(ReportFigure("Map of range", note, partial(draw_range_map, result=result), "range_map.png"))
-    if len(names) > 1:
-        seen = np.flatnonzero(result.known.any(axis=0)).tolist()
-        for size in evenly(seen, MOST_MAPS):
-            note = f"Threshold over {names[0]} and {names[1]}. Hatched once: impossible; crossed: never reached;"
-            note += " dotted: always exceeded."
-            note += " The lowest over the others that vary." * (len(names) > 2)
-            draw = partial(draw_map, result=result, size=size)
-            found.append(
-                ReportFigure(f"Map at {sizes[size]:g} detectors", note, draw, "" if size != seen[0] else "map.png")
-            )
-    elif names:
-        note = "A line for each size."
-        found.append(
-            ReportFigure(f"Threshold against {names[0]}", note, partial(draw_lines, result=result), "by_key.png")
-        )
-    if (result.known.sum(axis=1) > 1).any():
-        note = f"Threshold against 1 / size of up to {MOST_CURVES} designs"
-        note += f", coloured by {names[0]}." if names else "."
-        found.append(ReportFigure("TOD curves", note, partial(draw_curves, result=result), "tod_curves.png"))
-    return found
 
 
 def varied(result: Sweep) -> list[int]:
@@ -418,6 +406,9 @@ def _draw_cells(
     axes: Axes, result: Sweep, value: FloatArray, status: NDArray[Any], label: str, *, best: float = 1.0
 ) -> None:
     """Draw a value of each design over the first two keys that vary; `best` is −1 if the highest is best."""
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Rectangle
+
     keys = varied(result)
     if len(keys) < 2:
         raise DataError("plot_map: found one key that varies, expected two or more")
@@ -439,8 +430,15 @@ def _draw_cells(
         of_cell = np.full(cells.shape, "", dtype=object)
         for kind in MARKS:  # a design that is never reached counts before one that is impossible
             of_cell[at_y[status == kind], at_x[status == kind]] = kind
+        left, bottom = edges(columns), edges(rows)
+        marked: Any = {"facecolor": "none", "edgecolor": INK, "linewidth": 0.0, "alpha": 0.5}
         for kind, (hatch, _) in MARKS.items():
-            _hatch(axes, edges(columns), edges(rows), np.isnan(cells) & (of_cell == kind), hatch)
+            hatched = [
+                Rectangle((left[k], bottom[n]), left[k + 1] - left[k], bottom[n + 1] - bottom[n])
+                for n, k in np.argwhere(np.isnan(cells) & (of_cell == kind))
+            ]
+            if hatched:
+                axes.add_collection(PatchCollection(hatched, hatch=hatch, **marked))
     else:
         order = np.argsort(-best * value[has])  # the best on top
         drawn = axes.scatter(
@@ -453,20 +451,6 @@ def _draw_cells(
     across, up = (heading(result.keys[key]) for key in keys[:2])
     axes.set(xlabel=across, ylabel=up)
     add_colour_bar(axes, drawn, label)
-
-
-def _hatch(axes: Axes, x: FloatArray, y: FloatArray, marked: NDArray[np.bool_], hatch: str) -> None:
-    """Hatch the cells of a grid that are marked; `x` and `y` are the edges."""
-    from matplotlib.collections import PatchCollection
-    from matplotlib.patches import Rectangle
-
-    cells = [
-        Rectangle((x[column], y[row]), x[column + 1] - x[column], y[row + 1] - y[row])
-        for row, column in np.argwhere(marked)
-    ]
-    if cells:
-        look: Any = {"facecolor": "none", "edgecolor": INK, "linewidth": 0.0, "alpha": 0.5}
-        axes.add_collection(PatchCollection(cells, hatch=hatch, **look))
 
 
 def draw_lines(axes: Axes, result: Sweep) -> None:
@@ -529,13 +513,8 @@ def is_log(values: FloatArray) -> bool:
 
 
 def edges(middles: FloatArray) -> FloatArray:
-    """Return the edges of cells around ascending values, half-way between them."""
-    if is_log(middles):
-        return np.asarray(np.exp(edges_between(np.log(middles))))
-    return edges_between(middles)
-
-
-def edges_between(middles: FloatArray) -> FloatArray:
-    """Return the edges half-way between ascending values; the outer cells are symmetric."""
-    inner = (middles[1:] + middles[:-1]) / 2.0
-    return np.concatenate([[2.0 * middles[0] - inner[0]], inner, [2.0 * middles[-1] - inner[-1]]])
+    """Return the edges of cells half-way between ascending values; the outer cells are symmetric."""
+    values = np.log(middles) if is_log(middles) else middles
+    inner = (values[1:] + values[:-1]) / 2.0
+    ends = np.concatenate([[2.0 * values[0] - inner[0]], inner, [2.0 * values[-1] - inner[-1]]])
+    return np.asarray(np.exp(ends) if is_log(middles) else ends)

@@ -283,6 +283,9 @@ def _gathered(
     results: Sequence[PredictedThreshold],
     level: str,
 ) -> Swept:
+    def mk_per_snr(sensor: Sensor) -> float:
+        return math.nan if sensor.noise.netd_mk is None else float(delta_t_mk(1.0, noise=sensor.noise))
+
     nothing = len(results)
     status = np.array([*(one.status for one in results), IMPOSSIBLE], dtype=object)
     threshold, error = (
@@ -298,7 +301,7 @@ def _gathered(
         size_detectors=sizes,
         pitch_mrad=np.array([math.nan if one is None else one.detector.pitch_mrad for one in plan.sensors]),
         netd_mk=np.array([math.nan if one is None else one.noise.netd_mk or math.nan for one in plan.sensors]),
-        mk_per_snr=np.array([_mk_per_snr(one) for one in plan.sensors]),
+        mk_per_snr=np.array([math.nan if one is None else mk_per_snr(one) for one in plan.sensors]),
         threshold=threshold[places],
         numerical_error=error[places],
         n_phases=phases[places],
@@ -307,9 +310,3 @@ def _gathered(
         n_computed=len(results),
         level=level,
     )
-
-
-def _mk_per_snr(sensor: Sensor | None) -> float:
-    if sensor is None or sensor.noise.netd_mk is None:
-        return math.nan
-    return float(delta_t_mk(1.0, noise=sensor.noise))

@@ -103,12 +103,8 @@ def print_result(
 ) -> None:
     """Show a result as one JSON object or as its tables, sentences and warnings; remarks go to standard error.
 
-    `title` is a line above the tables, `verbose` adds details, and `explain` the plan.
-
-    Raises
-    ------
-    DataError
-        If `strict` and there are warnings; everything is shown before.
+    `title` is a line above the tables, `verbose` adds details, and `explain` the plan. DataError if `strict` and
+    there are warnings; everything is shown before.
     """
     data = result.data
     for note in () if quiet else data.notes():
@@ -132,8 +128,9 @@ def print_result(
 def print_content(
     content: bytes | str, warnings: Sequence[ResultWarning] = (), *, quiet: bool = False, strict: bool = False
 ) -> None:
-    """Print what a program reads, JSON or TOML, on standard output, and the warnings on standard error. DataError
-    as in `finish`.
+    """Print what a program reads, JSON or TOML, on standard output, and the warnings on standard error.
+
+    DataError as in `print_result`.
     """
     for line in () if quiet else warning_lines(warnings):
         say(line)
@@ -150,7 +147,8 @@ def print_end(
     is_timed: bool = True,
 ) -> None:
     """Print what follows the tables of a command: sentences, warnings, the time, and the folder that was written.
-    DataError as in `finish`.
+
+    DataError as in `print_result`.
     """
     print_sentences([*sentences, *warning_lines(warnings)])
     if is_timed:
