@@ -1068,7 +1068,7 @@ def test_out_of_memory(make_dataset, todframes, tmp_path, monkeypatch):
         raise MemoryError("Unable to allocate 2.00 GiB for an array with shape (16385, 16385)")
 
     dataset = make_dataset(contrasts=(0.5,))
-    monkeypatch.setattr("todframes.scoring.retina_view.read_trial", too_large)
+    monkeypatch.setattr("todframes.scoring.seen_trials.read_trial", too_large)
     before = tree(tmp_path)
     status, out, errors = todframes("score", dataset.path, "-o", tmp_path / "out")
     assert status in (BAD_DATA, BAD_SETTINGS)
