@@ -19,28 +19,28 @@ from numpy.typing import NDArray
 
 from sensor_sim.studies.stability import BELOW_CUT_OFF
 from todframes.studies.stability.case import MPMATH, Case, digits_kept, find_cases
-from todframes.studies.stability.decision import (
+from todframes.studies.stability.cases import (
+    CONTRAST,
+    COVARIANCES,
+    D_PRIME,
     D_PRIMES,
+    DECADES,
+    ERRORS,
     EVEN_PARTS,
+    EXTREMES,
     HIGH_D_PRIMES,
     HIGH_SNRS,
-    OBTUSE,
-    OBTUSE_SNRS,
-    SNRS,
-    pairs,
-)
-from todframes.studies.stability.fits_and_frames import (
-    CONTRAST,
-    DECADES,
     LEVELS,
     NON_MONOTONE,
+    OBTUSE,
+    OBTUSE_SNRS,
     PATTERN,
+    PLACES,
     RISING,
     SINGLE,
     SINGLE_LEVELS,
+    pairs,
 )
-from todframes.studies.stability.observer import CONTRASTS, COVARIANCES, ERRORS
-from todframes.studies.stability.observers_and_field import D_PRIME, PLACES
 
 Numbers = Sequence[mpf]
 Image = NDArray[Any]
@@ -344,7 +344,7 @@ def of_places() -> Numbers:
 
 
 REFERENCES: dict[str, Callable[[], Numbers]] = {
-    "four triangles, SNR 1e-9 to 1e9: P(correct)": lambda: [1 - p for p in of_triangles(SNRS)],
+    "four triangles, SNR 1e-9 to 1e9: P(correct)": lambda: [1 - p for p in of_triangles(EXTREMES)],
     "four triangles, SNR 1e-9: P(correct) − 1/4": lambda: [mpf(3) / 4 - of_triangles([1e-9])[0]],
     "four triangles, SNR 5 to 31: P(error) to 1e-30": lambda: of_triangles(HIGH_SNRS),
     "noise SD 1e-150 to 1e150, SNR 3: P(correct)": lambda: [1 - of_triangles([3.0])[0]] * 4,
@@ -364,7 +364,7 @@ REFERENCES: dict[str, Callable[[], Numbers]] = {
         for size, ((low, _), (high, _)) in ERRORS.items()
     },
     "20 retina samples, contrast 1e-9 to 1e9: P(correct)": lambda: [
-        1 - p for p in of_contrasts(20.0, tuple(CONTRASTS))
+        1 - p for p in of_contrasts(20.0, tuple(EXTREMES))
     ],
     "internal noise 1e-12 and 1e12, contrast in proportion: P(correct)": lambda: (
         [1 - of_contrasts(20.0, (0.1,))[0]] * 2

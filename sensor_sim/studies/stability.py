@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -35,39 +36,9 @@ POINT_DETECTORS = Detector(pitch_mrad=1.0, width_mrad=0.01)
 """Detectors of fill factor 1e-4."""
 
 
-def cases() -> list[Case]:
-    """Return all cases of sensor_sim."""
-    return [*transfer_cases(), *sample_cases(), *display_cases(), *curve_cases(), *bar_cases()]
-
-
-def transfer_cases() -> list[Case]:
-    """List the cases of modulation transfer functions."""
-    case = partial(Case, "transfer")
-
-    def diffraction(of_cut_off: FloatArray) -> FloatArray:
-        return diffraction_mtf(4.0 * of_cut_off, wavelength_um=0.5, aperture_mm=2.0)
-
-    return [
-        case(
-            "diffraction, 1e-3 to 2e-16 below the cut-off",
-            [
-                3.6628597915967845e-05,
-                1.1179797194473607e-09,
-                3.411803830625912e-14,
-                1.0411998996283173e-18,
-                3.971862410081708e-24,
-            ],
-            MPMATH + "2/π (arccos x − x √(1 − x²))",
-            lambda: diffraction(BELOW_CUT_OFF),
-            12,
-        ),
-        case("diffraction, at the cut-off and beyond", [0.0] * 5, "0", lambda: diffraction(AT_AND_BEYOND), 15),
-        case("Gaussian, blur 0 to 1,000 detectors, at Nyquist", [1.0, math.exp(-(math.pi**2) / 2.0), 0.0],
-             "closed form: exp(−π²σ²/2)",
-             lambda: [float(gaussian_mtf(0.5, sigma=sigma)) for sigma in (0.0, 1.0, 1000.0)], 12),
-        case("detector, at multiples of the sampling frequency", [0.0] * 3, "closed form: sin(πk) = 0",
-             lambda: box_mtf([1.0, 1e3, 1e6], width=1.0), 12, 1.0),
-    ]  # fmt: skip
+def diffraction(of_cut_off: FloatArray) -> FloatArray:
+    """Compute the MTF of an aperture at frequencies in units of its cut-off."""
+    return diffraction_mtf(4.0 * of_cut_off, wavelength_um=0.5, aperture_mm=2.0)
 
 
 def sampler(
@@ -102,52 +73,6 @@ def half_a_detector_on(cut_off: float) -> float:
     return float(np.abs(before[:-1, :-1] - after[1:, 1:]).max())
 
 
-def sample_cases() -> list[Case]:
-    """List the cases of detector samples."""
-    case = partial(Case, "samples")
-    area = "law: samples of a period sum to the area"
-    evenly = "law: so they do on average, whatever the gaps"
-    height = 3.0 * HEIGHT_PER_SIZE
-    tip = 2.0 / 3.0 * height - 2.0  # of the triangle in the middle, above the detectors' edge
-    return [
-        *(
-            case(f"cut-off {name}: sum", [1.0] * 3, area, partial(total, cut_off), 12)
-            for name, cut_off in (
-                ("of a fourth of Nyquist, on the second wave", 0.125),
-                ("just below Nyquist", 0.5 - 2.0**-54),
-                ("exactly at Nyquist", 0.5),
-                ("of 20 times Nyquist", 10.0),
-                ("of 2e9 times Nyquist", 1e9),
-            )
-        ),
-        case(
-            "cut-off of 0.015 Nyquist: three samples",
-            [0.00043544826155055515, 0.000436647432458079, 0.00043525336509255274],
-            MPMATH + "nine waves",
-            lambda: sampler(0.0075, period=200).samples(0.25, -0.5, orientation=Orientation.UP)[0][
-                [0, 4, 7], [0, 3, 7]
-            ],
-            12,
-        ),
-        case("cut-off of 2e9 Nyquist: the tip and a detector below", [tip**2 / math.sqrt(12.0), 1.0],
-             "closed form: areas",
-             lambda: sampler(1e9).samples(0.0, 0.0, orientation=Orientation.UP)[0][[1, 4], [3, 3]], 12),
-        *(
-            case(f"blur of {b:g} detectors: sum", [1.0] * 3, area, partial(total, 10.0, blur=b), 12)
-            for b in (0.0, 1e-3, 3.0)
-        ),
-        case("fill factor 1e-4, cut-off 2 cycles/detector: mean sum over 4 places", 1.0, evenly,
-             partial(mean_total_of_points, 2.0, 2), 12),
-        case("fill factor 1e-4, cut-off 1e9 cycles/detector: mean sum over 10⁴ places", 1.0, evenly,
-             partial(mean_total_of_points, 1e9, 100), 12),
-        *(
-            case(f"displaced by exactly half a detector, cut-off {name} cycles/detector: difference", 0.0,
-                 "law: a whole detector on, the same samples", partial(half_a_detector_on, cut_off), 12, 1.0)
-            for name, cut_off in (("0.5", 0.5), ("10", 10.0), ("1e9", 1e9))
-        ),
-    ]  # fmt: skip
-
-
 def display_of(
     pixels_per_detector: int, *, detector_pitch_mrad: float, blur_sigma_px: float = 0.0
 ) -> SensorDisplay:
@@ -172,36 +97,22 @@ def held(pixels_per_detector: int) -> FloatArray:
     return resample(shown, grid, x_px=at, y_px=at, pixel_pitch_mrad=display.pixel_pitch_mrad)
 
 
-def display_cases() -> list[Case]:
-    """List the cases of noise, hold, display and retina."""
-    case = partial(Case, "display")
-    sigmas = np.array([1e-3, 0.3, 1.5, 1000.0])
+def variance(sigma: float) -> float:
+    """Compute the variance of the kernel of a Gaussian blur."""
+    kernel = gaussian_kernel(sigma)
+    return float(kernel @ (np.arange(kernel.size) - kernel.size // 2) ** 2)
 
-    def variance(sigma: float) -> float:
-        kernel = gaussian_kernel(sigma)
-        place = np.arange(kernel.size) - kernel.size // 2
-        return float(kernel @ place**2)
 
-    def widest() -> float:
-        display = display_of(1000, detector_pitch_mrad=1.0, blur_sigma_px=1000.0)
-        return float(axis_matrix(21, display=display, electronics=Electronics())[10_500].sum())
+def widest() -> float:
+    """Sum the weights of a display pixel with 1,000 pixels a detector and a blur of as many."""
+    display = display_of(1000, detector_pitch_mrad=1.0, blur_sigma_px=1000.0)
+    return float(axis_matrix(21, display=display, electronics=Electronics())[10_500].sum())
 
-    def on_an_edge() -> FloatArray:
-        ramp = np.add.outer(np.arange(9.0) ** 2, np.arange(9.0) ** 3)
-        return resample(ramp, RetinaGrid(3, 1.0), x_px=4.5, y_px=3.5, pixel_pitch_mrad=1.0)
 
-    rows, columns = (np.array([(n**k + (n + 1) ** k) / 2 for n in range(m, m + 3)]) for k, m in ((2, 2), (3, 3)))
-    return [
-        case("blur of 1e-3 to 1,000 pixels: variance", sigmas**2, "σ²", lambda: [variance(s) for s in sigmas], 9),
-        case("1,000 pixels a detector, blur of 1,000: sum of weights", 1.0, "uniform stays uniform", widest, 12),
-        case("1,000 pixels a detector: retina image", held(1), "law: as with one pixel a detector",
-             lambda: held(1000), 12),
-        case("retina samples exactly between pixels", np.add.outer(rows, columns),
-             "closed form: means of neighbours", on_an_edge, 15),
-        case("noise of 10⁴ frames, and of a fixed pattern 1e12 times as strong: k",
-             [100.0, 1.0 / math.sqrt(1.0 + 1e24)], "closed form",
-             lambda: [k_factor(Noise(frames_integrated=10**4)), k_factor(Noise(fixed_pattern_ratio=1e12))], 12),
-    ]  # fmt: skip
+def on_an_edge() -> FloatArray:
+    """Compute retina samples exactly between pixels of a ramp."""
+    ramp = np.add.outer(np.arange(9.0) ** 2, np.arange(9.0) ** 3)
+    return resample(ramp, RetinaGrid(3, 1.0), x_px=4.5, y_px=3.5, pixel_pitch_mrad=1.0)
 
 
 def camera(cut_off: float = 2.0, *, blur: float = 0.0, display: SensorDisplay | None = None) -> Sensor:
@@ -221,64 +132,127 @@ def proportions(sensor: Sensor, size: float, snrs: tuple[float, ...], internal_n
     return [chain.proportion_correct(phases, snr) for snr in snrs]
 
 
-def curve_cases() -> list[Case]:
-    """List the cases of whole chains."""
-    case = partial(Case, "curve")
-    many = display_of(1000, detector_pitch_mrad=3.0)
-    tiny = display_of(1, detector_pitch_mrad=0.153e-3)
-
-    def ratio(sensor: Sensor, other: Sensor) -> float:
-        return proportions(sensor, 5.0, (2.0,))[0] / proportions(other, 5.0, (2.0,))[0]
-
-    def refused(sensor: Sensor, size: float, naming: str) -> str:
-        return refusal(lambda: FoldedChain(sensor, PyramidObserver(), size), naming)
-
-    return [
-        case("SNR 1e-9 and 1e9: P(correct)", [0.25, 1.0],
-             "no signal: chance; internal noise 0, no noise: the largest",
-             lambda: proportions(camera(), 8.0, (1e-9, 1e9), internal_noise=0.0), 8),
-        case("1,000 display pixels a detector: P(correct), ratio", 1.0, "law: as with one pixel a detector",
-             lambda: ratio(camera(display=many), camera()), 5),
-        case("1,000 display pixels a detector, blur of 1 pixel: P(correct), ratio", 1.0,
-             "law: as with none, to 1e-5",
-             lambda: ratio(camera(display=replace(many, blur_sigma_px=1.0)), camera()), 4),
-        case("1,000 display pixels a detector: frames", "refused", "frames of at most 256 MB",
-             lambda: refusal(lambda: Simulator(camera(display=many), 5.0, seed=1), "expected at most 11585")),
-        case("1,000 detectors a retina sample, triangle of 30: threshold", "never_reached",
-             "four identical templates",
-             lambda: predict_threshold(FoldedChain(camera(0.5, display=tiny), PyramidObserver(), 30.0)).status),
-        case("1,000 detectors a retina sample, triangle of 3,000", "refused",
-             "a field of at most 1,024 detectors",
-             lambda: refused(camera(display=tiny), 3000.0, "found 3000, expected at most")),
-        case("optics blur of 1,000 detectors", "refused", "a field of at most 1,024 detectors",
-             lambda: refused(camera(blur=1000.0), 5.0, "optics.blur_sigma_mrad: found 1000, expected at most")),
-        case("optics blur of 100 detectors, triangle of 20: threshold", "never_reached", "a spot points nowhere",
-             lambda: predict_threshold(FoldedChain(camera(blur=100.0), PyramidObserver(), 20.0)).status),
-        case("cut-off of 1e-3 Nyquist", "refused", "nothing but the mean passes",
-             lambda: refused(camera(0.0005), 5.0, "optics.aperture_mm: found 0.0005, which passes nothing")),
-        case("cut-off of 2e6 and 2e9 Nyquist: P(correct), ratio", 1.0, "law: the optics leave no trace",
-             lambda: ratio(camera(1e6), camera(1e9)), 5),
-    ]  # fmt: skip
+def ratio(sensor: Sensor, other: Sensor) -> float:
+    """Compute P(correct) of a sensor over that of another."""
+    return proportions(sensor, 5.0, (2.0,))[0] / proportions(other, 5.0, (2.0,))[0]
 
 
-def bar_cases() -> list[Case]:
-    """List the cases of four bars and their MRTD."""
+def status(sensor: Sensor, size: float) -> str:
+    """Return the status of a threshold."""
+    return predict_threshold(FoldedChain(sensor, PyramidObserver(), size)).status
 
-    def mrtd_ratio() -> float:
-        thresholds = []
-        for netd_mk in (1e-9, 1e9):
-            sensor = replace(camera(), noise=Noise(netd_mk=netd_mk))
-            (bars,) = mrtd(sensor, frequency_nyquist=[0.5], size_detectors=(), tolerance=0.1).bars
-            thresholds.append(bars.mrtd_mk or math.nan)
-        return thresholds[1] / thresholds[0]
 
-    def refused(frequency_nyquist: float) -> str:
-        expected = "expected a number from 0.0273 to 20"
-        return refusal(lambda: mrtd(camera(), frequency_nyquist=[frequency_nyquist]), expected)
+def refused(sensor: Sensor, size: float, naming: str) -> str:
+    """Say whether the chain of a sensor is refused."""
+    return refusal(lambda: FoldedChain(sensor, PyramidObserver(), size), naming)
 
-    return [
-        Case("bars", "NETD of 1e-9 and 1e9 mK: MRTD, ratio", 1e18, "law: MRTD is proportional to NETD",
-             mrtd_ratio, 9),
-        Case("bars", "bars of 1e-6 and 1e6 Nyquist", "refused, refused", "a field of at most 1,024 detectors",
-             lambda: ", ".join(map(refused, (1e-6, 1e6)))),
-    ]  # fmt: skip
+
+def mrtd_mk(netd_mk: float) -> float:
+    """Compute the MRTD at half the Nyquist frequency."""
+    sensor = replace(camera(), noise=Noise(netd_mk=netd_mk))
+    (bars,) = mrtd(sensor, frequency_nyquist=[0.5], size_detectors=(), tolerance=0.1).bars
+    return bars.mrtd_mk or math.nan
+
+
+def bars_refused(frequency_nyquist: float) -> str:
+    """Say whether bars of a frequency are refused."""
+    expected = "expected a number from 0.0273 to 20"
+    return refusal(lambda: mrtd(camera(), frequency_nyquist=[frequency_nyquist]), expected)
+
+
+SIGMAS = np.array([1e-3, 0.3, 1.5, 1000.0])
+AREA = "law: samples of a period sum to the area"
+AVERAGE = "law: so they do on average, whatever the gaps"
+FIELD = "a field of at most 1,024 detectors"
+
+TIP = 2.0 * HEIGHT_PER_SIZE - 2.0
+"""Height of the tip of a triangle of 3 detectors in the middle, above the detectors' edge."""
+
+BETWEEN = [np.array([(n**k + (n + 1) ** k) / 2 for n in range(m, m + 3)]) for k, m in ((2, 2), (3, 3))]
+MANY, TINY = display_of(1000, detector_pitch_mrad=3.0), display_of(1, detector_pitch_mrad=0.153e-3)
+
+ROWS: dict[str, list[tuple[Any, ...]]] = {
+    "transfer": [
+        ("diffraction, 1e-3 to 2e-16 below the cut-off",
+         [3.6628597915967845e-05, 1.1179797194473607e-09, 3.411803830625912e-14, 1.0411998996283173e-18,
+          3.971862410081708e-24],
+         MPMATH + "2/π (arccos x − x √(1 − x²))", lambda: diffraction(BELOW_CUT_OFF), 12),
+        ("diffraction, at the cut-off and beyond", [0.0] * 5, "0", lambda: diffraction(AT_AND_BEYOND), 15),
+        ("Gaussian, blur 0 to 1,000 detectors, at Nyquist", [1.0, math.exp(-(math.pi**2) / 2.0), 0.0],
+         "closed form: exp(−π²σ²/2)",
+         lambda: [float(gaussian_mtf(0.5, sigma=sigma)) for sigma in (0.0, 1.0, 1000.0)], 12),
+        ("detector, at multiples of the sampling frequency", [0.0] * 3, "closed form: sin(πk) = 0",
+         lambda: box_mtf([1.0, 1e3, 1e6], width=1.0), 12, 1.0),
+    ],
+    "samples": [
+        *((f"cut-off {name}: sum", [1.0] * 3, AREA, partial(total, cut_off), 12)
+          for name, cut_off in (
+              ("of a fourth of Nyquist, on the second wave", 0.125),
+              ("just below Nyquist", 0.5 - 2.0**-54),
+              ("exactly at Nyquist", 0.5),
+              ("of 20 times Nyquist", 10.0),
+              ("of 2e9 times Nyquist", 1e9),
+          )),
+        ("cut-off of 0.015 Nyquist: three samples",
+         [0.00043544826155055515, 0.000436647432458079, 0.00043525336509255274], MPMATH + "nine waves",
+         lambda: sampler(0.0075, period=200).samples(0.25, -0.5, orientation=Orientation.UP)[0][
+             [0, 4, 7], [0, 3, 7]], 12),
+        ("cut-off of 2e9 Nyquist: the tip and a detector below", [TIP**2 / math.sqrt(12.0), 1.0],
+         "closed form: areas",
+         lambda: sampler(1e9).samples(0.0, 0.0, orientation=Orientation.UP)[0][[1, 4], [3, 3]], 12),
+        *((f"blur of {b:g} detectors: sum", [1.0] * 3, AREA, partial(total, 10.0, blur=b), 12)
+          for b in (0.0, 1e-3, 3.0)),
+        ("fill factor 1e-4, cut-off 2 cycles/detector: mean sum over 4 places", 1.0, AVERAGE,
+         partial(mean_total_of_points, 2.0, 2), 12),
+        ("fill factor 1e-4, cut-off 1e9 cycles/detector: mean sum over 10⁴ places", 1.0, AVERAGE,
+         partial(mean_total_of_points, 1e9, 100), 12),
+        *((f"displaced by exactly half a detector, cut-off {name} cycles/detector: difference", 0.0,
+           "law: a whole detector on, the same samples", partial(half_a_detector_on, float(name)), 12, 1.0)
+          for name in ("0.5", "10", "1e9")),
+    ],
+    "display": [
+        ("blur of 1e-3 to 1,000 pixels: variance", SIGMAS**2, "σ²", lambda: list(map(variance, SIGMAS)), 9),
+        ("1,000 pixels a detector, blur of 1,000: sum of weights", 1.0, "uniform stays uniform", widest, 12),
+        ("1,000 pixels a detector: retina image", held(1), "law: as with one pixel a detector",
+         lambda: held(1000), 12),
+        ("retina samples exactly between pixels", np.add.outer(*BETWEEN), "closed form: means of neighbours",
+         on_an_edge, 15),
+        ("noise of 10⁴ frames, and of a fixed pattern 1e12 times as strong: k",
+         [100.0, 1.0 / math.sqrt(1.0 + 1e24)], "closed form",
+         lambda: [k_factor(Noise(frames_integrated=10**4)), k_factor(Noise(fixed_pattern_ratio=1e12))], 12),
+    ],
+    "curve": [
+        ("SNR 1e-9 and 1e9: P(correct)", [0.25, 1.0], "no signal: chance; internal noise 0, no noise: the largest",
+         lambda: proportions(camera(), 8.0, (1e-9, 1e9), internal_noise=0.0), 8),
+        ("1,000 display pixels a detector: P(correct), ratio", 1.0, "law: as with one pixel a detector",
+         lambda: ratio(camera(display=MANY), camera()), 5),
+        ("1,000 display pixels a detector, blur of 1 pixel: P(correct), ratio", 1.0, "law: as with none, to 1e-5",
+         lambda: ratio(camera(display=replace(MANY, blur_sigma_px=1.0)), camera()), 4),
+        ("1,000 display pixels a detector: frames", "refused", "frames of at most 256 MB",
+         lambda: refusal(lambda: Simulator(camera(display=MANY), 5.0, seed=1), "expected at most 11585")),
+        ("1,000 detectors a retina sample, triangle of 30: threshold", "never_reached", "four identical templates",
+         lambda: status(camera(0.5, display=TINY), 30.0)),
+        ("1,000 detectors a retina sample, triangle of 3,000", "refused", FIELD,
+         lambda: refused(camera(display=TINY), 3000.0, "found 3000, expected at most")),
+        ("optics blur of 1,000 detectors", "refused", FIELD,
+         lambda: refused(camera(blur=1000.0), 5.0, "optics.blur_sigma_mrad: found 1000, expected at most")),
+        ("optics blur of 100 detectors, triangle of 20: threshold", "never_reached", "a spot points nowhere",
+         lambda: status(camera(blur=100.0), 20.0)),
+        ("cut-off of 1e-3 Nyquist", "refused", "nothing but the mean passes",
+         lambda: refused(camera(0.0005), 5.0, "optics.aperture_mm: found 0.0005, which passes nothing")),
+        ("cut-off of 2e6 and 2e9 Nyquist: P(correct), ratio", 1.0, "law: the optics leave no trace",
+         lambda: ratio(camera(1e6), camera(1e9)), 5),
+    ],
+    "bars": [
+        ("NETD of 1e-9 and 1e9 mK: MRTD, ratio", 1e18, "law: MRTD is proportional to NETD",
+         lambda: mrtd_mk(1e9) / mrtd_mk(1e-9), 9),
+        ("bars of 1e-6 and 1e6 Nyquist", "refused, refused", FIELD,
+         lambda: ", ".join(map(bars_refused, (1e-6, 1e6)))),
+    ],
+}  # fmt: skip
+"""The cases by group: name, expected, source, compute, digits and scale as in `Case`."""
+
+
+def cases() -> list[Case]:
+    """List all cases of sensor_sim."""
+    return [Case(group, *row) for group, rows in ROWS.items() for row in rows]
