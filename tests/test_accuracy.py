@@ -28,7 +28,6 @@ from todframes.studies.accuracy.estimators import (
     StudyScene,
     ThresholdEstimate,
     Variant,
-    estimate_at_one_level,
     find_scenes,
 )
 from todframes.studies.accuracy.measure import (
@@ -85,10 +84,12 @@ def test_a_small_error_by_chance_is_not_taken_for_the_last_one():
 def test_speed_ratio():
     literal = TimeAt(0.01, 600.0, extrapolated=True)
     fast, slow = TimeAt(0.01, 0.2, at_most=True), TimeAt(0.01, 0.3)
-    assert speed_ratio(literal, {"fast": fast}) == (0.01, pytest.approx(3000.0), "fast", True, True)
+    ratio = speed_ratio(literal, {"fast": fast})
+    assert (ratio.threshold_error, ratio.ratio, ratio.closed_form) == (0.01, pytest.approx(3000.0), "fast")
+    assert ratio.extrapolated and ratio.at_least
     assert speed_ratio(literal, {"slow": slow, "fast": fast}).closed_form == "fast"
     assert speed_ratio(literal, {"slow": slow, "never": TimeAt(0.01, None)}).closed_form == "slow"
-    assert speed_ratio(literal, {"never": TimeAt(0.01, None)}) == (0.01, None, None, True, False)
+    assert speed_ratio(literal, {"never": TimeAt(0.01, None)}).ratio is None
     assert speed_ratio(TimeAt(0.01, None), {"fast": fast}).ratio is None
 
 
@@ -123,7 +124,7 @@ def test_standard_error_of_a_slope_is_its_spread():
 
 
 @dataclass(frozen=True)
-class Known:
+class Known(StudyScene):
     """Bernoulli trials of 75 %, a slope of 0.5, and a closed form whose threshold is off by 1/n."""
 
     name: str = "known"
@@ -152,9 +153,6 @@ class Known:
 
         return variant(converged.threshold), variant(1.01 * converged.threshold)
 
-    def estimate(self, outcomes: np.ndarray, converged: Converged) -> ThresholdEstimate:
-        return estimate_at_one_level(outcomes, converged)
-
     def non_gaussian_bound(self) -> float:
         return 1e-3
 
@@ -166,34 +164,37 @@ def known():
 
 def test_errors_of_drawn_trials(known):
     literal = known.estimators[0]
-    assert [point.trials for point in literal.points] == [64 * 2**k for k in range(len(literal.points))]
-    for point in literal.points:
+    points = [BudgetPoint(**point) for point in literal.points]
+    assert [point.trials for point in points] == [64 * 2**k for k in range(len(points))]
+    for point in points:
         # √(p (1 − p) / N) of P, and that over the slope of ln threshold; a root mean square of so many.
         expected = math.sqrt(0.1875 / point.trials)
         assert point.p_correct_error == pytest.approx(expected, rel=4.0 / math.sqrt(2.0 * point.repeats))
         assert point.threshold_error == pytest.approx(point.p_correct_error / 0.5, rel=1e-9)
-    assert abs(literal.slope + 0.5) < 4.0 * literal.slope_error
+    assert abs(literal.slope + 0.5) < 4.0 * literal.slope_standard_error
     # 0.1875 / (0.5 · 1 %)² trials are 7,500.
-    each_s = (literal.points[0].cpu_s - literal.set_up_cpu_s) / literal.points[0].trials
-    assert literal.times[0].cpu_s == pytest.approx(7500 * each_s + literal.set_up_cpu_s, rel=0.1)
+    each_s = (points[0].cpu_s - literal.set_up_cpu_s) / points[0].trials
+    assert literal.cpu_s_at[0]["cpu_s"] == pytest.approx(7500 * each_s + literal.set_up_cpu_s, rel=0.1)
 
 
 def test_errors_of_a_closed_form(known):
     closed_form = known.estimators[1]
-    for point in closed_form.points:
+    points = [BudgetPoint(**point) for point in closed_form.points]
+    for point in points:
         assert point.threshold_error == pytest.approx(1.0 / point.trials)
         assert point.p_correct_error == pytest.approx(0.5 / point.trials)
     # Its errors are 10, 1, 0.1 %...: the second and third budget are the times of the two targets.
-    for at, point in zip(closed_form.times, closed_form.points[1:3], strict=True):
-        assert at.cpu_s == pytest.approx(point.cpu_s, rel=1e-6)
-    for ratio, one, other in zip(known.ratios, known.estimators[0].times, closed_form.times, strict=True):
-        assert ratio.ratio == pytest.approx(one.cpu_s / other.cpu_s)
+    for at, point in zip(closed_form.cpu_s_at, points[1:3], strict=True):
+        assert at["cpu_s"] == pytest.approx(point.cpu_s, rel=1e-6)
+    times = zip(known.speed_ratios, known.estimators[0].cpu_s_at, closed_form.cpu_s_at, strict=True)
+    for ratio, one, other in times:
+        assert ratio.ratio == pytest.approx(one["cpu_s"] / other["cpu_s"])
 
 
 def test_changes_by_variants(known):
     same, other = known.variants
-    assert (same.p_correct_change, same.threshold_change) == (0.0, 0.0)
-    assert other.threshold_change == pytest.approx(math.log(1.01))
+    assert (same["p_correct_change"], same["threshold_change"]) == (0.0, 0.0)
+    assert other["threshold_change"] == pytest.approx(math.log(1.01))
 
 
 # Real scenes ----------------------------------------------------------------------------------------------------
@@ -219,7 +220,7 @@ def some_recorded() -> StudyScene:
 
 
 SCENES = {
-    "naked eye": lambda: NakedEye("eye", "", "", 0.6, converged_nodes=(6, 8)),
+    "naked eye": lambda: NakedEye("eye", "", "", "contrast", 0.6, converged_nodes=(6, 8)),
     "external noise": lambda: CAMERA,
     "internal noise": lambda: replace(CAMERA, level="contrast", noise_contrast=0.1),
     "no noise": lambda: replace(CAMERA, level="contrast"),
@@ -285,7 +286,7 @@ def test_variants_change_little(scene, converged):
 
 
 def test_naked_eye_converges_to_its_threshold():
-    scene = NakedEye("eye", "", "", 1.0, converged_nodes=(8, 12))
+    scene = NakedEye("eye", "", "", "contrast", 1.0, converged_nodes=(8, 12))
     found, other = scene.converge(), contrast_threshold(PyramidObserver(), size_mrad=1.0)
     assert abs(found.threshold - other.threshold) <= found.bound + other.numerical_error
     assert found.bound < 1e-3 * found.threshold

@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
 
 import numpy as np
 
@@ -34,9 +33,9 @@ from todframes.studies.accuracy.estimators import (
     FoldedTrials,
     MonteCarlo,
     Quadrature,
+    StudyScene,
     ThresholdEstimate,
     Variant,
-    estimate_at_one_level,
     monte_carlos,
 )
 
@@ -74,24 +73,14 @@ COARSE_TOLERANCE, TOLERANCE = 0.0196, 0.00196
 
 
 @dataclass(frozen=True)
-class Camera:
-    """A triangle of one size through a camera.
+class Camera(StudyScene):
+    """A triangle of one size through a camera. The level "snr" varies the noise under a triangle of contrast 1,
+    "contrast" the triangle's contrast.
 
-    Attributes
-    ----------
-    name, title, description : str
-    level : {"snr", "contrast"}
-        Quantity that is varied: the noise under a triangle of contrast 1, or the triangle's contrast.
-    noise_contrast : float
-        Standard deviation of the detector noise as displayed, where it is not varied; 0: none.
-    converged_bound : float
-        Relative half-width of the converged threshold's 95 % interval to reach.
+    `noise_contrast` is the standard deviation of the detector noise as displayed, where it is not varied; 0: none.
+    `converged_bound` is the relative half-width of the converged threshold's 95 % interval to reach.
     """
 
-    name: str
-    title: str
-    description: str
-    level: Literal["snr", "contrast"]
     noise_contrast: float = 0.0
     sensor: Sensor = STAR_LIKE
     size_detectors: float = 6.0
@@ -174,10 +163,6 @@ class Camera:
             ),
             variant("nothing left out", everything),
         )
-
-    def estimate(self, outcomes: FloatArray, converged: Converged) -> ThresholdEstimate:
-        """Estimate the threshold from P(correct) at the converged one."""
-        return estimate_at_one_level(outcomes, converged)
 
     def non_gaussian_bound(self) -> float:
         """Return the bound that the chain states."""
@@ -266,28 +251,12 @@ def no_noise() -> Camera:
 def literal_answers(
     sensor: Sensor, size_detectors: float, *, snr: float, contrast: float = 1.0
 ) -> Callable[[int, np.random.Generator], FloatArray]:
-    """Prepare to draw trials of random orientation and place, with noise on every detector and every neuron.
+    """Prepare to draw trials of random orientation and place, with noise on every detector and every neuron: 1 for
+    a right and 0 for a wrong answer, (n, 1).
 
-    Parameters
-    ----------
-    sensor : Sensor
-        All of its noise is new in each trial, the share of the fixed pattern too.
-    size_detectors : float
-        √(area) of the triangle, > 0.
-    snr : float
-        Signal of a large triangle over the standard deviation of the detector noise; infinity: there is none.
-    contrast : float
-        Contrast of the triangle, in units of what the display's gain gives it.
-
-    Returns
-    -------
-    callable
-        `answers(n, rng)`: 1 for a right and 0 for a wrong answer, (n, 1).
-
-    Raises
-    ------
-    SettingsError
-        If the size or field is out of range.
+    All noise is new in each trial, the share of the fixed pattern too. `snr` is the signal of a large triangle
+    over the standard deviation of the detector noise, infinite without any; `contrast` that of the triangle, in
+    units of what the display's gain gives it.
     """
     display, observer = sensor.display, PyramidObserver()
     stimulus = Stimulus(size_detectors * display.detector_pitch_mrad)

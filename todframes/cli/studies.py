@@ -120,7 +120,7 @@ def accuracy(
             start,
             settings={"seconds": seconds, "dataset": None if dataset is None else str(dataset)},
             seed=rng,
-            scenes=tuple(map(accuracy_report.scene_result, measured)),
+            scenes=tuple(measured),
         )
         write(lambda: accuracy_report.files(result))
     print_result(result, as_json=json, out=out, quiet=quiet)

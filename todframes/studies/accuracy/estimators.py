@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -44,17 +44,11 @@ class ThresholdEstimate(NamedTuple):
 
 
 class FoldedTrials(NamedTuple):
-    """Independent trials as the folded observer sees them.
+    """Independent trials as the folded observer sees them: score deviations without noise, (n, columns, 4), the
+    covariance of the noise on them, (n, columns, 4, 4), and the number of the correct answer, (n, columns), both
+    broadcast.
 
-    Attributes
-    ----------
-    score : ndarray, shape (n, columns, 4)
-        Score deviations without noise.
-    covariance : ndarray, broadcast against (n, columns, 4, 4)
-        Covariance of the noise on the scores.
-    correct : ndarray of int, broadcast against (n, columns)
-    probabilities : callable
-        Function from scores to the probability of each answer; by default under Gaussian noise.
+    `probabilities` is the function from scores to the probability of each answer; by default under Gaussian noise.
     """
 
     score: FloatArray
@@ -67,16 +61,9 @@ class FoldedTrials(NamedTuple):
 class MonteCarlo:
     """An estimator that draws independent trials.
 
-    Attributes
-    ----------
-    name, label : str
-    prepare : callable
-        Function that sets up and returns `draw(n, rng)`: P(correct) of n independent trials, or 1 and 0 for
-        answers, (n, columns). A column is a condition: one level, or each of many frames.
-    share : float
-        Share of a scene's time.
-    smallest, fewest : int
-        Trials from which on the error falls as 1/√N, and that are drawn at least.
+    `prepare` sets up and returns `draw(n, rng)`: P(correct) of n independent trials, or 1 and 0 for answers, (n,
+    columns). A column is a condition: one level, or each of many frames. `share` is that of a scene's time; from
+    `smallest` trials on the error falls as 1/√N, and `fewest` are drawn at least.
     """
 
     name: str
@@ -91,17 +78,9 @@ class MonteCarlo:
 class Quadrature:
     """An estimator that places its trials evenly.
 
-    Attributes
-    ----------
-    name, label : str
-    prepare : callable
-        Function that sets up and returns `run(n, rng)`, an estimate from n trials.
-    budgets : tuple of int
-        Numbers of trials to try, ascending.
-    share : float
-        Share of a scene's time.
-    repeats : int
-        Estimates that an error is taken over; 1 if nothing is drawn at random.
+    `prepare` sets up and returns `run(n, rng)`, an estimate from n trials. `budgets` are the numbers of trials to
+    try, ascending; `share` is that of a scene's time; errors are taken over `repeats` estimates, 1 if nothing is
+    drawn at random.
     """
 
     name: str
@@ -123,39 +102,43 @@ class Variant:
     prepare: Callable[[], Callable[[np.random.Generator], ThresholdEstimate]]
 
 
-class StudyScene(Protocol):
-    """Protocol of a scene that estimators are tried on; register a callable that makes one."""
+@dataclass(frozen=True)
+class StudyScene:
+    """Base class of the scenes that estimators are tried on.
 
-    @property
-    def name(self) -> str:
-        """Name on the command line and in file names."""
+    `name` is that on the command line and in file names, `level` the kind of level that the threshold is.
+    """
 
-    @property
-    def title(self) -> str:
-        """Title in a few words."""
-
-    @property
-    def description(self) -> str:
-        """Description of the scene, in a sentence or two."""
-
-    @property
-    def level(self) -> str:
-        """Kind of level that the threshold is: contrast, snr."""
+    name: str
+    title: str
+    description: str
+    level: str
 
     def converge(self) -> Converged:
         """Compute the threshold with far less error than any estimator is given time for."""
+        raise NotImplementedError
 
     def estimators(self, converged: Converged) -> Sequence[MonteCarlo | Quadrature]:
         """List the estimators, the literal Monte Carlo first; a `Quadrature` is a closed form."""
+        raise NotImplementedError
 
     def variants(self, converged: Converged) -> Sequence[Variant]:
         """List the closed form as it is, then with single changes."""
+        raise NotImplementedError
 
     def estimate(self, outcomes: FloatArray, converged: Converged) -> ThresholdEstimate:
-        """Estimate the threshold from the mean of independent trials: (columns,)."""
+        """Estimate the threshold from the mean of independent trials, (columns,): by default of one level, the
+        converged one, to first order, and the slope there is taken as known.
+
+        No way to choose levels needs fewer trials, and none of these knows the threshold beforehand.
+        """
+        p_correct = float(outcomes.mean())
+        threshold = converged.threshold * math.exp((P_CORRECT - p_correct) / converged.slope)
+        return ThresholdEstimate(p_correct, threshold)
 
     def non_gaussian_bound(self) -> float:
         """Bound the error in P(correct) of expected decisions from noise that is not Gaussian."""
+        raise NotImplementedError
 
 
 def monte_carlos(
@@ -164,14 +147,8 @@ def monte_carlos(
     smallest: int = 1,
     fewest: int = 64,
 ) -> tuple[MonteCarlo, MonteCarlo, MonteCarlo]:
-    """Make the three Monte Carlos that every linear observer has.
-
-    Parameters
-    ----------
-    answers : callable
-        `prepare` of the literal one.
-    trials : callable
-        Function that returns `draw(n, rng)` of `FoldedTrials`.
+    """Make the three Monte Carlos that every linear observer has, from `prepare` of the literal one and a function
+    that returns `draw(n, rng)` of `FoldedTrials`.
     """
 
     def drawn() -> Callable[[int, np.random.Generator], FloatArray]:
@@ -208,23 +185,9 @@ def monte_carlos(
     )
 
 
-def estimate_at_one_level(outcomes: FloatArray, converged: Converged) -> ThresholdEstimate:
-    """Estimate a threshold from trials at the converged one, to first order: the slope there is taken as known.
-
-    No way to choose levels needs fewer trials, and none of these knows the threshold beforehand.
-    """
-    p_correct = float(outcomes.mean())
-    threshold = converged.threshold * math.exp((P_CORRECT - p_correct) / converged.slope)
-    return ThresholdEstimate(p_correct, threshold)
-
-
 def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], StudyScene]]:
-    """Return the functions that make the scenes of these names, or all registered scenes if no name is given.
-
-    Raises
-    ------
-    SettingsError
-        If there is no scene of a name, or it cannot be imported.
+    """Return the functions that make the scenes of these names, or all registered scenes if no name is given;
+    SettingsError if there is no scene of a name, or it cannot be imported.
     """
     found = registered(ENTRY_POINT_GROUP)
     check_keys(names, found, argument.scene)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
+from todframes.results.data import Record
 from todframes.studies.accuracy.estimators import (
     P_CORRECT,
     Converged,
@@ -30,6 +31,7 @@ from todframes.studies.accuracy.estimators import (
     ThresholdEstimate,
     Variant,
 )
+from todframes.studies.accuracy.report import Estimator, SceneResult, SpeedRatio
 
 T = TypeVar("T")
 
@@ -65,128 +67,67 @@ class BudgetPoint(NamedTuple):
 
 
 class TimeAt(NamedTuple):
-    """CPU time that a threshold error takes; None if no budget tried has it.
+    """CPU time that an error of a threshold takes; None if no budget tried has it.
 
     `extrapolated` along the measured 1/√N, to more trials than were drawn; `at_most` where even the smallest
     budget has it.
     """
 
-    error: float
+    threshold_error: float
     cpu_s: float | None
     extrapolated: bool = False
     at_most: bool = False
 
 
-class CostRatio(NamedTuple):
-    """CPU time of the literal Monte Carlo over that of the fastest closed form, at equal error.
+def measure(scene: StudyScene, *, seconds: float, seed: int = 1) -> SceneResult:
+    """Run all estimators of a scene, which share so many seconds of CPU time; the converged value and the smallest
+    budgets take what they take. Each scene and estimator has its own random stream.
 
-    `closed_form` is its name; None if none of them has this error.
-    """
-
-    error: float
-    ratio: float | None
-    closed_form: str | None
-    extrapolated: bool
-    at_least: bool
-
-
-class Curve(NamedTuple):
-    """A measured estimator.
-
-    `slope` is that of ln(threshold error) against ln(CPU time beyond the set-up), with its standard error; None
-    where there are too few budgets to decide.
-    """
-
-    name: str
-    label: str
-    set_up_cpu_s: float
-    points: tuple[BudgetPoint, ...]
-    slope: float | None
-    slope_error: float | None
-    times: tuple[TimeAt, ...]
-
-
-class Change(NamedTuple):
-    """Changes that a variant makes, at equal draws: CPU time as a multiple, P(correct), threshold (relative)."""
-
-    label: str
-    cpu_ratio: float
-    p_correct_change: float
-    threshold_change: float
-
-
-class MeasuredScene(NamedTuple):
-    """A scene with all measurements."""
-
-    name: str
-    title: str
-    description: str
-    level: str
-    converged: Converged
-    estimators: tuple[Curve, ...]
-    variants: tuple[Change, ...]
-    ratios: tuple[CostRatio, ...]
-    p_correct_error_bound: float
-
-
-def measure(scene: StudyScene, *, seconds: float, seed: int = 1) -> MeasuredScene:
-    """Run all estimators of a scene.
-
-    Parameters
-    ----------
-    seconds : float
-        CPU time that they share; the converged value and the smallest budgets take what they take.
-    seed : int
-        Seed of all draws. Each scene and estimator has its own stream.
-
-    Raises
-    ------
-    SettingsError
-        If the time is not a positive number.
+    SettingsError if the time is not a positive number.
     """
     if not 0.0 < seconds < math.inf:
         raise SettingsError(f"time: found {seconds!r}, expected a finite number of seconds > 0")
     converged = scene.converge()
-    curves, closed_forms = [], []
+    results, times, closed_forms = [], {}, []
     for number, estimator in enumerate(scene.estimators(converged)):
         key = (zlib.crc32(scene.name.encode()), number)
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
         share = seconds * estimator.share
         if isinstance(estimator, MonteCarlo):
-            curves.append(_measure_draws(scene, estimator, converged, share, rng))
+            result, times[estimator.name] = _measure_draws(scene, estimator, converged, share, rng)
         else:
-            curves.append(_measure_rule(estimator, converged, share, rng))
-            closed_forms.append(curves[-1])
-    return MeasuredScene(
-        scene.name,
-        scene.title,
-        scene.description,
-        scene.level,
-        converged,
-        tuple(curves),
-        tuple(_changes(scene.variants(converged), seed)),
-        tuple(
-            speed_ratio(literal, {form.name: form.times[place] for form in closed_forms})
-            for place, literal in enumerate(curves[0].times)
-        ),
-        scene.non_gaussian_bound(),
+            result, times[estimator.name] = _measure_rule(estimator, converged, share, rng)
+            closed_forms.append(estimator.name)
+        results.append(result)
+    ratios = (
+        speed_ratio(literal, {name: times[name][place] for name in closed_forms})
+        for place, literal in enumerate(times[results[0].name])
+    )
+    return SceneResult(
+        name=scene.name,
+        title=scene.title,
+        description=scene.description,
+        level=scene.level,
+        threshold=converged.threshold,
+        threshold_bound=converged.bound,
+        slope=converged.slope,
+        p_correct_error_bound=scene.non_gaussian_bound(),
+        estimators=tuple(results),
+        variants=tuple(_changes(scene.variants(converged), seed)),
+        speed_ratios=tuple(ratios),
     )
 
 
 def fitted_slope(
     x: FloatArray, y: FloatArray, *, blocks: NDArray[np.intp] | None
 ) -> tuple[float | None, float | None]:
-    """Fit a straight line. Returns its slope and the slope's standard error; None where there are too few points.
+    """Fit a straight line to logarithms of time and error. Returns its slope and the slope's standard error; None
+    where there are too few points.
 
-    Parameters
-    ----------
-    x, y : ndarray, shape (n,)
-        Logarithms of time and error.
-    blocks : ndarray of int, shape (n,), or None
-        Each error is the root mean square of so many independent estimates, and all are blocks of the same trials:
-        the variance of its logarithm is 1/(2·blocks), and a sum over few blocks holds no more chance than the one
-        over many that it is part of, so the covariance of two is the smaller variance. None: the scatter about the
-        line gives its error.
+    With `blocks`, each error is the root mean square of so many independent estimates, and all are blocks of the
+    same trials: the variance of its logarithm is 1/(2·blocks), and a sum over few blocks holds no more chance than
+    the one over many that it is part of, so the covariance of two is the smaller variance. None: the scatter about
+    the line gives its error.
     """
     n = len(x)
     if n < 2:
@@ -230,37 +171,38 @@ def time_of_rule(points: Sequence[BudgetPoint], error: float) -> TimeAt:
     return TimeAt(error, before.cpu_s * (after.cpu_s / before.cpu_s) ** share)
 
 
-def speed_ratio(literal: TimeAt, closed_forms: Mapping[str, TimeAt]) -> CostRatio:
+def speed_ratio(literal: TimeAt, closed_forms: Mapping[str, TimeAt]) -> SpeedRatio:
     """Compare the CPU time of one with that of the fastest of the others by name, all at the same error."""
     times = {at.cpu_s: (name, at.at_most) for name, at in closed_forms.items() if at.cpu_s is not None}
+    error, is_extrapolated = literal.threshold_error, literal.extrapolated
     if literal.cpu_s is None or not times:
-        return CostRatio(literal.error, None, None, literal.extrapolated, at_least=False)
+        return SpeedRatio(threshold_error=error, extrapolated=is_extrapolated)
     name, at_most = times[min(times)]
-    return CostRatio(literal.error, literal.cpu_s / min(times), name, literal.extrapolated, at_most)
+    return SpeedRatio(
+        threshold_error=error,
+        ratio=literal.cpu_s / min(times),
+        closed_form=name,
+        extrapolated=is_extrapolated,
+        at_least=at_most,
+    )
 
 
-class _Clock:
-    """CPU and wall time since it was made, in seconds."""
-
-    def __init__(self) -> None:
-        self._cpu, self._wall = time.process_time(), time.perf_counter()
-
-    def read(self) -> tuple[float, float]:
-        return time.process_time() - self._cpu, time.perf_counter() - self._wall
+def _clock() -> FloatArray:
+    """Return the CPU and wall time, in seconds."""
+    return np.array([time.process_time(), time.perf_counter()])
 
 
-def _timed(run: Callable[[], T]) -> tuple[tuple[float, float], T]:
+def _timed(run: Callable[[], T]) -> tuple[FloatArray, T]:
     """Return the median CPU and wall time of some runs, fewer if they are long, and the last run's result."""
-    times: list[tuple[float, float]] = []
+    times: list[FloatArray] = []
     while len(times) < TIMED and sum(cpu_s for cpu_s, _ in times) < LONG_S:
-        clock = _Clock()
+        start = _clock()
         result = run()
-        times.append(clock.read())
-    cpu_s, wall_s = np.median(times, axis=0).tolist()
-    return (cpu_s, wall_s), result
+        times.append(_clock() - start)
+    return np.median(times, axis=0), result
 
 
-def _prepared(prepare: Callable[[], Callable[..., object]], *arguments: object) -> tuple[float, float]:
+def _prepared(prepare: Callable[[], Callable[..., object]], *arguments: object) -> FloatArray:
     """Measure the time of the set-up, after a first run that loads what has to be loaded."""
     prepare()(*arguments)
     return _timed(prepare)[0]
@@ -268,18 +210,18 @@ def _prepared(prepare: Callable[[], Callable[..., object]], *arguments: object) 
 
 def _measure_draws(
     scene: StudyScene, estimator: MonteCarlo, converged: Converged, seconds: float, rng: np.random.Generator
-) -> Curve:
+) -> tuple[Estimator, list[TimeAt]]:
     set_up = _prepared(estimator.prepare, 1, rng)
     draw = estimator.prepare()
     drawn: list[FloatArray] = []
     n, total = estimator.smallest, 0
-    clock = _Clock()
-    while ((spent := clock.read()[0]) < seconds and total < MOST_DRAWN_TRIALS) or total < estimator.fewest:
+    start = _clock()
+    while ((spent := (_clock() - start)[0]) < seconds and total < MOST_DRAWN_TRIALS) or total < estimator.fewest:
         if total:  # so many that the time is just used up, but not more than there are already
             n = min(max(int((seconds - spent) / spent * total), 1), total)
         drawn.append(draw(n, rng))
         total += n
-    each = np.array(clock.read()) / total
+    each = (_clock() - start) / total
     outcomes = np.concatenate(drawn)
     points = []
     size = estimator.smallest
@@ -287,34 +229,36 @@ def _measure_draws(
         means = outcomes[: blocks * size].reshape(blocks, size, -1).mean(axis=1)
         errors = _errors([scene.estimate(mean, converged) for mean in means], converged)
         if math.isfinite(errors[1]):
-            cpu_s, wall_s = (np.array(set_up) + size * each).tolist()
+            cpu_s, wall_s = (set_up + size * each).tolist()
             points.append(BudgetPoint(size, blocks, cpu_s, wall_s, *errors))
         size *= BLOCK_GROWTH
-    times = tuple(time_of_draws(points, set_up[0], total, at) for at in TARGETS)
+    times = [time_of_draws(points, float(set_up[0]), total, at) for at in TARGETS]
     shown = [point for point in points if point.threshold_error <= LARGEST_SHOWN]
-    return _curve(estimator, set_up[0], shown, times)
+    return _result(estimator, set_up[0], shown, times), times
 
 
-def _measure_rule(estimator: Quadrature, converged: Converged, seconds: float, rng: np.random.Generator) -> Curve:
+def _measure_rule(
+    estimator: Quadrature, converged: Converged, seconds: float, rng: np.random.Generator
+) -> tuple[Estimator, list[TimeAt]]:
     set_up = _prepared(estimator.prepare, estimator.budgets[0], rng)
     run = estimator.prepare()
     points: list[BudgetPoint] = []
-    clock = _Clock()
-    times: list[tuple[float, float]] = []
+    start, run_times = _clock(), np.zeros((0, 2))
     for budget in estimator.budgets:
-        if points and clock.read()[0] + sum(cpu for cpu, _ in times) * budget / points[-1].trials > seconds:
+        if points and (_clock() - start)[0] + run_times[:, 0].sum() * budget / points[-1].trials > seconds:
             break
-        estimates, times = [], []
+        estimates, clocks = [], [_clock()]
         for _ in range(estimator.repeats):
-            run_clock = _Clock()
             estimates.append(run(budget, rng))
-            times.append(run_clock.read())
-        cpu_s, wall_s = (np.array(set_up) + np.median(times, axis=0)).tolist()
+            clocks.append(_clock())
+        run_times = np.diff(clocks, axis=0)
+        cpu_s, wall_s = (set_up + np.median(run_times, axis=0)).tolist()
         errors = _errors(estimates, converged)
         points.append(BudgetPoint(budget, estimator.repeats, cpu_s, wall_s, *errors))
         if errors[1] < converged.bound / converged.threshold:
             break  # what is left is the converged value's own error
-    return _curve(estimator, set_up[0], points, tuple(time_of_rule(points, at) for at in TARGETS))
+    times = [time_of_rule(points, at) for at in TARGETS]
+    return _result(estimator, set_up[0], points, times), times
 
 
 def _errors(estimates: Sequence[ThresholdEstimate], converged: Converged) -> tuple[float, float]:
@@ -324,32 +268,38 @@ def _errors(estimates: Sequence[ThresholdEstimate], converged: Converged) -> tup
     return float(np.sqrt(np.mean(of_p**2))), float(np.sqrt(np.mean(of_threshold**2)))
 
 
-def _curve(
-    estimator: MonteCarlo | Quadrature, set_up: float, points: Sequence[BudgetPoint], times: tuple[TimeAt, ...]
-) -> Curve:
-    used = [point for point in points if point.threshold_error > 0.0 and point.cpu_s > set_up]
-    x = np.log([point.cpu_s - set_up for point in used])
+def _result(
+    estimator: MonteCarlo | Quadrature, set_up_cpu_s: float, points: Sequence[BudgetPoint], times: Sequence[TimeAt]
+) -> Estimator:
+    """Make the record of an estimator; the slope is against the CPU time beyond the set-up."""
+    used = [point for point in points if point.threshold_error > 0.0 and point.cpu_s > set_up_cpu_s]
+    x = np.log([point.cpu_s - set_up_cpu_s for point in used])
     y = np.log([point.threshold_error for point in used])
     blocks = np.array([point.repeats for point in used]) if isinstance(estimator, MonteCarlo) else None
     slope, error = fitted_slope(x, y, blocks=blocks)
-    return Curve(estimator.name, estimator.label, set_up, tuple(points), slope, error, times)
+    return Estimator(
+        name=estimator.name,
+        label=estimator.label,
+        set_up_cpu_s=float(set_up_cpu_s),
+        slope=slope,
+        slope_standard_error=error,
+        points=tuple(point._asdict() for point in points),
+        cpu_s_at=tuple(at._asdict() for at in times),
+    )
 
 
-def _changes(variants: Sequence[Variant], seed: int) -> list[Change]:
+def _changes(variants: Sequence[Variant], seed: int) -> list[Record]:
     def run(variant: Variant) -> ThresholdEstimate:
         return variant.prepare()(np.random.default_rng(np.random.SeedSequence(seed)))
 
-    results: list[tuple[str, float, ThresholdEstimate]] = []
-    for variant in variants:
-        (cpu_s, _), estimate = _timed(partial(run, variant))
-        results.append((variant.label, cpu_s, estimate))
-    _, cpu_s, reference = results[0]
+    timed = [_timed(partial(run, variant)) for variant in variants]
+    (cpu_s, _), reference = timed[0]
     return [
-        Change(
-            label,
-            spent / cpu_s,
-            found.p_correct - reference.p_correct,
-            math.log(found.threshold / reference.threshold),
-        )
-        for label, spent, found in results
+        {
+            "label": variant.label,
+            "cpu_ratio": float(spent / cpu_s),
+            "p_correct_change": estimate.p_correct - reference.p_correct,
+            "threshold_change": math.log(estimate.threshold / reference.threshold),
+        }
+        for variant, ((spent, _), estimate) in zip(variants, timed, strict=True)
     ]

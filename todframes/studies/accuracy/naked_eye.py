@@ -5,25 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.observers.retina import triangle_on
 from todframes.psychometrics.threshold_search import find_crossing
 from todframes.scoring.naked_eye import CONTRAST_RANGE
-from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 from todframes.studies.accuracy.estimators import (
     P_CORRECT,
     Converged,
     FoldedTrials,
     MonteCarlo,
     Quadrature,
+    StudyScene,
     ThresholdEstimate,
     Variant,
-    estimate_at_one_level,
     monte_carlos,
 )
 
@@ -34,19 +34,14 @@ VARIANT_NODES = 8
 
 
 @dataclass(frozen=True)
-class NakedEye:
+class NakedEye(StudyScene):
     """A triangle of one size seen directly; the threshold is a contrast, averaged over the retina's displacement.
 
     `size_mrad` is √(area). The orientations are alike by symmetry: evenly placed trials show one of them.
     """
 
-    name: str
-    title: str
-    description: str
     size_mrad: float
     converged_nodes: tuple[int, ...] = (24, 32, 48)
-
-    level: ClassVar[str] = "contrast"
 
     def converge(self) -> Converged:
         """Average many Gauss–Legendre displacements; the bound is the difference from fewer of them.  Because
@@ -132,10 +127,6 @@ class NakedEye:
             *fewer,
         )
 
-    def estimate(self, outcomes: FloatArray, converged: Converged) -> ThresholdEstimate:
-        """Estimate the threshold from P(correct) at the converged one."""
-        return estimate_at_one_level(outcomes, converged)
-
     def non_gaussian_bound(self) -> float:
         """Return the bound that the readout states."""
         return self._readout(PyramidObserver()).non_gaussian_bound
@@ -146,15 +137,7 @@ class NakedEye:
     def _retina(self, observer: PyramidObserver, x: float, y: float, orientation: Orientation) -> FloatArray:
         """Draw the triangle on the retina, displaced by shares of the largest displacement."""
         grid, jitter = observer.grid(Stimulus(self.size_mrad)), observer.position_jitter_samples
-        return np.ascontiguousarray(
-            coverage(
-                (grid.side, grid.side),
-                size_px=self.size_mrad / grid.pitch_mrad,
-                x_px=grid.side // 2 + jitter * x,
-                y_px=grid.side // 2 + jitter * y,
-                orientation=orientation,
-            )
-        )
+        return triangle_on(grid, self.size_mrad, orientation, x=jitter * x, y=jitter * y)
 
     def _proportion(
         self, observer: PyramidObserver, nodes: int, dtype: type[np.floating] = np.float64
@@ -186,16 +169,16 @@ def _estimate(proportion: Callable[[float], float], converged: Converged) -> Thr
 def small() -> NakedEye:
     """Make the scene of a triangle half as large again as at the acuity."""
     description = "The activity that the four triangles cause is 94 to 97 % alike."
-    return NakedEye("naked_eye_small", "naked eye, small: 0.6 mrad", description, 0.6)
+    return NakedEye("naked_eye_small", "naked eye, small: 0.6 mrad", description, "contrast", 0.6)
 
 
 def acuity() -> NakedEye:
     """Make the scene whose threshold contrast is 1."""
     description = "About the smallest triangle that is seen at a contrast of 1; the four are 99 % alike."
-    return NakedEye("naked_eye_acuity", "naked eye, at the acuity: 0.4 mrad", description, 0.4)
+    return NakedEye("naked_eye_acuity", "naked eye, at the acuity: 0.4 mrad", description, "contrast", 0.4)
 
 
 def large() -> NakedEye:
     """Make the scene in which the pyramid has more bands."""
     description = "The pyramid has two bands more than for the small ones; the displacement hardly matters."
-    return NakedEye("naked_eye_large", "naked eye, large: 6 mrad", description, 6.0)
+    return NakedEye("naked_eye_large", "naked eye, large: 6 mrad", description, "contrast", 6.0)

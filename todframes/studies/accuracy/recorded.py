@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
@@ -29,6 +28,7 @@ from todframes.studies.accuracy.estimators import (
     FoldedTrials,
     MonteCarlo,
     Quadrature,
+    StudyScene,
     ThresholdEstimate,
     Variant,
     monte_carlos,
@@ -43,20 +43,8 @@ VARIANT_DISPLACEMENTS = 4
 
 
 class Frames:
-    """Trials, read once, as a linear observer sees them at any displacement of its retina.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    trials : sequence of Trial
-    observer : PyramidObserver
-    readout_of : callable
-        Function from a stimulus to the readout that looks at it.
-
-    Raises
-    ------
-    FrameError
-        If a frame cannot be read.
+    """Trials, read once, as a linear observer sees them at any displacement of its retina. `readout_of` is the
+    function from a stimulus to the readout that looks at it.
     """
 
     def __init__(
@@ -103,42 +91,16 @@ class Frames:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class Recorded(StudyScene):
     """Frames of one group of a dataset; the threshold is that of the fitted psychometric function.
 
-    The group is the middle one of the dataset's. All estimators get the same frames, so the difference of these
-    frames from others is no part of the error.
-
-    Attributes
-    ----------
-    dataset : Dataset
-    trials : tuple of Trial
-        Trials of the group.
-    converged_nodes : (int, int)
-        Gauss–Legendre displacements along each axis that the converged value is from, the larger number last.
+    All estimators get the same frames, so the difference of these frames from others is no part of the error. The
+    converged value is from so many Gauss–Legendre displacements along each axis, the larger number last.
     """
 
     dataset: Dataset
     trials: tuple[Trial, ...]
     converged_nodes: tuple[int, int] = (6, 8)
-
-    name: ClassVar[str] = "recorded"
-    description: ClassVar[str] = (
-        "The frames are given, their noise included. What is averaged is the displacement of the retina and the "
-        "observer's own noise; the threshold is that of the fitted psychometric function."
-    )
-
-    @property
-    def title(self) -> str:
-        """Dataset, group and number of trials."""
-        group = zip(self.dataset.experiment.group_by, self.trials[0].group, strict=True)
-        label = ", ".join(f"{name} {value}" for name, value in group)
-        return f"recorded frames: {self.dataset.path.name}, {label}, {len(self.trials)} trials"
-
-    @property
-    def level(self) -> str:
-        """Level of the dataset's experiment."""
-        return self.dataset.experiment.level
 
     def converge(self) -> Converged:
         """Average Gauss–Legendre displacements of every frame; the bound is the change from fewer of them."""
@@ -267,12 +229,8 @@ def _curve(fit: PsychometricFit, level: float) -> float:
 
 
 def recorded(path: Path | None = None) -> Recorded:
-    """Make the scene of a dataset's middle group, by default of one of the sample sets in the current folder.
-
-    Raises
-    ------
-    DataError, SettingsError
-        If there is no dataset, or it cannot be read.
+    """Make the scene of a dataset's middle group, by default of one of the sample sets in the current folder;
+    DataError or SettingsError if there is none, or it cannot be read.
     """
     if path is None:
         path = next((folder for folder in DATASETS if folder.is_dir()), None)
@@ -286,5 +244,16 @@ def recorded(path: Path | None = None) -> Recorded:
             groups.setdefault(trial.group, []).append(trial)
     # Numbers before texts, each in their order.
     in_order = sorted(groups, key=lambda group: [(isinstance(value, str), value) for value in group])
-    middle = in_order[len(groups) // 2]
-    return Recorded(dataset, tuple(groups[middle]))
+    trials = tuple(groups[in_order[len(groups) // 2]])
+    experiment = dataset.experiment
+    group = zip(experiment.group_by, trials[0].group, strict=True)
+    label = ", ".join(f"{name} {value}" for name, value in group)
+    return Recorded(
+        "recorded",
+        f"recorded frames: {dataset.path.name}, {label}, {len(trials)} trials",
+        "The frames are given, their noise included. What is averaged is the displacement of the retina and the "
+        "observer's own noise; the threshold is that of the fitted psychometric function.",
+        experiment.level,
+        dataset,
+        trials,
+    )

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 from msgspec import Struct
 
-from todframes.base._typing import Json
 from todframes.results.data import Content, Positive, Record
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style, label_text, within
@@ -19,8 +18,6 @@ from todframes.results.wording import count, level_heading, listed, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from todframes.studies.accuracy.measure import MeasuredScene
 
 NOTE = "* extrapolated along the measured 1/√N. Errors are root mean squares, that of a threshold relative."
 
@@ -152,39 +149,6 @@ class Accuracy(Content, frozen=True, kw_only=True):
 def files(result: Result[Accuracy]) -> dict[str, bytes | Iterable[bytes]]:
     """Return the content of what `-o` writes: the files of the result and a page of Markdown."""
     return {**result.files(), "accuracy.md": page(result).encode()}
-
-
-def scene_result(scene: MeasuredScene) -> SceneResult:
-    """Make the record of a scene as it stands in `accuracy.json`."""
-    threshold, bound, slope = scene.converged
-    return SceneResult(
-        name=scene.name,
-        title=scene.title,
-        description=scene.description,
-        level=scene.level,
-        threshold=threshold,
-        threshold_bound=bound,
-        slope=slope,
-        p_correct_error_bound=scene.p_correct_error_bound,
-        estimators=tuple(
-            Estimator(
-                name=curve.name,
-                label=curve.label,
-                set_up_cpu_s=curve.set_up_cpu_s,
-                slope=curve.slope,
-                slope_standard_error=curve.slope_error,
-                points=tuple(point._asdict() for point in curve.points),
-                cpu_s_at=tuple(_renamed(at._asdict()) for at in curve.times),
-            )
-            for curve in scene.estimators
-        ),
-        variants=tuple(change._asdict() for change in scene.variants),
-        speed_ratios=tuple(SpeedRatio(**_renamed(ratio._asdict())) for ratio in scene.ratios),
-    )
-
-
-def _renamed(content: Json) -> Json:
-    return {"threshold_error": content.pop("error"), **content}
 
 
 def timed(scenes: Sequence[SceneResult]) -> list[str]:

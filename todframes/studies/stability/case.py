@@ -43,24 +43,10 @@ class Stability(Content, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """An extreme input and the result that it must have.
+    """An extreme input and the result that it must have: a text as it stands, each number to so many digits.
 
-    Attributes
-    ----------
-    group, name : str
-        Subject, and the extreme that is tried.
-    expected : text or numbers
-        A text must come as it stands, each number to so many `digits`.
-    source : str
-        Source of the expectation.
-    compute : callable
-        Function that returns the result, in the form of `expected`.
-    digits : float
-        Digits that numbers must keep.
-    scale : float or None
-        Unit of errors; None: each number itself, so that a 0 must be exact.
-    cpu_s : float
-        CPU time within which the case must end, three times what it takes or more.
+    `scale` is the unit of errors; None: each number itself, so that a 0 must be exact. `cpu_s` is the CPU time
+    within which the case must end, three times what it takes or more.
     """
 
     group: str
@@ -106,13 +92,8 @@ def run_case(case: Case) -> Outcome:
 
 
 def digits_kept(expected: ArrayLike, came: ArrayLike, *, scale: float | None = None) -> float:
-    """Count the decimal digits that the worst of some numbers has right, 0 to 16.
-
-    Parameters
-    ----------
-    expected, came : array_like, of one shape
-    scale : float, optional
-        Unit of the error; by default each number expected.
+    """Count the decimal digits that the worst of some numbers has right, 0 to 16; errors are in units of `scale`,
+    or of each number expected.
     """
     right, found = np.asarray(expected, dtype=np.float64), np.asarray(came, dtype=np.float64)
     if right.shape != found.shape or not np.isfinite(found).all():
