@@ -11,9 +11,8 @@ import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.transfer import diffraction_mtf
 from todframes.base.errors import SettingsError
-from todframes.observers.eye import eye_mtf, pupil_diameter_mm
+from todframes.observers.eye import eye_mtf, pupil_diameter_mm, sensitivity_ratio
 from todframes.observers.interface import settings_file
-from todframes.observers.light import sensitivity_ratio
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import Stimulus

@@ -12,7 +12,7 @@ import pytest
 
 from todframes.base.errors import SettingsError
 from todframes.observers.csf import CsfObserver
-from todframes.observers.light import sensitivity_ratio
+from todframes.observers.eye import sensitivity_ratio
 from todframes.scoring.naked_eye import contrast_threshold
 
 ROWS = Path(__file__).parent / "light" / "hdrvdp_csf.csv"

@@ -19,22 +19,16 @@ from msgspec import Meta
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import Positive, check_values
-from todframes.observers.eye import MRAD_PER_DEG, pupil_of
-from todframes.observers.interface import (
+from todframes.observers.eye import (
     MODELFEST_CD_M2,
+    MRAD_PER_DEG,
     REFERENCE_AGE_YEARS,
-    Age,
-    Detection,
-    Luminance,
-    OmittedWeights,
-    Pupil,
-    Readout,
-    keeps_last,
-    known_luminance,
+    EyeSettings,
+    sensitivity_ratio,
 )
+from todframes.observers.interface import Detection, OmittedWeights, Readout, keeps_last
 from todframes.observers.internal_noise import Bands, summed_variance
 from todframes.observers.laplacian_pyramid import framed
-from todframes.observers.light import sensitivity_ratio
 from todframes.observers.neurons import NeuronObserver, ideal_weights
 from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Centre, Stimulus
@@ -92,8 +86,10 @@ def _sech(x: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CsfSettings:
-    """Settings of the observer with people's contrast sensitivity.
+class CsfSettings(EyeSettings):
+    """Settings of the observer with people's contrast sensitivity, and those of its eye.
+
+    The filter is that of ModelFest, 30 cd/m², times the ratio of people's sensitivity in the two lights.
 
     Attributes
     ----------
@@ -107,13 +103,6 @@ class CsfSettings:
     aperture_sd_deg : float
         Standard deviation of the Gaussian aperture within which contrast is seen, in degrees; it is centred on the
         grid's middle. 0.35 is that of a linear observer for ModelFest, whose stimuli people fixated.
-    luminance_cd_m2 : float or "background"
-        Luminance of the background, to which the eye is adapted, from 0.02 to 300; or that of the display. The
-        filter is that of ModelFest, 30 cd/m², times the ratio of people's sensitivity in the two lights.
-    age_years : float
-        Age of the eye in years, from 20 to 83, on which its pupil depends; all else is as in young eyes.
-    pupil_mm : float or None
-        Diameter of the pupil, instead of the one that follows from light and age.
     template : {"matched", "ideal"}
         Expected activity itself, the best template for the internal noise alone; or the best one for internal and
         external noise together, which prewhitens.
@@ -139,9 +128,6 @@ class CsfSettings:
     retina_pitch_mrad: Annotated[float, Meta(ge=1e-3, le=1e6)] = 0.1
     position_jitter_samples: Annotated[float, Meta(ge=0.0, le=1e3)] = 0.0
     aperture_sd_deg: Annotated[float, Meta(ge=0.05, le=10.0)] = 0.35
-    luminance_cd_m2: Luminance = MODELFEST_CD_M2
-    age_years: Age = REFERENCE_AGE_YEARS
-    pupil_mm: Pupil = None
     template: Literal["matched", "ideal"] = "matched"
     external_noise_deg: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
     external_noise_exponent: Annotated[float, Meta(ge=0.0, le=4.0)] = 0.0
@@ -252,8 +238,8 @@ class CsfObserver(NeuronObserver):
             return transfer
         return transfer * sensitivity_ratio(
             frequency,
-            luminance_cd_m2=known_luminance(settings),
-            pupil_mm=None if is_natural else pupil_of(settings),
+            luminance_cd_m2=settings.known_luminance,
+            pupil_mm=None if is_natural else settings.pupil,
         )
 
     def _frequencies(self, side: int) -> tuple[FloatArray, FloatArray]:

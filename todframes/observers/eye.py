@@ -1,19 +1,32 @@
-"""The optics of the eye: the diameter of the pupil in a light, and the MTF that goes with it.
+"""The eye: its pupil in a light, the MTF that goes with it, and people's sensitivity in dim and bright light.
 
-Both are the authors' own averages over published data: Watson & Yellott 2012, *A unified formula for
+Pupil and MTF are the authors' own averages over published data: Watson & Yellott 2012, *A unified formula for
 light-adapted pupil size*, J. Vision 12(10):12; Watson 2013, *A formula for the mean human optical modulation
 transfer function as a function of pupil size*, J. Vision 13(6):18.
+
+The equations and parameters of the sensitivity are those of the achromatic, sustained channel of castleCSF
+(Ashraf et al. 2024, J. Vision 24(4):5), published with its data under the MIT licence:
+github.com/gfxdisp/castleCSF, CSF_stelaCSF_lum_peak.m with the parameters of CSF_castleCSF.m, Copyright (c) 2023
+Graphics and Displays group, University of Cambridge.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from todframes.base._typing import FloatArray
-from todframes.observers.interface import REFERENCE_AGE_YEARS, known_luminance
+from todframes.base.errors import SettingsError
+
+MODELFEST_CD_M2 = 30.0
+"""Luminance of the displays of ModelFest."""
+
+REFERENCE_AGE_YEARS = 28.58
+"""Mean age of the people to whom the formula of the pupil's diameter was fitted."""
 
 FIELD_DEG2 = 400.0
 """Area of the field to which the eye is adapted: 20° by 20°, a display on a desk. Ten times as much makes a pupil
@@ -23,12 +36,40 @@ WAVELENGTH_NM = 555.0
 
 MRAD_PER_DEG = math.radians(1000.0)
 
+BACKGROUND = "background"
 
-def pupil_of(settings: Any) -> float:
-    """Return the diameter of the pupil that settings name, or that follows from their light and age, in mm."""
-    if settings.pupil_mm is not None:
-        return float(settings.pupil_mm)
-    return pupil_diameter_mm(known_luminance(settings), age_years=settings.age_years)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EyeSettings:
+    """Settings of an observer with an eye.
+
+    Attributes
+    ----------
+    luminance_cd_m2 : float or "background"
+        Luminance of the background to which the eye is adapted, or that of the display.
+    age_years : float
+        Age of the eye in years, on which its pupil depends; all else is as in young eyes.
+    pupil_mm : float or None
+        Diameter of the pupil, instead of the one that follows from light and age.
+    """
+
+    luminance_cd_m2: Annotated[float | Literal["background"], Meta(ge=0.02, le=300.0)] = MODELFEST_CD_M2
+    age_years: Annotated[float, Meta(ge=20.0, le=83.0)] = REFERENCE_AGE_YEARS
+    pupil_mm: Annotated[float | None, Meta(ge=1.5, le=8.0)] = None
+
+    @property
+    def known_luminance(self) -> float:
+        """Luminance in cd/m²; SettingsError if it is that of a display, which `adapted` has not replaced."""
+        if self.luminance_cd_m2 == BACKGROUND:
+            raise SettingsError("luminance_cd_m2: found background where there is no display, expected a number")
+        return float(self.luminance_cd_m2)
+
+    @property
+    def pupil(self) -> float:
+        """Diameter of the pupil, or of the one that follows from light and age, in mm."""
+        if self.pupil_mm is not None:
+            return self.pupil_mm
+        return pupil_diameter_mm(self.known_luminance, age_years=self.age_years)
 
 
 def pupil_diameter_mm(
@@ -52,3 +93,48 @@ def eye_mtf(frequency_cyc_per_deg: FloatArray, *, pupil_mm: float) -> FloatArray
     diffraction = 2.0 / math.pi * (np.arccos(share) - share * np.sqrt(1.0 - share**2))
     root = np.sqrt(np.maximum(diffraction, 0.0))  # rounding at the limit
     return np.asarray((1.0 + (frequency_cyc_per_deg / scale) ** 2) ** -0.62 * root)
+
+
+def sensitivity_ratio(
+    frequency_cyc_per_deg: FloatArray, *, luminance_cd_m2: float, pupil_mm: float | None = None
+) -> FloatArray:
+    """Compute the sensitivity to a frequency in this light, over that at 30 cd/m² with a natural pupil. The
+    default pupil is that of the people of the formula, in this light.
+
+    Ashraf et al. 2024, achromatic sustained channel without flicker; its dependence on the stimulus' area cancels.
+    Another pupil lets in the light of another luminance, through other optics.
+    """
+    optics: FloatArray | float = 1.0
+    if pupil_mm is not None:
+        luminance_cd_m2 = _equivalent_luminance(luminance_cd_m2, pupil_mm)
+        natural = eye_mtf(frequency_cyc_per_deg, pupil_mm=pupil_diameter_mm(luminance_cd_m2))
+        own = eye_mtf(frequency_cyc_per_deg, pupil_mm=pupil_mm)
+        # Beyond the limit of diffraction there is nothing to see, however wide the pupil.
+        optics = np.divide(own, natural, out=np.zeros_like(own), where=natural > 0.0)
+    ratio = _sensitivity(frequency_cyc_per_deg, luminance_cd_m2) / _sensitivity(
+        frequency_cyc_per_deg, MODELFEST_CD_M2
+    )
+    return np.asarray(ratio * optics)
+
+
+def _equivalent_luminance(luminance: float, pupil_mm: float) -> float:
+    """Return the luminance that lights the retina as much through its natural pupil, by iteration.
+
+    A step leaves less than a third of the error, since the area of a pupil falls as L^-0.3 at most.
+    """
+    found = luminance
+    for _ in range(40):
+        found = luminance * (pupil_mm / pupil_diameter_mm(found)) ** 2
+    return found
+
+
+def _sensitivity(frequency: FloatArray, luminance: float) -> FloatArray:
+    peak = (
+        56.4947
+        * (1.0 + 7.54726 / luminance) ** -0.144532
+        * -math.expm1(-9.66862e9 * math.log1p(5.58341e-7 / luminance))
+    )
+    peak_frequency = 1.78119 * (1.0 + 91.5718 / luminance) ** -0.256682
+    octaves = np.log10(np.maximum(frequency, 1e-6) / peak_frequency)
+    parabola = 10.0 ** (-(octaves**2) / 2.0**0.000213047)
+    return np.asarray(peak * np.where(octaves < 0.0, np.maximum(parabola, 1.0 - 0.100207), parabola))

@@ -14,16 +14,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import cache, cached_property, partial, wraps
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Concatenate, Literal, NamedTuple, ParamSpec, TypeVar, cast
+from typing import Any, ClassVar, Concatenate, NamedTuple, ParamSpec, TypeVar, cast
 
 import numpy as np
-from msgspec import Meta
 
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_keys, settings_path
 from todframes.base.user_code import import_named, registered
 from todframes.observers.decision import answer_probabilities
+from todframes.observers.eye import BACKGROUND
 from todframes.observers.internal_noise import Bands, edgeworth_correction, inner_product
 from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Centre, Orientation, Stimulus
@@ -34,23 +34,9 @@ SECOND_ORDER = 20.0
 SETTINGS_FOLDER = Path(__file__).with_name("settings")
 """Settings of observers that this package provides."""
 
-MODELFEST_CD_M2 = 30.0
-"""Luminance of the displays of ModelFest."""
-
-LEAST_CD_M2, MOST_CD_M2 = 0.02, 300.0
-"""Range of luminance for which eyes are described."""
-
-REFERENCE_AGE_YEARS = 28.58
-"""Mean age of the people to whom the formula of the pupil's diameter was fitted."""
-
-BACKGROUND = "background"
 
 PYRAMID_LEVELS = "pyramid levels"
 """Name of what most observers omit."""
-
-Luminance = Annotated[float | Literal["background"], Meta(ge=LEAST_CD_M2, le=MOST_CD_M2)]
-Age = Annotated[float, Meta(ge=20.0, le=83.0)]
-Pupil = Annotated[float | None, Meta(ge=1.5, le=8.0)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -525,15 +511,6 @@ def _name(kind: type) -> str:
         if entry.module in sys.modules and entry.load() is kind:
             return entry.name
     return f"{kind.__module__}:{kind.__qualname__}"
-
-
-def known_luminance(settings: Any) -> float:
-    """Return the luminance of settings, in cd/m²; SettingsError if it is that of the background of a display,
-    which `adapted` has not replaced.
-    """
-    if settings.luminance_cd_m2 == BACKGROUND:
-        raise SettingsError("luminance_cd_m2: found background where there is no display, expected a number")
-    return float(settings.luminance_cd_m2)
 
 
 def adapted(observer: Observer, find_background: Callable[[], float]) -> Observer:

@@ -22,17 +22,8 @@ from numpy.typing import DTypeLike
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
-from todframes.observers.interface import (
-    MODELFEST_CD_M2,
-    REFERENCE_AGE_YEARS,
-    Age,
-    Detection,
-    Luminance,
-    OmittedWeights,
-    Pupil,
-    Readout,
-    keeps_last,
-)
+from todframes.observers.eye import MRAD_PER_DEG, EyeSettings, eye_mtf
+from todframes.observers.interface import Detection, OmittedWeights, Readout, keeps_last
 from todframes.observers.internal_noise import UNIFORM_EXCESS_KURTOSIS, Bands, inner_product, summed_variance
 from todframes.observers.laplacian_pyramid import BORDER, LaplacianPyramid, even_half, framed
 from todframes.observers.neurons import NeuronObserver
@@ -61,8 +52,8 @@ LARGEST_SIZE_SAMPLES = 2**MOST_LEVELS / 0.9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PyramidSettings:
-    """Settings of the paper's observer; every ambiguity of the paper is one of them.
+class PyramidSettings(EyeSettings):
+    """Settings of the paper's observer, in which every ambiguity of the paper is one, and those of its eye.
 
     Attributes
     ----------
@@ -93,12 +84,6 @@ class PyramidSettings:
         Each neuron then counts by its signal over its noise. Empty: 1 in all bands.
     eye_mtf : {"none", "watson2013"}
         Optics in front of the retina: none, or the mean MTF of eyes of Watson 2013.
-    luminance_cd_m2 : float or "background"
-        Luminance of the background, or that of the display, from which the pupil of that eye follows.
-    age_years : float
-        Age of the eye, from 20 to 83, for its pupil.
-    pupil_mm : float or None
-        Diameter of the pupil, instead of the one that follows from light and age.
 
     Raises
     ------
@@ -118,9 +103,6 @@ class PyramidSettings:
     internal_noise_sd: Annotated[float | None, Meta(ge=0.0, le=1e12)] = None
     band_noise: Annotated[tuple[BandNoise, ...], Meta(max_length=MOST_LEVELS)] = ()
     eye_mtf: Literal["none", "watson2013"] = "none"
-    luminance_cd_m2: Luminance = MODELFEST_CD_M2
-    age_years: Age = REFERENCE_AGE_YEARS
-    pupil_mm: Pupil = None
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -291,10 +273,8 @@ class PyramidObserver(NeuronObserver):
 
     @keeps_last(2)
     def _eye_transfer(self, side: int) -> FloatArray:
-        from todframes.observers.eye import MRAD_PER_DEG, eye_mtf, pupil_of
-
         x, y = mirrored_frequencies(side, self.settings.retina_pitch_mrad / MRAD_PER_DEG)
-        return eye_mtf(np.hypot(x, y), pupil_mm=pupil_of(self.settings))
+        return eye_mtf(np.hypot(x, y), pupil_mm=self.settings.pupil)
 
     def _expected(self, image: FloatArray) -> Bands:
         """Compute the expected activity for an image whose place is not exactly known."""
