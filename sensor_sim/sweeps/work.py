@@ -27,8 +27,7 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, distinct_numbers
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.run import Run, run_stored
-from todframes.observers.eye import BACKGROUND
-from todframes.observers.interface import Observer
+from todframes.observers.interface import BACKGROUND, Observer
 from todframes.parameters import PlanName
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.threshold_search import IMPOSSIBLE

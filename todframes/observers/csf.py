@@ -19,14 +19,16 @@ from msgspec import Meta
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import Positive, check_values
-from todframes.observers.eye import (
+from todframes.observers.eye import MRAD_PER_DEG, sensitivity_ratio
+from todframes.observers.interface import (
     MODELFEST_CD_M2,
-    MRAD_PER_DEG,
     REFERENCE_AGE_YEARS,
+    Detection,
     EyeSettings,
-    sensitivity_ratio,
+    OmittedWeights,
+    Readout,
+    keeps_last,
 )
-from todframes.observers.interface import Detection, OmittedWeights, Readout, keeps_last
 from todframes.observers.internal_noise import Bands, summed_variance
 from todframes.observers.laplacian_pyramid import framed
 from todframes.observers.neurons import NeuronObserver, ideal_weights

@@ -13,20 +13,11 @@ Graphics and Displays group, University of Cambridge.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, Literal
 
 import numpy as np
-from msgspec import Meta
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError
-
-MODELFEST_CD_M2 = 30.0
-"""Luminance of the displays of ModelFest."""
-
-REFERENCE_AGE_YEARS = 28.58
-"""Mean age of the people to whom the formula of the pupil's diameter was fitted."""
+from todframes.observers.interface import MODELFEST_CD_M2, REFERENCE_AGE_YEARS
 
 FIELD_DEG2 = 400.0
 """Area of the field to which the eye is adapted: 20° by 20°, a display on a desk. Ten times as much makes a pupil
@@ -35,41 +26,6 @@ at 30 cd/m² 1.1 mm narrower."""
 WAVELENGTH_NM = 555.0
 
 MRAD_PER_DEG = math.radians(1000.0)
-
-BACKGROUND = "background"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EyeSettings:
-    """Settings of an observer with an eye.
-
-    Attributes
-    ----------
-    luminance_cd_m2 : float or "background"
-        Luminance of the background to which the eye is adapted, or that of the display.
-    age_years : float
-        Age of the eye in years, on which its pupil depends; all else is as in young eyes.
-    pupil_mm : float or None
-        Diameter of the pupil, instead of the one that follows from light and age.
-    """
-
-    luminance_cd_m2: Annotated[float | Literal["background"], Meta(ge=0.02, le=300.0)] = MODELFEST_CD_M2
-    age_years: Annotated[float, Meta(ge=20.0, le=83.0)] = REFERENCE_AGE_YEARS
-    pupil_mm: Annotated[float | None, Meta(ge=1.5, le=8.0)] = None
-
-    @property
-    def known_luminance(self) -> float:
-        """Luminance in cd/m²; SettingsError if it is that of a display, which `adapted` has not replaced."""
-        if self.luminance_cd_m2 == BACKGROUND:
-            raise SettingsError("luminance_cd_m2: found background where there is no display, expected a number")
-        return float(self.luminance_cd_m2)
-
-    @property
-    def pupil(self) -> float:
-        """Diameter of the pupil, or of the one that follows from light and age, in mm."""
-        if self.pupil_mm is not None:
-            return self.pupil_mm
-        return pupil_diameter_mm(self.known_luminance, age_years=self.age_years)
 
 
 def pupil_diameter_mm(

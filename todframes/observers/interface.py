@@ -14,16 +14,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import cache, cached_property, partial, wraps
 from pathlib import Path
-from typing import Any, ClassVar, Concatenate, NamedTuple, ParamSpec, TypeVar, cast
+from typing import Annotated, Any, ClassVar, Concatenate, Literal, NamedTuple, ParamSpec, TypeVar, cast
 
 import numpy as np
+from msgspec import Meta
 
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_keys, settings_path
 from todframes.base.user_code import import_named, registered
 from todframes.observers.decision import answer_probabilities
-from todframes.observers.eye import BACKGROUND
 from todframes.observers.internal_noise import Bands, edgeworth_correction, inner_product
 from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Centre, Orientation, Stimulus
@@ -34,6 +34,14 @@ SECOND_ORDER = 20.0
 SETTINGS_FOLDER = Path(__file__).with_name("settings")
 """Settings of observers that this package provides."""
 
+
+MODELFEST_CD_M2 = 30.0
+"""Luminance of the displays of ModelFest."""
+
+REFERENCE_AGE_YEARS = 28.58
+"""Mean age of the people to whom the formula of the pupil's diameter was fitted."""
+
+BACKGROUND = "background"
 
 PYRAMID_LEVELS = "pyramid levels"
 """Name of what most observers omit."""
@@ -300,6 +308,41 @@ def keeps_last(most: int) -> Callable[[Callable[Concatenate[S, P], T]], Callable
 
 KEPT = "_kept"
 """Attribute of an object with the results that `keeps_last` keeps."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EyeSettings:
+    """Settings of an observer with an eye.
+
+    Attributes
+    ----------
+    luminance_cd_m2 : float or "background"
+        Luminance of the background to which the eye is adapted, or that of the display.
+    age_years : float
+        Age of the eye in years, on which its pupil depends; all else is as in young eyes.
+    pupil_mm : float or None
+        Diameter of the pupil, instead of the one that follows from light and age.
+    """
+
+    luminance_cd_m2: Annotated[float | Literal["background"], Meta(ge=0.02, le=300.0)] = MODELFEST_CD_M2
+    age_years: Annotated[float, Meta(ge=20.0, le=83.0)] = REFERENCE_AGE_YEARS
+    pupil_mm: Annotated[float | None, Meta(ge=1.5, le=8.0)] = None
+
+    @property
+    def known_luminance(self) -> float:
+        """Luminance in cd/m²; SettingsError if it is that of a display, which `adapted` has not replaced."""
+        if self.luminance_cd_m2 == BACKGROUND:
+            raise SettingsError("luminance_cd_m2: found background where there is no display, expected a number")
+        return float(self.luminance_cd_m2)
+
+    @property
+    def pupil(self) -> float:
+        """Diameter of the pupil, or of the one that follows from light and age, in mm."""
+        if self.pupil_mm is not None:
+            return self.pupil_mm
+        from todframes.observers.eye import pupil_diameter_mm
+
+        return pupil_diameter_mm(self.known_luminance, age_years=self.age_years)
 
 
 @dataclass(frozen=True, slots=True)

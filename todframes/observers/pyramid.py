@@ -22,8 +22,7 @@ from numpy.typing import DTypeLike
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
-from todframes.observers.eye import MRAD_PER_DEG, EyeSettings, eye_mtf
-from todframes.observers.interface import Detection, OmittedWeights, Readout, keeps_last
+from todframes.observers.interface import Detection, EyeSettings, OmittedWeights, Readout, keeps_last
 from todframes.observers.internal_noise import UNIFORM_EXCESS_KURTOSIS, Bands, inner_product, summed_variance
 from todframes.observers.laplacian_pyramid import BORDER, LaplacianPyramid, even_half, framed
 from todframes.observers.neurons import NeuronObserver
@@ -273,6 +272,8 @@ class PyramidObserver(NeuronObserver):
 
     @keeps_last(2)
     def _eye_transfer(self, side: int) -> FloatArray:
+        from todframes.observers.eye import MRAD_PER_DEG, eye_mtf
+
         x, y = mirrored_frequencies(side, self.settings.retina_pitch_mrad / MRAD_PER_DEG)
         return eye_mtf(np.hypot(x, y), pupil_mm=self.settings.pupil)
 
