@@ -19,7 +19,7 @@ from msgspec import Meta
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import Positive, check_values
-from todframes.observers.eye import MRAD_PER_DEG, sensitivity_ratio
+from todframes.observers.eye import MRAD_PER_DEG, pupil_of, sensitivity_ratio
 from todframes.observers.interface import (
     MODELFEST_CD_M2,
     REFERENCE_AGE_YEARS,
@@ -241,7 +241,7 @@ class CsfObserver(NeuronObserver):
         return transfer * sensitivity_ratio(
             frequency,
             luminance_cd_m2=settings.known_luminance,
-            pupil_mm=None if is_natural else settings.pupil,
+            pupil_mm=None if is_natural else pupil_of(settings),
         )
 
     def _frequencies(self, side: int) -> tuple[FloatArray, FloatArray]:

@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.observers.interface import MODELFEST_CD_M2, REFERENCE_AGE_YEARS
+from todframes.observers.interface import MODELFEST_CD_M2, REFERENCE_AGE_YEARS, EyeSettings
 
 FIELD_DEG2 = 400.0
 """Area of the field to which the eye is adapted: 20° by 20°, a display on a desk. Ten times as much makes a pupil
@@ -26,6 +26,13 @@ at 30 cd/m² 1.1 mm narrower."""
 WAVELENGTH_NM = 555.0
 
 MRAD_PER_DEG = math.radians(1000.0)
+
+
+def pupil_of(settings: EyeSettings) -> float:
+    """Return the diameter of the pupil that settings name, or that follows from their light and age, in mm."""
+    if settings.pupil_mm is not None:
+        return settings.pupil_mm
+    return pupil_diameter_mm(settings.known_luminance, age_years=settings.age_years)
 
 
 def pupil_diameter_mm(

@@ -335,15 +335,6 @@ class EyeSettings:
             raise SettingsError("luminance_cd_m2: found background where there is no display, expected a number")
         return float(self.luminance_cd_m2)
 
-    @property
-    def pupil(self) -> float:
-        """Diameter of the pupil, or of the one that follows from light and age, in mm."""
-        if self.pupil_mm is not None:
-            return self.pupil_mm
-        from todframes.observers.eye import pupil_diameter_mm
-
-        return pupil_diameter_mm(self.known_luminance, age_years=self.age_years)
-
 
 @dataclass(frozen=True, slots=True)
 class NoSettings:

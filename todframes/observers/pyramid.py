@@ -272,10 +272,10 @@ class PyramidObserver(NeuronObserver):
 
     @keeps_last(2)
     def _eye_transfer(self, side: int) -> FloatArray:
-        from todframes.observers.eye import MRAD_PER_DEG, eye_mtf
+        from todframes.observers.eye import MRAD_PER_DEG, eye_mtf, pupil_of
 
         x, y = mirrored_frequencies(side, self.settings.retina_pitch_mrad / MRAD_PER_DEG)
-        return eye_mtf(np.hypot(x, y), pupil_mm=self.settings.pupil)
+        return eye_mtf(np.hypot(x, y), pupil_mm=pupil_of(self.settings))
 
     def _expected(self, image: FloatArray) -> Bands:
         """Compute the expected activity for an image whose place is not exactly known."""
