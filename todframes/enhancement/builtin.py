@@ -24,7 +24,6 @@ Factor = Annotated[int, parameter(2, 8, what="pixels for one along each axis")]
 
 Iterations = Annotated[int, parameter(1, 1000, what="iterations")]
 
-
 _built_in = partial(algorithm, each_channel=True, writes=False)
 """Declare an algorithm of code values that takes one channel at a time and does not write into its input."""
 

@@ -46,7 +46,6 @@ SURE_CORRELATION = 5.0
 
 UINT16_WHITE = 65535
 
-
 _of_clips = partial(algorithm, clip=True, each_channel=True, writes=False)
 """Declare an algorithm of clips of code values that takes one channel at a time and does not write into it."""
 

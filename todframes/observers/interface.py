@@ -34,7 +34,6 @@ SECOND_ORDER = 20.0
 SETTINGS_FOLDER = Path(__file__).with_name("settings")
 """Settings of observers that this package provides."""
 
-
 MODELFEST_CD_M2 = 30.0
 """Luminance of the displays of ModelFest."""
 
