@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 import time
 from array import array
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -125,21 +127,21 @@ def compare_observers(
     skipped, the trial is skipped for all algorithms instead. Raises SettingsError if an algorithm is given twice,
     there are no resamples, a setting does not suit the observer, or observers look at different points.
     """
-    if len({one.centre for one in observers}) > 1:
-        found = ", ".join(one.centre for one in observers)
-        raise SettingsError(f"centre: found {found} of several observers, expected the same of all")
+    if len({observer.centre for observer in observers}) > 1:
+        centres = ", ".join(observer.centre for observer in observers)
+        raise SettingsError(f"centre: found {centres} of several observers, expected the same of all")
     fit_settings = settings_of_experiment(fit_settings, dataset.experiment)
     curve = fitted_curve(curve, decisions)
     if not fit_settings.resamples:
         raise SettingsError("resamples: found 0, expected 40 or more: a comparison rests on them")
-    algorithms = [find_enhancement(REFERENCE), *(one for one in enhancements if not one.is_reference)]
-    for number, one in enumerate(algorithms):
-        if one.spec in [other.spec for other in algorithms[:number]]:
-            raise SettingsError(f"enhance {one.spec!r}: found twice, expected once")
+    algorithms = [find_enhancement(REFERENCE), *(each for each in enhancements if not each.is_reference)]
+    spec, n_times = Counter(algorithm.spec for algorithm in algorithms).most_common(1)[0]
+    if n_times > 1:
+        raise SettingsError(f"enhance {spec!r}: found twice, expected once")
     screen = screen or AlgorithmDisplay(dataset.display)
     whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
-    if of_clips := [one for one in algorithms if one.declaration.clip]:
-        whole = whole.with_warm_up(max(one.warm_up_frames for one in of_clips))
+    if of_clips := [algorithm for algorithm in algorithms if algorithm.declaration.clip]:
+        whole = whole.with_warm_up(max(algorithm.warm_up_frames for algorithm in of_clips))
     if not skip_bad_frames:
         for trial in whole if of_clips else ():
             check_warm_up_there(dataset, trial, of_clips)
@@ -156,20 +158,14 @@ def compare_observers(
     ]
     if len(gazes) > 1:  # a fixed gaze follows from frames read for a tracked one
         dataset = replace(dataset, gaze="tracked")
-    strongest = strongest_levels(whole)
-    measured = measured_trials(whole, strongest)
-    of_observer = [_ResultColumns(whole, len(algorithms)) for _ in plans]
-
-    def collect(row: int, found: _SeenTrial) -> None:
-        for number, (columns, seen) in enumerate(zip(of_observer, (found.seen, *found.others), strict=True)):
-            columns.put(row, found, seen, found.contrasts[number % len(gazes)])
-
+    measured = measured_trials(whole, strongest_levels(whole))
+    columns = _ResultColumns(whole, len(plans), len(gazes), len(algorithms))
     skipped += see_trials(
         Scoring(dataset, plans[0], decisions, seed),
         whole,
         _Show(reader, measured, gazes, tuple(plans[1:])),
         kind=_SeenTrial,
-        collect=collect,
+        collect=columns.put,
         skip_bad_frames=skip_bad_frames,
         run=run,
         depends_on=(
@@ -185,11 +181,12 @@ def compare_observers(
     )
     repeated.finish(run)
     results = []
-    for plan, columns in zip(plans, of_observer, strict=True):
+    for number, plan in enumerate(plans):
         fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)
-        seen = check_seen(dataset, columns.seen(), skipped)
-        scored = [replace(fit(one), skipped=tuple(skipped)) for one in seen]
-        responses = contrast_responses(seen[0].trials, columns.contrasts[columns.is_seen])
+        seen = check_seen(dataset, columns.usable(number), skipped)
+        scored = [replace(fit(scores), skipped=tuple(skipped)) for scores in seen]
+        contrasts = columns.contrasts[number % len(gazes), columns.is_seen]
+        responses = contrast_responses(seen[0].trials, contrasts)
         gains = contrast_gains(responses)
         plain = [_amplified(fit, seen[0], of_algorithm, fit_settings) for of_algorithm in gains[1:] if expected]
         ratios = _ratios(dataset, scored, plain, gains, seed, fit_settings)
@@ -203,7 +200,7 @@ def parts_of(algorithms: Sequence[Enhancement]) -> list[object]:
 
     Values are not always in the text: those of a file beside a network, or of a `functools.partial`, are not.
     """
-    return [(one.spec, one.function, dict(one.values)) for one in algorithms]
+    return [(algorithm.spec, algorithm.function, dict(algorithm.values)) for algorithm in algorithms]
 
 
 def _parts(plans: Sequence[ScorePlan]) -> list[object]:
@@ -282,16 +279,15 @@ def _disagreeing(changes: Mapping[str, float | None], verdict: str) -> tuple[str
 
 
 class _SeenTrial(NamedTuple):
-    """The observer's scores of a trial after each algorithm, and the measurements of each of its frames.
+    """The scores of a trial by each plan after each algorithm, and the measurements of each of its frames.
 
     `contrasts`, (gaze, algorithm, 4), are those of `triangle_contrasts`; NaN if they are not measured in this
-    trial. `others` are the scores of the first observer's further gazes, and those of further observers.
+    trial.
     """
 
-    seen: tuple[SeenTrial, ...]
+    seen: tuple[tuple[SeenTrial, ...], ...]
     measured: tuple[tuple[FrameMeasurements, ...], ...]
     contrasts: FloatArray
-    others: tuple[tuple[SeenTrial, ...], ...] = ()
 
 
 class _Show:
@@ -316,67 +312,65 @@ class _Show:
     def __call__(self, scoring: Scoring, trial: Trial, readout: Readout | None) -> _SeenTrial:
         started = time.perf_counter()
         scorings = [scoring, *(replace(scoring, plan=plan) for plan in self.further)]
-        viewings = [trial_viewing(scoring, trial, readout)]
-        viewings += [
-            trial_viewing(one, trial, readout_of(trial.stimulus))
-            for one, readout_of in zip(scorings[1:], self._readouts_of, strict=True)
-        ]
+        readouts = [readout, *(readout_of(trial.stimulus) for readout_of in self._readouts_of)]
+        viewings = [trial_viewing(own, trial, its) for own, its in zip(scorings, readouts, strict=True)]
         # The frames are read once, as wide as the widest of the grids needs at any displacement and gaze.
-        widest = max(viewings, key=lambda one: one.grid.width_mrad)
-        pitch_mrad = scoring.dataset.display.pitch_mrad
-        displaced = [one.reached_samples * (one.grid.pitch_mrad / widest.grid.pitch_mrad) for one in viewings]
+        widest = max(viewings, key=lambda viewing: viewing.grid.width_mrad)
+        pitch_mrad, widest_mrad = scoring.dataset.display.pitch_mrad, widest.grid.pitch_mrad
+        displaced = [view.reached_samples * (view.grid.pitch_mrad / widest_mrad) for view in viewings]
         if len(self.gazes) > 1:
             to_gazes_px = np.concatenate([[(0.0, 0.0)], to_mean_place_px(trial)])
-            to_gazes = to_gazes_px * (pitch_mrad / widest.grid.pitch_mrad)
-            displaced = [(one[:, None] + to_gazes).reshape(-1, 2) for one in displaced]
-        found = self.reader.read(
+            to_gazes = to_gazes_px * (pitch_mrad / widest_mrad)
+            displaced = [(samples[:, None] + to_gazes).reshape(-1, 2) for samples in displaced]
+        after = self.reader.read(
             scoring.dataset,
             trial,
             widest.observer,
             widest.grid,
             np.concatenate(displaced),
-            whole=any(one.plan.whole_frames for one in scorings),
+            whole=any(own.plan.whole_frames for own in scorings),
         )
-        shown = [one.shown for one in found]
+        shown = [enhanced.shown for enhanced in after]
         ways = [
-            shown if gaze == scoring.dataset.gaze else [one.with_gaze_fixed(trial, pitch_mrad) for one in shown]
+            shown if gaze == scoring.dataset.gaze else [way.with_gaze_fixed(trial, pitch_mrad) for way in shown]
             for gaze in self.gazes
         ]
-        seen, *others = (
-            tuple(see(of_observer, trial, one, ways[number % len(ways)], started))
-            for number, (of_observer, one) in enumerate(zip(scorings, viewings, strict=True))
+        seen = tuple(
+            tuple(see(own, trial, viewing, ways[number % len(ways)], started))
+            for number, (own, viewing) in enumerate(zip(scorings, viewings, strict=True))
         )
-        contrasts = np.full((len(ways), len(found), len(ORIENTATIONS)), np.nan)
+        contrasts = np.full((len(ways), len(after), len(ORIENTATIONS)), np.nan)
         if trial.number in self.measured:
             grid, centre = viewings[0].grid, viewings[0].observer.centre
             for number, of_gaze in enumerate(ways):
                 contrasts[number] = triangle_contrasts(of_gaze, trial, grid=grid, centre=centre)
-        return _SeenTrial(seen, tuple(one.measured for one in found), contrasts, tuple(others))
+        return _SeenTrial(seen, tuple(enhanced.measured for enhanced in after), contrasts)
 
 
 class _ResultColumns:
     """The results of all trials, in columns that are filled in any order.
 
-    `measured` has the `FrameMeasurements` of all frames, NaN for None. Sums are exact whatever the order:
-    `math.fsum` rounds once.
+    `measured` has the `FrameMeasurements` of all frames after each algorithm, NaN for None, and `contrasts` has
+    shape (gaze, trial, algorithm, 4). Sums are exact whatever the order: `math.fsum` rounds once.
     """
 
-    def __init__(self, trials: Trials, n_algorithms: int) -> None:
-        self._seen = [SeenTrials(trials) for _ in range(n_algorithms)]
+    def __init__(self, trials: Trials, n_plans: int, n_gazes: int, n_algorithms: int) -> None:
+        self._seen = [[SeenTrials(trials) for _ in range(n_algorithms)] for _ in range(n_plans)]
         self.measured = [array("d") for _ in range(n_algorithms)]
-        self.contrasts = np.full((len(trials), n_algorithms, len(ORIENTATIONS)), np.nan)
+        self.contrasts = np.full((n_gazes, len(trials), n_algorithms, len(ORIENTATIONS)), np.nan)
         self.is_seen = np.zeros(len(trials), bool)
 
-    def put(self, row: int, found: _SeenTrial, seen: Sequence[SeenTrial], contrasts: FloatArray) -> None:
-        for scores, measured, one, of_frames in zip(self._seen, self.measured, seen, found.measured, strict=True):
-            scores.put(row, one)
-            for of_frame in of_frames:
-                measured.extend(math.nan if value is None else value for value in of_frame)
-        self.contrasts[row], self.is_seen[row] = contrasts, True
+    def put(self, row: int, trial: _SeenTrial) -> None:
+        """Set the results of a trial."""
+        for scores, seen in zip(chain(*self._seen), chain(*trial.seen), strict=True):
+            scores.put(row, seen)
+        for column, of_frames in zip(self.measured, trial.measured, strict=True):
+            column.extend(math.nan if value is None else value for value in chain(*of_frames))
+        self.contrasts[:, row], self.is_seen[row] = trial.contrasts, True
 
-    def seen(self) -> list[SeenTrials]:
-        """Return the scores after each algorithm; an empty list if there are none."""
-        return [one.usable() for one in self._seen if self.is_seen.any()]
+    def usable(self, plan: int) -> list[SeenTrials]:
+        """Return the scores of a plan after each algorithm; an empty list if there are none."""
+        return [scores.usable() for scores in self._seen[plan] if self.is_seen.any()]
 
 
 def _amplified(
