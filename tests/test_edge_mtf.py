@@ -110,16 +110,10 @@ NOISE = np.random.default_rng(1).normal(0.0, 0.1, (72, 72))
     ("image", "message"),
     [
         (0.0 * AN_EDGE + 0.5, "box 0,0,72,72: found no edge: all values are the same"),
-        (
-            0.5 + NOISE,
-            "found no edge: along a smooth curve the steepest step is .* against noise of .*, expected at",
-        ),
+        (0.5 + NOISE, "found no edge: along a smooth curve the steepest step is .* against noise of .*, expected"),
         (edge_image((72, 72), 0.2, gaussian(0.5)), "0.20° from rows or columns, whose pixels leave a gap of 0.7"),
         # A square wave of ±0.5 pixels.
-        (
-            torn(AN_EDGE),
-            r"departs from a smooth curve by 0\.(4[5-9]|5[0-5]) pixels, expected at most 0.15; is it stra",
-        ),
+        (torn(AN_EDGE), r"departs from a smooth curve by 0\.(4[5-9]|5[0-5]) pixels, expected at most 0.15; is it"),
         (AN_EDGE + NOISE, "noise of 1.*% of the contrast leaves MTF50 at .*average frames"),
         (AN_EDGE[:, 26:46], "found an edge with 9.[0-9] pixels beside it, expected at least 10 on both sides"),
     ],
@@ -133,14 +127,13 @@ def wave(height_px, period_px):
     return lambda s: height_px * np.sin(2.0 * np.pi * s / period_px + 0.3)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.1])
 @pytest.mark.parametrize(
-    ("displaced_px", "rms_px"),
+    ("displaced_px", "rms_px", "noise"),
     [
-        (wave(4.0, 38.0), 2.83),
-        (wave(1.0, 10.0), 0.71),
-        (wave(2.0, 6.0), 1.41),
-        (lambda s: 3.0 * (np.abs(s - 20.0) < 8.0), 1.0),
+        (wave(4.0, 38.0), 2.83, 0.0),
+        (wave(1.0, 10.0), 0.71, 0.1),
+        (wave(2.0, 6.0), 1.41, 0.1),
+        (lambda s: 3.0 * (np.abs(s - 20.0) < 8.0), 1.0, 0.0),
     ],
 )
 def test_an_edge_that_is_not_straight_is_refused_in_any_noise(displaced_px, rms_px, noise):
@@ -314,13 +307,8 @@ def test_a_display_undoes_the_encoding():
     """Code values of a gamma of 2.2 give back the MTF of light; taken as they are, they do not."""
     light = edge_image((72, 72), 6.0, gaussian(0.7), low=0.05, high=0.9)
     code = (255 * 257 * light ** (1 / 2.2)).astype(np.uint16)
-    display = tod.Display(
-        eotf="gamma",
-        gamma=2.2,
-        white_luminance_cd_m2=100.0,
-        pixel_pitch_mrad=0.5,
-        background_luminance_cd_m2="surround",
-    )
+    settings = {"white_luminance_cd_m2": 100.0, "pixel_pitch_mrad": 0.5, "background_luminance_cd_m2": "surround"}
+    display = tod.Display(eotf="gamma", gamma=2.2, **settings)
     expected = true_mtf(TO_NYQUIST, gaussian(0.7), 6.0)
     as_light = tod.mtf(code, boxes=[(0, 0, 72, 72)], display=display)
     assert np.abs(as_light.mtf.mtf[: NYQUIST + 1] - expected).max() < 1e-3  # 16 bits

@@ -67,16 +67,8 @@ def test_published_results_are_read(tmp_path: Path) -> None:
 
 
 def test_written_results_come_back(tmp_path: Path) -> None:
-    values = {
-        "K": 0.28,
-        "sigma_d": 10.9,
-        "QE": 45.0,
-        "u_I_mean": -0.5,
-        "bits": 12,
-        "exposure": 5.16,
-        "u_e_sat": None,
-    }
-    (tmp_path / "camera.xml").write_bytes(emva_xml(values))
+    values = {"K": 0.28, "sigma_d": 10.9, "QE": 45.0, "u_I_mean": -0.5, "bits": 12, "exposure": 5.16}
+    (tmp_path / "camera.xml").write_bytes(emva_xml(values | {"u_e_sat": None}))
     assert read_emva_xml(tmp_path / "camera.xml") == EmvaCamera(
         system_gain_dn_per_electron=0.28,
         dark_noise_electrons=10.9,
@@ -98,11 +90,7 @@ def test_written_results_come_back(tmp_path: Path) -> None:
         ("0.280769280926", "0,28", "sensitivity/K: found '0,28', expected a number"),
         ("0.280769280926", "0", "sensitivity/K: found 0, expected a number > 0"),
         (r"45.1356082834", "145", "sensitivity/QE: found 1.45, expected a number > 0 up to 100 %"),
-        (
-            "<Unit>$DN/e^-$</Unit>",
-            "<Unit>mV/e</Unit>",
-            "sensitivity/K: found the unit 'mV/e', expected 'DN/e\\^-'",
-        ),
+        ("$DN/e^-$", "mV/e", "sensitivity/K: found the unit 'mV/e', expected 'DN/e\\^-'"),
         ("sigma_d>", "sigma_e>", "found no sensitivity/sigma_d, expected one"),
         ("0.551787767644", "-1", "spatial/DSNU1288: found -1, expected a number of 0 or more"),
     ],
@@ -169,26 +157,24 @@ def codes_of(found: Any) -> set[str]:
     return {one.code for one in found.warnings} - {"saturation_not_reached"}
 
 
-@pytest.mark.parametrize("flicker", [0.01, 0.04, 0.08])
-def test_a_lamp_that_flickers_leaves_the_patterns(flicker: float) -> None:
+def test_a_lamp_that_flickers_leaves_the_patterns() -> None:
     """Of 4,096 pixels in 8 frames the PRNU is 0.8 % with a standard error of 0.011 %."""
-    found = tod.emva_noise(**stacks(n=8, flicker=flicker))
+    found = tod.emva_noise(**stacks(n=8, flicker=0.08))
     assert found.noise.emva1288.prnu == pytest.approx(CAMERA.prnu_percent, abs=4 * 0.011)
     assert found.noise.emva1288.dsnu == pytest.approx(CAMERA.dsnu_electrons, rel=0.1)
     assert codes_of(found) == set()
 
 
-@pytest.mark.parametrize("drift", [0.02, 0.04])
-def test_a_lamp_that_drifts_within_a_stack_is_warned_of(drift: float) -> None:
-    found = tod.emva_noise(**stacks(n=8, drift=drift))
+def test_a_lamp_that_drifts_within_a_stack_is_warned_of() -> None:
+    found = tod.emva_noise(**stacks(n=8, drift=0.04))
     # Half of the drift is in the mean, and so in the quantum efficiency.
-    assert found.noise.emva1288.quantum_efficiency == pytest.approx(0.45 * (1.0 + drift / 2.0), rel=0.01)
+    assert found.noise.emva1288.quantum_efficiency == pytest.approx(0.45 * 1.02, rel=0.01)
     (warning,) = (one for one in found.warnings if one.code != "saturation_not_reached")
     share = float(re.search(r"the mean of bright\[\d\] changes by ([\d.]+) % of the signal", warning.message)[1])
-    assert warning.code == "drift" and share == pytest.approx(100.0 * drift, rel=0.05)
+    assert warning.code == "drift" and share == pytest.approx(4.0, rel=0.05)
 
 
-@pytest.mark.parametrize("fall_off", [0.03, 0.05, 0.2])
+@pytest.mark.parametrize("fall_off", [0.03, 0.2])
 def test_light_that_falls_off_is_warned_of(fall_off: float) -> None:
     """Without the surface, the PRNU is that of the camera: 0.8 %, 0.017 % standard error with 4 frames."""
     found = tod.emva_noise(**stacks(fall_off=fall_off))
@@ -198,7 +184,7 @@ def test_light_that_falls_off_is_warned_of(fall_off: float) -> None:
     assert warning.code == "uneven_light" and even == pytest.approx(CAMERA.prnu_percent, abs=4 * 0.017)
 
 
-@pytest.mark.parametrize("offset_dn", [0.5, 2.0, 4.0])
+@pytest.mark.parametrize("offset_dn", [0.5, 4.0])
 def test_dark_frames_cut_at_black_are_warned_of(offset_dn: float) -> None:
     made = stacks(replace(CAMERA, offset_dn=offset_dn))
     share = 100.0 * max((film == 0).mean() for film in made["dark"])
@@ -208,13 +194,8 @@ def test_dark_frames_cut_at_black_are_warned_of(offset_dn: float) -> None:
     assert found.warnings[0].message.startswith(f"{share:.2g} % of the values of dark[")
 
 
-COARSE = replace(
-    CAMERA,
-    gain_dn_per_electron=0.06,
-    read_noise_electrons=2.0,
-    dsnu_electrons=4.0,
-    dark_current_electrons_per_s=20.0,
-)
+COARSE_NOISE = {"gain_dn_per_electron": 0.06, "read_noise_electrons": 2.0}
+COARSE = replace(CAMERA, dsnu_electrons=4.0, dark_current_electrons_per_s=20.0, **COARSE_NOISE)
 
 
 @pytest.mark.parametrize("offset_dn", [30.0, 30.25, 30.5])
@@ -228,10 +209,9 @@ def test_patterns_under_coarse_steps_are_uncertain_by_half_a_step(offset_dn: flo
     assert "the DSNU uncertain by half a step (1 DN)" in found.warnings[0].message
 
 
-@pytest.mark.parametrize("camera", [CAMERA, COARSE])
-def test_steps_of_several_values_are_steps(camera: PhotonCamera) -> None:
+def test_steps_of_several_values_are_steps() -> None:
     """12 bits in the upper bits of 16: nothing in electrons changes, and the gain is 16 times as high."""
-    made = stacks(camera)
+    made = stacks(COARSE)
     wide = {name: [16 * one for one in made[name]] for name in ("bright", "dark")} | {"bits": 16}
     once, again = tod.emva_noise(**made), tod.emva_noise(**made | wide)
     assert codes_of(again) == codes_of(once)
@@ -268,7 +248,7 @@ LIES: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     "flickers": ({}, {"flicker": 0.04}),
     "bent up": ({"bend": -0.06}, {}),
     "bent down": ({"bend": 0.06}, {}),
-    "coarse": ({one: getattr(COARSE, one) for one in ("gain_dn_per_electron", "read_noise_electrons")}, {}),
+    "coarse": (COARSE_NOISE, {}),
 }
 
 
@@ -393,77 +373,61 @@ def descriptor(folder: Path, made: dict[str, Any], version: str = "3.0") -> Path
 
 def test_a_descriptor_and_the_command_give_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     made = stacks(n=2)
-    path = descriptor(tmp_path, made)
-    called = tod.emva_noise(**made)
-    assert run(cli, ["noise", "--emva", str(path), "--json", "-o", str(tmp_path / "out")]) == 0
-    printed = json.loads(capsys.readouterr().out)["noise"]["emva1288"]
-    wanted = json.loads(called.to_json())["noise"]["emva1288"]
-    assert printed | {"source": ""} == wanted | {"source": ""}
-    written = read_emva_xml(tmp_path / "out" / "emva.xml")
-    for name, value in called.noise.emva1288.camera().noise_table().items():
-        if name != "model":
-            assert getattr(written, name) == pytest.approx(value, rel=1e-5)
-    again = tod.load_result(tmp_path / "out")
-    assert again.xml() == (tmp_path / "out" / "emva.xml").read_bytes()
-    table = tomllib.loads(again.sensor_toml())["noise"]
-    assert (tmp_path / "out" / "sensor_noise.toml").read_text() == again.sensor_toml()
-    assert table == called.noise.emva1288.camera().noise_table()
-    assert {"emva.png", "emva.csv", "photon_transfer.csv", "variances.csv"} <= {
-        one.name for one in (tmp_path / "out").iterdir()
-    }
+    path, called = descriptor(tmp_path, made), tod.emva_noise(**made)
+
+    def printed(*arguments: str) -> Any:
+        assert run(cli, ["noise", *arguments, "--json"]) == 0
+        return json.loads(capsys.readouterr().out)["noise"]["emva1288"] | {"source": ""}
+
+    wanted = json.loads(called.to_json())["noise"]["emva1288"] | {"source": ""}
+    assert printed("--emva", str(path)) == wanted
     for name, kind in (("bright", ""), ("dark", "dark_")):
         for number, film in enumerate(made[name]):
             np.save(tmp_path / f"{kind}{number}.npy", film)
+    of_bright = [str(tmp_path / f"{number}.npy") for number in range(4)]
     of_dark = [part for number in range(4) for part in ("--dark", str(tmp_path / f"dark_{number}.npy"))]
-    arguments = ["--exposure-ms", "2,5,10,20", "--photons", "2000,5000,10000,16000", "--bits", "12", "--json"]
-    assert (
-        run(cli, ["noise", *(str(tmp_path / f"{number}.npy") for number in range(4)), *of_dark, *arguments]) == 0
-    )
-    assert json.loads(capsys.readouterr().out)["noise"]["emva1288"] | {"source": ""} == wanted | {"source": ""}
+    settings = ["--exposure-ms", "2,5,10,20", "--photons", "2000,5000,10000,16000", "--bits", "12"]
+    assert printed(*of_bright, *of_dark, *settings) == wanted
+
+
+@pytest.mark.slow
+def test_files_of_a_measurement_are_read_again(tmp_path: Path) -> None:
+    called, out = tod.emva_noise(**stacks(n=2)), tmp_path / "out"
+    called.save(out)
+    written = read_emva_xml(out / "emva.xml")
+    for name, value in called.noise.emva1288.camera().noise_table().items():
+        if name != "model":
+            assert getattr(written, name) == pytest.approx(value, rel=1e-5)
+    again = tod.load_result(out)
+    assert again.xml() == (out / "emva.xml").read_bytes()
+    assert (out / "sensor_noise.toml").read_text() == again.sensor_toml()
+    assert tomllib.loads(again.sensor_toml())["noise"] == called.noise.emva1288.camera().noise_table()
+    files = {one.name for one in out.iterdir()}
+    assert {"emva.png", "emva.csv", "photon_transfer.csv", "variances.csv"} <= files
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"bright": lambda x: [one[:1] for one in x]}, "found 1 frame of this exposure, expected 2 or more"),
-        (
-            {"bright": lambda x: [np.concatenate([x[1], x[2]]), *x[1:]]},
-            r"frames have means about .* \(4 of them\) and",
-        ),
-        (
-            {"dark": lambda x: [*x[:3], np.concatenate([x[3], x[3] + 6])]},
-            r"frames have means about .* \(4 of them\)",
-        ),
-        (
-            {"bright": lambda x: [np.full_like(one, 4095) for one in x]},
-            r"bright\[0\]: 100 % of its values are at the end of the",
-        ),
+        ({"bright": lambda x: [np.concatenate([x[1], x[2]]), *x[1:]]}, r"means about .* \(2 of them\) and"),
+        ({"dark": lambda x: [*x[:3], np.concatenate([x[3], x[3] + 6])]}, r"means about .* \(2 of them\)"),
+        ({"bright": lambda x: [np.full_like(one, 4095) for one in x]}, r"bright\[0\]: 100 % of its values are at"),
         ({"bright": lambda x: x[:3]}, "exposure_ms: found 4 numbers for 3 bright stacks"),
         ({"dark": lambda x: x[:2]}, "found 2 dark stacks for 4 bright ones, expected one for all or one for each"),
         ({"dark": lambda x: x[:0]}, "found no dark stack, expected one or more"),
-        (
-            {"dark": lambda x: [one[:, :32] for one in x]},
-            "found stacks of 64 x 32 and 64 x 64 pixels, expected one",
-        ),
+        ({"dark": lambda x: [one[:, :32] for one in x]}, "found stacks of 64 x 32 and 64 x 64 pixels, expected"),
         ({"bright": lambda x: [np.repeat(one[..., None], 3, -1) for one in x]}, "has colours, expected the raw"),
-        (
-            {"bright": lambda x: x[:0], "dark": lambda x: x[:0]},
-            "found neither of a descriptor and bright and dark",
-        ),
+        ({"bright": lambda x: x[:0], "dark": lambda x: x[:0]}, "found neither of a descriptor and bright and"),
         ({"bits": lambda _: 40}, "bits: found 40, expected 1 to 32"),
         ({"photons": lambda x: [-x[0], *x[1:]]}, "photons: found -2000, 5000, 10000, 16000, expected numbers > 0"),
+        ({"bright": lambda x: [one // 100 for one in x]}, "expected brighter frames; are they exchanged"),
     ],
 )
 def test_stacks_that_cannot_be_measured(change: dict[str, Any], message: str) -> None:
-    made = stacks()
+    made = stacks(n=2)
     with pytest.raises((DataError, tod.SettingsError), match=message):
         tod.emva_noise(**made | {name: made_of(made[name]) for name, made_of in change.items()})
-
-
-def test_bright_and_dark_frames_that_are_exchanged() -> None:
-    made = stacks()
-    with pytest.raises(DataError, match="expected brighter frames; are they exchanged"):
-        tod.emva_noise(**made | {"bright": made["dark"], "dark": made["bright"]})
 
 
 @pytest.mark.parametrize(

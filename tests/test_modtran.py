@@ -70,27 +70,19 @@ def test_thermal_bands_are_weighted_with_the_change_of_radiance():
 
 @pytest.mark.usefixtures("stand_in")
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("height", "visibility", "band", "message"),
     [
-        (
-            "modtran_height_m = 2\nvisibility_km = 23\nband_um = [3, 5]",
-            "modtran_height_m: found 2, expected 75 to",
-        ),
-        (
-            "modtran_height_m = 75\nvisibility_km = 10\nband_um = [3, 5]",
-            "visibility_km: found 10, expected 23 or 5",
-        ),
-        ("modtran_height_m = 75\nvisibility_km = 23", "band_um: is missing, expected it beside modtran_height_m"),
-        (
-            "modtran_height_m = 75\nvisibility_km = 23\nband_um = [12, 20]",
-            "expected two rising wavelengths from 0.3",
-        ),
-        ("modtran_height_m = 75\nvisibility_km = 23\nband_um = [3.001, 3.004]", "narrower than the tables' steps"),
-        ("modtran_height_m = 'a'\nvisibility_km = 23\nband_um = [3, 5]", "modtran_height_m"),
+        ("2", "23", "[3, 5]", "modtran_height_m: found 2, expected 75 to"),
+        ("75", "10", "[3, 5]", "visibility_km: found 10, expected 23 or 5"),
+        ("75", "23", "[12, 20]", "expected two rising wavelengths from 0.3"),
+        ("75", "23", "[3.001, 3.004]", "narrower than the tables' steps"),
+        ("'a'", "23", "[3, 5]", "modtran_height_m"),
+        ("75", "23", None, "band_um: is missing, expected it beside modtran_height_m"),
     ],
 )
-def test_a_wrong_key_is_one_line(text, message, tmp_path):
-    path = written(tmp_path, text)
+def test_a_wrong_key_is_one_line(height, visibility, band, message, tmp_path):
+    text = f"modtran_height_m = {height}\nvisibility_km = {visibility}"
+    path = written(tmp_path, text if band is None else f"{text}\nband_um = {band}")
     with pytest.raises(SettingsError) as error:
         find_atmosphere(path)
     assert message in str(error.value) and str(error.value).startswith(f"{path}: [atmosphere]")

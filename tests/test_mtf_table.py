@@ -13,7 +13,7 @@ from todframes.camera.mtf_table import read_mtf_mapper, read_mtf_table
 from todframes.cli.console import run
 from todframes.cli.main import cli
 
-F = "frequency_cyc_per_pixel"
+F, BAND = "frequency_cyc_per_pixel", "mtf,mtf_lower,mtf_upper"
 
 
 @pytest.fixture
@@ -28,11 +28,8 @@ def written(tmp_path):
 
 @pytest.mark.parametrize("unit", ["cyc_per_pixel", "cyc_per_mrad", "cyc_per_mm"])
 def test_a_table_keeps_its_unit_and_its_numbers(written, unit):
-    table = read_mtf_table(
-        written(
-            f"note,frequency_{unit},mtf,mtf_upper,mtf_lower", "a,0,1,1,1", "b,0.1,0.8,0.9,0.7", "c,1.5,0,0.1,0"
-        )
-    )
+    header = f"note,frequency_{unit},mtf,mtf_upper,mtf_lower"
+    table = read_mtf_table(written(header, "a,0,1,1,1", "b,0.1,0.8,0.9,0.7", "c,1.5,0,0.1,0"))
     assert table.unit == unit
     np.testing.assert_array_equal(table.frequency, [0.0, 0.1, 1.5])
     np.testing.assert_array_equal(table.curves["mtf"], [1.0, 0.8, 0.0])
@@ -41,13 +38,10 @@ def test_a_table_keeps_its_unit_and_its_numbers(written, unit):
 
 
 def test_tangential_and_sagittal(written):
-    table = read_mtf_table(
-        written("frequency_cyc_per_mm,mtf_tangential,mtf_sagittal", "10,0.9,0.95", "40,0.2,0.5")
-    )
-    assert {name: one.tolist() for name, one in table.curves.items()} == {
-        "mtf_tangential": [0.9, 0.2],
-        "mtf_sagittal": [0.95, 0.5],
-    }
+    path = written("frequency_cyc_per_mm,mtf_tangential,mtf_sagittal", "10,0.9,0.95", "40,0.2,0.5")
+    table = read_mtf_table(path)
+    curves = {name: one.tolist() for name, one in table.curves.items()}
+    assert curves == {"mtf_tangential": [0.9, 0.2], "mtf_sagittal": [0.95, 0.5]}
     assert (table.lower, table.upper) == (None, None)
     # The curve that ends highest says what is not known.
     assert table.end_mtf == 0.5 and table.stops_early
@@ -83,11 +77,8 @@ def test_the_command_warns_of_a_table_above_1_and_of_one_that_stops_early(writte
         ((f"{F},mtf", "0,1", "0.2,-0.1"), "line 3: found mtf -0.1, expected 0 or more"),
         ((f"{F},mtf", "0,0.9", "0.2,0.1"), "line 2: found mtf 0.9 at frequency 0, expected 1: divide"),
         ((f"{F},mtf", "0,1", "0.2,1.02"), r"line 3: found mtf 1.02 at 0.2, expected at most 1 .*sharpened\?"),
-        (
-            (f"{F},mtf,mtf_lower,mtf_upper", "0,1,1,1", "0.2,0.5,0.6,0.7"),
-            "line 3: found mtf 0.5 outside of its band",
-        ),
-        ((f"{F},mtf,mtf_lower,mtf_upper", "0,1,1,1", "0.2,1.2,1.1,1.3"), r"expected at most 1 within .* of 0.1"),
+        ((f"{F},{BAND}", "0,1,1,1", "0.2,0.5,0.6,0.7"), "line 3: found mtf 0.5 outside of its band"),
+        ((f"{F},{BAND}", "0,1,1,1", "0.2,1.2,1.1,1.3"), r"expected at most 1 within .* of 0.1"),
     ],
 )
 def test_what_is_no_mtf_is_one_line(written, lines, message):
@@ -97,7 +88,7 @@ def test_what_is_no_mtf_is_one_line(written, lines, message):
 
 def test_above_1_within_the_error_or_where_it_may_be(written):
     assert read_mtf_table(written(f"{F},mtf", "0,1", "0.2,1.005")).curves["mtf"][1] == 1.005
-    within = written(f"{F},mtf,mtf_lower,mtf_upper", "0,1,1,1", "0.2,1.05,0.98,1.12")
+    within = written(f"{F},{BAND}", "0,1,1,1", "0.2,1.05,0.98,1.12")
     assert read_mtf_table(within).curves["mtf"][1] == 1.05
     sharpened = written(f"{F},mtf", "0,1", "0.2,1.3")
     assert read_mtf_table(sharpened, may_exceed_1=True).curves["mtf"][1] == 1.3

@@ -148,25 +148,14 @@ def test_error_of_a_slope_is_that_of_the_likelihood() -> None:
         return float((right * np.log(p) + (n - right) * np.log(1.0 - p)).sum())
 
     h = 1e-3
-    second = [(likelihood(h, 0) + likelihood(-h, 0) - 2 * likelihood(0, 0)) / h**2]
-    second += [(likelihood(0, h) + likelihood(0, -h) - 2 * likelihood(0, 0)) / h**2]
+    second = [(likelihood(x, y) + likelihood(-x, -y) - 2 * likelihood(0, 0)) / h**2 for x, y in ((h, 0), (0, h))]
     mixed = (likelihood(h, h) + likelihood(-h, -h) - likelihood(h, -h) - likelihood(-h, h)) / (4 * h**2)
     covariance = np.linalg.inv(-np.array([[second[0], mixed], [mixed, second[1]]]))
     sd = np.sqrt(np.diag(covariance))
     points = tuple(FitPoint(*one) for one in zip(levels, [n] * 6, right / n, strict=True))
-    fit = tod.Fit(
-        group={},
-        level="contrast",
-        status="ok",
-        threshold=1.0,
-        p_correct=0.75,
-        points=points,
-        alpha=halves(0.75) ** (-1.0 / beta),
-        beta=beta,
-        guess_rate=0.25,
-        lapse_rate=lapse,
-        n_trials=6 * n,
-    )
+    known = {"group": {}, "level": "contrast", "status": "ok", "threshold": 1.0, "p_correct": 0.75}
+    known |= {"beta": beta, "guess_rate": 0.25, "lapse_rate": lapse, "n_trials": 6 * n, "points": points}
+    fit = tod.Fit(**known, alpha=halves(0.75) ** (-1.0 / beta))
     # Second differences err by h² of the fourth derivative, 1e-5, and by rounding / h², 1e-8 of the largest term.
     slope_sd, correlation = _slope_error(fit)
     assert slope_sd == pytest.approx(sd[1], rel=1e-4)
@@ -192,13 +181,8 @@ def test_what_limits_is_the_change_of_range() -> None:
             assert at(other)[one.task] / one.range_km - 1.0 == pytest.approx(step * gain / 10.0, rel=0.02)
         assert one.limited_by == "resolution"
     assert acquired(air=tod.Atmosphere(extinction_per_km=5.0)).ranges[0].limited_by == "air"
-    faint = exponential(threshold=A_K * np.linspace(1.0, 1.5, 6))
-    assert (
-        acquired(faint, replace(NATO, delta_t_k=0.025), tod.Atmosphere(extinction_per_km=1e-3))
-        .ranges[0]
-        .limited_by
-        == "contrast"
-    )
+    faint, clear = exponential(threshold=A_K * np.linspace(1.0, 1.5, 6)), tod.Atmosphere(extinction_per_km=1e-3)
+    assert acquired(faint, replace(NATO, delta_t_k=0.025), clear).ranges[0].limited_by == "contrast"
 
 
 def test_band_is_that_of_the_curve_s_errors() -> None:
@@ -344,9 +328,8 @@ def test_range_of_a_design() -> None:
     found = aim.range_of(sizes, A_K * np.exp(B_MRAD / sizes), ["ok"] * 6, 0.75)
     assert found[:2] == ("ok", pytest.approx(3.0612, abs=1e-4))
     threshold = np.where(sizes > 0.9, A_K * np.exp(B_MRAD / sizes), np.nan)  # 1/S = 0.2 and 1 alone
-    short = aim.range_of(
-        sizes, threshold, ["never_reached" if math.isnan(one) else "ok" for one in threshold], 0.75
-    )
+    statuses = np.where(np.isnan(threshold), "never_reached", "ok").tolist()
+    short = aim.range_of(sizes, threshold, statuses, 0.75)
     assert short.status == "beyond_curve" and math.isnan(short.range_km)
     assert short.at_least_km == pytest.approx(2.3 / 3.0, rel=1e-12)
     assert aim.range_of(sizes, np.full(6, np.nan), ["never_reached"] * 6, 0.75).status == "too_few_sizes"
@@ -370,9 +353,8 @@ def test_range_of_a_design() -> None:
     ],
 )
 def test_probabilities_are_those_of_ret(line_pairs, time_s, n50, probability) -> None:
-    assert float(with_search(transfer_probability(line_pairs / n50), time_s)) == pytest.approx(
-        probability, rel=1e-12
-    )
+    found = with_search(transfer_probability(line_pairs / n50), time_s)
+    assert float(found) == pytest.approx(probability, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -562,14 +544,8 @@ def test_targets_that_are_none(changes, message) -> None:
     [
         ({"extinction_per_km": 200.0}, r"extinction_per_km: found 200\.0, expected a number from 0\.001 to 100"),
         ({"visibility_km": 23000.0}, r"visibility_km: found 23000\.0, expected a number from 0\.01 to 1000"),
-        (
-            {"range_km": (1.0, 5.0), "transmission": (0.5, 0.7)},
-            "grows from 0.5 at 1 km to 0.7 at 5 km, expected it",
-        ),
-        (
-            {"range_km": (1000.0, 5000.0), "transmission": (0.5, 0.3)},
-            r"range_km\[1\]: found 5000.0, expected a number > 0 and <= 1000",
-        ),
+        ({"range_km": (1.0, 5.0), "transmission": (0.5, 0.7)}, "grows from 0.5 at 1 km to 0.7 at 5 km, expected"),
+        ({"range_km": (1e3, 5e3), "transmission": (0.5, 0.3)}, r"range_km\[1\]: found 5000.0, .* > 0 and <= 1000"),
         ({"transmission": (0.5,)}, "range_km: is missing"),
         ({"visibility_km": 5.0, "relative_humidity": 0.5}, "air_temperature_c: is missing"),
         ({"visibility_km": 5.0, "extinction_per_km": 0.5}, "found 2 descriptions of the air, expected one"),
@@ -581,31 +557,30 @@ def test_airs_that_are_none(settings, message) -> None:
         tod.Atmosphere(**settings)
 
 
-def test_target_and_air_must_be_of_the_curve_s_kind() -> None:
-    visible = exponential(quantity="contrast")
-    with pytest.raises(tod.SettingsError, match="target: found a temperature difference, expected a contrast, as"):
-        acquired(visible)
-    with pytest.raises(tod.SettingsError, match="found visibility_km of daylight, expected air of the thermal"):
-        acquired(air=tod.Atmosphere(visibility_km=10.0))
-    humid = tod.Atmosphere(visibility_km=10.0, relative_humidity=0.5, air_temperature_c=15.0)
-    with pytest.raises(
-        tod.SettingsError, match="found relative_humidity of thermal bands, expected air of daylight"
-    ):
-        acquired(visible, tod.Target(size_m=2.3, contrast=0.3), humid)
-    with pytest.raises(tod.SettingsError, match=r"found a band of 0\.4 to 0\.7 µm, expected a thermal band"):
-        acquired(air=find_atmosphere("visible_23km"))
-    with pytest.raises(tod.SettingsError, match="found a band of 8 to 12 µm, expected reflected light"):
-        acquired(visible, tod.Target(size_m=2.3, contrast=0.3), find_atmosphere("lwir_5km"))
-    with pytest.raises(tod.SettingsError, match="k: is missing, and mrtd is a TOD; no public value exists"):
-        acquired(exponential(pattern="triangle"))
-    with pytest.raises(tod.SettingsError, match="search_time_s: is given but not used with a TOD"):
-        acquired(exponential(pattern="triangle"), replace(NATO, k={"seen": 3.0}, search_time_s=2.0))
+VISIBLE, TRIANGLES = exponential(quantity="contrast"), exponential(pattern="triangle")
+BRIGHT = tod.Target(size_m=2.3, contrast=0.3)
+HUMID = tod.Atmosphere(visibility_km=10.0, relative_humidity=0.5, air_temperature_c=15.0)
+
+
+@pytest.mark.parametrize(
+    ("curve", "target", "air", "message"),
+    [
+        (VISIBLE, NATO, BEER, "target: found a temperature difference, expected a contrast, as"),
+        (None, NATO, tod.Atmosphere(visibility_km=10.0), "found visibility_km of daylight, expected air of the"),
+        (VISIBLE, BRIGHT, HUMID, "found relative_humidity of thermal bands, expected air of daylight"),
+        (None, NATO, find_atmosphere("visible_23km"), r"found a band of 0\.4 to 0\.7 µm, expected a thermal band"),
+        (VISIBLE, BRIGHT, find_atmosphere("lwir_5km"), "found a band of 8 to 12 µm, expected reflected light"),
+        (TRIANGLES, NATO, BEER, "k: is missing, and mrtd is a TOD; no public value exists"),
+        (TRIANGLES, replace(NATO, k={"seen": 3.0}, search_time_s=2.0), BEER, "search_time_s: is given but not"),
+    ],
+)
+def test_target_and_air_must_be_of_the_curve_s_kind(curve, target, air, message) -> None:
+    with pytest.raises(tod.SettingsError, match=message):
+        acquired(curve, target, air)
 
 
 def test_a_target_that_is_smaller_than_the_finest_detail_at_any_range() -> None:
-    coarse = ThresholdCurve(
-        pattern="bars", quantity="delta_t_k", per_mrad=np.array([0.02, 0.05]), threshold=np.array([0.05, 0.1])
-    )
+    coarse = exponential([0.02, 0.05], threshold=np.array([0.05, 0.1]))
     with pytest.raises(tod.DataError, match=r"target of 0\.01 m is smaller than the curve's"):
         acquired(coarse, tod.Target(size_m=0.01, delta_t_k=2.0))
 
@@ -621,11 +596,7 @@ BAD_TABLES = [
         "frequency_cyc_per_mrad,mrtd_k,ci95_low,ci95_high\n1,0.05,0.06,0.07\n2,1,1,1\n",
         *(1, r"found the interval 0\.06 to 0\.07, expected it to hold 0\.05"),
     ),
-    (
-        "frequency_cyc_per_mrad,mrtd_k\n0.001,0.05\n0.005,0.1\n",
-        1,
-        r"found 0\.005 per mrad as the highest frequency",
-    ),
+    ("frequency_cyc_per_mrad,mrtd_k\n0.001,0.05\n0.005,0.1\n", 1, r"found 0\.005 per mrad as the highest freq"),
     ("frequency_cyc_per_mrad,mrtd_mk\n1,0.05\n3,0.4\n", 1, "found 5e-05 K as the lowest threshold.*in K, not mK"),
     ("size_mrad,delta_t_k\n900,0.05\n300,0.1\n", 1, r"as the highest inverse size, expected at least 0\.01"),
     ("frequency_cyc_per_mrad,mrc\n1,0.05\n4,0.1\n", 2, "target: found a temperature difference"),
@@ -647,10 +618,7 @@ def test_a_bad_table_is_one_line(text, status, message, tmp_path, air, capsys) -
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (
-            "schema = 1\n[atmosphere]\nextinction = 0.2\n",
-            "unknown key 'extinction'; the nearest valid one is 'ext",
-        ),
+        ("schema = 1\n[atmosphere]\nextinction = 0.2\n", "unknown key 'extinction'; the nearest valid one is"),
         ("schema = 1\n[atmosphere]\ntable = 'a.csv'\n", r"transmission: grows from 0\.5 at 1 km to 0\.7 at 5 km"),
         ("schema = 1\n[atmosphere]\ntable = '../a.csv'\n", "lies outside of"),
         ("schema = 1\n[target]\nsize_m = 1.0\n", "unknown key 'target'"),
@@ -664,24 +632,32 @@ def test_bad_files_of_air(text, message, tmp_path) -> None:
         find_atmosphere(tmp_path / "air.toml")
 
 
-def test_results_that_are_no_curve() -> None:
-    thermal = replace(NATO, k={"seen": 3.0})
-    with pytest.raises(tod.DataError, match=r"found thresholds in snr, expected one of .*netd_mk in the table"):
-        tod.acquisition_range(of_fits("snr"), target=thermal, atmosphere=BEER)
-    with pytest.raises(tod.DataError, match="found no column of sizes, expected one of object_size_mrad"):
-        tod.acquisition_range(
-            of_fits(column="distance_m"), target=thermal, atmosphere=BEER, group={"distance_m": "1"}
-        )
-    with pytest.raises(tod.DataError, match="found sizes in detectors but no detector pitch"):
-        tod.acquisition_range(of_fits(column="size_detectors"), target=DAYLIGHT, atmosphere=BEER)
+@pytest.mark.parametrize(
+    ("fits", "asked", "error", "message"),
+    [
+        ({"level": "snr"}, {}, tod.DataError, "found thresholds in snr, expected one of .*netd_mk in the table"),
+        (
+            {"column": "distance_m"},
+            {"group": {"distance_m": "1"}},
+            *(tod.DataError, "found no column of sizes, expected one of object_size_mrad"),
+        ),
+        ({"column": "size_detectors"}, {}, tod.DataError, "found sizes in detectors but no detector pitch"),
+        (
+            {"group": {"camera": "left"}},
+            {"group": {"camera": "right"}},
+            *(tod.SettingsError, "group: found 0 curves in .*, expected a choice of one: camera=left"),
+        ),
+        ({}, {"magnification": 2.0}, tod.SettingsError, "magnification: is given but not used"),
+    ],
+)
+def test_results_that_are_no_curve(fits, asked, error, message) -> None:
+    with pytest.raises(error, match=message):
+        tod.acquisition_range(of_fits(**fits), target=DAYLIGHT, atmosphere=BEER, **asked)
+
+
+def test_a_group_names_a_curve() -> None:
     of_camera = of_fits(group={"camera": "left"})
     assert tod.acquisition_range(of_camera, target=DAYLIGHT, atmosphere=BEER, group={"camera": "left"})
-    with pytest.raises(
-        tod.SettingsError, match=r"group: found 0 curves in .*, expected a choice of one: camera=left"
-    ):
-        tod.acquisition_range(of_camera, target=DAYLIGHT, atmosphere=BEER, group={"camera": "right"})
-    with pytest.raises(tod.SettingsError, match="magnification: is given but not used"):
-        tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER, magnification=2.0)
 
 
 def test_a_criterion_that_is_not_used_is_refused(table) -> None:

@@ -46,11 +46,7 @@ def anova(values):
             mean = effect.mean(axis, keepdims=True)
             effect = effect - mean if "tvh"[axis] in name else mean
         degrees[name] = math.prod(values.shape[AXES[one]] - 1 for one in name)
-        squares[name] = (
-            np.broadcast_to(effect, values.shape).ravel()
-            @ np.broadcast_to(effect, values.shape).ravel()
-            / degrees[name]
-        )
+        squares[name] = (np.broadcast_to(effect, values.shape) ** 2).sum() / degrees[name]
     return squares, degrees
 
 
@@ -143,10 +139,8 @@ def test_intervals_hold_the_truth(tmp_path, shape):
     n_seeds = 400
     held = dict.fromkeys([*PARTS, "dynamic", "fixed"], 0)
     sums = dict.fromkeys(held, 0.0)
-    true = sd | {
-        "dynamic": math.sqrt(sum(sd[one] ** 2 for one in ("tv", "th", "tvh"))),
-        "fixed": math.sqrt(sum(sd[one] ** 2 for one in ("v", "h", "vh"))),
-    }
+    together = {"dynamic": ("tv", "th", "tvh"), "fixed": ("v", "h", "vh")}
+    true = sd | {name: math.hypot(*(sd[one] for one in parts)) for name, parts in together.items()}
     for seed in range(n_seeds):
         noise = noise_of(tmp_path / "a.npy", 50 + cube(np.random.default_rng(seed), shape, sd))
         for name, part in (noise.parts | {"dynamic": noise.dynamic, "fixed": noise.fixed}).items():
@@ -259,6 +253,8 @@ def test_patches_give_the_signal_transfer(tmp_path, capsys):
     assert "SNR against the first" in out
     with pytest.raises(tod.SettingsError, match=r"patches: found levels \[5.0\], expected at least two different"):
         tod.noise(tmp_path / "a.npy", patches={(0, 0, 5, 5): 5.0, (5, 5, 5, 5): 5.0})
+    dark = tod.noise(np.full((3, 20, 20), 7.0), patches={(0, 0, 5, 5): 1.0, (5, 5, 5, 5): 2.0})
+    assert (dark.noise.signal_transfer.gain, dark.noise.signal_transfer.nonlinearity) == (0, 0)
 
 
 def page_of_patches(chart, scale, patches):
@@ -282,28 +278,15 @@ def page_of_patches(chart, scale, patches):
 @pytest.mark.parametrize("turn", [0, 1, 2])
 def test_the_patches_of_a_chart_are_found(tmp_path, turn):
     levels = (0.1, 0.3, 0.6, 0.8)
-    chart = Chart(
-        kind="print",
-        name="patches",
-        key=7,
-        distance_m=2.0,
-        page_width_mm=200.0,
-        page_height_mm=150.0,
-        markers=Markers.in_corners(width_mm=200, height_mm=150, module_mm=4, margin_mm=4),
-        pages=(
-            Page(
-                number=0,
-                triangles=(
-                    Triangle(orientation="up", size_mrad=5.0, size_mm=10.0, x_mm=100.0, y_mm=50.0, contrast=-0.5),
-                ),
-                patches=tuple(
-                    Patch(x_mm=60 + 25 * k, y_mm=100, width_mm=20, height_mm=16, reflectance=one)
-                    for k, one in enumerate(levels)
-                ),
-            ),
-        ),
-        polarity=-1,
+    up = Triangle(orientation="up", size_mrad=5.0, size_mm=10.0, x_mm=100.0, y_mm=50.0, contrast=-0.5)
+    patches = tuple(
+        Patch(x_mm=60 + 25 * k, y_mm=100, width_mm=20, height_mm=16, reflectance=one)
+        for k, one in enumerate(levels)
     )
+    markers = Markers.in_corners(width_mm=200, height_mm=150, module_mm=4, margin_mm=4)
+    sides = {"distance_m": 2.0, "page_width_mm": 200.0, "page_height_mm": 150.0, "polarity": -1}
+    pages = (Page(number=0, triangles=(up,), patches=patches),)
+    chart = Chart(kind="print", name="patches", key=7, markers=markers, pages=pages, **sides)
     write_chart(tmp_path / "chart.toml", chart)
     image = np.rot90(page_of_patches(chart, 3.0, [40 + 200 * one for one in levels]), turn)
     frames = image + np.random.default_rng(16).normal(0, 1, (5, *image.shape))

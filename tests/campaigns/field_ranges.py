@@ -86,14 +86,10 @@ def of_people(rng: np.random.Generator) -> list[Case]:
     k = 3.0
     target = tod.Target(size_m=SIZE_M, delta_t_k=DELTA_T_K, k={"seen": k})
     found = tod.acquisition_range(fitted, target=target, atmosphere=AIR, rng=rng).acquired.ranges
+    ln_ratios = [math.log(halves(one.probability) / halves(0.75)) / BETA for one in found]
     return [
-        (
-            one.probability,
-            true_range_km(k, math.log(halves(one.probability) / halves(0.75)) / BETA),
-            one.range_km or math.nan,
-            one.range_ci95_km or (None, None),
-        )
-        for one in found
+        (one.probability, true_range_km(k, ln_ratio), one.range_km or math.nan, one.range_ci95_km or (None, None))
+        for one, ln_ratio in zip(found, ln_ratios, strict=True)
     ]
 
 

@@ -44,7 +44,6 @@ LONG_PX, SHORT_PX = 120, 80
 
 CONTRAST = 0.6
 
-
 LOW = 12
 """Number of frequencies, up to 0.19 cycles/pixel, whose coverage is printed apart."""
 
@@ -160,7 +159,7 @@ def smooth_edge(rng: np.random.Generator) -> tuple[np.ndarray, str]:
     angle_deg = float(rng.uniform(2.0, 43.0) * rng.choice([-1, 1]) + 90 * rng.integers(4))
     optics = gaussian(rng.uniform(0.35, 2.5)) if rng.random() < 0.7 else diffraction(rng.uniform(0.4, 1.3))
     radius_px = math.inf if rng.random() < 0.5 else float(rng.uniform(3.0, 30.0)) * max(shape)
-    image = edge_image(shape, angle_deg, optics, low=0.2, high=0.8, radius_px=radius_px)
+    image = edge_image(shape, angle_deg, optics, radius_px=radius_px)
     kind = str(rng.choice(NOISES))
     sd = CONTRAST * float(rng.choice([0.002, 0.01, 0.02, 0.05, 0.1]))
     noise = rng.normal(0.0, sd, shape)
@@ -182,10 +181,8 @@ def smooth_edge(rng: np.random.Generator) -> tuple[np.ndarray, str]:
         image = image + noise
     if kind == "8 bits":
         image = np.round(60.0 * image) / 60.0
-    return (
-        image,
-        f"{shape[1]} x {shape[0]}, {angle_deg:.1f}°, {kind}, noise {sd / CONTRAST:g}, radius {radius_px:.0f}",
-    )
+    name = f"{shape[1]} x {shape[0]}, {angle_deg:.1f}°, {kind}, noise {sd / CONTRAST:g}, radius {radius_px:.0f}"
+    return image, name
 
 
 def torn_edge(rng: np.random.Generator) -> tuple[np.ndarray, str]:
@@ -204,14 +201,8 @@ def torn_edge(rng: np.random.Generator) -> tuple[np.ndarray, str]:
         "rough": lambda s: np.interp(s, places, rough / rough.std()),
         "sawtooth": lambda s: (s / period + phase) % 1.0,
     }
-    image = edge_image(
-        shape,
-        angle_deg,
-        gaussian(rng.uniform(0.4, 1.5)),
-        low=0.2,
-        high=0.8,
-        displaced_px=lambda s: height_px * ways[kind](s),
-    )
+    optics = gaussian(rng.uniform(0.4, 1.5))
+    image = edge_image(shape, angle_deg, optics, displaced_px=lambda s: height_px * ways[kind](s))
     noise = float(rng.choice([0.0, 0.002, 0.02, 0.05, 0.1]))
     name = f"{shape[1]} x {shape[0]}, {angle_deg:.1f}°, {kind} of {height_px:.2f} px, period {period:.1f}, "
     return image + rng.normal(0.0, noise * CONTRAST, shape), f"{name}noise {noise:g}"
