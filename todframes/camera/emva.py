@@ -13,6 +13,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from msgspec import Struct, structs
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, argument
-from todframes.camera.emva_xml import EmvaCamera
+from todframes.camera.emva_xml import LEAVES, EmvaCamera
 from todframes.camera.noise3d import (
     DRIFT_ERRORS,
     MOST_SATURATED,
@@ -336,34 +337,15 @@ class EmvaNumbers(Struct, frozen=True, kw_only=True):
 
     def xml_values(self) -> dict[str, float | int | None]:
         """Return the results by the names of EMVA's XML, in its units."""
-        efficiency = self.quantum_efficiency
-        least, most = self.linearity_percent or (None, None)
-        values = {
-            "bits": self.bits,
-            "exposure": self.exposure_ms,
-            "QE": None if efficiency is None else 100.0 * efficiency,
-            "R": self.responsivity,
-            "K": self.system_gain,
-            "inverse_K": 1.0 / self.system_gain,
-            "sigma_y_dark": self.dark_noise_dn,
-            "sigma_d": self.dark_noise,
-            "u_p_min": self.sensitivity_threshold,
-            "u_p_sat": self.saturation_photons,
-            "u_e_sat": self.saturation_electrons,
-            "LE_min": least,
-            "LE_max": most,
-            "DSNU1288": self.dsnu,
-            "DSNU1288_DN": self.dsnu * self.system_gain,
-            "PRNU1288": self.prnu,
-            "u_I_mean": self.dark_current,
-            "u_I_var": self.dark_current_from_variance,
-        }
+        values: dict[str, float | int | None] = {one.name: attrgetter(one.key)(self) for one in LEAVES if one.key}
+        values |= {"inverse_K": 1.0 / self.system_gain, "DSNU1288_DN": self.dsnu * self.system_gain}
+        if self.quantum_efficiency is not None:
+            values["QE"] = 100.0 * self.quantum_efficiency
+        if self.linearity_percent is not None:
+            values["LE_min"], values["LE_max"] = self.linearity_percent
         for name, ratio in (("SNR_max", self.snr_max), ("DR", self.dynamic_range)):
             if ratio is not None:
-                values |= {name: ratio, f"{name}_dB": 20.0 * math.log10(ratio), f"{name}_bit": math.log2(ratio)}
-        for end, stack in (("", self.bright), ("_dark", self.dark)):
-            values[f"sigma_2_y_stack{end}"] = stack.temporal_stack
-            values |= {f"s_2_y_measured{end}": stack.spatial_measured, f"s_2_y{end}": stack.spatial}
+                values |= {f"{name}_dB": 20.0 * math.log10(ratio), f"{name}_bit": math.log2(ratio)}
         return values
 
 

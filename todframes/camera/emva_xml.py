@@ -29,13 +29,14 @@ MAX_XML_MB = 16
 
 
 class Leaf(NamedTuple):
-    """A quantity of a result: its section and name, unit, symbol and meaning."""
+    """A quantity of a result: its section and name, unit, symbol and meaning, and its key in `EmvaNumbers`."""
 
     section: str
     name: str
     unit: str
     symbol: str
     meaning: str
+    key: str
 
 
 with Path(__file__).with_name("emva_results.csv").open(encoding="utf-8", newline="") as _file:
@@ -82,7 +83,7 @@ def emva_xml(values: Mapping[str, float | int | None]) -> bytes:
     """
     root = ElementTree.Element("results")
     sections = {name: ElementTree.SubElement(root, name) for name in dict.fromkeys(one.section for one in LEAVES)}
-    for section, name, unit, symbol, meaning in LEAVES:
+    for section, name, unit, symbol, meaning, _ in LEAVES:
         value = RELEASE if name == "release" else values.get(name)
         if value is None:
             continue
