@@ -486,27 +486,26 @@ def _farthest_km(made: Acquisition) -> float:
 
 def _check_kind(curve: ThresholdCurve, target: Target, atmosphere: Atmosphere) -> None:
     words = {"delta_t_k": "a temperature difference", "contrast": "a contrast"}
+    is_thermal = curve.quantity == "delta_t_k"
     if curve.quantity != target.quantity:
         raise SettingsError(
             f"target: found {words[target.quantity]}, expected {words[curve.quantity]}, as the thresholds of "
             f"{curve.name} are"
         )
-    if atmosphere.band_um is not None:
-        low, high = atmosphere.band_um
-        if (high < LEAST_THERMAL_UM) if curve.quantity == "delta_t_k" else (low >= LEAST_THERMAL_UM):
-            plural = {"delta_t_k": "temperature differences", "contrast": "contrasts"}
-            kind = "a thermal band" if curve.quantity == "delta_t_k" else "reflected light"
-            raise SettingsError(
-                f"atmosphere: found a band of {low:g} to {high:g} µm, expected {kind}, as the thresholds of "
-                f"{curve.name} are {plural[curve.quantity]}"
-            )
-    if curve.quantity == "delta_t_k" and atmosphere.is_daylight:
+    low, high = atmosphere.band_um or (LEAST_THERMAL_UM, LEAST_THERMAL_UM)
+    if atmosphere.band_um is not None and ((high < LEAST_THERMAL_UM) if is_thermal else (low >= LEAST_THERMAL_UM)):
+        kind = "a thermal band" if is_thermal else "reflected light"
+        raise SettingsError(
+            f"atmosphere: found a band of {low:g} to {high:g} µm, expected {kind}, as the thresholds of "
+            f"{curve.name} are {'temperature differences' if is_thermal else 'contrasts'}"
+        )
+    if is_thermal and atmosphere.is_daylight:
         key = "sky_to_ground_ratio" if atmosphere.sky_to_ground_ratio is not None else "visibility_km"
         hint = "" if key.startswith("sky") else "; give relative_humidity and air_temperature_c too, or a table"
         raise SettingsError(
             f"atmosphere: found {key} of daylight, expected air of the thermal band of {curve.name}{hint}"
         )
-    if curve.quantity == "contrast" and atmosphere.is_humidity_form:
+    if not is_thermal and atmosphere.is_humidity_form:
         raise SettingsError(
             f"atmosphere: found relative_humidity of thermal bands, expected air of daylight for {curve.name}"
         )

@@ -15,6 +15,7 @@ from todframes.base.errors import DataError
 from todframes.base.reading import check_columns, read_table
 from todframes.field.target import Quantity
 from todframes.psychometrics.bootstrap import NORMAL_95
+from todframes.psychometrics.weibull import weibull_level
 
 Pattern = Literal["triangle", "bars"]
 
@@ -79,10 +80,13 @@ class Psychometric(NamedTuple):
 
         It is `UNREACHED` from the ceiling on.
         """
-        levels = [_halves(p, self.guess_rate, self.lapse_rate) for p in (p_correct, self.p_correct)]
+        asked, known = (self._halves(p, self.lapse_rate) for p in (p_correct, self.p_correct))
         with np.errstate(divide="ignore"):
-            found = np.log(levels[0] / levels[1]) / beta
-        return np.minimum(found, UNREACHED)
+            return np.minimum(np.log(asked / known) / beta, UNREACHED)
+
+    def _halves(self, p_correct: float, lapse_rate: FloatArray) -> FloatArray:
+        """Return (x/α)^β at a proportion correct: 0 at the guess rate, infinity from the ceiling on."""
+        return weibull_level(p_correct, alpha=1.0, beta=1.0, guess_rate=self.guess_rate, lapse_rate=lapse_rate)
 
     def probability(self, ln_ratio: FloatArray, beta: FloatArray, weights: FloatArray) -> FloatArray:
         """Compute the proportion correct at ln(contrast / threshold), shape (..., m), for β of shape (..., n).
@@ -90,17 +94,10 @@ class Psychometric(NamedTuple):
         `weights`, shape (n, m), are those of the n points at each of the m places between them.
         """
         slope, lapse = np.exp(np.log(beta) @ weights), self.lapse_rate @ weights
-        halves = _halves(self.p_correct, self.guess_rate, lapse)
+        halves = self._halves(self.p_correct, lapse)
         with np.errstate(over="ignore"):
             exponent = halves * np.exp(np.minimum(slope * ln_ratio, UNREACHED))
         return np.asarray((1.0 - lapse) - (1.0 - lapse - self.guess_rate) * np.exp2(-exponent))
-
-
-def _halves(p_correct: float, guess_rate: float, lapse_rate: FloatArray) -> FloatArray:
-    """Return (x/α)^β at a proportion correct: 0 at the guess rate, infinity from the ceiling on."""
-    span = 1.0 - lapse_rate - guess_rate
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log2(span / np.clip(1.0 - lapse_rate - p_correct, 0.0, span)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

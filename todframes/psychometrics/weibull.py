@@ -39,7 +39,7 @@ def weibull(
 
 
 def weibull_level(
-    p_correct: ArrayLike, *, alpha: float, beta: float, guess_rate: float, lapse_rate: float
+    p_correct: ArrayLike, *, alpha: float, beta: float, guess_rate: float, lapse_rate: float | FloatArray
 ) -> FloatArray:
     """Return the level of a raw proportion correct, the inverse of `weibull`: 0 up to γ, inf from 1 − δ on."""
     span = 1 - lapse_rate - guess_rate
