@@ -14,7 +14,7 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.charts.design import Design
 from todframes.charts.layout import CHART_FILE, Chart, Screen
 from todframes.charts.print import Paper, make_print_chart
-from todframes.charts.screen import design_screen_chart, write_screen_chart
+from todframes.charts.screen import make_screen_chart
 from todframes.charts.thermal import Plate, make_thermal_chart
 from todframes.display.display import Display, Luminance, LuminanceTable
 from todframes.display.display_files import find_display
@@ -248,18 +248,16 @@ def _screen(design: Design, settings: Mapping[str, Any], folder: Path, progress:
     markers = convert(table.pop("markers", "borders"), MarkerPlaces, "screen: markers")
     camera_page = convert(table.pop("camera_page", False), bool, "screen: camera_page")
     white = convert(table["white_luminance_cd_m2"], Luminance, "screen: white_luminance_cd_m2")
-    assert isinstance(white, float) and isinstance(marker_mm, float | None)
-    table.setdefault("background_luminance_cd_m2", BACKGROUND_SHARE * white)
-    screen = from_table(table, Screen, "screen")
-    made = design_screen_chart(
+    table.setdefault("background_luminance_cd_m2", BACKGROUND_SHARE * cast("float", white))
+    return make_screen_chart(
         design,
-        screen,
-        marker_mm=marker_mm,
+        from_table(table, Screen, "screen"),
+        folder,
+        progress,
+        marker_mm=cast("float | None", marker_mm),
         markers=cast("MarkerPlaces", markers),
         camera_page=cast("bool", camera_page),
     )
-    write_screen_chart(folder, made, progress=progress)
-    return made.chart
 
 
 def _of_display(name: str) -> dict[str, Any]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import base64
 import html
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,37 +66,24 @@ class DrawnCameraPage(NamedTuple):
     patch_codes: list[int]
 
 
-@dataclass(frozen=True, slots=True)
-class ScreenChart:
-    """A chart for a monitor, ready to be drawn: its description, and the triangle of each page.
-
-    `order` has None for the page by which a camera is measured.
-    """
-
-    chart: Chart
-    order: tuple[Condition | None, ...]
-    drawn: dict[Condition, DrawnTriangle]
-    background_code: int
-    camera: DrawnCameraPage | None = None
-
-    def page_codes(self) -> Iterator[NDArray[np.uint16]]:
-        """Yield the code values of each page, shape (rows, columns)."""
-        screen, markers = self.chart.screen, self.chart.markers
-        assert screen is not None and markers is not None
-        module_px = round(markers.side_mm / screen.pixel_pitch_mm / MODULES)
-        for page, condition in zip(self.chart.pages, self.order, strict=True):
-            codes = np.full((screen.height_px, screen.width_px), self.background_code, np.uint16)
-            for bits, centre_mm in self.chart.drawn_markers(page):
-                with_white = np.pad(bits, 1, constant_values=True)
-                modules = np.where(with_white, 2**screen.bits - 1, 0).astype(np.uint16)
-                drawn = np.kron(modules, np.ones((module_px, module_px), np.uint16))
-                _put(codes, drawn, *(centre_mm / screen.pixel_pitch_mm))
-            if condition is None:
-                assert self.camera is not None
-                _put_camera(codes, self.camera, screen.pixel_pitch_mm)
-            else:
-                _put(codes, self.drawn[condition].code, screen.width_px / 2.0, screen.height_px / 2.0)
-            yield codes
+def _page_codes(
+    chart: Chart, screen: Screen, background_code: int, contents: Sequence[NDArray[np.uint16] | DrawnCameraPage]
+) -> Iterator[NDArray[np.uint16]]:
+    """Yield the code values of each page, shape (rows, columns), given a triangle or another content for each."""
+    assert chart.markers is not None
+    pitch_mm = screen.pixel_pitch_mm
+    module = np.ones([round(chart.markers.side_mm / pitch_mm / MODULES)] * 2, np.uint16)
+    for page, content in zip(chart.pages, contents, strict=True):
+        codes = np.full((screen.height_px, screen.width_px), background_code, np.uint16)
+        for bits, centre_mm in chart.drawn_markers(page):
+            with_white = np.pad(bits, 1, constant_values=True)
+            modules = np.where(with_white, 2**screen.bits - 1, 0).astype(np.uint16)
+            _put(codes, np.kron(modules, module), *(centre_mm / pitch_mm))
+        if isinstance(content, DrawnCameraPage):
+            _put_camera(codes, content, pitch_mm)
+        else:
+            _put(codes, content, screen.width_px / 2.0, screen.height_px / 2.0)
+        yield codes
 
 
 def _put(codes: NDArray[np.uint16], patch: NDArray[np.uint16], x_edge_px: float, y_edge_px: float) -> None:
@@ -109,7 +96,7 @@ def _put(codes: NDArray[np.uint16], patch: NDArray[np.uint16], x_edge_px: float,
 def _put_camera(codes: NDArray[np.uint16], camera: DrawnCameraPage, pitch_mm: float) -> None:
     """Write the wedge and the slanted square into a page; pixels whose centre is in the square belong to it."""
     for patch_mm, code in zip(camera.content.patches_mm, camera.patch_codes, strict=True):
-        left, top, width, height = (round(one / pitch_mm) for one in patch_mm)
+        left, top, width, height = (round(length_mm / pitch_mm) for length_mm in patch_mm)
         codes[top : top + height, left : left + width] = code
     y, x = ((np.arange(n) + 0.5) * pitch_mm for n in codes.shape)
     inside = np.ones(codes.shape, bool)
@@ -119,21 +106,23 @@ def _put_camera(codes: NDArray[np.uint16], camera: DrawnCameraPage, pitch_mm: fl
     codes[inside] = camera.square_code
 
 
-def design_screen_chart(
+def make_screen_chart(
     design: Design,
     screen: Screen,
+    folder: Path,
+    progress: Progress | None,
     *,
-    marker_mm: float | None = None,
-    markers: MarkerPlaces = "borders",
-    camera_page: bool = False,
-) -> ScreenChart:
-    """Lay out a chart for a monitor: one triangle in the middle of each page, in blocks of random order.
+    marker_mm: float | None,
+    markers: MarkerPlaces,
+    camera_page: bool,
+) -> Chart:
+    """Lay out a chart for a monitor, and write it into an empty folder.
 
-    The background luminance of the screen is replaced by that of the nearest code value, and the side of the
-    markers is rounded to whole pixels a module; `MARKER_SHARE` has the default. With "borders" there are markers
-    along the borders too, not in the corners alone. With `camera_page` the first page has slanted edges and a grey
-    wedge. Raises SettingsError if the monitor cannot show a size or a contrast, or there is no place for the
-    markers.
+    Each page has one triangle in its middle; they are in blocks of random order. The background luminance of the
+    screen is replaced by that of the nearest code value, and the side of the markers is rounded to whole pixels a
+    module; `MARKER_SHARE` has the default. With "borders" there are markers along the borders too, not in the
+    corners alone. With `camera_page` the first page has slanted edges and a grey wedge. Raises SettingsError if
+    the monitor cannot show a size or a contrast, or there is no place for the markers.
     """
     luminance_of_code = _luminance_of_code(screen)
     background_code = int(np.argmin(np.abs(luminance_of_code - screen.background_luminance_cd_m2)))
@@ -166,23 +155,24 @@ def design_screen_chart(
         condition: _drawn(condition, design, screen, luminance_of_code, background_code)
         for condition in design.conditions
     }
-    order: list[Condition | None] = [None] if camera_page else []
-    order += [condition for block in design.blocks() for condition in block]
-    camera = _camera_page(laid, luminance_of_code, background_code, pitch_mm) if camera_page else None
+    order = [condition for block in design.blocks() for condition in block]
+    contents: list[NDArray[np.uint16] | DrawnCameraPage] = [drawn[condition].code for condition in order]
     pages = []
-    for number, condition in enumerate(order):
-        file = f"pages/{number:0{max(4, len(str(len(order) - 1)))}d}.png"
-        if condition is not None:
-            triangle = _triangle(condition, design, drawn, x_mm=width_mm / 2.0, y_mm=height_mm / 2.0)
-            pages.append(
-                Page(number=number, file=file, borders=borders[condition.size_mrad], triangles=(triangle,))
-            )
-        elif camera is not None:
-            luminances = luminance_of_code[camera.patch_codes].tolist()
-            patches = grey_patches(camera.content.patches_mm, luminances, "luminance_cd_m2")
-            pages.append(Page(number=number, file=file, edges=camera.content.edges, patches=patches))
+    if camera_page:
+        camera = _camera_page(laid, luminance_of_code, background_code, pitch_mm)
+        contents.insert(0, camera)
+        luminances = luminance_of_code[camera.patch_codes].tolist()
+        patches = grey_patches(camera.content.patches_mm, luminances, "luminance_cd_m2")
+        pages.append(Page(number=0, file="pages/0000.png", edges=camera.content.edges, patches=patches))
+    digits = max(4, len(str(len(contents) - 1)))
+    for number, condition in enumerate(order, len(pages)):
+        triangle = _triangle(condition, design, drawn, x_mm=width_mm / 2.0, y_mm=height_mm / 2.0)
+        file, shown = f"pages/{number:0{digits}d}.png", borders[condition.size_mrad]
+        pages.append(Page(number=number, file=file, borders=shown, triangles=(triangle,)))
     chart = design.chart("screen", width_mm, height_mm, pages, screen=screen, markers=laid)
-    return ScreenChart(chart, tuple(order), drawn, background_code, camera)
+    codes = _page_codes(chart, screen, background_code, contents)
+    _write(folder, chart, screen, codes, f"{background_code * 255 / (2**screen.bits - 1):.0f}", progress)
+    return chart
 
 
 def _camera_page(
@@ -286,7 +276,14 @@ def _triangle(
     return design.triangle(condition, x_mm=x_mm, y_mm=y_mm, contrast=contrast, dithered=alike[0].is_dithered)
 
 
-def write_screen_chart(folder: Path, made: ScreenChart, *, progress: Progress | None = None) -> None:
+def _write(
+    folder: Path,
+    chart: Chart,
+    screen: Screen,
+    page_codes: Iterable[NDArray[np.uint16]],
+    grey: str,
+    progress: Progress | None,
+) -> None:
     """Write `chart.toml`, the pages as PNG files and the player into an existing, empty folder.
 
     The PNG files have one channel. 8-bit code values are stored as they are; of 10 bits, code · 65535 / 1023,
@@ -295,31 +292,8 @@ def write_screen_chart(folder: Path, made: ScreenChart, *, progress: Progress | 
     """
     import cv2
 
-    screen = made.chart.screen
-    assert screen is not None
-    write_chart(folder / CHART_FILE, made.chart)
+    write_chart(folder / CHART_FILE, chart)
     (folder / "pages").mkdir()
-    head, foot = _player(made)
-    white = 2**screen.bits - 1
-    with (folder / PLAYER).open("w", encoding="utf-8") as player:
-        player.write(head)
-        pages = made.chart.pages
-        for page, codes in counted(zip(pages, made.page_codes(), strict=True), len(pages), progress):
-            stored = (
-                codes.astype(np.uint8) if screen.bits == 8 else np.rint(codes * (65535 / white)).astype(np.uint16)
-            )
-            _, png = cv2.imencode(".png", stored, [cv2.IMWRITE_PNG_COMPRESSION, 6])
-            assert page.file is not None
-            (folder / page.file).write_bytes(png.tobytes())
-            player.write(f'"{base64.b64encode(png.tobytes()).decode()}",\n')
-        player.write(foot)
-
-
-def _player(made: ScreenChart) -> tuple[str, str]:
-    """Return the parts of the player before and after its list of pages."""
-    screen = made.chart.screen
-    assert screen is not None
-    grey = round(made.background_code * 255 / (2**screen.bits - 1))
     settings = {
         "width_px": screen.width_px,
         "height_px": screen.height_px,
@@ -329,5 +303,14 @@ def _player(made: ScreenChart) -> tuple[str, str]:
     }
     template = resources.files("todframes.charts").joinpath("templates", "player.html")
     head, _, foot = template.read_text(encoding="utf-8").partition("{{ pages }}")
-    head = head.replace("{{ settings }}", json.dumps(settings)).replace("{{ name }}", html.escape(made.chart.name))
-    return head, foot
+    head = head.replace("{{ settings }}", json.dumps(settings)).replace("{{ name }}", html.escape(chart.name))
+    dtype, scale = (np.uint8, 1.0) if screen.bits == 8 else (np.uint16, 65535 / (2**screen.bits - 1))
+    with (folder / PLAYER).open("w", encoding="utf-8") as player:
+        player.write(head)
+        for page, codes in counted(zip(chart.pages, page_codes, strict=True), len(chart.pages), progress):
+            stored: NDArray[Any] = np.rint(codes * scale).astype(dtype)
+            png = cv2.imencode(".png", stored, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes()
+            assert page.file is not None
+            (folder / page.file).write_bytes(png)
+            player.write(f'"{base64.b64encode(png).decode()}",\n')
+        player.write(foot)
