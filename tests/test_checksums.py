@@ -13,9 +13,9 @@ import pytest
 
 from todframes.base import output
 from todframes.base.errors import DataError
-from todframes.frames import checksums
-from todframes.frames.checksums import write_sha256
+from todframes.frames import dataset_files
 from todframes.frames.dataset import dataset_warnings, load_dataset
+from todframes.frames.dataset_files import write_sha256
 from todframes.frames.files import read_frame, write_frame
 
 ROOT = Path(__file__).parent.parent
@@ -160,7 +160,10 @@ def test_manifest_that_cannot_be_written(make_dataset, todframes, monkeypatch) -
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    for broken in ((output, "write_files", full), (checksums.os, "access", lambda _, mode: not mode & os.W_OK)):
+    for broken in (
+        (output, "write_files", full),
+        (dataset_files.os, "access", lambda _, mode: not mode & os.W_OK),
+    ):
         with monkeypatch.context() as patch:
             patch.setattr(*broken)
             status, _, err = todframes("validate", made.path, "--add-sha256")

@@ -18,7 +18,6 @@ import pytest
 
 from todframes.base.errors import FrameError, OutputError, SettingsError
 from todframes.base.safe_text import in_utf8
-from todframes.frames.contrast import _extremes
 from todframes.frames.files import FrameFile, frame_sha256, read_frame, write_frame
 
 HEIGHT, WIDTH = 40, 24
@@ -915,14 +914,3 @@ def test_damaged_files_give_a_frame_or_an_error(tmp_path):
     n_read, n_refused = map(int, run_python(script, cwd=tmp_path).split())
     assert n_read > 0
     assert n_refused > n_read
-
-
-@pytest.mark.parametrize("pixel_type", [np.float16, np.float32, np.uint8, np.uint16])
-@pytest.mark.parametrize("sign", [-1, 0, 1])
-def test_extremes_are_those_of_sorted_values(pixel_type, sign) -> None:
-    """Values that are all negative, of both signs, and all positive; each channel has its own."""
-    values = np.random.default_rng(sign + 1).uniform(-1.0, 1.0, (9, 7, 3))
-    values = sign * np.abs(values) if sign else values
-    stored = (100.0 * (np.abs(values) if np.issubdtype(pixel_type, np.integer) else values)).astype(pixel_type)
-    ordered = np.sort(stored.reshape(-1, 3), axis=0)
-    assert np.array_equal(_extremes(stored), ordered[[0, -1]])

@@ -26,8 +26,8 @@ from todframes.base import remote
 from todframes.base.errors import DataError, FrameError, OutputError, RemoteError, SettingsError
 from todframes.base.remote import RemotePath, location
 from todframes.cli.main import cli
-from todframes.frames.checksums import write_sha256
 from todframes.frames.dataset import FrameReference, dataset_warnings, load_dataset
+from todframes.frames.dataset_files import write_sha256
 from todframes.frames.files import FrameFile, frame_sha256, write_frame
 
 fsspec = pytest.importorskip("fsspec", reason="URLs are read by fsspec")

@@ -113,12 +113,8 @@ def _photographs(name: str) -> list[Path]:
 
 def _of_folder(folder: Path, max_frame_mb: int, note: Callable[[str], None] | None) -> list[Recording]:
     """Open each recording of a folder; files of other kinds are left out."""
-    try:
-        files = files_in(folder)
-    except OSError as error:
-        raise DataError(f"{folder}: cannot be read: {error.strerror}") from None
     found, others = [], []
-    for path in files:
+    for path in files_in(folder):
         try:
             found.append(_opened(path, max_frame_mb))
         except NoReaderError:

@@ -154,18 +154,18 @@ def check_pixels(file: FrameSource, display: Display, frame: FrameReference, tri
     with _data_errors_of(file):
         for band in file.bands():
             begin, end = band.first_row, band.first_row + len(band.stored)
-            values = band.stored
-            found.add(display.luminance(code_values(_extremes(values)[:, None])))
+            code = band.values
+            found.add(display.luminance(np.stack([code.min(axis=(0, 1)), code.max(axis=(0, 1))])[:, None]))
             if rule == "border":
-                ring = border_values(values, top=begin == first_row, bottom=end == stop_row)
-                found.average(display.luminance(code_values(ring[None])))
+                ring = border_values(code, top=begin == first_row, bottom=end == stop_row)
+                found.average(display.luminance(ring[None]))
             elif rule == "frame_mean":
-                found.average(display.luminance(code_values(values)))
+                found.average(display.luminance(code))
             elif rule == "surround":
                 rows = _shared((begin, end), window.rows)
                 left, right = (at - band.first_column for at in window.columns)
-                part = values[rows[0] - begin : rows[1] - begin, left:right]
-                surround.add(display.luminance(code_values(part)), rows[0], window.columns[0])
+                part = code[rows[0] - begin : rows[1] - begin, left:right]
+                surround.add(display.luminance(part), rows[0], window.columns[0])
         check_contrast(
             found.largest, surround.surface() if rule == "surround" else _background(rule, found, frame)
         )
@@ -180,22 +180,6 @@ def _data_errors_of(file: FrameSource) -> Iterator[None]:
         raise
     except DataError as error:
         raise FrameError(file.path, str(error)) from None
-
-
-def _extremes(stored: NDArray[Any]) -> NDArray[Any]:
-    """Return the smallest and the largest finite value of each channel, (2, channels).
-
-    Half floats are compared as integers, in a hundredth of the time: their bits ascend with the value, and
-    descend where the sign bit is set.
-    """
-    if stored.dtype != np.float16:
-        return np.stack([stored.min(axis=(0, 1)), stored.max(axis=(0, 1))])
-    signed, unsigned = stored.view(np.int16), stored.view(np.uint16)
-    (least, most), (near, far) = (
-        (bits.min(axis=(0, 1)), bits.max(axis=(0, 1))) for bits in (signed, unsigned)
-    )  # the nearest to zero of negative values, and the farthest
-    ends = np.where(least < 0, far, least.view(np.uint16)), np.where(most < 0, near, most.view(np.uint16))
-    return np.stack(ends).view(np.float16)
 
 
 class LuminanceFound:

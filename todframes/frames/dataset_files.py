@@ -1,13 +1,20 @@
-"""Writing of a dataset: `manifest.csv` and `dataset.toml` beside frames."""
+"""Writing of a dataset: `manifest.csv` and `dataset.toml` beside frames, and checksums into its manifest."""
 
 from __future__ import annotations
 
+import csv
+import io
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from todframes.base.errors import DataError, OutputError
 from todframes.base.reading import toml_text
+from todframes.base.remote import RemotePath
 from todframes.base.safe_text import FORMULA_STARTS, csv_text, in_utf8
-from todframes.frames.dataset import MANIFEST_FILE, SCHEMA, SETTINGS_FILE, Experiment
+from todframes.frames.dataset import MANIFEST_FILE, SCHEMA, SETTINGS_FILE, Dataset, Experiment
+
+BYTE_ORDER_MARK = "\ufeff"
 
 
 def write_dataset_files(
@@ -37,3 +44,62 @@ def write_dataset_files(
     content = {"schema": SCHEMA, "display": display, "experiment": of_experiment}
     (folder / SETTINGS_FILE).write_text(in_utf8(toml_text(content, comment=comment)), encoding="utf-8")
     return n_rows
+
+
+def check_writable(dataset: Dataset) -> None:
+    """Raise OutputError if the manifest cannot be replaced: it is behind a URL, or its folder is not writable."""
+    path = _manifest(dataset)
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{path}: cannot be written (its folder is not writable)")
+
+
+def write_sha256(dataset: Dataset, sha256_of: Mapping[str, str]) -> None:
+    """Write checksums into the empty `sha256` fields of the manifest, of each frame by its path there.
+
+    The file is replaced whole or not at all. All other fields, the order of rows and columns and the line ends
+    stay as they are. A manifest without a column `sha256` gets it as its last column. Raises DataError if the
+    manifest has changed since the dataset was loaded, and OutputError if it cannot be written.
+    """
+    if not sha256_of:
+        return
+    from todframes.base.output import write_file
+
+    path = _manifest(dataset)
+    try:
+        text = path.read_bytes().decode()
+        content = _filled(text, sha256_of)
+    except (OSError, ValueError, LookupError, csv.Error):
+        raise DataError(
+            f"{path}: was changed while its frames were checked, nothing was written; try again"
+        ) from None
+    write_file(path, content.encode())
+
+
+def _manifest(dataset: Dataset) -> Path:
+    """Return the path of the manifest, with symbolic links resolved; OutputError if it is behind a URL."""
+    if isinstance(dataset.path, RemotePath):
+        raise OutputError(
+            f"{dataset.path / 'manifest.csv'}: cannot be written, it is behind a URL; add the checksums to the "
+            "manifest of a local copy, and upload that"
+        )
+    return Path(os.path.realpath(dataset.path / MANIFEST_FILE))
+
+
+def _filled(text: str, sha256_of: Mapping[str, str]) -> str:
+    """Return a manifest's text with its empty `sha256` fields filled; LookupError if a frame has no checksum."""
+    mark = BYTE_ORDER_MARK if text.startswith(BYTE_ORDER_MARK) else ""
+    header, *rows = csv.reader(io.StringIO(text.removeprefix(mark), newline=""), strict=True)
+    names = [name.strip() for name in header]
+    if "sha256" not in names:
+        for row in filter(None, [header, *rows]):  # an empty line stays empty
+            row.append("")
+        header[-1] = "sha256"
+        names.append("sha256")
+    at_frame, at_sha256 = names.index("frame"), names.index("sha256")
+    for row in filter(None, rows):
+        if not row[at_sha256].strip():
+            row[at_sha256] = sha256_of[row[at_frame].strip()]
+    filled = io.StringIO()
+    writer = csv.writer(filled, lineterminator="\r\n" if text.partition("\n")[0].endswith("\r") else "\n")
+    writer.writerows([header, *rows])
+    return mark + filled.getvalue()

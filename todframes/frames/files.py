@@ -20,16 +20,13 @@ import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import ArrayLike, NDArray
 
-from todframes.base.errors import FrameError, OutputError, RemoteError, SettingsError, argument
+from todframes.base.errors import FrameError, OutputError, SettingsError, TodframesError, argument
 from todframes.base.remote import Location, RemotePath, local_file, location
 from todframes.parameters import MAX_FRAME_MB, PathLike
 
 Range = tuple[int, int]
 
 PixelType = Literal["half", "float", "uint8", "uint16"]
-
-READ_AT_ONCE = 2**14
-"""Number of bytes that are read at a time of a file whose checksums are compared."""
 
 PNG_BLOCK = 2**20
 """Number of bytes of a chunk of a PNG that are read at a time."""
@@ -275,25 +272,17 @@ class FrameFile(FrameSource):
     ) -> None:
         self.path = location(path)
         self._max_frame_mb = max_frame_mb
-        with ExitStack() as stack:
-            try:
-                self._opened = local = _local(self.path, content, stack)
-                self._format = _recognise(local, formats, sha256)
-                # Options make an EXR three times as slow to open and have no effect on it.
-                options = () if self._format == "EXR" else (_OPEN_OPTIONS,)
-                _allow_frames(max_frame_mb)
-                self._image: Any = oiio.ImageInput.open(str(local), *options)
-                if self._image is None or self._image.format_name() != PICTURE_FORMATS[self._format]:
-                    raise FrameError(self.path, f"cannot be opened: {self._reason()}")
-                stack.callback(self._image.close)
-                self.header = self._read_header(0)
-            except RemoteError:
-                raise
-            except FrameError as error:
-                raise FrameError(self.path, error.problem) from None
-            except (OSError, ValueError) as error:
-                problem = getattr(error, "strerror", None) or error
-                raise FrameError(self.path, f"cannot be opened: {problem}") from None
+        with file_errors(self.path, "opened"), ExitStack() as stack:
+            self._opened = local = _local(self.path, content, stack)
+            self._format = _recognise(local, formats, sha256)
+            # Options make an EXR three times as slow to open and have no effect on it.
+            options = () if self._format == "EXR" else (_OPEN_OPTIONS,)
+            _allow_frames(max_frame_mb)
+            self._image: Any = oiio.ImageInput.open(str(local), *options)
+            if self._image is None or self._image.format_name() != PICTURE_FORMATS[self._format]:
+                raise FrameError(self.path, f"cannot be opened: {self._reason()}")
+            stack.callback(self._image.close)
+            self.header = self._read_header(0)
             self._resources = stack.pop_all()
 
     def __exit__(self, *_: object) -> None:
@@ -439,16 +428,15 @@ class FrameFile(FrameSource):
 
     def _loss(self) -> Iterator[HeaderWarning]:
         """Yield a warning if the compression of the page can change pixels."""
-        spec, name = self._spec, self._spec.get_string_attribute("compression")
-        is_lossy = {
-            "EXR": name.startswith(LOSSY_EXR) or (name[:5] == "pxr24" and self._file_type == "float"),
-            "TIFF": spec.get_int_attribute("tiff:Compression", 1) in LOSSY_TIFF,
-            "JPEG": True,
-        }
-        if self._format == "JPEG 2000":
-            is_lossy["JPEG 2000"] = _is_irreversible(self._opened)
-        if is_lossy.get(self._format):
-            what = f"{self._format} by {name}" if self._format in ("EXR", "TIFF") else self._format
+        what, name = self._format, self._spec.get_string_attribute("compression")
+        if what == "EXR":
+            is_lossy = name.startswith(LOSSY_EXR) or (name[:5] == "pxr24" and self._file_type == "float")
+        elif what == "TIFF":
+            is_lossy = self._spec.get_int_attribute("tiff:Compression", 1) in LOSSY_TIFF
+        else:
+            is_lossy = what == "JPEG" or (what == "JPEG 2000" and _is_irreversible(self._opened))
+        if is_lossy:
+            what = f"{what} by {name}" if what in ("EXR", "TIFF") else what
             yield HeaderWarning(
                 "lossy_compression",
                 f"{what} changes pixels: faint triangles and noise are not what the camera saw; record TIFF, PNG "
@@ -549,10 +537,10 @@ def read_frame(
 def frame_sha256(path: PathLike | RemotePath) -> str:
     """Compute the SHA-256 of a file, as 64 hexadecimal digits. Raises FrameError if it cannot be read."""
     path = location(path)
-    with _unreadable(path), local_file(path) as local:
+    with file_errors(path, "read"), local_file(path) as local:
         _check_is_file(local)
         with local.open("rb") as file:
-            return _sha256(file)
+            return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def has_own_checksums(path: PathLike | RemotePath) -> bool:
@@ -563,21 +551,23 @@ def has_own_checksums(path: PathLike | RemotePath) -> bool:
     if isinstance(path, RemotePath):
         return path.name.lower().endswith(".png")
     path = Path(path)
-    with _unreadable(path):
+    with file_errors(path, "read"):
         _check_is_file(path)
         with path.open("rb") as file:
-            return file.read(len(PNG_SIGNATURE)) == PNG_SIGNATURE
+            return format_of(file.read(N_START)) == "PNG"
 
 
 @contextmanager
-def _unreadable(path: Location) -> Iterator[None]:
-    """Raise FrameError in place of an error of the operating system."""
+def file_errors(path: Location, what: str) -> Iterator[None]:
+    """Raise a FrameError about a file in place of errors of Python; `what` is "opened" or "read"."""
     try:
         yield
-    except RemoteError:
+    except FrameError as error:
+        raise FrameError(path, error.problem) from None
+    except TodframesError:
         raise
-    except OSError as error:
-        raise FrameError(path, f"cannot be read: {error.strerror}") from None
+    except (OSError, ValueError) as error:
+        raise FrameError(path, f"cannot be {what}: {getattr(error, 'strerror', None) or error}") from None
 
 
 def _local(path: Location, content: bytes | None, stack: ExitStack) -> Path:
@@ -611,14 +601,6 @@ def _check_is_file(path: Path) -> None:
         raise FrameError(path, "found a folder or device, expected an EXR or PNG file")
 
 
-def _sha256(file: BinaryIO) -> str:
-    """Compute the SHA-256 of an open file; `hashlib.file_digest` takes twice as long for a small one."""
-    digest = hashlib.sha256()
-    while block := file.read(READ_AT_ONCE):
-        digest.update(block)
-    return digest.hexdigest()
-
-
 def format_of(start: bytes) -> str | None:
     """Return the name of the format of a file that starts with these bytes, best `N_START`; None if unknown."""
     return next((name for pattern, name in FORMATS.items() if re.match(pattern, start, re.DOTALL)), None)
@@ -627,9 +609,9 @@ def format_of(start: bytes) -> str | None:
 def _recognise(path: Path, formats: Collection[str], sha256: str | None) -> str:
     """Return the format of a file, one of `formats`, from its content, which must have the checksum."""
     _check_is_file(path)
-    with path.open("rb", READ_AT_ONCE) as file:
+    with path.open("rb", 2**14) as file:
         if sha256 is not None:
-            if (found := _sha256(file)) != sha256:
+            if (found := hashlib.file_digest(file, "sha256").hexdigest()) != sha256:
                 raise FrameError(path, f"sha256 is {found}, the manifest says {sha256}")
             file.seek(0)
         start = file.read(N_START)

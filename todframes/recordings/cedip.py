@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -16,14 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import FrameError
-from todframes.frames.files import format_of
+from todframes.frames.files import file_errors, format_of
 from todframes.recordings.recording import StillHeader, check_size
 
-N_HEADER = 2106
-"""Number of bytes of the main header that are read."""
-
-N_CLOCK = 161
-"""Number of bytes of a frame's header that the clock is in."""
+N_HEADER, N_CLOCK = 2106, 161
+"""Number of bytes of the main header that are read, and of a frame's header that the clock is in."""
 
 DAY_S = 86400.0
 
@@ -49,16 +45,15 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
     Raises FrameError if the film is truncated, its frames are too large, its headers contradict each other, or its
     values are other than counts of 16 bits.
     """
-    with _opened(path) as file:
+    with file_errors(path, "read"), path.open("rb") as file:
         layout = _layout(path, file, max_frame_mb)
-        return StillHeader(
-            layout.shape, False, layout.n_frames, None, unit="counts", times_s=_times_s(file, layout)
-        )
+        times_s = _times_s(file, layout)
+    return StillHeader(layout.shape, False, layout.n_frames, None, unit="counts", times_s=times_s)
 
 
 def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[np.uint16]]:
     """Yield the counts of each frame as the detector gave them. FrameError as for `read_header`."""
-    with _opened(path) as file:
+    with file_errors(path, "read"), path.open("rb") as file:
         layout = _layout(path, file, max_frame_mb)
         rows, columns = layout.shape
         for number in range(layout.n_frames):
@@ -67,15 +62,6 @@ def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[np.uint16]]:
             if len(data) < 2 * rows * columns:
                 raise FrameError(path, f"frame {number} (those before are good): truncated")
             yield np.frombuffer(data, "<u2").reshape(rows, columns).astype(np.uint16)
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[BinaryIO]:
-    try:
-        with path.open("rb") as file:
-            yield file
-    except OSError as error:
-        raise FrameError(path, f"cannot be read: {error.strerror}") from None
 
 
 def _layout(path: Path, file: BinaryIO, max_frame_mb: int) -> _FilmLayout:

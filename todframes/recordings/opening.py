@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.base.reading import check_time, path_inside, read_table, resolved
 from todframes.base.user_code import in_words, registered
-from todframes.frames.files import N_START, check_max_frame_mb
+from todframes.frames.files import N_START, check_max_frame_mb, file_errors
 from todframes.parameters import MAX_FRAME_MB, PathLike
 from todframes.recordings.arrays import memory_recording
 from todframes.recordings.recording import (
@@ -117,10 +117,7 @@ def one_recording(
 
 def _folder(folder: Path, frames_per_second: float | None, max_frame_mb: int) -> list[Recording]:
     """Return the one sequence of a folder, or each of its videos or arrays."""
-    try:
-        files = files_in(folder)
-    except OSError as error:
-        raise DataError(f"{folder}: cannot be read: {error.strerror}") from None
+    files = files_in(folder)
     if not files:
         raise DataError(f"{folder}: the folder is empty, expected recordings")
     kinds = {path: _kind(path) for path in files}
@@ -170,7 +167,7 @@ def _times_s(path: Path, files: Sequence[Path]) -> dict[str, float]:
 
 def _kind(path: Path) -> str:
     """Return the name of the first reader that recognises a file."""
-    try:
+    with file_errors(path, "read"):
         if not path.is_file():
             raise FrameError(path, "found no file" if not path.exists() else "found a device, expected a file")
         with path.open("rb") as file:
@@ -178,8 +175,6 @@ def _kind(path: Path) -> str:
         for name, reader in readers().items():
             if reader.recognises(path, start):
                 return name
-    except OSError as error:
-        raise FrameError(path, f"cannot be read: {error.strerror}") from None
     what = f"a file that starts with {start[:8]!r}" if start else "an empty file"
     expected = "expected an image, video, camera raw, radiometric (FLIR, Cedip) or NumPy file"
     raise NoReaderError(path, f"found {what}, {expected}")

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import FrameError
-from todframes.frames.files import PNG_SIGNATURE, FrameFile, format_of
+from todframes.frames.files import PNG_SIGNATURE, FrameFile, file_errors, format_of
 from todframes.recordings.recording import Recording, RecordingWarning, StillHeader, check_size, files_in
 from todframes.recordings.video import decoded_jpeg_ls, pyav
 
@@ -182,17 +182,14 @@ class _Container(NamedTuple):
 @contextmanager
 def _opened(path: Path) -> Iterator[BinaryIO]:
     """Open a file of containers, or the container in a JPEG."""
-    try:
-        with path.open("rb") as file:
-            if format_of(file.read(16)) != "JPEG":
-                yield file
-            elif path.stat().st_size > MAX_JPEG_MB * 2**20:
-                raise FrameError(path, f"has more than {MAX_JPEG_MB} MB, expected one JPEG")
-            else:
-                file.seek(0)
-                yield io.BytesIO(b"".join(_container_parts(file.read())))
-    except OSError as error:
-        raise FrameError(path, f"cannot be read: {error.strerror}") from None
+    with file_errors(path, "read"), path.open("rb") as file:
+        if format_of(file.read(16)) != "JPEG":
+            yield file
+        elif path.stat().st_size > MAX_JPEG_MB * 2**20:
+            raise FrameError(path, f"has more than {MAX_JPEG_MB} MB, expected one JPEG")
+        else:
+            file.seek(0)
+            yield io.BytesIO(b"".join(_container_parts(file.read())))
 
 
 def _containers(path: Path, file: BinaryIO) -> Iterator[_Container]:

@@ -203,8 +203,11 @@ def natural_order(paths: Iterable[P]) -> list[P]:
 
 
 def files_in(folder: Path) -> list[Path]:
-    """Return the files of a folder in natural order, without hidden ones and `TIMES_FILE`. May raise OSError."""
-    files = (path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    """Return the files of a folder in natural order, without hidden ones and `TIMES_FILE`."""
+    try:
+        files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be read: {error.strerror}") from None
     return natural_order(path for path in files if path.name != TIMES_FILE)
 
 

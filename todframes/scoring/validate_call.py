@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from todframes.frames.checksums import check_writable, write_sha256
 from todframes.frames.contrast import frame_problems, unjudged_problems
 from todframes.frames.dataset import Dataset, load_dataset
+from todframes.frames.dataset_files import check_writable, write_sha256
 from todframes.frames.files import frame_sha256
 from todframes.parameters import Progress, counted
 from todframes.results.result import Result
