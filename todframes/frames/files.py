@@ -609,7 +609,7 @@ def format_of(start: bytes) -> str | None:
 def _recognise(path: Path, formats: Collection[str], sha256: str | None) -> str:
     """Return the format of a file, one of `formats`, from its content, which must have the checksum."""
     _check_is_file(path)
-    with path.open("rb", 2**14) as file:
+    with path.open("rb") as file:
         if sha256 is not None:
             if (found := hashlib.file_digest(file, "sha256").hexdigest()) != sha256:
                 raise FrameError(path, f"sha256 is {found}, the manifest says {sha256}")
