@@ -10,6 +10,7 @@ import zlib
 
 import numpy as np
 import pytest
+from test_frames import png_chunk
 from test_memory import PEAK, linux
 from test_recordings import dng, fff, jpeg_ls, png, ptw, write_image
 
@@ -78,14 +79,8 @@ def black_png(path, side_px, bits):
     deflate = zlib.compressobj(1)
     row = bytes(1 + side_px * bits // 8)
     data = b"".join(deflate.compress(row) for _ in range(side_px)) + deflate.flush()
-    content = b"\x89PNG\r\n\x1a\n"
-    for kind, body in [
-        (b"IHDR", struct.pack(">IIBBBBB", side_px, side_px, bits, 0, 0, 0, 0)),
-        (b"IDAT", data),
-        (b"IEND", b""),
-    ]:
-        content += struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-    path.write_bytes(content)
+    header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", side_px, side_px, bits, 0, 0, 0, 0))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + header + png_chunk(b"IDAT", data) + png_chunk(b"IEND", b""))
 
 
 def test_the_limit_may_be_larger_than_the_usual_one(tmp_path) -> None:

@@ -174,24 +174,22 @@ def test_png_ends_of_the_scale_are_exact(tmp_path, pixel_type):
     assert read_frame(tmp_path / "a.png").values.tolist() == [[[0.0], [1.0]]]
 
 
+ATTRIBUTES = {
+    "todframes:seed": "12",
+    "sensor_sim:snr": "1.5",
+    "todframes:note": "two\nlines, γ and 漢字 ",
+    "todframes:a_rather_long_name_for_an_attribute": "x" * 10_000,
+}
+
+
 @pytest.mark.parametrize("suffix", [".exr", ".png"])
-def test_attributes_come_back_under_their_names(tmp_path, suffix):
-    attributes = {
-        "todframes:seed": "12",
-        "sensor_sim:snr": "1.5",
-        "todframes:note": "two\nlines, γ and 漢字 ",
-        "todframes:a_rather_long_name_for_an_attribute": "x" * 10_000,
-    }
+@pytest.mark.parametrize("attributes", [ATTRIBUTES, {}], ids=["some", "none"])
+def test_attributes_come_back_under_their_names(tmp_path, attributes, suffix):
     write_frame(tmp_path / f"a{suffix}", noise(4, 4), attributes=attributes)
     assert FrameFile(tmp_path / f"a{suffix}").header.attributes == attributes
 
 
-@pytest.mark.parametrize("suffix", [".exr", ".png"])
-def test_no_attributes_unless_given(tmp_path, suffix):
-    write_frame(tmp_path / f"a{suffix}", noise(4, 4))
-    assert FrameFile(tmp_path / f"a{suffix}").header.attributes == {}
-
-
+@pytest.mark.slow
 def test_same_values_give_the_same_bytes(tmp_path):
     # In another process, second and folder, under another name.
     names = {"a.exr": "b.exr", "a.png": "b.png"}
@@ -271,13 +269,6 @@ def test_part_equals_slice_of_whole(tmp_path, layout):
     assert np.array_equal(read_frame(path, rows=(top, bottom)).values, whole.values)
 
 
-def test_tiled_and_multipart_hold_what_was_written(tmp_path):
-    colour = noise(HEIGHT, WIDTH, 3, seed=1).astype(np.float16)
-    for layout in ("tiled", "multipart"):
-        make_layout(tmp_path / "a.exr", layout)
-        assert np.array_equal(read_frame(tmp_path / "a.exr").values, colour.astype(np.float32))
-
-
 def test_mip_levels_are_not_read(tmp_path):
     path = tmp_path / "a.exr"
     values = noise(32, 32, 1).astype(np.float16)
@@ -320,12 +311,6 @@ def test_pixels_lie_where_the_windows_say(tmp_path, x, y, rectangle, tiles):
     first_row, first_column = frame.first_row - 3 - y, frame.first_column + 2 - x
     assert frame.values[0, 0, 0] == first_row * WIDTH + first_column
     assert frame.values[-1, -1, 0] == (first_row + rectangle[2] - 1) * WIDTH + first_column + rectangle[3] - 1
-
-
-def test_windows_apart_are_refused(tmp_path):
-    write_exr(tmp_path / "a.exr", (np.ones((4, 4, 1), np.float16), ("Y",), {"x": 100}))
-    with pytest.raises(FrameError, match="outside of the display window"):
-        read_frame(tmp_path / "a.exr")
 
 
 @pytest.mark.parametrize("tiles", [{}, {"tile_width": 8, "tile_height": 16}])
@@ -481,14 +466,7 @@ def test_each_channel_has_its_own_type(tmp_path):
     assert read_frame(tmp_path / "a.exr").values[0, 0, 0] == np.float16(0.1)
 
 
-def test_integer_exr_is_refused(tmp_path):
-    write_exr(tmp_path / "a.exr", (np.ones((4, 4, 1), np.uint32), ("Y",), {"format": "uint"}))
-    with pytest.raises(FrameError, match=r"pixel type .*uint.*, expected one of half, float"):
-        read_frame(tmp_path / "a.exr")
-
-
-def test_deep_exr_is_refused(tmp_path):
-    path = tmp_path / "a.exr"
+def deep_exr(path):
     spec = oiio.ImageSpec(2, 2, 1, "half")
     spec.channelnames, spec.deep = ("Z",), True
     pixels = oiio.DeepData()
@@ -497,13 +475,27 @@ def test_deep_exr_is_refused(tmp_path):
     assert output.open(str(path), spec), output.geterror()
     assert output.write_deep_image(pixels), output.geterror()
     assert output.close()
-    with pytest.raises(FrameError, match="found channels deep Z"):
-        read_frame(path)
 
 
-def test_subsampled_channels_are_refused(tmp_path):
-    (tmp_path / "a.exr").write_bytes(luminance_chroma_bytes())
-    with pytest.raises(FrameError, match="Subsampled channels are not supported"):
+ONES = np.ones((4, 4, 1))
+
+
+@pytest.mark.parametrize(
+    ("write", "problem"),
+    [
+        (lambda path: write_exr(path, (np.float16(ONES), ("Y",), {"x": 100})), "outside of the display window"),
+        (
+            lambda path: write_exr(path, (np.uint32(ONES), ("Y",), {"format": "uint"})),
+            r"pixel type .*uint.*, expected one of half, float",
+        ),
+        (deep_exr, "found channels deep Z"),
+        (lambda path: path.write_bytes(luminance_chroma_bytes()), "Subsampled channels are not supported"),
+    ],
+    ids=["windows apart", "integers", "deep", "subsampled"],
+)
+def test_an_exr_of_another_kind_is_refused(tmp_path, write, problem):
+    write(tmp_path / "a.exr")
+    with pytest.raises(FrameError, match=problem):
         read_frame(tmp_path / "a.exr")
 
 
@@ -701,6 +693,7 @@ def test_exr_with_absurd_windows(tmp_path, window, corner, problem):
     assert_refused(path, problem)
 
 
+@pytest.mark.slow
 def test_a_chunk_of_png_is_not_held_in_memory(tmp_path):
     """A sparse chunk of 200 MB takes no room on the disk; its checksum is that of as many zeros."""
     size = 200 * 2**20
@@ -874,6 +867,7 @@ def test_import_brings_no_slow_packages(tmp_path):
     assert run_python(script, cwd=tmp_path).strip() == ""
 
 
+@pytest.mark.slow
 def test_damaged_files_give_a_frame_or_an_error(tmp_path):
     # In a process of its own with 4 GB of memory, so that a crash or a huge allocation is seen.
     for compression in ("none", "rle", "zips", "zip", "piz", "b44", "dwaa"):

@@ -29,7 +29,8 @@ def scored(frames, **changes):
     return tod.score_frames(frames, **(shown | changes))
 
 
-@pytest.mark.parametrize("name", ["naked_eye", pytest.param("grabbed_8bit", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["naked_eye", "grabbed_8bit"])
 def test_arrays_give_the_numbers_of_their_files(name):
     """The same pixels, the same manifest rows and so the same random streams: the same numbers to the last bit."""
     data = tod.load_dataset(SAMPLES / name)
@@ -81,6 +82,7 @@ def test_frames_of_a_trial_are_averaged():
     assert record["p_correct"] == pytest.approx(0.25, abs=1e-6)  # 32-bit code values
 
 
+@pytest.mark.slow
 def test_any_iterable_and_a_page_with_examples():
     result = scored((frame(one) for one in tod.ORIENTATIONS), orientation=list(tod.ORIENTATIONS), examples=True)
     assert result.dataset_path == "in memory"
@@ -93,11 +95,7 @@ def test_any_iterable_and_a_page_with_examples():
     [
         ([], {}, r"frames: found none, expected at least one"),
         ([frame()], {"orientation": ["up", "left"]}, r"orientation: found 2 values, expected 1, one a frame"),
-        (
-            [frame()],
-            {"orientation": "upwards"},
-            r"frame 0: orientation: found 'upwards', expected up, right",
-        ),
+        ([frame()], {"orientation": "upwards"}, r"frame 0: orientation: found 'upwards', expected up"),
         ([frame()], {"level": 0.0}, r"frame 0: contrast: found '0', expected a finite number > 0"),
         ([frame()], {"size_mrad": [np.nan]}, r"frame 0: size_mrad: found 'nan', expected a finite number > 0"),
         ([frame()], {"polarity": 2}, r"frame 0: polarity: found '2', expected 1 or -1"),

@@ -10,7 +10,6 @@ import shutil
 import struct
 import sys
 import zipfile
-import zlib
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from fractions import Fraction
@@ -25,6 +24,7 @@ import pytest
 import tifffile
 from jpeg_ls import encoded as standard_jpeg_ls
 from PIL import Image
+from test_frames import png_bytes
 
 import todframes as tod
 from todframes.base.errors import DataError
@@ -329,15 +329,15 @@ def test_photographs_of_the_same_second_have_no_times(tmp_path):
 
 
 def with_times(folder, rows, names=("a1.png", "a2.png", "a10.png")):
-    """A folder of stills with a times.csv."""
+    """A folder of stills with a times.csv of these rows below its header."""
     for name in names:
         tod.write_frame(folder / name, np.zeros((4, 5)))
-    (folder / "times.csv").write_text("\n".join(rows), encoding="utf-8")
+    (folder / "times.csv").write_text("\n".join(["file,time_s", *rows]), encoding="utf-8")
     return folder
 
 
 def test_a_times_csv_gives_the_times_of_stills(tmp_path):
-    folder = with_times(tmp_path, ["file,time_s", "a10.png,7.5", "a1.png,7.02", "a2.png,7.06"])
+    folder = with_times(tmp_path, ["a10.png,7.5", "a1.png,7.02", "a2.png,7.06"])
     (recording,) = open_recordings(folder)
     assert [(one.time_s, one.source) for one in recording.frames()] == [
         *((0.0, "a1.png"), (0.04, "a2.png"), (0.48, "a10.png"))
@@ -348,7 +348,7 @@ def linked_times(folder):
     """A folder of a stranger whose times.csv is a link to a file outside of it."""
     secret = write(folder / "secret.txt", b"password 1234\n")
     (folder / "stills").mkdir()
-    with_times(folder / "stills", ["file,time_s"]).joinpath("times.csv").unlink()
+    with_times(folder / "stills", []).joinpath("times.csv").unlink()
     (folder / "stills" / "times.csv").symlink_to(secret)
     return folder / "stills"
 
@@ -483,12 +483,7 @@ def scene(n_frames=1, shape=(40, 50)):
 
 def png(values):
     """Build a grey PNG of 16 bits by hand."""
-    rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in values)
-    content = b"\x89PNG\r\n\x1a\n"
-    ihdr = struct.pack(">IIBBBBB", values.shape[1], values.shape[0], 16, 0, 0, 0, 0)
-    for kind, body in [(b"IHDR", ihdr), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")]:
-        content += struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-    return content
+    return png_bytes(values.shape[1], values.shape[0], 16, 0, [row.astype(">u2").tobytes() for row in values])
 
 
 def jpeg_ls(values):
@@ -644,6 +639,10 @@ def test_arrays_come_back(tmp_path, suffix, kind, dtype):
 def write(path, data):
     path.write_bytes(data)
     return path
+
+
+def written(folder, name, data):
+    return write(folder / name, data())
 
 
 def damaged_npz(folder, seed):
@@ -806,147 +805,88 @@ def damaged_tiff(folder):
 
 
 COUNTS = scene(3)
+ONE = COUNTS[0]
+
+
+def holding(image):
+    return fff(ONE, image=image)
+
+
+BAD_FILES = {
+    "empty file": ("a.png", lambda: b"", "found an empty file, expected an image"),
+    "text": ("a.txt", lambda: b"hello", r"starts with b'hello', expected an image"),
+    "huge npy": ("a.npy", lambda: npy_claiming((10**9, 512, 640)) + b"\0" * 9, "is it truncated?"),
+    "huge frame": ("a.npy", lambda: npy_claiming((3, 32000, 32000)), "decodes to 7813 MB a frame"),
+    "wide npy": ("a.npy", lambda: npy_claiming((3, 4, 10**9)), "expected sides of 1 to 32768"),
+    "header of npy": ("a.npy", lambda: b"\x93NUMPY\x01\x00\xff\xff{", "header of the array is damaged"),
+    "vector": ("a.npy", lambda: npy_claiming((8,)), r"shape \(8,\), expected \(frames, rows"),
+    "zip": ("a.npz", lambda: b"PK\x03\x04abc", "cannot be read as a NumPy array"),
+    "no raw": ("a.dng", lambda: b"II*\0abcdefgh", "cannot be read as camera raw"),
+    "fff header": ("a.fff", lambda: b"FFF\0abc", "the header of the container is truncated"),
+    "fff": ("a.fff", lambda: fff(np.zeros((40, 50)))[:-7], "reaches beyond the file: truncated"),
+    "seq": ("a.seq", lambda: seq(*np.zeros((3, 40, 50)))[:-7], r"frame 2 \(those before are good\): record 1"),
+    "seq of two sizes": (
+        "a.seq",
+        lambda: seq(np.zeros((40, 50)), np.zeros((40, 60))),
+        "frame 1: found 60 x 40 pixels, expected 50 x 40 pixels as in frame 0",
+    ),
+    "damaged png in fff": ("a.fff", lambda: holding(damaged(png(ONE))), "the PNG is damaged: chunk b'IDAT'"),
+    "cut png in seq": ("a.seq", lambda: fff(ONE) + holding(png(ONE)[:-20]), r"frame 1 \(those before are"),
+    "png of another size": ("a.fff", lambda: holding(png(ONE[:-1])), "its counts are a PNG of 50 x 39 pixels"),
+    "jpeg-ls of another size": ("a.csq", lambda: holding(jpeg_ls(ONE[:-1])), "its counts are a JPEG-LS of 50"),
+    "cut jpeg-ls": ("a.csq", lambda: fff(ONE) + holding(jpeg_ls(ONE)[:-200]), r"frame 1 \(those before are"),
+    "short jpeg-ls": ("a.csq", lambda: holding(jpeg_ls(ONE)[:200] + b"\xff\xd9"), "the JPEG-LS image (is"),
+    "jpeg in fff": ("a.fff", lambda: holding(b"\xff\xd8\xff\xe0" + bytes(99)), "found 103 bytes of counts"),
+    "ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2])[:-1], "found 2 whole frames, expected 3: truncated"),
+    "header of ptw": ("a.ptw", lambda: b"CED\0" + bytes(99), "the main header has 103 bytes, expected 2106 or"),
+    "step of ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], words=2000), "3 frames of 4000, expected 2106 or"),
+    "scaled ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], scaled=1), "its values are scaled or in double"),
+    "frames of ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], n_frames=2**31 - 1), "found 3 whole frames"),
+    "open brace": (
+        "a.npy",
+        lambda: npy_with_header(b"{'descr': '<u2', 'shape': (3, 4"),
+        "the header of the array is damaged",
+    ),
+    "deep header": ("a.npy", lambda: npy_with_header(b"[" * 9000), "the header of the array is damaged"),
+    "escapes in header": ("a.npy", lambda: npy_with_header(b"{'descr': '<\\d'}"), "the header of the array is"),
+    "long header": ("a.npy", lambda: npy_with_header(b" " * 70_000, b"\2\0"), "found a header of 70000 bytes"),
+    "version of npy": ("a.npy", lambda: npy_with_header(b"{}", b"\4\0"), "found version"),
+}
+
+BAD_TIMES = {
+    "times of other files": ("a1.png,1 a2.png,2 b.png,3", "times.csv, line 4: file: found b.png, but .* has"),
+    "times twice": ("a1.png,1 a1.png,2", "times.csv, line 3: file: found a1.png, a second time, expected each"),
+    "times of some": ("a1.png,1 a2.png,2", "times.csv: found no time of a10.png, expected one of each file"),
+    "times that go back": ("a1.png,1 a2.png,3 a10.png,2", "times.csv: found 3 s for a2.png and 2 s for"),
+    "times without end": ("a1.png,-1e308 a2.png,1e308", r"times.csv, line 2: time_s: found -1e\+308 s"),
+    "times that are no numbers": ("a1.png,soon", "times.csv, line 2: time_s: found 'soon'"),
+}
 
 BAD = {
     "empty folder": (lambda d: d, "the folder is empty, expected recordings"),
     "no file": (lambda d: d / "missing.png", "found no file"),
-    "empty file": (lambda d: write(d / "a.png", b""), "found an empty file, expected an image"),
-    "text": (lambda d: write(d / "a.txt", b"hello"), r"starts with b'hello', expected an image"),
     "two sizes": (two_sizes, "size: found 6 x 4 pixels, expected 5 x 4 pixels as in a.png"),
     "two kinds": (two_kinds, "found array, expected image as a.png: a folder has files of one kind"),
     "truncated tiff": (damaged_tiff, r"b\.tif: .*(cannot be decoded|cannot be opened)"),
-    "huge npy": (lambda d: write(d / "a.npy", npy_claiming((10**9, 512, 640)) + b"\0" * 9), "is it truncated?"),
-    "huge frame": (lambda d: write(d / "a.npy", npy_claiming((3, 32000, 32000))), "decodes to 7813 MB a frame"),
-    "wide npy": (lambda d: write(d / "a.npy", npy_claiming((3, 4, 10**9))), "expected sides of 1 to 32768"),
-    "header of npy": (
-        lambda d: write(d / "a.npy", b"\x93NUMPY\x01\x00\xff\xff{"),
-        "header of the array is damaged",
-    ),
     "pickle": (lambda d: pickled(d / "a.npy"), "found values of type object, expected one of uint8"),
-    "vector": (lambda d: write(d / "a.npy", npy_claiming((8,))), r"shape \(8,\), expected \(frames, rows"),
-    "zip": (lambda d: write(d / "a.npz", b"PK\x03\x04abc"), "cannot be read as a NumPy array"),
     "user data of dpx": (
         lambda d: (dpx(d / "a.dpx", EIGHT, 8, packing=0, n_user=2**31), d / "a.dpx")[1],
         "claims 2147483648 bytes of user data, expected at most 1048576",
     ),
-    "no raw": (lambda d: write(d / "a.dng", b"II*\0abcdefgh"), "cannot be read as camera raw"),
-    "fff header": (lambda d: write(d / "a.fff", b"FFF\0abc"), "the header of the container is truncated"),
-    "fff": (lambda d: write(d / "a.fff", fff(np.zeros((40, 50)))[:-7]), "reaches beyond the file: truncated"),
-    "seq": (
-        lambda d: write(d / "a.seq", seq(*np.zeros((3, 40, 50)))[:-7]),
-        r"frame 2 \(those before are good\): record 1 of type 1 reaches beyond the file: truncated",
-    ),
-    "seq of two sizes": (
-        lambda d: write(d / "a.seq", seq(np.zeros((40, 50)), np.zeros((40, 60)))),
-        "frame 1: found 60 x 40 pixels, expected 50 x 40 pixels as in frame 0",
-    ),
-    "damaged png in fff": (
-        lambda d: write(d / "a.fff", fff(COUNTS[0], image=damaged(png(COUNTS[0])))),
-        "the PNG is damaged: chunk b'IDAT' does not match its checksum",
-    ),
-    "cut png in seq": (
-        lambda d: write(d / "a.seq", fff(COUNTS[0]) + fff(COUNTS[0], image=png(COUNTS[0])[:-20])),
-        r"frame 1 \(those before are good\): the PNG is truncated or damaged",
-    ),
-    "png of another size": (
-        lambda d: write(d / "a.fff", fff(COUNTS[0], image=png(COUNTS[0][:-1]))),
-        "its counts are a PNG of 50 x 39 pixels, 16 bits, channels: 1, expected 50 x 40, 16, 1",
-    ),
-    "jpeg-ls of another size": (
-        lambda d: write(d / "a.csq", fff(COUNTS[0], image=jpeg_ls(COUNTS[0][:-1]))),
-        "its counts are a JPEG-LS of 50 x 39 pixels, 16 bits, channels: 1, expected 50 x 40, 16, 1",
-    ),
-    "cut jpeg-ls": (
-        lambda d: write(d / "a.csq", fff(COUNTS[0]) + fff(COUNTS[0], image=jpeg_ls(COUNTS[0])[:-200])),
-        r"frame 1 \(those before are good\): the JPEG-LS image has no end: truncated",
-    ),
-    "short jpeg-ls": (
-        lambda d: write(d / "a.csq", fff(COUNTS[0], image=jpeg_ls(COUNTS[0])[:200] + b"\xff\xd9")),
-        "the JPEG-LS image (is damaged|cannot be decoded)",
-    ),
-    "jpeg in fff": (
-        lambda d: write(d / "a.fff", fff(COUNTS[0], image=b"\xff\xd8\xff\xe0" + bytes(99))),
-        "found 103 bytes of counts, expected 4000: truncated, or compressed in a way that is not known",
-    ),
-    "ptw": (
-        lambda d: write(d / "a.ptw", ptw(COUNTS, [0, 1, 2])[:-1]),
-        "found 2 whole frames, expected 3: truncated",
-    ),
-    "header of ptw": (
-        lambda d: write(d / "a.ptw", b"CED\0" + bytes(99)),
-        "the main header has 103 bytes, expected 2106 or more: truncated",
-    ),
-    "step of ptw": (
-        lambda d: write(d / "a.ptw", ptw(COUNTS, [0, 1, 2], words=2000)),
-        "3 frames of 4000, expected 2106 or more, and 1 or more of 5016",
-    ),
-    "scaled ptw": (
-        lambda d: write(d / "a.ptw", ptw(COUNTS, [0, 1, 2], scaled=1)),
-        "its values are scaled or in double precision, expected counts of 16 bits",
-    ),
-    "frames of ptw": (
-        lambda d: write(d / "a.ptw", ptw(COUNTS, [0, 1, 2], n_frames=2**31 - 1)),
-        "found 3 whole frames, expected 2147483647: truncated",
-    ),
-    "times of other files": (
-        lambda d: with_times(d, ["file,time_s", "a1.png,1", "a2.png,2", "b.png,3"]),
-        "times.csv, line 4: file: found b.png, but .* has no such file, expected each of its files once",
-    ),
-    "times twice": (
-        lambda d: with_times(d, ["file,time_s", "a1.png,1", "a1.png,2"]),
-        "times.csv, line 3: file: found a1.png, a second time, expected each of its files once",
-    ),
-    "times of some": (
-        lambda d: with_times(d, ["file,time_s", "a1.png,1", "a2.png,2"]),
-        "times.csv: found no time of a10.png, expected one of each file",
-    ),
-    "times that go back": (
-        lambda d: with_times(d, ["file,time_s", "a1.png,1", "a2.png,3", "a10.png,2"]),
-        "times.csv: found 3 s for a2.png and 2 s for a10.png, expected later times in the order of the names",
-    ),
-    "times without end": (
-        lambda d: with_times(d, ["file,time_s", "a1.png,-1e308", "a2.png,1e308"]),
-        r"times.csv, line 2: time_s: found -1e\+308 s, expected a time from -1e\+12 to 1e\+12 s",
-    ),
-    "times that are no numbers": (
-        lambda d: with_times(d, ["file,time_s", "a1.png,soon"]),
-        "times.csv, line 2: time_s: found 'soon'",
-    ),
-    "times elsewhere": (
-        linked_times,
-        r"stills: times.csv lies outside of the dataset: it is \S+secret.txt, expected",
-    ),
+    "times elsewhere": (linked_times, r"stills: times.csv lies outside of the dataset: it is \S+secret.txt"),
     "times beside arrays": (
-        lambda d: (np.save(d / "a.npy", np.zeros((2, 4, 5))), with_times(d, ["file,time_s"], names=()))[1],
+        lambda d: (np.save(d / "a.npy", np.zeros((2, 4, 5))), with_times(d, [], names=()))[1],
         "times.csv: found times beside a.npy, expected them beside stills",
     ),
     "no data of raw": (lambda d: zero_dng(d, 0), "all values are 0, as if the sensor's data were missing"),
     "last rows of raw": (lambda d: zero_dng(d, 40), "rows 40 to 63 are 0, as if the sensor's data were missing"),
-    "open brace": (
-        lambda d: write(d / "a.npy", npy_with_header(b"{'descr': '<u2', 'shape': (3, 4")),
-        "the header of the array is damaged",
-    ),
-    "deep header": (
-        lambda d: write(d / "a.npy", npy_with_header(b"[" * 9000)),
-        "the header of the array is damaged",
-    ),
-    "escapes in header": (
-        lambda d: write(d / "a.npy", npy_with_header(b"{'descr': '<\\d'}")),
-        "the header of the array is damaged",
-    ),
-    "long header": (
-        lambda d: write(d / "a.npy", npy_with_header(b" " * 70_000, b"\2\0")),
-        "found a header of 70000 bytes, expected at most 65535",
-    ),
-    "version of npy": (
-        lambda d: write(d / "a.npy", npy_with_header(b"{}", b"\4\0")),
-        "found version",
-    ),
     "nan": (
         lambda d: (np.save(d / "a.npy", np.full((2, 3, 4), np.nan)), d / "a.npy")[1],
         "frame 0: 12 values are no numbers",
     ),
 }
+BAD |= {name: (partial(written, name=file, data=data), said) for name, (file, data, said) in BAD_FILES.items()}
+BAD |= {name: (partial(with_times, rows=rows.split()), said) for name, (rows, said) in BAD_TIMES.items()}
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -1007,6 +947,7 @@ def test_folders_whose_names_are_no_utf_8_are_read(tmp_path):
     assert len(tod.load_dataset(done.path).trials) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have names in Unicode")
 def test_results_name_folders_that_are_no_utf_8(tmp_path, make_dataset):

@@ -240,17 +240,9 @@ def hostile(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("background", "changes", "message"),
     [
-        (
-            "small.png",
-            {},
-            r"small.png: found 20 × 20 pixels, expected at least \d+ × \d+ for a triangle of 8 pixels",
-        ),
+        ("small.png", {}, r"small.png: found 20 × 20 pixels, expected at least \d+ × \d+ for a triangle of 8"),
         ("good.png", {"places": 64}, r"found 160 × 160 .* for 64 places 20 pixels apart"),
-        (
-            "white.png",
-            {},
-            r"white.png: found no window .* \(100 % of the image are\), expected an image that is not",
-        ),
+        ("white.png", {}, r"white.png: found no window .* \(100 % of the image are\), expected an image that"),
         ("even.png", {}, r"even.png: found no window .* with contrast"),
         ("text.png", {}, r"text.png: found a file that starts with b'no image', expected an image"),
         ("torn.png", {}, "torn.png: "),
@@ -262,22 +254,18 @@ def hostile(tmp_path: Path) -> Path:
         (
             "good.png",
             {"dim": 1.0, "contrast": [0.1, 4.0]},
-            r"strongest triangle beyond black or white .* on all .*, expected at most 0\.\d+ times its",
+            r"strongest .* on all .*, expected at most 0\.\d+ times",
         ),
         (
             "good.png",
             {"polarity": -1, "contrast": [3.0]},
-            r"beyond black or white of the display on all .*, expected at most 0\.\d+ times",
+            r"beyond black .* on all .*, expected at most 0\.\d+ times",
         ),
         ("good.png", {"contrast": []}, "contrast: found no values"),
         ("good.png", {"contrast": [0.1, 0.1]}, "contrast: found a value twice"),
         ("good.png", {"contrast": [1e6]}, "contrast: found 1e.06, expected less than 199"),
         ("good.png", {"size_mrad": [0.2]}, "size_mrad: found 0.2 mrad, which is 0.4 pixels of 0.5 mrad"),
-        (
-            "good.png",
-            {"places": 4, "place_step_mrad": 1.0},
-            "place_step_mrad: found 1 mrad, expected at least the",
-        ),
+        ("good.png", {"places": 4, "place_step_mrad": 1.0}, "place_step_mrad: found 1 mrad, expected at least"),
         ("good.png", {"windows": 400}, r"windows of .* pixels apart from each other, .* expected 400"),
         ("good.png", {"turns": 2}, "turns: found 2, expected 1, 4 or 8"),
         ("good.png", {"dim": 0.0}, "dim: found 0.0, expected more than 0"),
@@ -484,6 +472,7 @@ def test_shuffled_levels_on_scenes_are_warned_of(folder: Path, tmp_path: Path) -
     assert not tod.validate(tmp_path / "out").warnings
 
 
+@pytest.mark.slow
 def test_what_frames_on_scenes_show_is_measured(on_scenes: Path) -> None:
     """Without texture or noise in the way: contrast, place and size are those of the triangles, to the codes."""
     (one,) = tod.validate(on_scenes).dataset.measured["stimuli"]

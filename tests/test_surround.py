@@ -10,7 +10,7 @@ import pytest
 
 import todframes as tod
 from todframes.frames.memory import memory_dataset
-from todframes.frames.surround import SurroundSums, TrianglePlace, _median, background_factor, surround_window
+from todframes.frames.surround import SurroundSums, TrianglePlace, background_factor, surround_window
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.score import score_dataset
 
@@ -130,12 +130,6 @@ def test_bands_of_rows_add_up(cuts) -> None:
     part = np.pad(part, [(0, length % 2) for length in part.shape])
     blocks = part.reshape(part.shape[0] // 2, 2, -1, 2).sum(axis=(1, 3))
     assert np.allclose(sums.sums, blocks, rtol=1e-14)
-
-
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 401])
-def test_the_median_is_that_of_numpy(n: int) -> None:
-    values = np.random.default_rng(n).normal(size=n)
-    assert _median(values) == pytest.approx(np.median(values), rel=1e-15)
 
 
 def test_a_frame_without_surround_is_refused() -> None:
