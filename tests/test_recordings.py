@@ -835,7 +835,7 @@ BAD_FILES = {
     "png of another size": ("a.fff", lambda: holding(png(ONE[:-1])), "its counts are a PNG of 50 x 39 pixels"),
     "jpeg-ls of another size": ("a.csq", lambda: holding(jpeg_ls(ONE[:-1])), "its counts are a JPEG-LS of 50"),
     "cut jpeg-ls": ("a.csq", lambda: fff(ONE) + holding(jpeg_ls(ONE)[:-200]), r"frame 1 \(those before are"),
-    "short jpeg-ls": ("a.csq", lambda: holding(jpeg_ls(ONE)[:200] + b"\xff\xd9"), "the JPEG-LS image (is"),
+    "short jpeg-ls": ("a.csq", lambda: holding(jpeg_ls(ONE)[:200] + b"\xff\xd9"), "the JPEG-LS image"),
     "jpeg in fff": ("a.fff", lambda: holding(b"\xff\xd8\xff\xe0" + bytes(99)), "found 103 bytes of counts"),
     "ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2])[:-1], "found 2 whole frames, expected 3: truncated"),
     "header of ptw": ("a.ptw", lambda: b"CED\0" + bytes(99), "the main header has 103 bytes, expected 2106 or"),
