@@ -18,7 +18,7 @@ from sensor_sim.sweeps.ranges import Aim
 from todframes.base.reading import shipped_names
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.field.acquisition import acquire, cycles_ratio, transfer_probability, with_search
+from todframes.field.acquisition import TaskRange, acquire, cycles_ratio, transfer_probability, with_search
 from todframes.field.acquisition_range import range_words
 from todframes.field.atmosphere import FOLDER as AIRS
 from todframes.field.atmosphere import find_atmosphere
@@ -81,6 +81,10 @@ def test_probability_curve_passes_through_the_ranges() -> None:
         assert (np.diff(curve.probability) <= 0.0).all()
 
 
+def words(one: TaskRange) -> str:
+    return range_words(one, size_m=NATO.size_m, is_tod=False)
+
+
 def test_search_takes_time() -> None:
     """P(t) = P (1 − exp(−P t / 3.4)); at 3.4 s a sure detection is found with 1 − 1/e."""
     assert float(with_search(1.0, 3.4)) == pytest.approx(1.0 - math.exp(-1.0), rel=1e-15)
@@ -88,9 +92,7 @@ def test_search_takes_time() -> None:
     hasty = acquired(target=replace(NATO, search_time_s=1.0))  # at most 1 − exp(−1/3.4) = 0.25
     assert {one.status for one in hasty.ranges} == {"never_reached"}
     # 3.4 ln 2 = 2.36 s
-    assert range_words(hasty.ranges[0]).endswith(
-        "it takes a search of more than 2.4 s, however near; allow more time"
-    )
+    assert words(hasty.ranges[0]).endswith("it takes a search of more than 2.4 s, however near; allow more time")
     half = acquired(target=replace(NATO, search_time_s=5.0)).ranges[0]
     line_pairs = (math.log(2.0 / A_K) / half.range_km - SIGMA_PER_KM) * 2.3  # the closed form, backwards
     assert with_search(transfer_probability(line_pairs), 5.0) == pytest.approx(0.5, rel=1e-9)
@@ -212,8 +214,9 @@ def test_no_range_is_extrapolated() -> None:
     assert one.at_least_km == pytest.approx(2.3, rel=1e-12)  # 1 cycle/mrad · 2.3 m / 1 line pair
     ended = acquired(exponential(FREQUENCIES[:2], unreached_per_mrad=1.5)).ranges[0]
     assert ended.at_most_km == pytest.approx(3.45, rel=1e-12)
-    assert range_words(one).endswith("measure smaller triangles or higher frequencies")
-    assert range_words(ended).endswith("measure sizes between")
+    assert words(one).endswith("measure smaller triangles or higher frequencies")
+    assert words(ended).endswith("measure one between, such as 1.2 cycles/mrad at the camera")  # √(1 · 1.5)
+    assert "such as 0.82 mrad at the camera" in range_words(ended, size_m=2.3, is_tod=True)
     coarse = acquired(exponential([5.0, 6.0])).ranges[0]  # at least 2.97 K
     assert (coarse.status, coarse.range_km) == ("never_reached", None)
     near = acquired(exponential([4.0, 12.0]), air=tod.Atmosphere(extinction_per_km=1.0)).ranges[0]
@@ -453,7 +456,7 @@ def test_a_terminal_of_80_columns_shows_each_status(air, tmp_path, monkeypatch, 
     monkeypatch.setenv("COLUMNS", "80")
     assert run(cli, ["range", str(path), "--target", str(target), "--atmosphere", str(air), "--k", "3"]) == 0
     shown = capsys.readouterr().out.split("\n\n")[0]
-    assert all(word in shown for word in ("interval", "least", "most", "beyond_curve", "ok"))
+    assert all(word in shown for word in ("interval", "least", "most", "beyond curve", "ok"))
 
 
 @pytest.mark.slow

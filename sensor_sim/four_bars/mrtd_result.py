@@ -165,7 +165,7 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
             Column(key=f"{averaged}_error", header="±", digits=1, rank=1),
             Column(key=best, header=f"best phase {unit}", digits=4),
             Column(key=f"{best}_error", header="± ", digits=1, rank=1),
-            Column(key="status", header="status", rank=2),
+            Column(key="status", rank=2, is_key=True),
         ]
         return Table.of(title, "bars.csv", columns, [msgspec.structs.asdict(one) for one in self.bars])
 
@@ -185,7 +185,7 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
             Column(key="inverse", header="1 / size", digits=3),
             Column(key="snr", header="SNR", digits=4),
             *([Column(key="delta_t_mk", header="TOD mK", digits=4)] if self._in_mk else []),
-            Column(key="status", rank=1),
+            Column(key="status", rank=1, is_key=True),
         ]
         title = f"TOD: triangles, {100 * self.settings['p_correct']:g} % correct of four orientations"
         return Table.of(title, "tod.csv", columns, records)

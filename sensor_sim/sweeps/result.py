@@ -207,7 +207,10 @@ class Sweep(Content, frozen=True, kw_only=True):
         ]
         columns += [Column(key=key, header=heading(key), rank=1) for key in OF_ACUITY if key in self.columns]
         if OF_RANGE in self.columns:
-            columns += [Column(key=OF_RANGE, header=heading(OF_RANGE)), Column(key="range_status", rank=2)]
+            columns += [
+                Column(key=OF_RANGE, header=heading(OF_RANGE)),
+                Column(key="range_status", rank=2, is_key=True),
+            ]
         thresholds, n = self.columns[self.threshold_column], len(sizes)
         of_design = [one.key for one in columns if one.key in self.columns]
         records = [
@@ -229,7 +232,12 @@ class Sweep(Content, frozen=True, kw_only=True):
             {"status": pair[0], "thresholds": len(found), "first_design": found[0], "reason": pair[1]}
             for pair, found in sorted(designs.items(), key=lambda item: -len(item[1]))[:ROWS_SHOWN]
         ]
-        columns: list[Column | str] = ["status", "thresholds", "first_design", Column(key="reason", wraps=True)]
+        columns = [
+            Column(key="status", is_key=True),
+            Column(key="thresholds"),
+            Column(key="first_design"),
+            Column(key="reason", wraps=True),
+        ]
         table = Table.of("Designs and sizes without a threshold", "problems.csv", columns, records)
         return table.without_empty_columns()
 

@@ -187,7 +187,7 @@ class FieldRange(Content, frozen=True, kw_only=True):
                 Column(key=f"gain_{name}_percent", header=f"10 % {_more(name)}", digits=2, is_detail=True)
                 for name in LIMITS
             ),
-            Column(key="status"),
+            Column(key="status", is_key=True),
         ]
         records = map(structs.asdict, numbers.ranges)
         ranges = Table.of(f"Range: {self.name}", "ranges.csv", columns, records)
@@ -221,7 +221,7 @@ class FieldRange(Content, frozen=True, kw_only=True):
         for one in named:
             p = one.probability
             level = "the criterion" if p is None else f"{100 * p:g} %{' correct' * self.is_tod}"
-            texts.append(f"At {level}, {one.task}: {range_words(one)}.")
+            texts.append(f"At {level}, {one.task}: {range_words(one, size_m=self.target.size_m, is_tod=self.is_tod)}.")
         limited = next((one for one in named if one.limited_by is not None), None)
         if limited is not None:
             parts = ", ".join(
@@ -370,8 +370,11 @@ def _rows(curve: TaskCurve) -> Iterator[Json]:
         }
 
 
-def range_words(one: TaskRange) -> str:
-    """Return a range with its interval, or its bounds and why there is none, in words."""
+def range_words(one: TaskRange, *, size_m: float, is_tod: bool) -> str:
+    """Return a range with its interval, or its bounds, why there is none and what to measure, in words.
+
+    `size_m` is that of the target.
+    """
     if one.range_km is not None:
         interval = "" if one.range_ci95_km is None else f" (95 % interval {interval_phrase(one.range_ci95_km)})"
         return f"{plain(one.range_km)} km{interval}"
@@ -381,9 +384,12 @@ def range_words(one: TaskRange) -> str:
     if one.kappa is None and one.probability is not None:
         least_s = -SEARCH_TIME_CONSTANT_S * math.log1p(-one.probability)
         reason = f"it takes a search of more than {plain(least_s, 2)} s, however near; allow more time"
-    if one.status == "beyond_curve" and one.at_most_km is not None:
+    if one.status == "beyond_curve" and one.at_least_km and one.at_most_km is not None and one.kappa is not None:
+        per_mrad = one.kappa * math.sqrt(one.at_least_km * one.at_most_km) / size_m
+        between = f"{1.0 / per_mrad:.2g} mrad" if is_tod else f"{per_mrad:.2g} cycles/mrad"
         reason = (
-            "it lies between the curve's last size and the next, which no contrast reaches; measure sizes between"
+            "it lies between the curve's last size and the next, which no contrast reaches; measure one between, "
+            f"such as {between} at the camera"
         )
     return f"{' and '.join(ends) or 'no range'}; {reason}"
 
