@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from todframes.camera.mtf_figure import MtfLine, draw_mtf
 from todframes.results.data import Content
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
-from todframes.results.mtf_figure import MtfLine, draw_mtf
 from todframes.results.table import Column, Table
 from todframes.results.wording import plain
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from sensor_sim.chain.sampling import sample_image
 from sensor_sim.chain.sensor import Detector, Sensor
 from sensor_sim.chain.simulation import SimulatedTrial, Simulator
 from todframes.base._typing import FloatArray
+from todframes.frames.contrast import ContrastPatch
 from todframes.observers.interface import Observer
 from todframes.observers.retina import resample
 from todframes.results.data import Example, Fit
@@ -90,17 +90,6 @@ def threshold_examples(
     return tuple(_threshold_example(sensor, observer, fit, seed) for fit in evenly(known, MOST_EXAMPLES))
 
 
-class _WholeFrame(NamedTuple):
-    """The contrast of a whole frame, in one band."""
-
-    values: FloatArray
-    row: int = 0
-    column: int = 0
-
-    def bands(self) -> Iterator[_WholeFrame]:
-        yield self
-
-
 def _threshold_example(sensor: Sensor, observer: Observer, fit: Fit, seed: int) -> Example:
     size, pitch_mrad = float(fit.group["size_detectors"]), sensor.display.pixel_pitch_mrad
     assert fit.threshold is not None
@@ -118,7 +107,7 @@ def _threshold_example(sensor: Sensor, observer: Observer, fit: Fit, seed: int) 
         pixel_pitch_mrad=pitch_mrad,
     )
     width_mrad, drawn = pictures(
-        [ExamplePatch(_WholeFrame(contrast), frame.x_px, frame.y_px)],
+        [ExamplePatch(ContrastPatch(contrast, 0, 0, 0), frame.x_px, frame.y_px)],
         retina,
         observer=observer,
         stimulus=stimulus,

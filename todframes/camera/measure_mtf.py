@@ -18,6 +18,7 @@ from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.safe_text import in_utf8
 from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, EdgeMtf, EdgeValue
+from todframes.camera.mtf_figure import MtfLine, draw_mtf
 from todframes.camera.mtf_table import (
     MAPPER_PER_CYC_PER_PIXEL,
     RADIAL,
@@ -35,7 +36,6 @@ from todframes.recordings.recording import RecordingWarning
 from todframes.results.data import Content, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
-from todframes.results.mtf_figure import MtfLine, draw_mtf
 from todframes.results.result import Result, repeatable
 from todframes.results.table import Column, Table
 from todframes.results.wording import count, interval_phrase, path_name, plain

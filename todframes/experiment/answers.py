@@ -127,34 +127,10 @@ class SessionRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialRow:
-    """A trial that a person has answered: a row of the data file.
+    """A trial that a person has answered: a row of the data file, whose columns `psych_ds.DESCRIPTIONS` explains.
 
-    Attributes
-    ----------
-    number : int
-        1 for the first trial of the session; practice trials count.
-    phase : {"practice", "main"}
-    frame : str
-        Path of the trial's first frame, as in the manifest.
-    sha256 : str
-        Checksum of its file; with several frames, that of the lines of all their checksums (`frames_sha256`).
-    orientation : Orientation
-    response : Orientation or None
-        None: the time limit passed.
-    response_time_ms : float
-    flag : Flag or None
-        None: the answer counts.
-    level : float
-    group : tuple of float or str
-        One value for each column of `group_by`.
-    size_mrad : float
-        Size in the manifest. At the eye it is larger by the ratio of the monitor's pixel pitch to the dataset's.
-    dither_seed : int
-        Seed for `stimuli.shown_codes`.
-    clipped_px : int
-        Number of pixels that the monitor could not show.
-    shown_at : str
-        Time at which the page asked for the picture, ISO 8601.
+    `response` is None if the time limit passed. `size_mrad` is the size in the manifest; at the eye it is larger
+    by the ratio of the monitor's pixel pitch to the dataset's. `dither_seed` is that of `stimuli.shown_codes`.
     """
 
     number: int
@@ -223,10 +199,7 @@ def flagged(rows: Iterable[TrialRow]) -> dict[Flag, int]:
 def columns(level: str, group_by: tuple[str, ...]) -> tuple[str, ...]:
     """Return the columns of a data file.
 
-    Raises
-    ------
-    SettingsError
-        If the level or a column of `group_by` has the name of another column of the file.
+    Raises SettingsError if the level or a column of `group_by` has the name of another column of the file.
     """
     varied = (level, *group_by)
     for name in varied:
@@ -254,16 +227,7 @@ def sidecar_path(data: Path) -> Path:
 def read_answers(folder: Path | str, *, include_flagged: bool = False) -> list[Session]:
     """Read the sessions of a folder of answers that have a row, ordered by their names.
 
-    Parameters
-    ----------
-    folder : path
-    include_flagged : bool
-        Whether flagged answers count.
-
-    Raises
-    ------
-    DataError
-        If there is none, or a file cannot be read; the message names the file and the row.
+    Raises DataError if there is none, or a file cannot be read; the message names the file and the row.
     """
     folder = Path(folder)
     sessions = []
@@ -281,23 +245,14 @@ def read_answers(folder: Path | str, *, include_flagged: bool = False) -> list[S
 def read_records(folder: Path) -> list[tuple[Path, SessionRecord]]:
     """Read the sidecars of a folder of answers, ordered by their names, each with the path of its data file.
 
-    Raises
-    ------
-    DataError
-        If one cannot be read.
+    Raises DataError if one cannot be read.
     """
     sidecars = sorted((folder / "data").glob("subject-*_session-*_data.json"))
     return [(path.with_suffix(".csv"), read_sidecar(path)) for path in sidecars]
 
 
 def read_sidecar(path: Path) -> SessionRecord:
-    """Read the sidecar of a session.
-
-    Raises
-    ------
-    DataError
-        If it cannot be read, or is not a sidecar.
-    """
+    """Read the sidecar of a session; DataError if it cannot be read, or is not a sidecar."""
     content = read_file(path, most_mb=MAX_SIDECAR_MB)
     try:
         record = msgspec.json.decode(content, type=SessionRecord)
@@ -313,12 +268,8 @@ def read_sidecar(path: Path) -> SessionRecord:
 def read_rows(path: Path, dataset: ShownDataset) -> tuple[TrialRow, ...]:
     """Read the rows of a data file; a last line that was torn is left out.
 
-    A file of an earlier version has no column `flag`: only the response times then flag answers.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read or a row is not a trial; the message names the line and the column.
+    A file of an earlier version has no column `flag`: only the response times then flag answers. Raises DataError
+    if the file cannot be read or a row is not a trial; the message names the line and the column.
     """
     level, group_by = dataset.level, dataset.group_by
     expected = columns(level, group_by)
@@ -403,13 +354,7 @@ def flag_of(response_time_ms: float | None) -> Flag | None:
 
 
 def write_sidecar(path: Path, record: SessionRecord) -> None:
-    """Write the sidecar of a session, whole or not at all.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
-    """
+    """Write the sidecar of a session, whole or not at all; OutputError if it cannot be written."""
     content = msgspec.json.format(msgspec.json.encode(record), indent=2) + b"\n"
     write_file(path, content, is_private=True)
 
@@ -417,12 +362,8 @@ def write_sidecar(path: Path, record: SessionRecord) -> None:
 class AnswerFile:
     """The data file of a session, open for appending and locked: no other process can write it.
 
-    Use it in a `with` statement; `begin` it before the first row. `rows` are those that are on the disk.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written, or another process is writing it.
+    Use it in a `with` statement; `begin` it before the first row. `rows` are those that are on the disk. Raises
+    OutputError if the file cannot be written, or another process is writing it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -449,12 +390,8 @@ class AnswerFile:
     def begin(self, dataset: ShownDataset) -> None:
         """Read the rows, cut a line that was torn, and write the header of a new file.
 
-        Raises
-        ------
-        OutputError
-            If the file cannot be written.
-        DataError
-            If it holds a row that is not a trial, or has the columns of an earlier version.
+        Raises OutputError if the file cannot be written; DataError if it holds a row that is not a trial, or has
+        the columns of an earlier version.
         """
         self._dataset, self._columns = dataset, columns(dataset.level, dataset.group_by)
         self.rows = list(read_rows(self.path, dataset))
@@ -472,10 +409,7 @@ class AnswerFile:
     def append(self, row: TrialRow) -> None:
         """Write a row to the disk. When this returns, the row is there; if it raises, the file is as before.
 
-        Raises
-        ------
-        OutputError
-            If it cannot be written.
+        Raises OutputError if it cannot be written.
         """
         values = _values(row, self._dataset)
         self._append(csv_text([[values[name] for name in self._columns]]).encode())
@@ -549,12 +483,7 @@ def write_counts(path: Path, record: SessionRecord, rows: Sequence[TrialRow]) ->
 
     Trials of the main phase count that have a response and no flag, or any flag if the record includes them. If
     the visual angle of a pixel differed from that of the dataset's display by more than `SAME_PITCH`, `size_mrad`
-    is the size at the eye.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
+    is the size at the eye. Raises OutputError if it cannot be written.
     """
     level, group_by = record.dataset.level, record.dataset.group_by
     ratio = 1.0 if record.monitor is None else record.monitor.pixel_pitch_mrad / record.dataset.pixel_pitch_mrad

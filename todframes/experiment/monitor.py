@@ -117,11 +117,6 @@ class Monitor:
         Device pixels per pixel of the page, as the browser said.
     screen_px, viewport_px : (int, int)
         Width and height of the screen and of the page, in device pixels.
-
-    Raises
-    ------
-    SettingsError
-        If a value contradicts another or is out of range.
     """
 
     pixel_pitch_mm: Positive
@@ -152,10 +147,7 @@ class Monitor:
     def luminance_of_code(self) -> FloatArray:
         """Return the luminance of the code values 0 to 255 over that of white, rising: shape (256,).
 
-        Raises
-        ------
-        SettingsError
-            If neither or both of `gamma` and `lut` are given, or they do not describe a monitor.
+        Raises SettingsError if neither or both of `gamma` and `lut` are given, or they do not describe a monitor.
         """
         if self.lut is not None and self.gamma is None:
             return luminance_of_readings(self.lut)
@@ -177,10 +169,7 @@ class Monitor:
 def luminance_of_gamma(gamma: float) -> FloatArray:
     """Return (code / 255)^gamma for the code values 0 to 255.
 
-    Raises
-    ------
-    SettingsError
-        If the exponent is not that of a monitor.
+    Raises SettingsError if the exponent is not that of a monitor.
     """
     if not 1.0 <= gamma <= 4.0:
         raise SettingsError(f"gamma: found {gamma!r}, expected 1 to 4; match the half-tone again")
@@ -190,12 +179,8 @@ def luminance_of_gamma(gamma: float) -> FloatArray:
 def luminance_of_readings(lut: tuple[tuple[float, float], ...]) -> FloatArray:
     """Return the luminance of the code values 0 to 255 over that of white, from readings of a photometer.
 
-    Between readings, luminance^(1/2.2) is interpolated linearly; readings are met exactly.
-
-    Raises
-    ------
-    SettingsError
-        If the readings do not begin at code 0 and end at 255, are fewer than 4, or do not rise.
+    Between readings, luminance^(1/2.2) is interpolated linearly; readings are met exactly. Raises SettingsError if
+    the readings do not begin at code 0 and end at 255, are fewer than 4, or do not rise.
     """
     codes, luminance_cd_m2 = np.array(sorted(lut), np.float64).reshape(-1, 2).T
     if codes.size < 4 or codes[0] != 0 or codes[-1] != N_CODES - 1:
@@ -233,12 +218,8 @@ def viewing_distance_mm(*, pixel_pitch_mm: float, pixel_pitch_mrad: float) -> fl
 def gamma_of_half_tone(code: float) -> float:
     """Return the exponent of a monitor on which code (0 to 255) looks as bright as rows of white and black.
 
-    (code / 255)^gamma = 1/2, the mean luminance of the rows.
-
-    Raises
-    ------
-    MonitorError
-        If the code is not between black and white.
+    (code / 255)^gamma = 1/2, the mean luminance of the rows. Raises MonitorError if the code is not between black
+    and white.
     """
     if not 0.0 < code < N_CODES - 1:
         raise MonitorError("calibration", f"half_tone_code: found {code!r}, expected 0 to 255, without these two")
@@ -248,23 +229,17 @@ def gamma_of_half_tone(code: float) -> float:
 def calibrated(found: Calibration, *, background: float, dither: bool) -> Monitor:
     """Make the monitor of a person's measures.
 
-    Parameters
-    ----------
-    found : Calibration
-    background : float
-        Largest luminance of the background over that of white: it becomes that of the next code below.
-    dither : bool
-
-    Returns
-    -------
-    Monitor
-
-    Raises
-    ------
-    MonitorError
-        If the browser resamples what it shows, or a measure is missing or cannot be right.
+    `background` is the largest luminance of the background over that of white: it becomes that of the next code
+    below. Raises MonitorError if the browser resamples what it shows, because pixels of the page are not whole
+    device pixels, or a measure is missing or cannot be right.
     """
-    _check_scaling(found.device_pixel_ratio)
+    if found.device_pixel_ratio not in (1.0, 2.0, 3.0, 4.0):
+        raise MonitorError(
+            "scaling",
+            f"a pixel of the page is {found.device_pixel_ratio:.4g} pixels of the monitor, so the browser would "
+            "resample the frames; set the zoom of the page to 100 % (Ctrl and 0), and the scale of the display to "
+            "a whole number",
+        )
     pitch = found.pixel_pitch_mm
     if pitch is None and found.pixels_per_card is not None and found.pixels_per_card > 0:
         pitch = CARD_WIDTH_MM / found.pixels_per_card
@@ -314,37 +289,14 @@ def calibrated(found: Calibration, *, background: float, dither: bool) -> Monito
     )
 
 
-def _check_scaling(device_pixel_ratio: float) -> None:
-    """Raise MonitorError if pixels of the page are not whole device pixels: browsers resample pictures then."""
-    if device_pixel_ratio not in (1.0, 2.0, 3.0, 4.0):
-        raise MonitorError(
-            "scaling",
-            f"a pixel of the page is {device_pixel_ratio:.4g} pixels of the monitor, so the browser would "
-            "resample the frames; set the zoom of the page to 100 % (Ctrl and 0), and the scale of the display to "
-            "a whole number",
-        )
-
-
 def check_shows(
     monitor: Monitor, *, frame_px: tuple[int, int], pixel_pitch_mrad: float, ranges: list[ContrastRange]
 ) -> None:
-    """Check that a monitor can show trials.
+    """Raise MonitorError if a monitor cannot show trials.
 
-    Parameters
-    ----------
-    monitor : Monitor
-    frame_px : (int, int)
-        Largest width and height of a frame.
-    pixel_pitch_mrad : float
-        Visual angle of a pixel of the dataset's display.
-    ranges : list of ContrastRange
-        The contrasts of each trial.
-
-    Raises
-    ------
-    MonitorError
-        If frames are larger than the page, pixels much larger or smaller at the eye than the dataset's, or a
-        contrast of a triangle, or more than 1 % of the pixels of a trial, beyond the monitor's range.
+    Frames may not be larger than the page (`frame_px` is the largest width and height), pixels not much larger or
+    smaller at the eye than those of the dataset's display, and neither a contrast of a triangle nor more than 1 %
+    of the pixels of a trial beyond the monitor's range; `ranges` has the contrasts of each trial.
     """
     if any(frame > page for frame, page in zip(frame_px, monitor.viewport_px, strict=True)):
         raise MonitorError(

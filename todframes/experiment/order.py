@@ -47,21 +47,17 @@ class Practised(NamedTuple):
 class TrialOrder:
     """The order of the trials of a session, a function of its record and of the rows so far.
 
-    Parameters
-    ----------
-    trials : Trials
-        All trials of the dataset.
-    record : SessionRecord
+    `trials` are all of the dataset.
     """
 
     def __init__(self, trials: Trials, record: SessionRecord) -> None:
         self._trials, self._record = trials, record
         self._practice = practice_trials(trials, record.practice, _stream(record.seed, PRACTICE))
         self._row_of_frame = {trial.frames[0].path: row for row, trial in enumerate(trials)}
-        self._main: NDArray[np.intp] | None = None
+        self._main: list[int] | None = None
         self._grids: list[QuestGrid] = []
         if record.method == "constant":
-            self._main = spread_trials(trials, record.trials, _stream(record.seed, ORDER))
+            self._main = spread_trials(trials, record.trials, _stream(record.seed, ORDER)).tolist()
         else:
             of_group = [trials.levels[trials.group_codes == code] for code in range(len(trials.groups))]
             self._grids = [QuestGrid.of_levels(levels) for levels in of_group]
@@ -69,8 +65,7 @@ class TrialOrder:
     @property
     def candidates(self) -> list[int]:
         """Indices of the trials that may be shown."""
-        main = range(len(self._trials)) if self._main is None else self._main.tolist()
-        return sorted({*self._practice.tolist(), *main})
+        return sorted({*self._practice.tolist(), *(self._main or range(len(self._trials)))})
 
     def total(self, phase: Phase, rows: Sequence[TrialRow] = ()) -> int:
         """Return the number of trials of a block of practice, or of the main phase after some rows."""
@@ -115,15 +110,15 @@ class TrialOrder:
         row = self._adaptive(main) if self._main is None else self._constant(self._main, main)
         return NextTrial("main", row, dither_seed)
 
-    def _constant(self, order: NDArray[np.intp], main: Sequence[TrialRow]) -> int:
+    def _constant(self, order: Sequence[int], main: Sequence[TrialRow]) -> int:
         """Return the next trial in the order, in which flagged trials are repeated at a random later place."""
-        queue, n_trials = order.tolist(), n_main_trials(self._record, main)
-        for place, row in enumerate(main):
+        queue, n_trials = list(order), n_main_trials(self._record, main)
+        for number, row in enumerate(main):
             if not self._counts(row) and len(queue) < n_trials:
-                first = min(place + 2, len(queue))  # not at once, if another one is left
-                again = _stream(self._record.seed, AGAIN, place).integers(first, len(queue), endpoint=True)
-                queue.insert(int(again), queue[place])
-        return int(queue[len(main)])
+                first = min(number + 2, len(queue))  # not at once, if another one is left
+                again = _stream(self._record.seed, AGAIN, number).integers(first, len(queue), endpoint=True)
+                queue.insert(int(again), queue[number])
+        return queue[len(main)]
 
     def _counts(self, row: TrialRow) -> bool:
         return self._record.include_flagged or row.flag is None

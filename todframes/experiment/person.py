@@ -76,13 +76,8 @@ them."""
 class SeenDataset(Dataset):
     """The main trials of a session as a dataset of the frames that the person saw: luminance over the background.
 
-    Attributes
-    ----------
-    shown : Dataset
-        The dataset that the session showed.
-    monitor : Monitor
-    originals : mapping of str to (Trial, TrialRow)
-        Trial of `shown` and answer of each frame, by its path here.
+    `shown` is the dataset that the session showed; `originals` has the trial of it and the answer of each frame,
+    by the frame's path here.
     """
 
     shown: Dataset
@@ -116,12 +111,8 @@ class SeenDataset(Dataset):
 def seen_dataset(dataset: Dataset, session: Session) -> SeenDataset:
     """Return the trials that a person answered in the main phase of a session, as the person saw them.
 
-    Sizes are those at the eye, in the group and the level too if these are the column `size_mrad`.
-
-    Raises
-    ------
-    DataError
-        If the answers are to another dataset, or there are none.
+    Sizes are those at the eye, in the group and the level too if these are the column `size_mrad`. Raises
+    DataError if the answers are to another dataset, or there are none.
     """
     asked, where = session.record.dataset, session.path
     if asked.manifest_sha256 != dataset.manifest_sha256:
@@ -190,19 +181,10 @@ class _Seen(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AnsweredTrials:
-    """The answers of a person and the model's scores of the same trials.
+    """The answers of a person, (trial,), and the model's scores of the same trials, those that could be read.
 
-    Attributes
-    ----------
-    subject : str
-    trials : Trials
-        Trials that could be read, at the eye.
-    is_correct : ndarray of bool, shape (trial,)
-    deviations : ndarray, shape (trial, blur, displacement, 4)
-        Score deviations.
-    readouts : mapping
-        For each stimulus, the readout at each blur with an internal noise of 1.
-    skipped : tuple of Skipped
+    Stimuli and levels are those at the eye. `deviations` of the scores are (trial, blur, displacement, 4);
+    `readouts` has, for each stimulus, the readout at each blur with an internal noise of 1.
     """
 
     subject: str
@@ -252,15 +234,8 @@ def answered_trials(
 ) -> AnsweredTrials:
     """Show the main trials of a session to an observer, with each template blur, as the person saw them.
 
-    Parameters
-    ----------
-    observers : sequence of Observer
-        The same observer with an internal noise of 1 and one template blur each, rising.
-
-    Raises
-    ------
-    DataError, FrameError
-        If the answers are to another dataset, or a frame cannot be used or has changed since.
+    `observers` are the same one with an internal noise of 1 and one template blur each, rising. Raises DataError
+    or FrameError if the answers are to another dataset, or a frame cannot be used or has changed since.
     """
     seen = seen_dataset(dataset, session)
     # The widest blur needs the widest field and the coarsest bands.
@@ -269,8 +244,8 @@ def answered_trials(
     scoring = Scoring(seen, plans[0], "expected", seed, displacements=DISPLACEMENTS)
     found: dict[int, FloatArray] = {}
 
-    def collect(place: int, one: _Seen) -> None:
-        found[place] = one.deviations
+    def collect(row: int, seen: _Seen) -> None:
+        found[row] = seen.deviations
 
     skipped = see_trials(
         scoring,
@@ -314,10 +289,8 @@ def noise_observers(
 ) -> tuple[list[Observer], FloatArray]:
     """Return an observer with an internal noise of 1 and each template blur that is tried, and these blurs.
 
-    Raises
-    ------
-    SettingsError
-        If the observer is not linear, has no such settings, or reads neurons out according to their noise.
+    Raises SettingsError if the observer is not linear, has no such settings, or reads neurons out according to
+    their noise.
     """
     settings = getattr(observer, "settings", None)
     names = [field.name for field in fields(settings)] if is_dataclass(settings) else []
@@ -336,8 +309,8 @@ def noise_observers(
     is_same = first.weights_key == second.weights_key
     if not (is_same and np.allclose(second.noise_covariance, 4.0 * first.noise_covariance, rtol=1e-9, atol=0.0)):
         raise SettingsError(
-            f"observer: its weights depend on its {_words(fitted_setting(observer))}, which is to be fitted; "
-            "expected fixed weights (informative: sample_noise_sd = 0; csf: template = matched)"
+            f"observer: its weights depend on its {fitted_setting(observer).replace('_', ' ')}, which is to be "
+            "fitted; expected fixed weights (informative: sample_noise_sd = 0; csf: template = matched)"
         )
     blur = float(getattr(settings, BLUR, 1.0))
     if not blur_is_free:
@@ -352,11 +325,6 @@ def fitted_setting(observer: Observer) -> str:
     """Return the name of the setting that is fitted: the efficiency of an observer without an internal noise."""
     settings = getattr(observer, "settings", None)
     return EFFICIENCY if hasattr(settings, EFFICIENCY) and not hasattr(settings, NOISE) else NOISE
-
-
-def _words(setting: str) -> str:
-    """Return the words of a setting's name."""
-    return setting.replace("_", " ")
 
 
 def _changed(observer: Observer, changes: dict[str, Any]) -> Observer:
@@ -430,18 +398,10 @@ class PersonWarning(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Calibrated:
-    """The fits of all persons.
+    """The fits of all persons, and of all answers together with one noise for all; None for a single person.
 
-    Attributes
-    ----------
-    persons : tuple of PersonFit
-    pooled : PersonFit or None
-        All answers together, with one noise for all; None for a single person.
-    equal_noise_p_value : float or None
-        p-value of the likelihood-ratio test that all persons have the pooled parameters.
-    skipped : tuple of Skipped
-    fitted : str
-        Name of the setting of the observer that was fitted: "internal_noise" or "efficiency".
+    `equal_noise_p_value` is that of the likelihood-ratio test that all persons have the pooled parameters;
+    `fitted` is the name of the setting of the observer that was fitted: "internal_noise" or "efficiency".
     """
 
     persons: tuple[PersonFit, ...]
@@ -452,7 +412,7 @@ class Calibrated:
 
     def warnings(self) -> tuple[PersonWarning, ...]:
         """Return warnings about persons whom the model does not describe, and about persons who differ."""
-        name = _words(self.fitted)
+        name = self.fitted.replace("_", " ")
         found = [
             PersonWarning(
                 "poor_fit",
@@ -489,31 +449,13 @@ def calibrate_persons(
 ) -> Calibrated:
     """Fit the internal noise of an observer to the answers of each person, and to all of them together.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        The dataset that the sessions showed.
-    sessions : sequence of Session
-    observer : Observer
-        Its internal noise is not used.
-    free : sequence of {"lapse", "blur"}
-        Parameters that are fitted besides: the lapse rate δ, up to `lapse_rate_max`, and the template blur.
-    fit_settings : FitSettings, optional
-        Of the persons' own curves; its criterion is that of the predicted thresholds too, and its `lapse_rate`
-        that of the model unless free; 0 without one.
-    seed : int
-        Seed of the displacements of the retina and of repeated experiments.
-    skip_bad_frames : bool
-        Leave out trials whose frames cannot be used or have changed, instead of raising.
-    run : Run, optional
-        Engine of the scoring, and the function that receives its progress.
+    The observer's own noise is not used. `free` names parameters that are fitted besides: the lapse rate δ, up to
+    `lapse_rate_max`, and the template blur. `fit_settings` are those of the persons' own curves; their criterion
+    is that of the predicted thresholds too, and their `lapse_rate` that of the model unless free; 0 without one.
+    `seed` is that of the displacements of the retina and of repeated experiments.
 
-    Raises
-    ------
-    DataError, FrameError
-        If the answers are to another dataset, or a frame cannot be used or has changed since.
-    SettingsError
-        If the observer's noise cannot be fitted.
+    Raises DataError or FrameError if the answers are to another dataset, or a frame cannot be used or has changed
+    since, which `skip_bad_frames` leaves out; SettingsError if the observer's noise cannot be fitted.
     """
     fit_settings = settings_of_experiment(fit_settings, dataset.experiment)
     stimulus = dataset.trials[0].stimulus

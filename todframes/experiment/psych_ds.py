@@ -73,12 +73,6 @@ def description(shown: ShownDataset, software: Mapping[str, str]) -> Json:
 
 
 def write_description(folder: Path, shown: ShownDataset, software: Mapping[str, str]) -> None:
-    """Write the description into a folder of answers.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
-    """
+    """Write the description into a folder of answers; OutputError if it cannot be written."""
     content = msgspec.json.format(msgspec.json.encode(description(shown, software)), indent=2)
     write_file(folder / DESCRIPTION_FILE, content + b"\n", is_private=True)

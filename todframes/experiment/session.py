@@ -97,30 +97,9 @@ Step = Literal["consent", "monitor", "practice", "main", "break", "done", "stopp
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionDesign:
-    """Settings of a session. None stands for the default, or for the setting of the session that is continued.
+    """Settings of a session, which `run_experiment` describes, with their ranges.
 
-    Attributes
-    ----------
-    method : {"constant", "quest"}, optional
-        Show trials of the dataset in random order, or let QUEST+ choose the level. Default: constant.
-    trials : int, optional
-        Number of trials that count. Default: all of the dataset; for quest 60 a group.
-    practice : int, optional
-        Number of trials with feedback before. Default: 8.
-    practice_correct : float, optional
-        Share of them that has to be correct before the main trials begin; else they come again. Default: 0.75.
-    break_every : int, optional
-        Number of trials between breaks, 0 for none. Default: 60.
-    time_limit_s : float, optional
-        Time in which to answer. Default: no limit.
-    background : float, optional
-        Luminance of the background over that of white. Default: 0.5.
-    dither : bool, optional
-        Show luminances between two code values by pixels of both. Default: yes.
-    include_flagged : bool, optional
-        Count flagged answers as all others. Default: no; their trials are shown again later.
-    seed : int, optional
-        Seed of the order. Default: a random one.
+    None stands for the default, or for the setting of the session that is continued.
     """
 
     method: Method | None = None
@@ -165,10 +144,7 @@ class Picture(NamedTuple):
 def make_picture(dataset: Dataset, monitor: Monitor, asked: NextTrial) -> Picture:
     """Read the frames of a trial and compute the code values that show it.
 
-    Raises
-    ------
-    FrameError
-        If its frames cannot be used.
+    Raises FrameError if its frames cannot be used.
     """
     trial = dataset.trials[asked.row]
     image = trial_image(dataset, trial)
@@ -223,12 +199,7 @@ class Sitting:
     def consent(self, is_agreed: bool) -> Json:
         """Keep a person's consent; without it the session stays where it is.
 
-        Raises
-        ------
-        StepError
-            If the person has agreed before.
-        OutputError
-            If it cannot be written.
+        Raises StepError if the person has agreed before; OutputError if it cannot be written.
         """
         with self._lock:
             self._expect("consent")
@@ -240,14 +211,8 @@ class Sitting:
     def calibrate(self, found: Calibration) -> Json:
         """Keep the calibration of the monitor.
 
-        Raises
-        ------
-        MonitorError
-            If the monitor cannot show the trials as they are.
-        StepError
-            If the person has not agreed yet, or has answered trials.
-        OutputError
-            If it cannot be written.
+        Raises MonitorError if the monitor cannot show the trials as they are; StepError if the person has not
+        agreed yet, or has answered trials; OutputError if it cannot be written.
         """
         with self._lock:
             if self.record.monitor is None or self._file.rows:
@@ -266,12 +231,7 @@ class Sitting:
     def trial(self) -> Json:
         """Return the trial to show, the same one until it is answered.
 
-        Raises
-        ------
-        StepError
-            If there is none at this step.
-        FrameError
-            If its frames cannot be used.
+        Raises StepError if there is none at this step; FrameError if its frames cannot be used.
         """
         with self._lock:
             prepared = self._prepare()
@@ -287,13 +247,7 @@ class Sitting:
             }
 
     def picture(self, number: int) -> bytes:
-        """Return the PNG of the trial that is shown.
-
-        Raises
-        ------
-        StepError
-            If another trial is shown, or none.
-        """
+        """Return the PNG of the trial that is shown; StepError if another trial is shown, or none."""
         with self._lock:
             if self._prepared is None or self._prepared.number != number:
                 raise StepError(f"trial {number} is not shown; expected that of /api/trial")
@@ -310,14 +264,8 @@ class Sitting:
         """Save an answer to the disk, once: a trial that has an answer keeps it.
 
         The trial may have been shown by a server before this one, as its order is the same. `lost` says that the
-        page was hidden, or had lost the focus, during the trial.
-
-        Raises
-        ------
-        StepError
-            If the trial was not shown.
-        OutputError
-            If it cannot be written; the trial is still to be answered.
+        page was hidden, or had lost the focus, during the trial. Raises StepError if the trial was not shown;
+        OutputError if it cannot be written; the trial is still to be answered.
         """
         with self._lock:
             if 1 <= number <= len(self._file.rows):
@@ -344,12 +292,8 @@ class Sitting:
     def stop(self) -> Json:
         """End the session early, as the person wants it; what was answered stays.
 
-        Raises
-        ------
-        StepError
-            If the person has not agreed yet, or has answered all trials.
-        OutputError
-            If it cannot be written.
+        Raises StepError if the person has not agreed yet, or has answered all trials; OutputError if it cannot be
+        written.
         """
         with self._lock:
             if (step := self._step()[0]) in ("consent", "done"):
@@ -360,10 +304,7 @@ class Sitting:
     def close(self) -> None:
         """Write the counts of what was answered; no picture is made any more.
 
-        Raises
-        ------
-        OutputError
-            If they cannot be written.
+        Raises OutputError if they cannot be written.
         """
         self._artist.shutdown(cancel_futures=True)
         with self._lock:
@@ -529,30 +470,10 @@ def open_sitting(
 ) -> Iterator[Sitting]:
     """Begin a session, or continue one that is not finished; its files stay locked in the block.
 
-    Parameters
-    ----------
-    dataset : Dataset
-    folder : path
-        Folder of answers; made if it does not exist.
-    subject : str, optional
-        Anonymous id, letters and digits. Default: that of the only session that is not finished, or a random one.
-    design : SessionDesign, optional
-        Settings; those of a session that has rows cannot change.
-    consent_text : str, optional
-        Text that the person is to agree to.
-    contact : str, optional
-        Name and address, for the text of consent of this package and the last screen.
-    progress : function of two ints, optional
-        Called with the number of trials whose frames are read, and of all.
-
-    Raises
-    ------
-    DataError, FrameError
-        If the dataset or a frame cannot be used, or a file of answers is damaged.
-    SettingsError
-        If the id, the dataset or a setting does not fit the session.
-    OutputError
-        If the folder cannot be written, or another server is in the session.
+    Parameters are those of `run_experiment`; the settings of a session that has rows cannot change. Raises
+    DataError or FrameError if the dataset or a frame cannot be used, or a file of answers is damaged;
+    SettingsError if the id, the dataset or a setting does not fit the session; OutputError if the folder cannot be
+    written, or another server is in the session.
     """
     folder, design = Path(folder), design or SessionDesign()
     shown = _shown_dataset(dataset)

@@ -40,12 +40,8 @@ def trial_image(dataset: Dataset, trial: Trial) -> TrialImage:
 
     The luminance that contrast refers to is that of the dataset's rule at the triangle, one number a frame: a
     slope or a border of the background is shown unchanged. Pixels that a file leaves out of its frame have the
-    contrast 0.
-
-    Raises
-    ------
-    FrameError
-        If a frame cannot be used, differs in size from the first of its trial, or the triangle does not lie on it.
+    contrast 0. Raises FrameError if a frame cannot be used, differs in size from the first of its trial, or the
+    triangle does not lie on it.
     """
     display = dataset.display
     total: FloatArray | None = None
@@ -124,20 +120,11 @@ def dithered_codes(trial: Trial, image: TrialImage, monitor: Monitor, seed: int)
 
 
 def shown_codes(contrast: FloatArray, monitor: Monitor, seed: int) -> NDArray[np.uint8]:
-    """Return the code values that show contrast on a monitor.
+    """Return the code values that show Weber contrast, (rows, columns), on a monitor.
 
-    Parameters
-    ----------
-    contrast : ndarray, shape (rows, columns)
-        Weber contrast; what the monitor cannot show becomes its white or black (`clipped`).
-    monitor : Monitor
-    seed : int
-        Place of the dither pattern: 4096 of them. Without dither each pixel has the code nearest in luminance.
-
-    Returns
-    -------
-    ndarray of uint8, shape (rows, columns)
-        With dither, the sum of the contrasts of all pixels is off by at most half of a code step of one pixel.
+    Contrast that the monitor cannot show becomes its white or black (`clipped`). With dither, the sum of the
+    contrasts of all pixels is off by at most half of a code step of one pixel; `seed` is one of 4096 positions of
+    the pattern. Without dither each pixel has the code nearest in luminance.
     """
     of_code = monitor.contrast_of_code()
     # The scale of relative luminance, in which 0 is black, suits the relative tolerance of `dithered`.

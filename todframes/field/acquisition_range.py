@@ -221,7 +221,8 @@ class FieldRange(Content, frozen=True, kw_only=True):
         for one in named:
             p = one.probability
             level = "the criterion" if p is None else f"{100 * p:g} %{' correct' * self.is_tod}"
-            texts.append(f"At {level}, {one.task}: {range_words(one, size_m=self.target.size_m, is_tod=self.is_tod)}.")
+            words = range_words(one, size_m=self.target.size_m, is_tod=self.is_tod)
+            texts.append(f"At {level}, {one.task}: {words}.")
         limited = next((one for one in named if one.limited_by is not None), None)
         if limited is not None:
             parts = ", ".join(

@@ -172,11 +172,11 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     @classmethod
     def of_counts(cls, group: Group, level: str, fit: PsychometricFit) -> Fit:
         """Return the record of a psychometric fit."""
-        values = {one.name: getattr(fit, one.name) for one in dataclasses.fields(fit) if one.name != "points"}
-        points = tuple(FitPoint(one.level, one.n_trials, one.p_correct) for one in fit.points)
+        values = {field.name: getattr(fit, field.name) for field in dataclasses.fields(fit)}
+        values["points"] = tuple(FitPoint(*dataclasses.astuple(point)) for point in fit.points)
         if fit.observer_curve is not None:
             values["observer_curve"] = CurveParameters(*fit.observer_curve)
-        return cls(group=group, level=level, points=points, **values)
+        return cls(group=group, level=level, **values)
 
     @classmethod
     def of_computed(cls, group: Group, level: str, p_correct: float, found: ComputedThreshold, **more: Any) -> Fit:
@@ -198,15 +198,10 @@ def group_of(dataset: Dataset, values: Sequence[float | str]) -> Group:
 
 
 def observer_names(each_settings: Sequence[Record]) -> list[str]:
-    """Return the names of a result's observers by their settings, numbered if two have the same name.
-
-    They state the gaze if it is not the same of all.
-    """
+    """Return the names of observers, with the gaze if it is not the same of all, and a number if two are alike."""
     first = each_settings[0].get("gaze")
-    names, gazes = (
-        [str(one.get("observer")) for one in each_settings],
-        [one.get("gaze", first) for one in each_settings],
-    )
+    names = [str(settings.get("observer")) for settings in each_settings]
+    gazes = [settings.get("gaze", first) for settings in each_settings]
     if len(set(gazes)) > 1:
         names = [f"{name} ({gaze})" for name, gaze in zip(names, gazes, strict=True)]
     if len(set(names)) < len(names):
@@ -451,13 +446,7 @@ T = TypeVar("T")
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the content of a result's file.
-
-    Raises
-    ------
-    DataError
-        If it cannot be read or is too long.
-    """
+    """Return the content of a result's file; DataError if it cannot be read or is too long."""
     return read_file(path, most_mb=MAX_MB)
 
 
@@ -476,21 +465,10 @@ def as_read(values: object, kind: type[T]) -> T:
 
 
 def decode(content: bytes, where: str, kind: type[S]) -> S:
-    """Return the keys of a result that a record has, decoded from JSON and checked.
+    """Return the keys of a result that a record of this kind has, decoded from JSON and checked.
 
-    Parameters
-    ----------
-    content : bytes
-        One JSON object, with or without a byte-order mark.
-    where : str
-        Name of the file; every message begins with it.
-    kind : type
-        `Head`, or a subclass of `Content`.
-
-    Raises
-    ------
-    DataError
-        If it is not JSON, or a value is not of its type.
+    The JSON may begin with a byte-order mark. DataError if it is not JSON, or a value is not of its type; the
+    message begins with `where`, the name of the file.
     """
     try:
         return msgspec.json.decode(content.removeprefix(b"\xef\xbb\xbf"), type=kind)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import textwrap
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from todframes.results.figure_style import STYLE, label_text, new_figure, png_file, style, svg_file
+from todframes.results.figure_style import STYLE, label_text, new_figure, style, svg_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,28 +31,39 @@ class ReportFigure(NamedTuple):
         self.draw(axes)
         return figure
 
+    def _titled(self) -> Figure:
+        figure = self.figure()
+        figure.axes[0].set_title(label_text(self.title))
+        return figure
+
     def png(self) -> bytes:
         """Return the picture as a PNG with its title above and its note below."""
         with style():
-            figure = self.figure()
-            figure.axes[0].set_title(label_text(self.title))
-            return save_png(figure, self.note)
+            return save_png(self._titled(), self.note)
 
     def svg(self) -> bytes:
         """Return the picture as an SVG file with its title above and its note below."""
         import matplotlib as mpl
 
         with style(), mpl.rc_context({"svg.hashsalt": self.file}):
-            figure = self.figure()
-            figure.axes[0].set_title(label_text(self.title))
+            figure = self._titled()
             _add_note(figure, self.note)
             return svg_file(figure)
 
 
 def save_png(figure: Figure, note: str = "") -> bytes:
-    """Return the PNG of a figure with a note below it, inside `style`; the same figure gives the same bytes."""
+    """Return the PNG of a figure with a note below it, inside `style`; the same figure gives the same bytes.
+
+    A canvas draws the figure once. `Figure.savefig` draws it twice, first for its layout alone.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     _add_note(figure, note)
-    return png_file(figure, dpi=160)
+    canvas: Any = FigureCanvasAgg(figure)
+    buffer = io.BytesIO()
+    figure.set_dpi(160)
+    canvas.print_png(buffer, metadata={"Software": None})  # a version would change the bytes
+    return buffer.getvalue()
 
 
 def _add_note(figure: Figure, note: str) -> None:

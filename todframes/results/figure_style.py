@@ -73,23 +73,8 @@ def new_figure() -> tuple[Figure, Axes]:
     return figure, figure.add_subplot()
 
 
-def png_file(figure: Figure, *, dpi: float) -> bytes:
-    """Return the PNG of a figure, inside `style`; the same figure gives the same bytes.
-
-    A canvas draws the figure once. `Figure.savefig` draws it twice, first for its layout alone.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    canvas: Any = FigureCanvasAgg(figure)
-    buffer = io.BytesIO()
-    figure.set_dpi(dpi)
-    # The metadata has no software version, so the same figure always gives the same bytes.
-    canvas.print_png(buffer, metadata={"Software": None})
-    return buffer.getvalue()
-
-
 def svg_file(figure: Figure) -> bytes:
-    """Return the SVG of a figure, inside `style`, without a date; drawn once as in `png_file`."""
+    """Return the SVG of a figure, inside `style`, without a date; drawn once as in `save_png`."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     canvas: Any = FigureCanvasSVG(figure)

@@ -30,22 +30,11 @@ _NOT_OF_PAGE = re.compile(r"\s*<(metadata|style)\b.*?</\1>", re.DOTALL)
 
 
 def inline_svg(figure: Figure, *, name: str, label: str) -> str:
-    """Return the figure as an `svg` element for an HTML page.
+    """Return the figure as an `svg` element for an HTML page; both are made inside `figure_style.style`.
 
-    Parameters
-    ----------
-    figure : matplotlib Figure
-        Figure made inside `figure_style.style`; call this function inside it too.
-    name : str
-        Name that is unique in the page; matplotlib derives the ids of clips and markers from it.
-    label : str
-        Description of the figure, for readers who do not see it.
-
-    Returns
-    -------
-    str
-        Well-formed XML without document type, namespaces, style sheet or date; the same figure gives the same
-        text.
+    It is well-formed XML without document type, namespaces, style sheet or date; the same figure gives the same
+    text. `name` is unique in the page: matplotlib derives the ids of clips and markers from it. `label` describes
+    the figure for readers who do not see it.
     """
     import matplotlib as mpl
 

@@ -127,14 +127,8 @@ class Column:
 class LongRecords(Sequence[Mapping[str, Any]]):
     """Records that are made from columns, block by block, each time they are read: not all are in memory at once.
 
-    Parameters
-    ----------
-    kinds : mapping of str to type
-        Type of the values of each column: str, bool, int or float.
-    n : int
-        Number of records.
-    blocks : function
-        Function that returns an iterator over mappings of all keys, in the order of `kinds`, to lists of values.
+    `kinds` has the type of each column's values: str, bool, int or float. `n` is the number of records, and
+    `blocks` returns an iterator over mappings of all keys, in the order of `kinds`, to lists of values.
     """
 
     def __init__(
@@ -157,12 +151,11 @@ class LongRecords(Sequence[Mapping[str, Any]]):
     @overload
     def __getitem__(self, index: slice) -> tuple[Mapping[str, Any], ...]: ...
     def __getitem__(self, index: int | slice) -> Mapping[str, Any] | tuple[Mapping[str, Any], ...]:
-        places = range(self._n)[index]
-        if isinstance(places, int):
-            return next(islice(self, places, None))
-        first, last = min(places, default=0), max(places, default=-1)
-        part = list(islice(self, first, last + 1))
-        return tuple(part[place - first] for place in places)
+        rows = range(self._n)[index]
+        if isinstance(rows, int):
+            return next(islice(self, rows, None))
+        records = list(islice(self, max(rows, default=-1) + 1))
+        return tuple(records[row] for row in rows)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Sequence):
@@ -298,19 +291,10 @@ class Table:
         return DataFrame(rows, columns=names)
 
     def terminal(self, width: int, *, details: bool = False) -> Group:
-        """Lay out the table for a terminal. A narrow one shows fewer columns, but no number is cut or broken.
+        """Lay out title and table for a terminal of `width` letters, to be printed on a console as wide.
 
-        Parameters
-        ----------
-        width : int
-            Number of letters in a line.
-        details : bool
-            Show the columns that identify rows and those that are details, instead of the others.
-
-        Returns
-        -------
-        rich Group
-            Title and table, to be printed on a console that is wide enough.
+        A narrow one shows fewer columns, but no number is cut or broken. With `details`, the columns that identify
+        rows and those that are details stand in place of the others.
         """
         from rich.box import SIMPLE_HEAD
         from rich.console import Group

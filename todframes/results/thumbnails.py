@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
+from todframes.frames.contrast import ContrastPatch
 from todframes.observers.interface import Observer
 from todframes.results.data import Thumbnail
 from todframes.stimulus import Stimulus
@@ -31,28 +32,10 @@ DISPLAY_SIDE_PX, RETINA_SIDE_PX = 128, 96
 """Largest sides of pictures of the display and of the retina; larger ones are reduced by a whole factor."""
 
 
-class Band(Protocol):
-    """Protocol of a rectangle of a frame's contrast, from a row and a column on."""
-
-    @property
-    def values(self) -> FloatArray: ...  # noqa: D102 - the class describes them
-    @property
-    def row(self) -> int: ...  # noqa: D102
-    @property
-    def column(self) -> int: ...  # noqa: D102
-
-
-class InBands(Protocol):
-    """Protocol of a part of a frame, such as `ContrastPatch`, that yields its contrast in bands of rows."""
-
-    def bands(self) -> Iterator[Band]:
-        """Yield the bands."""
-
-
 class ExamplePatch(NamedTuple):
     """Part of a frame, and the position of the triangle's centroid in the frame."""
 
-    patch: InBands
+    patch: ContrastPatch
     x_px: float
     y_px: float
 
@@ -76,26 +59,12 @@ def pictures(
     pixel_pitch_mrad: float,
     white: float | None = None,
 ) -> tuple[float, tuple[Thumbnail, ...]]:
-    """Draw the triangle and its surroundings: display, retina image and bands.
+    """Draw the triangle and its surroundings: display, retina image and bands. Return the width in mrad, too.
 
-    Parameters
-    ----------
-    shown : sequence of ExamplePatch
-        Contrast of the frames of one trial; the picture is their mean, and background beyond the end of a frame.
-    retina : ndarray, shape (side, side)
-        Observer's input, in contrast.
-    pixel_pitch_mrad : float
-        Visual angle of a display pixel, in mrad.
-    white : float, optional
-        Contrast shown as white. Default: 1, or the largest contrast present. Black is the display's black.
-
-    Returns
-    -------
-    width_mrad : float
-        Visual angle that each picture spans, in mrad.
-    pictures : tuple of Thumbnail
-        The display's grey is sRGB for the luminance, and its `scale` is the contrast of white. In the others
-        mid-grey is 0, and `scale` is the value of white.
+    `shown` are the frames of one trial; the picture is their mean, and background beyond the end of a frame.
+    `retina` is the observer's input, in contrast, (side, side). The display's grey is sRGB for the luminance, from
+    its black to `white`, a contrast, which is the picture's `scale`; by default 1, or the largest contrast. In the
+    others mid-grey is 0, and `scale` is the value of white.
     """
     reach_px = reach_px_of(observer, stimulus, pixel_pitch_mrad)
     display = np.mean([_crop(one, reach_px) for one in shown], axis=0)
@@ -116,7 +85,7 @@ def pictures(
 def _crop(shown: ExamplePatch, reach_px: int) -> FloatArray:
     """Return the contrast within `reach_px` of the triangle's centroid, (2 reach + 1)²; 0 beyond the frame."""
     side = 2 * reach_px + 1
-    top, left = (round(place) - reach_px for place in (shown.y_px, shown.x_px))
+    top, left = round(shown.y_px) - reach_px, round(shown.x_px) - reach_px
     cropped = np.zeros((side, side))
     for band in shown.patch.bands():
         contrast = band.values
@@ -131,8 +100,8 @@ def _crop(shown: ExamplePatch, reach_px: int) -> FloatArray:
 
 def _about_middle(image: FloatArray, reach: int, step: float) -> FloatArray:
     """Return retina samples within `reach` of the middle, from an image sampled every `step` of them."""
-    places = np.floor(np.arange(-reach, reach + 1) / step + 0.5).astype(int)
-    rows, columns = (np.clip(places + n // 2, 0, n - 1) for n in image.shape)
+    steps = np.floor(np.arange(-reach, reach + 1) / step + 0.5).astype(int)
+    rows, columns = (np.clip(steps + n // 2, 0, n - 1) for n in image.shape)
     return np.asarray(image[np.ix_(rows, columns)], dtype=np.float64)
 
 
@@ -146,8 +115,8 @@ def _reduced(image: FloatArray, largest_side: int, summary: Callable[..., FloatA
 
 def _peak(blocks: FloatArray, axis: int) -> FloatArray:
     """Return the value farthest from 0 in each block; the mean of a band-pass image would be about zero."""
-    place = np.expand_dims(np.abs(blocks).argmax(axis=axis), axis)
-    return np.take_along_axis(blocks, place, axis).squeeze(axis)
+    peak = np.expand_dims(np.abs(blocks).argmax(axis=axis), axis)
+    return np.take_along_axis(blocks, peak, axis).squeeze(axis)
 
 
 def _signed(name: str, image: FloatArray) -> Thumbnail:

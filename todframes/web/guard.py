@@ -27,16 +27,10 @@ def guarded(app: ASGIApp, *, origin: str, token: str) -> ASGIApp:
     """Return an app that passes on only the requests of its own page.
 
     A request is refused if it names another host: a site whose name leads to this machine would be taken for the
-    page. It is refused if it comes from another origin; or if it does not bring the token, in the cookie that the
-    first visit sets or in the header `X-Token`. A POST has to be JSON, which no form of another site can send.
-
-    Parameters
-    ----------
-    app : ASGI app
-    origin : str
-        Scheme, host and port at which the server listens. For 127.0.0.1, the name localhost is right, too.
-    token : str
-        Secret of this run. `GET /?token=…` sets the cookie and redirects to `/`.
+    page. It is refused if it comes from another origin; or if it does not bring the token, the secret of this run,
+    in the cookie that the first visit, `GET /?token=…`, sets or in the header `X-Token`. A POST has to be JSON,
+    which no form of another site can send. `origin` is the scheme, host and port at which the server listens; for
+    127.0.0.1, the name localhost is right, too.
     """
     address = urlsplit(origin)
     # Starlette's TrustedHostMiddleware does not check the port, and its older versions refuse IPv6.

@@ -6,6 +6,7 @@ import asyncio
 import re
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from functools import partial
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from typing import TypeVar
@@ -44,25 +45,18 @@ class EmptyRequest(msgspec.Struct):
 
 
 def page(folder: Traversable, calls: Sequence[Route], lifespan: Lifespan[Starlette] | None = None) -> Starlette:
-    """Return an app that serves the files of a folder, those that all pages share, and calls.
+    """Return an app that serves the files of a package's folder, those that all pages share, and calls.
 
-    The files are read now: the path of a request is compared with their names, and never looked up on the disk.
-
-    Parameters
-    ----------
-    folder : Traversable
-        Folder of a package. Its `index.html` is `/`, and the other files are `/static/NAME`.
-    calls : sequence of Route
-        Usually of `call`.
-    lifespan : function, optional
-        Makes the context in which the server runs.
+    `index.html` is `/`, and the other files are `/static/NAME`. The files are read now: the path of a request is
+    compared with their names, and never looked up on the disk. `lifespan` makes the context in which the server
+    runs.
     """
     shared = files("todframes.web") / "static"
     routes = list(calls)
     for file in (*shared.iterdir(), *(shared / "uplot").iterdir(), *folder.iterdir()):
         if (media_type := CONTENT_TYPES.get(file.name.rpartition(".")[2])) is not None:
             path = "/" if file.name == "index.html" else f"/static/{file.name}"
-            routes.append(_file(path, file.read_bytes(), media_type))
+            routes.append(Route(path, partial(_file, file.read_bytes(), media_type)))
     compression = Middleware(GZipMiddleware, minimum_size=LEAST_COMPRESSED_BYTES, compresslevel=1)
     handlers = {
         TodframesError: error_answer,
@@ -71,11 +65,8 @@ def page(folder: Traversable, calls: Sequence[Route], lifespan: Lifespan[Starlet
     return Starlette(routes=routes, middleware=[compression], lifespan=lifespan, exception_handlers=handlers)
 
 
-def _file(path: str, content: bytes, media_type: str) -> Route:
-    async def endpoint(_: Request) -> Response:
-        return Response(content, media_type=media_type)
-
-    return Route(path, endpoint)
+async def _file(content: bytes, media_type: str, _: Request) -> Response:
+    return Response(content, media_type=media_type)
 
 
 def call(path: str, kind: type[T], function: Callable[[T], object]) -> Route:
@@ -95,16 +86,9 @@ def call(path: str, kind: type[T], function: Callable[[T], object]) -> Route:
 def stream(path: str, kind: type[T], function: Callable[[T, Callable[[], bool]], Iterator[object]]) -> Route:
     """Return the route of a POST whose answer has a line of JSON for each item of an iterator, sent at once.
 
-    Parameters
-    ----------
-    path : str
-    kind : type
-        Type of the JSON body.
-    function : function
-        Takes the body and a function that returns whether the client is still connected; returns the iterator,
-        whose items are computed in one thread. It is called in the event loop, and must not take long.
-
-    Errors of the function are answered as by `call`; one that an item raises is a line of its own.
+    The function takes the body, checked against a type, and a function that returns whether the client is still
+    connected. It is called in the event loop, and must not take long; the items are computed in one thread. Errors
+    of the function are answered as by `call`; one that an item raises is a line of its own.
     """
     decoder = msgspec.json.Decoder(kind)
 
@@ -147,12 +131,7 @@ async def _lines(items: Iterator[object], is_gone: threading.Event) -> AsyncIter
 async def _decoded(request: Request, decoder: msgspec.json.Decoder[T]) -> T:
     """Return what the body of a request holds.
 
-    Raises
-    ------
-    SettingsError
-        If it is not of the decoder's type.
-    HTTPException
-        If it is too large.
+    Raises SettingsError if it is not of the decoder's type; HTTPException if it is too large.
     """
     body = bytearray()
     async for part in request.stream():

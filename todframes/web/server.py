@@ -55,19 +55,9 @@ def serve(
 ) -> None:
     """Serve a page to this machine's browser until Ctrl-C, a request to terminate, or the end of the terminal.
 
-    Parameters
-    ----------
-    app : Starlette
-        The page; it is put behind `guarded`. Its lifespan is the time in which the server runs.
-    listener : socket
-        Return value of `open_listener`; it is closed at the end.
-    host : str
-        Address or name for the URL of the page.
-    open_browser : bool
-    tell : function of a text
-        Called once with the address, token included.
-    warn : function of a text, optional
-        Called with a remark if other machines can reach the server.
+    The page is put behind `guarded`; its lifespan is the time in which the server runs. The listener, of
+    `open_listener`, is closed at the end. `host` is the address or name for the URL of the page, with which, token
+    included, `tell` is called once; `warn` is called with a remark if other machines can reach the server.
     """
     address, port = listener.getsockname()[:2]
     origin = origin_of(host, port)
@@ -110,10 +100,8 @@ def origin_of(host: str, port: int) -> str:
 def open_listener(host: str = "127.0.0.1", port: int = 0) -> socket.socket:
     """Return a socket that listens at an address or name of this machine; port 0 is a free one.
 
-    Raises
-    ------
-    SettingsError
-        If the host is unknown, not of this machine, or stands for all addresses; or if the port is in use.
+    Raises SettingsError if the host is unknown, not of this machine, or stands for all addresses; or if the port
+    is in use.
     """
     if not 0 <= port <= 65535:
         raise SettingsError(f"{argument.port}: found {port}, expected a whole number from 0 to 65535")
