@@ -83,8 +83,15 @@ it. Ask there as well if you have a question.
 CONTACT = "the person who invited you"
 """Contact of a session that names none."""
 
-PRACTICE_CORRECT = 0.75
-"""Default of the share of a block of practice that has to be correct. Guesses give 6 of 8 once in 240 blocks."""
+DEFAULTS = {
+    "practice": 8,
+    "practice_correct": 0.75,  # guesses give 6 of 8 once in 240 blocks
+    "break_every": 60,
+    "background": 0.5,
+    "dither": True,
+    "include_flagged": False,
+}
+"""Settings of a session that names none."""
 
 PRIVATE = 0o700
 """Permissions of the folders of answers: only their owner can read them."""
@@ -598,6 +605,8 @@ def _new_record(
         raise SettingsError(
             f"{argument.trials}: found {trials}, expected at most {n_trials}, the trials of the dataset"
         )
+    asked = {name: value for name in DEFAULTS if (value := getattr(design, name)) is not None}
+    settings: Json = DEFAULTS | asked
     return SessionRecord(
         subject=subject,
         started=_now(),
@@ -606,13 +615,8 @@ def _new_record(
         method=method,
         seed=secrets.randbelow(2**32) if design.seed is None else design.seed,
         trials=trials,
-        practice=8 if design.practice is None else design.practice,
-        practice_correct=PRACTICE_CORRECT if design.practice_correct is None else design.practice_correct,
-        break_every=60 if design.break_every is None else design.break_every,
         time_limit_ms=None if design.time_limit_s is None else 1000.0 * design.time_limit_s,
-        background=0.5 if design.background is None else design.background,
-        dither=True if design.dither is None else design.dither,
-        include_flagged=bool(design.include_flagged),
+        **settings,
     )
 
 

@@ -43,39 +43,16 @@ HIDDEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """Key, header and number format of a table's column.
+    """A column of a table: its key in the records and in CSV, and how its values look on screen.
 
-    Attributes
-    ----------
-    key : str
-        Key of the column's values in the records, and the column's name in CSV.
-    header : str
-        Heading on screen; by default the key in words.
-    digits : int
-        Significant digits on screen.
-    decimals : int, optional
-        Digits after the decimal point on screen, instead of `digits`.
-    sign : str
-        Text in front of each number on screen.
-    none : str
-        Text on screen if a record has no value.
-    interval : str
-        Prefix of the two CSV names of a column of pairs; "" if values are not pairs.
-    rank : int
-        Order of omission: a terminal too narrow for all columns drops the highest rank first, but never rank 0.
-    in_file_only : bool
-        Whether only the CSV and the DataFrame have the column.
-    is_detail : bool
-        Whether the terminal shows the column only if asked for details.
-    wraps : bool
-        Whether long texts are wrapped in the terminal.
-    bound_if : str
-        Key of a flag in the records: if it is set, the number on screen is an upper bound, with "<".
-    is_key : bool
-        Whether values are keys such as never_reached, whose words are apart on screen.
-    is_name : bool
-        Whether the values identify rows: the column is also shown with the details, and as first column the
-        terminal shows a repeated value once.
+    `header` is by default the key in words. Numbers have `digits` significant digits, or `decimals` after the
+    point, and `sign` in front; `none` stands for a missing value. `interval` is the prefix of the two CSV names of
+    a column of pairs. A terminal too narrow for all columns drops the highest `rank` first, but never rank 0; it
+    shows a column that `is_detail` only if asked for details, and one that is `in_file_only` not at all. Long
+    texts are wrapped in a column that `wraps`. If the flag with the key `bound_if` is set in a record, the number
+    is an upper bound, with "<". A column that `is_key` has keys such as never_reached, whose words are apart on
+    screen; one that `is_name` identifies rows: it is shown with the details, too, and as first column a repeated
+    value once.
     """
 
     key: str
