@@ -11,7 +11,6 @@ from sensor_sim.chain.sampling import sample_image
 from sensor_sim.chain.sensor import Detector, Sensor
 from sensor_sim.chain.simulation import SimulatedTrial, Simulator
 from todframes.base._typing import FloatArray
-from todframes.frames.contrast import ContrastPatch
 from todframes.observers.interface import Observer
 from todframes.observers.retina import resample
 from todframes.results.data import Example, Fit
@@ -107,7 +106,7 @@ def _threshold_example(sensor: Sensor, observer: Observer, fit: Fit, seed: int) 
         pixel_pitch_mrad=pitch_mrad,
     )
     width_mrad, drawn = pictures(
-        [ExamplePatch(ContrastPatch(contrast, 0, 0, 0), frame.x_px, frame.y_px)],
+        [ExamplePatch(contrast, frame.x_px, frame.y_px)],
         retina,
         observer=observer,
         stimulus=stimulus,

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.frames.contrast import ContrastPatch
 from todframes.observers.interface import Observer
 from todframes.results.data import Thumbnail
 from todframes.stimulus import Stimulus
+
+if TYPE_CHECKING:
+    from todframes.frames.contrast import ContrastPatch
 
 MOST_BANDS = 8
 
@@ -33,9 +35,9 @@ DISPLAY_SIDE_PX, RETINA_SIDE_PX = 128, 96
 
 
 class ExamplePatch(NamedTuple):
-    """Part of a frame, and the position of the triangle's centroid in the frame."""
+    """Part of a frame, or the contrast of a whole one, and the position of the triangle's centroid in it."""
 
-    patch: ContrastPatch
+    patch: ContrastPatch | FloatArray
     x_px: float
     y_px: float
 
@@ -87,13 +89,13 @@ def _crop(shown: ExamplePatch, reach_px: int) -> FloatArray:
     side = 2 * reach_px + 1
     top, left = round(shown.y_px) - reach_px, round(shown.x_px) - reach_px
     cropped = np.zeros((side, side))
-    for band in shown.patch.bands():
-        contrast = band.values
+    bands = [(shown.patch, 0, 0)] if isinstance(shown.patch, np.ndarray) else shown.patch.bands()
+    for contrast, row, column, *_ in bands:
         rows, columns = (
             slice(max(first - start, 0), max(min(first + n - start, side), 0))
-            for first, start, n in zip((band.row, band.column), (top, left), contrast.shape, strict=True)
+            for first, start, n in zip((row, column), (top, left), contrast.shape, strict=True)
         )
-        part = contrast[max(top - band.row, 0) :, max(left - band.column, 0) :]
+        part = contrast[max(top - row, 0) :, max(left - column, 0) :]
         cropped[rows, columns] = part[: max(rows.stop - rows.start, 0), : columns.stop - columns.start]
     return cropped
 
