@@ -17,10 +17,8 @@ import numpy as np
 import pytest
 
 from sensor_sim.chain.detector_noise import delta_t_mk
-from sensor_sim.chain.measured import MeasuredMtf
 from sensor_sim.chain.photons import background_electrons
 from sensor_sim.chain.sensor import Detector, Noise, Optics, PhotonNoise, Scene, Sensor, SensorDisplay
-from sensor_sim.chain.transfer import optics_mtf
 from sensor_sim.explorer.limits import Shares, decision_shares, what_limits
 from sensor_sim.explorer.live import LiveCurves
 from sensor_sim.explorer.threshold_engine import SHARED_MB, Request, ThresholdEngine
@@ -129,7 +127,7 @@ def test_folding_of_many_places_takes_the_memory_of_one():
 # Numbers ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("sensor", [SENSOR, *MOVES[:3]])
+@pytest.mark.parametrize("sensor", [SENSOR, MOVES[1]])
 def test_refined_is_the_curve_and_the_estimate_holds(sensor):
     estimated, refined = computed(engine(), sensor, tolerances=(0.03, 0.004))
     plan = plan_curve(sensor, OBSERVER, 4.0, tolerance=0.004)
@@ -186,6 +184,7 @@ def test_a_camera_that_counts_photons_has_the_thresholds_of_the_curve():
         assert abs(estimated.threshold - refined.threshold) <= estimated.numerical_error + refined.numerical_error
 
 
+@pytest.mark.slow
 def test_a_contrast_beyond_the_full_well_is_never_reached():
     """Just above and below the contrast at which the pixels saturate, as the curve has it."""
     (_, found) = computed(engine(), PHOTON)
@@ -198,27 +197,9 @@ def test_a_contrast_beyond_the_full_well_is_never_reached():
         assert sum(answers[0].shares) == pytest.approx(1.0) and answers[0].shares.detector > 0.0
 
 
-def test_a_measured_mtf_of_the_model_has_the_estimate_of_the_model():
-    """Sampled 400 times up to its cut-off, an interpolated MTF differs from it by less than 1e-5."""
-    optics = SENSOR.optics
-    frequency = np.linspace(0.0, optics.cut_off_cyc_per_mrad, 401)
-    values = tuple(optics_mtf(frequency, optics=optics).tolist())
-    table = MeasuredMtf(
-        file="mtf.csv",
-        unit="cyc_per_mrad",
-        frequency=tuple(frequency.tolist()),
-        tangential=values,
-        sagittal=values,
-    )
-    measured = replace(SENSOR, optics=replace(optics, mtf=table))
-    found = [next(iter(engine().answers(request(one)))).threshold.threshold for one in (SENSOR, measured)]
-    assert found[1] == pytest.approx(found[0], rel=2e-3)
-
-
-@pytest.mark.parametrize("efficiency", [1.0, 0.4])
-def test_the_observer_with_peoples_contrast_sensitivity(efficiency):
+def test_the_observer_with_peoples_contrast_sensitivity():
     """Its efficiency is a factor of its noise, as the engine takes it, and not of its weights."""
-    observer = CsfObserver(efficiency=efficiency)
+    observer = CsfObserver(efficiency=0.4)
     estimated, refined = computed(engine(), SENSOR, observer)
     plan = plan_curve(SENSOR, observer, 4.0, tolerance=0.02)
     expected = predict_threshold(FoldedChain(SENSOR, observer, 4.0, plan), tolerance=0.02)
@@ -238,6 +219,7 @@ def test_other_observers(observer):
         assert abs(found.threshold - expected.threshold) <= both
 
 
+@pytest.mark.slow
 def test_order_of_requests_changes_no_number_beyond_its_error():
     there, back = engine(), engine()
     moves = MOVES[2:]
@@ -258,17 +240,6 @@ def test_what_the_threshold_does_not_depend_on_is_not_computed_again():
     assert [answer.is_refined for answer in answers] == [True]
     assert answers[0].threshold == refined
     assert delta_t_mk(1.0, noise=other.noise) != delta_t_mk(1.0, noise=SENSOR.noise)
-
-
-def test_gain_and_internal_noise_act_as_their_ratio():
-    one = engine()
-    louder = changed(display={"gain": 1.5})
-    found = [
-        computed(one, louder, PyramidObserver(internal_noise=0.6))[-1],
-        computed(one, SENSOR, PyramidObserver(internal_noise=0.4))[-1],
-    ]
-    assert found[0].threshold == pytest.approx(found[1].threshold, rel=1e-5)  # along other steps to the crossing
-    assert computed(one, SENSOR, PyramidObserver(internal_noise=0.6))[-1].threshold > 1.02 * found[1].threshold
 
 
 def test_without_internal_noise():
@@ -300,8 +271,8 @@ def test_cancelled_computations_leave_what_is_kept_right():
             raise StoppedError
 
     interrupted, n_stopped = ThresholdEngine(check), 0
-    while n_stopped < 30:
-        calls, stop_at = 0, stop_at + 5
+    while n_stopped < 20:
+        calls, stop_at = 0, stop_at + 6
         try:
             computed(interrupted, MOVES[n_stopped % 2])
             break  # all of it was computed before the next stop

@@ -42,6 +42,7 @@ def test_thresholds_in_mk_are_those_of_the_triangles_rule(found):
     assert found.sentences()[1] == "No contrast is enough from 2 times the Nyquist frequency on."
 
 
+@pytest.mark.slow
 def test_thresholds_that_miss_the_tolerance_have_a_warning(monkeypatch):
     monkeypatch.setattr(bars, "PLACES", bars.PLACES[:1])
     missed = ss.mrtd(SENSOR, **FEW | {"tolerance": 1e-4})

@@ -50,16 +50,8 @@ def test_a_detector_is_shown_at_the_angle_of_a_pixel_that_import_writes():
 
 
 def test_results_of_emva_1288(tmp_path):
-    values = {
-        "QE": 60.0,
-        "K": 0.4,
-        "sigma_d": 2.5,
-        "DSNU1288": 1.2,
-        "PRNU1288": 0.6,
-        "u_e_sat": 9000.0,
-        "bits": 12,
-    }
-    (tmp_path / "camera.xml").write_bytes(emva_xml(values | {"exposure": 20.0}))
+    values = {"QE": 60.0, "K": 0.4, "sigma_d": 2.5, "DSNU1288": 1.2, "PRNU1288": 0.6, "u_e_sat": 9000.0}
+    (tmp_path / "camera.xml").write_bytes(emva_xml(values | {"bits": 12, "exposure": 20.0}))
     common = {"f_number": 2.8, "focal_length_mm": 25.0}
     text = ss.new_sensor(emva=tmp_path / "camera.xml", pitch_um=3.45, luminance=5.0, **common)
     (tmp_path / "new.toml").write_text(text, encoding="utf-8")
@@ -95,12 +87,16 @@ def test_a_preset_names_its_source(tmp_path, preset):
     assert ss.load_sensor(tmp_path / "new.toml").optics.f_number == 1.4
 
 
-def test_what_is_missing_is_named():
-    with pytest.raises(SettingsError, match=r"wavelength_um: found 0\.0"):
-        ss.new_sensor(thermal=True, netd_mk=50, pitch_um=12, f_number=1, focal_length_mm=35, wavelength_um=0.0)
-    with pytest.raises(SettingsError, match="f_number is missing: give f_number"):
-        ss.new_sensor(thermal=True, netd_mk=50, pitch_um=12, focal_length_mm=35)
-    with pytest.raises(SettingsError, match="new: expected one of emva, thermal and preset"):
-        ss.new_sensor(focal_length_mm=35)
-    with pytest.raises(SettingsError, match="preset: found 'lepton', expected one of emva_basler, boson"):
-        ss.new_sensor(preset="lepton", focal_length_mm=35)
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"wavelength_um": 0.0}, r"wavelength_um: found 0\.0"),
+        ({"f_number": None}, "f_number is missing: give f_number"),
+        ({"thermal": False}, "new: expected one of emva, thermal and preset"),
+        ({"thermal": False, "preset": "lepton"}, "preset: found 'lepton', expected one of emva_basler, boson"),
+    ],
+)
+def test_what_is_missing_is_named(changes, message):
+    common = {"thermal": True, "netd_mk": 50, "pitch_um": 12, "f_number": 1, "focal_length_mm": 35}
+    with pytest.raises(SettingsError, match=message):
+        ss.new_sensor(**common | changes)

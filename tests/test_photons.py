@@ -88,15 +88,15 @@ def test_variance_of_drawn_frames_is_the_computed_one(tmp_path):
     variance, signal = contrast_variance(sensor), 0.7
     rng = np.random.default_rng(1)
     drawn = np.array(
-        [PhotonCamera(sensor, 24, seed=n).contrast(np.full((24, 24), signal), rng) for n in range(600)]
+        [PhotonCamera(sensor, 24, seed=n).contrast(np.full((24, 24), signal), rng) for n in range(200)]
     )
-    assert drawn.mean() == pytest.approx(signal, abs=4.0 * math.sqrt(variance.column / 24 / 600))
+    assert drawn.mean() == pytest.approx(signal, abs=4.0 * math.sqrt(variance.column / 24 / 200))
     of_column, of_row = drawn.mean(axis=1).var(ddof=0), drawn.mean(axis=2).var(ddof=0)
     white = variance.white + variance.per_signal * signal + variance.per_squared_signal * signal**2
-    # A variance from n values is known to √(2/n): rows and columns give 14,400, their parts 1.2 %; pixels 0.25 %.
-    assert of_column == pytest.approx(variance.column + white / 24 + variance.row / 24, rel=4 * 0.012)
-    assert of_row == pytest.approx(variance.row + white / 24 + variance.column / 24, rel=4 * 0.012)
-    assert drawn.var() == pytest.approx(white + variance.row + variance.column, rel=4 * 0.012)
+    # A variance from n values is known to √(2/n): rows and columns give 4,800, their parts 2.1 %.
+    assert of_column == pytest.approx(variance.column + white / 24 + variance.row / 24, rel=4 * 0.021)
+    assert of_row == pytest.approx(variance.row + white / 24 + variance.column / 24, rel=4 * 0.021)
+    assert drawn.var() == pytest.approx(white + variance.row + variance.column, rel=4 * 0.021)
 
 
 def test_saturation_and_rounding(tmp_path):
@@ -201,25 +201,8 @@ def test_curves_at_several_lights_are_those_of_each_light(tmp_path):
         error = alone.threshold_numerical_error + fit.threshold_numerical_error
         assert abs(fit.threshold - alone.threshold) < error < 0.012 * fit.threshold
     # With hardly any light the noise in the dark decides: the contrast at threshold falls as 1 / luminance.
-    dim = ss.curve(
-        sensor,
-        size_detectors=[6],
-        luminance_cd_m2=[0.001, 0.002],
-        observer=observer,
-        tolerance=0.01,
-        examples=False,
-    )
+    dim = ss.curve(sensor, size_detectors=[6], luminance_cd_m2=[0.001, 0.002], tolerance=0.01, examples=False)
     assert dim.fits[0].threshold / dim.fits[1].threshold == pytest.approx(2.0, rel=0.05)
-
-
-def test_a_plan_that_leaves_out_too_much_at_another_light_is_not_used_there(tmp_path):
-    """With the plan of 0.1 cd/m² the error at 3 cd/m² would be 0.9 %."""
-    lights, common = [0.01, 0.1, 3.0], {"size_detectors": [6], "tolerance": 2e-3, "examples": False}
-    found = ss.curve(camera(tmp_path), luminance_cd_m2=lights, **common)
-    assert all(one.threshold_numerical_error <= 2e-3 * one.threshold for one in found.fits)
-    (alone,) = ss.curve(camera(tmp_path), luminance_cd_m2=lights[2:], **common | {"tolerance": 5e-4}).fits
-    error = found.fits[2].threshold_numerical_error + alone.threshold_numerical_error
-    assert abs(found.fits[2].threshold - alone.threshold) < error
 
 
 def test_lights_are_named_with_their_unit():
@@ -299,6 +282,7 @@ def test_levels_of_another_kind_are_refused(tmp_path):
         ss.curve(snr, size_detectors=[3], luminance_cd_m2=[1.0])
 
 
+@pytest.mark.slow
 def test_a_sweep_over_light_has_the_thresholds_of_each_light(tmp_path):
     sensor = camera(tmp_path)
     swept = ss.sweep(sensor, size_detectors=[4], vary={"noise.exposure_ms": [5.0, 20.0]}, tolerance=0.01)
@@ -312,9 +296,11 @@ def test_a_sweep_over_light_has_the_thresholds_of_each_light(tmp_path):
 
 def test_frames_of_photons_are_a_dataset_of_contrasts(tmp_path):
     sensor, out = camera(tmp_path), tmp_path / "out"
-    assert ss.simulate(sensor, size_detectors=[3], contrast=[0.5, 2.0], trials=4, out=out).n_frames == 8
+    assert ss.simulate(sensor, size_detectors=[2], contrast=[0.5, 2.0], trials=4, out=out).n_frames == 8
     assert (out / "manifest.csv").read_text().splitlines()[0].split(",")[4] == "contrast"
-    assert {fit.level for fit in tod.score(out).fits} == {"contrast"}
+    assert {fit.level for fit in tod.score(out, fit=tod.FitSettings(resamples=0), examples=False).fits} == {
+        "contrast"
+    }
 
 
 @pytest.mark.slow

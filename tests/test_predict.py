@@ -176,19 +176,11 @@ def brute_force(sensor: Sensor, observer: Observer, size: float, snr: float, n: 
 
 SMOOTHED = replace(UNDER_SAMPLED, display=replace(UNDER_SAMPLED.display, blur_sigma_px=1.6, gain=1.2))
 
-OTHERS = {
-    "bounding box": {"centre": "bounding_box"},
-    "no jitter": {"position_jitter_samples": 0.0},
-    "wide jitter": {"position_jitter_samples": 2.0},
-}
-
 
 @pytest.mark.parametrize(
     "settings",
-    [
-        pytest.param({}, id="default"),
-        *(pytest.param(settings, id=name, marks=pytest.mark.slow) for name, settings in OTHERS.items()),
-    ],
+    [{}, {"centre": "bounding_box"}, {"position_jitter_samples": 0.0}, {"position_jitter_samples": 2.0}],
+    ids=["default", "bounding box", "no jitter", "wide jitter"],
 )
 @pytest.mark.parametrize("snr", [1.5, math.inf])
 @pytest.mark.slow
@@ -270,37 +262,6 @@ def test_a_spot_of_100_detectors_points_nowhere(size, observer):
     assert found.status == "never_reached" and found.highest == pytest.approx(0.25, abs=1e-3)
 
 
-class MirroredObserver(LopsidedObserver):
-    """The same as it looks in a mirror: left is right."""
-
-    def make_readout(self, stimulus: Stimulus) -> Readout:
-        readout = super().make_readout(stimulus)
-        deviations = np.ascontiguousarray(readout.deviations[MIRRORED, :, ::-1])
-        return replace(
-            readout, deviations=deviations, noise_covariance=readout.noise_covariance[MIRRORED][:, MIRRORED]
-        )
-
-
-MIRRORED = [0, 3, 2, 1]
-"""Place in `ORIENTATIONS` of each orientation's mirror image."""
-
-
-def test_mirrored_observer_does_as_well():
-    """Detectors, display and displacements of the retina are as they were in the mirror."""
-    means, errors = [], []
-    for kind in (LopsidedObserver, MirroredObserver):
-        chain = FoldedChain(SMOOTHED, kind(8.0), 3.0)
-        of_each = np.array(
-            [[chain.proportion_correct([part], 5.0) for part in phases_of(chain, 9, seed)] for seed in range(8)]
-        )
-        means.append(of_each.mean(axis=0))
-        errors.append(of_each.std(axis=0, ddof=1) / math.sqrt(8))
-    # 4.8 standard errors from eight replicates each: t with 14 degrees of freedom, once in 1,000 runs of four.
-    limit = 4.8 * np.hypot(errors[0], errors[1][MIRRORED])
-    assert limit.max() < 0.03
-    assert np.all(np.abs(means[0] - means[1][MIRRORED]) < limit)
-
-
 def test_orientations_are_alike_to_a_symmetric_observer(observer):
     chain = FoldedChain(LOW_FILL_FACTOR, observer, 3.0)
     chain.orientations = ORIENTATIONS
@@ -313,7 +274,8 @@ def test_orientations_are_alike_to_a_symmetric_observer(observer):
 # Limits -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size_mrad", [0.4, pytest.param(0.6, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("size_mrad", [0.4, 0.6])
 def test_dense_sampling_without_noise_is_the_naked_eye(size_mrad, observer):
     """Ten detectors a retina sample, one pixel each, no blur; the display's gain is the contrast."""
     pitch_mrad = 0.1 * observer.settings.retina_pitch_mrad
@@ -339,7 +301,7 @@ def test_gain_and_internal_noise_scaled_together_change_nothing():
     for factor in (1.0, 3.0):
         observer = PyramidObserver(PyramidSettings(internal_noise=0.5 * factor))
         sensor = replace(UNDER_SAMPLED, display=replace(UNDER_SAMPLED.display, gain=factor))
-        thresholds.append(predict_threshold(FoldedChain(sensor, observer, 4.0), seed=5).threshold)
+        thresholds.append(predict_threshold(FoldedChain(sensor, observer, 4.0), tolerance=1e-2, seed=5).threshold)
     # The root is sought to 1e-6, along the same steps but for roundings.
     assert thresholds[0] == pytest.approx(thresholds[1], rel=1e-6)
 
@@ -413,25 +375,6 @@ def test_under_sampled_sensors_respond_to_the_pitch_more_than_to_the_optics(obse
     assert blurred / acuity > 1.15
 
 
-def test_threshold_snr_of_an_under_sampled_sensor_responds_to_the_pitch_more_than_to_the_optics(observer):
-    """The same at a size near the acuity, where sampling decides."""
-    size_mrad, width_mrad = 0.3, 0.1
-
-    def threshold(pitch_mrad: float, blur_width_mrad: float, pixels: int) -> float:
-        sigma = blur_width_mrad / math.sqrt(2 * math.pi)
-        sensor = Sensor(
-            optics=Optics(aperture_mm=1e9, wavelength_um=1.0, blur_sigma_mrad=sigma),
-            detector=Detector(pitch_mrad=pitch_mrad, width_mrad=0.05),
-            display=display(pixels, 1500.0),
-        )
-        found = predict_threshold(FoldedChain(sensor, observer, size_mrad / pitch_mrad), tolerance=1e-2)
-        # Noise per angle, not per detector, is what a coarser grid is compared at.
-        return found.threshold * width_mrad / pitch_mrad
-
-    fine = threshold(0.1, width_mrad, 4)
-    assert threshold(0.125, width_mrad, 5) / fine > 1.2 * threshold(0.1, 1.25 * width_mrad, 4) / fine
-
-
 # Published ----------------------------------------------------------------------------------------------------
 
 
@@ -468,7 +411,7 @@ def test_interval_covers_the_threshold(sensor, size, observer):
     assert stated / spread == pytest.approx(1.0, abs=4 / math.sqrt(78) * 1.1)
 
 
-@pytest.mark.parametrize("tolerance", [1e-2, 2e-3, 5e-4])
+@pytest.mark.parametrize("tolerance", [1e-2, pytest.param(5e-4, marks=pytest.mark.slow)])
 @sensors
 def test_tolerance_is_kept(sensor, size, tolerance, observer):
     plan = plan_curve(sensor, observer, size, tolerance=tolerance)
@@ -478,9 +421,11 @@ def test_tolerance_is_kept(sensor, size, tolerance, observer):
 
 
 def test_same_seed_same_threshold_other_seed_another(observer):
-    first, again = (predict_threshold(FoldedChain(UNDER_SAMPLED, observer, 3.0), seed=4) for _ in range(2))
+    first, again, other = (
+        predict_threshold(FoldedChain(UNDER_SAMPLED, observer, 3.0), tolerance=1e-2, seed=seed)
+        for seed in (4, 4, 5)
+    )
     assert first == again
-    other = predict_threshold(FoldedChain(UNDER_SAMPLED, observer, 3.0), seed=5)
     assert other.threshold != first.threshold
     # Independent replicates: both within their errors, times two for once in 1,000 runs or so.
     error = math.hypot(first.numerical_error, other.numerical_error)
@@ -509,16 +454,26 @@ def test_threshold_rises_with_the_criterion(observer):
 # Refused ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("tolerance", [0.0, -1e-3, math.nan])
-def test_tolerance_that_is_no_positive_number(tolerance, observer):
-    with pytest.raises(SettingsError, match=r"^tolerance: found .*, expected a finite number > 0"):
-        predict_threshold(FoldedChain(UNDER_SAMPLED, observer, 2.0), tolerance=tolerance)
+NO_NUMBERS = (0.0, -1.0, math.nan)
+DULL = replace(UNDER_SAMPLED, optics=Optics(aperture_mm=0.1, wavelength_um=10.0))
+NEAR = replace(UNDER_SAMPLED, display=display(4, 1.0))
 
 
-@pytest.mark.parametrize("size", [0.0, -1.0, math.nan, math.inf])
-def test_size_that_is_no_positive_number(size, observer):
-    with pytest.raises(SettingsError, match=r"^size_detectors: found .*, expected a finite number > 0"):
-        FoldedChain(UNDER_SAMPLED, observer, size)
+@pytest.mark.parametrize(
+    ("sensor", "size", "tolerance", "message"),
+    [
+        *((UNDER_SAMPLED, 2.0, one, "tolerance: found .*, expected a finite number > 0") for one in NO_NUMBERS),
+        *(
+            (UNDER_SAMPLED, one, 0.1, "size_detectors: found .*, expected a finite")
+            for one in (*NO_NUMBERS, math.inf)
+        ),
+        (DULL, 3.0, 0.1, r"optics\.aperture_mm: found .* expected at least"),
+        (NEAR, 10.0, 0.1, "size_mrad: found .* mrad at the eye, expected at most"),
+    ],
+)
+def test_what_cannot_be_computed_is_refused(sensor, size, tolerance, message, observer):
+    with pytest.raises(SettingsError, match=f"^{message}"):
+        predict_threshold(FoldedChain(sensor, observer, size), tolerance=tolerance)
 
 
 def test_observer_that_is_not_linear():
@@ -529,18 +484,6 @@ def test_observer_that_is_not_linear():
 
     with pytest.raises(SettingsError, match=r"^observer: it is not linear"):
         FoldedChain(UNDER_SAMPLED, Opaque(), 3.0)
-
-
-def test_optics_that_pass_less_than_one_cycle_per_field(observer):
-    dull = replace(UNDER_SAMPLED, optics=Optics(aperture_mm=0.1, wavelength_um=10.0))
-    with pytest.raises(SettingsError, match=r"^optics\.aperture_mm: found .* expected at least"):
-        FoldedChain(dull, observer, 3.0)
-
-
-def test_triangle_larger_than_the_observer_can_see(observer):
-    near = replace(UNDER_SAMPLED, display=display(4, 1.0))
-    with pytest.raises(SettingsError, match=r"^size_mrad: found .* mrad at the eye, expected at most"):
-        FoldedChain(near, observer, 10.0)
 
 
 def test_a_smaller_field_is_bounded_for_any_sign_of_the_signal_outside(observer):

@@ -39,6 +39,18 @@ def sampler_of(cut_off, sigma=0.0, width=1.0, *, size=2.0, field=8, period=None)
     )
 
 
+def image_samples(image, cut_off, width=1.0, *, pitch=PITCH_MRAD, field=8, x=0.0, y=0.0) -> np.ndarray:
+    return sample_image(
+        image,
+        pixel_pitch_mrad=pitch,
+        optics=optics_of(cut_off),
+        detector=detector_of(width),
+        field_detectors=field,
+        x_detectors=x,
+        y_detectors=y,
+    )
+
+
 # Integration in space
 
 
@@ -218,10 +230,7 @@ def test_ever_sharper_optics_approach_the_areas_within_the_bound(monkeypatch):
 
 def test_a_uniform_image_of_one_gives_one():
     image = np.ones((30, 41))
-    samples = sample_image(
-        image, pixel_pitch_mrad=0.07, optics=optics_of(1.7), detector=detector_of(0.6), field_detectors=8,
-        x_detectors=0.3, y_detectors=-2.0,
-    )  # fmt: skip
+    samples = image_samples(image, 1.7, 0.6, pitch=0.07, x=0.3, y=-2.0)
     np.testing.assert_allclose(samples, 1.0, rtol=1e-14)
 
 
@@ -230,10 +239,7 @@ def test_a_pixel_is_integrated_like_any_scene():
     cut_off, n, x, y = 1.6, 256, 0.2, 0.1
     image = np.zeros((n, n))
     image[n // 2 + 1, n // 2 - 2] = 1.0
-    samples = sample_image(
-        image, pixel_pitch_mrad=PITCH_MRAD / 4, optics=optics_of(cut_off), detector=detector_of(0.7),
-        field_detectors=4, x_detectors=x, y_detectors=y,
-    )  # fmt: skip
+    samples = image_samples(image, cut_off, 0.7, pitch=PITCH_MRAD / 4, field=4, x=x, y=y)
     nodes, weights = np.polynomial.legendre.leggauss(12)
     pixel = nodes / 8.0
     active = nodes * 0.35
@@ -252,17 +258,9 @@ def test_a_triangle_as_an_image_approaches_the_sampler_s_samples():
 
     def samples_of_image(fine: int):
         middle = (field * fine - 1) / 2
-        image = coverage(
-            (field * fine, field * fine),
-            size_px=2.0 * fine,
-            orientation=Orientation.LEFT,
-            x_px=middle,
-            y_px=middle,
-        )
-        return sample_image(
-            image, pixel_pitch_mrad=PITCH_MRAD / fine, optics=optics_of(cut_off), detector=detector_of(0.8),
-            field_detectors=field, x_detectors=place[0], y_detectors=place[1],
-        )  # fmt: skip
+        shape, size_px = (field * fine, field * fine), 2.0 * fine
+        image = coverage(shape, size_px=size_px, orientation=Orientation.LEFT, x_px=middle, y_px=middle)
+        return image_samples(image, cut_off, 0.8, pitch=PITCH_MRAD / fine, x=place[0], y=place[1])
 
     # Means over pixels of width h, shown as pixels, multiply by sinc² = 1 − (πhf)²/3 + … along each axis; two
     # widths take out the square (5e-4 at 1/16). How the edges cut the pixels remains: some 100 first moments of
@@ -274,10 +272,7 @@ def test_a_triangle_as_an_image_approaches_the_sampler_s_samples():
 
 def test_an_image_keeps_its_sum():
     image = np.random.default_rng(3).uniform(size=(24, 24))
-    samples = sample_image(
-        image, pixel_pitch_mrad=PITCH_MRAD / 3, optics=optics_of(5.0), detector=detector_of(), field_detectors=8,
-        x_detectors=0.21, y_detectors=0.4,
-    )  # fmt: skip
+    samples = image_samples(image, 5.0, pitch=PITCH_MRAD / 3, x=0.21, y=0.4)
     np.testing.assert_allclose(samples.sum(), image.sum() / 9.0, **AREA)
 
 
@@ -319,7 +314,4 @@ def test_a_field_that_cannot_serve_is_refused(change, match):
 )
 def test_an_image_that_cannot_serve_is_refused(pitch, field, cut_off, match):
     with pytest.raises(SettingsError, match=match):
-        sample_image(
-            np.zeros((10, 12)), pixel_pitch_mrad=pitch, optics=optics_of(cut_off), detector=detector_of(),
-            field_detectors=field,
-        )  # fmt: skip
+        image_samples(np.zeros((10, 12)), cut_off, pitch=pitch, field=field)

@@ -21,7 +21,7 @@ from scipy.ndimage import gaussian_filter
 
 from sensor_sim import cli
 from sensor_sim.chain.pictures import trial_stages
-from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
+from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, sensor_toml
 from sensor_sim.chain.simulation import LARGEST_SIDE_PX, SimulatedTrial, Simulator, plan_trials
 from sensor_sim.frames.dataset import white_luminance_cd_m2, write_dataset
 from todframes import __version__
@@ -72,29 +72,7 @@ BLURRED = replace(
     detector=Detector(pitch_mrad=0.2, width_mrad=0.2),
     display=replace(DISPLAY, blur_sigma_px=0.7),
 )
-SENSOR_TOML = """\
-schema = 1
-name = "bench"
-[optics]
-aperture_mm = 100.0
-wavelength_um = 10.0
-blur_sigma_mrad = 0.05
-[detector]
-pitch_mrad = 0.2
-width_mrad = 0.15
-[noise]
-fixed_pattern_ratio = 0.4
-frames_integrated = 6
-[electronics]
-blur_sigma_px = 1.2
-[display]
-pixels_per_detector = 5
-pixel_pitch_mm = 0.25
-viewing_distance_mm = 1500.0
-blur_sigma_px = 1.6
-background_luminance_cd_m2 = 40.0
-gain = 0.8
-"""
+SENSOR_TOML = sensor_toml(SENSOR)
 SIZE = 3.0
 
 
@@ -158,7 +136,7 @@ def test_sharp_optics_and_whole_detectors_show_the_covered_area(orientation):
 
 
 def test_places_fill_one_detector_evenly():
-    n = 4000
+    n = 1500
     places, _ = Simulator(SENSOR, 0.5, seed=5).samples(plan_trials([0.5], [1.0], n), noise=False)
     assert np.abs(places).max() <= 0.5
     # Uniform in ±0.5: five standard errors of the mean, the variance (κ = 1.8) and the covariance.
@@ -218,7 +196,7 @@ def noise_of(sensor: Sensor, snr: float, n: int, seed: int, size: float = 1.0) -
 @pytest.mark.parametrize("distribution", ["uniform", "gaussian"])
 def test_noise_of_the_samples_has_the_standard_deviation_one_over_snr(distribution):
     sensor = replace(SENSOR, noise=replace(NOISE, distribution=distribution))
-    snr, n, n_sensors = 2.5, 25, 60
+    snr, n, n_sensors = 2.5, 15, 40
     noise = np.stack([noise_of(sensor, snr, n, seed) for seed in range(n_sensors)])
     pixels = noise[0, 0].size
     # Of the integrated noise, 1/6 is dynamic to 0.16 fixed: the shares of the total's variance.
@@ -259,6 +237,7 @@ def test_fixed_pattern_is_the_same_in_all_frames_of_a_seed_and_scales_with_the_n
 # Repeatable ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame_format", ["exr", "png"])
 def test_bytes_depend_on_the_seed_and_not_on_the_workers(tmp_path, frame_format):
     # 2 sizes × 1 SNR × 34: four tasks.
@@ -331,9 +310,6 @@ def test_frames_tell_how_they_were_made(dataset_folder):
         assert float(attributes["sensor_sim:size_detectors"]) == float(row["size_detectors"])
         assert float(attributes["sensor_sim:snr"]) == float(row["snr"])
         assert attributes["sensor_sim:orientation"] == row["orientation"]
-
-
-def test_dataset_toml_tells_how_it_was_made(dataset_folder):
     text = (dataset_folder / "dataset.toml").read_text(encoding="utf-8")
     for found in ("sensor-sim", __version__, "seed 1", "bench"):
         assert found in text
@@ -475,6 +451,7 @@ def test_stages_follow_from_each_other():
     np.testing.assert_allclose(stages["g_display"], shown, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_stages_are_written_as_pictures(simulate_command, tmp_path):
     status, _, errors = simulate_command(tmp_path / "dataset", "--stages")
     assert (status, errors) == (0, [])
@@ -533,37 +510,28 @@ def test_folder_that_is_not_empty_is_refused(simulate_command, tmp_path):
     assert tree(tmp_path) == before
 
 
-def test_disk_full_at_a_frame(simulate_command, tmp_path, monkeypatch):
-    before = tree(tmp_path)
-    calls = []
+@pytest.mark.parametrize(("module", "function"), [(frame_writing, "_write"), (dataset_files, "csv_text")])
+def test_a_full_disk_leaves_what_is_finished_and_nothing_else(
+    simulate_command, tmp_path, monkeypatch, module, function
+):
+    """At the last of some frames, and at the manifest."""
+    before, folder, calls = tree(tmp_path), tmp_path / "dataset", []
+    write, room = getattr(module, function), 35 if function == "_write" else 0
 
-    def no_space(path, *rest):
+    def until_full(path, *rest):
         calls.append(path)
-        if len(calls) > 35:
-            raise FrameError(path, os.strerror(errno.ENOSPC))
+        if len(calls) > room:
+            raise FrameError(path, os.strerror(errno.ENOSPC)) if room else OSError(errno.ENOSPC, "No space left")
         return write(path, *rest)
 
-    write = frame_writing._write
-    monkeypatch.setattr(frame_writing, "_write", no_space)
-    done = simulate_command(tmp_path / "dataset", "--trials", "40")
-    folder = tmp_path / "dataset"
-    assert_refused(done, BAD_SETTINGS, "No space left on device", f"{folder}/frames/", kept=folder)
-    assert len(calls) > 35
+    monkeypatch.setattr(module, function, until_full)
+    done = simulate_command(folder, "--trials", "40")
+    assert_refused(done, BAD_SETTINGS, "No space left", str(folder), kept=folder)
+    assert len(calls) > room
     assert tree(tmp_path) == before
 
 
-def test_disk_full_at_the_manifest(simulate_command, tmp_path, monkeypatch):
-    before = tree(tmp_path)
-
-    def no_space(*_, **__):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(dataset_files, "csv_text", no_space)
-    folder = tmp_path / "dataset"
-    assert_refused(simulate_command(folder), BAD_SETTINGS, str(folder), "No space left on device", kept=folder)
-    assert tree(tmp_path) == before
-
-
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGXFSZ"), reason="no limit on the size of files")
 def test_file_that_cannot_grow(tmp_path):
     """A frame that really cannot be written to its end."""
@@ -582,13 +550,15 @@ def test_file_that_cannot_grow(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "stop",
+    ("workers", "stop"),
     [
-        pytest.param(number, id=number.name, marks=[] if number == signal.SIGINT else pytest.mark.slow)
+        pytest.param(
+            n, number, id=f"{n}-{number.name}", marks=[pytest.mark.slow] * (n > 1 or number != signal.SIGINT)
+        )
+        for n in (1, 2)
         for number in SIGNALS
     ],
 )
-@pytest.mark.parametrize("workers", [1, 2])
 def test_interruption_leaves_nothing(tmp_path, workers, stop):
     (tmp_path / "SENSOR.toml").write_text(SENSOR_TOML, encoding="utf-8")
     before = tree(tmp_path)

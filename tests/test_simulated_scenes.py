@@ -34,12 +34,14 @@ def images(tmp_path_factory) -> Path:
     return path
 
 
+def scenery_of(images: Path, sensor: ss.Sensor = CAMERA, **more) -> Scenery:
+    common = {"pixels_per_detector": 2.0, "value_range": None, "turns": 8, "seed": 3, "note": print}
+    return Scenery.opened(sensor, images, [SIZE], **common | more)
+
+
 @pytest.fixture(scope="module")
 def simulator(images: Path) -> Simulator:
-    scenery = Scenery.opened(
-        CAMERA, images, [SIZE], pixels_per_detector=2.0, value_range=None, turns=8, seed=3, note=print
-    )
-    return Simulator(CAMERA, SIZE, seed=1, scenery=scenery)
+    return Simulator(CAMERA, SIZE, seed=1, scenery=scenery_of(images))
 
 
 def shown(simulator: Simulator, turn: str, orientation: Orientation, level: float = NO_NOISE) -> np.ndarray:
@@ -112,9 +114,7 @@ def test_noise_of_photons_follows_the_scene(images: Path, tmp_path: Path) -> Non
     path = tmp_path / "sensor.toml"
     path.write_text(PHOTON_CAMERA, encoding="utf-8")
     sensor = ss.load_sensor(path)
-    scenery = Scenery.opened(
-        sensor, images, [SIZE], pixels_per_detector=2.0, value_range=None, turns=1, seed=3, note=print
-    )
+    scenery = scenery_of(images, sensor, turns=1)
     simulator = Simulator(sensor, SIZE, seed=1, scenery=scenery)
     trials = [SimulatedTrial((0, 0, n), SIZE, 1e-6, Orientation.UP, 0, "r0") for n in range(300)]
     _, samples = simulator.samples(trials)
@@ -138,18 +138,15 @@ def test_noise_of_photons_follows_the_scene(images: Path, tmp_path: Path) -> Non
     ],
 )
 def test_simulated_scenes_have_no_false_warning(images: Path, tmp_path: Path, capsys, more) -> None:
-    asked = [
-        "simulate",
-        "sample_frames/staring_camera.toml",
-        "--size-detectors",
-        "4",
-        "--snr",
-        "2,8",
-        "--trials",
-        "24",
-    ]
+    asked = ["--size-detectors", "4", "--snr", "2,8", "--trials", "24", *more]
     out = tmp_path / "out"
-    assert run(cli, [*asked, "--background", str(images), "-o", str(out), *more]) == 0
+    assert (
+        run(
+            cli,
+            ["simulate", "sample_frames/staring_camera.toml", *asked, "--background", str(images), "-o", str(out)],
+        )
+        == 0
+    )
     said = capsys.readouterr()
     assert "note" not in said.err
     assert re.fullmatch(r".*: \d+ frames with 3 scenes\n", said.out)
@@ -182,17 +179,7 @@ def test_a_triangle_moves_over_a_scene_that_stands(images: Path) -> None:
     """Frames of a clip without noise, each less its own triangle, are one scene."""
     filming = Filming(motion_mrad_per_s=8.0, warm_up_frames=2)
     farthest = float(np.abs(filming.travel_detectors(CAMERA)).max())
-    scenery = Scenery.opened(
-        CAMERA,
-        images,
-        [SIZE],
-        pixels_per_detector=2.0,
-        value_range=None,
-        turns=8,
-        seed=3,
-        farthest_detectors=farthest,
-        note=print,
-    )
+    scenery = scenery_of(images, farthest_detectors=farthest)
     simulator = Simulator(CAMERA, SIZE, seed=1, filming=filming, scenery=scenery)
     frames = simulator.clip(SimulatedTrial((0, 0, 0), SIZE, NO_NOISE, Orientation.UP, 1, "r90"))
     display, scenes = CAMERA.display, []
