@@ -40,7 +40,7 @@ BETWEEN_S = 0.25
 POLL_S = 0.004
 """Longest time between two checks whether the curve is still wanted."""
 
-IDLE_S = 0.2
+IDLE_S = 0.1
 """Time without a request after which a process gives memory back."""
 
 END_S = 1.0
@@ -241,8 +241,6 @@ class _UnwantedError(Exception):
 def _serve(connection: Connection, wanted: Any) -> None:
     """Answer requests until the pipe is closed: (number, answer or exception), and (number, None) in the end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other end deals with it
-    import scipy.sparse  # noqa: F401 # now, not in the first curve
-
     number = NOTHING_WANTED
 
     def check() -> None:

@@ -1,161 +1,116 @@
-"""Latency of the explorer in a browser: from the key that moves a slider to the painted curve.
+"""Latency and memory of the explorer's server, while the sliders of a page move at random.
 
-    python tests/benchmarks/explorer_latency.py [MOVES]
+    python tests/benchmarks/explorer_latency.py [MOVES] [SENSOR.toml]
 
-Chromium, without a window, presses arrow keys on sliders one after the other. Time starts with the time stamp of
-the key's event and ends in the second animation frame after the curve was drawn, when the frame that shows it has
-been made. Between two moves there is a random pause, so that some moves end a refinement and others come after it.
+Each move sets one slider, of all that the sensor has, farther or nearer from where it is. Time starts with the
+request and ends with the line of the estimate, or of the refined curve; between moves there is a random pause, so
+that some end a refinement and others come after it. The processors' time stands beside that of the clock.
 """
 
 from __future__ import annotations
 
+import copy
+import json
+import math
 import random
-import shutil
 import sys
-import tempfile
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from http.client import HTTPConnection
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
-from bench_accuracy import LOW_FILL_FACTOR, STAR_LIKE, UNDER_SAMPLED
-from playwright.sync_api import sync_playwright
-
-from sensor_sim.chain.sensor import Sensor, sensor_toml
 
 sys.path.append(str(Path(__file__).parents[1]))
 
-from browser import serving, wait_until, watched
+from browser import Server, serving
 
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
-
-MOVES = 200
-MOVES_OF_ONE = 5
-HIGHEST = 8
-REFINED_EVERY = 10
-LONGEST_PAUSE_MS = 400
-SENSORS = {"star-like": STAR_LIKE, "under-sampled": UNDER_SAMPLED, "low fill factor": LOW_FILL_FACTOR}
-SLIDERS = (
-    "optics.aperture_mm",
-    "optics.blur_sigma_mrad",
-    "detector.width_mrad",
-    "noise.fixed_pattern_ratio",
-    "display.blur_sigma_px",
-    "display.viewing_distance_mm",
-    "display.gain",
-    "observer.internal_noise",
-)
-
-WATCH = """
-const asked = new Map();
-let pressed = 0;
-window.painted = [];
-addEventListener("keydown", (event) => { pressed = event.timeStamp; }, true);
-const send = window.fetch;
-window.fetch = (path, options) => {
-  if (path === "/api/curve") asked.set(String(JSON.parse(options.body).sequence), [pressed, performance.now()]);
-  return send(path, options);
-};
-addEventListener("DOMContentLoaded", () => {
-  const curve = document.querySelector("#curve");
-  new MutationObserver(() => {
-    const { sequence, stage } = curve.dataset;
-    const times = [...asked.get(sequence), performance.now()];
-    const note = () => painted.push({ sequence, stage, times: [...times, performance.now()] });
-    requestAnimationFrame(() => requestAnimationFrame(note));
-  }).observe(curve, { attributeFilter: ["data-sequence", "data-stage"] });
-});
-"""
+SENSOR = Path(__file__).parents[2] / "sample_frames" / "star_like.toml"
+MOVES, REFINED_EVERY, LONGEST_PAUSE_S = 60, 6, 0.4
+WIDTHS = 0.02, 0.1, 0.3
+"""Standard deviations of moves, in lengths of half a slider."""
 
 
-class Latencies(NamedTuple):
-    """Times of all moves in ms: until the request, from there until the curve is drawn, and from there until it is
-    painted; and from a key until the refined curve is painted."""
-
-    asking: list[float]
-    answering: list[float]
-    painting: list[float]
-    refined: list[float]
-
-    @property
-    def estimated(self) -> np.ndarray:
-        """Time from the key until the estimate is painted."""
-        return np.sum([self.asking, self.answering, self.painting], axis=0)
+def ask(server: Server, path: str, body: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield the lines of an answer."""
+    url = urlsplit(server.url)
+    connection = HTTPConnection(url.netloc)
+    headers = {"X-Token": parse_qs(url.query)["token"][0], "Content-Type": "application/json"}
+    with closing(connection):
+        connection.request("POST", path, json.dumps(body), headers)
+        for line in connection.getresponse():
+            yield json.loads(line)
 
 
-def walk(moves: int, chance: random.Random) -> Iterator[tuple[str, int]]:
-    """Yield sliders and steps of ±1: some moves of one, then some of another, and no sensor twice.
-
-    Positions stay within `HIGHEST` steps above those of the file, so that no blur is below 0.
-    """
-    position, known = dict.fromkeys(SLIDERS, 0), {(0,) * len(SLIDERS)}
-    key = SLIDERS[0]
-    while moves:
-        if chance.random() < 1.0 / MOVES_OF_ONE:
-            key = chance.choice(SLIDERS)
-        step = chance.choice((-1, 1))
-        moved = position | {key: position[key] + step}
-        if 0 <= moved[key] <= HIGHEST and (sensor := tuple(moved.values())) not in known:
-            known.add(sensor)
-            position = moved
-            moves -= 1
-            yield key, step
+def processes(pid: int) -> list[int]:
+    """Return a process and all that it has started, on Linux."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+    return [pid, *(one for child in children for one in processes(int(child)))]
 
 
-def measure(browser: Browser, sensor: Sensor, moves: int) -> Latencies:
-    """Move sliders of a sensor and return how long the curves took."""
-    chance, found = random.Random(1), Latencies([], [], [], [])
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "sensor.toml")
-        # A little narrower than the pitch, so that the slider of the width can move up as well.
-        detector = replace(
-            sensor.detector, width_mrad=min(sensor.detector.width_mrad, 0.9 * sensor.detector.pitch_mrad)
-        )
-        file.write_text(sensor_toml(replace(sensor, detector=detector)), encoding="utf-8")
-        with (
-            serving("sensor_sim", "explore", file, "--no-browser") as server,
-            watched(browser, server.url, script=WATCH) as page,
-        ):
-            wait_until(page, "document.querySelector('#curve').dataset.stage === 'refined'")
-            for move, (key, step) in enumerate(walk(moves, chance)):
-                page.focus(f".field:has(#field-{key.replace('.', '-')}) input[type=range]")
-                before = page.evaluate("Number(document.querySelector('#curve').dataset.sequence)")
-                page.keyboard.press("ArrowRight" if step > 0 else "ArrowLeft")
-                first = wait_until(page, "(before) => painted.find((one) => one.sequence > before)", before)
-                pressed, requested, drawn, shown = first["times"]
-                found.asking.append(requested - pressed)
-                found.answering.append(drawn - requested)
-                found.painting.append(shown - drawn)
-                if move % REFINED_EVERY == 0:
-                    last = wait_until(
-                        page,
-                        "(number) => painted.find((one) => one.sequence === number && one.stage === 'refined')",
-                        first["sequence"],
-                    )
-                    found.refined.append(last["times"][3] - pressed)
-                page.wait_for_timeout(chance.uniform(0, LONGEST_PAUSE_MS))
-    return found
+def used(server: Server) -> tuple[float, float]:
+    """Return the memory in MB and the processors' time in s of all processes of a server."""
+    memory, seconds = 0.0, 0.0
+    for pid in processes(server.process.pid):
+        memory += int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * 4096 / 1e6
+        of_process = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        seconds += (int(of_process[11]) + int(of_process[12])) / 100.0
+    return memory, seconds
 
 
-def described(values: Sequence[float] | np.ndarray) -> str:
-    """Return the median and the 95th percentile of times as a text."""
-    return f"{np.median(values):7.0f} {np.percentile(values, 95):7.0f}"
+def moved(state: dict[str, Any], fields: list[dict[str, Any]], chance: random.Random) -> dict[str, Any]:
+    """Return a state in which one slider has moved."""
+    new, field = copy.deepcopy(state), chance.choice(fields)
+    table, _, name = field["key"].partition(".")
+    low, high, is_log = field["min"], field["max"], field["scale"] == "log"
+    if is_log:
+        low, high = math.log(low), math.log(high)
+    at = math.log(new[table][name]) if is_log else new[table][name]
+    at = min(max(at + chance.gauss(0.0, chance.choice(WIDTHS)) * (high - low) / 2.0, low), high)
+    value = math.exp(at) if is_log else at
+    new[table][name] = round(value) if field["kind"] == "integer" else float(f"{value:.4g}")
+    return new
 
 
-def main(moves: int) -> None:
-    """Print a table of medians and 95th percentiles."""
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-        print(f"{moves} moves; median and 95th percentile in ms; asked of an estimate 100 and 200, refined 2000")
-        print(f"{'':<18}{'estimate':>15}{'ask':>16}{'answer':>16}{'paint':>16}{'refined':>16}")
-        for name, sensor in SENSORS.items():
-            found = measure(browser, sensor, moves)
-            parts = [found.estimated, found.asking, found.answering, found.painting, found.refined]
-            print(f"{name:<18}" + " ".join(described(part) for part in parts), flush=True)
-        browser.close()
+def main(moves: int, sensor: Path) -> None:
+    """Print medians and 95th percentiles of all moves, and the memory after each twenty."""
+    chance = random.Random(1)
+    with serving("sensor_sim", "explore", sensor, "--no-browser") as server:
+        (start,) = ask(server, "/api/start", {})
+        first = state = start["sensor"] | {"observer": start["observer"]}
+        keys = {
+            f"{table}.{name}" for table, values in state.items() if isinstance(values, dict) for name in values
+        }
+        fields = [one for one in start["fields"] if one.get("min") is not None and one["key"] in keys]
+        times: dict[str, list[tuple[float, float]]] = {"estimate": [], "refined": []}
+        sizes, done = None, 0
+        while done <= moves:
+            new = moved(state, fields, chance) if done else state
+            tables = {key: value for key, value in new.items() if key != "observer"}
+            body = {"sensor": tables, "observer": new["observer"], "sizes_detectors": sizes, "client": "a"}
+            before, started = used(server)[1], time.perf_counter()
+            with closing(ask(server, "/api/curve", body | {"sequence": time.monotonic_ns()})) as lines:
+                for number, line in enumerate(lines):
+                    took = time.perf_counter() - started, used(server)[1] - before
+                    if number == 0 and done and "thresholds" in line:
+                        times["estimate"].append(took)
+                    if line.get("is_last") and done:
+                        times["refined"].append(took)
+                    if done % REFINED_EVERY:
+                        break
+            if "thresholds" in line:  # else there is no such sensor
+                sizes = [one["size_detectors"] for one in line["thresholds"]]
+                state, done = (new if chance.random() < 0.8 else first), done + 1
+                time.sleep(chance.uniform(0.0, LONGEST_PAUSE_S))
+                if done % 20 == 0:
+                    print(f"{done} moves: {used(server)[0]:.0f} MB", flush=True)
+    for name, values in times.items():
+        for what, column in zip(("clock", "processors"), np.transpose(values), strict=True):
+            print(f"{name}, {what}: median {np.median(column):.3g} s, 95 % {np.percentile(column, 95):.3g} s")
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else MOVES)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else MOVES, Path(sys.argv[2]) if len(sys.argv) > 2 else SENSOR)
