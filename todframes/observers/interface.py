@@ -90,7 +90,7 @@ class Readout:
     @cached_property
     def weights_key(self) -> bytes:
         """Hash of the grid and of `deviations`: readouts of the same weights share it, whatever their noise."""
-        digest = hashlib.sha256(repr((self.grid, self.deviations.shape)).encode())
+        digest = hashlib.blake2b(repr((self.grid, self.deviations.shape)).encode(), digest_size=32)
         digest.update(np.ascontiguousarray(self.deviations).data)
         return digest.digest()
 
