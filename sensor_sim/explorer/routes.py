@@ -78,17 +78,22 @@ class SensorAsked(msgspec.Struct):
     sensor: Tables
 
 
-class CurveAsked(SensorAsked):
-    """A request for a curve; `client` is a name that a page gives itself, and `sequence` counts its requests.
+class TomlAsked(SensorAsked):
+    """A request for the file of a sensor, and for the command that computes its curve.
 
     Without sizes, those are taken that suit the sensor.
     """
 
     sizes_detectors: Sizes | None
-    client: Annotated[str, Meta(max_length=64)]
-    sequence: int
     observer: Tables = {}
     p_correct: float = 0.75
+
+
+class CurveAsked(TomlAsked, kw_only=True):
+    """A request for a curve; `client` is a name that a page gives itself, and `sequence` counts its requests."""
+
+    client: Annotated[str, Meta(max_length=64)]
+    sequence: int
     level: Level = "snr"
 
 
@@ -103,14 +108,6 @@ class TrialAsked(SensorAsked):
         """Return the trial; its orientation comes from the seed."""
         chance = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(ORIENTATION_STREAM,)))
         return SimulatedTrial((0, 0, 0), self.size_detectors, self.level, ORIENTATIONS[chance.integers(4)])
-
-
-class TomlAsked(SensorAsked):
-    """A request for the file of a sensor, and for the command that computes its curve."""
-
-    sizes_detectors: Sizes | None
-    observer: Tables = {}
-    p_correct: float = 0.75
 
 
 class MtfPlotAsked(SensorAsked):

@@ -30,7 +30,6 @@ from sensor_sim.thresholds.predict import (
     Progress,
     predict_threshold,
     predicted_on_lattices,
-    references_of,
 )
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
@@ -89,7 +88,7 @@ def predict_at_unknown_place(
     )
     start = None
     if first.threshold is not None:
-        start = KnownThreshold(HIGHER * first.threshold, references_of(on_places, first.threshold))
+        start = KnownThreshold(first.threshold, on_places, HIGHER * first.threshold)
     return predict_threshold(
         chain,
         p_correct=p_correct,

@@ -419,28 +419,6 @@ class PooledThreshold(NamedTuple):
     slope: float
 
 
-class Reference(NamedTuple):
-    """A sensor whose threshold is known more exactly than some lattices give it.
-
-    Lattices of a similar sensor with the same places have nearly the same error, so that the ratio corrects it.
-    `deviations` are those of `PooledThreshold`, `correction` is ln of the known threshold over the estimate, and
-    `error` the relative half-width of a 95 % interval of the known one.
-    """
-
-    deviations: FloatArray
-    correction: float
-    error: float
-
-
-def references_of(on_places: Mapping[int, PooledThreshold], threshold: float) -> dict[int, Reference]:
-    """Return references from a threshold and what each number of places gave; without what plans omit."""
-    error = half_width_95(on_places[max(on_places)].deviations)
-    return {
-        places: Reference(found.deviations, math.log(threshold / found.threshold), error)
-        for places, found in on_places.items()
-    }
-
-
 def find_threshold(
     of_each: Callable[[float], FloatArray],
     p_correct: float,
@@ -488,10 +466,19 @@ def predict_threshold(chain: FoldedChain, **search: Any) -> PredictedThreshold:
 
 
 class KnownThreshold(NamedTuple):
-    """A threshold that is known, `near` an unknown one, whose lattices correct those of the unknown one."""
+    """A threshold that is known more exactly than few places give it, and another one is `near`.
 
+    Lattices with the same places have nearly the same error at both, so that their ratio corrects it.
+    """
+
+    threshold: float
+    on_places: Mapping[int, PooledThreshold]
     near: float
-    references: Mapping[int, Reference]
+
+    @property
+    def error(self) -> float:
+        """Relative half-width of the 95 % interval; what plans omit is not in it."""
+        return half_width_95(self.on_places[max(self.on_places)].deviations)
 
 
 def predicted_on_lattices(
@@ -517,9 +504,7 @@ def predicted_on_lattices(
     check_positive(argument.tolerance, tolerance)
     ladder = chain.lattices
     on_places: dict[int, PooledThreshold] = {}
-    near, slope = chain.plan.near_level, chain.plan.slope
-    if known is not None:
-        near = known.near
+    near, slope = chain.plan.near_level if known is None else known.near, chain.plan.slope
     bound = chain.plan.bound
     # Where the plan has found no threshold at the places that it tried, there often is none.
     never = chain.unreached(p_correct, seed, ladder[0], level) if near is None else None
@@ -531,9 +516,7 @@ def predicted_on_lattices(
         phases = pooled(parts)
         n_phases = sum(part.signal[..., 0].size for part in phases)
         found = find_threshold(
-            lambda value, phases=phases: chain.proportions(  # type: ignore[misc]
-                phases, value, level, n_replicates=REPLICATES, check=work.decide
-            ),
+            partial(chain.proportions, phases, level=level, n_replicates=REPLICATES, check=work.decide),
             p_correct,
             most=chain.largest_level,
             near=near,
@@ -547,15 +530,15 @@ def predicted_on_lattices(
         threshold = found.threshold
         error, left_out = half_width_95(found.deviations), bound / found.slope
         on_places[places] = found
-        if known is not None and places in known.references:
-            reference = known.references[places]
+        if known is not None and places in known.on_places:
+            reference = known.on_places[places]
             apart = reference.deviations - reference.deviations.mean()
             variance = float(apart @ apart)
             share = float(found.deviations @ apart) / variance if variance > 0.0 else 0.0
-            by_ratio = half_width_95(found.deviations - share * reference.deviations)
-            if by_ratio + abs(share) * reference.error + left_out <= tolerance:
-                threshold *= math.exp(share * reference.correction)
-                error = by_ratio + abs(share) * reference.error
+            by_ratio = half_width_95(found.deviations - share * reference.deviations) + abs(share) * known.error
+            if by_ratio + left_out <= tolerance:
+                threshold *= (known.threshold / reference.threshold) ** share
+                error = by_ratio
                 break
         # More trials do not reduce the error of the omissions: on a flat curve, the stated error may stay above
         # the tolerance.

@@ -53,14 +53,8 @@ def _chart(n_pages: int) -> Chart:
     corners = {name: Point(x_mm=x, y_mm=y) for name, (x, y) in zip(CORNERS, places, strict=True)}
     pages = []
     for number in range(n_pages):
-        one = Triangle(
-            orientation=ORIENTATIONS[number % 4],
-            size_mrad=2.0,
-            size_mm=20.0,
-            contrast=0.1 * (1 + number // 4 % 5),
-            x_mm=320.0,
-            y_mm=256.0,
-        )
+        shown = {"orientation": ORIENTATIONS[number % 4], "contrast": 0.1 * (1 + number // 4 % 5)}
+        one = Triangle(size_mrad=2.0, size_mm=20.0, x_mm=320.0, y_mm=256.0, **shown)  # type: ignore[arg-type]
         pages.append(Page(number=number, file=f"{number}.png", triangles=(one,)))
     screen = Screen(
         width_px=COLUMNS, height_px=ROWS, pixel_pitch_mm=1.0, background_luminance_cd_m2=50.0, page_duration_s=1.0
@@ -101,13 +95,8 @@ def _page(chart: Chart, number: int) -> np.ndarray:
         top, left = round(y - len(shown) / 2), round(x - len(shown) / 2)
         image[top : top + len(shown), left : left + len(shown)] = 0.05 + 0.9 * shown
     one = chart.pages[number].triangles[0]
-    return image * (
-        1.0
-        + one.contrast
-        * coverage((ROWS, COLUMNS), size_px=20.0, x_px=319.5, y_px=255.5, orientation=one.orientation).astype(
-            np.float32
-        )
-    )
+    covered = coverage((ROWS, COLUMNS), size_px=20.0, x_px=319.5, y_px=255.5, orientation=one.orientation)
+    return image * (1.0 + one.contrast * covered.astype(np.float32))
 
 
 if __name__ == "__main__":

@@ -50,17 +50,14 @@ def process(*arguments: str) -> Cost:
     return Cost(wall_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0)
 
 
-def paired_ratio(ours: Sequence[str], theirs: Sequence[str], repeats: int) -> float:
-    """Median over pairs, run in turn, of the wall times of two processes, after a pair that compiles bytecode."""
+def paired_ratio(ours: Sequence[str], theirs: Sequence[str], repeats: int, cost: str = "wall_s") -> float:
+    """Median over pairs, run in turn, of a cost of two processes, after a pair that compiles bytecode."""
     process(*ours)
     process(*theirs)
-    ratios = sorted(process(*ours).wall_s / process(*theirs).wall_s for _ in range(repeats))
-    return ratios[repeats // 2]
+    ratios = sorted(getattr(process(*ours), cost) / getattr(process(*theirs), cost) for _ in range(repeats))
+    return float(ratios[repeats // 2])
 
 
 def cpu_ratio(ours: Sequence[str], theirs: Sequence[str], repeats: int) -> float:
-    """Median over pairs, run in turn, of the CPU times of two processes, after a pair that compiles bytecode."""
-    process(*ours)
-    process(*theirs)
-    ratios = sorted(process(*ours).cpu_s / process(*theirs).cpu_s for _ in range(repeats))
-    return ratios[repeats // 2]
+    """The same of the processors' time."""
+    return paired_ratio(ours, theirs, repeats, "cpu_s")
