@@ -520,9 +520,7 @@ def test_orientations_are_equally_frequent():
 
 
 def test_a_picture_that_is_too_large_is_refused():
-    with pytest.raises(
-        SettingsError, match=r"^found a trial of \d+ × \d+ pixels, too many to show; choose a smaller"
-    ):
+    with pytest.raises(SettingsError, match=r"^found a trial of \d+ × \d+ pixels, too many to show; choose"):
         routes.trial_pictures(TrialAsked(TABLES_SENT, 200.0, 4.0, 7), SENSOR)
 
 
@@ -639,9 +637,8 @@ def test_a_place_where_the_server_cannot_listen_is_one_line(capsys, tmp_path):
     (line,) = lines(capsys)
     assert line.startswith(f"error: --port: cannot listen at 127.0.0.1, port {port} (")
     assert run(cli, ["explore", str(CAMERA), "--host", "no-such-host.invalid", "--no-browser"]) == 2
-    assert lines(capsys) == [
-        "error: --host: found 'no-such-host.invalid', expected the address or name of this machine"
-    ]
+    (line,) = lines(capsys)
+    assert line.startswith("error: --host: found 'no-such-host.invalid', expected the address or name")
     assert run(cli, ["explore", str(tmp_path / "no.toml"), "--no-browser"]) == 2
     assert lines(capsys) == [f"error: {tmp_path / 'no.toml'}: no such file"]
 

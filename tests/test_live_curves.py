@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_predict import UNDER_SAMPLED
 
 from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.photons import background_electrons
@@ -34,18 +35,7 @@ from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.naked_eye import contrast_threshold
 
-SENSOR = Sensor(
-    optics=Optics(aperture_mm=100.0, wavelength_um=10.0),
-    detector=Detector(pitch_mrad=0.2, width_mrad=0.2),
-    noise=Noise(netd_mk=30.0),
-    display=SensorDisplay(
-        pixels_per_detector=4,
-        pixel_pitch_mm=0.25,
-        viewing_distance_mm=1500.0,
-        background_luminance_cd_m2=50.0,
-        blur_sigma_px=1.0,
-    ),
-)
+SENSOR = replace(UNDER_SAMPLED, noise=Noise(netd_mk=30.0))
 PHOTON = replace(
     SENSOR,
     optics=Optics(aperture_mm=10.0, wavelength_um=0.55, focal_length_mm=30.0),
@@ -240,13 +230,6 @@ def test_what_the_threshold_does_not_depend_on_is_not_computed_again():
     assert [answer.is_refined for answer in answers] == [True]
     assert answers[0].threshold == refined
     assert delta_t_mk(1.0, noise=other.noise) != delta_t_mk(1.0, noise=SENSOR.noise)
-
-
-def test_without_internal_noise():
-    _, refined = computed(engine(), SENSOR, PyramidObserver(internal_noise=0.0))
-    chain = FoldedChain(SENSOR, PyramidObserver(internal_noise=0.0), 4.0)
-    expected = predict_threshold(chain, tolerance=0.02)
-    assert abs(refined.threshold - expected.threshold) <= refined.numerical_error + expected.numerical_error
 
 
 def test_threshold_that_is_never_reached():

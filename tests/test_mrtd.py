@@ -132,16 +132,6 @@ def test_command_prints_what_the_call_returns(found, capsys, tmp_path):
     }
 
 
-@pytest.mark.slow
-def test_table_fits_eighty_columns(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    arguments = ["mrtd", CAMERA, "--frequency-nyquist", 1.2, "--size-detectors", 8, "--tolerance", 0.1, "--quiet"]
-    assert run(cli, [*map(str, arguments)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert max(map(len, lines)) <= 80
-    assert any("Lloyd" in line for line in lines)
-
-
 @pytest.mark.usefixtures("blank_pictures")
 def test_sensor_without_netd_has_thresholds_in_snr():
     sensor = replace(SENSOR, noise=replace(SENSOR.noise, netd_mk=None))

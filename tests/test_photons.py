@@ -11,23 +11,22 @@ import numpy as np
 import pytest
 from camera_texts import DISPLAY, LENS, PHOTONS, PIXELS
 from overlaps import weights_at
+from test_predict import seen_frames
 
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim import cli
 from sensor_sim.chain.photons import PhotonCamera, background_electrons, contrast_variance, photopic_efficiency
 from sensor_sim.chain.sensor import sensor_settings, sensor_toml
-from sensor_sim.chain.simulation import Simulator, plan_trials
 from sensor_sim.thresholds.curve_plan import full_plan
 from sensor_sim.thresholds.predict import FoldedChain
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
-from todframes.observers.retina import resample
 from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.results.wording import column_heading, group_phrase, group_phrases
-from todframes.stimulus import ORIENTATIONS, Stimulus
+from todframes.stimulus import ORIENTATIONS
 
 CAMERA = '\nschema = 1\nname = "machine vision"\n' + LENS + PIXELS + PHOTONS + DISPLAY
 
@@ -163,23 +162,9 @@ def test_frames_of_photons_have_the_computed_threshold(tmp_path):
     sensor, size, observer = camera(tmp_path), 3.0, PyramidObserver()
     sensor = replace(sensor, photons=replace(sensor.photons, dsnu_electrons=0.0, prnu_percent=0.0))
     (fit,) = ss.curve(sensor, size_detectors=[size], examples=False).fits
-    readout = observer.readout(Stimulus(size * sensor.display.detector_pitch_mrad))
-    pixel, rng = sensor.display.pixel_pitch_mrad, np.random.default_rng(2)
-    planned = plan_trials(
-        [size], [fit.threshold * 2.0**n for n in (-0.75, -0.25, 0.0, 0.25, 0.75)], 400, "contrast"
-    )
-    scores = []
-    for frame in Simulator(sensor, size, seed=1).frames(planned):
-        jitter = rng.uniform(-0.5, 0.5, 2) * readout.grid.pitch_mrad / pixel
-        contrast = frame.luminance_cd_m2 / sensor.display.background_luminance_cd_m2 - 1.0
-        place = {"x_px": frame.x_px + jitter[0], "y_px": frame.y_px + jitter[1], "pixel_pitch_mrad": pixel}
-        scores.append(readout.score_deviations(resample(contrast, readout.grid, **place)))
-    answers = answer_probabilities(np.array(scores), readout.noise_covariance)
-    correct = np.array([trial.orientation.quarter_turns for trial in planned])
-    levels = np.array([trial.level for trial in planned])
-    drawn = fit_trials(
-        levels, answers[np.arange(2000), correct], settings=FitSettings(), rng=np.random.default_rng(1)
-    )
+    levels = [fit.threshold * 2.0**n for n in (-0.75, -0.25, 0.0, 0.25, 0.75)]
+    seen = seen_frames(sensor, observer, size, levels, 400, seed=1)
+    drawn = fit_trials(seen.level, seen.p_correct, settings=FitSettings(), rng=np.random.default_rng(1))
     end = drawn.threshold_ci95[int(fit.threshold > drawn.threshold)]
     interval = abs(math.log(end / drawn.threshold))
     assert abs(math.log(fit.threshold / drawn.threshold)) < interval < 0.15

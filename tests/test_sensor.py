@@ -4,37 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
 from todframes.base.errors import SettingsError
 
-STAR = """\
-schema = 1
-name = "star-like"
-[optics]
-aperture_mm = 220.0
-wavelength_um = 4.0
-blur_sigma_mrad = 0.01
-[detector]
-pitch_mrad = 0.0681
-width_mrad = 0.0681
-[noise]
-distribution = "uniform"
-netd_mk = 16.0
-fixed_pattern_ratio = 0.4
-frames_integrated = 6
-[electronics]
-blur_sigma_px = 0.0
-[display]
-pixels_per_detector = 6
-pixel_pitch_mm = 0.25
-viewing_distance_mm = 350.0
-blur_sigma_px = 2.0
-background_luminance_cd_m2 = 50.0
-gain = 1.0
-"""
+STAR = (Path(__file__).parent.parent / "sample_frames" / "star_like.toml").read_text(encoding="utf-8")
 OPTICS = Optics(aperture_mm=220.0, wavelength_um=4.0, blur_sigma_mrad=0.01)
 DETECTOR = Detector(pitch_mrad=0.0681, width_mrad=0.0681)
 DISPLAY = SensorDisplay(
@@ -79,26 +56,25 @@ def test_what_may_be_left_out_has_the_documented_default(tmp_path):
     assert (expected.electronics.blur_sigma_px, expected.display.gain, expected.name) == (0.0, 1.0, "unnamed")
 
 
-POSITIVE = ["0.0", "-1.0", "nan", "inf"]
-NOT_NEGATIVE = ["-0.1", "nan", "inf"]
-NOT_NEGATIVE_PIXELS = [*NOT_NEGATIVE, "1000.5"]
-COUNT = ["0", "-3"]
+POSITIVE = ["0.0", "-1.0", "nan", "inf"], "number from 1e-12 to 1e\\+12"
+NOT_NEGATIVE = ["-0.1", "nan", "inf"], "number from 0 to 1e\\+12"
+PIXELS = ["-0.1", "nan", "inf", "1000.5"], "number from 0 to 1000"
 RANGES = {
-    ("optics", "aperture_mm = 220.0"): (POSITIVE, "number from 1e-12 to 1e\\+12"),
-    ("optics", "wavelength_um = 4.0"): (POSITIVE, "number from 1e-12 to 1e\\+12"),
-    ("optics", "blur_sigma_mrad = 0.01"): (NOT_NEGATIVE, "number from 0 to 1e\\+12"),
-    ("detector", "pitch_mrad = 0.0681"): (POSITIVE, "number from 1e-12 to 1e\\+12"),
-    ("detector", "width_mrad = 0.0681"): (POSITIVE, "number from 1e-12 to 1e\\+12"),
-    ("noise", "netd_mk = 16.0"): (POSITIVE, "number from 1e-12 to 1e\\+12"),
-    ("noise", "fixed_pattern_ratio = 0.4"): (NOT_NEGATIVE, "number from 0 to 1e\\+12"),
-    ("noise", "frames_integrated = 6"): (COUNT, "whole number from 1 to 10000"),
-    ("electronics", "blur_sigma_px = 0.0"): (NOT_NEGATIVE_PIXELS, "number from 0 to 1000"),
-    ("display", "pixels_per_detector = 6"): ([*COUNT, "1001"], "whole number from 1 to 1000"),
-    ("display", "pixel_pitch_mm = 0.25"): (POSITIVE, "number from 1e-12 to 1e\\+12"),
-    ("display", "viewing_distance_mm = 350.0"): (POSITIVE, "number from 1e-12 to 1e\\+12"),
-    ("display", "blur_sigma_px = 2.0"): (NOT_NEGATIVE_PIXELS, "number from 0 to 1000"),
-    ("display", "background_luminance_cd_m2 = 50.0"): (POSITIVE, "number from 1e-12 to 1e\\+12"),
-    ("display", "gain = 1.0"): (POSITIVE, "number from 1e-12 to 1e\\+12"),
+    ("optics", "aperture_mm = 220.0"): POSITIVE,
+    ("optics", "wavelength_um = 4.0"): POSITIVE,
+    ("optics", "blur_sigma_mrad = 0.01"): NOT_NEGATIVE,
+    ("detector", "pitch_mrad = 0.0681"): POSITIVE,
+    ("detector", "width_mrad = 0.0681"): POSITIVE,
+    ("noise", "netd_mk = 16.0"): POSITIVE,
+    ("noise", "fixed_pattern_ratio = 0.4"): NOT_NEGATIVE,
+    ("noise", "frames_integrated = 6"): (["0", "-3"], "whole number from 1 to 10000"),
+    ("electronics", "blur_sigma_px = 0.0"): PIXELS,
+    ("display", "pixels_per_detector = 6"): (["0", "-3", "1001"], "whole number from 1 to 1000"),
+    ("display", "pixel_pitch_mm = 0.25"): POSITIVE,
+    ("display", "viewing_distance_mm = 350.0"): POSITIVE,
+    ("display", "blur_sigma_px = 2.0"): PIXELS,
+    ("display", "background_luminance_cd_m2 = 50.0"): POSITIVE,
+    ("display", "gain = 1.0"): POSITIVE,
 }
 OUT_OF_RANGE = [(*key, value, expected) for key, (values, expected) in RANGES.items() for value in values]
 
