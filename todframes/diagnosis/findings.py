@@ -18,62 +18,14 @@ CERTAIN = 5.0
 MATTERS = 0.03
 """Relative error of a threshold that matters."""
 
-MOST_BY_PATTERN = 3.0
-"""Largest relative deviation of a background's luminance that noise and a fixed pattern may cause, in standard
-deviations of a pixel's contrast, from its neighbours and from trial to trial; a larger one is a step or a slope of
-the background."""
-
-SKEW = 0.5
-"""Relative deviation of a background's luminance that skewed noise may cause, in standard deviations of a pixel's
-contrast."""
-
-OFFSET_MRAD, SCATTER_MRAD = 0.08, 0.1
-"""Offset and scatter of the triangle's place that matter: half a sample of the naked eye's retina raises
-thresholds by 2 to 5 % for sizes up to 4 mrad, and more for larger ones."""
-
 LEAST_OFFSET_PX = 0.05
 """Least offset that is reported, in pixels; a smaller one is within the errors of the fit."""
-
-OFFSET_PER_BLUR = 0.3
-"""Offset of a blurred triangle that does not matter, in standard deviations of its blur."""
-
-SIZE_MRAD, LEAST_SIZE_ERROR = 0.08, 0.02
-"""Error of a size that matters, and the least relative one that is reported."""
-
-SIZE_SCATTER = 0.2
-"""Relative scatter of a size over trials beyond which a group has triangles of several sizes."""
-
-SIZE_PER_BLUR = 1.5
-"""Relative scatter of a size that sampling may cause, in standard deviations of the blur per size."""
 
 MOST_TURN_RAD = math.radians(2.0)
 """Largest rotation that is not reported: thresholds rise by its square, by about a sixth at 5°."""
 
-SCATTER_PER_BLUR = 0.4
-"""Scatter of the place that sampling may cause, in standard deviations of the triangle's blur."""
-
-CONTRAST_ERROR = 0.05
-"""Relative deviation of the displayed contrast from the level that is reported."""
-
-LEAST_DISPLAYED_SIZE_PX = 2.0
-"""Size of a triangle in pixels below which its orientation is not displayed."""
-
-MOST_CLIPPED, MOST_CLIPPED_NOISE, LOUD = 0.002, 0.01, 0.1
-"""Share of the triangle's pixels at an end of the code values that is reported: of quiet frames, and of loud ones,
-whose noise reaches that end. Loud is a noise of that contrast."""
-
-SKEWED = 0.1
-"""Relative deviation of the background's luminance in loud frames, from noise cut off or a fixed pattern."""
-
-UNEVEN_PER_LEVEL, TIMES_TEXTURE = 0.15, 4.0
-"""Contrast of the background's own structure at the triangle that matters, relative to the median level, and to
-the same structure elsewhere in the picture: a camera's fixed pattern is everywhere."""
-
-COARSE_PER_LEVEL, DITHERED = 0.5, 0.6
-"""Contrast of one code step that matters, relative to the median level, and the noise in steps that smooths it."""
-
-BIT_DEPTHS = (10, 12, 14)
-"""Bits of values that cameras store in files of 16 bits."""
+LOUD = 0.1
+"""Contrast of noise that is loud: it reaches an end of the code values, and some of it is cut off."""
 
 Value = float | tuple[float, float]
 
@@ -130,8 +82,9 @@ def place_deviations(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]
 
 
 def _geometry(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
-    if shown.size_px < LEAST_DISPLAYED_SIZE_PX:
-        pitch_mrad, least = dataset.display.pitch_mrad, LEAST_DISPLAYED_SIZE_PX
+    least = 2.0  # pixels that display an orientation
+    if shown.size_px < least:
+        pitch_mrad = dataset.display.pitch_mrad
         seen = (
             f"a triangle of {shown.stimulus.size_mrad:g} mrad is {shown.size_px:.2g} pixels of {pitch_mrad:g} mrad"
         )
@@ -152,7 +105,7 @@ def _codes(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
         ("crushed", shown.crushed_share, "code value 0"),
     )
     for code, share, end in ends:
-        if share is not None and share > (MOST_CLIPPED if shown.noise_contrast < LOUD else MOST_CLIPPED_NOISE):
+        if share is not None and share > (0.002 if shown.noise_contrast < LOUD else 0.01):
             seen = f"{100.0 * share:.2g} % of the pixels at the triangle have {end}"
             advice = (
                 "its contrast is cut off there, or pixels are stuck; change exposure or gain and record again, or "
@@ -162,20 +115,22 @@ def _codes(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
     step = shown.code_step_contrast
     if step is None or not is_contrast(dataset):
         return
-    if step > COARSE_PER_LEVEL * shown.level and shown.noise_contrast < DITHERED * step:
+    least = 0.5 * shown.level
+    if step > least and shown.noise_contrast < 0.6 * step:  # noise of more than that smooths the steps
         seen = (
             f"one step of the code values is a contrast of {step:.2g}, and the median level is {shown.level:.2g}"
         )
         advice = "the triangle's contrast is rounded; store more bits"
-        yield Deviation("coarse_codes", step, COARSE_PER_LEVEL * shown.level, seen, advice)
+        yield Deviation("coarse_codes", step, least, seen, advice)
 
 
 def _background(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
     rule = dataset.display.background_luminance_cd_m2
-    by_noise = SKEWED if shown.noise_contrast > LOUD else SKEW * shown.noise_contrast
-    by_pattern = min(
-        CERTAIN * shown.ring_ratio_error, MOST_BY_PATTERN * math.hypot(shown.noise_contrast, shown.ring_scatter)
-    )
+    # Noise that is cut off, or skewed, moves the mean; so does a fixed pattern, up to three standard deviations
+    # of a pixel's contrast, from its neighbours and from trial to trial. More is a step or a slope of the
+    # background.
+    by_noise = 0.1 if shown.noise_contrast > LOUD else 0.5 * shown.noise_contrast
+    by_pattern = min(CERTAIN * shown.ring_ratio_error, 3.0 * math.hypot(shown.noise_contrast, shown.ring_scatter))
     if abs(shown.ring_ratio - 1.0) > max(MATTERS, by_noise, by_pattern):
         advice = (
             'set background_luminance_cd_m2 = "surround", and check eotf and white_luminance_cd_m2'
@@ -184,7 +139,7 @@ def _background(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
         )
         code: WarningCode = "background_mismatch"
         if shown.full_scale == 65535 and shown.peak_code is not None and shown.ring_ratio < 0.5:
-            bits = next((bits for bits in BIT_DEPTHS if shown.peak_code < 2**bits), None)
+            bits = next((bits for bits in (10, 12, 14) if shown.peak_code < 2**bits), None)
             if bits is not None:
                 code = "bit_depth"
                 codes = f"the files have 16 bits and no code above {shown.peak_code}"
@@ -196,8 +151,9 @@ def _background(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
         yield Deviation(
             code, shown.ring_ratio, 1.0, seen, f"every contrast is wrong by about this factor; {advice}"
         )
-    least = max(UNEVEN_PER_LEVEL * shown.level * abs(shown.contrast_slope or 1.0), CERTAIN * shown.uneven_error)
-    if is_contrast(dataset) and shown.uneven > max(least, TIMES_TEXTURE * shown.uneven_texture):
+    least = max(0.15 * shown.level * abs(shown.contrast_slope or 1.0), CERTAIN * shown.uneven_error)
+    # A camera's fixed pattern is elsewhere in the picture too.
+    if is_contrast(dataset) and shown.uneven > max(least, 4.0 * shown.uneven_texture):
         seen = (
             f"the background has a structure of its own under the triangle, with a contrast of {shown.uneven:.2g} "
             f"where the median level is {shown.level:.2g}"
@@ -230,7 +186,7 @@ def _contrast(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
         seen = "the frames show no triangle, the displayed contrast is 0"
         advice = "check that the frames are those of the manifest"
         yield Deviation("contrast_mismatch", 0.0, 1.0, seen, advice)
-    elif abs(slope - 1.0) > max(CONTRAST_ERROR, CERTAIN * error):
+    elif abs(slope - 1.0) > max(0.05, CERTAIN * error):
         seen = f"the displayed contrast is {slope:.3g} ± {error:.1g} times the level in the manifest"
         advice = "the threshold is in units of that level; check eotf, gamma and the unit of the level"
         yield Deviation("contrast_mismatch", slope, 1.0, seen, advice)
@@ -273,7 +229,9 @@ def _place(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
         return
     pitch, error, blur_px = dataset.display.pitch_mrad, math.hypot(*shown.offset_error_px), shown.blur_px or 0.0
     (x, y), (dx, dy), offset = shown.stated_px, shown.offset_px, math.hypot(*shown.offset_px)
-    if offset > max(OFFSET_MRAD / pitch, LEAST_OFFSET_PX, OFFSET_PER_BLUR * blur_px, CERTAIN * error):
+    # Half a sample of the naked eye's retina raises thresholds by 2 to 5 % for sizes up to 4 mrad, and more for
+    # larger ones; a blurred triangle may be off by a part of its blur.
+    if offset > max(0.08 / pitch, LEAST_OFFSET_PX, 0.3 * blur_px, CERTAIN * error):
         seen = (
             f"the triangles lie {offset:.3g} pixels ({dx:+.2f} in x, {dy:+.2f} in y) from where the dataset says"
         )
@@ -282,7 +240,7 @@ def _place(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
         )
         yield Deviation("position_offset", (x + dx, y + dy), (x, y), seen, advice)
     scatter_px = shown.scatter_px or 0.0
-    if scatter_px > max(SCATTER_MRAD / pitch, LEAST_OFFSET_PX, SCATTER_PER_BLUR * blur_px):
+    if scatter_px > max(0.1 / pitch, LEAST_OFFSET_PX, 0.4 * blur_px):
         seen = f"the triangles' places scatter by {scatter_px:.2g} pixels from frame to frame"
         advice = f"the camera moved; fix it, give each frame its x_px and y_px, or use {argument.locate} each"
         yield Deviation("position_scatter", scatter_px, 0.0, seen, advice)
@@ -292,8 +250,8 @@ def _is_other_size(shown: Inspection) -> bool:
     """Return whether the triangles are larger or smaller than stated, beyond what their blur may hide."""
     if shown.size_ratio is None or shown.size_ratio_error is None or shown.blur_px is None:
         return False
-    hidden = LEAST_SIZE_ERROR + (shown.blur_px / shown.size_px) ** 2
-    least = max(hidden, SIZE_MRAD / shown.stimulus.size_mrad, CERTAIN * shown.size_ratio_error)
+    hidden = 0.02 + (shown.blur_px / shown.size_px) ** 2
+    least = max(hidden, 0.08 / shown.stimulus.size_mrad, CERTAIN * shown.size_ratio_error)
     return abs(shown.size_ratio - 1.0) > least
 
 
@@ -311,7 +269,9 @@ def _size(_: Dataset, shown: Inspection) -> Iterator[Deviation]:
             "pixel pitch"
         )
         yield Deviation("size_mismatch", ratio * stated_mrad, stated_mrad, seen, advice)
-    elif scatter > max(SIZE_SCATTER, SIZE_PER_BLUR * (shown.blur_px or 0) / shown.size_px):
+    elif scatter > max(
+        0.2, 1.5 * (shown.blur_px or 0) / shown.size_px
+    ):  # sampling of blurred ones scatters as well
         seen = (
             f"the sizes of the triangles differ by {100.0 * scatter:.2g} % from frame to frame, and the manifest "
             "gives one"

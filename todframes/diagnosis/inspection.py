@@ -43,23 +43,6 @@ from todframes.frames.surround import HOLE_IN_SIZES
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.stimulus import ORIENTATIONS, Centre, Stimulus, level_of, orientation_weights
 
-LEAST_APART = 1e-3
-"""Least difference of stated places, in blocks, and of sizes for frames to be aligned: a twentieth of what fits of
-single frames resolve."""
-
-MOST_SAMPLED, LEAST_SAMPLED = 24, 8
-"""Most and fewest trials of a stimulus in a group that are measured."""
-
-SAMPLED, SAMPLED_SHARE = 96, 0.04
-"""Number of frames that are measured in all, and their share of the frames if that is more."""
-
-MOST_BLUR_PER_SIZE = 0.22
-"""Largest blur, in sizes, at which contrast and size are judged by the differences of orientations alone: from
-0.29 on, fits of blurred triangles of 4 pixels end with contrasts off by half, and sizes off by a tenth."""
-
-USABLE_CONTRASTS = (1e-9, 1e9)
-"""Range of contrasts that are computed with; beyond it are mistakes in a manifest, whose squares may overflow."""
-
 SIZES_ALIKE = 1.15
 """Ratio of the largest stated size of a curve to the least up to which they are one size in perspective: a chart
 tilted by 10° in a field of view of 28° has 1.09."""
@@ -71,20 +54,8 @@ CLEAR, OFF_LEVEL = 0.1, 0.4
 """Largest error of a trial's contrast or place that shows it clearly, relative to the contrast and the size, and
 the relative deviation of a contrast that does not follow its level."""
 
-CLEARLY_TURNED = 8.0
-"""Least advantage of another orientation than stated, in standard errors, of a single trial."""
-
-WHOLE_IN_SIZES = 1.2
-"""Distance from the centroid within which all frames must have pixels for size and contrast to be judged."""
-
 LEAST_SIGNAL = 8.0
 """Least contrast of the triangle, in standard errors, for its place, size and orientation to be measured."""
-
-ROUNDING = 1e-6
-"""Contrast that equal frames may leave: luminance has single precision, 6e-8 of itself."""
-
-SCATTER_ERRORS = 5.0
-"""Least scatter over trials that is more than noise, in standard errors."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,8 +172,9 @@ def inspect(dataset: Dataset, trials: Sequence[Trial], *, centre: Centre = "cent
     trials = Trials.of(trials)
     of_stimulus = list(alike(trials))
     frames_a_trial = max(trials.n_frames / max(len(trials), 1), 1.0)
-    of_each = max(SAMPLED, SAMPLED_SHARE * trials.n_frames) / frames_a_trial / max(len(of_stimulus), 1)
-    most = int(min(max(of_each, LEAST_SAMPLED), MOST_SAMPLED))
+    # 96 frames are measured in all, or 4 % of them if that is more, and from 8 to 24 trials of each stimulus.
+    of_each = max(96, 0.04 * trials.n_frames) / frames_a_trial / max(len(of_stimulus), 1)
+    most = int(min(max(of_each, 8), 24))
     inspections = []
     for members in of_stimulus:
         ours = trials.select(members)
@@ -220,7 +192,8 @@ def is_contrast(dataset: Dataset) -> bool:
 def strengths(dataset: Dataset, level: FloatArray) -> FloatArray:
     """Return the value that the displayed contrast is proportional to: the level if it is a contrast, otherwise
     1."""
-    return np.clip(level, *USABLE_CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
+    # Contrasts beyond are mistakes in a manifest, whose squares may overflow.
+    return np.clip(level, 1e-9, 1e9) if is_contrast(dataset) else np.ones(len(level))
 
 
 def _sizes_mrad(trials: Trials) -> FloatArray:
@@ -406,7 +379,7 @@ class GroupTriangle(NamedTuple):
         middle = share @ stated
         apart = stated - middle
         found = fitted(images, first_guess(images, size))
-        if np.abs(apart).max() > LEAST_APART:
+        if np.abs(apart).max() > 1e-3:  # a twentieth of what fits of single frames resolve
             even = aligned(even, found, level=level, turns=turns, apart=apart)
             images = Images.of(even, known=known, hole=hole, view=view, **frames)
             found = fit(images, found.shape, found.shown)
@@ -419,7 +392,8 @@ class GroupTriangle(NamedTuple):
         of_noise = np.array([*(found.error((one, 1.0)) for one in (AMPLITUDE, X, Y)), found.size_error])
         alone = float(of_noise[0]) / math.sqrt(found.larger)
         signal = abs(found.shape.amplitude) / alone if alone > 0.0 else math.inf
-        if abs(found.shape.amplitude) * level.max() <= ROUNDING:
+        # Equal frames may leave a contrast by rounding: luminance has single precision, 6e-8 of itself.
+        if abs(found.shape.amplitude) * level.max() <= 1e-6:
             signal = 0.0
         return cls(images, found, each, middle, np.sqrt(np.square(of_noise) + excess), signal, scenes)
 
@@ -454,9 +428,10 @@ def _of_triangle(
     polarity = samples[0].trial.stimulus.polarity
     amplitude = abs(shape.amplitude)
     # A triangle that is cut off by the edge of some frames has a place, but no sure size and contrast.
-    is_whole = bool(known[within(len(known), WHOLE_IN_SIZES * size)].all())
+    is_whole = bool(known[within(len(known), 1.2 * size)].all())
     # Where levels do not tell a scene from its triangles, only their differences are known: little, if blurred.
-    is_whole &= images.has_triangle or shape.variance <= (MOST_BLUR_PER_SIZE * size) ** 2
+    # From 0.29 sizes on, fits of triangles of 4 pixels end with contrasts off by half, and sizes off by a tenth.
+    is_whole &= images.has_triangle or shape.variance <= (0.22 * size) ** 2
     seen = polarity * np.array([sample.seen for sample in samples])
     measured: dict[str, Any] = {
         "contrast_slope": shape.amplitude if signal else 0.0,
@@ -472,7 +447,7 @@ def _of_triangle(
     clear_level = each.error[:, 0] < CLEAR * amplitude
     off_level = clear_level & (np.abs(each.away[:, 0]) > OFF_LEVEL * amplitude)
     ranked = np.sort(each.likeness, axis=1)
-    clear_turn = ranked[:, 3] - ranked[:, 2] > CLEARLY_TURNED * each.likeness_error
+    clear_turn = ranked[:, 3] - ranked[:, 2] > 8.0 * each.likeness_error
     shown = np.array(found.shown)[turns]
     # Where levels are wrong, so are the backgrounds, and no single trial is clear.
     level_scatter = None if parts is None else _scatter(each.away[:, :1], each.error[:, :1])
@@ -520,8 +495,9 @@ def _scatter(apart: FloatArray, noise: FloatArray) -> float | None:
     sums = weight.sum(axis=0)
     excess = weight * np.square(apart - (weight * apart).sum(axis=0) / sums)
     freedom = (n - 1) * axes
-    # The cube root of a mean square is normal, very nearly (Wilson and Hilferty).
-    if excess.sum() <= freedom * (1.0 + SCATTER_ERRORS * math.sqrt(2.0 / (9.0 * freedom))) ** 3:
+    # The cube root of a mean square is normal, very nearly (Wilson and Hilferty): five standard errors are no
+    # noise.
+    if excess.sum() <= freedom * (1.0 + 5.0 * math.sqrt(2.0 / (9.0 * freedom))) ** 3:
         return 0.0
     return math.sqrt((excess.sum() - freedom) / (sums - np.square(weight).sum(axis=0) / sums).sum())
 

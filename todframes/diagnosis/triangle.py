@@ -28,9 +28,6 @@ from todframes.stimulus import (
     vertices,
 )
 
-DEGREE = 2
-"""Degree of the polynomial background."""
-
 FITTED_REACH_IN_SIZES = 2.2
 """Half of the side of the square that is fitted, in sizes; corners lie at 0.88."""
 
@@ -43,33 +40,12 @@ MOST_ROUGH = 2.0
 elsewhere: pictures with little blur are not quite exact there, and in little noise that is 1.0 to 1.3 times it.
 More is a mishap, such as trials without a triangle."""
 
-MOST_ROUNDS = 12
-"""Largest number of steps of a fit."""
-
-FOUND = 2e-4
-"""Last step of the fit, in sizes and radians; the errors that matter are a hundred times as large."""
-
-LEAST_VARIANCE = -0.05
-"""Least variance of the blur, in blocks: sharpened pictures have a negative one."""
-
 MOST_STRETCH = 1.5
 """Largest ratio of an axis of the map to the mean of the two: a picture seen from 60° to the side has 1.41."""
-
-MOST_BESIDE_TURN_RAD = math.radians(8.0)
-"""Largest rotation beside a quarter turn: a triangle turned by 25° is one turned by -90° and by 5° back."""
-
-CERTAIN_TURN = 5.0
-"""Least advantage of another arrangement of the orientations than stated, in standard errors."""
-
-SEPARABLE = 1.2
-"""Least ratio of the highest level to the lowest at which the part that all frames share can be separated."""
 
 UNSTEADY = 2.0
 """Standard deviation of a block around the triangle over trials, in those of the noise there, beyond which it
 counts less: letters that change from frame to frame then count no more than the noise does elsewhere."""
-
-SIZES_TRIED = np.geomspace(0.25, 5.0, 11)
-"""Sizes that are tried, as multiples of the stated one."""
 
 N_PARAMETERS = 8
 AMPLITUDE, X, Y, XX, XY, YX, YY, BLUR = range(N_PARAMETERS)
@@ -306,7 +282,7 @@ class Images(NamedTuple):
         certain = np.square(1.0 / noise)
         of_view = None
         if view is None:
-            is_separable = level.max() > SEPARABLE * level.min()
+            is_separable = level.max() > 1.2 * level.min()
             design = np.vstack([columns, np.full(len(level), float(is_separable))]).T
             shares = np.linalg.pinv(design / noise[:, None]) / noise
             mixed = columns @ certain
@@ -381,9 +357,9 @@ def _whitened(information: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=16)
 def _polynomial(side: int) -> FloatArray:
-    """Return the terms of the background on a square: (terms, side²)."""
+    """Return the terms of the quadratic background on a square: (terms, side²)."""
     u = np.linspace(-1.0, 1.0, side)
-    terms = [np.outer(u**i, u**j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+    terms = [np.outer(u**i, u**j) for i in range(3) for j in range(3 - i)]
     return np.asarray(terms).reshape(len(terms), -1)
 
 
@@ -405,21 +381,21 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
     order = np.array(shown)
     factors = _whitened(images.information)
     shape = start
-    is_found = False
-    for number in range(MOST_ROUNDS + 1):
+    is_found, most_rounds = False, 12
+    for number in range(most_rounds + 1):
         square = Square.about(shape, n)
         model = picture(shape, square, n)
         weight = square.of(images.weight)
         design = _design(model.slopes[order], factors, weight)
-        if is_found or number == MOST_ROUNDS:
+        if is_found or number == most_rounds:
             break
         left = square.of(images.triangles) - model.images[order]
         away = _without_background(np.tensordot(factors, left, 1), weight).ravel()
         step = _solved(design, away)
         shape = _bounded(shape.moved(_limited(step, shape)), start, n)
-        is_found = bool(
-            np.abs(step[[X, Y]]).max() < FOUND * shape.size and np.abs(step[[XX, XY, YX, YY]]).max() < FOUND
-        )
+        # In sizes and radians; the errors that matter are a hundred times as large.
+        last = np.abs(np.append(step[[X, Y]] / shape.size, step[[XX, XY, YX, YY]])).max()
+        is_found = bool(last < 2e-4)
     left = images.triangles.copy()
     subtract(left, model.images[order], square)
     white = np.tensordot(factors, left, 1)
@@ -470,7 +446,7 @@ def _bounded(shape: Shape, start: Shape, n: int) -> Shape:
     mean = float(np.sqrt(stretch.prod()))
     size = min(max(mean, 0.5 * start.size, 0.5), 2.0 * start.size, float(n))
     stretch = size * np.clip(stretch / max(mean, 1e-9), 1.0 / MOST_STRETCH, MOST_STRETCH)
-    variance = min(max(shape.variance, LEAST_VARIANCE), np.square(n / 4.0))
+    variance = min(max(shape.variance, -0.05), np.square(n / 4.0))  # sharpened pictures have a negative one
     x, y = (min(max(at, -n / 2.0), n / 2.0) for at in (shape.x, shape.y))
     return Shape(shape.amplitude, x, y, left * stretch @ right, variance)
 
@@ -627,7 +603,7 @@ def first_guess(images: Images, size: float) -> Shape:
     mean = np.average(images.triangles, axis=0, weights=counts) * np.sqrt(images.weight)
     spectrum = np.fft.rfft2(mean)
     best, found = -1.0, Shape.upright(1.0, 0.0, 0.0, size)
-    for factor in (1.0, *SIZES_TRIED):
+    for factor in (1.0, *np.geomspace(0.25, 5.0, 11)):
         tried = factor * size
         if tried > n / 1.6 or tried < 1.0:
             continue
@@ -681,5 +657,6 @@ def fitted(images: Images, start: Shape) -> TriangleFit:
     # The advantage is a sum over the orientations of the products of noise with differences of pictures.
     moved = np.sqrt(counts)[:, None, None] * (differ[list(best)] - differ)
     variances = filter_variances(moved, noise_spectrum(whitened, images.weight, square.side))
-    is_certain = gain[best] > CERTAIN_TURN * math.sqrt(float(variances.sum()))
-    return other if is_certain and abs(other.shape.turn_rad) < MOST_BESIDE_TURN_RAD else found
+    is_certain = gain[best] > 5.0 * math.sqrt(float(variances.sum()))
+    # A triangle turned by 25° is one turned by -90° and by 5° back.
+    return other if is_certain and abs(other.shape.turn_rad) < math.radians(8.0) else found

@@ -21,17 +21,8 @@ from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, cove
 MOST_LOCATED_PX = 2**21
 """Largest number of pixels of a frame that is searched pixel by pixel; a larger one is averaged over blocks."""
 
-BLOCKS = 2**19
-"""Number of square blocks of pixels that a large frame is divided into."""
-
 MOST_BLOCKS = 2**24
 """Largest number of blocks of a frame; more would fill the memory."""
-
-CLEAR_PEAK = 100.0
-"""Height of a correlation peak, in standard deviations of the correlation, above which noise does not count."""
-
-LEAST_BLOCKS = 16
-"""Least number of blocks along a triangle's size, unless blocks are pixels: larger blocks blur its edges."""
 
 Means = dict[Stimulus, dict[Orientation, FloatArray]]
 
@@ -105,8 +96,9 @@ class MeanFrames:
 def _block_px(shape: tuple[int, ...], size_px: float) -> int:
     """Return the side of the blocks that a frame is searched in, in pixels: 1 unless the frame is large."""
     n_px = shape[0] * shape[1]
-    wanted = 1 if n_px <= MOST_LOCATED_PX else math.ceil(math.sqrt(n_px / BLOCKS))
-    return max(min(wanted, int(min(size_px, 1e9) / LEAST_BLOCKS)), 1)
+    wanted = 1 if n_px <= MOST_LOCATED_PX else math.ceil(math.sqrt(n_px / 2**19))
+    # Blocks of more than a sixteenth of the triangle's size would blur its edges.
+    return max(min(wanted, int(min(size_px, 1e9) / 16)), 1)
 
 
 def block_means(patch: ContrastPatch, block_px: int) -> FloatArray:
@@ -141,7 +133,8 @@ class CorrelationPeak(NamedTuple):
     @property
     def rank(self) -> tuple[float, float]:
         """Rank of a peak among those of several sizes: its significance, or its height if there is no noise."""
-        return min(self.height, CLEAR_PEAK * self.spread) / max(self.spread, 1e-300), self.height
+        # Above 100 standard deviations noise does not count.
+        return min(self.height, 100.0 * self.spread) / max(self.spread, 1e-300), self.height
 
 
 def search(means: Means, pitch_mrad: float, centre: Centre, sizes: Sequence[float] = (1.0,)) -> CorrelationPeak:

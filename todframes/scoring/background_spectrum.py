@@ -20,21 +20,6 @@ from todframes.frames.trials import Trial, Trials
 from todframes.observers.eye import MRAD_PER_DEG
 from todframes.stimulus import Centre
 
-HOLE_SIZES = (1.3, 2.0)
-"""Radii within which nothing, and beyond which all of the window counts, in sizes of the triangle: its corners lie
-at 0.88."""
-
-LARGEST_WINDOW_PX = 512
-"""Largest side of the window about the triangle."""
-
-MOST_TRIALS = 64
-"""Largest number of trials whose frames are measured, evenly spread over those of the weaker half of levels."""
-
-BANDS_PER_OCTAVE = 3
-
-LEAST_SHARE = 0.05
-"""Share of the window's weight that the hole has to leave."""
-
 
 def background_spectrum(dataset: Dataset, trials: Trials, centre: Centre) -> tuple[tuple[float, float], ...]:
     """Measure the spectral density behind the triangles.
@@ -45,7 +30,7 @@ def background_spectrum(dataset: Dataset, trials: Trials, centre: Centre) -> tup
     frames end too near to the triangle.
     """
     weak = trials.select(trials.levels <= np.median(trials.levels))
-    chosen = weak.select(np.unique(np.linspace(0, len(weak) - 1, MOST_TRIALS).astype(np.intp)))
+    chosen = weak.select(np.unique(np.linspace(0, len(weak) - 1, 64).astype(np.intp)))
     sums: dict[int, FloatArray] = {}
     problem: FrameError | DataError | None = None
     for trial in chosen:
@@ -54,7 +39,7 @@ def background_spectrum(dataset: Dataset, trials: Trials, centre: Centre) -> tup
         except (FrameError, DataError) as error:  # scoring reports frames that cannot be read
             problem = problem or error
             continue
-        bands = np.round(BANDS_PER_OCTAVE * np.log2(frequency)).astype(np.intp)
+        bands = np.round(3 * np.log2(frequency)).astype(np.intp)  # a third of an octave
         for band in np.unique(bands).tolist():
             within = bands == band
             total = sums.setdefault(band, np.zeros(3))
@@ -80,10 +65,11 @@ def _periodogram(dataset: Dataset, trial: Trial, centre: Centre) -> tuple[FloatA
     window = np.outer(np.hanning(height + 2)[1:-1], np.hanning(width + 2)[1:-1])
     whole = float(np.square(window).sum())
     distance = np.hypot(across - x, down[:, None] - y) / size_in_px(trial, dataset.display.pitch_mrad)
-    inner, outer = HOLE_SIZES
+    # The triangle's corners lie at 0.88 sizes.
+    inner, outer = 1.3, 2.0
     window *= (1.0 - np.cos(np.pi * np.clip((distance - inner) / (outer - inner), 0.0, 1.0))) / 2.0
     weight = float(np.square(window).sum())
-    if weight < LEAST_SHARE * whole:
+    if weight < 0.05 * whole:
         raise DataError(
             f"{trial.frames[0].path}: found {width} × {height} pixels, in which the triangle of "
             f"{trial.stimulus.size_mrad:g} mrad leaves no background to measure; expected "
@@ -107,7 +93,7 @@ def _contrast(dataset: Dataset, trial: Trial, centre: Centre) -> tuple[FloatArra
         with dataset.open(frame) as file:
             pitch = dataset.display.pitch_mrad
             x, y = centroid_position(trial, file.header, centre, pitch)
-            half = LARGEST_WINDOW_PX // 2
+            half = 256
             rows, columns = ((round(at) - half, round(at) + half) for at in (y, x))
             triangle = TrianglePlace(x, y, size_in_px(trial, pitch))
             patch = read_contrast(file, dataset.display, frame, rows, columns, triangle=triangle)

@@ -37,9 +37,6 @@ MOST_WITHOUT = 60
 WHOLE_SIDE_PX = 384
 """Largest side of the picture of a whole frame; a small frame is enlarged by a whole factor."""
 
-OUTLINE_BGR = (0, 128, 255)
-"""Colour of the expected triangle's outline: orange."""
-
 
 def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tuple[Example, ...]:
     """Draw the trial nearest to threshold of up to `MOST_EXAMPLES` groups, and the strongest where there is none.
@@ -101,7 +98,8 @@ def _whole(dataset: Dataset, trial: Trial, observer: Observer) -> tuple[float, t
     # OpenCV takes positions in 1/16 pixels; (0, 0) is the middle of the first pixel.
     drawn = ((corners + 0.5) * enlarged / block_px - 0.5) * 16.0
     points = np.clip(np.rint(drawn), -(2**20), 2**20).astype(np.int32)
-    cv2.polylines(image, [points], isClosed=True, color=OUTLINE_BGR, lineType=cv2.LINE_AA, shift=4)
+    orange = (0, 128, 255)  # as OpenCV orders colours
+    cv2.polylines(image, [points], isClosed=True, color=orange, lineType=cv2.LINE_AA, shift=4)
     return header.width * pitch_mrad, (Thumbnail("whole", png(image), white, black),)
 
 

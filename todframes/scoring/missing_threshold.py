@@ -34,24 +34,11 @@ are 0.06 to 17.5 times. Steps of 1.53 lose at most a fifth of the correlation's 
 LEAST_TRIALS, MOST_TRIALS = 8, 32
 """Least number of strong trials, as far as a group has them, and the largest number that are looked at again."""
 
-STRONG_SHARE = 1.0 / 3.0
-"""Share of the levels, the highest ones, whose trials are strong."""
-
 LEAST_RIGHT, LEAST_GAIN = 0.75, 0.2
 """Least share of right answers after a change, and least gain, for a hint."""
 
 LEAST_OFFSET = 0.1
 """Least distance from the stated position, and least scatter of positions, in sizes, for a hint at positions."""
-
-LEAST_WRONG = 2
-"""Least number of trials that do not follow their level for triangles to lie elsewhere: a change that gains
-`LEAST_GAIN` concerns as many of `LEAST_TRIALS`."""
-
-LEAST_EVIDENCE = math.log(1e4)
-"""Least log likelihood ratio against guessing, for a hint; some thirty changes are tried."""
-
-MOST_GRID_SIDE = 2049
-"""Largest side of the retina grid, in samples, with which another size is tried."""
 
 SIZE_UNITS = (
     (1000.0 * math.pi / 180.0, "Is size_mrad in degrees?"),
@@ -146,7 +133,8 @@ def _strongest(trials: Trials, group: Group) -> NDArray[np.intp]:
     members = trials.indices_of_group(group)
     level = trials.levels[members]
     levels, counts = np.unique(-level, return_counts=True)
-    is_taken = (np.arange(len(levels)) < STRONG_SHARE * len(levels)) | (np.cumsum(counts) - counts < LEAST_TRIALS)
+    is_strong = np.arange(len(levels)) < len(levels) / 3.0
+    is_taken = is_strong | (np.cumsum(counts) - counts < LEAST_TRIALS)
     return np.asarray(members[level >= -levels[is_taken][-1]])
 
 
@@ -266,7 +254,7 @@ class _MistakeSearch:
             shown.signal >= LEAST_SIGNAL
             and (shown.contrast_slope or 0.0) > 0.0
             and 2 * shown.n_level >= shown.n_trials
-            and shown.wrong_level < LEAST_WRONG
+            and shown.wrong_level < 2  # a change that gains `LEAST_GAIN` concerns as many of `LEAST_TRIALS`
             and (shown.scatter_px is not None or (shown.blur_px or 0.0) <= LEAST_OFFSET * shown.size_px)
             and not any(place_deviations(self.dataset, shown))
             for shown in inspections
@@ -307,7 +295,7 @@ class _MistakeSearch:
         """Score the trials at other places, for another size, and for another polarity if the sign is -1."""
         old = self.trials[0].stimulus
         stimulus = replace(old, size_mrad=size_ratio * old.size_mrad, polarity=sign * old.polarity)
-        if size_ratio != 1.0 and self.observer.grid(stimulus).side > MOST_GRID_SIDE:
+        if size_ratio != 1.0 and self.observer.grid(stimulus).side > 2049:
             raise SettingsError(f"size_mrad: found {stimulus.size_mrad:g}, expected a smaller one")
         scored = score_dataset(
             self._of([trial._replace(stimulus=stimulus) for trial in placed]),
@@ -338,7 +326,7 @@ class _MistakeSearch:
         if share < max(LEAST_RIGHT, now + LEAST_GAIN):
             return False
         against_guessing = rel_entr([share, 1.0 - share], [0.25, 0.75]).sum()
-        return bool(len(self.trials) * against_guessing >= LEAST_EVIDENCE)
+        return bool(len(self.trials) * against_guessing >= math.log(1e4))  # some thirty changes are tried
 
     def _hints(self, change: _Change, arrangement: Arrangement, share: float) -> tuple[Hint, ...]:
         clauses, codes = list(change.clauses), list(change.codes)

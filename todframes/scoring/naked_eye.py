@@ -25,9 +25,6 @@ from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus
 NODES = (6, 8, 12, 16, 24, 32, 48)
 """Numbers of Gauss–Legendre displacements along each axis, tried in turn until the threshold is stable."""
 
-FEW_NODES, FEW_NODES_FROM_SAMPLES = (3, 4), 200.0
-"""Numbers tried first for triangles from this size in retina samples, which displacements hardly change."""
-
 TOLERANCE = 2e-4
 """Largest relative change of a stable threshold between two numbers of displacements."""
 
@@ -86,7 +83,8 @@ def contrast_threshold(
     def proportion_of(judge: Observer, contrast: float) -> float:
         return _Responses.to(judge, size_mrad, places=places).proportion_correct(contrast)
 
-    found = _refined(threshold, NODES if size_samples < FEW_NODES_FROM_SAMPLES else FEW_NODES + NODES)
+    # Displacements hardly change the response to triangles of hundreds of samples.
+    found = _refined(threshold, NODES if size_samples < 200.0 else (3, 4, *NODES))
     return _with_step_error(found, observer, size_mrad, proportion_of, p_correct)
 
 

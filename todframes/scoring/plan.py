@@ -26,17 +26,8 @@ from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, Step, decisio
 from todframes.scoring.retina_view import Reader, Shown, read_trial, retina_image
 from todframes.stimulus import ORIENTATIONS, Stimulus, bounding_box_offset
 
-HALF_FIELDS_IN_SIZES = (1.5, 2.0, 2.5)
-"""Half-widths of the fields that are tried, in triangle sizes."""
-
 OMITTED = "omitted"
 """Key of the bound on what the observer's readout omits."""
-
-SLOPE = 0.5
-"""Approximate slope dP / d ln level of a psychometric function at its threshold."""
-
-MOST_TRIED, ONE_TRIED_OF = 4, 40
-"""Largest number and share of a stimulus' trials read with a wide field, besides those nearest to the edges."""
 
 MOST_BAD = 100
 """Number of unusable frames after which the plan of a stimulus leaves nothing out."""
@@ -119,7 +110,8 @@ def plan_score(
         else:
             why = f"the triangle may be at any of {places} places, whose scores are compared whole"
         return ScorePlan(observer, plans, name == "full", (Step("everything", True, why),), pitch)
-    budget = LEFT_OUT_SHARE * tolerance * SLOPE / 2.0
+    # The slope dP / d ln level of a psychometric function at its threshold is about 0.5.
+    budget = LEFT_OUT_SHARE * tolerance * 0.5 / 2.0
     weighed = {}
     for stimulus, members in of_stimulus.items():
         by_level = members[np.argsort(trials.levels[members], kind="stable")]
@@ -208,7 +200,7 @@ def _has_place(dataset: Dataset, trial: Trial, observer: Observer) -> bool:
 def _tried(trials: Trials, observer: Observer, pitch_mrad: float) -> list[int]:
     """Return the indices of trials at middle levels and, if positions differ, nearest to the edges of the "
     "frame."""
-    n_tried = min(max(len(trials) // ONE_TRIED_OF, 1), MOST_TRIED)
+    n_tried = min(max(len(trials) // 40, 1), 4)
     first = (len(trials) - n_tried) // 2
     chosen = list(range(first, first + n_tried))
     # Either all positions are known, or an unknown position is the middle of the frame.
@@ -246,7 +238,7 @@ def _half_width(
     the readout's weights on a grid of the given pitch, which may be coarse: these weights vary slowly there.
     """
     middle = weights.shape[-1] // 2
-    for sizes in HALF_FIELDS_IN_SIZES:
+    for sizes in (1.5, 2.0, 2.5):
         half_width = math.ceil(sizes * stimulus.size_mrad / readout.grid.pitch_mrad) + 2
         if 2 * half_width + 1 >= readout.grid.side:
             break

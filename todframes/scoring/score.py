@@ -37,12 +37,6 @@ from todframes.stimulus import Stimulus, level_of
 
 S = TypeVar("S", bound=Sized)
 
-MOST_DISPLACEMENTS = 64
-"""Largest number of displacements of each trial in each replicate."""
-
-DEFAULT_TOLERANCE = 2e-3
-"""Relative tolerance of thresholds for the plan if no tolerance is given."""
-
 DECIDED_AT_A_TIME = 4096
 """Number of trials whose answers are computed together; the work on each takes 500 bytes a displacement."""
 
@@ -133,9 +127,7 @@ def score_dataset(
             f"tolerance: found {tolerance!r} with {decisions} decisions, expected > 0 and expected"
         )
     expected = decisions == "expected"
-    plan = plan_score(
-        dataset, whole, observer, name=plan_name, tolerance=tolerance or DEFAULT_TOLERANCE, expected=expected
-    )
+    plan = plan_score(dataset, whole, observer, name=plan_name, tolerance=tolerance or 2e-3, expected=expected)
     scoring = Scoring(dataset, plan, decisions, seed, displacements=0 if tolerance is None else 1)
     run = run or Run()
 
@@ -221,7 +213,7 @@ def _displacements_needed(group: GroupFit, tolerance: float) -> int:
     if group.numerical_error is None or group.fit.threshold is None:
         return 1
     ratio = group.numerical_error / (tolerance * group.fit.threshold)
-    return min(math.ceil(1.1 * ratio**2), MOST_DISPLACEMENTS) if ratio > 1.0 else 1
+    return min(math.ceil(1.1 * ratio**2), 64) if ratio > 1.0 else 1
 
 
 def groups_of(trials: Trials) -> list[tuple[Group, NDArray[np.intp]]]:
