@@ -280,35 +280,26 @@ class Images(NamedTuple):
         """
         columns = np.array([np.where(turns == k, level, 0.0) for k in range(4)])
         certain = np.square(1.0 / noise)
-        of_view = None
-        if view is None:
-            is_separable = level.max() > 1.2 * level.min()
-            design = np.vstack([columns, np.full(len(level), float(is_separable))]).T
-            shares = np.linalg.pinv(design / noise[:, None]) / noise
-            mixed = columns @ certain
-            information = np.diag(np.square(columns) @ certain)
-            if is_separable:
-                information -= np.outer(mixed, mixed) / certain.sum()
-            parts = np.tensordot(shares, frames, 1)
-            backgrounds = parts[4]
-        else:
-            of_view = np.where(np.arange(view.max() + 1)[:, None] == view, certain, 0.0)
-            of_view /= of_view.sum(axis=1, keepdims=True)
-            # The regression on levels, from which that on backgrounds is taken out (Frisch, Waugh and Lovell).
-            apart = (columns.T - (of_view @ columns.T)[view]) / noise[:, None]
-            of_triangles = np.linalg.pinv(apart, rcond=1e-6) / noise
-            of_backgrounds = of_view - of_view @ (level[:, None] * of_triangles[turns])
-            shares = np.vstack([of_triangles, of_backgrounds.mean(axis=0)])
-            information = apart.T @ apart
-            parts = np.tensordot(shares, frames, 1)
-            backgrounds = np.tensordot(of_backgrounds, frames, 1)[view]
+        number = np.zeros(len(level), np.intp) if view is None else view
+        of_view = np.where(np.arange(number.max() + 1)[:, None] == number, certain, 0.0)
+        of_view /= of_view.sum(axis=1, keepdims=True)
+        if view is None and level.max() <= 1.2 * level.min():
+            of_view[:] = 0.0
+        # The regression on levels, from which that on backgrounds is taken out (Frisch, Waugh and Lovell).
+        apart = (columns.T - (of_view @ columns.T)[number]) / noise[:, None]
+        of_triangles = np.linalg.pinv(apart, rcond=1e-6) / noise
+        of_backgrounds = of_view - of_view @ (level[:, None] * of_triangles[turns])
+        shares = np.vstack([of_triangles, of_backgrounds.mean(axis=0)])
+        information = apart.T @ apart
+        parts = np.tensordot(shares, frames, 1)
         weight = known.astype(np.float64)
         if len(frames) > 1:
+            backgrounds = parts[4:] if view is None else np.tensordot(of_backgrounds, frames, 1)[view]
             left = frames - backgrounds - level[:, None, None] * parts[turns]
             spread = np.sqrt(np.square(left / noise[:, None, None]).mean(axis=0))
             steady = np.square(UNSTEADY / np.maximum(spread, UNSTEADY))
             weight *= np.where(within(len(known), hole), 1.0, steady)
-        return cls(parts[4], parts[:4], shares, information, weight, of_view)
+        return cls(parts[4], parts[:4], shares, information, weight, None if view is None else of_view)
 
     @property
     def has_triangle(self) -> bool:

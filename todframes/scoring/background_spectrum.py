@@ -12,12 +12,11 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError
-from todframes.frames.contrast import read_contrast
 from todframes.frames.dataset import Dataset
-from todframes.frames.position import centroid_position, size_in_px
-from todframes.frames.surround import TrianglePlace
+from todframes.frames.position import size_in_px
 from todframes.frames.trials import Trial, Trials
 from todframes.observers.eye import MRAD_PER_DEG
+from todframes.scoring.retina_view import patches_about
 from todframes.stimulus import Centre
 
 
@@ -87,16 +86,9 @@ def _periodogram(dataset: Dataset, trial: Trial, centre: Centre) -> tuple[FloatA
 
 
 def _contrast(dataset: Dataset, trial: Trial, centre: Centre) -> tuple[FloatArray, float, float]:
-    """Read the mean contrast of a trial's frames about the triangle, and the triangle's place in it."""
+    """Read the mean contrast of a trial's frames about the triangle, and the triangle's position in it."""
     images: list[FloatArray] = []
-    for frame in trial.frames:
-        with dataset.open(frame) as file:
-            pitch = dataset.display.pitch_mrad
-            x, y = centroid_position(trial, file.header, centre, pitch)
-            half = 256
-            rows, columns = ((round(at) - half, round(at) + half) for at in (y, x))
-            triangle = TrianglePlace(x, y, size_in_px(trial, pitch))
-            patch = read_contrast(file, dataset.display, frame, rows, columns, triangle=triangle)
-            images.append(np.concatenate([band.values for band in patch.bands()]))
-            at = x - patch.column, y - patch.row
+    for patch, x, y in patches_about(dataset, trial, centre, (256, 256)):
+        images.append(np.concatenate([band.values for band in patch.bands()]))
+        at = x - patch.column, y - patch.row
     return np.asarray(sum(images) / len(images)), *at

@@ -15,14 +15,13 @@ from todframes.base._typing import FloatArray
 from todframes.diagnosis.whole_frames import block_means
 from todframes.frames.contrast import read_contrast
 from todframes.frames.dataset import Dataset
-from todframes.frames.position import centroid_position, size_in_px
-from todframes.frames.surround import TrianglePlace
+from todframes.frames.position import centroid_position
 from todframes.frames.trials import Trial
 from todframes.observers.interface import Observer
 from todframes.results.data import Example, Thumbnail, group_of
 from todframes.results.thumbnails import ExamplePatch, pictures, png, reach_px_of, srgb
 from todframes.results.wording import evenly
-from todframes.scoring.retina_view import read_trial, retina_image
+from todframes.scoring.retina_view import patches_about, read_trial, retina_image
 from todframes.scoring.score import GroupFit, ScoredDataset
 from todframes.stimulus import vertices
 
@@ -45,17 +44,19 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tup
     be used.
     """
     known = [group for group in scored.fits if group.fit.threshold is not None]
-    drawn = []
+    pitch_mrad, drawn = dataset.display.pitch_mrad, []
     for row in [row for group in evenly(known, MOST_EXAMPLES) for row in _nearest_trials(scored, group)]:
         trial, grid = scored.trials[row], observer.grid(scored.trials[row].stimulus)
         # The displacement is NaN if the trial was seen at several displacements.
         dx, dy = np.nan_to_num(scored.displacement_samples[row]).tolist()
+        reach_px = reach_px_of(observer, trial.stimulus, pitch_mrad)
+        patches = patches_about(dataset, trial, observer.centre, (reach_px, reach_px + 1))
         width_mrad, images = pictures(
-            _shown(dataset, trial, observer),
+            [ExamplePatch(*patch) for patch in patches],
             retina_image(read_trial(dataset, trial, observer, grid, [(dx, dy)]), grid, (dx, dy)),
             observer=observer,
             stimulus=trial.stimulus,
-            pixel_pitch_mrad=dataset.display.pitch_mrad,
+            pixel_pitch_mrad=pitch_mrad,
         )
         drawn.append(example_of(dataset, trial, float(scored.p_correct[row]), width_mrad, images))
     trials = scored.trials
@@ -147,18 +148,3 @@ def nearest_trial(scored: ScoredDataset, group: GroupFit, rows: NDArray[np.intp]
     from_threshold = np.abs(np.log(trials.levels[rows] / threshold))
     from_criterion = np.abs(scored.p_correct[rows] - group.fit.p_correct)
     return int(rows[np.lexsort([from_criterion, from_threshold])[0]])
-
-
-def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[ExamplePatch]:
-    """Read the part of each frame of a trial that surrounds the triangle."""
-    pitch_mrad = dataset.display.pitch_mrad
-    reach_px = reach_px_of(observer, trial.stimulus, pitch_mrad)
-    patches = []
-    for frame in trial.frames:
-        with dataset.open(frame, verify=True) as file:
-            x, y = centroid_position(trial, file.header, observer.centre, pitch_mrad, frame)
-            rows, columns = ((round(at) - reach_px, round(at) + reach_px + 1) for at in (y, x))
-            triangle = TrianglePlace(x, y, size_in_px(trial, pitch_mrad))
-            patch = read_contrast(file, dataset.display, frame, rows, columns, triangle=triangle)
-            patches.append(ExamplePatch(patch, x, y))
-    return patches

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import FrameReference, Trial
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid, resample
+from todframes.stimulus import Centre
 
 
 class Placement(NamedTuple):
@@ -62,17 +63,14 @@ def place_grid(
     x, y = x + to_centre_x, y + to_centre_y
     offsets = np.asarray(displacement_samples) * grid.pitch_mrad / pitch
     along_x, along_y = zip(*offsets.tolist(), strict=True)
-    rows = _touched(grid, y + min(along_y), y + max(along_y), pitch, header.height)
-    columns = _touched(grid, x + min(along_x), x + max(along_x), pitch, header.width)
+    rows, columns = (
+        (
+            grid.pixel_range(centre_px=at + min(along), pixel_pitch_mrad=pitch, n_pixels=n_pixels)[0],
+            grid.pixel_range(centre_px=at + max(along), pixel_pitch_mrad=pitch, n_pixels=n_pixels)[1],
+        )
+        for at, along, n_pixels in ((y, along_y, header.height), (x, along_x, header.width))
+    )
     return Placement(x, y, rows, columns, triangle)
-
-
-def _touched(grid: RetinaGrid, lowest: float, highest: float, pitch: float, n_pixels: int) -> tuple[int, int]:
-    """Return the pixels, half-open, that the grid touches when its middle lies from `lowest` to `highest`."""
-    first, stop = grid.pixel_range(centre_px=lowest, pixel_pitch_mrad=pitch, n_pixels=n_pixels)
-    if highest > lowest:
-        _, stop = grid.pixel_range(centre_px=highest, pixel_pitch_mrad=pitch, n_pixels=n_pixels)
-    return first, stop
 
 
 class Shown(NamedTuple):
@@ -144,24 +142,28 @@ def read_trial(
     return Shown(tuple(patches), xs, ys, dataset.display.pitch_mrad, n_rows)
 
 
+def patches_about(
+    dataset: Dataset, trial: Trial, centre: Centre, reach_px: tuple[int, int]
+) -> Iterator[tuple[ContrastPatch, float, float]]:
+    """Yield the part of each frame of a trial about the triangle, so many pixels before and after its middle one,
+    and the triangle's position (x, y)."""
+    pitch_mrad, (before, after) = dataset.display.pitch_mrad, reach_px
+    for frame in trial.frames:
+        with dataset.open(frame, verify=True) as file:
+            x, y = centroid_position(trial, file.header, centre, pitch_mrad, frame)
+            rows, columns = ((round(at) - before, round(at) + after) for at in (y, x))
+            triangle = TrianglePlace(x, y, size_in_px(trial, pitch_mrad))
+            yield read_contrast(file, dataset.display, frame, rows, columns, triangle=triangle), x, y
+
+
 def retina_image(
     shown: Shown, grid: RetinaGrid, displacement_samples: tuple[float, float] = (0.0, 0.0)
 ) -> FloatArray:
     """Compute the mean contrast of a trial's frames on a retina grid, displaced along x and y: (side, side)."""
-    pitch_mrad = shown.pixel_pitch_mrad
+    pitch_mrad, image = shown.pixel_pitch_mrad, np.zeros((grid.side, grid.side))
     dx, dy = (d * grid.pitch_mrad / pitch_mrad for d in displacement_samples)
-    images = [
-        _on_retina(patch, grid, x + dx, y + dy, pitch_mrad)
-        for patch, x, y in zip(shown.patches, shown.x_px, shown.y_px, strict=True)
-    ]
-    return images[0] if len(images) == 1 else np.asarray(sum(images) / len(images))
-
-
-def _on_retina(
-    patch: ContrastPatch, grid: RetinaGrid, x_px: float, y_px: float, pixel_pitch_mrad: float
-) -> FloatArray:
-    image = np.zeros((grid.side, grid.side))
-    at = {"x_px": x_px, "y_px": y_px, "pixel_pitch_mrad": pixel_pitch_mrad}
-    for band in patch.bands():
-        resample(band.values, grid, first_row=band.row, first_column=band.column, onto=image, **at)
-    return image
+    for patch, x, y in zip(shown.patches, shown.x_px, shown.y_px, strict=True):
+        at = {"x_px": x + dx, "y_px": y + dy, "pixel_pitch_mrad": pitch_mrad}
+        for band in patch.bands():
+            resample(band.values, grid, first_row=band.row, first_column=band.column, onto=image, **at)
+    return image / len(shown.patches)
