@@ -30,20 +30,15 @@ HALF, THREE_QUARTERS, WHITE = 188, 225, 255
 Drawn = Example | tuple[float, tuple[Thumbnail, ...]]
 
 
-def thumbnails(drawn: Drawn) -> tuple[Thumbnail, ...]:
-    return drawn.pictures if isinstance(drawn, Example) else drawn[1]
-
-
 def decoded(drawn: Drawn) -> dict[str, np.ndarray]:
     """The pictures of an example by name, as integers."""
-    return {
-        one.name: cv2.imdecode(np.frombuffer(one.png, np.uint8), cv2.IMREAD_UNCHANGED).astype(int)
-        for one in thumbnails(drawn)
-    }
+    shown = drawn.pictures if isinstance(drawn, Example) else drawn[1]
+    pngs = {one.name: np.frombuffer(one.png, np.uint8) for one in shown}
+    return {name: cv2.imdecode(png, cv2.IMREAD_UNCHANGED).astype(int) for name, png in pngs.items()}
 
 
 def scales(drawn: Drawn) -> dict[str, float | None]:
-    return {one.name: one.scale for one in thumbnails(drawn)}
+    return {one.name: one.scale for one in (drawn.pictures if isinstance(drawn, Example) else drawn[1])}
 
 
 class Watcher(PyramidObserver):
@@ -61,9 +56,8 @@ def watched(bands: Sequence[FloatArray], *, levels: int = 4, size_mrad: float = 
     """Pictures with given bands; display pixels and retina samples of 0.1 mrad, nothing on the display."""
     observer = Watcher(bands, PyramidSettings(retina_pitch_mrad=0.1, levels=levels))
     side = observer.grid(Stimulus(size_mrad)).side
-    shown = [ExamplePatch(ContrastPatch(np.zeros((99, 99)), 0, 0, 0), 49.0, 49.0)]
-    common: dict[str, Any] = {"observer": observer, "stimulus": Stimulus(size_mrad), "pixel_pitch_mrad": 0.1}
-    return pictures(shown, np.zeros((side, side)), **(common | more))
+    changed = {"observer": observer, "stimulus": Stimulus(size_mrad)} | more
+    return pictures([patch(np.zeros((99, 99)))], np.zeros((side, side)), **PLAIN | changed)
 
 
 @pytest.mark.parametrize("orientation", ["up", "right", "down", "left"])
@@ -118,35 +112,35 @@ def test_no_threshold_no_trial_near_it(make_dataset) -> None:
     assert (example.strength, [picture.name for picture in example.pictures]) == (0.002, ["whole"])
 
 
+PLAIN: dict[str, Any] = {"observer": PyramidObserver(), "stimulus": Stimulus(1.0), "pixel_pitch_mrad": 0.1}
+
+
+def patch(values: np.ndarray, row: int = 0, column: int = 0) -> ExamplePatch:
+    return ExamplePatch(ContrastPatch(values, row, column, 0), 49.0, 49.0)
+
+
 def test_frames_of_a_trial_are_averaged() -> None:
     """Contrasts 0.2 and 0.6 on a common display: grey of the light of 0.4."""
-    shown = [
-        ExamplePatch(ContrastPatch(np.full((99, 99), contrast), 0, 0, 0), 49.0, 49.0) for contrast in (0.2, 0.6)
-    ]
-    observer = PyramidObserver()
-    one = pictures(shown, np.zeros((65, 65)), observer=observer, stimulus=Stimulus(1.0), pixel_pitch_mrad=0.1)
+    shown = [patch(np.full((99, 99), contrast)) for contrast in (0.2, 0.6)]
+    one = pictures(shown, np.zeros((65, 65)), **PLAIN)
     assert (decoded(one)["display"] == np.rint(255 * (1.055 * 0.7 ** (1 / 2.4) - 0.055))).all()
 
 
 def test_white_is_the_brightest_or_as_told() -> None:
-    patch = np.zeros((99, 99))
-    patch[49, 49] = 3.0
-    shown = [ExamplePatch(ContrastPatch(patch, 0, 0, 0), 49.0, 49.0)]
-    common: dict[str, Any] = {"observer": PyramidObserver(), "stimulus": Stimulus(1.0), "pixel_pitch_mrad": 0.1}
-    one = pictures(shown, np.zeros((65, 65)), **common)
+    values = np.zeros((99, 99))
+    values[49, 49] = 3.0
+    one = pictures([patch(values)], np.zeros((65, 65)), **PLAIN)
     assert scales(one)["display"] == 3.0
     # A quarter of the light: 137 of 255.
     assert (decoded(one)["display"].max(), decoded(one)["display"].min()) == (WHITE, 137)
-    clipped = pictures(shown, np.zeros((65, 65)), white=1.0, **common)
+    clipped = pictures([patch(values)], np.zeros((65, 65)), white=1.0, **PLAIN)
     assert (decoded(clipped)["display"].max(), decoded(clipped)["display"].min()) == (WHITE, HALF)
 
 
 @pytest.mark.parametrize(("row", "column"), [(0, 0), (40, 0), (0, 40), (-500, -500), (500, 500)])
 def test_background_where_the_frame_ends(row: int, column: int) -> None:
     """Lit pixels from (row, column) on; the triangle is at (49, 49)."""
-    shown = [ExamplePatch(ContrastPatch(np.ones((60, 60)), row, column, 0), 49.0, 49.0)]
-    observer = PyramidObserver()
-    one = pictures(shown, np.zeros((65, 65)), observer=observer, stimulus=Stimulus(1.0), pixel_pitch_mrad=0.1)
+    one = pictures([patch(np.ones((60, 60)), row, column)], np.zeros((65, 65)), **PLAIN)
     display = decoded(one)["display"]
     reach = display.shape[0] // 2
     places = np.arange(49 - reach, 49 + reach + 1)
@@ -195,16 +189,14 @@ def test_observer_that_shows_nothing() -> None:
         def grid(self, _: Stimulus) -> RetinaGrid:
             return RetinaGrid(65, 0.1)
 
-    shown = [ExamplePatch(ContrastPatch(np.zeros((99, 99)), 0, 0, 0), 49.0, 49.0)]
-    one = pictures(shown, np.zeros((65, 65)), observer=Blind(), stimulus=Stimulus(1.0), pixel_pitch_mrad=0.1)
+    one = pictures([patch(np.zeros((99, 99)))], np.zeros((65, 65)), **PLAIN | {"observer": Blind()})
     assert list(decoded(one)) == ["display", "retina"]
 
 
-@pytest.mark.parametrize("decisions", ["expected", "sampled"])
 @pytest.mark.usefixtures("blank_pictures")
-def test_examples_are_in_the_result_that_is_written(make_dataset, tmp_path, capsys, decisions: str) -> None:
-    path = make_dataset(contrasts=(0.02, 0.06, 0.18), repeats=2).path
-    arguments = ["score", str(path), "--json", "--decisions", decisions]
+def test_examples_are_in_the_result_that_is_written(make_dataset, tmp_path, capsys) -> None:
+    path = make_dataset(contrasts=(0.02, 0.06, 0.18)).path
+    arguments = ["score", str(path), "--json", "--set=resamples=0"]
     assert run(cli, arguments) == 0
     assert "examples" not in json.loads(capsys.readouterr().out)
     assert run(cli, [*arguments, "-o", str(tmp_path / "out")]) == 0

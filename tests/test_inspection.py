@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
+from triangles import DISPLAY
 
 import todframes as tod
 from todframes.diagnosis.findings import frame_warnings
@@ -18,9 +19,6 @@ from todframes.frames.memory import memory_dataset
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
 SIDE, SIZE_PX, PITCH_MRAD = 72, 9.0, 0.25
 MIDDLE = (SIDE - 1) / 2
-DISPLAY = tod.Display(
-    eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=PITCH_MRAD, background_luminance_cd_m2=50.0
-)
 
 
 def recorded(

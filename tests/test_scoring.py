@@ -36,6 +36,7 @@ def test_every_orientation_is_seen_alike(make_dataset) -> None:
     assert np.allclose(scored.p_correct, scored.p_correct[0], atol=1e-10)
 
 
+@pytest.mark.slow
 def test_workers_change_nothing(make_dataset) -> None:
     path = make_dataset(sizes_mrad=(1.0, 1.5, 2.0), repeats=2).path
     with open_engine(None, 2) as engine:
@@ -137,14 +138,8 @@ def test_threshold_is_the_closed_form_one(make_dataset) -> None:
             for repeat in range(12):
                 frame = f"frames/{factor}_{orientation}_{repeat}.exr"
                 (made.path / frame).write_bytes(first.read_bytes())
-                made.rows.append(
-                    {
-                        "frame": frame,
-                        "orientation": orientation.value,
-                        "size_mrad": str(size_mrad),
-                        "contrast": repr(factor * truth),
-                    }
-                )
+                row = {"frame": frame, "orientation": orientation.value, "size_mrad": str(size_mrad)}
+                made.rows.append(row | {"contrast": repr(factor * truth)})
     made.save()
     scored = score_dataset(load_dataset(made.path), PyramidObserver())
     (fit,) = scored.fits
@@ -211,13 +206,12 @@ def test_given_position_is_used(make_dataset) -> None:
 
 def test_bounding_box_observer_looks_at_the_middle_of_the_box(make_dataset) -> None:
     """Templates and triangle coincide again: plain triangles are answered as surely as by the other observer."""
-    observer = PyramidObserver(PyramidSettings(centre="bounding_box", position_jitter_samples=0.0))
     made = make_dataset(contrasts=(0.2,), side_px=49)
     for row in made.rows:
         row |= {"x_px": "24", "y_px": "24"}  # of the centroid
     made.save()
     path = made.path
-    by_box = score(path, observer)
+    by_box = score(path, BY_BOX)
     assert np.array_equal(by_box.answers, range(4))
     assert np.allclose(by_box.p_correct, by_box.p_correct[0], atol=2e-3)
     # Displaced towards their apexes the triangles differ more: easier to tell apart.
@@ -243,12 +237,8 @@ def test_the_curve_is_the_observer_s_for_its_probabilities_only(make_dataset) ->
 
 
 def test_levels_of_size_give_the_acuity(make_dataset) -> None:
-    made = make_dataset(
-        sizes_mrad=(0.9, 1.2, 1.7, 2.4),
-        contrasts=(0.1,),
-        repeats=2,
-        experiment={"level": "size_mrad", "group_by": []},
-    )
+    by_size = {"level": "size_mrad", "group_by": []}
+    made = make_dataset(sizes_mrad=(0.9, 1.2, 1.7, 2.4), contrasts=(0.1,), repeats=2, experiment=by_size)
     (fit,) = score(made.path, PyramidObserver()).fits
     assert fit.group == ()
     assert fit.fit.status == "ok"
@@ -261,32 +251,27 @@ def boxed(make_dataset, x_px: float, y_px: float, side_px: int = 64):
     """Triangles of all orientations whose bounding boxes have their centre in common; no positions given."""
     made = make_dataset(side_px=side_px, contrasts=(0.1, 0.2, 0.4))
     for number, row in enumerate(made.rows):
-        triangle = coverage(
-            (side_px, side_px),
-            size_px=8.0,
-            x_px=x_px,
-            y_px=y_px,
-            orientation=Orientation(row["orientation"]),
-            centre="bounding_box",
-        )
+        at = {"size_px": 8.0, "x_px": x_px, "y_px": y_px, "orientation": Orientation(row["orientation"])}
+        triangle = coverage((side_px, side_px), **at, centre="bounding_box")
         write_frame(made.frame(number), 50.0 * (1.0 + float(row["contrast"]) * triangle), pixel_type="float")
     return made
 
 
+BY_BOX = PyramidObserver(PyramidSettings(centre="bounding_box", position_jitter_samples=0.0))
+
+
 def test_bounding_boxes_centred_on_the_frame(make_dataset) -> None:
-    observer = PyramidObserver(PyramidSettings(centre="bounding_box", position_jitter_samples=0.0))
-    scored = score(boxed(make_dataset, 31.5, 31.5).path, observer)
+    scored = score(boxed(make_dataset, 31.5, 31.5).path, BY_BOX)
     assert np.array_equal(scored.answers, [0, 1, 2, 3] * 3)
     assert np.ptp(scored.p_correct[:4]) < 1e-9  # one frame, turned
 
 
 def test_bounding_boxes_are_located_as_such(make_dataset) -> None:
-    observer = PyramidObserver(PyramidSettings(centre="bounding_box", position_jitter_samples=0.0))
     made = boxed(make_dataset, 28.3, 33.8)
     data, (found,) = locate_triangles(load_dataset(made.path), centre="bounding_box")
     assert (found.x_px, found.y_px) == pytest.approx((28.3, 33.8), abs=0.02)
-    scored = score_dataset(data, observer, fit_settings=FAST)
-    centred = score(boxed(lambda **k: make_dataset("centred", **k), 31.5, 31.5).path, observer)
+    scored = score_dataset(data, BY_BOX, fit_settings=FAST)
+    centred = score(boxed(lambda **k: make_dataset("centred", **k), 31.5, 31.5).path, BY_BOX)
     # The same triangles elsewhere on the pixels, of which a size has eight: that moves P by up to 0.03.
     assert np.allclose(scored.p_correct, centred.p_correct, atol=0.04)
 

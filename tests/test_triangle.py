@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import triangles
 
-import todframes as tod
 from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import inspect
 from todframes.diagnosis.triangle import Images, Shape, blur_matrices, first_guess, fit, fitted
@@ -119,12 +120,7 @@ def test_good_frames_at_random_have_no_warning() -> None:
 
 def seen_from_the_side(sizes, *, roll_deg: float = 0.0):
     """A recorded chart: triangles turned, and of a size of their own each, as stated."""
-    rng, display = (
-        np.random.default_rng(11),
-        tod.Display(
-            eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=0.25, background_luminance_cd_m2=50.0
-        ),
-    )
+    rng = np.random.default_rng(11)
     frames, orientation, level = [], [], []
     for k, size in enumerate(sizes):
         contrast = (0.05, 0.1, 0.2)[k % 3]
@@ -139,7 +135,7 @@ def seen_from_the_side(sizes, *, roll_deg: float = 0.0):
         orientation=orientation,
         level=level,
         size_mrad=[0.25 * size for size in sizes],
-        display=display,
+        display=triangles.DISPLAY,
         position=(36.2, 35.9),
         group={"chart": ["one"] * len(frames)},
     )
@@ -168,15 +164,12 @@ def test_places_between_pixels_cost_no_precision() -> None:
         places.append((x, y))
         orientation.append(ORIENTATIONS[k // 2 % 4])
         level.append(contrast)
-    display = tod.Display(
-        eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=0.25, background_luminance_cd_m2="surround"
-    )
     dataset = memory_dataset(
         frames,
         orientation=orientation,
         level=level,
         size_mrad=0.25 * size,
-        display=display,
+        display=replace(triangles.DISPLAY, background_luminance_cd_m2="surround"),
         position=np.array(places),
     )
     (found,) = inspect(dataset, dataset.trials)

@@ -6,6 +6,8 @@ package.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +18,53 @@ import todframes as tod
 from todframes.diagnosis.inspection import inspect
 from todframes.frames.dataset import Dataset
 from todframes.frames.memory import memory_dataset
-from todframes.stimulus import ORIENTATIONS, moving_coverage, vertices
+from todframes.stimulus import ORIENTATIONS, coverage, moving_coverage, vertices
 
 FINER = 4
+DISPLAY = tod.Display(
+    eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=0.25, background_luminance_cd_m2=50.0
+)
+
+
+def recording(
+    rng: np.random.Generator,
+    middle: tuple[float, float],
+    *,
+    side_px: int = 64,
+    size_px: float = 8.0,
+    stated_px: float = 8.0,
+    levels: Sequence[float] = (0.1, 0.2),
+    repeats: int = 2,
+    noise_sd: float = 0.02,
+    blur_px: float = 0.5,
+    is_noise_blurred: bool = False,
+    shake_px: float = 0.0,
+    steps: NDArray[np.float64] | None = None,
+    shown: Sequence[int] = (0, 1, 2, 3),
+    sign: int = 1,
+    display: tod.Display = DISPLAY,
+) -> tuple[Dataset, NDArray[np.float64]]:
+    """A camera's recording in memory, and the position in each frame; `shown` are the orientations on the frames.
+
+    The dataset states bright triangles of `stated_px` in the middle. `steps` are from the middle in each frame.
+    """
+    frames, stated, contrasts, positions = [], [], [], []
+    for level in levels:
+        for turn in (0, 1, 2, 3) * repeats:
+            x, y = middle + (shake_px * rng.normal(size=2) if steps is None else steps[len(frames)])
+            at = {"size_px": size_px, "x_px": x, "y_px": y, "orientation": ORIENTATIONS[shown[turn]]}
+            noise = noise_sd * rng.normal(size=(side_px, side_px))
+            scene = sign * level * coverage((side_px, side_px), **at) + is_noise_blurred * noise
+            scene = gaussian_filter(scene, blur_px) + (not is_noise_blurred) * noise
+            frames.append(50.0 * (1.0 + scene))
+            stated.append(ORIENTATIONS[turn])
+            contrasts.append(level)
+            positions.append((x, y))
+    size_mrad = display.pitch_mrad * stated_px
+    data = memory_dataset(
+        frames, orientation=stated, level=contrasts, size_mrad=size_mrad, display=display, polarity=1
+    )
+    return data, np.array(positions)
 
 
 def turning(degrees: float) -> NDArray[np.float64]:
@@ -62,15 +108,8 @@ class Drawn(NamedTuple):
 
 def draw(rng: np.random.Generator, *, off: float, tilt_deg: float, turn_deg: float, cut: float) -> Drawn:
     """Draw a dataset in noise and blur: places and sizes differ by less than stated errors, or are wrong by `off`.
-
-    Parameters
-    ----------
-    off : float
-        Largest error of the stated places, in sizes, and of the stated sizes, as a share.
-    tilt_deg, turn_deg : float
-        Largest angles.
-    cut : float
-        Share of the datasets in which the edge of the frames is near.
+    That is the largest error of the stated places, in sizes, and of the stated sizes, as a share. The angles are
+    the largest ones, and `cut` is the share of the datasets in which the edge of the frames is near.
     """
     size, blur, side = rng.uniform(5.0, 15.0), rng.uniform(0.0, 2.0), 97
     noise = 10.0 ** rng.uniform(-2.5, -0.7) if off else float(rng.choice([0.0, 10.0 ** rng.uniform(-3.0, -0.7)]))
@@ -95,12 +134,7 @@ def draw(rng: np.random.Generator, *, off: float, tilt_deg: float, turn_deg: flo
             level.append(contrast)
             places.append((x, y) - wrong)
             sizes.append(0.25 * ours / ratio)
-    display = tod.Display(
-        eotf="linear",
-        white_luminance_cd_m2=1.0,
-        pixel_pitch_mrad=0.25,
-        background_luminance_cd_m2=50.0 if rng.random() < 0.5 else "surround",
-    )
+    display = replace(DISPLAY, background_luminance_cd_m2=50.0 if rng.random() < 0.5 else "surround")
     dataset = memory_dataset(
         frames,
         orientation=orientation,

@@ -21,7 +21,7 @@ from todframes.diagnosis.inspection import (
     noise_of_frames,
     strengths,
 )
-from todframes.diagnosis.places import Template, chosen_places, strong_peaks
+from todframes.diagnosis.places import CLEAR_LIKELIHOOD, LEAST_CLEAR, Template, chosen_places, strong_peaks
 from todframes.diagnosis.triangle import ARRANGEMENTS, Arrangement, multiplicity
 from todframes.diagnosis.whole_frames import MeanFrames, search
 from todframes.diagnosis.windows import TrialSample, measure_trial
@@ -267,11 +267,14 @@ def _of_strongest(
         noise = max(1.4826 * float(np.median(np.abs(image))), 1e-12)
         return padded, noise, size_in_px(trial, pitch_mrad) / frames.block_px
 
-    chosen = chosen_places(strong_peaks(map(image_of, strongest), reach=n / 2.0 - 2.0))
-    if chosen is None or chosen.is_own.sum() < len(strongest) / 2.0:
+    peaks = strong_peaks(map(image_of, strongest), reach=n / 2.0 - 2.0)
+    sure = np.array([one.places[0] for one in peaks if len(one.height) and one.height[0] >= CLEAR_LIKELIHOOD])
+    if len(sure) < max(LEAST_CLEAR, len(strongest) / 2.0):
         return None
-    x, y = (chosen.mean + (n - 1) / 2.0).tolist()
-    return frames.in_pixels((x, y)), frames.block_px * chosen.scatter
+    middle = np.median(sure, axis=0)  # something else, such as text that changes, may be higher in some trials
+    scatter = 1.4826 * float(np.median(np.abs(sure - middle)))
+    x, y = (middle + (n - 1) / 2.0).tolist()
+    return frames.in_pixels((x, y)), frames.block_px * scatter
 
 
 class _Displacements(NamedTuple):

@@ -144,9 +144,9 @@ def search(means: Means, pitch_mrad: float, centre: Centre, sizes: Sequence[floa
     orientations share: bezel, overlay, shading, fixed pattern. `sizes` are multiples of those of the stimuli.
     """
     spectra = {stimulus: _of_images(images) for stimulus, images in means.items()}
-    shape = next(iter(next(iter(means.values())).values())).shape
-    peaks = (_peak(spectra, (shape[0], shape[1]), size, pitch_mrad, centre) for size in sizes)
-    return max(peaks, key=lambda one: one.rank)
+    rows, columns = next(iter(next(iter(means.values())).values())).shape
+    peaks = (_peak(spectra, (rows, columns), size, pitch_mrad, centre) for size in sizes)
+    return max(peaks, key=lambda peak: peak.rank)
 
 
 Spectra = dict[int, ComplexArray]
