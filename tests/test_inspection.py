@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, rotate
 from triangles import DISPLAY
 
 import todframes as tod
@@ -123,11 +123,16 @@ def test_the_mean_of_a_blurred_pattern_is_no_wrong_background(seed) -> None:
     assert codes(dataset) == set()
 
 
-def test_the_background_is_measured() -> None:
-    found = measured(display=replace(DISPLAY, background_luminance_cd_m2=40.0))
+def test_the_background_is_measured_and_a_warning_says_what_was_found_and_expected() -> None:
+    dataset = recorded(display=replace(DISPLAY, background_luminance_cd_m2=40.0))
+    (found,) = inspect(dataset, dataset.trials)
     assert found.ring_luminance_cd_m2 == pytest.approx(50.0, rel=1e-3)
     assert found.background_luminance_cd_m2 == 40.0
     assert found.ring_ratio == pytest.approx(1.25, rel=1e-3)
+    (warning,) = frame_warnings(dataset, [found])
+    assert (warning.code, warning.group, warning.expected) == ("background_mismatch", {"size_mrad": 2.25}, 1.0)
+    assert warning.found == found.ring_ratio
+    assert 'background_luminance_cd_m2 = "surround"' in warning.message
 
 
 SRGB = tod.Display(
@@ -136,8 +141,12 @@ SRGB = tod.Display(
 
 
 def as_codes(luminance, _number):
-    light = luminance / 200.0
-    return np.rint(255.0 * (1.055 * light ** (1 / 2.4) - 0.055)).astype(np.uint8)
+    return coded(1.055 * (luminance / 200.0) ** (1 / 2.4) - 0.055, np.uint8)
+
+
+def coded(share, dtype, step=1):
+    """Integer codes in steps, from a share of full scale."""
+    return (step * np.rint(share * np.iinfo(dtype).max / step)).astype(dtype)
 
 
 def with_counter(luminance, number):
@@ -153,7 +162,7 @@ BRIGHT = replace(DISPLAY, white_luminance_cd_m2=200.0)
 def of_two_codes(luminance, _number):
     """16 bits of 200 cd/m²: the background of 50 cd/m², and the triangle with hard edges."""
     top = luminance.max()
-    return np.rint(np.where(luminance > (50.0 + top) / 2.0, top, 50.0) / 200.0 * 65535.0).astype(np.uint16)
+    return coded(np.where(luminance > (50.0 + top) / 2.0, top, 50.0) / 200.0, np.uint16)
 
 
 CLEAN = {
@@ -188,68 +197,38 @@ def test_the_step_of_clean_frames_is_that_of_their_bits() -> None:
     assert measured(**CLEAN["two codes"]).code_step_contrast == pytest.approx(200.0 / 65535.0 / 50.0, rel=1e-3)
 
 
-def vignetted(luminance, _number):
-    v, u = np.mgrid[:SIDE, :SIDE] / MIDDLE - 1.0
-    return luminance * (1.0 - 0.25 * (u * u + v * v))
-
-
-def halved(luminance, _number):
-    return luminance * np.where(np.arange(SIDE) < SIDE // 2, 1.0, 0.8)
-
-
-def clipped(luminance, _number):
-    return np.minimum(np.rint(luminance / 55.0 * 255.0), 255.0).astype(np.uint8)
-
-
-def hollow(luminance, _number):
-    return np.rint(np.maximum(luminance - 50.0, 0.0) * 600.0).astype(np.uint16)
-
-
-def rough(luminance, _number):
-    return (16 * np.rint(luminance / 200.0 * 255.0 / 16.0)).astype(np.uint8)
-
-
-def shallow(luminance, _number):
-    return np.rint(luminance / 200.0 * 4095.0).astype(np.uint16)
-
-
-def of_two_sizes(luminance, number):
-    return np.pad(luminance, 4 * (number % 2), constant_values=50.0)
-
-
-def sometimes_empty(luminance, number):
-    return np.full_like(luminance, 50.0) + (luminance - 50.0) * (number % 4 != 1)
-
-
-def tilted(luminance, _number):
-    from scipy.ndimage import rotate
-
-    return rotate(luminance, 8.0, reshape=False, mode="nearest", order=1)
+BOWL = 1.0 - 0.25 * np.square(np.mgrid[:SIDE, :SIDE] / MIDDLE - 1.0).sum(axis=0)
+HALVES = np.where(np.arange(SIDE) < SIDE // 2, 1.0, 0.8)
+TOP_55 = replace(DISPLAY, white_luminance_cd_m2=55.0)
 
 
 SPOILT = {
     "background_mismatch": {"display": replace(DISPLAY, background_luminance_cd_m2=45.0)},
     "background_mismatch with vignetting": {
-        "spoil": vignetted,
+        "spoil": lambda luminance, _: luminance * BOWL,
         "display": replace(DISPLAY, background_luminance_cd_m2="border"),
     },
-    "background_uneven": {"spoil": halved},
+    "background_uneven": {"spoil": lambda luminance, _: luminance * HALVES},
     "contrast_mismatch": {"slope": 0.85},
-    "contrast_mismatch in some frames": {"spoil": sometimes_empty},
+    "contrast_mismatch in some frames": {
+        "spoil": lambda light, k: np.full_like(light, 50.0) if k % 4 == 1 else light
+    },
     "polarity_mismatch": {"slope": -1.0},
     "mirrored": {"shown": lambda k: (0, 3, 2, 1)[k]},
     "flipped": {"shown": lambda k: (2, 1, 0, 3)[k]},
     "turned": {"shown": lambda k: (k + 1) % 4},
-    "turned by eight degrees": {"spoil": tilted},
+    "turned by eight degrees": {
+        "spoil": lambda luminance, _: rotate(luminance, 8.0, reshape=False, mode="nearest", order=1)
+    },
     "position_offset": {"x": 1.0, "y": 0.5},
     "position_scatter": {"scatter": 1.0},
     "size_mismatch": {"size": 1.3},
     "size_unit": {"size_mrad": 0.1},
-    "mixed_frame_sizes": {"spoil": of_two_sizes},
-    "saturated": {"spoil": clipped, "display": replace(DISPLAY, white_luminance_cd_m2=55.0)},
-    "crushed": {"spoil": hollow, "noise": 0.002},
-    "coarse_codes": {"spoil": rough, "display": BRIGHT},
-    "bit_depth": {"spoil": shallow, "display": BRIGHT},
+    "mixed_frame_sizes": {"spoil": lambda luminance, k: np.pad(luminance, 4 * (k % 2), constant_values=50.0)},
+    "saturated": {"spoil": lambda light, _: coded(np.minimum(light / 55.0, 1.0), np.uint8), "display": TOP_55},
+    "crushed": {"spoil": lambda light, _: coded(np.maximum(light - 50.0, 0.0) / 109.0, np.uint16), "noise": 0.002},
+    "coarse_codes": {"spoil": lambda light, _: coded(light / 200.0, np.uint8, 16), "display": BRIGHT},
+    "bit_depth": {"spoil": lambda light, _: coded(light / 200.0 * 4095.0 / 65535.0, np.uint16), "display": BRIGHT},
 }
 
 
@@ -258,23 +237,15 @@ def test_each_mishap_has_its_warning(name, changes) -> None:
     assert name.split()[0] in codes(recorded(**changes))
 
 
-def test_windows_cut_at_a_border_are_no_mishap() -> None:
-    """As `import` cuts them: of several sizes, each with the place of its triangle."""
-
-    def cut(luminance, number):
-        return luminance[:, 3 * (number % 2) :]
-
-    places = [MIDDLE - 3 * (number % 2) for number in range(24)]
-    assert codes(recorded(spoil=cut, position=[(x, MIDDLE) for x in places])) == set()
-    assert "mixed_frame_sizes" in codes(recorded(spoil=cut))
-
-
-def test_frames_of_two_scales_are_a_mishap_also_with_places() -> None:
-    def doubled(luminance, number):
-        return np.kron(luminance, np.ones((2, 2))) if number % 2 else luminance
-
-    places = [2 * MIDDLE + 0.5 if number % 2 else MIDDLE for number in range(24)]
-    assert "mixed_frame_sizes" in codes(recorded(spoil=doubled, position=[(at, at) for at in places]))
+def test_windows_cut_at_a_border_are_no_mishap_and_frames_of_two_scales_are() -> None:
+    """Windows as `import` cuts them: of several sizes, each with the place of its triangle."""
+    positions = [(MIDDLE - 3 * (number % 2), MIDDLE) for number in range(24)]
+    assert codes(recorded(spoil=lambda light, k: light[:, 3 * (k % 2) :], position=positions)) == set()
+    positions = [(2 * MIDDLE + 0.5,) * 2 if number % 2 else (MIDDLE, MIDDLE) for number in range(24)]
+    doubled = recorded(
+        spoil=lambda light, k: np.kron(light, np.ones((2, 2))) if k % 2 else light, position=positions
+    )
+    assert "mixed_frame_sizes" in codes(doubled)
 
 
 def test_another_orientation_in_some_frames_is_told() -> None:
@@ -311,14 +282,6 @@ def test_several_sizes_on_one_curve_are_reported(make_dataset) -> None:
 )
 def test_sizes_that_belong_on_one_curve_are_not(make_dataset, sizes_mrad, experiment) -> None:
     assert of_sizes(make_dataset, *sizes_mrad, **experiment) == []
-
-
-def test_a_warning_says_what_was_found_and_expected() -> None:
-    dataset = recorded(display=replace(DISPLAY, background_luminance_cd_m2=40.0))
-    (warning,) = frame_warnings(dataset, inspect(dataset, dataset.trials))
-    assert (warning.code, warning.group, warning.expected) == ("background_mismatch", {"size_mrad": 2.25}, 1.0)
-    assert warning.found == pytest.approx(1.25, rel=1e-3)
-    assert 'background_luminance_cd_m2 = "surround"' in warning.message
 
 
 # The commands
@@ -385,12 +348,6 @@ def test_simulated_cameras_have_no_warning(tmp_path, seed) -> None:
         noise=replace(sensor.noise, fixed_pattern_ratio=float(rng.uniform(0.0, 1.5))),
     )
     sizes = [float(size) for size in np.round(rng.uniform(2.0, 12.0, 2), 1)]
-    ss.simulate(
-        sensor,
-        size_detectors=sizes,
-        snr=[0.5, 1.0, 2.0, 4.0, 8.0],
-        trials=12,
-        rng=seed,
-        out=tmp_path / "made",
-    )
+    snr = [0.5, 1.0, 2.0, 4.0, 8.0]
+    ss.simulate(sensor, size_detectors=sizes, snr=snr, trials=12, rng=seed, out=tmp_path / "made")
     assert codes(tod.load_dataset(tmp_path / "made")) == set()

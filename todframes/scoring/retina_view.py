@@ -51,26 +51,25 @@ def place_grid(
     The grid follows a triangle that moves, or stays at its mean place in the trial, as the dataset's `gaze` says.
     Raises FrameError if the triangle, or one at another place where it may be, does not lie on the frame.
     """
-    pitch, header = dataset.display.pitch_mrad, file.header
-    x, y = centroid_position(trial, header, observer.centre, pitch, frame)
+    pitch, header, centre = dataset.display.pitch_mrad, file.header, observer.centre
+    x, y = centroid_position(trial, header, centre, pitch, frame)
     check_on_frame(file.path, trial, header, x, y, pitch)
-    for number, (dx, dy) in enumerate(place_offsets_px(trial, dataset.experiment.places), 1):
-        check_on_frame(file.path, trial, header, x + dx, y + dy, pitch, what=f"a triangle at place {number}")
+    if (places := dataset.experiment.places) > 1:
+        for number, (dx, dy) in enumerate(place_offsets_px(trial, places), 1):
+            check_on_frame(file.path, trial, header, x + dx, y + dy, pitch, what=f"a triangle at place {number}")
     triangle = TrianglePlace(x, y, size_in_px(trial, pitch))
     if dataset.gaze == "fixed":
-        x, y = centroid_position(trial, header, observer.centre, pitch)
-    to_centre_x, to_centre_y = from_centroid(trial, observer.centre, pitch)
+        x, y = centroid_position(trial, header, centre, pitch)
+    to_centre_x, to_centre_y = from_centroid(trial, centre, pitch)
     x, y = x + to_centre_x, y + to_centre_y
     offsets = np.asarray(displacement_samples) * grid.pitch_mrad / pitch
     along_x, along_y = zip(*offsets.tolist(), strict=True)
-    rows, columns = (
-        (
-            grid.pixel_range(centre_px=at + min(along), pixel_pitch_mrad=pitch, n_pixels=n_pixels)[0],
-            grid.pixel_range(centre_px=at + max(along), pixel_pitch_mrad=pitch, n_pixels=n_pixels)[1],
-        )
-        for at, along, n_pixels in ((y, along_y, header.height), (x, along_x, header.width))
-    )
-    return Placement(x, y, rows, columns, triangle)
+    touched = []
+    for at, along, n_pixels in ((y, along_y, header.height), (x, along_x, header.width)):
+        ends = dict.fromkeys((min(along), max(along)))
+        parts = [grid.pixel_range(centre_px=at + end, pixel_pitch_mrad=pitch, n_pixels=n_pixels) for end in ends]
+        touched.append((parts[0][0], parts[-1][1]))
+    return Placement(x, y, touched[0], touched[1], triangle)
 
 
 class Shown(NamedTuple):

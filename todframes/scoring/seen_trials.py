@@ -153,7 +153,10 @@ def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> Tr
     observer = scoring.plan.observer_of(trial.stimulus)
     displaced = _displacements(scoring, trial, observer.position_jitter_samples)
     grid = observer.grid(trial.stimulus) if readout is None else readout.grid
-    offsets = np.array(place_offsets_px(trial, places)) * scoring.dataset.display.pitch_mrad / grid.pitch_mrad
+    offsets = np.zeros((0, 2))
+    if places > 1:
+        pitch_mrad = scoring.dataset.display.pitch_mrad
+        offsets = np.array(place_offsets_px(trial, places)) * pitch_mrad / grid.pitch_mrad
     return TrialViewing(observer, grid, displaced, readout, offsets)
 
 
