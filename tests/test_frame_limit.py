@@ -83,6 +83,7 @@ def black_png(path, side_px, bits):
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + header + png_chunk(b"IDAT", data) + png_chunk(b"IEND", b""))
 
 
+@pytest.mark.slow
 def test_the_limit_may_be_larger_than_the_usual_one(tmp_path) -> None:
     """A PNG of rows of zeros that decodes to 288 MB."""
     black_png(tmp_path / "a.png", 12288, 16)

@@ -122,6 +122,7 @@ def test_large_frames_are_located_by_blocks(large_frames) -> None:
     assert (found.x_px, found.y_px) == pytest.approx((1999.5, 1999.5), abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_triangle_too_small_for_blocks_is_refused(tmp_path, todframes) -> None:
     (tmp_path / "frames").mkdir()
     (tmp_path / "dataset.toml").write_text(settings("50.0", 1.0))

@@ -119,7 +119,7 @@ def test_indices_are_in_the_order_of_the_first() -> None:
 
 def test_a_manifest_takes_little_memory(tmp_path) -> None:
     """Python's own count of what is held: a million trials, their scores and the program take 1.2 GB."""
-    n = 8192
+    n = 4096
     (tmp_path / "dataset.toml").write_text(
         "schema = 1\n[display]\neotf = 'linear'\npixel_pitch_mrad = 1.0\nwhite_luminance_cd_m2 = 1.0\n"
         "background_luminance_cd_m2 = 1.0\n[experiment]\nlevel = 'contrast'\n"
