@@ -116,10 +116,7 @@ def test_space_pauses_and_escape_ends(chart: Path, see) -> None:
     ("screen", "message"),
     [
         ({"device_scale_factor": 1.25}, "takes 1.25 pixels of the monitor"),
-        (
-            {"width": 1024, "height": 768},
-            "has 1024 × 768 pixels, but the chart was made for 800 × 600",
-        ),
+        ({"width": 1024, "height": 768}, "has 1024 × 768 pixels, but the chart was made for 800 × 600"),
     ],
 )
 def test_it_refuses_a_monitor_that_would_resample(chart: Path, see, screen, message: str) -> None:

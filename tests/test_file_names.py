@@ -154,22 +154,10 @@ def test_a_table_of_luminances_comes_along_but_not_over_another(folder, tmp_path
 @pytest.mark.parametrize(
     ("pattern", "error", "wanted"),
     [
-        (
-            "s{size_mrad}_{orientation}.png",
-            SettingsError,
-            r"\{contrast\} is missing in s.*; level names another one",
-        ),
-        (
-            "{contrast}_{orientation}.png",
-            SettingsError,
-            r"\{size_mrad\} is missing .*found \{contrast\}, \{orientation\}$",
-        ),
+        ("s{size_mrad}_{orientation}.png", SettingsError, r"\{contrast\} is missing in s.*; level names"),
+        ("{contrast}_{orientation}.png", SettingsError, r"\{size_mrad\} is missing .*found \{contrast\}"),
         ("frames/*.png", SettingsError, r"\{orientation\} is missing in frames/\*\.png; found no names in braces"),
-        (
-            "{n}{n}{size_mrad}{contrast}{orientation}",
-            SettingsError,
-            r"found \{n\} twice, expected each column once",
-        ),
+        ("{n}{n}{size_mrad}{contrast}{orientation}", SettingsError, r"found \{n\} twice, expected each column"),
         ("{frame}{size_mrad}", SettingsError, r"found \{frame\}, expected the name of a column"),
         ("{n:03d}{size_mrad}", SettingsError, r"found \{n:03d\}, expected the name of a column"),
         (f"made/{PATTERN}", DataError, r"no file that matches made/.*there is none in that folder"),

@@ -100,11 +100,7 @@ def test_any_iterable_and_a_page_with_examples():
         ([frame()], {"size_mrad": [np.nan]}, r"frame 0: size_mrad: found 'nan', expected a finite number > 0"),
         ([frame()], {"polarity": 2}, r"frame 0: polarity: found '2', expected 1 or -1"),
         ([frame()], {"position": (np.inf, 1.0)}, r"frame 0: x_px: found 'inf', expected a finite number"),
-        (
-            [frame()] * 2,
-            {"trial": ["a", "a"], "level": [0.1, 0.2]},
-            r"frame 1: contrast: found 0.2, expected 0.1 as in the other",
-        ),
+        ([frame()] * 2, {"trial": ["a", "a"], "level": [0.1, 0.2]}, r"frame 1: contrast: found 0.2, expected"),
     ],
 )
 def test_arguments_that_cannot_be(frames, changes, message):

@@ -251,16 +251,8 @@ def hostile(tmp_path: Path) -> Path:
         ("gone", {}, "gone: found no file"),
         ("skimage:nobody", {}, "found 'nobody', expected photographs of scikit-image: astronaut"),
         ("warm.exr", {}, "warm.exr: has values without a black and a white, expected value_range LOW:HIGH"),
-        (
-            "good.png",
-            {"dim": 1.0, "contrast": [0.1, 4.0]},
-            r"strongest .* on all .*, expected at most 0\.\d+ times",
-        ),
-        (
-            "good.png",
-            {"polarity": -1, "contrast": [3.0]},
-            r"beyond black .* on all .*, expected at most 0\.\d+ times",
-        ),
+        ("good.png", {"dim": 1.0, "contrast": [0.1, 4.0]}, r"strongest .* on all .*, expected at most 0\.\d+"),
+        ("good.png", {"polarity": -1, "contrast": [3.0]}, r"beyond black .* on all .*, expected at most 0\.\d+"),
         ("good.png", {"contrast": []}, "contrast: found no values"),
         ("good.png", {"contrast": [0.1, 0.1]}, "contrast: found a value twice"),
         ("good.png", {"contrast": [1e6]}, "contrast: found 1e.06, expected less than 199"),
