@@ -31,7 +31,7 @@ from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.base.reading import read_csv
 from todframes.cli import main as cli
 from todframes.cli.console import run
-from todframes.cli.options import make_fit, make_observer
+from todframes.cli.options import make_observer
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import write_frame
@@ -235,9 +235,6 @@ FRAMES = {
         lambda path: path.write_bytes(b"II*\0" + bytes(99)),
         ("is a TIFF file, expected EXR or PNG: convert it without loss",),
     ),
-    "tiff of the other byte order": Spoilt(
-        lambda path: path.write_bytes(b"MM\0*" + bytes(99)), ("is a TIFF file, expected EXR or PNG",)
-    ),
     "video": Spoilt(
         lambda path: path.write_bytes(b"\0\0\0\x20ftypisom" + bytes(99)),
         ("is a mov video file, .*each of its frames",),
@@ -246,7 +243,6 @@ FRAMES = {
         lambda path: path.write_bytes(b"version https://git-lfs.github.com/spec/v1\n"),
         ("is a Git LFS pointer file, .*git lfs pull",),
     ),
-    "exr magic only": Spoilt(lambda path: path.write_bytes(b"\x76\x2f\x31\x01"), ("cannot be opened",)),
     "exr truncated": Spoilt(truncate, (r"cannot be (opened|decoded)",)),
     "exr header flipped": Spoilt(flip_exr_header, ("cannot be (opened|decoded)",)),
     "exr data flipped": Spoilt(flip_exr_data, ("rows .* cannot be decoded",)),
@@ -271,7 +267,6 @@ FRAMES = {
         ".png",
     ),
     "nan": Spoilt(with_pixel(np.nan), ("1 pixels are NaN or infinite", "row 20, column 30")),
-    "infinite": Spoilt(with_pixel(np.inf), ("1 pixels are NaN or infinite", "row 20, column 30")),
     "black border": Spoilt(
         lambda path: write_frame(path, np.zeros((48, 48))),
         ("background luminance is 0", "expected > 0"),
@@ -289,11 +284,6 @@ FRAMES = {
     "srgb beyond 1": Spoilt(
         lambda path: write_frame(path, np.full((48, 48), 1.5)),
         ("code values run from 1.5 to 1.5", "expected 0 to 1", "srgb"),
-        display=(("eotf", "srgb"),),
-    ),
-    "srgb below 0": Spoilt(
-        lambda path: write_frame(path, np.full((48, 48), -0.5)),
-        ("code values run from -0.5", "expected 0 to 1", "srgb"),
         display=(("eotf", "srgb"),),
     ),
 }
@@ -452,20 +442,15 @@ ROWS = {
     "orientation unknown": ({"orientation": "north"}, ("orientation", "'north'", "up, right, down or left")),
     "orientation in capitals": ({"orientation": "Up"}, ("found 'Up', expected up, .*; write up$",)),
     "size zero": ({"size_mrad": "0"}, ("size_mrad", "'0'", "> 0")),
-    "size text": ({"size_mrad": "two"}, ("size_mrad", "'two'", "number")),
-    "size nan": ({"size_mrad": "nan"}, ("size_mrad", "'nan'", "finite")),
     "size with decimal comma": (
         {"size_mrad": "2,0"},
         ("size_mrad", "'2,0', expected a finite number > 0, with a point, not a comma"),
     ),
     "level zero": ({"contrast": "0"}, ("contrast", "'0'", "> 0")),
-    "level text": ({"contrast": "low"}, ("contrast", "'low'", "number")),
     "polarity": ({"polarity": "0"}, ("polarity", "'0'", "1 or -1")),
     "x text": ({"x_px": "left", "y_px": "3"}, ("x_px", "'left'", "number")),
-    "y infinite": ({"x_px": "3", "y_px": "inf"}, ("y_px", "'inf'", "finite")),
     "y missing": ({"x_px": "3", "y_px": ""}, ("x_px and y_px", "both or none")),
     "path upwards": ({"frame": "../secret.exr"}, (r"\.\./secret\.exr", "outside")),
-    "path upwards and back": ({"frame": "frames/../../secret.exr"}, (r"secret\.exr", "outside")),
     "path absolute": ({"frame": "/secret.exr"}, ("/secret.exr", "outside")),
     "path with backslashes": (
         {"frame": r"frames\a.exr"},
@@ -492,23 +477,17 @@ def test_bad_row_meets_the_commands(make_dataset, fails, todframes, tmp_path):
 
 # What is wrong with a row only shows on the frame: the line names the frame.
 PLACES = {
-    "off to the left": {"x_px": "1", "y_px": "23"},
-    "off at the bottom": {"x_px": "23", "y_px": "46"},
-    "far off": {"x_px": "1e300", "y_px": "-1e300"},
+    "off to the left": ({"x_px": "1", "y_px": "23"}, "off the frame"),
+    "far off": ({"x_px": "1e300", "y_px": "-1e300"}, "off the frame"),
+    "too large": ({"size_mrad": "20"}, "48 × 48 pixels.*smaller than the triangle"),
+    "much too large": ({"size_mrad": "1e308"}, "48 × 48 pixels.*smaller than the triangle"),
 }
 
 
-@pytest.mark.parametrize("changes", PLACES.values(), ids=PLACES.keys())
-def test_triangle_off_the_frame(changes, make_dataset):
+@pytest.mark.parametrize(("changes", "wanted"), PLACES.values(), ids=PLACES.keys())
+def test_triangle_that_the_frame_does_not_hold(changes, wanted, make_dataset):
     dataset = make_dataset(row_changes={BAD: changes})
-    assert_spoils(dataset, BAD, (re.escape(str(dataset.frame(BAD))), "off the frame"), FrameError)
-
-
-@pytest.mark.parametrize("size_mrad", ["20", "700", "1e9", "1e308"])
-def test_triangle_larger_than_the_frame(size_mrad, make_dataset):
-    dataset = make_dataset(row_changes={BAD: {"size_mrad": size_mrad}})
-    wanted = (re.escape(str(dataset.frame(BAD))), "48 × 48 pixels", "smaller than the triangle")
-    assert_spoils(dataset, BAD, wanted, FrameError)
+    assert_spoils(dataset, BAD, (re.escape(str(dataset.frame(BAD))), wanted), FrameError)
 
 
 @pytest.mark.parametrize("background", ["0", "-50", "", "nan", "dark"])
@@ -611,14 +590,11 @@ MANIFESTS = {
     "header only": (HEADER.encode(), ("no frames", "row")),
     "no header": (b"frames/a.exr,up,2.0,0.5\n", ("column 'frame' is missing", "found frames/a.exr, up")),
     "level column missing": (b"frame,orientation,size_mrad\na.exr,up,2\n", ("column 'contrast' is missing",)),
-    "orientation column missing": (b"frame,size_mrad,contrast\na.exr,2,1\n", ("column 'orientation' is missing",)),
     "semicolons": (HEADER.replace(",", ";").encode() + b"\na.exr;up;2;1\n", ("semicolons .*expected commas",)),
     "capitals": (HEADER.title().encode() + b"\na.exr,up,2,1\n", ("missing; .*write frame, not Frame$",)),
     "x without y": (f"{HEADER},x_px\na.exr,up,2,1,3\n".encode(), ("x_px and y_px", "both or none")),
     "column twice": (f"{HEADER},orientation\na.exr,up,2,1,left\n".encode(), ("'orientation'", "twice|again")),
     "latin-1": (f"{HEADER}\nfrämes/a.exr,up,2,1\n".encode("latin-1"), ("not UTF-8", r"byte 39")),
-    "binary": (bytes(range(256)) * 4, ("not UTF-8",)),
-    "only nul bytes": (bytes(100), ("column 'frame' is missing",)),
     "quote never closed": (f'{HEADER}\n"a.exr,up,2,1\n'.encode(), ("line 2", "not valid CSV")),
     "huge field": (f"{HEADER}\n{'a' * 200_000},up,2,1\n".encode(), ("line 2", "not valid CSV")),
     "60,000 columns": (",".join(map(str, range(60_000))).encode(), ("found 0, 1, .*, 19 and 59980 more$",)),
@@ -801,10 +777,7 @@ DISPLAYS = {
     "key in another case": ({"EOTF": "srgb"}, ("'EOTF'", "'eotf'")),
     "eotf missing": ({"eotf": None}, ("eotf", "missing")),
     "eotf unknown": ({"eotf": "sRGB"}, ("eotf", "'sRGB'", "linear", "srgb", "lut")),
-    "eotf number": ({"eotf": 2.2}, ("eotf", "2.2")),
     "white missing": ({"white_luminance_cd_m2": None}, ("white_luminance_cd_m2", "missing")),
-    "white zero": ({"white_luminance_cd_m2": 0}, ("white_luminance_cd_m2", "found 0", "> 0")),
-    "white text": ({"white_luminance_cd_m2": "100"}, ("white_luminance_cd_m2", "'100'", "float|number")),
     "white true": ({"white_luminance_cd_m2": True}, ("white_luminance_cd_m2", "True|true")),
     "white nan": ({"white_luminance_cd_m2": float("nan")}, ("white_luminance_cd_m2: found nan", "<= 1e.12")),
     "black negative": ({"black_luminance_cd_m2": -1}, ("black_luminance_cd_m2", "-1", ">= 0")),
@@ -826,19 +799,14 @@ DISPLAYS = {
         ("pixel_pitch_mrad", "0.25", "0.714", "expected"),
     ),
     "pitch zero": ({"pixel_pitch_mrad": 0}, ("pixel_pitch_mrad", "found 0", "> 0")),
-    "pitch list": ({"pixel_pitch_mrad": [0.7, 0.7]}, ("pixel_pitch_mrad", "0.7, 0.7")),
     "background missing": ({"background_luminance_cd_m2": None}, ("background_luminance_cd_m2", "missing")),
-    "background zero": ({"background_luminance_cd_m2": 0.0}, ("background_luminance_cd_m2", "0", "> 0")),
-    "background nan": ({"background_luminance_cd_m2": float("nan")}, ("background_luminance_cd_m2", "nan")),
     "background rule unknown": (
         {"background_luminance_cd_m2": "edge"},
         ("background_luminance_cd_m2", "'edge'", "border", "frame_mean", "column"),
     ),
     "background in quotes": ({"background_luminance_cd_m2": "50"}, ("write 50 without quotation marks",)),
-    "eotf in capitals": ({"eotf": "sRGB"}, ("eotf: found 'sRGB', .*; write srgb",)),
     "gamma missing": ({"eotf": "gamma"}, ("gamma", "missing")),
     "gamma not used": ({"gamma": 2.2}, ("gamma", "not used", "linear")),
-    "gamma zero": ({"eotf": "gamma", "gamma": 0}, ("gamma", "found 0", "> 0")),
     "lut missing": ({"eotf": "lut"}, ("lut", "missing")),
     "lut not used": ({"lut": "lut.csv"}, ("lut", "not used|no such file")),
     "lut number": ({"eotf": "lut", "lut": 7}, ("lut", "found 7", "text|path|name|str")),
@@ -856,7 +824,6 @@ def test_bad_display(display, wanted, make_dataset):
 
 EXPERIMENTS = {
     "level missing": ({"level": None}, ("level", "missing")),
-    "level number": ({"level": 3}, ("level", "found 3")),
     "level empty": ({"level": ""}, ("level", "''", "column")),
     "group_by text": ({"group_by": "size_mrad"}, ("group_by", "'size_mrad'")),
     "group_by of numbers": ({"group_by": [1]}, ("group_by", "found 1, expected text")),
@@ -887,22 +854,14 @@ TOML = {
     "empty": (b"", ("schema", "None|missing", "1")),
     "schema missing": ((DISPLAY_TABLE + EXPERIMENT_TABLE).encode(), ("schema", "None|missing", "1")),
     "schema 2": (b"schema = 2\n[display]\n[experiment]\n", ("schema", "found 2", "expected 1")),
-    "schema text": (b"schema = '1'\n[display]\n[experiment]\n", ("schema", "'1'", "expected 1")),
     "no display": (("schema = 1\n" + EXPERIMENT_TABLE).encode(), (r"\[display\]", "missing")),
     "no experiment": (("schema = 1\n" + DISPLAY_TABLE).encode(), (r"\[experiment\]", "missing")),
-    "display is a number": (("schema = 1\ndisplay = 3\n" + EXPERIMENT_TABLE).encode(), ("display", "table")),
     "unknown table": (b"schema = 1\n[dispaly]\n", ("'dispaly'", "'display'")),
     "unknown top key": (b"schema = 1\nlevl = 1\n", ("'levl'",)),
     "syntax": (b"schema = 1\n[display\n", ("not valid TOML", "line 2")),
-    "nul byte": (b"schema = 1\n\0\n", ("not valid TOML",)),
-    "latin-1": ("# Größe\nschema = 1\n".encode("latin-1"), ("not UTF-8", "byte 4")),
     "date for a number": (
         ("schema = 1\n" + DISPLAY_TABLE.replace("0.25", "2001-01-01") + EXPERIMENT_TABLE).encode(),
         ("pixel_pitch_mrad", "2001"),
-    ),
-    "time for a text": (
-        ("schema = 1\n" + DISPLAY_TABLE + EXPERIMENT_TABLE.replace("'contrast'", "07:32:00")).encode(),
-        ("level", "32"),
     ),
     "huge whole number": (
         ("schema = 1\n" + DISPLAY_TABLE.replace("0.25", "1" + "0" * 400) + EXPERIMENT_TABLE).encode(),
@@ -915,11 +874,6 @@ TOML = {
     "5,000 hexadecimal digits": (b"schema = 0x" + b"f" * 5000 + b"\n", ("schema", "whole number", "64 bits")),
     "long key": (b"k" * 900_000 + b" = 1\n", ("unknown key 'kkk", "…")),
     "long file": (b"# " + b"x" * 2**20 + b"\n", ("longer than 1 MB",)),
-    "lut as a table": (
-        ("schema = 1\n" + DISPLAY_TABLE.replace("'linear'", "'lut'") + "lut = {code_value = [0, 1]}\n"
-         + EXPERIMENT_TABLE).encode(),
-        ("lut", "text|path|name|str"),
-    ),
 }  # fmt: skip
 
 
@@ -933,19 +887,12 @@ def test_bad_toml(content, wanted, make_dataset):
 
 # The table is part of the settings: all that is wrong in it has the same status.
 TABLES = {
-    "empty": (b"", ("column", "code_value")),
     "columns": (b"code,luminance\n0,0\n1,100\n", ("column", "code_value")),
     "text": (b"code_value,luminance_cd_m2\n0,dark\n1,100\n", ("line 2", "luminance_cd_m2", "'dark'", "number")),
-    "nan": (b"code_value,luminance_cd_m2\n0,nan\n1,100\n", ("line 2", "luminance_cd_m2", "'nan'", "finite")),
-    "field missing": (b"code_value,luminance_cd_m2\n0\n1,100\n", ("line 2", "fields|luminance_cd_m2")),
-    "field too many": (b"code_value,luminance_cd_m2\n0,1,2\n1,100\n", ("line 2", "fields")),
     "one row": (b"code_value,luminance_cd_m2\n0,1\n", ("1 row", "at least 2")),
     "falling": (b"code_value,luminance_cd_m2\n1,100\n0,1\n", ("code_value", "rise")),
     "integers": (b"code_value,luminance_cd_m2\n0,0\n255,100\n", ("code_value", "255", "0 to 1")),
     "negative": (b"code_value,luminance_cd_m2\n0,-1\n1,100\n", ("luminance_cd_m2", "-1", ">= 0")),
-    "not utf-8": (b"code_value,luminance_cd_m2\n0,\xff\n", ("not UTF-8",)),
-    "huge field": (b"code_value,luminance_cd_m2\n0," + b"1" * 200_000 + b"\n1,100\n", ("CSV|number",)),
-    "quote never closed": (b'code_value,luminance_cd_m2\n0,"0\n1,100\n', ("CSV",)),
 }
 
 
@@ -967,29 +914,18 @@ USAGES = {
     "dataset not given": ("score", ("DATASET",)),
     "two datasets": ("score x y", ("y",)),
     "decisions": ("score x --decisions guessed", ("--decisions", "guessed", "expected", "sampled")),
-    "curve": ("score x --curve probit", ("--curve", "probit", "observer", "weibull")),
-    "on-error": ("score x --on-error ignore", ("--on-error", "ignore", "stop", "skip")),
     "seed negative": ("score x --seed -1", ("--seed", "-1")),
-    "workers zero": ("score x --workers 0", ("--workers", "0")),
     "noise text": ("score x --internal-noise low", ("--internal-noise", "low")),
-    "noise negative": ("score x --internal-noise -1", ("internal_noise", "-1", "from 0 to")),
     "criterion above one": ("score x --p-correct 75", ("p_correct", "75")),
     "set unknown": ("score x --set kernal_a=0.4", ("'kernal_a'", "'kernel_a'")),
-    "set without equals": ("score x --set kernel_a", ("--set", "kernel_a", "NAME=VALUE")),
-    "observer unknown": ("score x --observer pyramyd", ("'pyramyd'", "'pyramid'")),
     "naked eye without either": ("naked-eye", ("--contrast", "--size-mrad")),
     "naked eye with both": ("naked-eye --contrast 1 --size-mrad 1", ("--contrast", "--size-mrad")),
-    "contrast text": ("naked-eye --contrast high", ("--contrast", "high")),
     "contrast zero": ("naked-eye --contrast 0", ("contrast", "0", "> 0")),
     "contrast huge": ("naked-eye --contrast 1e160", ("contrast", r"1e\+160", "at most 1e12")),
     "sizes text": ("naked-eye --size-mrad 1,two", ("--size-mrad", "1,two", "commas")),
-    "sizes with semicolon": ("naked-eye --size-mrad 1;2", ("--size-mrad", "1;2", "commas")),
-    "size zero": ("naked-eye --size-mrad 0", ("size_mrad|--size-mrad", "0", "> 0")),
     "size negative after a good one": ("naked-eye --size-mrad 1,-1", ("size_mrad|--size-mrad", "-1", "> 0")),
-    "size nan": ("naked-eye --size-mrad nan", ("size_mrad|--size-mrad", "nan", "> 0")),
     "size beyond the retina": ("naked-eye --size-mrad 1e6", ("size_mrad|--size-mrad|1e\\+06 mrad", "expected")),
     "size beyond all numbers": ("naked-eye --size-mrad 1e308", ("mrad", "expected")),
-    "counts not given": ("fit", ("COUNTS",)),
     "fit setting unknown": ("fit x --set gess_rate=0.5", ("'gess_rate'", "'guess_rate'")),
 }
 
@@ -1001,26 +937,19 @@ def test_bad_usage(line, wanted, fails):
 
 
 ASSIGNMENTS = {
-    "unknown": ("kernal_a=0.4", ("'kernal_a'", "'kernel_a'")),
     "unknown fit setting": ("lapserate=0.1", ("'lapserate'", "'lapse_rate'")),
     "without equals": ("kernel_a", ("--set", "kernel_a", "NAME=VALUE")),
     "without value": ("kernel_a=", ("kernel_a", "''", "float|number")),
     "text": ("kernel_a=wide", ("kernel_a", "'wide'", "float|number")),
     "beyond range": ("kernel_a=2", ("kernel_a", "2", "from 0 to 1")),
     "date": ("internal_noise=2001-01-01", ("internal_noise", "2001")),
-    "levels to a date": ("levels=2001-01-01", ("levels", "2001")),
     "nested list": (f"levels={'[' * 2000}{']' * 2000}", ("levels", "whole number")),
     "5,000 digits": (f"levels={'9' * 5000}", ("levels", "whole number")),
-    "5,000 hexadecimal digits": (f"levels=0x{'f' * 5000}", ("levels", "whole number")),
     "long name": (f"{'k' * 100_000}=1", ("unknown key 'kkk", "…")),
-    "levels beyond": ("levels=99", ("levels", "99", "1 to 11")),
     "centre": ("centre=middle", ("centre", "'middle'", "centroid", "bounding_box")),
-    "lapse rate": ("lapse_rate=0.9", ("lapse_rate", "0.9")),
-    "resamples": ("resamples=5", ("resamples", "5", "40")),
-    "pitch zero": ("retina_pitch_mrad=0", ("retina_pitch_mrad", "0", "from 1e-06 to")),
-    "noise negative": ("internal_noise=-1", ("internal_noise", "-1", "from 0 to")),
     "noise nan": ("internal_noise=nan", ("internal_noise", "nan", "from 0 to")),
-    "criterion at guessing": ("p_correct=0.25", ("p_correct", "0.25")),
+    "lapse rate": ("lapse_rate=0.9", ("lapse_rate", "0.9")),
+    "guess rate": ("guess_rate=1", ("guess_rate", "found 1")),
     "criterion nan": ("p_correct=nan", ("p_correct", "nan")),
     "of another observer": ("efficiency=0.5", ("efficiency is a setting of csf; pyramid has none",)),
     "no TOML list": ("band_noise=[.5,.5]", (r"band_noise=\[.5,.5\]", "a list as TOML has it")),
@@ -1040,19 +969,6 @@ def test_bad_assignment(assignment, wanted):
 def test_noise_of_an_observer_that_has_another_measure_of_it():
     with refused(SettingsError, ("internal_noise is a setting of .*pyramid", "csf has none; .* efficiency")):
         make_observer(asked(observer="csf", internal_noise=0.3, assignments=[]))
-
-
-@pytest.mark.parametrize(
-    ("assignment", "wanted"),
-    [
-        ("p_correct=0.1", ("p_correct", "0.1")),
-        ("guess_rate=1", ("guess_rate", "found 1")),
-        ("kernel_a=0.4", ("'kernel_a'",)),
-    ],
-)
-def test_bad_assignment_of_a_fit(assignment, wanted):
-    with refused(SettingsError, wanted):
-        make_fit({"p_correct": None, "assignments": [assignment]})
 
 
 @pytest.mark.parametrize("setting", ["band_gain=1e300", "internal_noise=1e300", "internal_noise_sd=1e300"])
@@ -1091,13 +1007,9 @@ def test_no_command_shows_the_help(todframes):
 
 
 OBSERVER_SETTINGS = {
-    "missing": (None, ("no such file",)),
-    "syntax": (b"kernel_a 0.4\n", ("not valid TOML", "line 1")),
     "unknown key": (b"kernal_a = 0.4\n", ("'kernal_a'", "'kernel_a'")),
     "value": (b"kernel_a = 4\n", ("kernel_a", "4", "from 0 to 1")),
-    "type": (b"kernel_a = 'wide'\n", ("kernel_a", "'wide'", "float|number")),
     "in a table": (b"[observer]\nkernel_a = 0.4\n", ("'observer'",)),
-    "not utf-8": (b"# \xff\n", ("not UTF-8",)),
 }
 
 
@@ -1140,19 +1052,13 @@ COUNTS = {
     "empty": (b"", ("column 'level' is missing",)),
     "header only": (b"level,n_correct,n_trials\n", ("no counts", "rows")),
     "column missing": (b"level,n_correct\n1,2\n", ("column 'n_trials' is missing", "level, n_correct")),
-    "column twice": (b"level,level,n_correct,n_trials\n1,2,3,4\n", ("'level'", "twice|again")),
     "level zero": (b"level,n_correct,n_trials\n0,1,2\n", ("line 2", "level", "0", "> 0")),
-    "level nan": (b"level,n_correct,n_trials\nnan,1,2\n", ("line 2", "level", "'nan'", "finite")),
-    "level text": (b"level,n_correct,n_trials\n1,1,2\nlow,1,2\n", ("line 3", "level", "'low'", "number")),
     "more right than shown": (b"level,n_correct,n_trials\n1,3,2\n", ("line 2", "n_correct", "3", "n_trials")),
     "negative": (b"level,n_correct,n_trials\n1,-1,2\n", ("line 2", "n_correct", "-1", "0")),
     "no trials": (b"level,n_correct,n_trials\n1,0,0\n", ("line 2", "n_trials", "0", ">= 1")),
     "fraction": (b"level,n_correct,n_trials\n1,1.5,2\n", ("line 2", "n_correct", "1.5", "whole")),
     "proportion": (b"level,n_correct,n_trials\n1,0.5,0.7\n", ("line 2", "n_trials", "0.7", "whole")),
     "beyond counting": (b"level,n_correct,n_trials\n1,1,1e300\n", ("line 2", "n_trials", "1e\\+?300")),
-    "fields": (b"level,n_correct,n_trials\n1,1\n", ("line 2", "fields")),
-    "not utf-8": (b"level,n_correct,n_trials\n1,1,2\xff\n", ("not UTF-8",)),
-    "quote": (b'level,n_correct,n_trials\n"1,1,2\n', ("not valid CSV",)),
 }
 
 
@@ -1165,12 +1071,6 @@ def test_bad_counts(content, wanted, tmp_path):
 
 
 # Where results go ---------------------------------------------------------------------------------------------
-
-
-def test_out_is_a_link_to_nowhere(make_dataset, fails, tmp_path):
-    (tmp_path / "out").symlink_to(tmp_path / "nowhere")
-    fails("score", make_dataset(contrasts=(0.5,)).path, "-o", tmp_path / "out",
-          status=BAD_SETTINGS, wanted=(re.escape(str(tmp_path / "out")),))  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["result.json", "scores.csv"])
@@ -1204,7 +1104,7 @@ def test_an_interruption_says_that_results_were_written(make_dataset, todframes,
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("todframes.cli.runner.finish", interrupted)
+    monkeypatch.setattr("todframes.cli.runner.print_result", interrupted)
     out, dataset = tmp_path / "out", make_dataset()
     status, _, errors = todframes("score", dataset.path, "-o", out)
     assert (status, errors) == (INTERRUPTED, [f"error: interrupted, but {out} was written before"])
