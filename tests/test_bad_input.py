@@ -1193,13 +1193,8 @@ def process(*arguments, **options):
     )
 
 
-def test_exit_statuses(make_dataset, tmp_path):
-    path = make_dataset(contrasts=(0.5,), suffix=".png").path
-    for expected, arguments in (
-        (0, ("validate", path)),
-        (BAD_DATA, ("validate", tmp_path / "missing")),
-        (BAD_SETTINGS, ("score", path, "--set", "x")),
-    ):
+def test_exit_statuses(tmp_path):
+    for expected, arguments in ((0, ("--version",)), (BAD_DATA, ("validate", tmp_path / "missing"))):
         done = process(*arguments)
         assert done.returncode == expected
         assert len(done.stderr.splitlines()) == (expected != 0)
@@ -1289,7 +1284,7 @@ def test_standard_output_of_few_characters(encoding, tmp_path):
     assert "threshold" in done.stdout
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_ctrl_c(workers, make_dataset, tmp_path):
     dataset = make_dataset(contrasts=(0.5,))
     good = dataset.rows[0]

@@ -516,7 +516,10 @@ class Instant(handing.PoolEngine):
         return future.result()
 
 
-@pytest.mark.parametrize(("seconds_per_item", "size"), [(30.0, 1), (0.5, 4), (0.005, 400), (0.0, 10_000)])
+@pytest.mark.parametrize(
+    ("seconds_per_item", "size"),
+    [(30.0, 1), (0.5, 4), (0.02, 100), pytest.param(0.0, 10_000, marks=pytest.mark.slow)],
+)
 def test_batches_begin_small_and_come_to_take_two_seconds(seconds_per_item: float, size: int) -> None:
     pool = Instant(seconds_per_item)
     for _ in itertools.islice(pool.run(Squares(), enumerate(itertools.repeat(0))), 30):

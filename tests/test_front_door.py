@@ -32,6 +32,8 @@ NAKED_EYE, ENHANCEMENT = ROOT / "sample_frames" / "naked_eye", ROOT / "sample_fr
 CAMERA = ROOT / "sample_frames" / "staring_camera.toml"
 CURVE = ["curve", CAMERA, "--size-detectors", "4", "--tolerance", "0.1"]
 OF_FRAMES = {"OpenImageIO", "sqlite3", "scipy.sparse", "todframes.frames", "todframes.jobs"}
+UNUSED = {"sqlite3", "matplotlib", "scipy.stats", "scipy.optimize", "rich", "fsspec", "s3fs", "aiohttp"}
+"""Modules that take long to import, and that are not needed without -o and without URLs."""
 MOST_FILES_RUN = 64
 NAMES = [(package, name) for package in (tod, ss) for name in dir(package)]
 
@@ -116,8 +118,14 @@ def test_import_loads_nothing(package: str) -> None:
     ("group", "arguments", "unused"),
     [
         pytest.param("sensor_sim.cli", CURVE, {"matplotlib", *OF_FRAMES}, id="curve"),
-        pytest.param("sensor_sim.cli", [*CURVE, "-o", "out"], OF_FRAMES - {"scipy.sparse"}, id="curve with -o"),
-        pytest.param("todframes.cli.main", ["score", "dataset"], {"sqlite3"}, id="score"),
+        pytest.param(
+            "sensor_sim.cli",
+            [*CURVE, "-o", "out"],
+            OF_FRAMES - {"scipy.sparse"},
+            id="curve with -o",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param("todframes.cli.main", ["score", "dataset", "--json"], UNUSED, id="score"),
     ],
 )
 def test_a_command_runs_few_files(group, arguments, unused, make_dataset, tmp_path, monkeypatch) -> None:
@@ -131,7 +139,9 @@ def test_a_command_runs_few_files(group, arguments, unused, make_dataset, tmp_pa
 
 
 def marks(name: str) -> list[pytest.MarkDecorator]:
-    return [pytest.mark.slow] if name in ("compare", "Result") else []  # Result scores what `score` does
+    """Mark the examples of calls that other tests make with smaller data."""
+    slow = ("compare", "Result", "score", "score_frames", "validate", "mrtd", "rerun", "sample", "sweep", "scenes")
+    return [pytest.mark.slow] if name in slow else []
 
 
 @pytest.mark.parametrize(

@@ -176,6 +176,7 @@ def thresholds_and_scores(result: tod.Result) -> object:
     return fits, [{k: v for k, v in row.items() if k != "run_time_s"} for row in result.trials.records]
 
 
+@pytest.mark.slow
 def test_scores_on_servers_are_those_of_the_folder(make_dataset, upload, web) -> None:
     """With any number of processes; nothing is printed when the connections are closed."""
     made = make_dataset(contrasts=(0.01, 0.05, 0.2), side_px=64)

@@ -189,7 +189,7 @@ def test_a_slow_algorithm_keeps_frame_after_frame(make_dataset, tmp_path: Path, 
     assert "nothing" not in err
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_an_interrupted_run_says_what_is_kept(make_dataset, tmp_path: Path, number: signal.Signals) -> None:
     path, out = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=60).path, tmp_path / "out"
     process = started("todframes", "score", path, "-o", out)

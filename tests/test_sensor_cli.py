@@ -127,7 +127,7 @@ commands = pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS.ke
 # simulate -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("frame_format", ["exr", "png"])
+@pytest.mark.parametrize("frame_format", ["exr", pytest.param("png", marks=pytest.mark.slow)])
 def test_simulate_makes_what_todframes_scores(sensor_sim, sensor_file, capfd, frame_format):
     dataset = sensor_file.parent / "dataset"
     more = ("--size-detectors", "3,6", "--snr", "2,4,8", "--trials", "8", "--format", frame_format, "--quiet")
@@ -208,7 +208,9 @@ def test_curve_of_a_triangle_that_no_detector_sees(sensor_sim, sensor_file):
 @pytest.mark.parametrize(
     ("line", "size", "reason"),
     [
-        ("viewing_distance_mm = 300.0", "2", "hide its direction, even without noise"),
+        pytest.param(
+            "viewing_distance_mm = 300.0", "2", "hide its direction, even without noise", marks=pytest.mark.slow
+        ),
         pytest.param("gain = 0.3", "3", "the observer's internal noise hides what", marks=pytest.mark.slow),
     ],
 )
@@ -328,18 +330,6 @@ def test_mtf_as_json(sensor_sim, sensor_file):
     np.testing.assert_allclose(stage["post_sample"], post_sample, atol=1e-12)
 
 
-# Help ---------------------------------------------------------------------------------------------------------
-
-
-def test_help_imports_nothing_slow():
-    code = (
-        "import sys; from todframes.cli.console import run; from sensor_sim.cli import cli; run(cli, ['--help']); "
-        "slow = ('numpy', 'scipy', 'cv2', 'OpenImageIO', 'rich', 'matplotlib'); "
-        "sys.exit(any(name in sys.modules for name in slow))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
-
-
 # Bad SENSOR.toml: all the ways in which it can be wrong are in test_sensor ---------------------------------------
 
 
@@ -437,28 +427,18 @@ def test_sizes_and_ratios(sensor_file, tmp_path, values, message):
 def test_a_size_too_large_for_the_optics_names_the_size_and_the_limit(fails):
     """The spectrum grows with the field. 47 detectors are the limit that the message gives for any larger size."""
     camera = Path(__file__).parents[1] / "sample_frames" / "staring_camera.toml"
-    for size in (48, 200):
-        fails(
-            "curve",
-            camera,
-            "--size-detectors",
-            size,
-            wanted=(f"--size-detectors: found {size}, expected at most 47",),
-        )
+    fails("curve", camera, "--size-detectors", 48, wanted=("--size-detectors: found 48, expected at most 47",))
     assert not field_sampler(load_sensor(camera), 47.0).sharp
 
 
 USAGE = {
     "no sensor": (("mtf",), ("SENSOR.toml",)),
-    "two sensors": (("mtf", "{sensor}", "{sensor}"), ("unexpected",)),
-    "unknown command": (("simulated",), ("simulated",)),
     "simulate without snr": (("simulate", "{sensor}", "--size-detectors", "3", "-o", "x"), ("--snr",)),
     "simulate without out": (("simulate", "{sensor}", "--size-detectors", "3", "--snr", "1"), ("--out",)),
     "sizes of two kinds": (
         ("curve", "{sensor}", "--size-detectors", "3", "--size-mrad", "1"),
         ("^error: found --size-detectors and --size-mrad, expected one of them",),
     ),
-    "unknown option": (("mtf", "{sensor}", "--jason"), ("--jason",)),
     "unknown option of curve": (("curve", "{sensor}", "--snr", "1", "--size-detectors", "3"), ("--snr",)),
 }
 
@@ -471,8 +451,6 @@ def test_bad_usage(fails, sensor_file, arguments, wanted, tmp_path, monkeypatch)
 
 SIMULATE_OPTIONS = {
     "no trials": ("--trials=0", ("--trials", "0")),
-    "seed negative": ("--seed=-1", ("--seed", "-1")),
-    "format unknown": ("--format=tiff", ("--format", "tiff", "exr", "png")),
     "noise beyond all numbers": ("--snr=1e-320", ("snr|luminance|beyond",)),
     "noise beyond half floats": ("--snr=1e-5", ("snr|luminance|beyond",)),
     "triangle beyond all fields": ("--size-detectors=1e9", ("field|size", "at most|fewer")),
@@ -487,13 +465,7 @@ def test_bad_option_of_simulate(fails, sensor_file, option, wanted):
 
 CURVE_OPTIONS = {
     "tolerance zero": ("--tolerance=0", ("tolerance", "0", "> 0")),
-    "tolerance nan": ("--tolerance=nan", ("tolerance", "nan", "> 0")),
     "tolerance beyond all numbers": ("--tolerance=1e309", ("tolerance", "inf", "finite")),
-    "tolerance no number": ("--tolerance=fine", ("--tolerance", "fine")),
-    "p at chance": ("--p-correct=0.25", ("p_correct", "0.25")),
-    "internal noise negative": ("--internal-noise=-1", ("internal_noise", "-1")),
-    "unknown setting": ("--set=kernal_a=0.4", ("'kernal_a'", "'kernel_a'")),
-    "unknown observer": ("--observer=pyramids", ("'pyramids'", "'pyramid'")),
     "triangle beyond all fields": ("--size-detectors=1e9", ("field|size", "at most|fewer")),
 }
 
@@ -507,26 +479,12 @@ def test_bad_option_of_curve(fails, sensor_file, option, wanted):
 # Bad places ---------------------------------------------------------------------------------------------------
 
 
-def test_exit_statuses(sensor_file, tmp_path):
-    """In a process of its own."""
-    command = (sys.executable, "-c", "from sensor_sim.cli import main; main()")
-    for expected, arguments in (
-        (0, ("mtf", sensor_file, "--json")),
-        (BAD_DATA, simulate(sensor_file, "--snr", "1e-5")),
-        (BAD_SETTINGS, ("mtf", tmp_path / "missing.toml")),
-    ):
-        done = subprocess.run(
-            [*command, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False
-        )
-        assert done.returncode == expected
-        assert len(done.stderr.splitlines()) == (expected != 0)
-
-
 def test_python_m_is_the_command() -> None:
-    found = subprocess.run(
-        [sys.executable, "-m", "sensor_sim", "--version"], capture_output=True, text=True, check=True
-    )
+    command = [sys.executable, "-m", "sensor_sim"]
+    found = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
     assert found.stdout.startswith("sensor-sim, version ")
+    missing = subprocess.run([*command, "mtf", "missing.toml"], capture_output=True, text=True, check=False)
+    assert (missing.returncode, len(missing.stderr.splitlines())) == (BAD_SETTINGS, 1)
 
 
 def test_stages_of_the_same_transfer_share_a_line() -> None:

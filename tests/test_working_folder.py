@@ -15,10 +15,6 @@ from todframes.enhancement.finding import ENTRY_POINT_GROUP, find_enhancement
 from todframes.results.figure import save_png
 from todframes.results.figure_style import new_figure, style
 
-STAR_LIKE = Path(__file__).parents[1] / "sample_frames" / "star_like.toml"
-
-BIN = Path(sys.executable).parent
-
 OWN_WORK = """\
 class Name:
     def function(self):
@@ -42,7 +38,7 @@ PROCESSES = {
 }
 
 
-@pytest.mark.parametrize("kind", PROCESSES)
+@pytest.mark.parametrize("kind", ["processes", "live curves", pytest.param("cluster", marks=pytest.mark.slow)])
 def test_processes_import_nothing_from_the_working_folder(working_folder: Path, kind: str) -> None:
     """Python imports the first of these modules as soon as it has started, the others on the way."""
     if kind == "cluster":
@@ -58,7 +54,7 @@ def test_processes_import_nothing_from_the_working_folder(working_folder: Path, 
 
 
 def test_processes_that_would_ignore_the_safe_path_are_refused(working_folder: Path) -> None:
-    code = "from sensor_sim.explorer.live import LiveCurves\nif __name__ == '__main__':\n    LiveCurves(1)\n"
+    code = "from todframes.jobs.start import starting_processes\nwith starting_processes():\n    pass\n"
     script = working_folder.parent / "script.py"
     script.write_text(code, encoding="utf-8")
     process = subprocess.run([sys.executable, "-E", script], capture_output=True, text=True, check=False)
@@ -82,8 +78,8 @@ def test_metadata_in_the_working_folder_register_nothing(working_folder: Path) -
 def test_settings_of_plots_in_the_working_folder_are_not_read(working_folder: Path) -> None:
     """These cannot even be decoded."""
     (working_folder / "matplotlibrc").write_bytes(b"axes.facecolor: \xff\n")
-    command = [BIN / "sensor-sim", "mtf", STAR_LIKE, "-o", working_folder.parent / "out"]
-    process = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    code = "from todframes.__main__ import start; start(); import matplotlib.figure"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (process.returncode, process.stderr) == (0, "")
 
 
