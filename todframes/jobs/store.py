@@ -6,19 +6,13 @@ import hashlib
 import io
 import os
 import struct
-from array import array
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from todframes.base import signals
 from todframes.base.errors import OutputError
 from todframes.base.output import locked
-
-IntArray = NDArray[np.int64]
 
 FILE = "results.store"
 """Name of the store in a folder of the user's."""
@@ -52,9 +46,7 @@ class Store:
         self._tell = tell
         self._file: io.FileIO | None = None
         self._size = 0
-        # The hash of each key and the place of its record: 16 bytes a result, for there may be millions.
-        self._hashes, self._places = array("q"), array("q")
-        self._sorted: tuple[IntArray, IntArray] | None = None
+        self._places: dict[int, int] = {}  # of records, by the hash of the key: there may be millions
 
     @property
     def is_begun(self) -> bool:
@@ -84,20 +76,17 @@ class Store:
         """Return the result that was added last under a key; None if there is none."""
         self.begin()
         assert self._file is not None
-        if self._sorted is None:
-            order = np.argsort(self._hashes, kind="stable")
-            self._sorted = np.array(self._hashes)[order], np.array(self._places)[order]
-        hashes, places = self._sorted
-        first, last = np.searchsorted(hashes, hash(key)), np.searchsorted(hashes, hash(key), "right")
+        place = self._places.get(hash(key))
+        if place is None:
+            return None
         with self._as_output_error():
-            for place in places[first:last][::-1].tolist():
-                self._file.seek(place)
-                n_key, n_result, checksum = HEAD.unpack(self._file.read(HEAD.size).ljust(HEAD.size))
-                if n_key == len(key):  # it may have been damaged since it was read
-                    content = self._file.read(n_key + n_result)
-                    if content[:n_key] == key and _checksum(n_key, n_result, content) == checksum:
-                        return content[n_key:]
-        return None
+            self._file.seek(place)
+            n_key, n_result, checksum = HEAD.unpack(self._file.read(HEAD.size).ljust(HEAD.size))
+            if n_key != len(key):  # it may have been damaged since it was read
+                return None
+            content = self._file.read(n_key + n_result)
+        is_good = content[:n_key] == key and _checksum(n_key, n_result, content) == checksum
+        return content[n_key:] if is_good else None
 
     def add(self, results: Sequence[tuple[bytes, bytes]]) -> None:
         """Write results by key, all or none; OutputError if they cannot be written."""
@@ -127,13 +116,12 @@ class Store:
                 self._file.truncate(0)
                 self._file.seek(0)
                 self._read(self._file)
-            self._sorted = None
 
     def __len__(self) -> int:
-        """Return the number of results; one that was added twice counts twice."""
+        """Return the number of results."""
         if self.is_begun:
             self.begin()
-        return len(self._hashes)
+        return len(self._places)
 
     def tell(self, text: str) -> None:
         """Pass on a remark about results that were found, but only the first one."""
@@ -146,18 +134,18 @@ class Store:
         if self._file is not None:
             self._file.close()
             self._file = None
-            if not self._hashes:
+            if not self._places:
                 with suppress(OSError):
                     self.path.unlink()
 
     def _note(self) -> None:
         """Let a message at the end name the place, if it has results."""
-        if self._hashes and self.name not in signals.kept:
+        if self._places and self.name not in signals.kept:
             signals.kept.append(self.name)
 
     def _read(self, file: io.FileIO) -> None:
         """Find the records of the file, and cut off everything behind the last good one."""
-        del self._hashes[:], self._places[:]
+        self._places.clear()
         content = io.BufferedReader(file, READ_AT_ONCE)
         n_bytes = os.fstat(file.fileno()).st_size
         self._size = len(MAGIC) if content.read(len(MAGIC)) == MAGIC else 0
@@ -178,10 +166,8 @@ class Store:
 
     def _found(self, key: bytes, size: int) -> None:
         """Enter a record of this size, which is the file's last."""
-        self._hashes.append(hash(key))
-        self._places.append(self._size)
+        self._places[hash(key)] = self._size
         self._size += size
-        self._sorted = None
 
     @contextmanager
     def _as_output_error(self) -> Iterator[None]:
