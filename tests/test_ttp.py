@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 
 from todframes.base.errors import SettingsError
 from todframes.field.ttp import (
@@ -102,14 +101,3 @@ def test_eye_is_that_of_the_code():
 def test_a_degree_at_the_eye_is_smaller_in_the_scene_of_a_magnifying_display():
     # 1 cycle/mrad in the scene, magnified 5 times, is 0.2 cycles/mrad: 0.2 · π / 0.18 cycles/deg.
     assert at_the_eye(1.0, 5.0) == pytest.approx(0.2 * math.pi / 0.18)
-
-
-def test_integral_of_the_eye_alone_is_the_numerical_one():
-    f = np.geomspace(0.02, 60.0, 4000)
-    found = cycles_of_contrast(f, contrast_threshold(f, luminance_cd_m2=34.26, width_deg=15.0), 0.2)
-
-    def integrand(one):
-        root = math.sqrt(0.2 / float(contrast_threshold(one, luminance_cd_m2=34.26, width_deg=15.0)))
-        return root if root > 1.0 else 0.0
-
-    assert found == pytest.approx(quad(integrand, 0.02, 60.0, limit=300, points=[40.0])[0], rel=1e-4)
