@@ -390,20 +390,13 @@ def test_a_descriptor_and_the_command_give_the_same(tmp_path: Path, capsys: pyte
     assert printed(*of_bright, *of_dark, *settings) == wanted
 
 
-@pytest.mark.slow
-def test_files_of_a_measurement_are_read_again(tmp_path: Path) -> None:
-    called, out = tod.emva_noise(**stacks(n=2)), tmp_path / "out"
-    called.save(out)
-    written = read_emva_xml(out / "emva.xml")
-    for name, value in called.noise.emva1288.camera().noise_table().items():
-        if name != "model":
-            assert getattr(written, name) == pytest.approx(value, rel=1e-5)
-    again = tod.load_result(out)
-    assert again.xml() == (out / "emva.xml").read_bytes()
-    assert (out / "sensor_noise.toml").read_text() == again.sensor_toml()
-    assert tomllib.loads(again.sensor_toml())["noise"] == called.noise.emva1288.camera().noise_table()
-    files = {one.name for one in out.iterdir()}
-    assert {"emva.png", "emva.csv", "photon_transfer.csv", "variances.csv"} <= files
+def test_xml_of_a_measurement_is_the_camera_of_its_sensor_toml(tmp_path: Path) -> None:
+    found = tod.emva_noise(**stacks(n=2))
+    (tmp_path / "emva.xml").write_bytes(found.xml())
+    written, table = read_emva_xml(tmp_path / "emva.xml"), tomllib.loads(found.sensor_toml())["noise"]
+    assert table == found.noise.emva1288.camera().noise_table()
+    for name, value in table.items():
+        assert name == "model" or getattr(written, name) == pytest.approx(value, rel=1e-5)
 
 
 @pytest.mark.parametrize(

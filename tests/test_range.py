@@ -455,19 +455,6 @@ def test_a_terminal_of_80_columns_shows_each_status(air, tmp_path, monkeypatch, 
     assert all(word in shown for word in ("interval", "least", "most", "beyond curve", "ok"))
 
 
-@pytest.mark.slow
-def test_files_of_the_command(table, air, tmp_path) -> None:
-    out = tmp_path / "out"
-    arguments = ["range", str(table), "--target", "nato", "--atmosphere", str(air), "-o", str(out)]
-    assert run(cli, arguments) == 0
-    common = {"result.json", "report.html", "ranges.csv", "probability.csv", "probability.png", "crossing.png"}
-    assert {one.name for one in out.iterdir()} == common
-    assert (out / "report.html").read_text().count("<svg") == 2
-    tod_out = tmp_path / "tod"
-    tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER).save(tod_out)
-    assert {one.name for one in tod_out.iterdir()} == common | {"range_against_k.csv", "range_against_k.png"}
-
-
 def test_units_of_a_table_are_those_of_its_header(table, tmp_path) -> None:
     """The same curve in mK over cycles/deg, and as a TOD of sizes, which needs k."""
     rows = [[float(one) for one in line.split(",")] for line in table.read_text().splitlines()[1:]]

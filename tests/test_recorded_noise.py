@@ -246,11 +246,7 @@ def test_patches_give_the_signal_transfer(tmp_path, capsys):
         text for place, level in places.items() for text in ("--patch", ",".join(map(str, place)) + f"={level}")
     ]
     status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *given, "--json")
-    assert status == 0
-    assert json.loads(out)["noise"]["signal_transfer"]["gain"] == noise.transfer.gain
-    status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *given)
-    assert "Signal transfer: " in out
-    assert "SNR against the first" in out
+    assert status == 0 and json.loads(out)["noise"]["signal_transfer"]["gain"] == noise.transfer.gain
     with pytest.raises(tod.SettingsError, match=r"patches: found levels \[5.0\], expected at least two different"):
         tod.noise(tmp_path / "a.npy", patches={(0, 0, 5, 5): 5.0, (5, 5, 5, 5): 5.0})
     dark = tod.noise(np.full((3, 20, 20), 7.0), patches={(0, 0, 5, 5): 1.0, (5, 5, 5, 5): 2.0})

@@ -113,7 +113,6 @@ class _SeenFilm:
         assert chart.markers is not None
         self.recording, self.chart = recording, chart
         self.finder = MarkerFinder(chart.markers.all_centres_mm, chart.markers.side_mm)
-        self.centres_mm = chart.markers.centres_mm
         self.other_keys: set[int] = set()
 
     def first(self, path: Path) -> CameraView:
