@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 import math
+import re
 from pathlib import Path
 
 import mishaps
@@ -39,17 +39,7 @@ def test_triangle_has_its_area_its_place_and_its_apex(orientation: str) -> None:
 
 
 def test_generator_shares_nothing_with_the_packages() -> None:
-    names = {
-        name.partition(".")[0]
-        for node in ast.walk(ast.parse(GENERATOR.read_text(encoding="utf-8")))
-        for name in (
-            [alias.name for alias in node.names]
-            if isinstance(node, ast.Import)
-            else [node.module]
-            if isinstance(node, ast.ImportFrom)
-            else []
-        )
-    }
+    names = set(re.findall(r"^\s*(?:from|import) (\w+)", GENERATOR.read_text(encoding="utf-8"), re.MULTILINE))
     assert "numpy" in names
     assert names.isdisjoint({"todframes", "sensor_sim"})
 

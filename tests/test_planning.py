@@ -210,14 +210,19 @@ def test_no_external_noise_no_covariance(monkeypatch):
 
 
 @pytest.mark.slow
-def test_explained_curve():
+def test_explained_curve_and_scoring():
     sensor = str(ROOT / "sample_frames/star_like.toml")
-    arguments = ["curve", sensor, "--size-detectors", "5", "--tolerance", "0.05"]
-    told = CliRunner().invoke(sensor_cli, [*arguments, "--explain"])
-    assert told.exit_code == 0
-    for text in ("orientations", "left out", "kept", "bound on P", "saves (s)"):
-        assert text in told.stdout
-    full = CliRunner().invoke(sensor_cli, [*arguments, "--explain", "--plan", "full"])
+    curve = ["curve", sensor, "--size-detectors", "5", "--tolerance", "0.05", "--explain"]
+    shared = ("left out", "bound on P", "saves (s)")
+    for group, arguments, wanted in (
+        (sensor_cli, curve, (*shared, "orientations", "kept")),
+        (cli, ["score", str(NAKED_EYE), "--explain"], (*shared, "frame rows", "field")),
+    ):
+        told = CliRunner().invoke(group, arguments)
+        assert told.exit_code == 0
+        for text in wanted:
+            assert text in told.stdout
+    full = CliRunner().invoke(sensor_cli, [*curve, "--plan", "full"])
     assert "left out" not in full.stdout
 
 
@@ -330,11 +335,3 @@ def test_refused_tolerances(arguments):
     told = CliRunner().invoke(cli, ["score", str(NAKED_EYE), *arguments])
     assert told.exit_code != 0
     assert "tolerance" in str(told.exception)
-
-
-@pytest.mark.slow
-def test_explained_scoring():
-    told = CliRunner().invoke(cli, ["score", str(NAKED_EYE), "--explain"])
-    assert told.exit_code == 0
-    for text in ("frame rows", "field", "left out", "bound on P", "saves (s)"):
-        assert text in told.stdout

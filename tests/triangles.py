@@ -38,6 +38,7 @@ def recording(
     noise_sd: float = 0.02,
     blur_px: float = 0.5,
     is_noise_blurred: bool = False,
+    clutter: float = 0.0,
     shake_px: float = 0.0,
     steps: NDArray[np.float64] | None = None,
     shown: Sequence[int] = (0, 1, 2, 3),
@@ -47,7 +48,9 @@ def recording(
     """A camera's recording in memory, and the position in each frame; `shown` are the orientations on the frames.
 
     The dataset states bright triangles of `stated_px` in the middle. `steps` are from the middle in each frame.
+    All frames share the clutter.
     """
+    shared = clutter * rng.normal(size=(side_px, side_px)) if clutter else 0.0
     frames, stated, contrasts, positions = [], [], [], []
     for level in levels:
         for turn in (0, 1, 2, 3) * repeats:
@@ -56,7 +59,7 @@ def recording(
             noise = noise_sd * rng.normal(size=(side_px, side_px))
             scene = sign * level * coverage((side_px, side_px), **at) + is_noise_blurred * noise
             scene = gaussian_filter(scene, blur_px) + (not is_noise_blurred) * noise
-            frames.append(50.0 * (1.0 + scene))
+            frames.append(50.0 * (1.0 + scene + shared))
             stated.append(ORIENTATIONS[turn])
             contrasts.append(level)
             positions.append((x, y))

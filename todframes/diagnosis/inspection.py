@@ -355,6 +355,7 @@ class GroupTriangle(NamedTuple):
     error: FloatArray
     signal: float
     scenes: SceneParts | None
+    block_px: int
 
     @classmethod
     def of(cls, dataset: Dataset, samples: Sequence[TrialSample], size_px: float) -> GroupTriangle:
@@ -395,21 +396,12 @@ class GroupTriangle(NamedTuple):
         # Equal frames may leave a contrast by rounding: luminance has single precision, 6e-8 of itself.
         if abs(found.shape.amplitude) * level.max() <= 1e-6:
             signal = 0.0
-        return cls(images, found, each, middle, np.sqrt(np.square(of_noise) + excess), signal, scenes)
+        return cls(images, found, each, middle, np.sqrt(np.square(of_noise) + excess), signal, scenes, block_px)
 
     @property
     def size_ratio(self) -> float:
         """Size of the triangle divided by the stated one."""
         return float(self.fit.shape.size / math.exp(self.middle[2]))
-
-    def has_clear_place(self, size: float) -> NDArray[np.bool_]:
-        """Return the trials that show the place clearly, (trial,); `size` is that of the triangle in blocks."""
-        return np.asarray(self.trials.error[:, 1:3].max(axis=1) < CLEAR * size)
-
-    def scatter_px(self, size: float, block_px: int) -> float | None:
-        """Return the standard deviation over trials of the place along an axis, noise removed; None: not known."""
-        is_clear, each = self.has_clear_place(size), self.trials
-        return _scatter(block_px * each.away[is_clear, 1:3], block_px * each.error[is_clear, 1:3])
 
     @property
     def offset(self) -> FloatArray:
@@ -421,8 +413,8 @@ def _of_triangle(
     of_group: GroupTriangle, samples: Sequence[TrialSample], level: FloatArray, size: float, scenes: Sequence[str]
 ) -> dict[str, Any]:
     """Measure the triangle; lengths are in blocks until the end."""
-    images, found, each, _, error, signal, parts = of_group
-    block_px, shape = samples[0].block_px, found.shape
+    images, found, each, _, error, signal, parts, block_px = of_group
+    shape = found.shape
     turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
     known = images.weight > 0.0
     polarity = samples[0].trial.stimulus.polarity
@@ -443,7 +435,7 @@ def _of_triangle(
     }
     if signal < LEAST_SIGNAL:
         return measured
-    clear_place = of_group.has_clear_place(size)
+    clear_place = each.error[:, 1:3].max(axis=1) < CLEAR * size
     clear_level = each.error[:, 0] < CLEAR * amplitude
     off_level = clear_level & (np.abs(each.away[:, 0]) > OFF_LEVEL * amplitude)
     ranked = np.sort(each.likeness, axis=1)
@@ -454,14 +446,14 @@ def _of_triangle(
     return measured | {
         "offset_px": tuple((block_px * of_group.offset).tolist()),
         "offset_error_px": tuple((block_px * error[1:3]).tolist()),
-        "scatter_px": of_group.scatter_px(size, block_px),
+        "scatter_px": _scatter(block_px * each.away[clear_place, 1:3], block_px * each.error[clear_place, 1:3]),
         "size_ratio": of_group.size_ratio,
         "size_ratio_error": of_group.size_ratio * float(error[3]) if is_whole else None,
         "size_scatter": _scatter(each.away[clear_place, 3:], each.error[clear_place, 3:]),
         "turned_rad": shape.turn_rad,
         "turned_error_rad": found.turn_error_rad,
         "blur_px": block_px * math.sqrt(max(shape.variance, 0.0)),
-        "shown_as": next(one.name for one in TURNED if one.shown == found.shown),
+        "shown_as": next(turned.name for turned in TURNED if turned.shown == found.shown),
         "wrong_orientation": int((clear_turn & (each.likeness.argmax(axis=1) != shown)).sum()),
         "n_orientation": int(clear_turn.sum()),
         "wrong_level": int(off_level.sum()),
@@ -516,16 +508,11 @@ def _unevenness(
     returned if the frames show too little else. Of scenes, that is the mean of their backgrounds, which is as
     uncertain as they differ; nothing is returned if they are too few.
     """
-    import cv2
+    from scipy.ndimage import binary_erosion
 
     known = images.weight > 0.0
     n = len(known)
-    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    around = math.ceil(0.6 * size)
-    inner = cv2.erode(
-        known.astype(np.uint8), cross, iterations=around, borderType=cv2.BORDER_CONSTANT, borderValue=0
-    )
-    elsewhere = (inner > 0) & ~within(n, size)
+    elsewhere = binary_erosion(known, iterations=math.ceil(0.6 * size)) & ~within(n, size)
     if elsewhere.sum() < np.square(2.0 * size):
         return {}
     of_scenes: FloatArray | None = None
@@ -543,7 +530,7 @@ def _unevenness(
     if not weights.any():
         return {}
     spectrum = np.fft.rfft2(static)
-    maps = np.array([np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(one)), static.shape) for one in weights])
+    maps = np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(weights)), static.shape)
     spread = np.fft.fftshift(np.ptp(maps, axis=0))
     each = noise.reshape(len(noise), -1) @ weights.reshape(4, -1).T
     variance = float((np.square(images.shares[4]) @ np.square(each)).max())

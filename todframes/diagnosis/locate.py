@@ -321,23 +321,20 @@ class _Search:
                 continue
         return samples
 
-    def _fit(self, trials: Trials) -> tuple[GroupTriangle, int] | None:
-        """Fit the triangle of the strongest trials; returns it and the pixels along a block, or None."""
+    def _fit(self, trials: Trials) -> GroupTriangle | None:
+        """Fit the triangle of the strongest trials; None if it does not stand out."""
         samples = self._windows(trials)
-        if not samples:
-            return None
-        triangle = GroupTriangle.of(self.dataset, samples, self.size_px)
-        return (triangle, samples[0].block_px) if triangle.signal >= LEAST_SIGNAL else None
+        triangle = GroupTriangle.of(self.dataset, samples, self.size_px) if samples else None
+        return None if triangle is None or triangle.signal < LEAST_SIGNAL else triangle
 
     def of_all(self) -> _Displacements:
         """Find the displacement that all trials have in common."""
-        fitted = self._fit(self.trials)
-        if fitted is None:
+        triangle = self._fit(self.trials)
+        if triangle is None:
             return _Displacements(np.zeros((len(self.trials), 2)), np.zeros(2), None, ARRANGEMENTS[0])
-        triangle, block_px = fitted
-        mean_px = block_px * triangle.offset
+        mean_px = triangle.block_px * triangle.offset
         moves_px = np.tile(mean_px, (len(self.trials), 1))
-        error_px = block_px * float(triangle.error[1:3].max())
+        error_px = triangle.block_px * float(triangle.error[1:3].max())
         return _Displacements(moves_px, mean_px, error_px, _arrangement(triangle), size_ratio=triangle.size_ratio)
 
     def _fit_strong(self, strong: Sequence[TrialSample], reach_px: float) -> GroupTriangle | None:
@@ -353,8 +350,7 @@ class _Search:
             trials = trials.placed(trials.positions_px + block_px * chosen.places)
             if chosen.is_own.any():
                 trials = trials.select(chosen.is_own)
-        fitted = self._fit(trials)
-        return None if fitted is None else fitted[0]
+        return self._fit(trials)
 
     def of_each(
         self, members: NDArray[np.intp], leave_out: LeaveOut, advance: Callable[[int], None]
