@@ -6,14 +6,12 @@ import csv
 import io
 import pickle
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from networks import blur, box, identity
 from scipy import ndimage
 
 import sensor_sim as ss
@@ -622,50 +620,6 @@ def test_kept_results_depend_on_the_frames_before(tmp_path: Path) -> None:
     text, digest = (path / "manifest.csv").read_text(), frame_sha256(changed)
     (path / "manifest.csv").write_text(re.sub(rf"({changed.name}.*,)[0-9a-f]+", rf"\g<1>{digest}", text))
     assert compared()[0] == 23  # all trials but the one that it comes before
-
-
-@pytest.mark.weekly
-@pytest.mark.parametrize("where", [{"workers": 2}, {"cluster": "local:2"}])
-def test_a_run_that_goes_on_with_another_setting_mixes_no_scores(tmp_path: Path, where) -> None:
-    """Each change begins anew, also in spawned processes; without one, the run goes on where it ended."""
-    path = simulated(tmp_path / "data", warm_up_frames=2, motion_mrad_per_s=0.5, snr=[1.0, 4.0], trials=4)
-    network, beside = identity(tmp_path / "m.onnx"), tmp_path / "m.toml"
-    shown = {"specs": [f"onnx:{network}", "temporal_mean:before=2"], "gaze": "tracked"}
-
-    def compared(store: Path | None, specs: list[str], gaze: str):
-        settings = {"white": 200.0, "fit": EXACT, "examples": False, "rng": 3}
-        return tod.compare(path, specs, gaze=gaze, store=store, **settings, **(where if store else {}))
-
-    def scores(result) -> list[object]:
-        lists = [result.algorithms, *(one.algorithms for one in result.observers)]
-        return [(fit.threshold, fit.points) for each in lists for one in each for fit in one.fits]
-
-    compared(tmp_path / "store", **shown)
-    changes: list[tuple[dict[str, object], Callable[[], object]]] = [
-        ({}, lambda: None),
-        ({"gaze": "fixed"}, lambda: None),
-        ({"gaze": "tracked,fixed"}, lambda: None),
-        ({"specs": [f"onnx:{network}", "temporal_mean:before=1"]}, lambda: None),
-        ({}, lambda: beside.write_text("black = 0.1\n")),
-        ({}, lambda: blur(network, box())),
-    ]
-    for number, (change, make) in enumerate(changes):
-        make()
-        found = compared(tmp_path / "store", **(shown | change))
-        assert (found.from_store > 0) == (number == 0)
-        assert scores(found) == scores(compared(None, **(shown | change)))
-
-
-@pytest.mark.slow
-def test_workers_and_an_own_clip_algorithm(tmp_path: Path) -> None:
-    path = simulated(tmp_path / "data", warm_up_frames=4, motion_mrad_per_s=0.5)
-    specs = ["recursive:before=4", "temporal_mean:before=2", "shift_and_add:before=1", "gaussian"]
-    alone, two = (
-        tod.compare(path, specs, white=200.0, fit=EXACT, workers=workers).algorithms for workers in (1, 2)
-    )
-    for one, other in zip(alone, two, strict=True):
-        assert one.fits[0].threshold == other.fits[0].threshold
-        assert one.verdict == other.verdict
 
 
 def test_brightening_of_a_clip_is_not_its_noise() -> None:
