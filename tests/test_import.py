@@ -87,6 +87,7 @@ def test_a_film_becomes_a_dataset(tmp_path: Path, chart: Path, pages: list[np.nd
     done, rows = imported(saved(tmp_path, frames), chart)
     assert (done.n_clips, done.n_trials, done.n_frames) == (3, 6, 18)  # 0.1 s at 30 frames/s are 3 frames
     assert done.warnings == ()
+    assert not any("a trial" in note or "times as large" in note for note in done.notes)
     assert [row["page"] for row in rows] == ["0"] * 6 + ["1"] * 6 + ["6"] * 6
     assert [row["orientation"] for row in rows] == ["up"] * 6 + ["right"] * 6 + ["down"] * 6
     assert {(row["contrast"], row["polarity"], row["object_size_mrad"]) for row in rows[:6]} == {
@@ -147,47 +148,6 @@ def test_frames_before_a_trial_are_those_of_the_film(tmp_path: Path, chart: Path
     assert len(list((done.path / "frames").rglob("*.png"))) == len(rows)
 
 
-@pytest.mark.slow
-def test_a_recursive_filter_on_a_film_has_the_frames_before(tmp_path: Path, capsys) -> None:
-    """From the film to a threshold by commands, against a filter written here that runs over the film itself."""
-    shown = film.make_chart((0.02, 0.05, 0.12, 0.3))
-    write_chart(tmp_path / "chart.toml", shown)
-    order = np.random.default_rng(3).permutation(len(shown.pages))
-    images = [film.filmed(shown, k, film.camera()) for k in order]
-    frames = film_of([image for image in images for _ in range(3)], noise=0.02)
-    path, out = saved(tmp_path, frames), tmp_path / "dataset"
-    options = ["--chart", tmp_path / "chart.toml", "--warm-up", 4, "--frames-per-second", 30, "-o", out]
-    assert run(cli, ["import", *map(str, [path, *options, "--display", "reference_linear", "--quiet"])]) == 0
-    command = ["compare", str(out), "--enhance", "recursive:weight=0.5,before=4", "--on-error", "skip"]
-    capsys.readouterr()
-    assert run(cli, [*command, "--json", "--quiet", "--set", "resamples=40", "--plan", "full"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert len(found["skipped"]) == 6  # those of the first two pages, which have 0 and 3 frames before them
-    rows = [row for row in rows_of(out) if row["judged"] == "1"][6:]
-    filtered, state = [], frames[0] / 65535.0
-    for first in range(6, len(frames), 3):
-        state = frames[first - 4] / 65535.0
-        for k in range(first - 3, first + 3):
-            state = 0.5 * state + 0.5 * frames[k] / 65535.0
-            filtered += [state] * (k >= first)
-    x, y = Geometry(film.camera(), 0.0).to_px(film.MIDDLE_MM)
-    (literal,) = tod.score_frames(
-        filtered,
-        orientation=[row["orientation"] for row in rows],
-        level=[float(row["contrast"]) for row in rows],
-        trial=[row["trial"] for row in rows],
-        size_mrad=float(rows[0]["size_mrad"]),
-        position=(x, y),
-        display=tod.load_dataset(out).display,
-        fit=tod.FitSettings(resamples=0),
-        examples=False,
-    ).thresholds
-    (recursive,) = found["algorithms"][1]["fits"]
-    assert literal.status == recursive["status"] == "ok"
-    # Places of the import are known to 0.01 px, and displacements of the retina are drawn by rows of the manifest.
-    assert recursive["threshold"] == pytest.approx(literal.threshold, rel=0.01)
-
-
 def test_a_mirrored_turned_film_has_the_orientations_of_its_frames(tmp_path: Path, chart: Path) -> None:
     view = film.camera(degrees=181.0, mirror=True)
     frames = film_of([film.filmed(CHART, k, view) for k in range(4)])
@@ -197,10 +157,10 @@ def test_a_mirrored_turned_film_has_the_orientations_of_its_frames(tmp_path: Pat
     assert any("mirrored, turned by 180°" in note for note in done.notes)
 
 
-@pytest.mark.parametrize(("rate", "warned"), [(8.0, True), (12.0, False), (24.0, True)])
+@pytest.mark.parametrize(("rate", "warned"), [(8.0, True), (12.0, False)])
 def test_times_that_contradict_the_chart(tmp_path: Path, chart: Path, pages, rate: float, warned: bool) -> None:
     """Pages of 0.5 s filmed at 12 frames/s; a warning has both durations and both rates."""
-    frames = film_of([pages[k] for k in range(5) for _ in range(6)])
+    frames = film_of([pages[k] for k in range(4) for _ in range(6)])
     done, _ = imported(saved(tmp_path, frames), chart, frames_per_second=rate)
     found = [one.message for one in done.warnings if one.code == "clock"]
     assert bool(found) == warned
@@ -291,7 +251,6 @@ def test_a_tilt_and_a_roll_are_told(tmp_path: Path, chart: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({}, None),
         ({"x_mm": film.MIDDLE_MM[0] + 2.0}, r"object_size_mrad 3\.2: the triangles lie 1\.2\d* pixels \(\+1\.2"),
         (
             {"size_mm": 1.06 * film.SIZE_MM, "size_mrad": 1.06 * 3.2},
@@ -299,16 +258,15 @@ def test_a_tilt_and_a_roll_are_told(tmp_path: Path, chart: Path) -> None:
         ),
     ],
 )
-def test_places_are_checked_in_the_frames(tmp_path: Path, chart: Path, change: dict, message: str | None) -> None:
+def test_places_are_checked_in_the_frames(tmp_path: Path, chart: Path, change: dict, message: str) -> None:
     """The chart has its triangles elsewhere than chart.toml says, by 1.24 pixels, or larger by 6 %."""
     moved = [replace(page, triangles=(replace(page.triangles[0], **change),)) for page in CHART.pages]
     shown = replace(CHART, pages=tuple(moved))
     pages = [film.filmed(shown, page.number, film.camera()) for page in shown.pages]
     frames = film_of([page for page in pages for _ in range(3)], noise=0.005)
     done, _ = imported(saved(tmp_path, frames), chart)
-    found = [one.message for one in done.warnings if one.code == "misplaced"]
-    assert len(found) == (message is not None)
-    assert message is None or re.search(message, found[0])
+    (found,) = [one.message for one in done.warnings if one.code == "misplaced"]
+    assert re.search(message, found)
 
 
 def test_markers_off_the_frame(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
@@ -413,15 +371,11 @@ def test_two_magnifications_are_noted(tmp_path: Path, chart: Path, pages: list[n
     (note,) = (note for note in done.notes if "times as large" in note)
     assert note.startswith(f"{near} shows the chart 1.05 times as large as {far}: ")
     assert "sizes_differ" not in codes(done)
-    done, _ = imported(near, chart)
-    assert not any("times as large" in note for note in done.notes)
 
 
 def test_the_time_that_whole_frames_allow_is_told(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
     done, _ = imported(saved(tmp_path, film_of([pages[0]] * 6)), chart, frames_per_second=15.0)
     assert any("1 frames a trial, 0.0667 s" in note for note in done.notes)
-    done, _ = imported(saved(tmp_path, film_of([pages[0]] * 6)), chart, out=tmp_path / "other")
-    assert not any("a trial" in note for note in done.notes)  # 3 frames at 30 frames/s are 0.1 s
 
 
 @pytest.mark.parametrize(
