@@ -44,19 +44,11 @@ Group = dict[str, float | str]
 Record = dict[str, Any]
 
 
-def _null() -> None:
-    return None
-
-
-def _empty() -> tuple[()]:
-    return ()
-
-
 # JSON leaves out a value that equals its default, but not one that equals the value of a default factory.
-NULL: Any = field(default_factory=_null)
+NULL: Any = field(default_factory=lambda: None)
 """Field that may be missing when a result is read, and is written as null if it has no value."""
 
-EMPTY: Any = field(default_factory=_empty)
+EMPTY: Any = field(default_factory=lambda: ())
 """Field of a list that may be missing when a result is read, and is written even if it is empty."""
 
 
@@ -151,8 +143,8 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     observer_curve: CurveParameters | None = NULL
     alpha: Positive | None = NULL
     beta: Positive | None = NULL
-    guess_rate: Proportion | None = field(default_factory=_null, name="gamma")
-    lapse_rate: Proportion | None = field(default_factory=_null, name="delta")
+    guess_rate: Proportion | None = field(default_factory=lambda: None, name="gamma")
+    lapse_rate: Proportion | None = field(default_factory=lambda: None, name="delta")
     n_trials: int = field(default_factory=int)
     points: tuple[FitPoint, ...] = EMPTY
     points_threshold: Positive | None = NULL

@@ -47,75 +47,61 @@ LARGEST_LIST = 10_000
 
 
 class Kind(NamedTuple):
-    """The result of a command: title of its page, "module:class" of its content, a key that this must have, and
-    "module:function" of its call."""
+    """The result of a command: title of its page, "module:function" of its call, class of its content, a key that
+    this must have.
+
+    The class is one of the call's module, unless it has a module in front.
+    """
 
     title: str
-    content: str
-    key: str
-    call: str = ""
+    call: str
+    content: str = "todframes.results.thresholds:Thresholds"
+    key: str = "fits"
 
     @property
     def content_class(self) -> type[Content]:
         """The class of the content."""
-        module, _, name = self.content.partition(":")
-        found: type[Content] = getattr(import_module(module), name)
+        *module, name = self.content.split(":")
+        found: type[Content] = getattr(import_module(*module or [self.call.partition(":")[0]]), name)
         return found
 
 
-THRESHOLDS = "todframes.results.thresholds:Thresholds"
-
 KINDS = {
-    "score": Kind("TOD thresholds of display frames", THRESHOLDS, "fits", "todframes.scoring.score_call:score"),
-    "naked-eye": Kind(
-        "Thresholds of the naked eye", THRESHOLDS, "fits", "todframes.scoring.naked_eye_call:naked_eye"
-    ),
-    "fit": Kind("Fitted psychometric functions", THRESHOLDS, "fits", "todframes.scoring.fit_call:fit_counts"),
-    "curve": Kind("TOD curve of a sensor", THRESHOLDS, "fits", "sensor_sim.thresholds.curve:curve"),
+    "score": Kind("TOD thresholds of display frames", "todframes.scoring.score_call:score"),
+    "naked-eye": Kind("Thresholds of the naked eye", "todframes.scoring.naked_eye_call:naked_eye"),
+    "fit": Kind("Fitted psychometric functions", "todframes.scoring.fit_call:fit_counts"),
+    "curve": Kind("TOD curve of a sensor", "sensor_sim.thresholds.curve:curve"),
     "compare": Kind(
         "Enhancements compared",
+        "todframes.enhancement.compare_call:compare",
         "todframes.enhancement.comparison:Comparison",
         "algorithms",
-        "todframes.enhancement.compare_call:compare",
     ),
-    "accuracy": Kind("Error against run time", "todframes.studies.accuracy.report:Accuracy", "scenes"),
     "calibrate": Kind(
         "Internal noise of people",
+        "todframes.experiment.calibrate:calibrate",
         "todframes.experiment.calibration:CalibratedPeople",
         "persons",
-        "todframes.experiment.calibrate:calibrate",
     ),
-    "noise": Kind(
-        "Noise of a camera",
-        "todframes.camera.measure_noise:RecordedNoise",
-        "noise",
-        "todframes.camera.measure_noise:noise",
-    ),
-    "emva": Kind(
-        "Noise of a camera by EMVA 1288",
-        "todframes.camera.measure_emva:Emva",
-        "noise",
-        "todframes.camera.measure_emva:emva_noise",
+    "accuracy": Kind("Error against run time", "", "todframes.studies.accuracy.report:Accuracy", "scenes"),
+    "noise": Kind("Noise of a camera", "todframes.camera.measure_noise:noise", "RecordedNoise", "noise"),
+    "emva": Kind("Noise of a camera by EMVA 1288", "todframes.camera.measure_emva:emva_noise", "Emva", "noise"),
+    "mtf": Kind("MTF of a camera", "todframes.camera.measure_mtf:mtf", "Mtf", "mtf"),
+    "range": Kind(
+        "Range in the field", "todframes.field.acquisition_range:acquisition_range", "FieldRange", "numbers"
     ),
     "sensor-mtf": Kind(
-        "MTF of a sensor", "sensor_sim.chain.mtf_result:SensorMtf", "mtf", "sensor_sim.chain.mtf:mtf"
+        "MTF of a sensor", "sensor_sim.chain.mtf:mtf", "sensor_sim.chain.mtf_result:SensorMtf", "mtf"
     ),
     "sweep": Kind(
-        "Designs of a sensor", "sensor_sim.sweeps.result:Sweep", "columns", "sensor_sim.sweeps.sweep:sweep"
+        "Designs of a sensor", "sensor_sim.sweeps.sweep:sweep", "sensor_sim.sweeps.result:Sweep", "columns"
     ),
     "mrtd": Kind(
         "Four bars and triangles of a sensor",
+        "sensor_sim.four_bars.mrtd:mrtd",
         "sensor_sim.four_bars.mrtd_result:SensorMrtd",
         "bars",
-        "sensor_sim.four_bars.mrtd:mrtd",
     ),
-    "range": Kind(
-        "Range in the field",
-        "todframes.field.acquisition_range:FieldRange",
-        "numbers",
-        "todframes.field.acquisition_range:acquisition_range",
-    ),
-    "mtf": Kind("MTF of a camera", "todframes.camera.measure_mtf:Mtf", "mtf", "todframes.camera.measure_mtf:mtf"),
 }
 """Results that have a page and can be read again, by command."""
 
