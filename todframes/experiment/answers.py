@@ -53,15 +53,8 @@ NO_RESPONSE = "none"
 """Response of a trial whose time limit passed."""
 
 BEFORE_LEVEL = (
-    "trial",
-    "phase",
-    "frame",
-    "sha256",
-    "orientation",
-    "response",
-    "correct",
-    "response_time_ms",
-    "flag",
+    *("trial", "phase", "frame", "sha256", "orientation"),
+    *("response", "correct", "response_time_ms", "flag"),
 )
 """Columns in front of the level and the columns of `group_by`."""
 

@@ -20,7 +20,7 @@ from todframes.jobs.run import opened_run
 from todframes.observers.interface import Observer
 from todframes.parameters import Count, Free, ObserverNames, OnError, Progress, Seed, Subjects
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.data import DatasetRecord, Fit, Group, ResultWarning, group_of, observer_names
+from todframes.results.data import DatasetRecord, Fit, Group, group_of, observer_names
 from todframes.results.result import Result, repeatable
 from todframes.scoring.opening import (
     described_each,
@@ -31,7 +31,7 @@ from todframes.scoring.opening import (
 
 if TYPE_CHECKING:
     from todframes.experiment.answers import Session
-    from todframes.experiment.person import Calibrated, GroupCurve, PersonFit
+    from todframes.experiment.person import GroupCurve, PersonFit
     from todframes.results.thresholds import Thresholds
 
 
@@ -123,58 +123,44 @@ def calibrate(
     sessions = [one for one in sessions if not subjects or one.subject in subjects]
     judges, each_settings = described_each(observer, lambda: _background_of(sessions))
     data = loaded(dataset)
+    skips = is_skip(on_error)
     with opened_run(workers, None, None, progress) as run:
-        found, *others = (
-            calibrate_persons(
-                data,
-                sessions,
-                judge,
-                free=free,
-                fit_settings=fit,
-                seed=seed,
-                skip_bad_frames=is_skip(on_error),
-                run=run,
-            )
-            for judge in judges
-        )
+        how = partial(calibrate_persons, free=free, fit_settings=fit, seed=seed, skip_bad_frames=skips, run=run)
+        each = [how(data, sessions, judge) for judge in judges]
     level = data.experiment.level
     fits = [
         Fit.of_counts(_group_of_person(data, person, one), level, one.own)
-        for person in found.persons
+        for person in each[0].persons
         for one in person.groups
     ]
     fitted = ("efficiency", "internal_noise", "internal_noise_sd", *(["template_blur_samples"] * ("blur" in free)))
-    settings, *other_settings = (
-        {name: value for name, value in own.items() if name not in fitted} for own in each_settings
-    )
-
-    def person_results(of_judge: Calibrated) -> tuple[list[PersonResult], PersonResult | None]:
-        is_efficiency = of_judge.fitted == "efficiency"
+    results = []
+    for own, calibrated in zip(each_settings, each, strict=True):
+        is_efficiency = calibrated.fitted == "efficiency"
         make = partial(_person_result, data, is_efficiency=is_efficiency, n_fitted=1 + len(set(free)))
-        return [make(one) for one in of_judge.persons], None if of_judge.pooled is None else make(of_judge.pooled)
-
-    persons, pooled = person_results(found)
-    further = []
-    for own_settings, of_judge in zip(other_settings, others, strict=True):
-        by_judge, together = person_results(of_judge)
-        further.append(FurtherObserver(settings=own_settings, persons=tuple(by_judge), pooled=together))
-    names = observer_names([settings, *other_settings]) if further else [""]
+        results.append(
+            FurtherObserver(
+                settings={name: value for name, value in own.items() if name not in fitted},
+                persons=tuple(map(make, calibrated.persons)),
+                pooled=None if calibrated.pooled is None else make(calibrated.pooled),
+            )
+        )
+    first, *further = results
+    names = observer_names([one.settings for one in results]) if further else [""]
     return Result.made(
         "calibrate",
         started,
-        settings=settings | asdict(fit) | {"free": list(free), "include_flagged": include_flagged},
+        settings=first.settings | asdict(fit) | {"free": list(free), "include_flagged": include_flagged},
         seed=seed,
         fits=tuple(fits),
-        persons=tuple(persons),
-        pooled=pooled,
-        equal_noise_p_value=found.equal_noise_p_value,
+        persons=first.persons,
+        pooled=first.pooled,
+        equal_noise_p_value=each[0].equal_noise_p_value,
         dataset=DatasetRecord.of(data),
-        skipped=tuple(one._asdict() for one in found.skipped),
+        skipped=tuple(one._asdict() for one in each[0].skipped),
         observers=tuple(further),
         warnings=tuple(
-            warning
-            for name, one in zip(names, (found, *others), strict=True)
-            for warning in of_observer(name, (ResultWarning(**each._asdict()) for each in one.warnings()))
+            warning for name, one in zip(names, each, strict=True) for warning in of_observer(name, one.warnings())
         ),
     )
 

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ from todframes.parameters import Free
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
 from todframes.psychometrics.noise_fit import MOST_CERTAIN, AnswerTable, NoiseFit, fit_noise, joined
 from todframes.psychometrics.observer_curve import GUESS_RATE
+from todframes.results.data import ResultWarning
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.retina_view import read_trial
 from todframes.scoring.score import check_seen, groups_of, settings_of_experiment
@@ -41,12 +42,7 @@ from todframes.scoring.seen_trials import Scoring, see, trial_viewing
 from todframes.scoring.work import see_trials
 from todframes.stimulus import Stimulus
 
-NOISE, NOISE_SD, BLUR, EFFICIENCY = (
-    "internal_noise",
-    "internal_noise_sd",
-    "template_blur_samples",
-    "efficiency",
-)
+NOISE, NOISE_SD, BLUR, EFFICIENCY = "internal_noise", "internal_noise_sd", "template_blur_samples", "efficiency"
 """Settings of an observer that are fitted, or that contradict a fitted one. Where there is an efficiency and no
 internal noise, the noise is that of efficiency 1 times a factor, and the efficiency is its inverse square."""
 
@@ -383,19 +379,6 @@ class PersonFit:
     groups: tuple[GroupCurve, ...]
 
 
-class PersonWarning(NamedTuple):
-    """A warning about an internal noise or an efficiency: `poor_fit` of a person, or `persons_differ`.
-
-    `found` is the p-value; below `expected` there is a warning. `group` names the person.
-    """
-
-    code: Literal["poor_fit", "persons_differ"]
-    group: dict[str, float | str]
-    message: str
-    found: float
-    expected: float
-
-
 @dataclass(frozen=True, slots=True)
 class Calibrated:
     """The fits of all persons, and of all answers together with one noise for all; None for a single person.
@@ -410,30 +393,31 @@ class Calibrated:
     skipped: tuple[Skipped, ...]
     fitted: str
 
-    def warnings(self) -> tuple[PersonWarning, ...]:
+    def warnings(self) -> tuple[ResultWarning, ...]:
         """Return warnings about persons whom the model does not describe, and about persons who differ."""
         name = self.fitted.replace("_", " ")
-        found = [
-            PersonWarning(
-                "poor_fit",
-                {"subject": str(one.subject)},
-                f"the model with one {name} does not describe these answers (deviance "
-                f"{one.fit.deviance:.3g} in {one.fit.n_cells} cells, p = {p_value:.2g}); compare the thresholds "
-                "of each group with those of the model",
-                p_value,
-                SURPRISING,
-            )
-            for one in self.persons
-            if (p_value := one.fit.deviance_p_value) is not None and p_value < SURPRISING
-        ]
+        found = []
+        for one in self.persons:
+            p_value = one.fit.deviance_p_value
+            if p_value is not None and p_value < SURPRISING:
+                message = (
+                    f"the model with one {name} does not describe these answers (deviance "
+                    f"{one.fit.deviance:.3g} in {one.fit.n_cells} cells, p = {p_value:.2g}); compare the "
+                    "thresholds of each group with those of the model"
+                )
+                found.append(_surprising("poor_fit", message, p_value, subject=str(one.subject)))
         p_value = self.equal_noise_p_value
         if p_value is not None and p_value < SURPRISING:
             message = (
                 f"the persons do not have the same {name} (p = {p_value:.2g}); that of all together is a "
                 "mean of them, and its interval does not describe how they differ"
             )
-            found.append(PersonWarning("persons_differ", {}, message, p_value, SURPRISING))
+            found.append(_surprising("persons_differ", message, p_value))
         return tuple(found)
+
+
+def _surprising(code: str, message: str, p_value: float, **group: float | str) -> ResultWarning:
+    return ResultWarning(code=code, group=group, message=message, found=p_value, expected=SURPRISING)
 
 
 def calibrate_persons(
