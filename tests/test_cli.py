@@ -21,28 +21,6 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.results.table import Column, Table
 
 
-def test_score_as_json(todframes, make_dataset) -> None:
-    path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2), repeats=2, suffix=".png").path
-    status, out, err = todframes("score", path, "--json", "--internal-noise", "0.25", "--set", "kernel_a=0.4")
-    assert (status, err) == (0, "")
-    result = json.loads(out)
-    assert {"schema", "command", "version", "settings", "seed", "fits", "skipped", "run_time_s"} <= set(result)
-    assert (result["schema"], result["command"], result["seed"], result["skipped"]) == (1, "score", 1, [])
-    assert result["settings"]["internal_noise"] == 0.25
-    assert result["settings"]["kernel_a"] == 0.4
-    assert [fit["group"] for fit in result["fits"]] == [{"size_mrad": 1.0}, {"size_mrad": 2.0}]
-    for fit in result["fits"]:
-        assert set(fit) >= {
-            *("group", "level", "status", "threshold", "threshold_ci95", "p_correct"),
-            *("alpha", "beta", "gamma", "delta", "n_trials", "points"),
-        }
-        assert fit["n_trials"] == 24
-        assert [point["level"] for point in fit["points"]] == [0.05, 0.1, 0.2]
-        assert fit["threshold_ci95"][0] < fit["threshold"] < fit["threshold_ci95"][1]
-    # Larger is easier.
-    assert result["fits"][0]["threshold"] > result["fits"][1]["threshold"]
-
-
 @pytest.mark.slow
 def test_curve_of_the_thresholds(todframes, make_dataset) -> None:
     path = make_dataset(sizes_mrad=(1.0,), contrasts=(0.05, 0.1, 0.2)).path
@@ -63,11 +41,17 @@ def test_curve_of_the_thresholds(todframes, make_dataset) -> None:
     assert "Weibull" in told
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_score_writes_what_it_prints(todframes, make_dataset, tmp_path: Path) -> None:
     path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2)).path
     out_folder = tmp_path / "result"
-    status, out, _ = todframes("score", path, "-o", out_folder, "--json")
+    options = ("--internal-noise", "0.25", "--set", "kernel_a=0.4")
+    status, out, _ = todframes("score", path, "-o", out_folder, "--json", *options)
     assert status == 0
+    settings, fits = (json.loads(out)[name] for name in ("settings", "fits"))
+    assert (settings["internal_noise"], settings["kernel_a"]) == (0.25, 0.4)
+    assert [fit["group"] for fit in fits] == [{"size_mrad": 1.0}, {"size_mrad": 2.0}]
+    assert fits[0]["threshold"] > fits[1]["threshold"], "larger is easier"
     assert {file.name for file in out_folder.iterdir()} - {"scores.parquet"} == {
         "report.html",
         "result.json",
@@ -178,6 +162,7 @@ def test_locate_says_what_it_found(todframes, make_dataset) -> None:
     assert todframes("score", path, "--locate", "--json", "--quiet")[2] == ""
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_naked_eye(todframes, tmp_path: Path) -> None:
     """It writes what it prints."""
     status, out, err = todframes("naked-eye", "--size-mrad", "1.0,1.5", "-o", tmp_path / "out", "--json")
@@ -268,18 +253,6 @@ def test_no_picture_of_an_earlier_run_stays(todframes, make_dataset, tmp_path: P
     assert todframes("score", one, "-o", tmp_path / "result")[0] == 0
     assert not (tmp_path / "result" / "tod_curve.png").exists()
     assert kept.exists()
-
-
-@pytest.mark.slow
-def test_a_tod_curve_for_each_other_group(todframes, make_dataset, tmp_path: Path) -> None:
-    made = make_dataset(
-        sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2), experiment={"group_by": ["size_mrad", "camera"]}
-    )
-    for number, row in enumerate(made.rows):
-        row["camera"] = "left" if number % 2 else "right"
-    made.save()
-    assert todframes("score", made.path, "-o", tmp_path / "result")[0] == 0
-    assert (tmp_path / "result" / "tod_curve.png").stat().st_size > 10_000
 
 
 def test_locate_and_skip_go_together(todframes, make_dataset) -> None:

@@ -117,28 +117,12 @@ def local() -> Iterator[ClusterEngine]:
 
 @pytest.mark.every_case
 @dask
-@pytest.mark.parametrize("n", [0, 1, 1000])
+@pytest.mark.parametrize("n", [0, 1000])
 def test_results_come_with_their_numbers(local: ClusterEngine, n: int) -> None:
     assert results_of(local, Squares(), range(n)) == squares(n)
     assert local.n_workers == 2
     assert local.dashboard is not None
     assert local.dashboard.startswith("http://127.0.0.1:")
-
-
-@dask
-def test_items_are_asked_for_as_they_are_needed(local: ClusterEngine) -> None:
-    asked = itertools.count()
-    items = ((next(asked), 1) for _ in range(10_000))
-    batches = local.run(Squares(seconds=0.01), items)
-    done = 0
-    for batch in batches:
-        done += len(batch)
-        # Batches of at most 2 s, so 200 items; four for each of two workers.
-        assert next(asked) - done <= 4 * 2 * 200 + done  # `asked` itself has counted every batch
-        if done > 20:
-            break
-    batches.close()
-    assert results_of(local, Squares(), range(10)) == squares(10)
 
 
 @dask
@@ -205,18 +189,6 @@ def test_libraries_that_are_loaded_already_are_kept_to_one_thread() -> None:
 
 
 @dask
-def test_an_error_of_an_item_ends_the_run_and_arrives_whole(local: ClusterEngine) -> None:
-    def call(item: int) -> int:
-        if item == 20:
-            raise FrameError("frames/20.exr", "the file is empty")
-        return item
-
-    with pytest.raises(FrameError, match=r"^frames/20\.exr: the file is empty$") as raised:
-        results_of(local, Calls(call), range(1000))
-    assert raised.value.problem == "the file is empty"
-
-
-@dask
 def test_a_run_that_ends_while_results_are_fetched_leaves_the_cluster_as_it_was(local: ClusterEngine) -> None:
     client = local._client
     permits = client._gather_semaphore._value
@@ -243,28 +215,30 @@ def test_a_run_that_ends_while_results_are_fetched_leaves_the_cluster_as_it_was(
     assert results_of(local, Squares(), range(10)) == squares(10)
 
 
-@dask
-def test_a_defect_says_where_it_was_raised(local: ClusterEngine) -> None:
-    def call(item: int) -> float:
-        return 1 / item
-
-    with pytest.raises(ZeroDivisionError, match="division by zero") as raised:
-        results_of(local, Calls(call), range(10))
-    assert "test_cluster.py" in "".join(raised.value.__notes__)
-
-
 class NotPortableError(Exception):
     def __init__(self, one: int, two: int) -> None:
         super().__init__(f"{one} and {two}")
 
 
 @dask
-def test_an_error_that_cannot_be_pickled_is_told_in_words(local: ClusterEngine) -> None:
-    def call(item: int) -> float:
-        raise NotPortableError(item, 2)
+def test_an_error_of_an_item_ends_the_run_and_arrives_whole(local: ClusterEngine) -> None:
+    """A defect with where it was raised, and what cannot be pickled in words."""
 
-    with pytest.raises(RuntimeError, match="in a worker: NotPortableError: 0 and 2"):
+    def call(item: int) -> float:
+        if item == 1:
+            raise FrameError("frames/20.exr", "the file is empty")
+        if item == 2:
+            raise NotPortableError(item, 3)
+        return 1 / item
+
+    with pytest.raises(FrameError, match=r"^frames/20\.exr: the file is empty$") as raised:
+        results_of(local, Calls(call), [1] * 1000)
+    assert raised.value.problem == "the file is empty"
+    with pytest.raises(ZeroDivisionError, match="division by zero") as defect:
         results_of(local, Calls(call), [0])
+    assert "test_cluster.py" in "".join(defect.value.__notes__)
+    with pytest.raises(RuntimeError, match="in a worker: NotPortableError: 2 and 3"):
+        results_of(local, Calls(call), [2])
 
 
 @dask
@@ -398,7 +372,7 @@ def test_a_run_without_workers_ends_with_one_line(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.every_case
 @dask
-@pytest.mark.parametrize("name", ["", "local", "local:0", "local:x", "foo", "http://h:1", "tcp://h", "tcp://:"])
+@pytest.mark.parametrize("name", ["", "local:0", "foo", "http://h:1", "tcp://h"])
 def test_what_names_no_cluster_is_one_line(name: str) -> None:
     message = rf"^cluster: found '{name}', expected local:N or tcp://HOST:PORT$"
     with pytest.raises(SettingsError, match=message), open_engine(name, 1):

@@ -533,7 +533,10 @@ def test_command_is_the_call(capsys, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("sizes", "advice"),
-    [("1,6", "there is one at 6 detectors: name such a size first"), ("1", "take larger sizes")],
+    [
+        ("1,6", "there is one at 6 detectors: name such a size first"),
+        pytest.param("1", "take larger sizes", marks=pytest.mark.slow),
+    ],
 )
 def test_designs_without_a_threshold_at_the_first_size_have_the_reason(capsys, sizes, advice) -> None:
     arguments = ["--vary", "noise.netd_mk=10:20:2", "--size-detectors", sizes, "--tolerance", ROUGH]
