@@ -17,7 +17,7 @@ def wrap_around_bound(sampler: TriangleSampler) -> float:
     It holds within half a detector, and falls with the cube of the period. It is 0 if the optics are left out,
     because nothing is repeated then.
     """
-    if sampler.sharp or sampler._optics is None:
+    if sampler.sharp:
         return 0.0
     pitch = sampler._detector.pitch_mrad
     return repetition_bound(

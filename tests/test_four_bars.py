@@ -313,14 +313,8 @@ def literal_score(chain, samples, middle, snr=math.inf, rng=None) -> float:
 def test_answers_of_the_literal_model_are_as_often_correct_as_computed():
     chain = BarChain(SENSOR, PyramidObserver(**COARSE), 1.2 * NYQUIST)
     found = chain.averaged(0.75)
-    alone = FourBarSampler(
-        replace(chain.bars, against="background"),
-        optics=SENSOR.optics,
-        detector=SENSOR.detector,
-        field_detectors=chain.field,
-        period_detectors=2 * chain.field,
-        motion=SENSOR.motion,
-    )
+    on_background = replace(chain.bars, against="background")
+    alone = FourBarSampler(SENSOR, on_background, chain.field, 2 * chain.field)
     rng, n = np.random.default_rng(5), 200
     share = np.mean([literal_answer(chain, alone, found.snr, rng) for _ in range(n)])
     assert abs(share - 0.75) < 4.0 * math.sqrt(0.75 * 0.25 / n)

@@ -121,14 +121,7 @@ def test_a_table_of_the_closed_form_gives_its_curve(tmp_path, unit):
 
 
 def samples_of(sensor: ss.Sensor, orientation, size: float = 4.0, field: int = 22) -> np.ndarray:
-    sampler = TriangleSampler(
-        optics=sensor.optics,
-        detector=sensor.detector,
-        size_detectors=size,
-        field_detectors=field,
-        period_detectors=2 * field,
-        motion=sensor.motion,
-    )
+    sampler = TriangleSampler(sensor, size, field, 2 * field)
     return sampler.samples(0.2, -0.3, orientation=orientation)[0]
 
 
@@ -203,9 +196,7 @@ def test_smear_is_a_mean_over_its_length():
     sensor = ss.load_sensor(STAR_LIKE)
     length = 3.0 * sensor.detector.pitch_mrad
     moved = replace(sensor, motion=ss.Motion(smear_mrad=length))
-    sampler = TriangleSampler(
-        optics=sensor.optics, detector=sensor.detector, size_detectors=4.0, field_detectors=22, period_detectors=44
-    )
+    sampler = TriangleSampler(sensor, 4.0, 22, 44)
     places = (np.arange(61) + 0.5) / 61.0 * 3.0 - 1.5
     for orientation in ORIENTATIONS[:2]:
         mean = sampler.samples(0.2 + places, np.full(61, -0.3), orientation=orientation).mean(axis=0)

@@ -157,13 +157,7 @@ def test_the_repetition_of_the_scene_is_part_of_the_stated_error():
     observer = PyramidObserver()
     # Everything else is left out alike; the rounding of single precision would hide the change.
     plan = replace(plan_curve(STAR_LIKE, observer, 4.0), dtype=np.float64)
-    endless = TriangleSampler(
-        optics=STAR_LIKE.optics,
-        detector=STAR_LIKE.detector,
-        size_detectors=4.0,
-        field_detectors=plan.field,
-        period_detectors=168,
-    )
+    endless = TriangleSampler(STAR_LIKE, 4.0, plan.field, 168)
     chains = [FoldedChain(STAR_LIKE, observer, 4.0, one) for one in (plan, replace(plan, sampler=endless))]
     p, expected = (chain.proportion_correct(chain.phases(2, np.random.default_rng(3)), 2.0) for chain in chains)
     of_period = sum(step.bound for step in plan.steps if step.stage == "period") + plan.repetition_bound

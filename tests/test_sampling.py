@@ -12,8 +12,9 @@ from repetition import wrap_around_bound
 from scipy.special import j0, j1
 
 from sensor_sim.chain import sampling
+from sensor_sim.chain.new_sensor import DISPLAY
 from sensor_sim.chain.sampling import TriangleSampler, sample_image
-from sensor_sim.chain.sensor import Detector, Optics
+from sensor_sim.chain.sensor import Detector, Optics, Sensor
 from todframes.base.errors import SettingsError
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage, vertices
 
@@ -30,13 +31,8 @@ def detector_of(width: float = 1.0) -> Detector:
 
 
 def sampler_of(cut_off, sigma=0.0, width=1.0, *, size=2.0, field=8, period=None) -> TriangleSampler:
-    return TriangleSampler(
-        optics=optics_of(cut_off, sigma),
-        detector=detector_of(width),
-        size_detectors=size,
-        field_detectors=field,
-        period_detectors=period,
-    )
+    sensor = Sensor(optics=optics_of(cut_off, sigma), detector=detector_of(width), display=DISPLAY)
+    return TriangleSampler(sensor, size, field, period)
 
 
 def image_samples(image, cut_off, width=1.0, *, pitch=PITCH_MRAD, field=8, x=0.0, y=0.0) -> np.ndarray:

@@ -24,7 +24,7 @@ import copy
 import math
 from collections.abc import Hashable
 from functools import partial
-from typing import NotRequired, Self, TypedDict, Unpack
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -59,15 +59,6 @@ FIELD_SIZES, FIELD_MARGIN_DETECTORS, MAX_FIELD_DETECTORS = 4.0, 4, 1024
 """Side of a trial's field in sizes of the triangle, detectors added to it, and largest side in detectors."""
 
 
-class SamplerChain(TypedDict):
-    """Chain before a sampler, by the names of `PatternSampler`."""
-
-    optics: Optics | None
-    detector: Detector
-    period_detectors: NotRequired[int | None]
-    motion: NotRequired[Motion | None]
-
-
 class PatternSampler:
     """Detector samples of one pattern, at any place and orientation; a subclass says which.
 
@@ -76,7 +67,7 @@ class PatternSampler:
     for bit. Otherwise the optics are turned back under the upright pattern, whose samples are then turned.
 
     If the sum would take more than `MAX_FREQUENCIES` terms, the optics are sharp against the detector: they are
-    left out, as with None, and the samples are the exact area of the pattern on each detector. `neglected_bound`
+    left out, and the samples are the exact area of the pattern on each detector. `neglected_bound`
     bounds the change of a sample.
 
     `pattern` is all that tells it from others of its class. The scene repeats after `period_detectors`, at least
@@ -85,14 +76,7 @@ class PatternSampler:
     """
 
     def __init__(
-        self,
-        pattern: Hashable,
-        *,
-        optics: Optics | None,
-        detector: Detector,
-        field_detectors: int,
-        period_detectors: int | None = None,
-        motion: Motion | None = None,
+        self, sensor: Sensor, pattern: Hashable, field_detectors: int, period_detectors: int | None = None
     ) -> None:
         period = field_detectors if period_detectors is None else period_detectors
         if period < field_detectors:
@@ -100,40 +84,36 @@ class PatternSampler:
         self._pattern = pattern
         self._field = self._whole_field = field_detectors
         self.period = period
-        self._optics, self._detector, self._motion = optics, detector, motion
+        self._optics, self._detector, self._motion = sensor.optics, sensor.detector, sensor.motion
+        optics, detector = sensor.optics, sensor.detector
         self._width = detector.width_mrad / detector.pitch_mrad
-        self.neglected_bound = 0.0
         self._waves: dict[int, tuple[ComplexArray, ComplexArray]] = {}
-        self.sharp = optics is None
-        if optics is None:
-            return
         last = band_limit_cyc_per_mrad(optics) * detector.pitch_mrad * period
         if last < 1.0:
             raise SettingsError(_passes_nothing(optics, last))
-        if 2.0 * last * last > MAX_FREQUENCIES:
-            self.sharp = True
-            self.neglected_bound = sharpness_bound(optics, width_mrad=detector.width_mrad)
-            if self.neglected_bound > MAX_NEGLECTED:
-                share = math.sqrt(MAX_FREQUENCIES / 2.0) / last
-                if limit := self._limit(share):
-                    raise SettingsError(
-                        f"{limit} with optics that pass {last / period:.4g} cycles per detector, or there are too "
-                        "many spatial frequencies"
-                    )
-                largest = detector.pitch_mrad * share
-                if not optics.is_modelled:
-                    raise SettingsError(
-                        f"{_measured(optics)} passes {last / period:.4g} cycles per detector, expected at most "
-                        f"{last / period * share:.4g} to be computed; is its unit right?"
-                    )
-                raise SettingsError(
-                    f"detector.pitch_mrad: found {detector.pitch_mrad:g}, too coarse to compute with a width of "
-                    f"{detector.width_mrad:g} mrad and optics that pass "
-                    f"{band_limit_cyc_per_mrad(optics):.4g} cycles/mrad; expected at most {largest:.3g}, "
-                    "or wider detectors"
-                )
-        else:
-            self._prepare_spectrum(optics, detector, last)
+        self.sharp, self.neglected_bound = 2.0 * last * last > MAX_FREQUENCIES, 0.0
+        if not self.sharp:
+            self._prepare_spectrum(last)
+            return
+        self.neglected_bound = sharpness_bound(optics, width_mrad=detector.width_mrad)
+        if self.neglected_bound > MAX_NEGLECTED:
+            raise SettingsError(self._passes_too_much(last))
+
+    def _passes_too_much(self, last: float) -> str:
+        """Return the message that the optics pass too many cycles per period: `last`."""
+        optics, detector = self._optics, self._detector
+        share, passed = math.sqrt(MAX_FREQUENCIES / 2.0) / last, last / self.period
+        if limit := self._limit(share):
+            passes = f"optics that pass {passed:.4g} cycles per detector"
+            return f"{limit} with {passes}, or there are too many spatial frequencies"
+        if not optics.is_modelled:
+            found = f"{_measured(optics)} passes {passed:.4g} cycles per detector"
+            return f"{found}, expected at most {passed * share:.4g} to be computed; is its unit right?"
+        return (
+            f"detector.pitch_mrad: found {detector.pitch_mrad:g}, too coarse to compute with a width of "
+            f"{detector.width_mrad:g} mrad and optics that pass {band_limit_cyc_per_mrad(optics):.4g} cycles/mrad"
+            f"; expected at most {detector.pitch_mrad * share:.3g}, or wider detectors"
+        )
 
     @property
     def key(self) -> Hashable:
@@ -158,13 +138,14 @@ class PatternSampler:
         """Size of the spectrum in bytes."""
         return 0 if self.sharp else self._unfolded.nbytes * (1 if self._is_circular else 5)
 
-    def _prepare_spectrum(self, optics: Optics, detector: Detector, last: float) -> None:
+    def _prepare_spectrum(self, last: float) -> None:
         """Compute the spectrum up to `last` cycles per period: [folded x][replica in y, folded y][replica in x].
 
         Real samples need folded x frequencies from 0 to half of the period only, and none beyond `last`. The
         upright pattern is its own mirror image, and its spectrum at −f is conjugate to that at f, so a quarter of
         the plane is computed.
         """
+        optics, detector = self._optics, self._detector
         self._is_circular = looks_the_same_when_turned(optics, self._motion)
         self._turned: dict[int, ComplexArray] = {}
         period, half, end = self.period, self.period // 2, math.floor(last) + 1
@@ -197,7 +178,6 @@ class PatternSampler:
         if self._is_circular:
             return unfolded
         if quarter_turns not in self._turned:
-            assert self._optics is not None
             fx, fy = (one / self._detector.pitch_mrad for one in self._frequencies)
             for _ in range(quarter_turns):
                 fx, fy = -fy, fx
@@ -269,14 +249,16 @@ class TriangleSampler(PatternSampler):
     beyond the field.
     """
 
-    def __init__(self, *, size_detectors: float, field_detectors: int, **chain: Unpack[SamplerChain]) -> None:
+    def __init__(
+        self, sensor: Sensor, size_detectors: float, field_detectors: int, period_detectors: int | None = None
+    ) -> None:
         check_positive(argument.size_detectors, size_detectors)
         smallest = smallest_field(size_detectors)
         if field_detectors < smallest:
             needed = f"at least {smallest} for a triangle of size {size_detectors:g} detectors"
             raise SettingsError(f"field_detectors: found {field_detectors}, expected {needed}")
         self._size = size_detectors
-        super().__init__(size_detectors, field_detectors=field_detectors, **chain)
+        super().__init__(sensor, size_detectors, field_detectors, period_detectors)
 
     def _limit(self, share: float) -> str:
         most = math.floor(self._size - (1.0 - share) * self._field / FIELD_SIZES)
@@ -312,9 +294,11 @@ class TriangleSampler(PatternSampler):
 class FourBarSampler(PatternSampler):
     """Detector samples of four bars, whose widths are in detectors, upright in the orientations UP and DOWN."""
 
-    def __init__(self, bars: FourBars, *, field_detectors: int, **chain: Unpack[SamplerChain]) -> None:
+    def __init__(
+        self, sensor: Sensor, bars: FourBars, field_detectors: int, period_detectors: int | None = None
+    ) -> None:
         self._bars = bars
-        super().__init__(bars, field_detectors=field_detectors, **chain)
+        super().__init__(sensor, bars, field_detectors, period_detectors)
 
     def _limit(self, share: float) -> str:
         found = 1.0 / self._bars.bar_width
@@ -391,14 +375,7 @@ def field_sampler(sensor: Sensor, size_detectors: float, field: int | None = Non
     almost unseen.
     """
     field = field_detectors(sensor, size_detectors) if field is None else field
-    return TriangleSampler(
-        optics=sensor.optics,
-        detector=sensor.detector,
-        size_detectors=size_detectors,
-        field_detectors=field,
-        period_detectors=2 * field,
-        motion=sensor.motion,
-    )
+    return TriangleSampler(sensor, size_detectors, field, 2 * field)
 
 
 def _passes_nothing(optics: Optics, cycles: float) -> str:

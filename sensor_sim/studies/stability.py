@@ -46,9 +46,8 @@ def sampler(
 ) -> TriangleSampler:
     """Make a sampler of a triangle of 3 detectors; cut-off and blur in cycles per detector and detectors."""
     optics = Optics(aperture_mm=cut_off, wavelength_um=1.0, blur_sigma_mrad=blur)
-    return TriangleSampler(
-        optics=optics, detector=detector, size_detectors=3.0, field_detectors=field, period_detectors=period
-    )
+    sensor = Sensor(optics=optics, detector=detector, display=display_of(1, detector_pitch_mrad=1.0))
+    return TriangleSampler(sensor, 3.0, field, period)
 
 
 def total(cut_off: float, *, blur: float = 0.0) -> FloatArray:

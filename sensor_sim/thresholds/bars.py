@@ -111,14 +111,7 @@ class BarChain:
                 "higher frequency"
             ) from None
         self.whole_retina = grid
-        self.sampler = FourBarSampler(
-            self.bars,
-            optics=sensor.optics,
-            detector=sensor.detector,
-            field_detectors=self.field,
-            period_detectors=2 * self.field,
-            motion=sensor.motion,
-        )
+        self.sampler = FourBarSampler(sensor, self.bars, self.field, 2 * self.field)
         half = math.ceil(width_mrad / 2.0 / grid.pitch_mrad) + 1
         upright = FourBars(self.bars.bar_width * shown, against).image(half, grid.pitch_mrad)
         self.pattern = upright if direction == "upright" else np.ascontiguousarray(upright.T)

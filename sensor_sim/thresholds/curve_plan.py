@@ -489,15 +489,8 @@ class _CurvePlanner:
         optics = self.sensor.optics
         if optics.mtf is None or optics.mtf.end_mtf < LEAST_END_MTF:
             return ()
-        continued = replace(optics, mtf=optics.mtf.continued())
-        sampler = TriangleSampler(
-            optics=continued,
-            detector=self.sensor.detector,
-            size_detectors=self.size,
-            field_detectors=self.full.field,
-            period_detectors=self.full.sampler.period,
-            motion=self.sensor.motion,
-        )
+        continued = replace(self.sensor, optics=replace(optics, mtf=optics.mtf.continued()))
+        sampler = TriangleSampler(continued, self.size, self.full.field, self.full.sampler.period)
         samples, _ = self._samples(sampler)
         bound = self.bound(self._scores(self.weights, samples - self.samples))
         why = f"the table ends at an MTF of {optics.mtf.end_mtf:.2g}"
@@ -559,14 +552,7 @@ class _CurvePlanner:
         shorter = 2 * plan.field if wave < 2 * plan.field < period else period // 2
         sampler = plan.shared.samplers.get(
             (self.sensor.optics, self.sensor.motion, self.sensor.detector, self.size, plan.field, shorter),
-            lambda: TriangleSampler(
-                optics=self.sensor.optics,
-                detector=self.sensor.detector,
-                size_detectors=self.size,
-                field_detectors=plan.field,
-                period_detectors=shorter,
-                motion=self.sensor.motion,
-            ),
+            lambda: TriangleSampler(self.sensor, self.size, plan.field, shorter),
         )
         samples, spent = self._samples(sampler)
         return sampler, self.bound(self._scores(self.weights, samples - self.samples)), self.sample_s - spent

@@ -95,19 +95,13 @@ def oversampled_frame_s(sensor: Sensor, field: int, size: float) -> tuple[float,
         np.fft.irfft2(np.fft.rfft2(held) * after, s=held.shape)
 
     elapsed = best_s(frame, 50)
-    exact = sampler_of(sensor, field, size).samples(0.2, -0.3, orientation=Orientation.UP)[0]
+    exact = TriangleSampler(sensor, size, field).samples(0.2, -0.3, orientation=Orientation.UP)[0]
     return elapsed, float(np.abs(seen[0] - exact).max())
-
-
-def sampler_of(sensor: Sensor, field: int, size: float) -> TriangleSampler:
-    """Exact samples of a field that repeats at once."""
-    optics, detector = sensor.optics, sensor.detector
-    return TriangleSampler(optics=optics, detector=detector, size_detectors=size, field_detectors=field)
 
 
 def exact_frame_s(sensor: Sensor, field: int, size: float) -> float:
     """Time of a frame by exact samples, of a batch of 32."""
-    sampler = sampler_of(sensor, field, size)
+    sampler = TriangleSampler(sensor, size, field)
     matrix = axis_matrix(field, display=sensor.display, electronics=sensor.electronics)
     rng = np.random.default_rng(0)
 
