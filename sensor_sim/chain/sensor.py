@@ -266,11 +266,6 @@ class Noise:
         The same of columns.
     couple_netd : bool
         The NETD follows f-number² / area of a detector where a sweep varies them.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range.
     """
 
     distribution: Distribution = "uniform"
@@ -452,11 +447,6 @@ class Motion:
         Length of an even motion along x during an exposure.
     jitter_sigma_mrad : float
         Standard deviation of a random motion, the same along x and y.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range.
     """
 
     smear_mrad: NotNegative = 0.0
@@ -474,11 +464,6 @@ class Electronics:
     ----------
     blur_sigma_px : float
         Gaussian blur in display pixels.
-
-    Raises
-    ------
-    SettingsError
-        If the value is out of its range.
     """
 
     blur_sigma_px: BlurPixels = 0.0
@@ -505,11 +490,6 @@ class SensorDisplay:
         Gaussian spot of the display in its pixels.
     gain : float
         Display contrast per unit of signal.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range.
     """
 
     pixels_per_detector: Annotated[int, Meta(ge=1, le=MAX_PIXELS)]

@@ -27,7 +27,7 @@ from todframes.parameters import (
 if TYPE_CHECKING:
     from sensor_sim.frames.dataset import Written
     from todframes.jobs.work import Engine
-    from todframes.parameters import FrameFormat, PathLike
+    from todframes.parameters import PathLike
 
 
 def simulate(
@@ -154,7 +154,7 @@ def simulate(
     sizes = sizes_in_detectors(sensor, size_detectors, size_mrad)
     filming = None
     if motion_mrad_per_s is not None or warm_up_frames:
-        filming = Filming(0.0 if motion_mrad_per_s is None else float(motion_mrad_per_s), warm_up_frames).checked()
+        filming = Filming(float(motion_mrad_per_s or 0.0), warm_up_frames).checked()
     planned = plan_trials(sizes, [float(one) for one in levels], trials, sensor.level)
     scenery = None
     if background is not None:
