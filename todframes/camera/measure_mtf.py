@@ -149,6 +149,7 @@ class Mtf(Content, frozen=True, kw_only=True):
     Attributes
     ----------
     mtf : MtfNumbers
+        The numbers.
     measured : RecordingMtf or None
         All that was measured, with the profiles of edges; None for a table, and for a result that was read.
     """

@@ -107,6 +107,7 @@ class RecordedNoise(Content, frozen=True, kw_only=True):
     Attributes
     ----------
     noise : NoiseNumbers
+        The numbers.
     measured : Noise3D or None
         The measurement with its images; None for a result that was read.
     """
