@@ -358,7 +358,7 @@ finite = st.floats(-5, 5, allow_subnormal=False)
 score_lists = st.lists(finite, min_size=4, max_size=4).map(np.array)
 # Coarse templates: every rank, many exact coincidences.
 template_arrays = st.lists(st.integers(-3, 3), min_size=12, max_size=12).map(lambda t: np.reshape(t, (4, 3)) / 1.0)
-quick = settings(max_examples=60, deadline=None)
+quick = settings(max_examples=25, deadline=None)
 
 
 @quick

@@ -11,7 +11,8 @@ import pytest
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.internal_noise import edgeworth_correction, fourth_cumulants
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
-from todframes.stimulus import Orientation, Stimulus, coverage
+from todframes.observers.retina import triangle_on
+from todframes.stimulus import Stimulus
 
 UNIFORM = -1.2
 
@@ -158,14 +159,7 @@ def test_uniform_noise_on_the_observer_s_neurons(size_mrad, gaussian, corrected)
     observer = PyramidObserver(PyramidSettings())
     stimulus = Stimulus(size_mrad)
     readout = observer.readout(stimulus)
-    side = readout.grid.side
-    image = coverage(
-        (side, side),
-        size_px=size_mrad / 0.153,
-        x_px=side // 2 + 0.3,
-        y_px=side // 2 - 0.2,
-        orientation=Orientation.UP,
-    )
+    image = triangle_on(readout.grid, size_mrad, x=0.3, y=-0.2)
     weights = np.array(
         [np.concatenate([band.ravel() for band in bands]) for bands in observer.templates(stimulus)]
     )

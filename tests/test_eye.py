@@ -120,26 +120,6 @@ def test_a_pattern_is_folded_through_the_eye() -> None:
     assert float((found.weights * image).sum()) == pytest.approx(expected, abs=1e-10 * max(1.0, abs(expected)))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (
-            {"band_noise": (1.0, 0.0)},
-            r"band_noise\[1\]: found 0\.0, expected a number from 0\.001",
-        ),
-        ({"band_noise": (1.0,) * 12}, "band_noise: found .*, expected a list of at most 11 values"),
-        ({"band_noise": 2.0}, r"band_noise: found 2\.0, expected a list of at most 11 values"),
-        ({"include_residual": "no"}, "include_residual: found 'no', expected true or false"),
-        ({"eye_mtf": "barten"}, "eye_mtf: found 'barten', expected one of none, watson2013"),
-        ({"age_years": 10.0}, "age_years: found 10.0, expected a number from 20 to 83"),
-        ({"pupil_mm": 0.1}, r"pupil_mm: found 0\.1, expected a number from 1\.5 to 8"),
-    ],
-)
-def test_bad_settings(changes: dict, message: str) -> None:
-    with pytest.raises(SettingsError, match=message):
-        PyramidObserver(**changes)
-
-
 # Pupil and light.
 
 

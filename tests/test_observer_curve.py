@@ -15,11 +15,12 @@ from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.thresholds.predict import FoldedChain
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
+from todframes.observers.retina import triangle_on
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
 from todframes.psychometrics.observer_curve import ObserverModel, d_prime_of, observer_curve
 from todframes.psychometrics.paired_bootstrap import ratio_draws, threshold_ratio
 from todframes.psychometrics.weibull import weibull
-from todframes.stimulus import Orientation, Stimulus, coverage
+from todframes.stimulus import Stimulus
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
 POINT = FitSettings(resamples=0)
@@ -171,10 +172,9 @@ def test_an_observer_without_noise_answers_with_certainty():
 def naked_eye():
     """Score deviations of triangles of 0.6 mrad, contrast 1, at 25 places, and the noise on them."""
     readout = PyramidObserver().readout(Stimulus(0.6))
-    side, steps = readout.grid.side, (np.arange(5) + 0.5) / 5 - 0.5
-    triangle = {"size_px": 0.6 / readout.grid.pitch_mrad, "orientation": Orientation.UP}
-    places = [{"x_px": side // 2 + dx, "y_px": side // 2 + dy} for dx in steps for dy in steps]
-    signals = [readout.score_deviations(coverage((side, side), **place, **triangle)) for place in places]
+    steps = (np.arange(5) + 0.5) / 5 - 0.5
+    triangles = (triangle_on(readout.grid, 0.6, x=dx, y=dy) for dx in steps for dy in steps)
+    signals = [readout.score_deviations(triangle) for triangle in triangles]
     return np.array(signals), readout.noise_covariance
 
 
@@ -223,7 +223,9 @@ def test_ratio_is_the_quotient_of_the_thresholds(naked_eye):
     assert found.ratio == fits[1].threshold / fits[0].threshold
     assert draws[0].points_ratio is None
     low, high = found.ratio_ci95
-    # Fitted thresholds are right to 0.002, as above, and both series have the same displacements.
+    # Fitted thresholds are right to 0.002, as above, and both series have the same displacements. Of 200 seeds the
+    # interval alone holds 1.25 in 91 % with 12 trials a level and in 94 % with 40: it is as wide as the ratios
+    # spread, 0.6 %, but with 12 trials these lie 0.2 % low on average, as curves fitted to few trials do.
     assert low * 0.998 < 1.25 < high * 1.002
     assert math.log(high / low) < 0.1
     assert found.p_value < 0.05

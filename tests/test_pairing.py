@@ -10,12 +10,13 @@ import pytest
 
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
+from todframes.observers.retina import triangle_on
 from todframes.psychometrics.bootstrap import draw_backgrounds
 from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.psychometrics.paired_bootstrap import RatioDraws, holm, ratio_draws, threshold_ratio
 from todframes.psychometrics.weibull import weibull
 from todframes.scoring.naked_eye import contrast_threshold
-from todframes.stimulus import Orientation, Stimulus, coverage
+from todframes.stimulus import Stimulus
 
 SETTINGS = FitSettings(resamples=400)
 LEVELS = np.geomspace(0.5, 2.0, 7)
@@ -97,17 +98,7 @@ def answers_of_two_alike(*, common: float, own: float, sampled: bool) -> tuple[n
     """
     observer, size_mrad, rng = PyramidObserver(), 1.0, np.random.default_rng(1)
     readout = observer.readout(Stimulus(size_mrad))
-    side = readout.grid.side
-    triangles = (
-        coverage(
-            (side, side),
-            size_px=size_mrad / readout.grid.pitch_mrad,
-            x_px=side // 2 + dx,
-            y_px=side // 2 + dy,
-            orientation=Orientation.UP,
-        )
-        for dx, dy in rng.uniform(-0.5, 0.5, (200, 2))
-    )
+    triangles = (triangle_on(readout.grid, size_mrad, x=dx, y=dy) for dx, dy in rng.uniform(-0.5, 0.5, (200, 2)))
     signal = np.array([readout.score_deviations(triangle) for triangle in triangles])[:, None]
     weights = readout.deviations.reshape(4, -1)
     external = weights @ weights.T

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-import time
 
 import numpy as np
 import pytest
@@ -83,16 +81,6 @@ def test_many_people_at_once_are_each_as_alone():
     for k in range(4):
         alone = grid.expected_entropy(grid.posterior(wrong[k], right[k]))
         np.testing.assert_allclose(together[k], alone, rtol=1e-10)
-
-
-def test_the_next_trial_takes_less_than_30_ms():
-    grids = [QuestGrid.of_levels(LEVELS * size) for size in (1, 2, 4, 8, 16)]
-    seconds = []
-    for grid, _ in itertools.product(grids, range(3)):
-        started = time.perf_counter()
-        np.argmin(grid.expected_entropy(grid.posterior(*counts(ANSWERS, 9))))
-        seconds.append(time.perf_counter() - started)
-    assert min(seconds) < 0.030  # the least of 15: other work on the machine only adds to it
 
 
 def sit(grid: QuestGrid, people: np.ndarray, choice: str, *, n_trials: int, seed: int) -> np.ndarray:
