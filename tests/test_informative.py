@@ -144,9 +144,9 @@ def test_the_field_grows_with_the_blur(size_mrad: float, display: dict, toleranc
     assert few == pytest.approx(many, rel=2 * tolerance)
 
 
-@pytest.mark.parametrize(
-    "display", [{}, pytest.param({"display_blur_mrad": 2.0}, marks=pytest.mark.slow)], ids=str
-)
+@pytest.mark.slow
+@pytest.mark.every_case
+@pytest.mark.parametrize("display", [{}, {"display_blur_mrad": 2.0}], ids=str)
 def test_what_is_left_out_is_no_more_than_it_says(display: dict) -> None:
     """Two octaves more add next to nothing to d′², and no more than they would if all neurons were used."""
     stimulus, changes = Stimulus(7.0), {"position_jitter_samples": 0.0, **display}
@@ -341,6 +341,7 @@ def test_an_invertible_filter_in_front_of_all_noise_of_the_eye_changes_no_score(
         assert np.array_equal(found.argmax(axis=1), expected.argmax(axis=1))
 
 
+@pytest.mark.slow
 def test_such_an_observer_is_ideal_for_triangles_in_white_noise() -> None:
     """Whatever pyramid and display: d′ is that of the triangles themselves, ‖T_j − T_k‖/σ."""
     stimulus = Stimulus(1.0)

@@ -38,8 +38,7 @@ def compared(level, *series, seed: int = 1):
     return [threshold_ratio([one]) for one in draws]
 
 
-@pytest.mark.parametrize("sampled", [False, True])
-@pytest.mark.parametrize("n_trials", [1, 2, 12])
+@pytest.mark.parametrize(("n_trials", "sampled"), [(1, False), (2, True), (12, False), (12, True)])
 def test_the_same_answers_have_ratio_one_and_nothing_else(sampled: bool, n_trials: int) -> None:
     rng, level = np.random.default_rng(0), np.repeat(LEVELS, n_trials)
     p = np.clip(p_of(level, 1.0) + rng.normal(0.0, 0.05, level.size), 0.0, 1.0)
@@ -145,10 +144,15 @@ def test_algorithms_that_are_alike_are_hardly_ever_called_different(
 # Groups without a threshold
 
 
-@pytest.mark.parametrize("sampled", [False, True])
 @pytest.mark.parametrize(
-    ("reference", "other", "is_lower"),
-    [(9.0, 1.0, True), (1.0, 9.0, False), (0.05, 1.0, False), (1.0, 0.05, True), (9.0, 0.05, True)],
+    ("reference", "other", "is_lower", "sampled"),
+    [
+        (9.0, 1.0, True, False),
+        (1.0, 9.0, False, True),
+        (0.05, 1.0, False, True),
+        (1.0, 0.05, True, False),
+        (9.0, 0.05, True, False),
+    ],
 )
 def test_a_threshold_that_one_of_the_two_lacks(
     reference: float, other: float, is_lower: bool, sampled: bool

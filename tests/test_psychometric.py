@@ -189,27 +189,6 @@ def test_one_level_is_too_few():
     assert [(point.level, point.n_trials, point.p_correct) for point in fit.points] == [(1.0, 60, 0.5)]
 
 
-def test_perfect_separation_leaves_the_threshold_anywhere_in_the_gap():
-    fit = counts([8, 7, 7, 30, 30, 30, 30], fit_settings=FitSettings())
-    # By symmetry the middle of the gap in ln level; β = 1000 moves the 75 % point off α by ln(log2 3)/1000.
-    assert fit.threshold == pytest.approx(math.sqrt(LEVELS[2] * LEVELS[3]), rel=0.02)
-    low, high = fit.threshold_ci95
-    assert low <= LEVELS[2] * (1 + 1e-12)
-    assert high >= LEVELS[3] * (1 - 1e-12)
-
-
-@pytest.mark.parametrize("beta", [1e-2, 0.1, 1.0, 10.0, 100.0, 1000.0])
-def test_slopes_from_nearly_flat_to_a_step(beta):
-    level = np.concatenate([np.geomspace(1e-6, 1e6, 13), weibull_level([0.4, 0.6, 0.9], alpha=3.0, beta=beta,
-                            guess_rate=0.25, lapse_rate=0.0)])  # fmt: skip
-    p = weibull(level, alpha=3.0, beta=beta, guess_rate=0.25, lapse_rate=0.0)
-    fit = fit_trials(level, p, settings=replace(POINT, p_correct=0.7), rng=generator())
-    expected = weibull_level(0.7, alpha=3.0, beta=beta, guess_rate=0.25, lapse_rate=0.0)
-    assert fit.status == "ok"
-    # p is known to 1e-16 and the fit stops within 1e-20 of the likelihood's top: ln p to 1e-9, ln x to 1e-9/β.
-    assert fit.threshold == pytest.approx(expected, rel=1e-6 / min(beta, 1.0))
-
-
 def test_a_step_that_determines_nothing_has_an_interval():
     """The curve is a step between two levels, and its slope there leaves the range of numbers."""
     chosen = FitSettings(resamples=40, lapse_rate=0.02)

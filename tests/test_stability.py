@@ -35,7 +35,7 @@ SHORT = Case("some", "short", [2.0, 4.0], "closed form", lambda: [2.0, 4.0 + 4e-
 
 OTHER_OBSERVERS = ("csf", "oriented", "informative")
 
-SLOW = ("curve: 1,000 ", "curve: optics blur of 100 ", "observer: 2,000 ")
+SLOW = ("curve: ", "bars: NETD", "observer: 2,000 ", "observer: 500 ")
 """Cases that take seconds each."""
 
 
