@@ -260,7 +260,7 @@ def scenes(
             for trial in counted(planned, len(planned), progress):
                 rows.append(seen.write(folder, size, contrasts[trial.level], trial, places))
             own += seen.report(size)
-        table = csv_text([OWN_COLUMNS, *(background.row() for background in own)])
+        table = csv_text([_OwnOrientation._fields, *(background.row() for background in own)])
         (folder / "scenes.csv").write_text(in_utf8(table), encoding="utf-8")
         write_dataset_files(
             folder,
@@ -276,8 +276,8 @@ def scenes(
         n_scenes=len({background.scene for background in own}),
         trials=n_trials,
         dimmed=stage.dim,
-        own_orientation=math.sqrt(np.mean(np.square([background.own for background in own]))),
-        own_orientation_left=math.sqrt(np.mean(np.square([background.left for background in own]))),
+        own_orientation=math.sqrt(np.mean(np.square([one.own_orientation_contrast for one in own]))),
+        own_orientation_left=math.sqrt(np.mean(np.square([one.own_orientation_left for one in own]))),
         notes=tuple(notes),
     )
 
@@ -390,34 +390,21 @@ def _views(
     return found
 
 
-OWN_COLUMNS = (
-    *("scene", "scene_window", "size_mrad", "n_frames", "local_luminance_cd_m2", "texture_contrast"),
-    *("own_orientation_contrast", "own_orientation_left"),
-)
-"""Columns of scenes.csv."""
-
-
 class _OwnOrientation(NamedTuple):
     """A row of scenes.csv: the background's luminance and texture, and what orientation it has by itself."""
 
     scene: str
-    window: str
+    scene_window: str
     size_mrad: float
     n_frames: int
-    local_cd_m2: float
-    texture: float
-    own: float
-    left: float
+    local_luminance_cd_m2: float
+    texture_contrast: float
+    own_orientation_contrast: float
+    own_orientation_left: float
 
     def row(self) -> list[str]:
-        numbers = (self.local_cd_m2, self.texture, self.own, self.left)
-        return [
-            self.scene,
-            self.window,
-            repr(self.size_mrad),
-            str(self.n_frames),
-            *(f"{one if abs(one) > ROUNDING else 0.0:.6g}" for one in numbers),
-        ]
+        numbers = (f"{number if abs(number) > ROUNDING else 0.0:.6g}" for number in self[4:])
+        return [self.scene, self.scene_window, repr(self.size_mrad), str(self.n_frames), *numbers]
 
 
 def _shown_triangle(

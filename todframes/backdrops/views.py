@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -91,8 +90,7 @@ class Layout(NamedTuple):
         return [(x + dx, y + dy) for x, y in grid]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Background:
+class Background(NamedTuple):
     """A window of an image, not turned: its luminance in cd/m², shape (side, side)."""
 
     scene: str

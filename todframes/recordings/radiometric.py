@@ -12,7 +12,6 @@ import re
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Literal, NamedTuple
 
@@ -56,8 +55,7 @@ TIME_AT = 0x384
 ABSOLUTE_ZERO_CELSIUS = -273.15
 
 
-@dataclass(frozen=True, slots=True)
-class Radiometry:
+class Radiometry(NamedTuple):
     """Constants that turn counts into temperatures: of the camera (Planck), and of the scene.
 
     counts = r1 / (r2 (exp(b / T) − f)) − o for a black body of T kelvin. `emissivity` is that of the object, which

@@ -248,15 +248,15 @@ def still_recording(
             header._replace(times_s=(times_s[path.name],), frames_per_second=None)
             for path, header in zip(paths, headers, strict=True)
         ]
-    clock = _clock(paths, headers, check_rate(frames_per_second))
-    warnings = dict.fromkeys((*chain.from_iterable(header.warnings for header in headers), *clock.warnings))
+    rate, time_s_of, warning = _clock(paths, headers, check_rate(frames_per_second))
+    warnings = dict.fromkeys((*chain.from_iterable(header.warnings for header in headers), *warning))
 
     def read() -> Iterator[RecordedFrame]:
         number = 0
         for path, header in zip(paths, headers, strict=True):
             for page, values in enumerate(reader.read_frames(path, max_frame_mb)):
                 source = path.name if header.n_frames == 1 else f"{path.name}, page {page}"
-                yield RecordedFrame(values, clock.time_s(number), source)
+                yield RecordedFrame(values, time_s_of(number), source)
                 number += 1
 
     return Recording(
@@ -264,7 +264,7 @@ def still_recording(
         shape=first.shape,
         is_colour=first.is_colour,
         n_frames=sum(header.n_frames for header in headers),
-        frames_per_second=clock.frames_per_second,
+        frames_per_second=rate,
         full_scale=first.full_scale,
         zero=first.zero,
         unit=first.unit,
@@ -273,45 +273,34 @@ def still_recording(
     )
 
 
-class _SequenceTimes(NamedTuple):
-    """Times of the frames of a sequence: of each frame, or by a rate; neither if nothing gives them."""
+def _clock(
+    paths: Sequence[Path], headers: Sequence[StillHeader], asked: float | None
+) -> tuple[float | None, Callable[[int], float | None], Sequence[RecordingWarning]]:
+    """Return the rate of a sequence, a function that returns a frame's time, and warnings.
 
-    frames_per_second: float | None = None
-    times_s: tuple[float, ...] | None = None
-    warnings: tuple[RecordingWarning, ...] = ()
-
-    def time_s(self, number: int) -> float | None:
-        """Return the time of a frame, None without times; the first frame has the time 0."""
-        if self.times_s is not None:
-            return self.times_s[number]
-        return None if self.frames_per_second is None else number / self.frames_per_second
-
-
-def _clock(paths: Sequence[Path], headers: Sequence[StillHeader], asked: float | None) -> _SequenceTimes:
-    """Return the times of a sequence: by the rate asked for or in the first header, else those of the files."""
+    Times begin at 0. They are by the rate asked for or in the first header, else those of the files; None if
+    nothing gives them.
+    """
     rate = asked or headers[0].frames_per_second
     if rate is not None:
-        return _SequenceTimes(rate)
+        return rate, lambda number: number / rate, ()
     if any(header.times_s is None for header in headers) or sum(header.n_frames for header in headers) < 2:
-        return _SequenceTimes()
+        return None, lambda _: None, ()
     moments_s = list(chain.from_iterable(header.times_s or () for header in headers))
     times_s = tuple(round(moment_s - moments_s[0], 6) for moment_s in moments_s)  # seconds since 1970 have no more
     steps_s = [after - before for before, after in pairwise(times_s)]
     if min(steps_s) > 0:
         usual_s = median(steps_s)
-        return _SequenceTimes(1.0 / fmean(step_s for step_s in steps_s if step_s <= GAP * usual_s), times_s)
+        return 1.0 / fmean(step_s for step_s in steps_s if step_s <= GAP * usual_s), times_s.__getitem__, ()
     number = next(k for k, step_s in enumerate(steps_s) if step_s <= 0)
     names = [path.name for path, header in zip(paths, headers, strict=True) for _ in range(header.n_frames)]
     found = "the time of" if steps_s[number] == 0 else f"a time {-steps_s[number]:.6g} s before"
-    return _SequenceTimes(
-        warnings=(
-            RecordingWarning(
-                "times_not_used",
-                f"frame {number + 1} ({names[number + 1]}) has {found} frame {number} ({names[number]}), expected "
-                f"a later one, so these times are not used; {argument.frames_per_second} or times.csv give others",
-            ),
-        )
+    warning = RecordingWarning(
+        "times_not_used",
+        f"frame {number + 1} ({names[number + 1]}) has {found} frame {number} ({names[number]}), expected a later "
+        f"one, so these times are not used; {argument.frames_per_second} or times.csv give others",
     )
+    return None, lambda _: None, (warning,)
 
 
 def _size(shape: tuple[int, int]) -> str:
