@@ -7,7 +7,6 @@ import json
 import math
 import re
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +18,9 @@ from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.experiment.answers import read_answers, sidecar_path
+from todframes.experiment.calibration import PersonResult
 from todframes.experiment.person import (
     Calibrated,
-    PersonFit,
     answered_trials,
     noise_grid,
     noise_observers,
@@ -480,16 +479,17 @@ def test_settings_of_a_person_with_a_strange_name(results) -> None:
 
 @pytest.mark.parametrize(("fitted_name", "words"), [("internal_noise", "internal noise"), ("efficiency",) * 2])
 def test_warnings(fitted_name: str, words: str) -> None:
-    def person(subject: str | None, p_value: float) -> PersonFit:
-        fit = fitted(logistic_table(1.0, each=40), answers(30, 40))
-        return PersonFit(subject, 40, 30, {}, replace(fit, deviance_p_value=p_value), ())
+    def person(subject: str | None, p_value: float) -> PersonResult:
+        numbers = {"n_trials": 40, "n_correct": 30, "n_cells": 1, "log_likelihood": -20.0, "deviance": 1.0}
+        ends = {"internal_noise_ci95": (None, None), "deviance_p_value": p_value}
+        return PersonResult(subject=subject, status="ok", **numbers, **ends)
 
     people = (person("m1", 0.002), person("p2", 0.5))
-    poor, differ = Calibrated(people, person(None, 0.001), 1e-4, (), fitted_name).warnings()
+    poor, differ = Calibrated(people, person(None, 0.001), (), 1e-4, (), fitted_name).warnings()
     assert (poor.code, poor.group, poor.found) == ("poor_fit", {"subject": "m1"}, 0.002)
     assert (differ.code, differ.group, differ.found) == ("persons_differ", {}, 1e-4)
     assert f"one {words} " in poor.message and f"the same {words} " in differ.message
-    assert Calibrated(people[1:], None, None, (), fitted_name).warnings() == ()
+    assert Calibrated(people[1:], None, (), None, (), fitted_name).warnings() == ()
 
 
 def test_answers_to_another_dataset(small: Path, tmp_path: Path, make_dataset, capsys) -> None:

@@ -10,17 +10,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msgspec.structs import replace as replace_struct
-
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.seeds import Rng, seed_of
-from todframes.experiment.calibration import FurtherObserver, PersonResult
+from todframes.experiment.calibration import FurtherObserver
 from todframes.frames.dataset import Dataset
 from todframes.jobs.run import opened_run
 from todframes.observers.interface import Observer
 from todframes.parameters import Count, Free, ObserverNames, OnError, Progress, Seed, Subjects
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.data import DatasetRecord, Fit, Group, group_of, observer_names
+from todframes.results.data import DatasetRecord, observer_names
 from todframes.results.result import Result, repeatable
 from todframes.scoring.opening import (
     described_each,
@@ -31,7 +29,6 @@ from todframes.scoring.opening import (
 
 if TYPE_CHECKING:
     from todframes.experiment.answers import Session
-    from todframes.experiment.person import GroupCurve, PersonFit
     from todframes.results.thresholds import Thresholds
 
 
@@ -127,24 +124,11 @@ def calibrate(
     with opened_run(workers, None, None, progress) as run:
         how = partial(calibrate_persons, free=free, fit_settings=fit, seed=seed, skip_bad_frames=skips, run=run)
         each = [how(data, sessions, judge) for judge in judges]
-    level = data.experiment.level
-    fits = [
-        Fit.of_counts(_group_of_person(data, person, one), level, one.own)
-        for person in each[0].persons
-        for one in person.groups
-    ]
     fitted = ("efficiency", "internal_noise", "internal_noise_sd", *(["template_blur_samples"] * ("blur" in free)))
     results = []
     for own, calibrated in zip(each_settings, each, strict=True):
-        is_efficiency = calibrated.fitted == "efficiency"
-        make = partial(_person_result, data, is_efficiency=is_efficiency, n_fitted=1 + len(set(free)))
-        results.append(
-            FurtherObserver(
-                settings={name: value for name, value in own.items() if name not in fitted},
-                persons=tuple(map(make, calibrated.persons)),
-                pooled=None if calibrated.pooled is None else make(calibrated.pooled),
-            )
-        )
+        kept = {name: value for name, value in own.items() if name not in fitted}
+        results.append(FurtherObserver(settings=kept, persons=calibrated.persons, pooled=calibrated.pooled))
     first, *further = results
     names = observer_names([one.settings for one in results]) if further else [""]
     return Result.made(
@@ -152,7 +136,7 @@ def calibrate(
         started,
         settings=first.settings | asdict(fit) | {"free": list(free), "include_flagged": include_flagged},
         seed=seed,
-        fits=tuple(fits),
+        fits=each[0].own,
         persons=first.persons,
         pooled=first.pooled,
         equal_noise_p_value=each[0].equal_noise_p_value,
@@ -174,48 +158,3 @@ def _background_of(sessions: Sequence[Session]) -> float:
             "expected a number"
         )
     return math.fsum(one for one in found if one is not None) / len(found)
-
-
-def _person_result(data: Dataset, person: PersonFit, *, is_efficiency: bool, n_fitted: int) -> PersonResult:
-    fit, is_known = person.fit, person.fit.status == "ok"
-    noise, efficiency = fit.noise, None
-    noise_ci95: tuple[float | None, float | None] = fit.noise_ci95
-    efficiency_ci95 = None
-    if is_efficiency:
-        efficiency, *ends = (None if one is None else one**-2 for one in (noise, *reversed(noise_ci95)))
-        efficiency_ci95 = ends[0], ends[1]
-        noise, noise_ci95 = None, (None, None)
-    level = data.experiment.level
-    predicted = [
-        replace_struct(
-            Fit.of_counts(_group_of_person(data, person, one), level, one.predicted),
-            threshold_ci95=one.predicted_ci95,
-        )
-        for one in person.groups
-        if one.predicted is not None
-    ]
-    return PersonResult(
-        subject=person.subject,
-        status=fit.status,
-        internal_noise=noise,
-        internal_noise_ci95=noise_ci95,
-        efficiency=efficiency,
-        efficiency_ci95=efficiency_ci95,
-        lapse_rate=fit.lapse_rate if is_known else None,
-        lapse_rate_ci95=fit.lapse_rate_ci95 if is_known else None,
-        template_blur_samples=fit.blur if is_known else None,
-        template_blur_samples_ci95=fit.blur_ci95 if is_known else None,
-        n_trials=person.n_trials,
-        n_correct=person.n_correct,
-        n_flagged=dict(person.n_flagged),
-        log_likelihood=fit.log_likelihood,
-        aic=2.0 * n_fitted - 2.0 * fit.log_likelihood,
-        deviance=fit.deviance,
-        deviance_p_value=fit.deviance_p_value,
-        n_cells=fit.n_cells,
-        predicted=tuple(predicted),
-    )
-
-
-def _group_of_person(data: Dataset, person: PersonFit, curve: GroupCurve) -> Group:
-    return {"subject": str(person.subject), **group_of(data, curve.group)}

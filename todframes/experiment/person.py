@@ -16,25 +16,26 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base._typing import FloatArray
+from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, FrameError, SettingsError, argument
 from todframes.base.remote import Location
 from todframes.display.display import Display
 from todframes.experiment.answers import Session, TrialRow, at_eye
+from todframes.experiment.calibration import PersonResult
 from todframes.experiment.monitor import Monitor
 from todframes.experiment.session import frames_sha256
 from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
 from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.files import FrameSource
 from todframes.frames.memory import ArrayFrame
-from todframes.frames.trials import FrameReference, Group, Trial, Trials
+from todframes.frames.trials import FrameReference, Trial, Trials
 from todframes.jobs.run import Run
 from todframes.observers.interface import Observer, Readout
 from todframes.parameters import Free
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
 from todframes.psychometrics.noise_fit import MOST_CERTAIN, AnswerTable, NoiseFit, fit_noise, joined
 from todframes.psychometrics.observer_curve import GUESS_RATE
-from todframes.results.data import ResultWarning
+from todframes.results.data import Fit, ResultWarning, group_of
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.retina_view import read_trial
 from todframes.scoring.score import check_seen, groups_of, settings_of_experiment
@@ -350,45 +351,17 @@ def noise_grid(answered: Sequence[AnsweredTrials]) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class GroupCurve:
-    """The curve of a person in one group, fitted to the counts alone, and the curve of the fitted model.
-
-    `predicted` is None if the noise is not known. `predicted_ci95` has the model's thresholds at the ends of the
-    interval of the noise; None without an interval.
-    """
-
-    group: Group
-    own: PsychometricFit
-    predicted: PsychometricFit | None
-    predicted_ci95: tuple[float | None, float | None] | None
-
-
-@dataclass(frozen=True, slots=True)
-class PersonFit:
-    """The internal noise of a person, and the curves of each group.
-
-    `n_flagged` has the number of answers with each flag of `answers.Flag` that occurs. `subject` is None for
-    several persons together, who have no curves.
-    """
-
-    subject: str | None
-    n_trials: int
-    n_correct: int
-    n_flagged: Mapping[str, int]
-    fit: NoiseFit
-    groups: tuple[GroupCurve, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Calibrated:
     """The fits of all persons, and of all answers together with one noise for all; None for a single person.
 
-    `equal_noise_p_value` is that of the likelihood-ratio test that all persons have the pooled parameters;
-    `fitted` is the name of the setting of the observer that was fitted: "internal_noise" or "efficiency".
+    `own` are the persons' own thresholds, from their counts alone. `equal_noise_p_value` is that of the
+    likelihood-ratio test that all persons have the pooled parameters; `fitted` is the name of the setting of the
+    observer that was fitted: "internal_noise" or "efficiency".
     """
 
-    persons: tuple[PersonFit, ...]
-    pooled: PersonFit | None
+    persons: tuple[PersonResult, ...]
+    pooled: PersonResult | None
+    own: tuple[Fit, ...]
     equal_noise_p_value: float | None
     skipped: tuple[Skipped, ...]
     fitted: str
@@ -398,11 +371,11 @@ class Calibrated:
         name = self.fitted.replace("_", " ")
         found = []
         for one in self.persons:
-            p_value = one.fit.deviance_p_value
+            p_value = one.deviance_p_value
             if p_value is not None and p_value < SURPRISING:
                 message = (
                     f"the model with one {name} does not describe these answers (deviance "
-                    f"{one.fit.deviance:.3g} in {one.fit.n_cells} cells, p = {p_value:.2g}); compare the "
+                    f"{one.deviance:.3g} in {one.n_cells} cells, p = {p_value:.2g}); compare the "
                     "thresholds of each group with those of the model"
                 )
                 found.append(_surprising("poor_fit", message, p_value, subject=str(one.subject)))
@@ -453,16 +426,27 @@ def calibrate_persons(
     fixed = fit_settings.lapse_rate or 0.0
     lapse_rates = (0.0, fit_settings.lapse_rate_max) if "lapse" in free else (fixed, fixed)
 
-    def fitted(subject: str | None, members: Sequence[int], number: int) -> PersonFit:
+    setting, own = fitted_setting(observer), list[Fit]()
+
+    def fitted(subject: str | None, members: Sequence[int], number: int) -> PersonResult:
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
         table = joined([tables[k] for k in members])
         is_correct = np.concatenate([answered[k].is_correct for k in members])
-        trials = [answered[k].trials for k in members]
         cells = cells_of([answered[k] for k in members])
         fit = fit_noise(table, is_correct, cells, lapse_rates=lapse_rates, rng=rng)
-        curves = () if subject is None else _curves(table, is_correct, trials, fit, fit_settings, rng)
+        predicted = []
+        if subject is not None:
+            trials = Trials.of(trial for k in members for trial in answered[k].trials)
+            for group, rows in groups_of(trials):
+                levels, named = trials.levels[rows], {"subject": subject, **group_of(dataset, group)}
+                right = is_correct[rows].astype(np.float64)
+                alone = fit_counts(levels, right, np.ones(len(rows)), settings=fit_settings, rng=rng)
+                own.append(Fit.of_counts(named, dataset.experiment.level, alone))
+                model = _model_curve(table.select(rows), levels, fit, fit_settings)
+                if model is not None:
+                    predicted.append(Fit.of_counts(named, dataset.experiment.level, model))
         flags: Counter[str] = sum((Counter(sessions[k].n_flagged()) for k in members), Counter())
-        return PersonFit(subject, len(is_correct), int(is_correct.sum()), dict(flags), fit, curves)
+        return _person_result(subject, is_correct, dict(flags), fit, predicted, setting, 1 + len(set(free)))
 
     subjects = list(dict.fromkeys(one.subject for one in answered))
     persons = tuple(
@@ -474,13 +458,47 @@ def calibrate_persons(
         pooled = fitted(None, range(len(answered)), 0)
         p_value = _equal_noise(persons, pooled, 1 + len(set(free)))
     skipped = tuple(skipped for one in answered for skipped in one.skipped)
-    return Calibrated(persons, pooled, p_value, skipped, fitted_setting(observer))
+    return Calibrated(persons, pooled, tuple(own), p_value, skipped, setting)
 
 
-def _equal_noise(persons: Sequence[PersonFit], pooled: PersonFit, n_parameters: int) -> float:
+def _person_result(
+    subject: str | None,
+    is_correct: NDArray[np.bool_],
+    n_flagged: dict[str, int],
+    fit: NoiseFit,
+    predicted: Sequence[Fit],
+    setting: str,
+    n_fitted: int,
+) -> PersonResult:
+    is_known, (low, high) = fit.status == "ok", fit.noise_ci95
+    values: Json = {NOISE: fit.noise, f"{NOISE}_ci95": (low, high)}
+    if setting == EFFICIENCY:
+        efficiency, *ends = (None if one is None else one**-2 for one in (fit.noise, high, low))
+        values = {f"{NOISE}_ci95": (None, None), EFFICIENCY: efficiency, f"{EFFICIENCY}_ci95": tuple(ends)}
+    return PersonResult(
+        subject=subject,
+        status=fit.status,
+        **values,
+        lapse_rate=fit.lapse_rate if is_known else None,
+        lapse_rate_ci95=fit.lapse_rate_ci95 if is_known else None,
+        template_blur_samples=fit.blur if is_known else None,
+        template_blur_samples_ci95=fit.blur_ci95 if is_known else None,
+        n_trials=len(is_correct),
+        n_correct=int(is_correct.sum()),
+        n_flagged=n_flagged,
+        log_likelihood=fit.log_likelihood,
+        aic=2.0 * n_fitted - 2.0 * fit.log_likelihood,
+        deviance=fit.deviance,
+        deviance_p_value=fit.deviance_p_value,
+        n_cells=fit.n_cells,
+        predicted=tuple(predicted),
+    )
+
+
+def _equal_noise(persons: Sequence[PersonResult], pooled: PersonResult, n_parameters: int) -> float:
     from scipy.stats import chi2
 
-    ratio = 2.0 * (sum(one.fit.log_likelihood for one in persons) - pooled.fit.log_likelihood)
+    ratio = 2.0 * (sum(one.log_likelihood for one in persons) - pooled.log_likelihood)
     return float(chi2.sf(max(ratio, 0.0), n_parameters * (len(persons) - 1)))
 
 
@@ -495,41 +513,23 @@ def cells_of(answered: Sequence[AnsweredTrials]) -> NDArray[np.intp]:
     return np.array([numbers.setdefault(key, len(numbers)) for key in keys], np.intp)
 
 
-def _curves(
-    table: AnswerTable,
-    is_correct: NDArray[np.bool_],
-    trials: Sequence[Trials],
-    fit: NoiseFit,
-    settings: FitSettings,
-    rng: np.random.Generator,
-) -> tuple[GroupCurve, ...]:
-    """Fit the curve of each group to the answers, and to the model's probabilities."""
-    together = Trials.of(trial for of in trials for trial in of)
-    curves = []
-    for group, rows in groups_of(together):
-        levels, part = together.levels[rows], table.select(rows)
-        right = is_correct[rows].astype(np.float64)
-        own = fit_counts(levels, right, np.ones(len(rows)), settings=settings, rng=rng)
-        predicted, *ends = (
-            _model_curve(part, levels, noise, fit, settings) for noise in (fit.noise, *fit.noise_ci95)
-        )
-        low, high = (None if one is None else one.threshold for one in ends)
-        curves.append(GroupCurve(group, own, predicted, None if predicted is None else (low, high)))
-    return tuple(curves)
-
-
 def _model_curve(
-    table: AnswerTable, levels: FloatArray, noise: float | None, fit: NoiseFit, settings: FitSettings
+    table: AnswerTable, levels: FloatArray, fit: NoiseFit, settings: FitSettings
 ) -> PsychometricFit | None:
-    """Fit the observer's curve to the probabilities with an internal noise; None without a noise.
+    """Fit the observer's curve to the probabilities with the internal noise; None if it is not known.
 
-    Its threshold is the level at which the person is right with the criterion's probability, lapses included.
+    Its threshold is the level at which the person is right with the criterion's probability, lapses included; the
+    interval has the thresholds at the ends of that of the noise.
     """
     share = fit.lapse_rate / (1.0 - GUESS_RATE)
     without_lapses = (settings.p_correct - share * GUESS_RATE) / (1.0 - share)
-    if noise is None or without_lapses >= 1.0:
+    if fit.noise is None or without_lapses >= 1.0:
         return None
-    p = table.at(np.log([noise]), np.log([fit.blur]))[:, 0, 0]
     of_model = replace(settings, p_correct=without_lapses, guess_rate=GUESS_RATE, lapse_rate=0.0, resamples=0)
-    found = fit_trials(levels, p, curve="observer", settings=of_model, rng=np.random.default_rng(0))
-    return replace(found, p_correct=settings.p_correct)
+
+    def curve(noise: float) -> PsychometricFit:
+        p = table.at(np.log([noise]), np.log([fit.blur]))[:, 0, 0]
+        return fit_trials(levels, p, curve="observer", settings=of_model, rng=np.random.default_rng(0))
+
+    low, high = (None if one is None else curve(one).threshold for one in fit.noise_ci95)
+    return replace(curve(fit.noise), p_correct=settings.p_correct, threshold_ci95=(low, high))
