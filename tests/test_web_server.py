@@ -21,9 +21,8 @@ import pytest
 
 from todframes.base.errors import DataError, SettingsError, argument, in_command
 from todframes.web import check_installed, server
-from todframes.web.guard import RESPONSE_HEADERS, guarded
 from todframes.web.pages import MOST_BODY_BYTES, call, page, stream
-from todframes.web.server import PageServer, open_listener, origin_of, serve
+from todframes.web.server import RESPONSE_HEADERS, PageServer, guarded, open_listener, origin_of, serve
 
 TOKEN = "the-token-of-this-run"
 JSON = {"Content-Type": "application/json"}

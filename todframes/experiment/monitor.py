@@ -25,9 +25,6 @@ LARGEST_CD_M2, SMALLEST_RISE_CD_M2 = 1e5, 1e-6
 CARD_WIDTH_MM = 85.60
 """Width of a bank card: ID-1 of ISO/IEC 7810."""
 
-HALF_TONE = 0.5
-"""Luminance, relative to white, of a pattern with alternate white and black rows."""
-
 PITCH_RATIOS = (0.5, 2.0)
 """Range of the visual angle of a pixel over that of the dataset's display; beyond it the test would not be the
 same."""
@@ -53,19 +50,10 @@ class MonitorError(SettingsError):
 class Calibration:
     """Measures of a monitor, as a person made them at the page. All pixels are those of the device.
 
-    Attributes
-    ----------
-    device_pixel_ratio : float
-        Device pixels per pixel of the page.
-    pixels_per_card : float or None
-        Number of pixels along the long side of a bank card; or `pixel_pitch_mm`, from a ruler or a data sheet.
-    viewing_distance_mm : float
-    gamma : float or None
-        Exponent of the monitor; or `half_tone_code`, the code value of a uniform field that looks as bright as
-        rows of white and black by turns; or `photometer`, pairs of code value and luminance in cd/m², which count
-        if they are given.
-    screen_px, viewport_px : (int, int)
-        Width and height of the screen and of the page.
+    The pitch is that of `pixels_per_card`, the number along the long side of a bank card, or `pixel_pitch_mm`,
+    from a ruler or a data sheet. Readings of a photometer, pairs of code value and luminance in cd/m², count if
+    they are given; else the exponent `gamma`, or `half_tone_code`, the code value of a uniform field that looks as
+    bright as rows of white and black by turns. `device_pixel_ratio` is in device pixels per pixel of the page.
     """
 
     device_pixel_ratio: float
@@ -93,30 +81,11 @@ class ContrastRange(NamedTuple):
 class Monitor:
     """A monitor with the distance of the person; the sidecar of the answers holds it.
 
-    Attributes
-    ----------
-    pixel_pitch_mm, viewing_distance_mm : float
-        Distance of neighbouring pixels, and of the eye from the screen.
-    pixel_pitch_mrad : float
-        Visual angle of one pixel at the eye.
-    background_code : int
-        Code value of the background: that of the page, and of contrast 0.
-    background_relative, black_relative : float
-        Luminance of the background and of code 0 over that of white.
-    background_luminance_cd_m2 : float or None
-        Luminance of the background; None if no photometer was read.
-    gamma : float or None
-        Exponent from the half-tone match; None with `lut`.
-    lut : tuple of (float, float), or None
-        Readings of a photometer: code value, 0 to 255, and luminance in cd/m².
-    bits : int
-        Number of bits of a code value.
-    dither : bool
-        Whether luminances between two codes are shown by pixels of both.
-    device_pixel_ratio : float
-        Device pixels per pixel of the page, as the browser said.
-    screen_px, viewport_px : (int, int)
-        Width and height of the screen and of the page, in device pixels.
+    `background_code` is the code value of the page, and of contrast 0. Its luminance and that of code 0 are over
+    that of white, and `background_luminance_cd_m2` is None if no photometer was read. `gamma` is the exponent from
+    the half-tone match; `lut` has the readings of a photometer in place of it: code value, 0 to 255, and luminance
+    in cd/m². With `dither`, luminances between two codes are shown by pixels of both. Sizes of screen and page are
+    in device pixels.
     """
 
     pixel_pitch_mm: Positive
@@ -215,17 +184,6 @@ def viewing_distance_mm(*, pixel_pitch_mm: float, pixel_pitch_mrad: float) -> fl
     return pixel_pitch_mm / (2.0 * math.tan(pixel_pitch_mrad / 2000.0))
 
 
-def gamma_of_half_tone(code: float) -> float:
-    """Return the exponent of a monitor on which code (0 to 255) looks as bright as rows of white and black.
-
-    (code / 255)^gamma = 1/2, the mean luminance of the rows. Raises MonitorError if the code is not between black
-    and white.
-    """
-    if not 0.0 < code < N_CODES - 1:
-        raise MonitorError("calibration", f"half_tone_code: found {code!r}, expected 0 to 255, without these two")
-    return math.log(HALF_TONE) / math.log(code / (N_CODES - 1))
-
-
 def calibrated(found: Calibration, *, background: float, dither: bool) -> Monitor:
     """Make the monitor of a person's measures.
 
@@ -252,8 +210,12 @@ def calibrated(found: Calibration, *, background: float, dither: bool) -> Monito
                 "calibration", f"{name}: found {value:.4g} mm, expected {low:g} to {high:g} mm; measure again"
             )
     gamma = found.gamma
-    if gamma is None and found.half_tone_code is not None:
-        gamma = gamma_of_half_tone(found.half_tone_code)
+    if gamma is None and (code := found.half_tone_code) is not None:
+        if not 0.0 < code < N_CODES - 1:
+            raise MonitorError(
+                "calibration", f"half_tone_code: found {code!r}, expected 0 to 255, without these two"
+            )
+        gamma = math.log(0.5) / math.log(code / (N_CODES - 1))  # the rows have half the luminance of white
     try:
         if found.photometer:
             gamma, luminance = None, luminance_of_readings(found.photometer)
@@ -263,20 +225,20 @@ def calibrated(found: Calibration, *, background: float, dither: bool) -> Monito
             raise SettingsError("gamma, half_tone_code, photometer: found none of them, expected one")
     except SettingsError as error:
         raise MonitorError("calibration", str(error)) from None
-    code = int(np.searchsorted(luminance, background * (1.0 + 1e-9), side="right")) - 1
-    if not 0 < code < N_CODES - 1:
+    background_code = int(np.searchsorted(luminance, background * (1.0 + 1e-9), side="right")) - 1
+    if not 0 < background_code < N_CODES - 1:
         raise MonitorError(
             "range",
             f"the background of {background:g} × white is not between the monitor's black ({luminance[0]:.2g} × "
             "white) and white; take another background",
         )
-    relative = float(luminance[code])
+    relative = float(luminance[background_code])
     white_cd_m2 = max(cd_m2 for _, cd_m2 in found.photometer) if found.photometer else None
     return Monitor(
         pixel_pitch_mm=pitch,
         viewing_distance_mm=found.viewing_distance_mm,
         pixel_pitch_mrad=pixel_pitch_mrad(pixel_pitch_mm=pitch, viewing_distance_mm=found.viewing_distance_mm),
-        background_code=code,
+        background_code=background_code,
         background_relative=relative,
         background_luminance_cd_m2=None if white_cd_m2 is None else relative * white_cd_m2,
         gamma=gamma,

@@ -45,7 +45,7 @@ class Answer(msgspec.Struct):
 
 
 def experiment_app(sitting: Sitting) -> Starlette:
-    """Return the app of a session, to be put behind `todframes.web.guard.guarded`."""
+    """Return the app of a session, to be put behind `todframes.web.server.guarded`."""
 
     async def stimulus(request: Request) -> Response:
         picture = await run_in_threadpool(sitting.picture, request.path_params["number"])
