@@ -32,7 +32,7 @@ from sensor_sim.chain.detector_noise import (
     delta_t_mk,
     excess_kurtosis,
     k_factor,
-    noise_parts,
+    sample_parts,
 )
 from sensor_sim.chain.pictures import trial_stages
 from sensor_sim.chain.sensor import Sensor, load_sensor
@@ -491,9 +491,9 @@ def noise_row(size: float) -> list[str]:
         """Threshold of one sensor or, without a pattern, of the mean over all."""
 
         def excess(log_snr: float) -> float:
-            parts = noise_parts(sensor.noise, total_sd=math.exp(-log_snr))
-            static = 0.0 if pattern is None else parts.fixed_pattern * (weights @ pattern)
-            drawn_anew = parts.dynamic**2 + (parts.fixed_pattern**2 if pattern is None else 0.0)
+            parts = sample_parts(sensor.noise, total_sd=math.exp(-log_snr))
+            static = 0.0 if pattern is None else parts.own_pattern * (weights @ pattern)
+            drawn_anew = parts.own_noise**2 + (parts.own_pattern**2 if pattern is None else 0.0)
             noise = chain.readout.noise_covariance + drawn_anew * covariance
             right = [answer_probability(signal[k] + static, noise, k, tolerance=1e-9) for k in range(4)]
             return float(np.mean(right)) - 0.75

@@ -42,7 +42,7 @@ from sensor_sim.explorer import routes
 from sensor_sim.explorer.limits import Shares
 from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import SLIDERS, observer_fields, sensor_fields
-from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves, mtf_plot
+from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves
 from sensor_sim.explorer.ranges import ThresholdSent, range_answer, range_from, weibull_slope
 from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
 from sensor_sim.explorer.threshold_engine import CurvePoint, Request, ThresholdEngine
@@ -206,7 +206,7 @@ def test_plots_are_files_of_the_curves(form):
     content = base64.b64decode(found["base64"])
     assert found["file"] == f"tod_curve.{form}"
     assert content.startswith(b"\x89PNG" if form == "png" else b"<?xml")
-    assert mtf_plot(ss.mtf(SENSOR), form)["file"] == f"mtf.{form}"
+    assert EXPLORER.mtf_plot(routes.MtfPlotAsked(TABLES_SENT, form))["file"] == f"mtf.{form}"
     if form == "svg":
         assert found == curve_plot(shown)  # the same bytes
         assert ElementTree.fromstring(content).tag.endswith("svg")

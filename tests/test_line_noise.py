@@ -16,7 +16,6 @@ from sensor_sim.chain.detector_noise import (
     displayed_noise,
     excess_kurtosis,
     line_shares,
-    noise_parts,
     sample_parts,
     unit_fixed_pattern,
 )
@@ -53,13 +52,12 @@ def test_parts_add_up_to_the_sample_as_it_is_without_lines() -> None:
             row_pattern_ratio=fixed * of_rows,
             column_pattern_ratio=fixed * of_columns,
         )
-        parts, (dynamic, static) = sample_parts(noise, total_sd=0.3), noise_parts(noise, total_sd=0.3)
+        without = Noise(fixed_pattern_ratio=fixed, frames_integrated=frames)
+        parts, (dynamic, *_) = sample_parts(noise, total_sd=0.3), sample_parts(without, total_sd=0.3)
         assert math.hypot(*parts) == pytest.approx(0.3, rel=1e-9)
         assert math.hypot(parts.own_noise, parts.row_noise, parts.column_noise) == pytest.approx(dynamic, rel=1e-9)
         of_lines = line_shares(noise).row + line_shares(noise).column
         assert of_lines == pytest.approx(1.0 - (parts.own_noise**2 + parts.own_pattern**2) / 0.09, abs=1e-9)
-        without = Noise(fixed_pattern_ratio=fixed, frames_integrated=frames)
-        assert noise_parts(without, total_sd=0.3) == (dynamic, static)
 
 
 def test_drawn_lines_have_the_covariance_of_their_parts() -> None:
@@ -79,7 +77,7 @@ def test_drawn_lines_have_the_covariance_of_their_parts() -> None:
     # Two frames of one sensor share its pattern alone.
     pattern = unit_fixed_pattern((40, 40), noise=LINES, seed=1)
     one, other = (displayed_noise(pattern, total_sd=1.0, noise=LINES, rng=rng) for _ in range(2))
-    fixed = noise_parts(LINES, total_sd=1.0).fixed_pattern
+    fixed = math.hypot(*sample_parts(LINES, total_sd=1.0)[1::2])
     assert np.cov(one.ravel(), other.ravel())[0, 1] == pytest.approx(fixed**2, rel=0.3)
 
 

@@ -16,7 +16,7 @@ from sensor_sim.chain.detector_noise import (
     draw,
     excess_kurtosis,
     k_factor,
-    noise_parts,
+    sample_parts,
     unit_fixed_pattern,
 )
 from sensor_sim.chain.sensor import Noise
@@ -36,12 +36,12 @@ SETTINGS = st.builds(
 
 def test_one_frame_without_fixed_pattern_has_the_noise_of_one_frame():
     assert k_factor(Noise()) == 1.0
-    assert noise_parts(Noise(), total_sd=0.3) == (0.3, 0.0)
+    assert sample_parts(Noise(), total_sd=0.3) == (0.3, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @given(SETTINGS, st.floats(0.0, 10.0))
 def test_parts_add_up_to_the_total_and_have_the_ratio_of_one_frame(noise, total_sd):
-    dynamic, static = noise_parts(noise, total_sd=total_sd)
+    dynamic, static, *_ = sample_parts(noise, total_sd=total_sd)
     # Some five roundings.
     assert math.hypot(dynamic, static) == pytest.approx(total_sd, rel=1e-14)
     single_frame = dynamic * math.sqrt(noise.frames_integrated)
@@ -98,7 +98,7 @@ def test_mean_over_many_images_is_the_fixed_pattern(distribution):
     pattern = unit_fixed_pattern((16, 16), noise=noise, seed=3)
     rng = np.random.default_rng(4)
     images = np.stack([displayed_noise(pattern, total_sd=2.0, noise=noise, rng=rng) for _ in range(1000)])
-    dynamic, static = noise_parts(noise, total_sd=2.0)
+    dynamic, static, *_ = sample_parts(noise, total_sd=2.0)
     # Five standard errors of 256 means, and of the variance of 256,000 draws (κ <= 3).
     assert np.abs(images.mean(axis=0) - static * pattern.own).max() < 5 * dynamic / math.sqrt(1000)
     variance = np.var(images, axis=0, ddof=1).mean()

@@ -55,13 +55,6 @@ class UnitPattern(NamedTuple):
     columns: FloatArray
 
 
-class NoiseParts(NamedTuple):
-    """Standard deviations of the noise parts in one displayed sample; their squares add up to the total's."""
-
-    dynamic: float
-    fixed_pattern: float
-
-
 def k_factor(noise: Noise) -> float:
     """Return the dynamic noise of a single frame divided by the total noise of the integrated sample.
 
@@ -72,35 +65,22 @@ def k_factor(noise: Noise) -> float:
     return 1.0 / math.hypot(1.0 / math.sqrt(noise.frames_integrated), noise.fixed_pattern_ratio)
 
 
-def noise_parts(noise: Noise, *, total_sd: float) -> NoiseParts:
-    """Return the dynamic and fixed parts of a displayed sample's total standard deviation (1/SNR).
-
-    Hogervorst et al. 2001, section 8.2, below eq. 4.
-    """
-    single_frame = k_factor(noise) * total_sd
-    return NoiseParts(
-        dynamic=single_frame / math.sqrt(noise.frames_integrated),
-        fixed_pattern=noise.fixed_pattern_ratio * single_frame,
-    )
-
-
 def sample_parts(noise: Noise, *, total_sd: float) -> SampleParts:
     """Return all independent parts of a displayed sample's total standard deviation (1/SNR).
 
-    Of the parts of three-dimensional noise these are tvh, vh, tv, v, th and h (D'Agostino & Webb 1991).
+    Of the parts of three-dimensional noise these are tvh, vh, tv, v, th and h (D'Agostino & Webb 1991). Lines are
+    parts of the dynamic noise and of the fixed pattern (Hogervorst et al. 2001, section 8.2, below eq. 4).
     """
-    parts = noise_parts(noise, total_sd=total_sd)
     single_frame = k_factor(noise) * total_sd
+    dynamic = single_frame / math.sqrt(noise.frames_integrated)
     lines = noise.row_noise_ratio**2 + noise.column_noise_ratio**2
-    line_patterns = (noise.row_pattern_ratio**2 + noise.column_pattern_ratio**2) * single_frame**2
+    line_patterns = noise.row_pattern_ratio**2 + noise.column_pattern_ratio**2
     return SampleParts(
-        own_noise=parts.dynamic * math.sqrt(max(1.0 - lines, 0.0)),
-        own_pattern=math.sqrt(max(parts.fixed_pattern**2 - line_patterns, 0.0))
-        if line_patterns
-        else parts.fixed_pattern,
-        row_noise=parts.dynamic * noise.row_noise_ratio,
+        own_noise=dynamic * math.sqrt(max(1.0 - lines, 0.0)),
+        own_pattern=single_frame * math.sqrt(max(noise.fixed_pattern_ratio**2 - line_patterns, 0.0)),
+        row_noise=dynamic * noise.row_noise_ratio,
         row_pattern=single_frame * noise.row_pattern_ratio,
-        column_noise=parts.dynamic * noise.column_noise_ratio,
+        column_noise=dynamic * noise.column_noise_ratio,
         column_pattern=single_frame * noise.column_pattern_ratio,
     )
 

@@ -101,12 +101,8 @@ LABELS = {
     "optics.mtf": "Measured MTF",
     "optics.psf": "Measured PSF",
     "scene.photons_per_lux_s_um2": "Photons of a lux",
-    "optics.mtf_includes_detector": "MTF includes detector",
     "detector.width_mrad": "Active width",
     "detector.width_um": "Active width",
-    "electronics.blur_sigma_px": "Blur",
-    "optics.blur_sigma_mrad": "Blur",
-    "motion.jitter_sigma_mrad": "Jitter",
     "display.blur_sigma_px": "Spot",
     "display.background_luminance_cd_m2": "Background",
 }

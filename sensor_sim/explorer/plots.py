@@ -11,10 +11,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from sensor_sim.chain.mtf_result import SensorMtf
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK, MARKERS, add_legend, label_text, plain_ticks
-from todframes.results.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,11 +58,6 @@ def curve_plot(asked: PlotAsked) -> dict[str, str]:
     return file_of(
         ReportFigure(asked.title, note, partial(draw_curves, asked=asked), "tod_curve.png"), asked.format
     )
-
-
-def mtf_plot(transfer: Result[SensorMtf], form: Format) -> dict[str, str]:
-    """Return the file of a sensor's MTFs; see `file_of`."""
-    return file_of(transfer.data.figures()[0], form)
 
 
 def file_of(picture: ReportFigure, form: Format) -> dict[str, str]:

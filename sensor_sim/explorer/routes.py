@@ -26,7 +26,7 @@ from sensor_sim.chain.sensor import SCHEMA, Sensor, sensor_from, sensor_settings
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import PageField, observer_fields, sensor_fields
-from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, file_of, mtf_plot
+from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, file_of
 from sensor_sim.explorer.ranges import Thresholds, check_aim, range_answer, range_from
 from sensor_sim.sweeps.ranges import Aim
 from sensor_sim.thresholds.curve_plan import Level, not_linear
@@ -193,7 +193,7 @@ class Explorer:
             call("/api/plot", PlotAsked, curve_plot),
             call("/api/range", RangeAsked, lambda asked: range_answer(self.range_of(asked))),
             call("/api/range-plot", RangePlotAsked, self.range_plot),
-            call("/api/mtf-plot", MtfPlotAsked, lambda asked: mtf_plot(mtf(self.made(asked)), asked.format)),
+            call("/api/mtf-plot", MtfPlotAsked, self.mtf_plot),
         ]
         return page(files("sensor_sim.explorer") / "static", calls, self.running)
 
@@ -277,6 +277,10 @@ class Explorer:
     def range_plot(self, asked: RangePlotAsked) -> dict[str, str]:
         """Return the file of a plot of probability against range; see `file_of`."""
         return file_of(self.range_of(asked).data.figures()[0], asked.format)
+
+    def mtf_plot(self, asked: MtfPlotAsked) -> dict[str, str]:
+        """Return the file of a sensor's MTFs; see `file_of`."""
+        return file_of(mtf(self.made(asked)).data.figures()[0], asked.format)
 
     def _options(self, changes: Tables) -> Iterator[str]:
         """Yield the options of a command that make the observer with some settings changed."""
