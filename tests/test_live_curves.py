@@ -349,16 +349,16 @@ def test_what_limits_follows_the_sensor():
 
 def test_sentence_says_what_limits_and_where_nothing_is_seen():
     shares = [Shares(0.9, 0.0, 0.1), Shares(0.25, 0.7, 0.05), Shares(0.15, 0.8, 0.05)]
-    limits = what_limits([2.0, 4.0, 8.0], shares, [False, True, True])
-    assert limits.detector == pytest.approx(0.75)
-    assert limits.sentence == (
+    mean, sentence = what_limits([2.0, 4.0, 8.0], shares, [False, True, True])
+    assert mean.detector == pytest.approx(0.75)
+    assert sentence == (
         "Detector noise limits: 75 % of what makes answers vary at threshold (the observer's internal noise 20 %, "
         "sampling 5 %); no threshold at 2 detectors, even without detector noise."
     )
-    nowhere = what_limits([2.0], shares[:1], [False])
-    assert nowhere.sentence.startswith("The observer's internal noise limits: 90 %")
-    balanced = what_limits([2.0], [Shares(0.4, 0.35, 0.25)], [True])
-    assert balanced.sentence.startswith("The observer's internal noise weighs most: 40 %")
+    _, nowhere = what_limits([2.0], shares[:1], [False])
+    assert nowhere.startswith("The observer's internal noise limits: 90 %")
+    _, balanced = what_limits([2.0], [Shares(0.4, 0.35, 0.25)], [True])
+    assert balanced.startswith("The observer's internal noise weighs most: 40 %")
 
 
 # Processes ----------------------------------------------------------------------------------------------------
@@ -387,7 +387,7 @@ def test_curves_come_in_order_and_are_those_of_one_process(live):
     for curve in (first, last):
         assert tuple(one.size_detectors for one in curve.thresholds) == sizes
         assert curve.thresholds[0].status == "never_reached"
-        assert "no threshold at 2 detectors" in curve.limits.sentence
+        assert "no threshold at 2 detectors" in curve.limits[1]
     for size, found in zip(sizes[1:], last.thresholds[1:], strict=True):
         assert found.threshold == pytest.approx(computed(engine(), sizes=(size,))[-1].threshold, rel=1e-4)
     (again,) = live.curves(SENSOR, OBSERVER, sizes, tolerances=TOLERANCES, is_wanted=wanted)

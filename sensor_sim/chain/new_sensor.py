@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from sensor_sim.chain.sensor import (
     Detector,
@@ -18,34 +18,28 @@ from sensor_sim.chain.sensor import (
 from todframes.base.errors import SettingsError, argument
 from todframes.parameters import CameraFile, Preset
 
-
-class _Camera(NamedTuple):
-    """Settings of a camera from public figures, and their source."""
-
-    source: str
-    values: dict[str, float]
-
-
-_BASLER = _Camera(
-    "EMVA 1288 reference data sets (github.com/EMVA1288/datasets), set 001, Basler AG 2011: QE 45.25 %, "
-    "K 0.28006, dark noise 10.92, DSNU 0.5532, PRNU 0.4327 %, 12 bits; full well: saturation at 30,957 "
-    "photons times QE",
-    {
-        "quantum_efficiency": 0.4525,
-        "system_gain_dn_per_electron": 0.28006,
-        "dark_noise_electrons": 10.92,
-        "dsnu_electrons": 0.5532,
-        "prnu_percent": 0.4327,
-        "full_well_electrons": 14008.0,
-        "bits": 12,
-    },
-)
-
-_BOSON = _Camera(
-    "FLIR Boson datasheet 102-2013-40, release 340 (March 2021): thermal sensitivity below 40 mK at f/1.0, "
-    "pixels of 12 µm, 7.5 to 13.5 µm",
-    {"netd_mk": 40.0, "pitch_um": 12.0, "f_number": 1.0},
-)
+PRESETS: dict[str, tuple[str, dict[str, float]]] = {
+    "emva_basler": (
+        "EMVA 1288 reference data sets (github.com/EMVA1288/datasets), set 001, Basler AG 2011: QE 45.25 %, "
+        "K 0.28006, dark noise 10.92, DSNU 0.5532, PRNU 0.4327 %, 12 bits; full well: saturation at 30,957 "
+        "photons times QE",
+        {
+            "quantum_efficiency": 0.4525,
+            "system_gain_dn_per_electron": 0.28006,
+            "dark_noise_electrons": 10.92,
+            "dsnu_electrons": 0.5532,
+            "prnu_percent": 0.4327,
+            "full_well_electrons": 14008.0,
+            "bits": 12,
+        },
+    ),
+    "boson": (
+        "FLIR Boson datasheet 102-2013-40, release 340 (March 2021): thermal sensitivity below 40 mK at f/1.0, "
+        "pixels of 12 µm, 7.5 to 13.5 µm",
+        {"netd_mk": 40.0, "pitch_um": 12.0, "f_number": 1.0},
+    ),
+}
+"""Source and settings of cameras from public figures."""
 
 VISIBLE_UM, THERMAL_UM = 0.55, 10.0
 """Wavelengths of the diffraction if none is given: green light, and the middle of the long-wave infrared."""
@@ -121,10 +115,9 @@ def new_sensor(
     source = ""
     of_file: dict[str, Any] = {}
     if preset is not None:
-        cameras = {"emva_basler": _BASLER, "boson": _BOSON}
-        if preset not in cameras:
-            raise SettingsError(f"preset: found {preset!r}, expected one of {', '.join(cameras)}")
-        source, of_file = cameras[preset]
+        if preset not in PRESETS:
+            raise SettingsError(f"preset: found {preset!r}, expected one of {', '.join(PRESETS)}")
+        source, of_file = PRESETS[preset]
     elif emva is not None:
         from todframes.camera.emva_xml import read_emva_xml
 

@@ -14,7 +14,6 @@ EMVA Standard 1288, release 4.0 linear, sections 2 and 4.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -170,42 +169,34 @@ class PhotonCamera:
         self.offset += photons.column_pattern_electrons * rng.standard_normal((1, field))
 
     def contrast(self, signal: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return the contrast that the camera reports, the mean of its frames, for a signal: contrast times
-        covered share.
-        """
-        photons = self.photons
-        total = np.zeros_like(signal)
-        for frame in self._frames(signal, rng):
-            total += frame
-        mean = total / photons.frames_integrated
-        return np.asarray((mean - photons.dark_electrons) / self.electrons - 1.0)
+        """Return the contrast that the camera reports for a signal: contrast times covered share.
 
-    def _frames(self, signal: FloatArray, rng: np.random.Generator) -> Iterator[FloatArray]:
-        """Yield frames in electrons, as they follow from the converter's numbers.
-
-        The offset of the converter lies so high that noise never falls below 0.
+        It is that of the mean of frames in electrons, as they follow from the converter's numbers. The offset of
+        the converter lies so high that noise never falls below 0.
         """
-        photons = self.photons
+        photons, rows, columns = self.photons, (signal.shape[0], 1), (1, signal.shape[1])
         light = np.maximum(self.electrons * (1.0 + signal) * self.response, 0.0)
         if not light.max() <= MOST_DRAWN:
             raise SettingsError(
                 f"contrast: a triangle gives {light.max():.3g} electrons in a pixel, expected at most "
                 f"{MOST_DRAWN:g}"
             )
-        gain = photons.system_gain_dn_per_electron
+        gain, total = photons.system_gain_dn_per_electron, np.zeros_like(signal)
         for _ in range(photons.frames_integrated):
             electrons = rng.poisson(light + photons.dark_electrons).astype(np.float64)
             if photons.full_well_electrons is not None:
                 electrons = np.minimum(electrons, photons.full_well_electrons)
             electrons += self.offset + photons.dark_noise_electrons * rng.standard_normal(signal.shape)
-            electrons += photons.row_noise_electrons * rng.standard_normal((signal.shape[0], 1))
-            electrons += photons.column_noise_electrons * rng.standard_normal((1, signal.shape[1]))
+            electrons += photons.row_noise_electrons * rng.standard_normal(rows)
+            electrons += photons.column_noise_electrons * rng.standard_normal(columns)
             if gain is not None:
                 number = np.rint(gain * electrons)
                 if photons.bits is not None:
                     number = np.minimum(number, 2**photons.bits - 1)
                 electrons = number / gain
-            yield electrons
+            total += electrons
+        mean = total / photons.frames_integrated
+        return np.asarray((mean - photons.dark_electrons) / self.electrons - 1.0)
 
 
 def _photons_of(sensor: Sensor) -> PhotonNoise:

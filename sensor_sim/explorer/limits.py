@@ -42,15 +42,6 @@ class Shares(NamedTuple):
     sampling: float
 
 
-class Limits(NamedTuple):
-    """Mean shares over the sizes of a curve, and the sentence that says what limits it."""
-
-    internal: float
-    detector: float
-    sampling: float
-    sentence: str
-
-
 NAMES = ("the observer's internal noise", "detector noise", "sampling")
 
 
@@ -77,8 +68,8 @@ def what_limits(
     shares: Sequence[Shares],
     reached: Sequence[bool],
     strongest: str = WITHOUT_NOISE,
-) -> Limits:
-    """Return what limits a curve in one sentence, with the mean shares of the sizes that reach their threshold.
+) -> tuple[Shares, str]:
+    """Return the mean shares of the sizes that reach their threshold, and what limits a curve in one sentence.
 
     If none has one, the means are over all sizes. `strongest` is the signal, in words, that sizes without one had.
     """
@@ -92,4 +83,4 @@ def what_limits(
     sentence = (
         f"{first} {verb}: {100.0 * most:.0f} % of what makes answers vary at threshold ({', '.join(rest)}){tail}."
     )
-    return Limits(*mean, sentence[0].upper() + sentence[1:])
+    return mean, sentence[0].upper() + sentence[1:]

@@ -20,7 +20,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple
 
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.explorer.limits import SATURATING, WITHOUT_NOISE, Limits, what_limits
+from sensor_sim.explorer.limits import SATURATING, WITHOUT_NOISE, Shares, what_limits
 from sensor_sim.explorer.threshold_engine import CurvePoint, Request, ThresholdEngine
 from sensor_sim.thresholds.curve_plan import Level
 from sensor_sim.thresholds.predict import PredictedThreshold
@@ -68,7 +68,7 @@ class LiveCurve(NamedTuple):
         return [one.threshold for one in self.points]
 
     @property
-    def limits(self) -> Limits:
+    def limits(self) -> tuple[Shares, str]:
         """Mean shares of the causes that limit the curve, and a sentence."""
         reached = [one.threshold is not None for one in self.thresholds]
         strongest = SATURATING if self.counts_photons else WITHOUT_NOISE

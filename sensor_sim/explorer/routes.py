@@ -7,7 +7,6 @@ import hashlib
 import pickle
 import re
 import shlex
-from collections import OrderedDict
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, closing
 from dataclasses import asdict
@@ -59,8 +58,6 @@ USUAL_SIZE_MRAD = 3.0
 RANGE_POINTS = 7
 """Points of the psychometric function of each size, as many as those of a curve, from which a range follows."""
 
-MOST_CLIENTS = 64
-"""Number of pages whose latest request is remembered."""
 
 MOST_PICTURE_PIXELS = 2**21
 
@@ -136,24 +133,6 @@ class TextAsked(msgspec.Struct):
     name: str = "SENSOR.toml"
 
 
-class Latest:
-    """The latest request of each page; those before it are not wanted any more."""
-
-    def __init__(self) -> None:
-        self._sequences: OrderedDict[str, int] = OrderedDict()
-
-    def note(self, client: str, sequence: int) -> None:
-        """Remember a request, unless a later one of this client is known."""
-        self._sequences[client] = max(sequence, self._sequences.get(client, sequence))
-        self._sequences.move_to_end(client)
-        while len(self._sequences) > MOST_CLIENTS:
-            self._sequences.popitem(last=False)
-
-    def is_newest(self, client: str, sequence: int) -> bool:
-        """Return whether no later request of this client is known."""
-        return self._sequences.get(client, sequence) <= sequence
-
-
 class Explorer:
     """The calls of the page that compute curves, with the processes that serve them while the server runs."""
 
@@ -171,7 +150,7 @@ class Explorer:
         optics = sensor.optics
         # The files that a request may name: the server has read them, and reads no others.
         self._measured = {name: one for name, one in (("mtf", optics.mtf), ("psf", optics.psf)) if one is not None}
-        self._latest = Latest()
+        self._latest: dict[str, int] = {}
         self._live: LiveCurves
 
     @asynccontextmanager
@@ -200,10 +179,12 @@ class Explorer:
     def start(self) -> dict[str, Any]:
         """Return the data with which the page begins."""
         of_observer = self._observer_fields()
+        # It tells measured files of the same name apart; empty if there are none.
+        measured = hashlib.sha256(repr(self._measured).encode()).hexdigest()[:16] if self._measured else ""
         return {
             "version": __version__,
             "sensor": sensor_settings(self.sensor),
-            "measured": self._fingerprint(),
+            "measured": measured,
             "observer": {one.key.partition(".")[2]: self._setting(one) for one in of_observer},
             "observer_name": self._observer_name,
             "p_correct": self.p_correct,
@@ -311,16 +292,12 @@ class Explorer:
         """Return the value of a setting of the observer."""
         return getattr(self._observer.settings, one.key.partition(".")[2])
 
-    def _fingerprint(self) -> str:
-        """Return a text that tells measured files of the same name apart; empty if there are none."""
-        return hashlib.sha256(repr(self._measured).encode()).hexdigest()[:16] if self._measured else ""
-
     def curve(self, asked: CurveAsked, is_connected: Callable[[], bool]) -> Iterator[dict[str, Any]]:
         """Return the lines of the answer for a curve, one for each `LiveCurve`; none if a newer request is known.
 
         SettingsError if a setting is invalid; others may only be found when the lines are computed.
         """
-        self._latest.note(asked.client, asked.sequence)
+        self._latest[asked.client] = max(asked.sequence, self._latest.get(asked.client, asked.sequence))
         sensor = self.made(asked)
         observer = adapted(self.observed_by(asked.observer), lambda: sensor.display.background_luminance_cd_m2)
         sizes, p_correct = asked.sizes_detectors, FitSettings(p_correct=asked.p_correct).p_correct
@@ -333,7 +310,7 @@ class Explorer:
         computed: Level = "snr" if counts_photons else asked.level
 
         def is_wanted() -> bool:
-            return is_connected() and self._latest.is_newest(asked.client, asked.sequence)
+            return is_connected() and self._latest[asked.client] <= asked.sequence
 
         def lines() -> Iterator[dict[str, Any]]:
             wanted = sizes or self._sizes_of(sensor, observer, p_correct, is_wanted)
@@ -394,6 +371,7 @@ def presets() -> dict[str, Sensor]:
 
 
 def _line(sequence: int, sensor: Sensor, level: Level, curve: LiveCurve) -> dict[str, Any]:
+    shares, sentence = curve.limits
     return {
         "sequence": sequence,
         "level": level,
@@ -405,7 +383,7 @@ def _line(sequence: int, sensor: Sensor, level: Level, curve: LiveCurve) -> dict
             _threshold(sensor, level, one.threshold) | {"slope": one.slope, "points": one.threshold.points}
             for one in curve.points
         ],
-        "limits": curve.limits._asdict(),
+        "limits": shares._asdict() | {"sentence": sentence},
     }
 
 
