@@ -32,7 +32,6 @@ from todframes.backdrops.views import (
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.display.display import Display
-from todframes.frames.trials import SceneView
 from todframes.parameters import PathLike
 
 SCENE_STREAM = 2
@@ -124,10 +123,6 @@ class Scenery:
         key = (SCENE_STREAM, background, number, 1)
         x, y = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key)).uniform(-0.5, 0.5, 2)
         return turned_place(float(x), float(y), turn)
-
-    def view(self, size_detectors: float, background: int, turn: str) -> SceneView:
-        """Return how the manifest names a background in a turn."""
-        return self.backgrounds[size_detectors][background].view(turn)
 
     def contrast(
         self, size_detectors: float, background: int, turn: str, *, field: int, matrix: FloatArray

@@ -151,7 +151,17 @@ class SimulationWork:
                 "judged": str(int(is_judged)),
             }
         name = f"frames/{name_of_trial}{'' if number is None else f'_{number:03d}'}.{self.frame_format}"
-        write_frame(self.folder / name, code, attributes=provenance(self.sensor, self.seed, trial))
+        provenance = {
+            "sensor": self.sensor.name or "unnamed",
+            "version": __version__,
+            "seed": str(self.seed),
+            "size_detectors": repr(trial.size_detectors),
+            self.sensor.level: repr(trial.level),
+            "orientation": trial.orientation.value,
+            "trial": "-".join(map(str, trial.key)),
+        }
+        attributes = {f"sensor_sim:{key}": value for key, value in provenance.items()}
+        write_frame(self.folder / name, code, attributes=attributes)
         row = {
             "frame": name,
             "orientation": trial.orientation.value,
@@ -162,7 +172,7 @@ class SimulationWork:
             "y_px": f"{frame.y_px:.6f}",
         } | of_clip
         if self.scenery is not None and trial.background is not None:
-            view = self.scenery.view(trial.size_detectors, trial.background, trial.turn)
+            view = self.scenery.backgrounds[trial.size_detectors][trial.background].view(trial.turn)
             row |= zip(SCENE_COLUMNS, view, strict=True)
         return row | {"sha256": frame_sha256(self.folder / name)}
 
@@ -249,33 +259,15 @@ def write_dataset(
     n_frames = write_dataset_files(
         folder,
         rows,
-        display=_display_table(sensor, white),
+        display={
+            "eotf": "linear",
+            "white_luminance_cd_m2": white,
+            "black_luminance_cd_m2": 0.0,
+            "pixel_pitch_mm": float(sensor.display.pixel_pitch_mm),
+            "viewing_distance_mm": float(sensor.display.viewing_distance_mm),
+            "background_luminance_cd_m2": float(sensor.display.background_luminance_cd_m2),
+        },
         experiment=Experiment(level=sensor.level, group_by=("size_detectors",)),
         comment=f"Simulated by sensor-sim {__version__} with seed {seed}; sensor: {one_line(sensor.name)}",
     )
     return Written(n_frames, share, len({row["scene"] for row in rows if row.get("scene")}))
-
-
-def provenance(sensor: Sensor, seed: int, trial: SimulatedTrial) -> dict[str, str]:
-    """Return the text attributes of a frame that record how it was made."""
-    return {
-        "sensor_sim:sensor": sensor.name or "unnamed",
-        "sensor_sim:version": __version__,
-        "sensor_sim:seed": str(seed),
-        "sensor_sim:size_detectors": repr(trial.size_detectors),
-        f"sensor_sim:{sensor.level}": repr(trial.level),
-        "sensor_sim:orientation": trial.orientation.value,
-        "sensor_sim:trial": "-".join(map(str, trial.key)),
-    }
-
-
-def _display_table(sensor: Sensor, white_cd_m2: float) -> dict[str, object]:
-    display = sensor.display
-    return {
-        "eotf": "linear",
-        "white_luminance_cd_m2": white_cd_m2,
-        "black_luminance_cd_m2": 0.0,
-        "pixel_pitch_mm": float(display.pixel_pitch_mm),
-        "viewing_distance_mm": float(display.viewing_distance_mm),
-        "background_luminance_cd_m2": float(display.background_luminance_cd_m2),
-    }
