@@ -131,7 +131,15 @@ def _with_step_error(
     """
     if found.threshold is None or observer.with_retina_step(1.0) is None:
         return if_known(found)
-    step, other = _other_step(observer, Stimulus(largest_mrad))
+    step, other = 1.0, None
+    for tried in STEPS:  # the first that is not costly, or the last that the observer allows
+        with suppress(SettingsError):
+            judge = observer.with_retina_step(tried)
+            assert judge is not None
+            side = judge.grid(Stimulus(largest_mrad)).side
+            step, other = tried, judge
+            if side <= COSTLY_SIDE:
+                break
     if other is None:
         return replace(found, numerical_error=None)
     below, at, above = (proportion(other, factor * found.threshold) for factor in (1.0 / SPAN, 1.0, SPAN))
@@ -139,20 +147,6 @@ def _with_step_error(
     change = abs(at - p_correct) / slope if slope > 0.0 else math.inf
     left = step**2 if step > FINE_STEP else 0.0
     return if_known(replace(found, numerical_error=change / abs(1.0 - left) + (found.numerical_error or 0.0)))
-
-
-def _other_step(observer: Observer, stimulus: Stimulus) -> tuple[float, Observer | None]:
-    """Return one of `STEPS` that the observer allows for a stimulus, and the observer of that step."""
-    found: tuple[float, Observer | None] = (1.0, None)
-    for step in STEPS:
-        with suppress(SettingsError):
-            other = observer.with_retina_step(step)
-            assert other is not None
-            side = other.grid(stimulus).side
-            found = step, other
-            if side <= COSTLY_SIDE:
-                break
-    return found
 
 
 def _refined(threshold: Callable[[int], ComputedThreshold], nodes_to_try: Sequence[int]) -> ComputedThreshold:

@@ -42,12 +42,16 @@ class StimulusPlan:
 
     `half_width` is the number of retina samples used on each side of the middle one; None: the whole grid.
     `full_observer` states whether further pyramid bands are needed. `bounds` has the bound on the change of
-    P(correct) by each stage that is left out.
+    P(correct) by each stage that is left out. The others are the time that is saved and the shares of the frame's
+    rows and of the retina that are used.
     """
 
     half_width: int | None = None
     full_observer: bool = False
     bounds: Mapping[str, float] = field(default_factory=dict)
+    saves_s: float = field(default=0.0, repr=False)
+    rows: float = field(default=1.0, repr=False)
+    retina: float = field(default=1.0, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,27 +116,18 @@ def plan_score(
         return ScorePlan(observer, plans, name == "full", (Step("everything", True, why),), pitch)
     # The slope dP / d ln level of a psychometric function at its threshold is about 0.5.
     budget = LEFT_OUT_SHARE * tolerance * 0.5 / 2.0
-    weighed = {}
+    plans = {}
     for stimulus, members in of_stimulus.items():
         by_level = members[np.argsort(trials.levels[members], kind="stable")]
-        weighed[stimulus] = _weigh(dataset, trials.select(by_level), observer, budget, read)
-    plans = {stimulus: of_one.plan for stimulus, of_one in weighed.items()}
-    return ScorePlan(observer, plans, False, _steps(list(weighed.values()), observer.omitted_part), pitch)
+        plans[stimulus] = _weigh(dataset, trials.select(by_level), observer, budget, read)
+    return ScorePlan(observer, plans, False, _steps(list(plans.values()), observer.omitted_part), pitch)
 
 
-@dataclass(frozen=True, slots=True)
-class _Weighed:
-    """The plan of one stimulus, the time it saves, and its shares of the frame's rows and of the retina."""
-
-    plan: StimulusPlan
-    saves_s: float = 0.0
-    rows: float = 1.0
-    retina: float = 1.0
-
-
-def _weigh(dataset: Dataset, trials: Trials, observer: Observer, budget: float, read: Reader | None) -> _Weighed:
+def _weigh(
+    dataset: Dataset, trials: Trials, observer: Observer, budget: float, read: Reader | None
+) -> StimulusPlan:
     """Plan one stimulus from a few of its trials, which must be in the order of their level."""
-    stimulus, whole = trials[0].stimulus, _Weighed(StimulusPlan())
+    stimulus, whole = trials[0].stimulus, StimulusPlan()
     tried = _tried(trials, observer, dataset.display.pitch_mrad)
     others = range(min(len(trials), MOST_BAD + len(tried)))
     candidates = trials.select(list(dict.fromkeys((*tried, *others)))[: MOST_BAD + len(tried)])
@@ -180,8 +175,10 @@ def _weigh(dataset: Dataset, trials: Trials, observer: Observer, budget: float, 
             bounds[OMITTED] = bound
     half_width, bounds["field"] = _half_width(readout, stimulus, widest.pitch_mrad, weights, images, budget)
     kept = readout.grid.side if half_width is None else 2 * half_width + 1
-    return _Weighed(
-        StimulusPlan(half_width, full, bounds),
+    return StimulusPlan(
+        half_width,
+        full,
+        bounds,
         saves_s=reading_s * len(trials) * (1.0 - kept * readout.grid.pitch_mrad / widest.width_mrad),
         rows=min(kept * readout.grid.pitch_mrad / dataset.display.pitch_mrad / shown[0].frame_rows, 1.0),
         retina=(kept / readout.grid.side) ** 2,
@@ -190,11 +187,10 @@ def _weigh(dataset: Dataset, trials: Trials, observer: Observer, budget: float, 
 
 def _has_place(dataset: Dataset, trial: Trial, observer: Observer) -> bool:
     """Return whether a trial's triangle lies on its first frame."""
-    try:
+    with suppress(FrameError):
         check_place(dataset, trial, observer.centre)
-    except FrameError:
-        return False
-    return True
+        return True
+    return False
 
 
 def _tried(trials: Trials, observer: Observer, pitch_mrad: float) -> list[int]:
@@ -252,21 +248,20 @@ def _half_width(
     return None, 0.0
 
 
-def _steps(weighed: Sequence[_Weighed], omitted: str) -> tuple[Step, ...]:
+def _steps(plans: Sequence[StimulusPlan], omitted: str) -> tuple[Step, ...]:
     """Summarise the plans of all stimuli: the largest bounds and the sums of the time saved.
 
     `omitted` is the name of what the observer's readout omits.
     """
-    plans, n = [of_one.plan for of_one in weighed], len(weighed)
     n_narrow = sum(plan.half_width is not None for plan in plans)
-    n_thrifty = n - sum(plan.full_observer for plan in plans)
+    n_thrifty, n = sum(not plan.full_observer for plan in plans), len(plans)
     levels, narrow = (
         max((plan.bounds.get(stage, 0.0) for plan in plans), default=0.0) for stage in (OMITTED, "field")
     )
-    retina = f"{100.0 * float(np.mean([of_one.retina for of_one in weighed])):.2g} % of the retina"
-    rows = [100.0 * of_one.rows for of_one in weighed]
+    retina = f"{100.0 * float(np.mean([plan.retina for plan in plans])):.2g} % of the retina"
+    rows = [100.0 * plan.rows for plan in plans]
     shares = f"{min(rows):.3g} % of" if max(rows) - min(rows) < 0.5 else f"{min(rows):.3g} to {max(rows):.3g} % of"
-    saves_s = sum(of_one.saves_s for of_one in weighed)
+    saves_s = sum(plan.saves_s for plan in plans)
     less = "one level less than full" if omitted == PYRAMID_LEVELS else "left out"
     return (
         Step("frame rows", min(rows) >= 100.0, f"{shares} a frame's rows are looked at", saves_once_s=saves_s),
