@@ -89,6 +89,7 @@ def test_display_shows_the_frame(make_dataset, orientation: str) -> None:
         assert rows[: len(rows) // 2].sum() < 0.5 * rows[len(rows) // 2 :].sum()
 
 
+@pytest.mark.slow
 def test_levels_nearest_to_threshold_of_some_groups(make_dataset) -> None:
     sizes = (1.0, 1.25, 1.5, 1.75, 2.0, 2.25)
     dataset = load_dataset(make_dataset(sizes_mrad=sizes, contrasts=(0.02, 0.06, 0.18)).path)
@@ -193,6 +194,7 @@ def test_observer_that_shows_nothing() -> None:
     assert list(decoded(one)) == ["display", "retina"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("blank_pictures")
 def test_examples_are_in_the_result_that_is_written(make_dataset, tmp_path, capsys) -> None:
     path = make_dataset(contrasts=(0.02, 0.06, 0.18)).path

@@ -110,7 +110,7 @@ def test_command_says_how_far_positions_are_from_the_manifest(make_dataset) -> N
     for row in made.rows:
         row |= {"x_px": "31.0", "y_px": "32.0"}
     made.save()
-    done = CliRunner().invoke(cli, ["score", str(made.path), "--locate"])
+    done = CliRunner().invoke(cli, ["score", str(made.path), "--set=resamples=0", "--locate"])
     assert done.exit_code == 0
     assert re.search(r"located: 2 mrad: \+0\.(49|50|51) in x, -0\.(49|50|51) in y from the manifest", done.stderr)
 
@@ -279,6 +279,6 @@ def test_locate_is_group_or_each(make_dataset) -> None:
 
 
 def test_option_may_stand_before_the_dataset_without_a_value(make_dataset) -> None:
-    done = CliRunner().invoke(cli, ["score", "--locate", str(make_dataset().path)])
+    done = CliRunner().invoke(cli, ["score", "--set=resamples=0", "--locate", str(make_dataset().path)])
     assert done.exit_code == 0
     assert "located: 2 mrad" in done.stderr

@@ -186,7 +186,7 @@ def test_frames_are_searched_again_unless_they_show_the_triangles_as_stated(away
 
 def test_terminal_shows_answers(make_dataset) -> None:
     made = make_dataset(contrasts=(0.001, 0.002))
-    done = CliRunner().invoke(cli, ["score", str(made.path)])
+    done = CliRunner().invoke(cli, ["score", str(made.path), "--set", "resamples=0"])
     assert done.exit_code == 0
     rows = done.stdout.split("Answers by orientation shown")[1].splitlines()
     # Contrasts so low that each answer is a guess: 25 %, and within 1 % in a table without decimals.

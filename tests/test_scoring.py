@@ -141,8 +141,8 @@ def test_threshold_is_the_closed_form_one(make_dataset) -> None:
                 row = {"frame": frame, "orientation": orientation.value, "size_mrad": str(size_mrad)}
                 made.rows.append(row | {"contrast": repr(factor * truth)})
     made.save()
-    scored = score_dataset(load_dataset(made.path), PyramidObserver())
-    (fit,) = scored.fits
+    chosen = FitSettings(resamples=100)
+    (fit,) = score_dataset(load_dataset(made.path), PyramidObserver(), fit_settings=chosen).fits
     assert fit.fit.status == "ok"
     low, high = fit.fit.threshold_ci95
     # 240 trials spread P by some 0.03 each, that is 0.002 in P and 0.2 % of the threshold for their mean; the
