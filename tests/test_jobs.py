@@ -17,7 +17,7 @@ import pytest
 from todframes.base import signals
 from todframes.base.errors import DataError, OutputError
 from todframes.jobs.fingerprint import code_fingerprint, fingerprint
-from todframes.jobs.run import Run, run_stored
+from todframes.jobs.run import Run, StoredWork, run_stored
 from todframes.jobs.store import FILE, MAGIC, Store
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings
@@ -223,7 +223,7 @@ def test_the_code_of_a_users_module_counts(tmp_path: Path, monkeypatch: pytest.M
 
 
 @dataclass
-class Squares:
+class Squares(StoredWork[int, int]):
     """Work that squares the numbers in files, and keeps a list of those it was called for."""
 
     folder: Path

@@ -33,7 +33,7 @@ from todframes.frames.dataset import SCENE_COLUMNS, Experiment
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.frames.files import frame_sha256, write_frame
 from todframes.jobs.fingerprint import fingerprint
-from todframes.jobs.run import Run, run_stored
+from todframes.jobs.run import Run, StoredWork, run_stored
 from todframes.parameters import FrameFormat
 
 if TYPE_CHECKING:
@@ -91,8 +91,8 @@ class WrittenFrames(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SimulationWork:
-    """The drawing and writing of frames, as a `StoredWork`: an item is a list of trials of one size.
+class SimulationWork(StoredWork[list[SimulatedTrial], WrittenFrames]):
+    """The drawing and writing of frames, an item is a list of trials of one size.
 
     `folder` is the staging folder of the dataset, by its real path, which other processes have too, and
     `white_cd_m2` the luminance of code value 1. Scenery and filming are those of `Simulator`.
@@ -186,19 +186,9 @@ class SimulationWork:
         filmed = self.scenery, self.filming
         return fingerprint(self.sensor, self.seed, self.frame_format, self.white_cd_m2, filmed, trials)
 
-    def stamp(self, item: list[SimulatedTrial]) -> None:
-        """Return None: no file is read."""
-
-    def stamped_key(self, item: list[SimulatedTrial], stamp: object) -> None:
-        """Return None: no file is read."""
-
-    def encode(self, result: WrittenFrames) -> bytes:
-        """Return the rows of the manifest and the numbers of pixels as bytes."""
-        return msgspec.msgpack.encode(result)
-
     def decode(self, encoded: bytes) -> WrittenFrames | None:
         """Return the result that `encode` got; None if a frame is missing or has changed."""
-        found = msgspec.msgpack.decode(encoded, type=WrittenFrames)
+        found = msgspec.json.decode(encoded, type=WrittenFrames)
         try:
             is_there = all(frame_sha256(self.folder / row["frame"]) == row["sha256"] for row in found.rows)
         except FrameError:

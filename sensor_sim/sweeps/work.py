@@ -26,7 +26,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, distinct_numbers
 from todframes.jobs.fingerprint import fingerprint
-from todframes.jobs.run import Run, run_stored
+from todframes.jobs.run import Run, StoredWork, run_stored
 from todframes.observers.interface import BACKGROUND, Observer
 from todframes.parameters import PlanName
 from todframes.psychometrics.fit import FitSettings
@@ -77,8 +77,8 @@ class Variants:
         return observer if self.settings is None else self.kind(replace(self.settings, **dict(changes)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SweepWork:
+@dataclass(frozen=True, kw_only=True)
+class SweepWork(StoredWork[Chain, PredictedThreshold]):
     """Work that computes the threshold of a `Chain`, with the settings of `sensor_sim.curve`. No number depends on
     `shared_mb`, the largest size of the parts that are shared, in units of 2**20 bytes.
     """
@@ -139,17 +139,6 @@ class SweepWork:
             return fingerprint(of_work, tuple(item))
         except TypeError:
             return None
-
-    def stamp(self, item: Chain) -> object:  # noqa: ARG002
-        """Return nothing: no file is read."""
-        return None
-
-    def stamped_key(self, item: Chain, stamp: object) -> None:
-        """Return None: no file is read."""
-
-    def encode(self, result: PredictedThreshold) -> bytes:
-        """Return a result as bytes."""
-        return msgspec.json.encode(result)
 
     def decode(self, encoded: bytes) -> PredictedThreshold:
         """Return the result that `encode` made these bytes of."""

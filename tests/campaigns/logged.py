@@ -30,11 +30,13 @@ def log_items() -> None:
 
     def function(keyed: Any) -> Callable[[Any], Any]:
         inner = function_of(keyed)
+        if keyed.is_key_alone:
+            return inner
 
         def do(item: Any) -> Any:
             time.sleep(item_s)
             result = inner(item)
-            os.write(log, f"{NO_KEY if result.key is None else result.key.hex()}\n".encode())
+            os.write(log, f"{NO_KEY if result[0] is None else result[0].hex()}\n".encode())
             return result
 
         return do

@@ -4,53 +4,64 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import msgspec
 
 from todframes.base.output import Going, store_path
 from todframes.jobs.engine import open_engine
-from todframes.jobs.work import ITEMS_PER_TASK, Engine, LocalEngine, Work
+from todframes.jobs.work import ITEMS_PER_TASK, Engine, LocalEngine
 from todframes.parameters import Progress, counted
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store
 
 Item = TypeVar("Item")
-Item_contra = TypeVar("Item_contra", contravariant=True)
 Result = TypeVar("Result")
 
 
-class StoredWork(Work[Item_contra, Result], Protocol[Item_contra, Result]):
-    """Protocol of work whose results can be kept between runs.
+class StoredWork(Generic[Item, Result]):
+    """Base class of `Work` whose results can be kept between runs.
 
     The key of an item stands for all that its result depends on, the bytes of the files that it reads included.
     """
 
-    def key(self, item: Item_contra, *, is_done: bool) -> bytes | None:
+    def function(self) -> Callable[[Item], Result]:
+        """Return the function of an item, as `Work` does."""
+        raise NotImplementedError
+
+    def name(self, item: Item) -> str:
+        """Return what messages call an item."""
+        raise NotImplementedError
+
+    def key(self, item: Item, *, is_done: bool) -> bytes | None:
         """Return the key of an item's result; None if it cannot be known, or the result is not to be kept.
 
         `is_done` states whether the function has just returned for this item, which may have checked its files.
         """
+        raise NotImplementedError
 
-    def stamp(self, item: Item_contra) -> object:
+    def stamp(self, item: Item) -> object:  # noqa: ARG002
         """Return properties of the item's files that change when one is written, without reading them."""
+        return None
 
-    def stamped_key(self, item: Item_contra, stamp: object) -> bytes | None:
+    def stamped_key(self, item: Item, stamp: object) -> bytes | None:  # noqa: ARG002
         """Return a key that stands for the stamp in place of the bytes of files; None if that is not enough.
 
         With it, files that an earlier run has read need not be read again.
         """
+        return None
 
     def encode(self, result: Result) -> bytes | None:
         """Return a result as bytes; None if it is not to be kept."""
+        return msgspec.json.encode(result)
 
     def decode(self, encoded: bytes) -> Result | None:
         """Return the result that `encode` made these bytes of; None if what it names is no longer there."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,80 +133,58 @@ def run_stored(
 def _results(
     work: StoredWork[Item, Result], items: Sequence[Item], engine: Engine, store: Store | None
 ) -> Generator[tuple[int, Result], None, None]:
-    left: Sequence[int] = range(len(items))
     if store is None:
         with closing(engine.run(work, enumerate(items))) as batches:
             for batch in batches:
                 yield from batch
         return
+    left: Sequence[int] = range(len(items))
     if len(store):
-        left = yield from _found(work, items, engine, store)
+        left = yield from _kept(work, items, engine, store)
         if len(left) < len(items):
             store.tell(
                 f"{len(items) - len(left)} of {len(items)} parts of the work are there from an earlier run; "
                 + ("going on with the others" if left else "nothing is left to do")
             )
-    numbered = enumerate(items) if len(left) == len(items) else ((number, items[number]) for number in left)
-    with closing(engine.run(Keyed(work), numbered)) as keyed_batches:
+    with closing(engine.run(Keyed(work), ((number, items[number]) for number in left))) as keyed_batches:
         for keyed_batch in keyed_batches:
-            store.add(_rows(work, keyed_batch))
-            for number, one in keyed_batch:
-                yield number, one.result
-
-
-def _decoded(work: StoredWork[Item, Result], encoded: bytes) -> Result | None:
-    """Return a result of the store; None if it is no result: then another program has written it."""
-    try:
-        return work.decode(encoded)
-    except (ValueError, msgspec.MsgspecError):
-        return None
-
-
-def _rows(
-    work: StoredWork[Item, Result], batch: Sequence[tuple[int, KeyedResult[Result]]]
-) -> list[tuple[bytes, bytes]]:
-    """Return the keys and encoded results of a batch that are to be kept."""
-    rows = []
-    for _, one in batch:
-        if one.key is not None:
-            encoded = work.encode(one.result)
-            if encoded is not None:
-                rows.append((one.key, encoded))
-                if one.stamped_key is not None:
-                    rows.append((one.stamped_key, one.key))
-    return rows
-
-
-class KeyedResult(NamedTuple, Generic[Result]):
-    """A result with its key, None if it is not to be kept, and the key by its stamp, under which `key` is kept."""
-
-    key: bytes | None
-    stamped_key: bytes | None
-    result: Result
+            rows: list[tuple[bytes, bytes]] = []
+            for _, (key, stamped_key, result) in keyed_batch:
+                if key is not None and (encoded := work.encode(result)) is not None:
+                    rows += [(key, encoded)] if stamped_key is None else [(key, encoded), (stamped_key, key)]
+            store.add(rows)
+            yield from ((number, result) for number, (_, _, result) in keyed_batch)
 
 
 @dataclass
-class Keyed(Generic[Item, Result]):
-    """Work that gives each result with its key, so that keys are computed where the work is done."""
+class Keyed(Generic[Item]):
+    """Work that gives each result after its key and the key by its stamp, or only the key of each item.
 
-    work: StoredWork[Item, Result]
+    So keys are computed where the work is done. A result without a key is not kept.
+    """
+
+    work: StoredWork[Item, Any]
+    is_key_alone: bool = False
 
     @property
     def items_at_once(self) -> int:
         """Number of items that come back at a time from the calling thread."""
         return getattr(self.work, "items_at_once", ITEMS_PER_TASK)
 
-    def function(self) -> Callable[[Item], KeyedResult[Result]]:
-        """Return the function of an item that returns its result and key."""
-        function, work = self.work.function(), self.work
+    def function(self) -> Callable[[Item], tuple[bytes | None, bytes | None, Any]]:
+        """Return the function of an item."""
+        work = self.work
+        if self.is_key_alone:
+            return lambda item: (work.key(item, is_done=False), None, None)
+        function = work.function()
 
-        def do(item: Item) -> KeyedResult[Result]:
+        def do(item: Item) -> tuple[bytes | None, bytes | None, Any]:
             stamp = work.stamp(item)
             stamped_key = work.stamped_key(item, stamp)
             result = function(item)
             key = work.key(item, is_done=True)
             # A file that was written meanwhile has another key than the bytes that were worked on.
-            return KeyedResult(key if work.stamp(item) == stamp else None, stamped_key, result)
+            return key if work.stamp(item) == stamp else None, stamped_key, result
 
         return do
 
@@ -204,48 +193,33 @@ class Keyed(Generic[Item, Result]):
         return self.work.name(item)
 
 
-def _found(
+def _kept(
     work: StoredWork[Item, Result], items: Sequence[Item], engine: Engine, store: Store
 ) -> Generator[tuple[int, Result], None, Sequence[int]]:
-    """Yield the results that the store has; return the places of the other items."""
+    """Yield the results that the store has; return the indices of the other items."""
+    left = array("q")
 
-    def result_of(key: bytes) -> Result | None:
-        encoded = store.get(key)
-        result = None if encoded is None else _decoded(work, encoded)
-        store.n_used += result is not None
-        return result
+    def result_of(number: int, key: bytes | None) -> Iterator[tuple[int, Result]]:
+        encoded, result = None if key is None else store.get(key), None
+        with suppress(ValueError, msgspec.MsgspecError):  # another program has written it
+            result = None if encoded is None else work.decode(encoded)
+        if result is None:
+            left.append(number)
+        else:
+            store.n_used += 1
+            yield number, result
 
-    unread, left = array("q"), array("q")
-    for place, item in enumerate(items):
+    unread = array("q")
+    for number, item in enumerate(items):
         stamped_key = work.stamped_key(item, work.stamp(item))
         key = None if stamped_key is None else store.get(stamped_key)
         if key is None:
-            unread.append(place)
-        elif (result := result_of(key)) is None:
-            left.append(place)
+            unread.append(number)
         else:
-            yield place, result
-    with closing(engine.run(_Keys(work), ((place, items[place]) for place in unread))) as batches:
+            yield from result_of(number, key)
+    keys = Keyed(work, is_key_alone=True)
+    with closing(engine.run(keys, ((number, items[number]) for number in unread))) as batches:
         for batch in batches:
-            for place, of_content in batch:
-                result = None if of_content is None else result_of(of_content)
-                if result is None:
-                    left.append(place)
-                else:
-                    yield place, result
+            for number, (key, *_) in batch:
+                yield from result_of(number, key)
     return array("q", sorted(left))
-
-
-@dataclass
-class _Keys(Generic[Item]):
-    """Work that computes the keys of items whose files have to be read for it."""
-
-    work: StoredWork[Item, Any]
-
-    def function(self) -> Callable[[Item], bytes | None]:
-        """Return the function of an item that returns its key."""
-        return partial(self.work.key, is_done=False)
-
-    def name(self, item: Item) -> str:
-        """Return what messages call an item."""
-        return self.work.name(item)

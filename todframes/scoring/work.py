@@ -22,7 +22,7 @@ from todframes.frames.dataset import Skipped
 from todframes.frames.files import frame_sha256
 from todframes.frames.position import check_place
 from todframes.frames.trials import FrameReference, Trial, Trials
-from todframes.jobs.run import Run, run_stored
+from todframes.jobs.run import Run, StoredWork, run_stored
 from todframes.observers.interface import Readout
 from todframes.scoring.seen_trials import Scoring
 from todframes.stimulus import Stimulus
@@ -49,8 +49,8 @@ class Unusable(NamedTuple):
 
 
 @dataclass(frozen=True)
-class TrialWork(Generic[T]):
-    """The showing of trials to an observer, as a `StoredWork`.
+class TrialWork(StoredWork[Trial, bytes | Unusable], Generic[T]):
+    """The showing of trials to an observer.
 
     Its results, of type `kind`, are NamedTuples of numbers, arrays of float64 and such tuples. They are encoded
     where the work is done: as bytes they take a tenth of the time to another process. `depends_on` is what results
