@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
+import plan_datasets
+import plan_scenes
 import pytest
 from click.testing import CliRunner
 
@@ -32,19 +32,6 @@ from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 ROOT = Path(__file__).parent.parent
 STAR_LIKE = load_sensor(ROOT / "sample_frames" / "star_like.toml")
 NAKED_EYE = ROOT / "sample_frames" / "naked_eye"
-
-
-def benchmark(name: str) -> ModuleType:
-    """A script among the benchmarks."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / "tests" / "benchmarks" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-plan_scenes, plan_datasets = benchmark("plan_scenes"), benchmark("plan_datasets")
 
 
 def forbidden(*_args, **_more):
