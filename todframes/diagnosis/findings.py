@@ -127,8 +127,7 @@ def _codes(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
 def _background(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
     rule = dataset.display.background_luminance_cd_m2
     # Noise that is cut off, or skewed, moves the mean; so does a fixed pattern, up to three standard deviations
-    # of a pixel's contrast, from its neighbours and from trial to trial. More is a step or a slope of the
-    # background.
+    # of a pixel's contrast, from its neighbours and from trial to trial. More is a step or a slope.
     by_noise = 0.1 if shown.noise_contrast > LOUD else 0.5 * shown.noise_contrast
     by_pattern = min(CERTAIN * shown.ring_ratio_error, 3.0 * math.hypot(shown.noise_contrast, shown.ring_scatter))
     if abs(shown.ring_ratio - 1.0) > max(MATTERS, by_noise, by_pattern):

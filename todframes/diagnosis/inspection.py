@@ -487,8 +487,7 @@ def _scatter(apart: FloatArray, noise: FloatArray) -> float | None:
     sums = weight.sum(axis=0)
     excess = weight * np.square(apart - (weight * apart).sum(axis=0) / sums)
     freedom = (n - 1) * axes
-    # The cube root of a mean square is normal, very nearly (Wilson and Hilferty): five standard errors are no
-    # noise.
+    # The cube root of a mean square is normal, very nearly (Wilson and Hilferty): beyond five errors is no noise.
     if excess.sum() <= freedom * (1.0 + 5.0 * math.sqrt(2.0 / (9.0 * freedom))) ** 3:
         return 0.0
     return math.sqrt((excess.sum() - freedom) / (sums - np.square(weight).sum(axis=0) / sums).sum())

@@ -60,8 +60,7 @@ class Template(NamedTuple):
         return cls(np.asarray(np.conj(spectrum) / noise, np.complex128), energy, length)
 
     def peaks(self, window: FloatArray, *, contrast: float | None, noise: float, reach: float) -> Peaks:
-        """Return the peaks of the log likelihood within a distance from the middle, along each axis, the highest
-        first.
+        """Return the peaks of the log likelihood within a distance from the middle along each axis, highest first.
 
         `window`, (n, n), is a contrast, `contrast` that of the triangle, None if it is not known, and `noise` the
         standard deviation of a block.

@@ -169,9 +169,7 @@ def _measured(
 
 
 class _WindowSums:
-    """Sums over the pixels about a triangle, by bands, and over the whole frame if the background rule needs
-    these.
-    """
+    """Sums over the pixels about a triangle, by bands, and over the whole frame if the background rule asks."""
 
     def __init__(
         self,

@@ -194,8 +194,8 @@ def _has_place(dataset: Dataset, trial: Trial, observer: Observer) -> bool:
 
 
 def _tried(trials: Trials, observer: Observer, pitch_mrad: float) -> list[int]:
-    """Return the indices of trials at middle levels and, if positions differ, of those nearest to the edges of the
-    frame.
+    """Return the indices of trials at middle levels and, if positions differ, of those nearest to the frame's
+    edges.
     """
     n_tried = min(max(len(trials) // 40, 1), 4)
     first = (len(trials) - n_tried) // 2

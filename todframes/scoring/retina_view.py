@@ -98,8 +98,7 @@ class Shown(NamedTuple):
     def with_gaze_fixed(self, trial: Trial, frame_pitch_mrad: float) -> Shown:
         """Return frames that were read with a tracked gaze as seen with a fixed one.
 
-        `frame_pitch_mrad` is the pixel pitch of the frames in the dataset, which an algorithm may have changed
-        since.
+        `frame_pitch_mrad` is the pixel pitch of the dataset's frames, which an algorithm may have changed since.
         """
         motion_px = to_mean_place_px(trial) * (frame_pitch_mrad / self.pixel_pitch_mrad)
         xs, ys = (np.array([self.x_px, self.y_px]) + motion_px.T).tolist()

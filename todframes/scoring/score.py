@@ -231,10 +231,9 @@ def fit_groups(
     curve: CurveName,
     expected: bool,
 ) -> ScoredDataset:
-    """Compute the answers of all trials, in the order of the manifest, and fit a curve to each group; nothing is
-    skipped.
+    """Compute the answers of all trials, in the order of the manifest, and fit a curve to each group.
 
-    `looks` are groups that were seen again, with more displacements: these count.
+    `looks` are groups that were seen again, with more displacements: these count. Nothing is skipped.
     """
     trials, n = seen.trials, len(seen)
     parts = [(np.searchsorted(trials.numbers, look.trials.numbers), look) for look in looks]
