@@ -17,7 +17,7 @@ from photon_camera import PhotonCamera
 
 import todframes as tod
 from todframes.base.errors import DataError
-from todframes.camera.emva_xml import EmvaCamera, emva_xml, read_emva_xml
+from todframes.camera.emva_xml import emva_xml, read_emva_xml
 from todframes.cli.console import run
 from todframes.cli.main import cli
 
@@ -44,17 +44,7 @@ PUBLISHED = r"""<results>
 
 def test_published_results_are_read(tmp_path: Path) -> None:
     (tmp_path / "camera.xml").write_text(PUBLISHED)
-    camera = read_emva_xml(tmp_path / "camera.xml")
-    assert camera == EmvaCamera(
-        system_gain_dn_per_electron=0.280769280926,
-        dark_noise_electrons=10.8980275235,
-        quantum_efficiency=pytest.approx(0.451356082834, rel=1e-15),
-        dark_current_electrons_per_s=28.4074312749,
-        dsnu_electrons=0.551787767644,
-        prnu_percent=0.432704411062,
-        full_well_electrons=13972.6302563,
-    )
-    assert camera.noise_table() == {
+    assert read_emva_xml(tmp_path / "camera.xml") == {
         "model": "photon",
         "quantum_efficiency": 0.451356,
         "system_gain_dn_per_electron": 0.280769,
@@ -69,14 +59,15 @@ def test_published_results_are_read(tmp_path: Path) -> None:
 def test_written_results_come_back(tmp_path: Path) -> None:
     values = {"K": 0.28, "sigma_d": 10.9, "QE": 45.0, "u_I_mean": -0.5, "bits": 12, "exposure": 5.16}
     (tmp_path / "camera.xml").write_bytes(emva_xml(values | {"u_e_sat": None}))
-    assert read_emva_xml(tmp_path / "camera.xml") == EmvaCamera(
-        system_gain_dn_per_electron=0.28,
-        dark_noise_electrons=10.9,
-        quantum_efficiency=0.45,
-        dark_current_electrons_per_s=0.0,
-        bits=12,
-        exposure_ms=5.16,
-    )
+    assert read_emva_xml(tmp_path / "camera.xml") == {
+        "model": "photon",
+        "quantum_efficiency": 0.45,
+        "system_gain_dn_per_electron": 0.28,
+        "dark_noise_electrons": 10.9,
+        "dark_current_electrons_per_s": 0.0,
+        "bits": 12,
+        "exposure_ms": 5.16,
+    }
 
 
 @pytest.mark.parametrize(
@@ -393,10 +384,10 @@ def test_a_descriptor_and_the_command_give_the_same(tmp_path: Path, capsys: pyte
 def test_xml_of_a_measurement_is_the_camera_of_its_sensor_toml(tmp_path: Path) -> None:
     found = tod.emva_noise(**stacks(n=2))
     (tmp_path / "emva.xml").write_bytes(found.xml())
-    written, table = read_emva_xml(tmp_path / "emva.xml"), tomllib.loads(found.sensor_toml())["noise"]
-    assert table == found.noise.emva1288.camera().noise_table()
-    for name, value in table.items():
-        assert name == "model" or getattr(written, name) == pytest.approx(value, rel=1e-5)
+    table = tomllib.loads(found.sensor_toml())["noise"]
+    assert table == found.noise.emva1288.noise_table()
+    written = read_emva_xml(tmp_path / "emva.xml")
+    assert written.pop("model") == table.pop("model") and written == pytest.approx(table, rel=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -127,10 +127,6 @@ class MtfBand:
         """MTF at 0.5 cycles/pixel."""
         return EdgeValue(float(self.mtf[NYQUIST]), (float(self.lower[NYQUIST]), float(self.upper[NYQUIST])))
 
-    def at(self, frequency_cyc_per_pixel: float) -> float:
-        """Return the MTF at a frequency of 0 to 1 cycles/pixel."""
-        return float(np.interp(frequency_cyc_per_pixel, FREQUENCY_CYC_PER_PIXEL, self.mtf))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EdgeMtf(MtfBand):

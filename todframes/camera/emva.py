@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from msgspec import Struct, structs
 
-from todframes.base._typing import FloatArray
+from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, argument
-from todframes.camera.emva_xml import LEAVES, EmvaCamera
+from todframes.camera.emva_xml import LEAVES, noise_table
 from todframes.camera.noise3d import (
     DRIFT_ERRORS,
     MOST_SATURATED,
@@ -316,16 +316,16 @@ class EmvaNumbers(Struct, frozen=True, kw_only=True):
     dark: Variances
     points: tuple[TransferStack, ...]
 
-    def camera(self) -> EmvaCamera:
-        """Return the figures that a model of the camera needs: noise and pattern without those of the lines."""
+    def noise_table(self) -> Json:
+        """Return the table `[noise]` of a SENSOR.toml, with noise and pattern without those of the lines."""
         of_noise, of_pattern = (
             math.hypot(*(sd for key, sd in self.lines_electrons.items() if kind in key))
             for kind in ("noise", "pattern")
         )
-        return EmvaCamera(
+        return noise_table(
+            quantum_efficiency=self.quantum_efficiency,
             system_gain_dn_per_electron=self.system_gain,
             dark_noise_electrons=math.sqrt(max(self.dark_noise**2 - of_noise**2, 0.0)),
-            quantum_efficiency=self.quantum_efficiency,
             dark_current_electrons_per_s=None if self.dark_current is None else max(self.dark_current, 0.0),
             dsnu_electrons=math.sqrt(max(self.dsnu**2 - of_pattern**2, 0.0)),
             prnu_percent=self.prnu,

@@ -10,9 +10,8 @@ import csv
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 from todframes.base._typing import Json
@@ -44,36 +43,16 @@ with Path(__file__).with_name("emva_results.csv").open(encoding="utf-8", newline
 """Quantities of a result, in the order of the file."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EmvaCamera:
-    """A camera as results of EMVA 1288 describe it; None for what they do not state.
+def noise_table(**values: Any) -> Json:
+    """Return the table `[noise]` of a SENSOR.toml with what a camera's figures state, in six digits.
 
-    The quantum efficiency is in electrons per photon, from 0 to 1. The dark current is from the means of dark
-    frames; 0 where noise has made it negative. The four parts of rows and columns are what their pixels have in
-    common in the dark, in a frame or in all: no parts of the dark noise and of the DSNU stated here. Results of
-    EMVA 1288 do not have them. The exposure is that of the spatial measurement.
+    The four parts of rows and columns are what their pixels have in common in the dark, in a frame or in all: no
+    parts of the dark noise and of the DSNU stated here. Results of EMVA 1288 do not have them.
     """
-
-    quantum_efficiency: float | None = None
-    system_gain_dn_per_electron: float
-    dark_noise_electrons: float
-    dark_current_electrons_per_s: float | None = None
-    dsnu_electrons: float | None = None
-    prnu_percent: float | None = None
-    row_noise_electrons: float | None = None
-    column_noise_electrons: float | None = None
-    row_pattern_electrons: float | None = None
-    column_pattern_electrons: float | None = None
-    full_well_electrons: float | None = None
-    bits: int | None = None
-    exposure_ms: float | None = None
-
-    def noise_table(self) -> Json:
-        """Return the table `[noise]` of a SENSOR.toml, with the keys that are known, in six digits."""
-        known = {name: value for name, value in asdict(self).items() if value is not None}
-        return {"model": "photon"} | {
-            name: float(f"{value:.6g}") if isinstance(value, float) else value for name, value in known.items()
-        }
+    known = {name: value for name, value in values.items() if value is not None}
+    return {"model": "photon"} | {
+        name: float(f"{value:.6g}") if isinstance(value, float) else value for name, value in known.items()
+    }
 
 
 def emva_xml(values: Mapping[str, float | int | None]) -> bytes:
@@ -96,37 +75,27 @@ def emva_xml(values: Mapping[str, float | int | None]) -> bytes:
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
 
 
-def read_emva_xml(path: Path) -> EmvaCamera:
-    """Return the camera that a file of EMVA 1288 results describes.
+def read_emva_xml(path: Path) -> Json:
+    """Return the table `[noise]` of a SENSOR.toml for the camera that a file of EMVA 1288 results describes.
 
     DataError if the file cannot be read, is of another release or form, or has a value that no camera has.
     """
     results = _results(path)
     values = {one.name: _number(path, results, one) for one in LEAVES}
-    gain, dark_noise = values["K"], values["sigma_d"]
+    gain, dark_noise, efficiency = values["K"], values["sigma_d"], values["QE"]
     if gain is None and (inverse := values["inverse_K"]) is not None:
         gain = 1.0 / inverse if inverse > 0.0 else math.nan
     if gain is None or dark_noise is None:
         missing = "K" if gain is None else "sigma_d"
         raise DataError(f"{path}: found no sensitivity/{missing}, expected one; are these results of EMVA 1288?")
-    efficiency, bits = values["QE"], values["bits"]
+    bits, dark_current = values["bits"], values["u_I_mean"]
     if bits is not None and bits != round(bits):
         raise DataError(f"{path}: info/bits: found {bits:g}, expected a whole number")
-    camera = EmvaCamera(
-        system_gain_dn_per_electron=gain,
-        dark_noise_electrons=dark_noise,
-        quantum_efficiency=None if efficiency is None else efficiency / 100.0,
-        dark_current_electrons_per_s=None if values["u_I_mean"] is None else max(values["u_I_mean"], 0.0),
-        dsnu_electrons=values["DSNU1288"],
-        prnu_percent=values["PRNU1288"],
-        full_well_electrons=values["u_e_sat"],
-        bits=None if bits is None else round(bits),
-        exposure_ms=values["exposure"],
-    )
+    efficiency = None if efficiency is None else efficiency / 100.0
     for name, value, most in (
         ("sensitivity/K", gain, math.inf),
-        ("sensitivity/QE", camera.quantum_efficiency, 1.0),
-        ("sensitivity/u_e_sat", camera.full_well_electrons, math.inf),
+        ("sensitivity/QE", efficiency, 1.0),
+        ("sensitivity/u_e_sat", values["u_e_sat"], math.inf),
     ):
         if value is not None and not 0.0 < value <= most:
             of_percent = " up to 100 %" * (most == 1.0)
@@ -135,7 +104,18 @@ def read_emva_xml(path: Path) -> EmvaCamera:
         value = values[name.partition("/")[2]]
         if value is not None and value < 0.0:
             raise DataError(f"{path}: {name}: found {value:g}, expected a number of 0 or more")
-    return camera
+    return noise_table(
+        quantum_efficiency=efficiency,
+        system_gain_dn_per_electron=gain,
+        dark_noise_electrons=dark_noise,
+        # From the means of dark frames; noise can make it negative.
+        dark_current_electrons_per_s=None if dark_current is None else max(dark_current, 0.0),
+        dsnu_electrons=values["DSNU1288"],
+        prnu_percent=values["PRNU1288"],
+        full_well_electrons=values["u_e_sat"],
+        bits=None if bits is None else round(bits),
+        exposure_ms=values["exposure"],
+    )
 
 
 def _results(path: Path) -> ElementTree.Element:

@@ -179,7 +179,7 @@ class Emva(Content, frozen=True, kw_only=True):
         With the film of a chart it has the table `[scene]` too, with the electrons of the background.
         """
         numbers = self.noise.emva1288
-        table, background = numbers.camera().noise_table(), numbers.background_electrons
+        table, background = numbers.noise_table(), numbers.background_electrons
         needs_photons = "quantum_efficiency" not in table and background is None
         hints = ["quantum_efficiency is not known: give photons"] if needs_photons else []
         hints += [] if "exposure_ms" in table else [f"exposure_ms is not known: give {argument.exposure_ms}"]

@@ -133,40 +133,34 @@ def _frequency_column(header: Sequence[str], path: Path) -> str:
 
 def _check(table: MtfTable, places: Sequence[str], *, may_exceed_1: bool) -> None:
     """Raise DataError for values that no MTF has; `places` begin the messages, one for each frequency."""
-    frequency = table.frequency
-    steps = np.diff(frequency)
-    if frequency[0] < 0.0:
-        raise DataError(f"{places[0]} found frequency {frequency[0]:g}, expected 0 or more")
-    if (steps <= 0.0).any():
-        k = int(np.argmax(steps <= 0.0))
-        raise DataError(
-            f"{places[k + 1]} found frequency {frequency[k + 1]:g} after {frequency[k]:g}, expected ascending ones"
-        )
-    for name, values in table.curves.items():
-        error = np.full(len(values), READING_ERROR)
-        if name == RADIAL and table.upper is not None and table.lower is not None:
-            out = (table.lower > values) | (values > table.upper)
-            if out.any():
-                k = int(np.argmax(out))
+    before = -math.inf
+    for k, (where, frequency) in enumerate(zip(places, table.frequency.tolist(), strict=True)):
+        if frequency < 0.0:
+            raise DataError(f"{where} found frequency {frequency:g}, expected 0 or more")
+        if frequency <= before:
+            raise DataError(f"{where} found frequency {frequency:g} after {before:g}, expected ascending ones")
+        before = frequency
+        for name, values in table.curves.items():
+            value, error = float(values[k]), READING_ERROR
+            if name == RADIAL and table.upper is not None and table.lower is not None:
+                low, high = float(table.lower[k]), float(table.upper[k])
+                if not low <= value <= high:
+                    raise DataError(
+                        f"{where} found mtf {value:g} outside of its band {low:g} to {high:g}, expected mtf_lower "
+                        "<= mtf <= mtf_upper"
+                    )
+                error = max(error, value - low)
+            if value < 0.0:
+                raise DataError(f"{where} found {name} {value:g}, expected 0 or more")
+            if frequency == 0.0 and abs(value - 1.0) > error:
                 raise DataError(
-                    f"{places[k]} found mtf {values[k]:g} outside of its band {table.lower[k]:g} to "
-                    f"{table.upper[k]:g}, expected mtf_lower <= mtf <= mtf_upper"
+                    f"{where} found {name} {value:g} at frequency 0, expected 1: divide all values by it"
                 )
-            error = np.maximum(error, values - table.lower)
-        if values.min() < 0.0:
-            k = int(np.argmin(values))
-            raise DataError(f"{places[k]} found {name} {values[k]:g}, expected 0 or more")
-        if frequency[0] == 0.0 and abs(values[0] - 1.0) > error[0]:
-            raise DataError(
-                f"{places[0]} found {name} {values[0]:g} at frequency 0, expected 1: divide all values by it"
-            )
-        above = values > 1.0 + error
-        if above.any() and not may_exceed_1:
-            k = int(np.argmax(above))
-            raise DataError(
-                f"{places[k]} found {name} {values[k]:g} at {frequency[k]:g}, expected at most 1 within its error "
-                f"of {error[k]:.2g}: a lens or detector has no more; was the picture sharpened?"
-            )
+            if value > 1.0 + error and not may_exceed_1:
+                raise DataError(
+                    f"{where} found {name} {value:g} at {frequency:g}, expected at most 1 within its error of "
+                    f"{error:.2g}: a lens or detector has no more; was the picture sharpened?"
+                )
 
 
 def read_mtf_mapper(path: Path) -> list[MapperEdge]:

@@ -48,9 +48,6 @@ MARGIN = 1.15
 CELLS = 16
 """Number of cells between two points of the curve in which a crossing is searched."""
 
-REFINEMENTS = 3
-"""Number of times that the neighbourhood of a crossing is divided again, each time into 32 cells."""
-
 NEAREST_KM = 1e-3
 """Shortest range that is reported."""
 
@@ -216,7 +213,15 @@ class Acquisition:
             return np.where(is_seen, np.inf, 0.0), float(knots[0]), end
         first = self._first_crossing(knots, ln_threshold, _divided(knots[knots < end], end))
         if np.isfinite(first[0]) and first[0] > 0.0:
-            first[0] = self._refined(knots, ln_threshold[:1], float(first[0]), end)
+            from scipy.optimize import brentq
+
+            near, cell = float(first[0]), float(np.diff(knots).max()) / CELLS
+            first[0] = brentq(
+                lambda km: float(self.ln_contrast(km) - np.interp(km, knots, ln_threshold[0])),
+                max(near - cell, float(knots[0])),
+                min(near + cell, end),
+                **TO_THE_LAST_DIGIT,
+            )
         return first, float(knots[0]), end
 
     def _first_crossing(self, knots: FloatArray, ln_threshold: FloatArray, grid: FloatArray) -> FloatArray:
@@ -228,14 +233,6 @@ class Acquisition:
         share = above / np.maximum(above - below, 1e-300)
         crossing = grid[cell - 1] + share * (grid[cell] - grid[cell - 1])
         return np.where(n_above == 0, 0.0, np.where(n_above == grid.size, np.inf, crossing))
-
-    def _refined(self, knots: FloatArray, ln_threshold: FloatArray, near: float, end: float) -> float:
-        width = float(np.diff(knots).max()) / CELLS
-        for _ in range(REFINEMENTS):
-            low, high = max(near - width, float(knots[0])), min(near + width, end)
-            crossing = self._first_crossing(knots, ln_threshold, np.linspace(low, high, 2 * CELLS + 1))
-            near, width = float(np.clip(crossing[0], low, high)), (high - low) / (2 * CELLS)
-        return near
 
     def task_range(self, task: str, probability: float | None) -> TaskRange:
         """Return the range of a task at a probability, with its interval and what limits it."""
@@ -468,7 +465,8 @@ def _prepared(
     draws = betas = np.empty((0, curve.threshold.size))
     if curve.ln_sd is not None and rng is not None:
         errors = rng.standard_normal((DRAWS, curve.threshold.size))
-        draws = curve.ln_thresholds(curve.ln_sd, errors)
+        # Errors in standard deviations, those of their side.
+        draws = np.log(curve.threshold) + errors * np.where(errors < 0.0, *curve.ln_sd)
         betas = betas if curve.psychometric is None else curve.psychometric.betas(errors, rng)
     made = Acquisition(target=target, atmosphere=atmosphere, curve=curve, road=road, draws=draws, betas=betas)
     if (farthest := _farthest_km(made)) < NEAREST_KM:

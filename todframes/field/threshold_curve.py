@@ -183,10 +183,6 @@ class ThresholdCurve:
             unreached_per_mrad=None if unreached is None else unreached * cycles_per_size,
         )
 
-    def ln_thresholds(self, ln_sd: FloatArray, drawn: FloatArray) -> FloatArray:
-        """Return curves of ln(threshold) with errors in standard deviations, those of their side; (draws, n)."""
-        return np.asarray(np.log(self.threshold) + drawn * np.where(drawn < 0.0, ln_sd[0], ln_sd[1]))
-
 
 def rising(ln_threshold: FloatArray) -> FloatArray:
     """Return curves, the last axis, in which no threshold is below that at a lower frequency: a running maximum.
