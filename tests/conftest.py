@@ -370,7 +370,8 @@ def results_of_commands() -> dict[str, dict[str, Any]]:
         }
         for name, slope in (("literal", -0.5), ("closed_form", -1.5))
     ]
-    scene = {"name": "camera", "title": "camera, no noise", "estimators": estimators, "threshold": 0.5}
+    scene = {"name": "camera", "title": "camera, no noise", "description": "", "level": "level", "slope": 0.4}
+    scene |= {"estimators": estimators, "threshold": 0.5, "threshold_bound": 0.0, "p_correct_error_bound": 0.0}
     ratio = {"threshold_error": 0.01, "ratio": 464.2, "closed_form": "closed_form"}
     scene["speed_ratios"] = [ratio | {"extrapolated": True, "at_least": False}]
     scene["variants"] = [{"label": "float32", "cpu_ratio": 0.5, "threshold_change": 1e-7}]

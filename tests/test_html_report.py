@@ -586,10 +586,6 @@ def test_keys_that_may_be_missing() -> None:
     content = report_html({"schema": 1, "command": "score", "fits": [fit], "new": {"key": 1}})
     assert "At 75 % correct the threshold contrast is 0.200." in words(tree(content))
     report_html({"schema": 1, "command": "compare", "algorithms": [{"name": "none"}]})
-    bare = {"name": "closed_form", "points": [{"cpu_s": None}, {}, {"cpu_s": 1.0, "threshold_error": 0}]}
-    report_html(
-        {"schema": 1, "command": "accuracy", "scenes": [{"name": "a"}, {"name": "b", "estimators": [bare]}]}
-    )
 
 
 @pytest.mark.slow

@@ -29,7 +29,7 @@ class Estimator(Struct, frozen=True, kw_only=True):
     ----------
     name, label : str
         Name, and how it is shown.
-    set_up_cpu_s : float or None
+    set_up_cpu_s : float
         CPU time before the first trial.
     slope, slope_standard_error : float or None
         Slope of ln(error) against ln(CPU time).
@@ -41,17 +41,12 @@ class Estimator(Struct, frozen=True, kw_only=True):
     """
 
     name: str
-    label: str | None = None
-    set_up_cpu_s: float | None = None
+    label: str
+    set_up_cpu_s: float
     slope: float | None = None
     slope_standard_error: float | None = None
     points: tuple[Record, ...] = ()
     cpu_s_at: tuple[Record, ...] = ()
-
-    @property
-    def title(self) -> str:
-        """The name as shown to readers."""
-        return self.label or self.name
 
 
 class SpeedRatio(Struct, frozen=True, kw_only=True):
@@ -71,11 +66,11 @@ class SceneResult(Struct, frozen=True, kw_only=True):
     ----------
     name, title, description, level : str
         The scene, and the quantity of its threshold.
-    threshold, threshold_bound : float or None
+    threshold, threshold_bound : float
         Converged value, and the half-width of its error.
-    slope : float or None
+    slope : float
         dP(correct) / d ln(level) at the threshold.
-    p_correct_error_bound : float or None
+    p_correct_error_bound : float
         Bound on the error of P(correct) from noise that is not Gaussian.
     estimators : tuple of Estimator
         The ways to compute the threshold.
@@ -86,13 +81,13 @@ class SceneResult(Struct, frozen=True, kw_only=True):
     """
 
     name: str
-    title: str | None = None
-    description: str = ""
-    level: str = "level"
-    threshold: float | None = None
-    threshold_bound: float | None = None
-    slope: float | None = None
-    p_correct_error_bound: float | None = None
+    title: str
+    description: str
+    level: str
+    threshold: Positive
+    threshold_bound: float
+    slope: float
+    p_correct_error_bound: float
     estimators: tuple[Estimator, ...] = ()
     variants: tuple[Record, ...] = ()
     speed_ratios: tuple[SpeedRatio, ...] = ()
@@ -100,8 +95,7 @@ class SceneResult(Struct, frozen=True, kw_only=True):
     @property
     def heading(self) -> str:
         """The title with a capital letter."""
-        title = self.title or self.name
-        return title[:1].upper() + title[1:]
+        return self.title[:1].upper() + self.title[1:]
 
 
 class Accuracy(Content, frozen=True, kw_only=True):
@@ -162,15 +156,16 @@ def timed(scenes: Sequence[SceneResult]) -> list[str]:
             if one.ratio is not None
         ]
         if parts and len(scene.estimators) > 1:
-            first, last = scene.estimators[0].title, scene.estimators[-1].title
+            first, last = scene.estimators[0].label, scene.estimators[-1].label
             texts.append(f"{scene.heading}: the CPU time of {last} is {listed(parts)} than that of {first}.")
     return texts or [f"{count(len(scenes), 'scene')}: error against run time."]
 
 
 def scene_tables(scene: SceneResult) -> list[Table]:
     """Make the tables of a scene of `accuracy`: estimators, effects of single changes, all budgets."""
+    threshold = f"{level_heading(scene.level)} {plain(scene.threshold, 6)} ± {plain(scene.threshold_bound, 1)}"
     estimators = Table.of(
-        _scene_title(scene),
+        f"{scene.heading}: threshold {threshold}",
         f"{scene.name}_estimators.csv",
         [
             Column(key="estimator", is_name=True),
@@ -182,7 +177,8 @@ def scene_tables(scene: SceneResult) -> list[Table]:
             Column(key="slope", rank=3),
             *(
                 Column(key=key, header=key, rank=1 if key.startswith("CPU") else 0)
-                for at in ((scene.estimators or (Estimator(name=""),))[0].cpu_s_at)
+                for one in scene.estimators[:1]
+                for at in one.cpu_s_at
                 for key in _at_names(at)
             ),
         ],
@@ -199,18 +195,11 @@ def scene_tables(scene: SceneResult) -> list[Table]:
         ],
         scene.variants,
     )
-    budgets = [{"estimator": one.title} | point for one in scene.estimators for point in one.points]
+    budgets = [{"estimator": one.label} | point for one in scene.estimators for point in one.points]
     found = [estimators, *([variants] if scene.variants else [])]
     if budgets:
         found.append(records_table(f"{scene.heading}: budgets", f"{scene.name}_budgets.csv", budgets).folded())
     return found
-
-
-def _scene_title(scene: SceneResult) -> str:
-    if scene.threshold is None:
-        return f"{scene.heading}: estimators"
-    error = f" ± {plain(scene.threshold_bound, 1)}" if scene.threshold_bound is not None else ""
-    return f"{scene.heading}: threshold {level_heading(scene.level)} {plain(scene.threshold, 6)}{error}"
 
 
 def _at_names(at: Record) -> tuple[str, str]:
@@ -225,7 +214,7 @@ def _estimator_record(one: Estimator, first: Estimator) -> Record:
     slope = None if one.slope is None else f"{one.slope:.2f}"
     if slope is not None and one.slope_standard_error is not None:
         slope += f" ± {one.slope_standard_error:.2f}"
-    record: Record = {"estimator": one.title, **last, "slope": slope}
+    record: Record = {"estimator": one.label, **last, "slope": slope}
     bases = {at["threshold_error"]: at["cpu_s"] for at in first.cpu_s_at}
     for at in one.cpu_s_at:
         cpu_s, base = at["cpu_s"], bases.get(at["threshold_error"])
@@ -256,8 +245,8 @@ def draw_errors(axes: Axes, scene: SceneResult) -> None:
         )
     axes.set(xscale="log", yscale="log", xlabel="CPU time (s)", ylabel="relative error of the threshold")
     bottom = axes.get_ylim()[0]
-    if scene.threshold and scene.threshold_bound and scene.threshold_bound / scene.threshold > bottom:
-        axes.axhspan(bottom, scene.threshold_bound / scene.threshold, color=INK, alpha=0.08, lw=0.0, zorder=0)
+    if (relative := scene.threshold_bound / scene.threshold) > bottom:
+        axes.axhspan(bottom, relative, color=INK, alpha=0.08, lw=0.0, zorder=0)
         axes.set_ylim(bottom=bottom)
     for ratio in scene.speed_ratios:
         if ratio.ratio is not None:
@@ -278,18 +267,14 @@ def draw_errors(axes: Axes, scene: SceneResult) -> None:
 def scene_runs(scene: SceneResult) -> dict[str, list[tuple[float, float]]]:
     """Return CPU time and relative threshold error at each budget of each estimator, if both are above 0."""
     runs = {
-        one.title: [
-            (float(point["cpu_s"]), float(point["threshold_error"]))
+        one.label: [
+            (point["cpu_s"], point["threshold_error"])
             for point in one.points
-            if _is_positive(point.get("cpu_s")) and _is_positive(point.get("threshold_error"))
+            if point["cpu_s"] > 0 and point["threshold_error"] > 0
         ]
         for one in scene.estimators
     }
-    return {title: pairs for title, pairs in runs.items() if pairs}
-
-
-def _is_positive(value: object) -> bool:
-    return isinstance(value, int | float) and value > 0
+    return {label: pairs for label, pairs in runs.items() if pairs}
 
 
 def page(result: Result[Accuracy], *, folder: str = "") -> str:

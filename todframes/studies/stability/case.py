@@ -11,6 +11,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -173,14 +174,6 @@ def cells(outcome: Outcome, *, documented: bool = False) -> list[str]:
     return [case.name, expected, case.source, found, kept, bound]
 
 
-def by_group(outcomes: Iterable[Outcome]) -> dict[str, list[Outcome]]:
-    """Group outcomes, in their order."""
-    groups: dict[str, list[Outcome]] = {}
-    for outcome in outcomes:
-        groups.setdefault(outcome.case.group, []).append(outcome)
-    return groups
-
-
 def outcome_table(outcomes: Sequence[Outcome], *, documented: bool = False) -> Table:
     """Make the table of cases and their results."""
     wide = ("expected", "source", "computed")
@@ -216,6 +209,7 @@ exceptions count as failures. *Refused* means: with one line that says what was 
 def markdown(outcomes: Sequence[Outcome]) -> str:
     """Write the tables as a page of the documentation, without digits that are a matter of the machine."""
     lines = [PAGE.format(number=len(outcomes))]
-    for group, members in by_group(outcomes).items():
-        lines += [f"## {group.capitalize()}", "", outcome_table(members, documented=True).markdown(), ""]
+    for group, members in groupby(outcomes, lambda outcome: outcome.case.group):
+        table = outcome_table([*members], documented=True).markdown()
+        lines += [f"## {group.capitalize()}", "", table, ""]
     return "\n".join(lines)
