@@ -94,10 +94,7 @@ def test_every_command_takes_every_observer(name: str, make_dataset, tmp_path: P
     [
         ("informative", "display_blur=1", "'display_blur'; the nearest valid one is 'display_blur_mrad'"),
         ("informative", "informative_share=2", "informative_share: found 2, expected a number from 0.001 to 1"),
-        ("oriented", "orientation=8", "unknown key 'orientation'; the nearest valid one is 'orientations'"),
-        ("oriented", "orientations=5", "orientations: found 5, expected an even number from 2 to 32"),
         ("oriented", "phases=evn", "phases: found 'evn', expected one of both, even, odd"),
-        ("csf", "retina_pitch_mrad=0.3", "found 0.3, whose Nyquist frequency is 29.1 cycles/degree"),
         ("csf", "internal_noise=0.5", "pyramid; csf has none; its noise follows from its efficiency"),
         ("pyramid", "orientations=8", "orientations is a setting of oriented; pyramid has none"),
         ("orientd", "orientations=8", "unknown key 'orientd'; the nearest valid one is 'oriented'"),
