@@ -324,24 +324,6 @@ def test_the_line_and_the_numbers_belong_to_the_state_that_is_shown(explore) -> 
     assert "earlier sensor" not in page.locator("#curve-table caption").text_content()
 
 
-def test_a_field_that_is_empty_leaves_no_refined_curve(explore) -> None:
-    page = explore()
-    page.wait_for_selector("#curve[data-stage=refined]")
-    field = page.locator(field_of("optics.aperture_mm"))
-    field.fill("")
-    assert line(page) == "Computing…"
-    wait_until(page, "document.querySelector('#status').textContent.startsWith('Not possible')")
-    assert (
-        "Found nothing, expected a number." in page.locator(f"{field_of('optics.aperture_mm')}-error").inner_text()
-    )
-    page.wait_for_selector("#curve.stale")
-    for button in ("#save", "#command", "#link"):
-        page.click(button)
-        assert page.locator("#message").inner_text() == "Optics, aperture: Found nothing, expected a number."
-    painted(page, lambda: type_value(page, "optics.aperture_mm", "220"), "refined")
-    assert line(page).startswith("Refined") and page.locator("#curve.stale").count() == 0
-
-
 def test_a_reload_at_once_brings_back_the_state_and_the_pinned_curves(explore) -> None:
     page = explore()
     painted(page, lambda: type_value(page, "optics.aperture_mm", "180"))
@@ -706,19 +688,6 @@ def test_plots_and_numbers_are_saved_as_files(explore) -> None:
     shown = number(table(page)[1]["SNR"])
     assert float(rows[1]["snr"]) == pytest.approx(shown.value, abs=shown.rounding)
     assert rows[0]["snr"] == "" and float(rows[1]["size_mrad"]) == pytest.approx(6 * 0.0681)
-
-
-def test_the_parts_of_what_limits_are_as_wide_as_their_shares(explore) -> None:
-    """At a gain that lets little internal noise pass, a part is a few per cent of the bar."""
-    page = explore()
-    painted(page, lambda: type_value(page, "sizes_detectors", "6"), "refined")
-    painted(page, lambda: type_value(page, "display.gain", "20"), "refined")
-    shares = [float(text) / 100.0 for text in re.findall(r"(\d+) %", page.locator("#sentence").inner_text())]
-    parts = "[...document.querySelector('#shares').children].map((part) => part.getBoundingClientRect().width)"
-    widths = sorted(page.evaluate(parts))
-    assert min(shares) < 0.05
-    # A share is rounded to a per cent, and a width to a part of a pixel.
-    assert [width / sum(widths) for width in widths] == pytest.approx(sorted(shares), abs=0.006)
 
 
 def test_the_orientation_is_hidden_until_asked(explore) -> None:

@@ -18,7 +18,6 @@ import pytest
 from test_predict import UNDER_SAMPLED
 
 from sensor_sim.chain.detector_noise import delta_t_mk
-from sensor_sim.chain.photons import background_electrons
 from sensor_sim.chain.sensor import Detector, Noise, Optics, PhotonNoise, Scene, Sensor, SensorDisplay
 from sensor_sim.explorer.limits import Shares, decision_shares, what_limits
 from sensor_sim.explorer.live import LiveCurves
@@ -27,7 +26,6 @@ from sensor_sim.thresholds.curve_plan import Level, plan_curve
 from sensor_sim.thresholds.folding import Folding
 from sensor_sim.thresholds.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
 from todframes.base.errors import SettingsError
-from todframes.observers.csf import CsfObserver
 from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import Observer
 from todframes.observers.oriented import OrientedObserver
@@ -175,30 +173,6 @@ def test_a_camera_that_counts_photons_has_the_thresholds_of_the_curve():
 
 
 @pytest.mark.slow
-def test_a_contrast_beyond_the_full_well_is_never_reached():
-    """Just above and below the contrast at which the pixels saturate, as the curve has it."""
-    (_, found) = computed(engine(), PHOTON)
-    for share, status in ((0.9, "never_reached"), (1.1, "ok")):
-        electrons = background_electrons(PHOTON)
-        well = electrons * (1.0 + share * found.threshold)
-        camera = replace(PHOTON, photons=replace(PHOTON.photons, full_well_electrons=well))
-        answers = list(engine().answers(request(camera)))
-        assert {one.threshold.status for one in answers} == {status}
-        assert sum(answers[0].shares) == pytest.approx(1.0) and answers[0].shares.detector > 0.0
-
-
-def test_the_observer_with_peoples_contrast_sensitivity():
-    """Its efficiency is a factor of its noise, as the engine takes it, and not of its weights."""
-    observer = CsfObserver(efficiency=0.4)
-    estimated, refined = computed(engine(), SENSOR, observer)
-    plan = plan_curve(SENSOR, observer, 4.0, tolerance=0.02)
-    expected = predict_threshold(FoldedChain(SENSOR, observer, 4.0, plan), tolerance=0.02)
-    assert refined.threshold == pytest.approx(expected.threshold, rel=1e-4)
-    assert estimated.numerical_error <= 0.03 * estimated.threshold
-    assert abs(estimated.threshold - refined.threshold) <= estimated.numerical_error + refined.numerical_error
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("observer", [OrientedObserver(), HotellingObserver()], ids=["oriented", "Hotelling"])
 def test_other_observers(observer):
     estimated, refined = computed(engine(), SENSOR, observer, (3.0,), (0.03, 0.02))
@@ -207,19 +181,6 @@ def test_other_observers(observer):
     for found in (estimated, refined):
         both = math.hypot(found.numerical_error, expected.numerical_error)
         assert abs(found.threshold - expected.threshold) <= both
-
-
-@pytest.mark.slow
-def test_order_of_requests_changes_no_number_beyond_its_error():
-    there, back = engine(), engine()
-    moves = MOVES[2:]
-    forth = [computed(there, sensor) for sensor in moves]
-    reverse = [computed(back, sensor) for sensor in reversed(moves)][::-1]
-    for one, other in zip(forth, reverse, strict=True):
-        # The search for the crossing ends at 1e-5 of its step, wherever it begins.
-        assert one[1].threshold == pytest.approx(other[1].threshold, rel=1e-4)
-        for estimated in (one[0], other[0]):
-            assert abs(estimated.threshold - one[1].threshold) <= estimated.numerical_error
 
 
 def test_what_the_threshold_does_not_depend_on_is_not_computed_again():

@@ -39,6 +39,7 @@ def test_thresholds_in_mk_are_those_of_the_triangles_rule(found):
         assert one.best_mrtd_mk < one.mrtd_mk
     assert found.bars[2].status == found.bars[2].best_status == "never_reached"
     assert found.bars[2].mrtd_mk is None
+    assert [one.lloyd_mrtd_mk is None for one in found.bars] == [False, True, True]  # it ends at Nyquist
     assert found.sentences()[1] == "No contrast is enough from 2 times the Nyquist frequency on."
 
 
@@ -72,10 +73,6 @@ def test_lloyds_form_of_a_sensor_without_blur():
     f = np.array([0.5, 1.0, 2.5])
     closed = np.pi**2 / 8 * 3.0 * 50.0 * f / np.sinc(0.2 * f) ** 2 * 0.2 / 2.0
     assert lloyd_mrtd_mk(f, sensor, snr=3.0) == pytest.approx(closed, rel=1e-5)
-
-
-def test_lloyds_form_ends_at_nyquist(found):
-    assert [one.lloyd_mrtd_mk is None for one in found.bars] == [False, True, True]
 
 
 def test_ttp_without_noise_is_that_of_eye_and_blur():

@@ -262,15 +262,6 @@ def test_a_spot_of_100_detectors_points_nowhere(size, observer):
     assert found.status == "never_reached" and found.highest == pytest.approx(0.25, abs=1e-3)
 
 
-def test_orientations_are_alike_to_a_symmetric_observer(observer):
-    chain = FoldedChain(LOW_FILL_FACTOR, observer, 3.0)
-    chain.orientations = ORIENTATIONS
-    parts = phases_of(chain, 13)
-    of_each = [chain.proportion_correct([part], 2.0) for part in parts]
-    # One lattice, seen from four sides: what differs is the lattice's own error.
-    assert np.ptp(of_each) < 1e-3
-
-
 # Limits -------------------------------------------------------------------------------------------------------
 
 

@@ -110,13 +110,6 @@ def test_away_from_the_border_nothing_is_lost():
     np.testing.assert_allclose(matrix.sum(axis=0)[5], 6.0, rtol=1e-14)
 
 
-def test_stacks_are_shown_image_by_image():
-    samples, matrix = random(3, 2, 9, 9), matrix_of(display=2.0)
-    np.testing.assert_allclose(
-        display_signal(samples, matrix)[2, 1], display_signal(samples[2, 1], matrix), rtol=1e-14
-    )
-
-
 # Luminance and place
 
 
