@@ -118,13 +118,8 @@ function columns(thresholds, view) {
 }
 
 /** Curves of thresholds: pinned ones behind, the present one with its error band in front. */
-export class CurveChart {
-  #chart;
+export class CurveChart extends Chart {
   #drawn = { thresholds: [], pinned: [], view: null };
-
-  constructor(host) {
-    this.#chart = new Chart(host);
-  }
 
   /**
    * @param {object[]|null} thresholds Of the present curve.
@@ -136,7 +131,7 @@ export class CurveChart {
     const curves = [...pinned.map((pin) => columns(pin.thresholds, view)), columns(thresholds ?? [], view)];
     const data = curves.length > 1 ? uPlot.join(curves) : curves[0];
     const kind = JSON.stringify([view, pinned.map((pin) => pin.number)]);
-    this.#chart.draw(kind, () => this.#options(pinned, view), data);
+    super.draw(kind, () => this.#options(pinned, view), data);
   }
 
   #options(pinned, view) {
@@ -205,13 +200,8 @@ export class CurveChart {
 const TASK_COLOURS = ["--accent", "--pin-1", "--pin-2", "--pin-3", "--pin-4", "--pin-5", "--pin-6"];
 
 /** Probability of tasks against range, dotted where it is a bound, with 95 % bands. */
-export class RangeChart {
-  #chart;
+export class RangeChart extends Chart {
   #found = null;
-
-  constructor(host) {
-    this.#chart = new Chart(host);
-  }
 
   /** @param {object} found Answer of `/api/range`. */
   draw(found) {
@@ -222,7 +212,7 @@ export class RangeChart {
       const nothing = probability.map(() => null);
       data.push(probability.map((one, at) => (is_bound[at] ? null : one)), probability, low ?? nothing, high ?? nothing);
     }
-    this.#chart.draw(JSON.stringify([found.axis, curves.map((one) => one.task)]), () => this.#options(), data);
+    super.draw(JSON.stringify([found.axis, curves.map((one) => one.task)]), () => this.#options(), data);
   }
 
   #options() {
@@ -249,26 +239,27 @@ export class RangeChart {
         x: { time: false, range: (_, low, high) => [0, high > 0 ? high : 1] },
         y: { range: () => [0, 1] },
       },
-      hooks: { drawClear: [(plot) => this.#drawLevels(plot)] },
+      // A line at each probability of which the table has the range.
+      hooks: { drawClear: [(plot) => drawLines(plot, "y", this.#found.probabilities, "--muted", [6, 4])] },
     };
   }
+}
 
-  /** Draw a line at each probability of which the table has the range. */
-  #drawLevels(plot) {
-    const { ctx, bbox } = plot;
-    ctx.save();
-    ctx.strokeStyle = colour("--muted");
-    ctx.lineWidth = devicePixelRatio;
-    ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
-    ctx.beginPath();
-    for (const probability of this.#found.probabilities) {
-      const y = Math.round(plot.valToPos(probability, "y", true)) + 0.5;
-      ctx.moveTo(bbox.left, y);
-      ctx.lineTo(bbox.left + bbox.width, y);
-    }
-    ctx.stroke();
-    ctx.restore();
+/** Draw dashed lines across a plot, at places along x or y, in a colour of the style sheet. */
+function drawLines(plot, scale, places, stroke, dash) {
+  const { ctx, bbox } = plot;
+  ctx.save();
+  ctx.strokeStyle = colour(stroke);
+  ctx.lineWidth = devicePixelRatio;
+  ctx.setLineDash(dash.map((one) => one * devicePixelRatio));
+  ctx.beginPath();
+  for (const place of places) {
+    const at = Math.round(plot.valToPos(place, scale, true)) + 0.5;
+    ctx.moveTo(...(scale === "x" ? [at, bbox.top] : [bbox.left, at]));
+    ctx.lineTo(...(scale === "x" ? [at, bbox.top + bbox.height] : [bbox.left + bbox.width, at]));
   }
+  ctx.stroke();
+  ctx.restore();
 }
 
 /** Return round ends of a logarithmic axis, so that it stands still while a curve moves a little. */
@@ -279,19 +270,14 @@ function logRange(low, high) {
 }
 
 /** MTFs before and after sampling, with the Nyquist frequency. */
-export class MtfChart {
-  #chart;
+export class MtfChart extends Chart {
   #transfer = null;
-
-  constructor(host) {
-    this.#chart = new Chart(host);
-  }
 
   /** @param {object} transfer Answer of `/api/mtf`. */
   draw(transfer) {
     this.#transfer = transfer;
     const { frequency_cyc_per_mrad: frequency, presample, postsample } = transfer;
-    this.#chart.draw("mtf", () => this.#options(), [frequency, presample, postsample]);
+    super.draw("mtf", () => this.#options(), [frequency, presample, postsample]);
   }
 
   #options() {
@@ -308,22 +294,10 @@ export class MtfChart {
         x: { time: false, range: () => [0, shownFrequency(this.#transfer)] },
         y: { range: (_, low) => [low < -0.005 ? Math.floor(10 * low) / 10 : 0, 1] },
       },
-      hooks: { drawSeries: [(plot, index) => index === 2 && this.#drawNyquist(plot)] },
+      hooks: {
+        drawSeries: [(plot, index) => index === 2 && drawLines(plot, "x", [this.#transfer.nyquist_cyc_per_mrad], "--pin-3", [2, 3])],
+      },
     };
-  }
-
-  #drawNyquist(plot) {
-    const x = Math.round(plot.valToPos(this.#transfer.nyquist_cyc_per_mrad, "x", true)) + 0.5;
-    const { ctx, bbox } = plot;
-    ctx.save();
-    ctx.strokeStyle = colour("--pin-3");
-    ctx.lineWidth = devicePixelRatio;
-    ctx.setLineDash([2 * devicePixelRatio, 3 * devicePixelRatio]);
-    ctx.beginPath();
-    ctx.moveTo(x, bbox.top);
-    ctx.lineTo(x, bbox.top + bbox.height);
-    ctx.stroke();
-    ctx.restore();
   }
 }
 
