@@ -25,7 +25,6 @@ from todframes.importing.chart_source import page_duration_s
 from todframes.importing.clips import (
     Clip,
     ClipFrame,
-    FramePart,
     Placed,
     clean_clips,
     frames_with_those_before,
@@ -516,12 +515,13 @@ def clip_frame(
     bits, other_bits = (
         np.array([marker_bits(marker) for marker in marker_ids(one, 3)], float) for one in (page, other)
     )
-    part = FramePart(np.zeros((9, 9), np.uint8), 0, 0)
-    placed = Placed(4.0, 4.0, 2.0, Orientation.UP, (0, 9, 0, 9), part)
+    window = (0, 9, 0, 9)
+    placed = Placed(4.0, 4.0, 2.0, Orientation.UP, window, window)
     return ClipFrame(
         page,
         number / RATE if time_s is None else time_s,
         str(number),
+        np.zeros((9, 9), np.uint8),
         (placed,),
         (1 - share) * bits + share * other_bits,
     )
@@ -626,7 +626,7 @@ def test_a_triangle_that_leaves_a_trial_is_left_out_of_it_alone() -> None:
         return one._replace(triangles=(*one.triangles, second))
 
     (there,) = clip_frame(1, 0).triangles
-    moved = there._replace(part=there.part._replace(column=3))
+    moved = there._replace(held=(0, 9, 3, 12))
     shown = [there, moved, there, None, there, there, there, there, there]
     division, clip = divided([frame(*one) for one in enumerate(shown)], 0.1, 1 / RATE)
     assert [(trial.name[-10:], len(trial.frames)) for trial in division.trials] == [

@@ -35,15 +35,14 @@ from scipy import ndimage
 
 import todframes as tod
 from todframes.base.errors import DataError, SettingsError
-from todframes.enhancement import network, network_probe, network_runtime
+from todframes.enhancement import network, network_probe
 from todframes.enhancement.algorithm import Enhancement
 from todframes.enhancement.compare import parts_of
 from todframes.enhancement.finding import find_enhancement
 from todframes.enhancement.memory_meter import MemoryMeter
-from todframes.enhancement.network_probe import Found, ProbeRequest, examine, probe
-from todframes.enhancement.network_runtime import read_model, with_weights
+from todframes.enhancement.network import in_tiles
+from todframes.enhancement.network_probe import Found, ProbeRequest, examine, probe, read_model, with_weights
 from todframes.enhancement.records import plain_value
-from todframes.enhancement.tiles import in_tiles
 from todframes.jobs.fingerprint import fingerprint
 
 
@@ -286,7 +285,7 @@ def test_weights_beyond_the_end_of_their_file_are_refused(tmp_path: Path, offset
 def test_weights_are_limited_as_models_are(tmp_path: Path, monkeypatch) -> None:
     (tmp_path / "k.bin").write_bytes(bytes(2**20))
     path = with_weights_in(tmp_path / "m.onnx", "k.bin", length=str(2**20))
-    monkeypatch.setattr(network_runtime, "MOST_MODEL_MB", 1)
+    monkeypatch.setattr(network_probe, "MOST_MODEL_MB", 1)
     with pytest.raises(DataError, match="is longer than 1 MB with its weights, the limit for such files"):
         found(path)
 

@@ -174,7 +174,7 @@ class _SeenFilm:
             if key == self.chart.key and page < len(self.chart.pages):
                 if self.chart.pages[page].edges:
                     edges.append((number, seen.edges))
-                yield ClipFrame(page, frame.time_s, str(number), (), seen.modules)
+                yield ClipFrame(page, frame.time_s, str(number), frame.values, (), seen.modules)
 
     def view(self, page: Page, numbers: Sequence[int], edges: Sequence[SeenEdges]) -> CameraView:
         """Return the view of a page in the frames of a clip in which the chart is at rest."""

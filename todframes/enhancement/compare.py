@@ -37,7 +37,6 @@ from todframes.enhancement.enhanced_frame import (
     check_warm_up_there,
 )
 from todframes.enhancement.finding import find_enhancement
-from todframes.enhancement.image_quality import psnr_db
 from todframes.enhancement.records import plain_value
 from todframes.enhancement.repeatability import RepeatedFrames
 from todframes.frames.dataset import Dataset
@@ -226,7 +225,7 @@ def _records(
     for k, (algorithm, own, of_algorithm) in enumerate(zip(algorithms, scored, ratios, strict=True)):
         columns = np.reshape(measured[k], (-1, len(FrameMeasurements._fields))).T
         errors, ssims, edges, clipped, cpu_s, memory = (column[~np.isnan(column)] for column in columns)
-        psnr, ssim = psnr_db(_mean(errors), data_range=white - black), _mean(ssims)
+        psnr, ssim = _psnr_db(_mean(errors), data_range=white - black), _mean(ssims)
         if not k:
             psnr_before, ssim_before = psnr, ssim
         changes = {"psnr": _difference(psnr, psnr_before), "ssim": _difference(ssim, ssim_before)}
@@ -489,3 +488,10 @@ def _verdict(ratio: ThresholdRatio, p_value: float) -> str:
 
 def _mean(values: Sequence[float]) -> float | None:
     return math.fsum(values) / len(values) if len(values) else None
+
+
+def _psnr_db(squared_error: float | None, *, data_range: float) -> float | None:
+    """Convert a mean squared error to a peak signal-to-noise ratio in dB; None if the error is 0 or not known."""
+    if not squared_error:
+        return None
+    return 10.0 * math.log10(data_range**2 / squared_error)

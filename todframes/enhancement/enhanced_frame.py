@@ -20,7 +20,6 @@ from todframes.base.errors import DataError, FrameError, SettingsError, argument
 from todframes.base.reading import check_positive
 from todframes.display.display import Display, border_values
 from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
-from todframes.enhancement.image_quality import squared_error_and_ssim
 from todframes.enhancement.memory_meter import MemoryMeter
 from todframes.frames.contrast import ContrastPatch, read_contrast
 from todframes.frames.dataset import Dataset
@@ -34,6 +33,9 @@ from todframes.scoring.retina_view import Placement, Shown, place_grid
 
 LONGEST_INTERVAL = 1.5
 """Interval between frames of a clip, in the median of those taken together, from which frames are missing."""
+
+WINDOW_PX = 11
+"""Side of the Gaussian window of SSIM in pixels: 3.5 standard deviations of 1.5 pixels on either side."""
 
 EVERY = slice(None)
 
@@ -434,6 +436,25 @@ class TrialReader:
             raise
         except DataError as error:
             raise FrameError(path, str(error)) from None
+
+
+def squared_error_and_ssim(
+    image: FloatArray, reference: FloatArray, *, data_range: float
+) -> tuple[float, float | None]:
+    """Compute the mean squared error in (cd/m²)² and the mean structural similarity (SSIM) of two images in cd/m².
+
+    SSIM has the Gaussian window and the constants of Wang et al. 2004, IEEE Trans. Image Process. 13, 600. It is
+    None for images with a side of fewer than 11 pixels. `data_range` is the luminance of white less that of black.
+    """
+    from skimage.metrics import structural_similarity  # its mean_squared_error loads all of scipy.stats
+
+    error = float(np.mean(np.square(reference - image)))
+    if min(image.shape) < WINDOW_PX:
+        return error, None
+    ssim = structural_similarity(
+        reference, image, data_range=data_range, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
+    )
+    return error, float(ssim)
 
 
 def check_warm_up_there(dataset: Dataset, trial: Trial, algorithms: Sequence[Enhancement]) -> None:

@@ -30,7 +30,7 @@ from todframes.importing.filmed_trials import (
 from todframes.importing.geometry import Geometry, PlacedTriangle, place_triangle
 from todframes.importing.lens_fit import choose_lens, solve
 from todframes.importing.marker_finder import MarkerFinder, SeenEdges, Sighting
-from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
+from todframes.importing.windows import clipped, field_reach_px, window_about
 from todframes.parameters import Progress, counted
 from todframes.recordings.recording import GAP, Recording, RecordingWarning
 
@@ -266,7 +266,7 @@ class ChartSource:
                     for number, (size_mm, one) in enumerate(zip(sizes_mm, placed, strict=True), self._n_placed)
                 )
                 self._n_placed += len(placed)
-                yield ClipFrame(page, frame.time_s, frame.source, parts, seen.modules, before)
+                yield ClipFrame(page, frame.time_s, frame.source, frame.values, parts, seen.modules, before)
         report.count_unclear(n_unclear)
         report.frame_rate_varies = rate_varies(np.diff(times_s))
 
@@ -402,7 +402,7 @@ class ChartSource:
             triangle.size_px,
             triangle.orientation,
             window,
-            part_of(values, held),
+            held,
             number,
         )
 

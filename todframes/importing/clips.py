@@ -45,21 +45,13 @@ Rectangle = tuple[int, int, int, int]
 """Half-open ranges of rows and columns: top, bottom, left, right."""
 
 
-class FramePart(NamedTuple):
-    """A rectangle of a recorded frame, values untouched; its first pixel is at (row, column) of the frame."""
-
-    values: NDArray[np.generic]
-    row: int
-    column: int
-
-
 class Placed(NamedTuple):
-    """A triangle in a recorded frame, with the part of the frame about it.
+    """A triangle in a recorded frame.
 
     `x_px` and `y_px` are its centroid in the frame, None if it is not known; `size_px` is √(area). `window` are
-    the rows and columns that the observer needs, top, bottom, left, right; `part` reaches beyond them, since the
-    next frames may show the triangle elsewhere. `number` is by what the source knows the place, which it may know
-    better at the end of a recording.
+    the rows and columns that the observer needs; `held`, those about them in which the window of a trial may lie,
+    since the triangle may move within it. `number` is by what the source knows the place, which it may know better
+    at the end of a recording.
     """
 
     x_px: float | None
@@ -67,12 +59,12 @@ class Placed(NamedTuple):
     size_px: float
     orientation: Orientation
     window: Rectangle
-    part: FramePart
+    held: Rectangle
     number: int | None = None
 
 
 class ClipFrame(NamedTuple):
-    """A frame that shows a page of the chart.
+    """A frame that shows a page of the chart, and its values as recorded.
 
     `modules` are the values in the markers' modules, as in `Sighting`. `triangles` has one for each triangle of
     the page, None where it does not lie on the frame. `before` are the recorded frames that come directly before
@@ -82,6 +74,7 @@ class ClipFrame(NamedTuple):
     page: int
     time_s: float | None
     source: str
+    values: NDArray[np.generic]
     triangles: tuple[Placed | None, ...]
     modules: FloatArray
     before: tuple[RecordedFrame, ...] = ()

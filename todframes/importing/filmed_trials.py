@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.importing.clips import Clip, ClipFrame, Integration, Placed, Rectangle
-from todframes.importing.windows import MARGIN_PX, RecordedWindow, WrittenWindow, narrowed, suffix
+from todframes.importing.windows import MARGIN_PX, RecordedWindow, WrittenWindow, lies_in, suffix
 from todframes.recordings.recording import CodeRange
 from todframes.stimulus import Orientation
 
@@ -136,6 +136,11 @@ def merged_sizes(sizes: list[float]) -> list[float]:
     return [float(size) for size in merged]
 
 
+def _cut(values: NDArray[Any], window: Rectangle) -> NDArray[Any]:
+    top, bottom, left, right = window
+    return values[top:bottom, left:right]
+
+
 class TrialDivision:
     """The division of clips into trials, whose windows are written.
 
@@ -228,9 +233,8 @@ class TrialDivision:
         """Write the windows of the recorded frames before a trial, its frames of warm-up, if they have times."""
         if any(before.time_s is None for before in frame.before):
             return
-        top, bottom, left, right = trial.window
         for number, before in enumerate(frame.before):
-            values = before.values[top:bottom, left:right]
+            values = _cut(before.values, trial.window)
             self._add(trial, f"before_{number:03d}", values, before.source, before.time_s, scale)
         trial.n_before = trial.n_warm_up = len(frame.before)
 
@@ -240,13 +244,12 @@ class TrialDivision:
         if trial is None:
             return
         window = trial.followed(placed) if self._steady and placed is not None else trial.window
-        values = None if placed is None else narrowed(placed.part, window)
-        if placed is None or values is None:
+        if placed is None or not lies_in(window, placed.held):
             self.n_moved += 1
             self._discard(index)
             return
         number = str(len(trial.frames) - trial.n_warm_up)
-        self._add(trial, number, values, frame.source, frame.time_s, scale)
+        self._add(trial, number, _cut(frame.values, window), frame.source, frame.time_s, scale)
         trial.last_window = window
         trial.sizes_px.append(placed.size_px)
         trial.numbers.append(placed.number)

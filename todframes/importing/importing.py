@@ -31,8 +31,7 @@ from todframes.importing.filmed_trials import (
     SHAKE_PX,
     TrialDivision,
 )
-from todframes.importing.schedule import read_schedule
-from todframes.importing.schedule_source import ScheduleSource
+from todframes.importing.schedule import ScheduleSource, read_schedule
 from todframes.importing.windows import WindowWriter
 from todframes.jobs.run import continued
 from todframes.parameters import (

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from todframes.base.errors import FrameError, OutputError
 from todframes.frames.files import frame_sha256, write_frame
 from todframes.frames.surround import TrianglePlace, surround_window
-from todframes.importing.clips import FramePart, Rectangle
+from todframes.importing.clips import Rectangle
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.store import Store
 from todframes.observers.pyramid import PyramidObserver
@@ -58,20 +58,9 @@ def clipped(window: Rectangle, shape: Sequence[int]) -> Rectangle:
     return max(top, 0), min(bottom, shape[0]), max(left, 0), min(right, shape[1])
 
 
-def part_of(values: NDArray[Any], window: Rectangle) -> FramePart:
-    """Copy a window out of a frame."""
-    top, bottom, left, right = window
-    return FramePart(values[top:bottom, left:right].copy(), top, left)
-
-
-def narrowed(part: FramePart, window: Rectangle) -> NDArray[Any] | None:
-    """Return the values of a window within a part of a frame; None if it reaches beyond the part."""
-    top, bottom, left, right = window
-    rows, columns = part.values.shape[:2]
-    top, bottom, left, right = top - part.row, bottom - part.row, left - part.column, right - part.column
-    if min(top, left) < 0 or bottom > rows or right > columns:
-        return None
-    return part.values[top:bottom, left:right]
+def lies_in(window: Rectangle, held: Rectangle) -> bool:
+    """Return whether a window reaches nowhere beyond a rectangle."""
+    return window[0] >= held[0] and window[1] <= held[1] and window[2] >= held[2] and window[3] <= held[3]
 
 
 class RecordedWindow(NamedTuple):
