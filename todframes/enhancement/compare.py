@@ -10,7 +10,7 @@ import math
 import time
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import chain
@@ -49,7 +49,6 @@ from todframes.psychometrics.bootstrap import draw_backgrounds, sets_of_backgrou
 from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings
 from todframes.psychometrics.paired_bootstrap import (
     RatioDraws,
-    ThresholdRatio,
     holm,
     ratio_draws,
     threshold_ratio,
@@ -187,7 +186,11 @@ def compare_observers(
         contrasts = columns.contrasts[number % len(gazes), columns.is_seen]
         responses = contrast_responses(seen[0].trials, contrasts)
         gains = contrast_gains(responses)
-        plain = [_amplified(fit, seen[0], of_algorithm, fit_settings) for of_algorithm in gains[1:] if expected]
+        # The reference after plain gains of contrast; groups whose gain is not known stay as they are.
+        groups, codes = seen[0].trials.groups, seen[0].trials.group_codes
+        each = [np.array([of_one.get(group, 1.0) for group in groups])[codes] for of_one in gains[1:] if expected]
+        once = replace(fit_settings, resamples=0)
+        plain = [fit(seen[0].amplified(gain), fit_settings=once) for gain in each]
         ratios = _ratios(dataset, scored, plain, gains, seed, fit_settings)
         records = _records(dataset, algorithms, scored, ratios, responses, columns.measured, repeated, screen)
         results.append(tuple(map(AlgorithmResult, algorithms, scored, records)))
@@ -372,14 +375,6 @@ class _ResultColumns:
         return [scores.usable() for scores in self._seen[plan] if self.is_seen.any()]
 
 
-def _amplified(
-    fit: Callable[..., ScoredDataset], seen: SeenTrials, gains: Gains, fit_settings: FitSettings
-) -> ScoredDataset:
-    """Fit the trials after a plain gain of contrast; groups whose gain is not known stay as they are."""
-    gain = np.array([gains.get(group, 1.0) for group in seen.trials.groups])[seen.trials.group_codes]
-    return fit(seen.amplified(gain), fit_settings=replace(fit_settings, resamples=0))
-
-
 def _ratios(
     dataset: Dataset,
     scored: Sequence[ScoredDataset],
@@ -433,7 +428,10 @@ def _ratios(
     compared: list[list[Ratio]] = [[]]
     for own, own_draws, own_gains in zip(ratios, draws[-len(others) :], gains[1:], strict=True):
         p_values = [next(corrected) for _ in own]
-        verdicts = [_verdict(ratio, p) for ratio, p in zip(own, p_values, strict=True)]
+        verdicts = [
+            NO_DIFFERENCE if p >= SIGNIFICANCE else "better" if ratio.is_lower else "worse"
+            for ratio, p in zip(own, p_values, strict=True)
+        ]
         if several and {"better", "worse"} <= set(verdicts):
             verdicts[-1] = "mixed"
         elif several and verdicts[-1] == NO_DIFFERENCE:
@@ -478,12 +476,6 @@ def _beyond(
 def _of_gain(gain: float, draws: Sequence[RatioDraws]) -> dict[str, Any]:
     ratio = threshold_ratio(draws)
     return {"contrast_gain": gain, "beyond_gain": ratio.ratio, "beyond_gain_ci95": ratio.ratio_ci95}
-
-
-def _verdict(ratio: ThresholdRatio, p_value: float) -> str:
-    if p_value >= SIGNIFICANCE:
-        return NO_DIFFERENCE
-    return "better" if ratio.is_lower else "worse"
 
 
 def _mean(values: Sequence[float]) -> float | None:

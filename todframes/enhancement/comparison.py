@@ -614,8 +614,11 @@ def not_proportional(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ..
                 continue
             near = min(points, key=lambda point, at=fit.threshold: abs(math.log(point.level / at)))  # type: ignore[misc]
             top = points[-1]
-            if not _gains_differ(near, top):
-                continue
+            assert near.gain is not None and top.gain is not None
+            difference = abs(near.gain - top.gain)
+            error = math.hypot(near.gain_standard_error or 0.0, top.gain_standard_error or 0.0)
+            if difference <= SAME_GAIN * top.gain or difference <= SURE_GAIN * error:
+                continue  # no more than is usual, or than the errors allow
             message = (
                 f"its gain of contrast is {plain(near.gain)} ± {plain(near.gain_standard_error, 1)} near the "
                 f"threshold, at {near.level:.3g}, and {plain(top.gain)} at the highest level: beyond_gain, "
@@ -624,14 +627,6 @@ def not_proportional(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ..
             group = {"algorithm": one.name} | fit.group
             found.append(_warning("not_proportional", group, message, near.gain, top.gain))
     return tuple(found)
-
-
-def _gains_differ(one: ContrastPoint, other: ContrastPoint) -> bool:
-    """Return whether two gains differ by more than is usual, and more than their errors allow."""
-    assert one.gain is not None and other.gain is not None
-    difference = abs(one.gain - other.gain)
-    error = math.hypot(one.gain_standard_error or 0.0, other.gain_standard_error or 0.0)
-    return difference > SAME_GAIN * other.gain and difference > SURE_GAIN * error
 
 
 def edge_brightness(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:

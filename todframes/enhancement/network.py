@@ -105,7 +105,7 @@ class Network:
             pictures = [np.repeat(one, 3, axis=2) if one.shape[2] == 1 else one for one in pictures]
         else:
             pictures = [one[..., k : k + 1] for one in pictures for k in range(one.shape[2])]
-        whole = [_multiple(length + 2 * border_px, multiple_px) for length in image.shape[:2]]
+        whole = [-(-(length + 2 * border_px) // multiple_px) * multiple_px for length in image.shape[:2]]
         sides = [
             fixed or (min(tile_px, length) if tile_px else length)
             for fixed, length in zip(self.size, whole, strict=True)
@@ -239,11 +239,6 @@ def _apply(
     return in_tiles(run, wide, tile=side, overlap_px=overlap_px, scale=round(scale), border_px=border_px)[
         :rows, :columns
     ]
-
-
-def _multiple(length: int, divisor: int) -> int:
-    """Return the smallest multiple of a number that is at least a length."""
-    return -(-length // divisor) * divisor
 
 
 def _grey(picture: Picture) -> Picture:

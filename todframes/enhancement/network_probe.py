@@ -12,8 +12,9 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
+from functools import partial
 from math import prod
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -83,12 +84,10 @@ class Input(NamedTuple):
 
 
 class Model(NamedTuple):
-    """A network that has been read; `run` takes the arrays of all inputs by their names and returns the first
-    output."""
+    """A network that has been read: its inputs, and the session of ONNX Runtime that runs it."""
 
     inputs: tuple[Input, ...]
-    n_outputs: int
-    run: Callable[[Mapping[str, NDArray[Any]]], NDArray[np.float32]]
+    session: Any
 
     def picture_input(self, constants: Mapping[str, float]) -> Input:
         """Return the input that takes the picture: the first that has no constant value."""
@@ -110,13 +109,14 @@ class Model(NamedTuple):
         if constant_channel is not None:
             picture = np.concatenate([picture, np.full((rows, columns, 1), constant_channel, np.float32)], axis=2)
         axes = np.moveaxis(picture, 2, 0) if layout == "nchw" else picture
-        arrays: dict[str, NDArray[Any]] = {
-            one.name: one.filled(constants[one.name], layout, rows, columns)
-            for one in self.inputs
-            if one.name in constants
+        arrays = {
+            own.name: own.filled(constants[own.name], layout, rows, columns)
+            for own in self.inputs
+            if own.name in constants
         }
-        arrays[self.picture_input(constants).name] = np.ascontiguousarray(axes, np.float32)[None]
-        return self.run(arrays)
+        own = self.picture_input(constants)
+        arrays[own.name] = np.ascontiguousarray(axes, own.kind)[None]
+        return np.asarray(self.session.run(None, arrays)[0], np.float32)
 
 
 def with_weights(content: bytes, folder: Path) -> bytes:
@@ -179,13 +179,7 @@ def read_model(content: bytes) -> Model:
         )
         for one in session.get_inputs()
     )
-    kinds = {one.name: one.kind for one in inputs}
-
-    def run(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
-        given = {name: values.astype(kinds[name], copy=False) for name, values in arrays.items()}
-        return np.asarray(session.run(None, given)[0], np.float32)
-
-    return Model(inputs, len(session.get_outputs()), run)
+    return Model(inputs, session)
 
 
 def runtime_version() -> str:
@@ -294,23 +288,21 @@ def examine(model: Model, request: ProbeRequest) -> Found:
     Raises DataError or SettingsError as `probe` does.
     """
     layout, channels, rows, columns = _shape(model, request)
-    if model.n_outputs != 1:
-        raise DataError(f"has {model.n_outputs} outputs, expected one")
+    n_outputs = len(model.session.get_outputs())
+    if n_outputs != 1:
+        raise DataError(f"has {n_outputs} outputs, expected one")
+    tried = partial(_scale_and_loss, model, request, layout, channels)
     if rows is not None and columns is not None:
-        return Found(
-            layout, channels, rows, columns, 1, *_scale_and_loss(model, request, layout, channels, rows, columns)
-        )
+        return Found(layout, channels, rows, columns, 1, *tried(rows, columns))
     problem: DataError | None = None
     for multiple in MULTIPLES if request.multiple_px is None else (request.multiple_px,):
         side = multiple * max(1, SIDE_PX // multiple) + (multiple if multiple < SIDE_PX else 0)
         try:
             # Unequal sides show a network that cuts off borders or exchanges axes.
-            scale, lost = _scale_and_loss(
-                model, request, layout, channels, rows or side, columns or side + multiple
-            )
+            scale, lost = tried(rows or side, columns or side + multiple)
             # Other sides show whether it is the same there.
             sides = rows or side + 3 * multiple, columns or side + 2 * multiple
-            if lost and _scale_and_loss(model, request, layout, channels, *sides) != (scale, lost):
+            if lost and tried(*sides) != (scale, lost):
                 raise DataError("loses another number of pixels for pictures of another size")
         except DataError as error:
             problem = problem or error

@@ -11,7 +11,7 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
-from todframes.enhancement.enhanced_frame import EnhancedImage, TrialReader
+from todframes.enhancement.enhanced_frame import TrialReader
 from todframes.frames.dataset import Dataset
 from todframes.frames.trials import Trial, Trials
 from todframes.jobs.fingerprint import fingerprint
@@ -64,7 +64,9 @@ class RepeatedFrames:
         for trial in trials:
             with suppress(DataError):  # the comparison itself reports what cannot be used
                 for spec, pictures in self._reader.pictures(self._dataset, trial):
-                    found[spec, trial.number] = [_luminance(one) for one in pictures]
+                    n_px = math.prod(pictures[0].values.shape[:2])
+                    spread = slice(None, None, math.ceil(math.sqrt(n_px / MOST_COMPARED_PX)))
+                    found[spec, trial.number] = [picture.luminance(spread, spread) for picture in pictures]
         return found
 
     def _compare(self, trials: Iterable[Trial]) -> None:
@@ -73,8 +75,3 @@ class RepeatedFrames:
                 difference = float(np.abs(picture - first).max()) / max(float(first.mean()), 1e-12)
                 if difference > max(SAME_PICTURE, self.differences[key[0]]):
                     self.differences[key[0]] = difference
-
-
-def _luminance(picture: EnhancedImage) -> FloatArray:
-    step = math.ceil(math.sqrt(math.prod(picture.values.shape[:2]) / MOST_COMPARED_PX))
-    return picture.luminance(slice(None, None, step), slice(None, None, step))

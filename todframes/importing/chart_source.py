@@ -237,7 +237,12 @@ class ChartSource:
             report.n_frames += 1
             if frame.time_s is not None:
                 times_s.append(frame.time_s)
-            if last is not None and _is_same(last, frame.values):
+            middle = len(frame.values) // 2  # a row in the middle nearly always differs
+            if (
+                last is not None
+                and np.array_equal(last[middle], frame.values[middle])
+                and np.array_equal(last, frame.values)
+            ):
                 report.n_doubled += 1
             else:
                 seen = finder.look(frame.values)
@@ -262,7 +267,7 @@ class ChartSource:
                 )
                 sizes_mm = [one.size_mm for one in self.chart.pages[page].triangles]
                 parts = tuple(
-                    self._part(frame.values, one, self._reach_px(size_mm, one.size_px), report, number)
+                    self._part(frame.values.shape, one, size_mm, report, number)
                     for number, (size_mm, one) in enumerate(zip(sizes_mm, placed, strict=True), self._n_placed)
                 )
                 self._n_placed += len(placed)
@@ -371,63 +376,44 @@ class ChartSource:
             "frame_mrad": math.hypot(*shape) / (views[0].scale_px_per_mm * self.chart.distance_m),
         }
 
-    def _reach_px(self, size_mm: float, size_px: float) -> int:
-        """Return the reach of a window, which is the same for all triangles of one displayed size."""
-        held_px, reach_px = self._reaches.get(size_mm, (0, 0))
-        if size_px > held_px or size_px * SIZE_MARGIN**2 < held_px:
-            held_px = math.ceil(size_px * SIZE_MARGIN)
-            reach_px = field_reach_px(held_px, self._pitch_mrad)
-            self._reaches[size_mm] = held_px, reach_px
-        return reach_px
-
     def _part(
         self,
-        values: NDArray[np.generic],
+        shape: tuple[int, ...],
         triangle: PlacedTriangle,
-        reach: int,
+        size_mm: float,
         report: RecordingReport,
         number: int,
     ) -> Placed | None:
-        height, width = values.shape[:2]
-        if (triangle.corners_px < -0.5).any() or (triangle.corners_px > (width - 0.5, height - 0.5)).any():
+        x_px, y_px, size_px, orientation, _, corners_px = triangle
+        held_px, reach_px = self._reaches.get(size_mm, (0, 0))
+        if size_px > held_px or size_px * SIZE_MARGIN**2 < held_px:  # else as for all triangles of this size
+            held_px = math.ceil(size_px * SIZE_MARGIN)
+            reach_px = field_reach_px(held_px, self._pitch_mrad)
+            self._reaches[size_mm] = held_px, reach_px
+        if (corners_px < -0.5).any() or (corners_px > (shape[1] - 0.5, shape[0] - 0.5)).any():
             report.n_off_frame += 1
             return None
-        whole = window_about(triangle.x_px, triangle.y_px, reach)
-        window = clipped(whole, values.shape)
+        whole = window_about(x_px, y_px, reach_px)
+        window = clipped(whole, shape)
         report.n_cut += window != whole
-        held = clipped(window_about(triangle.x_px, triangle.y_px, reach + SLACK_PX), values.shape)
-        return Placed(
-            triangle.x_px,
-            triangle.y_px,
-            triangle.size_px,
-            triangle.orientation,
-            window,
-            held,
-            number,
-        )
+        held = clipped(window_about(x_px, y_px, reach_px + SLACK_PX), shape)
+        return Placed(x_px, y_px, size_px, orientation, window, held, number)
 
     def field_places(self) -> dict[int, dict[str, str]]:
         """Return the columns `FIELD_PLACE` by the numbers of clips; none if the chart stays at one place."""
-        clips = [clip for report in self.reports for clip in report.clips]
-        found = {clip["number"]: [clip[name] for name in FIELD_PLACE] for clip in clips}
-        scale = [clip["frame_mrad"] for clip in clips]
-        places: list[list[list[float]]] = []
-        of_clip: dict[int, list[list[float]]] = {}
-        for (number, place), frame_mrad in zip(found.items(), scale, strict=True):
-            near = [one for one in places if math.dist(one[0], place) < SAME_PLACE * frame_mrad]
-            if not near:
-                places.append([])
-            of_clip[number] = near[0] if near else places[-1]
-            of_clip[number].append(place)
-        if len(places) < 2:
+        groups: list[list[dict[str, Any]]] = []
+        for clip in (clip for report in self.reports for clip in report.clips):
+            for group in groups:
+                here, there = ([each[name] for name in FIELD_PLACE] for each in (clip, group[0]))
+                if math.dist(here, there) < SAME_PLACE * clip["frame_mrad"]:
+                    group.append(clip)
+                    break
+            else:
+                groups.append([clip])
+        if len(groups) < 2:
             return {}
-        return {
-            number: {
-                name: f"{fmean(axis):.5g}"
-                for name, axis in zip(FIELD_PLACE, zip(*all_of_it, strict=True), strict=True)
-            }
-            for number, all_of_it in of_clip.items()
-        }
+        means = [{name: f"{fmean(clip[name] for clip in group):.5g}" for name in FIELD_PLACE} for group in groups]
+        return {clip["number"]: mean for group, mean in zip(groups, means, strict=True) for clip in group}
 
     def why_nothing(self) -> str | None:
         """Return why there is no clip at all; None if there are some."""
@@ -589,7 +575,11 @@ class ChartSource:
             if not report.clips:
                 continue
             first = report.clips[0]
-            turn, mirrored = first["turn_degrees"], bool(first["mirrored"])
+            turn, mirrored, lens = first["turn_degrees"], bool(first["mirrored"]), ""
+            if report.lens is not None:
+                values = report.lens.items()
+                named = ", ".join(f"{name} {value:.3g}" for name, value in values if isinstance(value, float))
+                lens = f", the lens distorts ({report.lens['model']} model: {named})"
             yield (
                 f"{report.path}: {report.n_frames} frames, clips: {len(report.clips)}; left out: "
                 f"{report.n_transition} frames of transitions, {report.n_without_markers} without the four markers"
@@ -599,7 +589,7 @@ class ChartSource:
             yield (
                 f"{report.path}: {first['scale_px_per_mm']:.4g} px per mm of the chart, residual "
                 f"{report.place_error_px or 0.0:.2g} px"
-                + _lens_words(report.lens)
+                + lens
                 + (", mirrored" if mirrored else "")
                 + (f", turned by {90 * (round(turn / 90) % 4)}°" if round(turn / 90) % 4 else "")
                 + ("; orientations are those in the frames" if mirrored or round(turn / 90) % 4 else "")
@@ -700,14 +690,6 @@ def _rise_words(shift_mrad: float) -> str:
     return f"which raises thresholds by up to {100 * share:.2g} %" + " and more" * (shift_arcmin > 1.0)
 
 
-def _lens_words(lens: dict[str, object] | None) -> str:
-    """Return what the note says about a lens: its model and first coefficients."""
-    if lens is None:
-        return ""
-    named = ", ".join(f"{name} {value:.3g}" for name, value in lens.items() if isinstance(value, float))
-    return f", the lens distorts ({lens['model']} model: {named})"
-
-
 def zoom_begin(centres_mm: FloatArray, geometries: Sequence[Geometry], shape: tuple[int, int]) -> int | None:
     """Return the number of the first frame in which a lens zooms; None if it does not.
 
@@ -717,28 +699,20 @@ def zoom_begin(centres_mm: FloatArray, geometries: Sequence[Geometry], shape: tu
     """
     if len(geometries) < 2:
         return None
-    middle = (np.array(shape[::-1]) - 1.0) / 2.0
-    views = [_scale_and_place(geometry.to_px(centres_mm), middle) for geometry in geometries]
-    scales, places = map(np.array, zip(*views[: min(FIRST_FRAMES, len(views) // 2)], strict=True))
-    start, noise = float(np.median(scales)), float(np.std(scales) / np.median(scales))
-    start_place = np.median(places, axis=0)
-    noticed = max(NOTICED_ZOOM, 5.0 * noise)
-    still = -1
-    for number, (scale, place) in enumerate(views):
-        change = scale / start
-        moved = float(np.linalg.norm(place - start_place * change))
-        if abs(change - 1.0) > LEAST_ZOOM and moved < MOST_MOVED * math.hypot(*shape):
-            return still + 1
-        if abs(change - 1.0) <= noticed:
-            still = number
-    return None
-
-
-def _scale_and_place(corners: FloatArray, middle: FloatArray) -> tuple[float, FloatArray]:
-    """Return the root of the area between four corners, (4, 2), and their mean from the middle of the frame."""
-    after = np.roll(corners, -1, axis=0)
-    area = float((corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]).sum()) / 2.0
-    return math.sqrt(abs(area)), corners.mean(axis=0) - middle
+    corners = np.array([geometry.to_px(centres_mm) for geometry in geometries])
+    after = np.roll(corners, -1, axis=1)
+    doubled_area = (corners[..., 0] * after[..., 1] - corners[..., 1] * after[..., 0]).sum(axis=1)
+    scales = np.sqrt(np.abs(doubled_area) / 2.0)
+    places = corners.mean(axis=1) - (np.array(shape[::-1]) - 1.0) / 2.0
+    first = slice(min(FIRST_FRAMES, len(geometries) // 2))
+    start, noise = np.median(scales[first]), np.std(scales[first]) / np.median(scales[first])
+    changes = scales / start
+    moved = np.linalg.norm(places - np.median(places[first], axis=0) * changes[:, None], axis=1)
+    zoomed = (np.abs(changes - 1.0) > LEAST_ZOOM) & (moved < MOST_MOVED * math.hypot(*shape))
+    if not zoomed.any():
+        return None
+    still = np.abs(changes[: zoomed.argmax()] - 1.0) <= max(NOTICED_ZOOM, 5.0 * noise)
+    return int(np.flatnonzero(still)[-1]) + 1 if still.any() else 0
 
 
 def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> float | None:
@@ -772,9 +746,3 @@ def rate_varies(intervals_s: FloatArray) -> bool:
     is_long = multiples[:-1] > GAP
     goes_on = is_long & (np.abs(multiples[1:] / multiples[:-1] - 1.0) < MOST_OFF_MULTIPLE)
     return bool(is_off.mean() > MOST_OFF or goes_on.sum() > 0.5 * is_long.sum())
-
-
-def _is_same(one: NDArray[np.generic], other: NDArray[np.generic]) -> bool:
-    """Return whether two frames are equal bit by bit; a row in the middle nearly always differs."""
-    middle = len(one) // 2
-    return np.array_equal(one[middle], other[middle]) and np.array_equal(one, other)

@@ -116,11 +116,6 @@ class ImportedTrial:
         return top + down, bottom + down, left + right, far + right
 
 
-def _is_near(window: Rectangle, other: Rectangle) -> bool:
-    """Return whether two windows differ by a pixel at most, as for a triangle that lies between two pixels."""
-    return max(abs(one - two) for one, two in zip(window, other, strict=True)) < MARGIN_PX
-
-
 def merged_sizes(sizes: list[float]) -> list[float]:
     """Return sizes in which those that differ by less than `SAME_SIZE` share their mean.
 
@@ -212,7 +207,8 @@ class TrialDivision:
         which = f"_{index + 1}" if len(frame.triangles) > 1 else ""
         before, n_before = self._before.get(index), 0
         window = placed.window
-        if before is not None and _is_near(before.last_window, window):
+        # A triangle that lies between two pixels may have a window that differs by one.
+        if before is not None and np.abs(np.subtract(before.last_window, window)).max() < MARGIN_PX:
             run, window = before.run, before.last_window
             n_before = before.n_before + len(before.frames) - before.n_warm_up
         else:

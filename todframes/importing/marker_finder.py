@@ -67,6 +67,10 @@ BESIDE_WHITE = 1.5
 BLURS = np.geomspace(0.02, 2.0, 100)
 """Widths of a blur in modules, standard deviations, among which that of a frame is interpolated."""
 
+_STEP = PROFILE_REACH / PROFILE_STEPS
+RISES = (2.0 * ndtr(_STEP / BLURS) - 1.0) / (2.0 * ndtr(PROFILE_REACH / BLURS) - 1.0)
+"""Rise of an edge with each of these blurs over its two middle steps, relative to that of its profile."""
+
 MOST_STEPS, CONVERGED_PX = 8, 0.02
 """Number of adjustments of a homography, and the motion of the edges after which there is no further one: each
 leaves a small part of the motion that it corrects."""
@@ -318,7 +322,11 @@ class MarkerFinder:
             geometry, edges = found
             there = np.asarray(np.isfinite(edges.shifts_px).reshape(len(hidden), -1).all(axis=1))
             modules = self._read(grey, geometry, there)
-            wrong = [k for k in range(len(CORNERS), len(hidden)) if there[k] and not _is_border(modules[k], k)]
+            wrong = []
+            for k in (np.flatnonzero(there[len(CORNERS) :]) + len(CORNERS)).tolist():
+                bits = _bits(modules[k])
+                if bits is None or np.count_nonzero(bits != _border_bits()[k - len(CORNERS)]) > MOST_WRONG_BITS:
+                    wrong.append(k)
             if not wrong:
                 break
             hidden[wrong] = True
@@ -355,15 +363,6 @@ def _bits(modules: FloatArray) -> NDArray[np.bool_] | None:
     if not white - black.mean() > LEAST_CONTRAST_IN_ERRORS * black.std():
         return None
     return np.asarray(modules > (white + black.mean()) / 2.0)
-
-
-def _is_border(modules: FloatArray, number: int) -> bool:
-    """Return whether the modules spell the marker along the borders that has this number."""
-    bits = _bits(modules)
-    if bits is None:
-        return False
-    n_wrong = np.count_nonzero(bits != _border_bits()[number - len(CORNERS)])
-    return bool(n_wrong <= MOST_WRONG_BITS)
 
 
 def _dictionary(n_borders: int) -> Any:
@@ -494,7 +493,7 @@ class MarkerEdges:
         middle = PROFILE_STEPS
         rise = (profiles[..., middle + 1] - profiles[..., middle - 1])[..., None] / (white - black)
         interpolated_px2 = _interpolation_px2(places_px).reshape(*length_px.shape, POINTS, -1).mean(axis=-2)
-        blur_px2 = (np.interp(-rise[..., 0], -_rises(), BLURS) * length_px) ** 2 - interpolated_px2[..., middle]
+        blur_px2 = (np.interp(-rise[..., 0], -RISES, BLURS) * length_px) ** 2 - interpolated_px2[..., middle]
         blur_px2 = np.maximum(float(np.median(blur_px2)) + interpolated_px2, 0.0)
         blur = np.clip(np.sqrt(blur_px2) / length_px[..., None], BLURS[0], BLURS[-1])
         shifts = edges.shifts_px.astype(np.float64).reshape(len(bits), 4, PIECES)
@@ -551,13 +550,6 @@ def _shift_per_module(profiles: FloatArray) -> FloatArray:
     above = (profiles - black) / (white - black) - 0.5
     integral = above.sum(axis=-1) - (above[..., 0] + above[..., -1]) / 2.0
     return np.asarray(-integral * 2.0 * PROFILE_REACH / (2 * PROFILE_STEPS))
-
-
-@cache
-def _rises() -> FloatArray:
-    """Return the rise of a blurred edge over its two middle steps, relative to that of its profile, by `BLURS`."""
-    step = PROFILE_REACH / PROFILE_STEPS
-    return np.asarray((2.0 * ndtr(step / BLURS) - 1.0) / (2.0 * ndtr(PROFILE_REACH / BLURS) - 1.0))
 
 
 def search_parameters() -> Any:

@@ -229,12 +229,6 @@ class ScheduleSource:
             return row.size_mrad
         return row.size_px * self._ifov_mrad if row.size_px is not None and self._ifov_mrad is not None else None
 
-    def _size_px(self, row: ScheduledTrial) -> float:
-        if row.size_px is not None:
-            return row.size_px
-        assert row.size_mrad is not None  # a schedule has one of them
-        return row.size_mrad / (self._pitch_mrad if self._ifov_mrad is None else self._ifov_mrad)
-
     def described(self, page: int, index: int) -> TriangleDescription:  # noqa: ARG002
         """Return the description of the triangle in a row of the schedule."""
         row = self._rows[page]
@@ -255,7 +249,10 @@ class ScheduleSource:
         for frame, before in counted(frames, recording.n_frames, self._progress):
             while rows and self._is_over(rows[0], frame.time_s):
                 rows.pop(0)
-            if not rows or not self._has_begun(rows[0], frame.time_s):
+            if not rows:
+                continue
+            start_s = self._rows[rows[0]].start_s
+            if start_s is not None and (frame.time_s is None or frame.time_s < start_s):
                 continue
             placed = self._placed(self._rows[rows[0]], frame.values)
             shown = ClipFrame(rows[0], frame.time_s, frame.source, frame.values, (placed,), NO_MODULES, before)
@@ -273,13 +270,12 @@ class ScheduleSource:
             )
         return time_s >= end_s
 
-    def _has_begun(self, row: int, time_s: float | None) -> bool:
-        start_s = self._rows[row].start_s
-        return start_s is None or (time_s is not None and time_s >= start_s)
-
     def _placed(self, row: ScheduledTrial, values: NDArray[np.generic]) -> Placed:
         height, width = values.shape[:2]
-        size_px = self._size_px(row)
+        size_px = row.size_px
+        if size_px is None:
+            assert row.size_mrad is not None  # a schedule has one of them
+            size_px = row.size_mrad / (self._pitch_mrad if self._ifov_mrad is None else self._ifov_mrad)
         if row.x_px is None or row.y_px is None:
             window = (0, height, 0, width)
             return Placed(None, None, size_px, row.orientation, window, window)
