@@ -14,8 +14,17 @@ import tifffile
 from PIL import Image
 
 import todframes as tod
-from todframes.backdrops.images import Encoder, decoded_images, open_scenes
-from todframes.backdrops.views import TURNS, balanced, own_orientation, plan, turned, turned_place
+from todframes.backdrops.views import (
+    TURNS,
+    Encoder,
+    balanced,
+    decoded_images,
+    open_scenes,
+    own_orientation,
+    plan,
+    turned,
+    turned_place,
+)
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.display.display import Display, LuminanceTable

@@ -16,7 +16,6 @@ from sensor_sim.chain.reconstruction import display_position_px, display_signal
 from sensor_sim.chain.sampling import field_detectors, sample_image
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.transfer import blur_mrad
-from todframes.backdrops.images import open_scenes
 from todframes.backdrops.views import (
     TURNS,
     Background,
@@ -25,6 +24,7 @@ from todframes.backdrops.views import (
     balanced,
     draw_backgrounds,
     local_luminance,
+    open_scenes,
     plan,
     turned,
     turned_place,

@@ -12,15 +12,16 @@ from typing import NamedTuple
 import numpy as np
 
 from todframes import __version__
-from todframes.backdrops.images import Encoder, open_scenes
 from todframes.backdrops.views import (
     TURNS,
     Background,
+    Encoder,
     Layout,
     PlannedTrial,
     balanced,
     draw_backgrounds,
     local_luminance,
+    open_scenes,
     own_orientation,
     plan,
     turned,

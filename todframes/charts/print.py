@@ -16,8 +16,16 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import check_values, read_numbers
-from todframes.charts.camera_page import N_PATCHES, camera_codes, camera_content, grey_patches
-from todframes.charts.design import FIELD_PER_SIZE, Condition, Design, write_drawings
+from todframes.charts.design import (
+    FIELD_PER_SIZE,
+    N_PATCHES,
+    Condition,
+    Design,
+    camera_codes,
+    camera_content,
+    grey_patches,
+    write_drawings,
+)
 from todframes.charts.layout import Chart, Length, Markers, Page, Patch, Point
 from todframes.charts.markers import MODULES
 from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, rectangle

@@ -16,8 +16,16 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.charts.camera_page import CameraContent, camera_codes, camera_content, grey_patches
-from todframes.charts.design import FIELD_PER_SIZE, SURROUND_PER_SIZE, Condition, Design
+from todframes.charts.design import (
+    FIELD_PER_SIZE,
+    SURROUND_PER_SIZE,
+    CameraContent,
+    Condition,
+    Design,
+    camera_codes,
+    camera_content,
+    grey_patches,
+)
 from todframes.charts.layout import CHART_FILE, Chart, Markers, Page, Screen, Triangle, write_chart
 from todframes.charts.markers import MODULES
 from todframes.display.dither import dithered

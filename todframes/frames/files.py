@@ -28,17 +28,11 @@ Range = tuple[int, int]
 
 PixelType = Literal["half", "float", "uint8", "uint16"]
 
-PNG_BLOCK = 2**20
-"""Number of bytes of a chunk of a PNG that are read at a time."""
-
 MAX_SIDE_PX, MAX_CHANNELS = 32768, 256
 """Largest number of rows or columns of a frame, and of channels of its file."""
 
 BAND_VALUES = 2**19
 """Number of values, of all channels, that are decoded at a time, unless one chunk of the file holds more."""
-
-MOST_ROWS_PER_CHUNK = 256
-"""Largest number of rows in a chunk of an EXR for any compression; smaller chunk sizes divide it."""
 
 # OpenImageIO checks these, and `limits:imagesize_MB`, before it allocates anything.
 oiio.attribute("limits:resolution", MAX_SIDE_PX)
@@ -110,8 +104,6 @@ PICTURE_FORMATS = {
 FRAME_FORMATS = ("EXR", "PNG")
 """Formats of the frames of a dataset."""
 
-CONVERT = "convert it without loss, integers to PNG, floating-point values to EXR"
-
 OTHER_ADVICE = {
     "JPEG": "its compression has changed the pixels; record frames without loss",
     "video": "write each of its frames to a file of its own",
@@ -122,17 +114,8 @@ OTHER_ADVICE = {
 LOSSY_TIFF = (6, 7, 34712, 34887, 34892, 50001, 50002, 52546)
 """Compressions of TIFF that can change pixels: JPEG, JPEG 2000, LERC, WebP and JPEG XL, by their numbers."""
 
-LOSSY_EXR = ("b44", "dwa")
-"""Beginnings of the compressions of EXR that change pixels; pxr24 changes 32-bit floats."""
-
 REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """Chromaticities of Rec. 709: red, green, blue, white, as in an EXR. `Display` weighs channels by them."""
-
-LARGEST_CHROMATICITY_ERROR = 0.002
-"""Difference from these within which they are the same: the white point is 0.3127 or 0.31271, by the author."""
-
-LARGEST_ASPECT_ERROR = 0.005
-"""Difference of a pixel's sides that files have from rounding their resolution to whole numbers."""
 
 MAIN_LAYERS = frozenset(("rgb", "rgba", "beauty", "combined", "color", "colour", "main", "final"))
 """Words in the names of layers and parts of an EXR that have the picture; others have normals, depth, masks."""
@@ -327,7 +310,8 @@ class FrameFile(FrameSource):
     def _band_rows(self, top: int, bottom: int) -> Iterator[Range]:
         """Yield ranges of rows that end where chunks or tiles end."""
         spec = self._spec
-        per_chunk = spec.tile_height or (1 if self._format == "PNG" else MOST_ROWS_PER_CHUNK)
+        # An EXR has at most 256 rows in a chunk, for any compression, and smaller numbers divide it.
+        per_chunk = spec.tile_height or (1 if self._format == "PNG" else 256)
         per_chunk = spec.get_int_attribute("oiio:RowsPerChunk", per_chunk) or per_chunk
         n_chunks = BAND_VALUES // (spec.width * spec.nchannels * per_chunk)
         step, origin = max(n_chunks, 1) * per_chunk, spec.y - self._top
@@ -430,7 +414,7 @@ class FrameFile(FrameSource):
         """Yield a warning if the compression of the page can change pixels."""
         what, name = self._format, self._spec.get_string_attribute("compression")
         if what == "EXR":
-            is_lossy = name.startswith(LOSSY_EXR) or (name[:5] == "pxr24" and self._file_type == "float")
+            is_lossy = name.startswith(("b44", "dwa")) or (name[:5] == "pxr24" and self._file_type == "float")
         elif what == "TIFF":
             is_lossy = self._spec.get_int_attribute("tiff:Compression", 1) in LOSSY_TIFF
         else:
@@ -620,7 +604,8 @@ def _recognise(path: Path, formats: Collection[str], sha256: str | None) -> str:
             found = f"a file that starts with {start[:8]!r}" if start else "an empty file"
             raise FrameError(path, f"found {found}, expected {expected}")
         if name not in formats:
-            advice = OTHER_ADVICE.get(name.rpartition(" ")[2], CONVERT)
+            convert = "convert it without loss, integers to PNG, floating-point values to EXR"
+            advice = OTHER_ADVICE.get(name.rpartition(" ")[2], convert)
             raise FrameError(path, f"is a {name} file, expected {expected}: {advice}")
         if name in _CHECKS:
             _CHECKS[name](path, file)
@@ -638,7 +623,7 @@ def _check_png(path: Path, file: BinaryIO) -> None:
         kind = file.read(4)
         checksum = zlib.crc32(kind)
         while length:  # a chunk can claim 2 GB
-            checksum = zlib.crc32(block := file.read(min(length, PNG_BLOCK)), checksum)
+            checksum = zlib.crc32(block := file.read(min(length, 2**20)), checksum)
             length -= len(block)
         if checksum != int.from_bytes(file.read(4), "big"):
             raise FrameError(path, f"the PNG is damaged: chunk {kind!r} does not match its checksum")
@@ -703,12 +688,13 @@ def _ignored(spec: Any, n_channels: int) -> Iterator[HeaderWarning]:
     if (orientation := spec.get_int_attribute("Orientation", 1)) not in (0, 1):
         stated.append(f"orientation {orientation} (turned or mirrored)")
     aspect = spec.get_float_attribute("PixelAspectRatio", 1.0)
-    if aspect > 0.0 and abs(aspect - 1.0) > LARGEST_ASPECT_ERROR:
+    if aspect > 0.0 and abs(aspect - 1.0) > 0.005:  # files have resolutions as whole numbers
         stated.append(f"a pixel aspect ratio of {aspect:.4g}")
     if (white := spec.get_float_attribute("whiteLuminance", 0.0)) > 0.0:
         stated.append(f"whiteLuminance {white:.4g} cd/m²")
     primaries = spec.getattribute("chromaticities")
-    is_known = primaries is None or np.allclose(primaries, REC_709, rtol=0.0, atol=LARGEST_CHROMATICITY_ERROR)
+    # By the author, the white point is 0.3127 or 0.31271.
+    is_known = primaries is None or np.allclose(primaries, REC_709, rtol=0.0, atol=0.002)
     if n_channels > 1 and not is_known:
         stated.append("chromaticities other than those of Rec. 709")
     if stated:

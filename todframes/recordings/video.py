@@ -31,14 +31,8 @@ if TYPE_CHECKING:
 MATRICES = {1: (0.2126, 0.0722), 5: (0.299, 0.114), 6: (0.299, 0.114), 7: (0.212, 0.087), 9: (0.2627, 0.0593)}
 """Weights of R' and B' in luma by number of the matrix in H.273: BT.709, BT.601 (twice), 240M, BT.2020."""
 
-MATRIX_NAMES = {1: "BT.709", 6: "BT.601"}
-"""Names of the matrices that are assumed if the stream declares none."""
-
 LIMITED, UNSPECIFIED_MATRIX = 1, 2
 """FFmpeg's numbers of the limited range, and of a matrix that is not declared."""
-
-HD_ROWS = 720
-"""Smallest number of rows for which BT.709 is assumed; BT.601 for fewer."""
 
 REPACKED = {
     "yuyv422": "yuv422p",
@@ -180,8 +174,8 @@ def _warnings(
     if layout.family == "yuv" and int(first.colorspace) != matrix:
         yield RecordingWarning(
             "matrix_assumed",
-            f"the video declares no colour matrix: {MATRIX_NAMES[matrix]} is taken, as usual for its size; grey "
-            "is not affected",
+            f"the video declares no colour matrix: {'BT.709' if matrix == 1 else 'BT.601'} is taken, as usual for "
+            "its size; grey is not affected",
         )
     if stream.codec_context.codec.lossy:
         yield RecordingWarning(
@@ -407,7 +401,7 @@ def _matrix(path: Path, frame: VideoFrame, layout: PixelFormat) -> int:
         return matrix
     if matrix != UNSPECIFIED_MATRIX:
         raise FrameError(path, f"colour matrix {matrix} (Rec. H.273), expected one of {sorted(MATRICES)}")
-    return 1 if frame.height >= HD_ROWS else 6
+    return 1 if frame.height >= 720 else 6  # BT.709 from HD on, else BT.601
 
 
 def _values(frame: VideoFrame, layout: PixelFormat, matrix: int) -> NDArray[Any]:
