@@ -169,7 +169,7 @@ COMMANDS = {
             ),
         ),
         without="lut paper_width_mm paper_height_mm",
-        body="todframes.cli.chart:chart",
+        body="todframes.cli.bodies:chart",
     ),
     "compare": Command(
         "todframes.enhancement.compare_call:compare",
@@ -183,7 +183,7 @@ COMMANDS = {
         "todframes.experiment.run_experiment:run_experiment",
         arguments="dataset",
         showing="",
-        body="todframes.cli.experiment:experiment",
+        body="todframes.cli.bodies:experiment",
     ),
     "fit": Command(
         "todframes.scoring.fit_call:fit_counts",
@@ -235,7 +235,7 @@ COMMANDS = {
         "a linear camera, from bright and dark frames.",
         without="bright",
         also="todframes.camera.measure_emva:emva_noise",
-        body="todframes.cli.noise:noise",
+        body="todframes.cli.bodies:noise",
     ),
     "range": Command(
         "todframes.field.acquisition_range:acquisition_range",

@@ -122,7 +122,12 @@ def print_result(
         if verbose:
             print_table(table, details=True)
     sentences = [*data.printed(), *(data.remarks() if verbose else [])]
-    print_end(sentences, result.warnings, out=out, strict=strict, is_timed=is_timed)
+    print_sentences([*sentences, *warning_lines(result.warnings)])
+    if is_timed:
+        echo(f"{time.perf_counter() - signals.STARTED_S:.2f} s")  # the time that people have waited
+    if out is not None:
+        echo(f"written: {out}")
+    check_strict(result.warnings, strict)
 
 
 def print_content(
@@ -135,26 +140,6 @@ def print_content(
     for line in () if quiet else warning_lines(warnings):
         say(line)
     click.echo(content, nl=False)
-    check_strict(warnings, strict)
-
-
-def print_end(
-    sentences: Iterable[str],
-    warnings: Sequence[ResultWarning] = (),
-    *,
-    out: str | None = None,
-    strict: bool = False,
-    is_timed: bool = True,
-) -> None:
-    """Print what follows the tables of a command: sentences, warnings, the time, and the folder that was written.
-
-    DataError as in `print_result`.
-    """
-    print_sentences([*sentences, *warning_lines(warnings)])
-    if is_timed:
-        echo(f"{time.perf_counter() - signals.STARTED_S:.2f} s")  # the time that people have waited
-    if out is not None:
-        echo(f"written: {out}")
     check_strict(warnings, strict)
 
 

@@ -15,14 +15,11 @@ from todframes.cli.commands import COMMANDS
 from todframes.cli.console import keep_libraries_to_one_thread, run
 from todframes.cli.runner import Commands
 
-MODULES = {
-    name: f"todframes.cli.{where}"
-    for name, where in {
-        "accuracy": "studies:accuracy",
-        "enhancements": "enhancements:enhancements",
-        "report": "report:report_command",
-        "stability": "studies:stability",
-    }.items()
+OTHERS = {
+    "accuracy": "todframes.cli.others:accuracy",
+    "enhancements": "todframes.cli.others:enhancements",
+    "report": "todframes.cli.others:report_command",
+    "stability": "todframes.cli.others:stability",
 }
 """Module and attribute of each command that is not made of a call."""
 
@@ -30,7 +27,7 @@ MODULES = {
 @click.group(
     cls=Commands,
     table=COMMANDS,
-    modules=MODULES,
+    modules=OTHERS,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(__version__, prog_name="todframes")

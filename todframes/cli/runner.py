@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, nullcontext
 from difflib import get_close_matches
 from functools import partial
@@ -314,7 +314,10 @@ def _run(command: Command, **values: Any) -> None:
     parameters = read_call(command.call).parameters
     for name in given.keys() & parameters.keys():
         if parameters[name].value.key is not None:
-            given[name] = _mapping(name, given[name])
+            keys = [key for key, _ in given[name]]
+            if twice := [key for number, key in enumerate(keys) if key in keys[:number]]:
+                raise SettingsError(f"{flag_of(name)}: found {twice[0]} twice, expected each key once")
+            given[name] = dict(given[name])
     command.prepare(given, further)
     if command.body:
         resolved(command.body)(given | further, shown, out)
@@ -350,24 +353,9 @@ def _run(command: Command, **values: Any) -> None:
             result = call(**given, **({"progress": advance} if has_progress else {}))
         if command.files:
             write(result.files)
-    _show(command, result, given | further, shown, out)
-
-
-def _show(command: Command, result: Any, given: dict[str, Any], shown: dict[str, Any], out: str | None) -> None:
-    """Print the result of a command as the showing options ask for."""
     if command.show is not None:
-        command.show(result, given, shown)
+        command.show(result, given | further, shown)
         return
-    title = "" if command.title is None else command.title(result, given)
-    how = {name: value for name, value in shown.items() if name != "json"}
-    print_result(result, title, as_json=shown.get("json", False), out=out, is_timed=command.is_timed, **how)
-
-
-def _mapping(name: str, pairs: Iterable[tuple[Any, Any]]) -> dict[Any, Any]:
-    """Return the pairs of a repeated option as a mapping; SettingsError if a key is there twice."""
-    found: dict[Any, Any] = {}
-    for key, value in pairs:
-        if key in found:
-            raise SettingsError(f"{flag_of(name)}: found {key} twice, expected each key once")
-        found[key] = value
-    return found
+    title = "" if command.title is None else command.title(result, given | further)
+    as_json = shown.pop("json", False)
+    print_result(result, title, as_json=as_json, out=out, is_timed=command.is_timed, **shown)

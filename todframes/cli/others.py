@@ -1,4 +1,4 @@
-"""Commands that test the package itself: `stability` and `accuracy`."""
+"""The commands that are not made of calls; `stability` and `accuracy` test the package itself."""
 
 from __future__ import annotations
 
@@ -8,12 +8,60 @@ from pathlib import Path
 import click
 
 from todframes.base.errors import DataError, SettingsError
-from todframes.cli.console import echo, print_result, print_table, progress, say, staged
+from todframes.cli.console import echo, print_result, print_table, prints_go_to_stderr, progress, say, staged
 from todframes.cli.runner import showing
 from todframes.parameters import counted
 
 RECORDED = "recorded"
 """Name of the scene that needs a dataset."""
+
+
+@click.command(params=[*showing("json")])
+def enhancements(*, json: bool) -> None:
+    """List the enhancement algorithms that are registered, with their parameters."""
+    import msgspec
+
+    from todframes import __version__
+    from todframes.enhancement.finding import enhancement_names, find_enhancement
+    from todframes.enhancement.records import enhancement_record, enhancements_table
+    from todframes.results.data import SCHEMA
+
+    found = []
+    for name in enhancement_names():
+        try:
+            with prints_go_to_stderr():
+                found.append(find_enhancement(name))
+        except SettingsError as error:  # raised by an algorithm of another package
+            say(f"left out: {error}")
+    listed = [enhancement_record(one) for one in found]
+    if not json:
+        print_table(enhancements_table(listed))
+        return
+    result = {"schema": SCHEMA, "command": "enhancements", "version": __version__, "enhancements": listed}
+    click.echo(msgspec.json.format(msgspec.json.encode(result), indent=2))
+
+
+@click.command("report")
+@click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.json")
+@click.option("-o", "--out", metavar="FILE", help="HTML file.  [default: report.html beside RESULT.json]")
+@click.option("--title", default="", metavar="TEXT", help="Text below the title.  [default: name of the dataset]")
+def report_command(*, result: Path, out: str | None, title: str) -> None:
+    """Make report.html again from RESULT.json, which a command wrote with -o or printed with --json.
+
+    One page with nothing else to load; the same bytes from the same result.
+    """
+    from todframes.base.output import write_file
+    from todframes.results.data import read_bytes
+    from todframes.results.result import read_result
+
+    try:
+        read = read_result(read_bytes(result), str(result))
+        made = read.to_html(title).encode()
+    except RecursionError:
+        raise DataError(f"{result}: nested too deep, expected the result of a command") from None
+    path = Path(out) if out is not None else result.with_name(read.data.page_file)
+    write_file(path, made, not_over=result)
+    echo(f"written: {path}")
 
 
 @click.command(params=[*showing("json quiet")])

@@ -1,17 +1,28 @@
-"""The command `chart`."""
+"""The way from options to output of the commands that have their own: `chart`, `experiment` and `noise`."""
 
 from __future__ import annotations
 
 import math
 import re
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from todframes.base.errors import SettingsError, flag_of
-from todframes.cli.console import echo, print_sentences, print_table, progress
+from todframes.cli.console import (
+    echo,
+    print_content,
+    print_result,
+    print_sentences,
+    print_table,
+    progress,
+    say,
+    staged,
+)
 from todframes.cli.signature import read_call
 
 if TYPE_CHECKING:
     from todframes.charts.layout import Chart
+    from todframes.results.result import Result
     from todframes.results.table import Table
 
 CALL = "todframes.charts.making:chart"
@@ -27,6 +38,10 @@ PAPER_MM = {
 
 SHOWN_TOLERANCE = 1e-3
 """Largest relative difference of a contrast from the one asked for that the table does not show."""
+
+OF_EMVA = {"exposure_ms", "photons", "bits"}
+OF_OTHERS = {"patches", "signal", "mk_per_count", "frames_per_second"}
+"""Options of one kind of measurement."""
 
 
 def chart(given: dict[str, Any], shown: dict[str, Any], _: object) -> None:
@@ -126,3 +141,52 @@ def _remarks(chart: Chart) -> list[str]:
             "contrasts are nominal: measure the grey patches and make the chart again."
         ]
     return ["Record the settings of schedule.csv in its order, and fill in file, start_s and end_s."]
+
+
+def experiment(given: dict[str, Any], *_: object) -> None:
+    """Serve the page, and say how far the session is."""
+    from todframes.experiment.run_experiment import run_experiment
+    from todframes.frames.dataset import load_dataset
+
+    limit = {name: given.pop(name) for name in ("max_frame_mb",) if name in given}
+    data = load_dataset(given.pop("dataset"), **limit)
+    with ExitStack() as reading:
+        advance = reading.enter_context(progress("reading"))
+
+        def tell(address: str) -> None:
+            reading.close()
+            echo(address)
+
+        found = run_experiment(data, tell=tell, warn=say, progress=advance, **given)
+    rest = "" if found.n_answered == found.n_trials else "; the same command goes on"
+    flagged = f", {found.n_flagged} with a flag" if found.n_flagged else ""
+    answered = f"{found.n_answered} of {found.n_trials} trials"
+    echo(f"{given['answers']}: subject {found.subject}, {answered}{flagged}{rest}")
+
+
+def noise(given: dict[str, Any], shown: dict[str, Any], out: str | None) -> None:
+    """Measure the noise of recordings, and show it."""
+    as_sensor, as_json = given.pop("sensor", False), shown.pop("json")
+    if as_sensor and as_json:
+        raise SettingsError("noise: found --sensor and --json, expected one of them")
+    is_emva = bool({"descriptor", "dark"} & given.keys())
+    for name in sorted(given.keys() & (OF_OTHERS if is_emva else OF_EMVA)):
+        other = "is not used with EMVA 1288" if is_emva else "needs --dark, the dark frames"
+        raise SettingsError(f"{flag_of(name)}: {other}")
+    if "recording" not in given and not is_emva:
+        raise SettingsError("noise: found no RECORDING, expected one, or --emva DESCRIPTOR")
+    import todframes as tod
+
+    with staged(out) as write:
+        with progress("reading", quiet=shown["quiet"]) as advance:
+            if is_emva:
+                bright = given.pop("recording", ())
+                result: Result[Any] = tod.emva_noise(bright=bright, progress=advance, **given)
+            else:
+                result = tod.noise(given.pop("recording"), progress=advance, **given)
+        table = result.sensor_toml() if as_sensor else None
+        write(result.files)
+    if table is not None:
+        print_content(table, result.warnings, **shown)
+        return
+    print_result(result, as_json=as_json, out=out, is_timed=False, **shown)
