@@ -132,6 +132,7 @@ def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     png = base64.b64decode(ONE_PIXEL)
     monkeypatch.setattr("todframes.results.figure.ReportFigure.figure", lambda _: None)
     monkeypatch.setattr("todframes.results.figure.ReportFigure.png", lambda _: png)
+    monkeypatch.setattr("todframes.results.figure.ReportFigure.svg", lambda _: b"<svg></svg>")
     monkeypatch.setattr("todframes.results.html.inline_svg", lambda *_, **__: Markup("<svg></svg>"))
 
 

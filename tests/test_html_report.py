@@ -10,7 +10,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from html.parser import HTMLParser
 from itertools import combinations, count, cycle, islice
 from pathlib import Path
@@ -85,9 +85,14 @@ def words(element: ElementTree.Element) -> str:
 
 
 @pytest.fixture(scope="module")
-def pages(results_of_commands) -> dict[str, bytes]:
-    """The page of each result."""
-    return {command: report_html(result) for command, result in results_of_commands.items()}
+def pages(results_of_commands) -> Mapping[str, bytes]:
+    """The page of each result, made when it is asked for."""
+
+    class Pages(dict[str, bytes]):
+        def __missing__(self, command: str) -> bytes:
+            return self.setdefault(command, report_html(results_of_commands[command]))
+
+    return Pages()
 
 
 def verdict_of(result: dict[str, Any]) -> list[str]:
