@@ -14,7 +14,7 @@ import subprocess
 import sys
 from collections import Counter
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from measures import MEASURES
 
 from todframes.base.errors import DataError, FrameError, OutputError, SettingsError
 from todframes.cli.console import run
@@ -35,7 +36,7 @@ from todframes.experiment.answers import (
     read_sidecar,
     sidecar_path,
 )
-from todframes.experiment.monitor import Calibration, MonitorError
+from todframes.experiment.monitor import MonitorError
 from todframes.experiment.order import TrialOrder
 from todframes.experiment.served_page import experiment_app
 from todframes.experiment.session import SessionDesign, StepError, frames_sha256, open_sitting
@@ -45,15 +46,6 @@ from todframes.frames.files import FrameFile
 from todframes.psychometrics.counts import read_counts
 from todframes.psychometrics.quest import QuestGrid
 from todframes.stimulus import Orientation
-
-MEASURES = Calibration(
-    device_pixel_ratio=1.0,
-    pixel_pitch_mm=0.25,
-    viewing_distance_mm=1000.0,
-    gamma=2.2,
-    screen_px=(1920, 1080),
-    viewport_px=(1900, 1000),
-)
 
 SHORT = SessionDesign(trials=8, practice=2, break_every=3, seed=5)
 
@@ -87,6 +79,12 @@ def finish(sitting) -> None:
         if step == "break":
             sitting.go_on()
         answer_rightly(sitting)
+
+
+def refused(error: type[Exception], message: str, *arguments: Any, **more: Any) -> None:
+    """Expect that a session cannot be opened."""
+    with pytest.raises(error, match=message), open_sitting(*arguments, **more):
+        pass
 
 
 # The order -----------------------------------------------------------------------------------------------------
@@ -312,6 +310,7 @@ def test_an_answer_given_twice_is_saved_once(dataset, out):
     with open_sitting(dataset, out, design=SHORT) as sitting:
         begin(sitting)
         asked = sitting.trial()
+        assert asked == sitting.trial()  # until it is answered
         right = sitting._prepare().picture.trial.orientation
         first = sitting.answer(asked["number"], right, 400.0)
         again = sitting.answer(asked["number"], None, 500.0)
@@ -320,31 +319,27 @@ def test_an_answer_given_twice_is_saved_once(dataset, out):
         assert sitting.rows[0].response is right
 
 
-def test_the_same_trial_is_shown_until_it_is_answered(dataset, out):
-    with open_sitting(dataset, out, design=SHORT) as sitting:
-        begin(sitting)
-        assert sitting.trial() == sitting.trial()
-
-
 def test_requests_out_of_step_are_refused(dataset, out):
     with open_sitting(dataset, out, design=SHORT) as sitting:
-        with pytest.raises(StepError, match="at the step consent, which has no trial"):
-            sitting.trial()
-        with pytest.raises(StepError, match="at the step consent, expected monitor"):
-            sitting.calibrate(MEASURES)
+        for call, message in (
+            (sitting.trial, "at the step consent, which has no trial"),
+            (lambda: sitting.calibrate(MEASURES), "at the step consent, expected monitor"),
+        ):
+            with pytest.raises(StepError, match=message):
+                call()
         begin(sitting)
-        with pytest.raises(StepError, match="at the step practice, expected consent"):
-            sitting.consent(True)
-        with pytest.raises(StepError, match="trial 1 is not shown"):
-            sitting.picture(1)
-        with pytest.raises(StepError, match="trial 2 is not shown, but 1"):
-            sitting.answer(2, Orientation.UP, 1.0)
-        with pytest.raises(StepError, match="trial 0 is not shown, but 1"):
-            sitting.answer(0, Orientation.UP, 1.0)
-        with pytest.raises(StepError, match="found none, which only a time limit gives"):
-            sitting.answer(1, None, 1.0)
+        for call, message in (
+            (lambda: sitting.consent(True), "at the step practice, expected consent"),
+            (lambda: sitting.picture(1), "trial 1 is not shown"),
+            (lambda: sitting.answer(2, Orientation.UP, 1.0), "trial 2 is not shown, but 1"),
+            (lambda: sitting.answer(0, Orientation.UP, 1.0), "trial 0 is not shown, but 1"),
+            (lambda: sitting.answer(1, None, 1.0), "found none, which only a time limit gives"),
+        ):
+            with pytest.raises(StepError, match=message):
+                call()
         sitting.calibrate(replace(MEASURES, viewing_distance_mm=990.0))  # before the first answer
-        answer_rightly(sitting)
+        said = sitting.answer(1, Orientation.UP, 5.0)
+        assert (said["flag"], said["correct"]) == ("too_fast", None)  # and not whether it was right
         with pytest.raises(StepError, match="at the step practice, expected monitor"):
             sitting.calibrate(MEASURES)
 
@@ -392,13 +387,6 @@ def test_flagged_answers_count_where_they_are_asked_for(dataset, out):
     assert (said["step"], len(said["summary"])) == ("done", 1)
     assert sum(counts[:, 2].sum() for _, counts in read_counts(count_file(out, "P1"))) == 4
     assert {row.flag for row in sitting.rows} == {"too_fast"}
-
-
-def test_a_flagged_answer_of_the_practice_says_why_and_not_whether_it_was_right(dataset, out):
-    with open_sitting(dataset, out, design=SHORT) as sitting:
-        begin(sitting)
-        said = sitting.answer(sitting.trial()["number"], Orientation.UP, 5.0)
-        assert (said["flag"], said["correct"]) == ("too_fast", None)
 
 
 def test_a_session_that_was_stopped_stays_and_goes_on_only_if_it_is_named(dataset, out):
@@ -510,11 +498,7 @@ def test_which_of_several_unfinished_sessions_is_asked(dataset, out):
     for subject in ("P1", "P2"):
         with open_sitting(dataset, out, subject=subject, design=SHORT):
             pass
-    with (
-        pytest.raises(SettingsError, match="the sessions of P1, P2 are not finished; say which with subject"),
-        open_sitting(dataset, out),
-    ):
-        pass
+    refused(SettingsError, "the sessions of P1, P2 are not finished; say which with subject", dataset, out)
 
 
 def test_a_finished_session_is_followed_by_a_new_one(dataset, out):
@@ -522,11 +506,7 @@ def test_a_finished_session_is_followed_by_a_new_one(dataset, out):
         begin(sitting)
         finish(sitting)
         first = sitting.record.subject
-    with (
-        pytest.raises(SettingsError, match=f"subject: {first} has finished; leave it out"),
-        open_sitting(dataset, out, subject=first),
-    ):
-        pass
+    refused(SettingsError, f"subject: {first} has finished; leave it out", dataset, out, subject=first)
     with open_sitting(dataset, out) as sitting:
         assert sitting.record.subject != first
 
@@ -547,8 +527,7 @@ def test_settings_of_a_session_that_has_begun_stay(dataset, out, design, message
     with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
         begin(sitting)
         answer_rightly(sitting)
-    with pytest.raises(SettingsError, match=message), open_sitting(dataset, out, design=design):
-        pass
+    refused(SettingsError, message, dataset, out, design=design)
     with open_sitting(dataset, out, design=SHORT) as sitting:  # the same settings are no others
         assert len(sitting.rows) == 1
 
@@ -557,33 +536,22 @@ def test_answers_to_another_dataset_are_not_mixed(make_dataset, dataset, out):
     with open_sitting(dataset, out, design=SHORT):
         pass
     other = load_dataset(make_dataset("other").path)
-    with pytest.raises(SettingsError, match="has answers to another dataset"), open_sitting(other, out):
-        pass
+    refused(SettingsError, "has answers to another dataset", other, out)
 
 
 def test_other_folders_are_left_alone(dataset, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("…")
-    with (
-        pytest.raises(OutputError, match="mine: holds other files, expected a folder of answers"),
-        open_sitting(dataset, tmp_path / "mine"),
-    ):
-        pass
-    with (
-        pytest.raises(OutputError, match="is a file, expected a folder for answers"),
-        open_sitting(dataset, tmp_path / "mine" / "thesis.txt"),
-    ):
-        pass
+    refused(OutputError, "mine: holds other files, expected a folder of answers", dataset, tmp_path / "mine")
+    refused(OutputError, "is a file, expected a folder for answers", dataset, tmp_path / "mine" / "thesis.txt")
     assert [one.name for one in (tmp_path / "mine").iterdir()] == ["thesis.txt"]
 
 
 def test_ids_are_letters_and_digits(dataset, out):
     for subject in ("", "Jane Doe", "../x", "<script>", "a_b", "ü", "a" * 65, "a\n"):
-        with (
-            pytest.raises(SettingsError, match="expected letters and digits, at most 64, and no name"),
-            open_sitting(dataset, out, subject=subject),
-        ):
-            pass
+        refused(
+            SettingsError, "expected letters and digits, at most 64, and no name", dataset, out, subject=subject
+        )
     assert not out.exists()
 
 
@@ -604,11 +572,13 @@ def test_settings_are_checked(design, message):
 
 
 def test_more_trials_than_there_are_is_told(dataset, out):
-    with (
-        pytest.raises(SettingsError, match="trials: found 25, expected at most 24, the trials of the dataset"),
-        open_sitting(dataset, out, design=SessionDesign(trials=25)),
-    ):
-        pass
+    refused(
+        SettingsError,
+        "trials: found 25, expected at most 24, the trials of the dataset",
+        dataset,
+        out,
+        design=SessionDesign(trials=25),
+    )
     assert not out.exists()
 
 
@@ -617,8 +587,7 @@ def test_answers_without_their_sidecar_are_told(dataset, out):
         begin(sitting)
         answer_rightly(sitting)
     sidecar_path(data_path(out, "P1")).unlink()
-    with pytest.raises(DataError, match=r"_data\.json: no such file"), open_sitting(dataset, out, subject="P1"):
-        pass
+    refused(DataError, r"_data\.json: no such file", dataset, out, subject="P1")
 
 
 @pytest.mark.parametrize(
@@ -635,8 +604,7 @@ def test_datasets_that_the_files_cannot_hold_are_refused(make_dataset, out, chan
     if error is None:
         with open_sitting(data, out):
             return
-    with pytest.raises(error, match=message), open_sitting(data, out):
-        pass
+    refused(error, message, data, out)
 
 
 def test_rows_of_other_frames_are_told(dataset, out):
@@ -645,8 +613,7 @@ def test_rows_of_other_frames_are_told(dataset, out):
         row = answer_rightly(sitting)
     path = data_path(out, "P1")
     path.write_text(path.read_text().replace(row.frame, "frames/other.exr"))
-    with pytest.raises(DataError, match=r"line 2: frame: found .*, which no trial"), open_sitting(dataset, out):
-        pass
+    refused(DataError, r"line 2: frame: found .*, which no trial", dataset, out)
 
 
 def test_a_session_of_more_trials_than_the_dataset_has_is_told(dataset, out):
@@ -654,13 +621,11 @@ def test_a_session_of_more_trials_than_the_dataset_has_is_told(dataset, out):
         pass
     sidecar = sidecar_path(data_path(out, "P1"))
     sidecar.write_text(sidecar.read_text().replace('"trials": 8', '"trials": 800'))
-    with pytest.raises(DataError, match="trials: found 800, the dataset has 24"), open_sitting(dataset, out):
-        pass
+    refused(DataError, "trials: found 800, the dataset has 24", dataset, out)
 
 
 def test_a_folder_that_cannot_be_made_is_told(dataset, tmp_path):
-    with pytest.raises(OutputError, match="cannot be written"), open_sitting(dataset, tmp_path / "no" / "such"):
-        pass
+    refused(OutputError, "cannot be written", dataset, tmp_path / "no" / "such")
 
 
 # The server's side ---------------------------------------------------------------------------------------------
@@ -709,15 +674,7 @@ def opened(dataset, out, **more: Any):
         yield Page(experiment_app(sitting)), sitting
 
 
-BODY = {
-    "device_pixel_ratio": 1,
-    "pixel_pitch_mm": 0.25,
-    "viewing_distance_mm": 1000,
-    "gamma": 2.2,
-    "photometer": None,
-    "screen_px": [1920, 1080],
-    "viewport_px": [1900, 1000],
-}
+BODY = asdict(MEASURES)
 
 
 def test_the_calls_of_the_page(dataset, out):

@@ -9,16 +9,15 @@ from io import BytesIO
 
 import numpy as np
 import pytest
+from measures import MEASURES
 
 from todframes.base.errors import FrameError, SettingsError
 from todframes.experiment.monitor import (
-    Calibration,
     ContrastRange,
     Monitor,
     MonitorError,
     calibrated,
     check_shows,
-    pixel_pitch_mrad,
     viewing_distance_mm,
 )
 from todframes.experiment.stimuli import (
@@ -36,15 +35,6 @@ from todframes.frames.files import FrameFile, read_frame, write_frame
 from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
-
-MEASURES = Calibration(
-    device_pixel_ratio=1.0,
-    pixel_pitch_mm=0.25,
-    viewing_distance_mm=1000.0,
-    gamma=2.2,
-    screen_px=(1920, 1080),
-    viewport_px=(1900, 1000),
-)
 
 
 def made(*, background: float = 0.5, dither: bool = True, **changes: object) -> Monitor:
@@ -64,11 +54,9 @@ def test_card_distance_and_half_tone_give_pitch_angle_and_gamma():
     assert math.isclose(found.pixel_pitch_mrad, 0.25, rel_tol=1e-8)
     assert found.gamma is not None
     assert math.isclose(found.gamma, 2.0, rel_tol=1e-12)
-
-
-def test_distance_and_angle_are_each_others_inverse():
-    angle = pixel_pitch_mrad(pixel_pitch_mm=0.3, viewing_distance_mm=600.0)
-    assert math.isclose(viewing_distance_mm(pixel_pitch_mm=0.3, pixel_pitch_mrad=angle), 600.0, rel_tol=1e-12)
+    distance = viewing_distance_mm(pixel_pitch_mm=0.25, pixel_pitch_mrad=found.pixel_pitch_mrad)
+    assert math.isclose(distance, 1000.0, rel_tol=1e-12)
+    assert made(device_pixel_ratio=2.0).device_pixel_ratio == 2.0
 
 
 def test_background_is_the_code_at_or_below_what_was_asked():
@@ -77,9 +65,6 @@ def test_background_is_the_code_at_or_below_what_was_asked():
     assert luminance[code] <= 0.5 < luminance[code + 1]
     assert MONITOR.background_relative == luminance[code]
     assert MONITOR.contrast_of_code()[code] == 0.0
-
-
-def test_background_that_a_code_has_is_that_code():
     # Gamma 1 has the luminance code / 255.
     assert made(gamma=1.0, background=51 / 255).background_code == 51
 
@@ -139,10 +124,6 @@ def test_refusals_have_a_reason(changes, reason, message):
     with pytest.raises(MonitorError, match=message) as caught:
         made(**changes)
     assert caught.value.reason == reason
-
-
-def test_whole_device_pixels_are_accepted():
-    assert made(device_pixel_ratio=2.0).device_pixel_ratio == 2.0
 
 
 RANGE = ContrastRange("frames/a.exr", -0.1, 0.2, -0.05, 0.3)
@@ -237,11 +218,6 @@ def test_without_dither_each_pixel_is_the_frames_within_half_a_code_step(make_da
         assert np.abs(found - wanted).max() <= step / 2.0 + 1e-3
 
 
-def test_background_is_one_code_and_not_dithered():
-    codes = shown_codes(np.zeros((64, 64)), MONITOR, seed=3)
-    assert (codes == MONITOR.background_code).all()
-
-
 def test_darker_triangles_are_darker(make_dataset):
     dataset = make_dataset(contrasts=(0.3,), row_changes={0: {"polarity": "-1"}})
     frame = 50.0 * (1.0 - 0.3 * coverage((48, 48), size_px=8, x_px=23.5, y_px=23.5, orientation=Orientation.UP))
@@ -318,6 +294,7 @@ def test_triangles_of_a_few_pixels_get_the_best_of_the_dither_patterns():
 
 
 def test_dither_patterns_of_different_seeds_lie_at_different_places_and_of_the_same_seed_at_one():
+    assert (shown_codes(np.zeros((64, 64)), MONITOR, seed=3) == MONITOR.background_code).all()
     grey = np.full((64, 64), 0.005)
     first, second = shown_codes(grey, MONITOR, 1), shown_codes(grey, MONITOR, 2)
     assert (first != second).any()

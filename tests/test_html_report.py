@@ -702,23 +702,6 @@ def test_settings_that_are_nested_deep(results, report, tmp_path: Path, depth: i
     assert (status, err.count("\n")) in {(0, 0), (1, 1)}, err
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
-def test_result_is_a_pipe(report, tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    for path in (tmp_path / "pipe", Path("/dev/zero")):
-        status, out, err = report(path)
-        assert (status, out, err.count("\n")) == (1, "", 1)
-        assert err.startswith(f"error: {path}: is a pipe or device, expected a file; save what comes from it")
-
-
-def test_file_that_is_too_long(report, tmp_path: Path) -> None:
-    path = tmp_path / "result.json"
-    with path.open("wb") as file:
-        file.truncate(65 * 2**20)
-    status, _, err = report(path)
-    assert (status, err) == (1, f"error: {path}: is longer than 64 MB, the limit for such files\n")
-
-
 def test_file_that_is_not_there(report, tmp_path: Path) -> None:
     for path, wanted in ((tmp_path / "no.json", "no such file"), (tmp_path, "is a folder")):
         status, out, err = report(path)

@@ -190,13 +190,13 @@ def test_a_first_visit_with_a_wrong_token_gets_no_cookie(running, token):
 
 PATHS = [
     "/../pyproject.toml",
-    "/static/../guard.py",
+    "/static/../pages.py",
     "/static/../../__init__.py",
-    "/static/%2e%2e/guard.py",
-    "/static/..%2fguard.py",
-    "/static/%252e%252e/guard.py",
-    "/static/..%5cguard.py",
-    "/static/....//guard.py",
+    "/static/%2e%2e/pages.py",
+    "/static/..%2fpages.py",
+    "/static/%252e%252e/pages.py",
+    "/static/..%5cpages.py",
+    "/static/....//pages.py",
     "/static//base.css",
     "//etc/passwd",
     "/static//etc/passwd",
@@ -205,7 +205,7 @@ PATHS = [
     "/static/base.css%00.html",
     "/static/",
     "/static",
-    "/%c0%ae%c0%ae/guard.py",
+    "/%c0%ae%c0%ae/pages.py",
     "http://127.0.0.1/static/base.css",
 ]
 
