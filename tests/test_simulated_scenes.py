@@ -15,7 +15,7 @@ import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.photons import background_electrons
 from sensor_sim.chain.reconstruction import axis_matrix, display_signal
-from sensor_sim.chain.sampling import field_sampler, sample_image
+from sensor_sim.chain.sampling import field_sampler
 from sensor_sim.chain.scenery import Scenery
 from sensor_sim.chain.simulation import Filming, SimulatedTrial, Simulator
 from sensor_sim.cli import cli
@@ -79,25 +79,6 @@ def test_local_luminance_on_the_display_is_its_background(simulator: Simulator) 
     # Shares of pixels at the circle are taken along the radius: 1e-3 of the texture's contrast of 0.3.
     assert local == pytest.approx(display.background_luminance_cd_m2, rel=1e-3)
     assert scene.std() > 0.05 * display.background_luminance_cd_m2
-
-
-def test_the_scene_passes_optics_and_detectors(simulator: Simulator) -> None:
-    """Samples of the window by `sample_image`, itself held against other computations, without the triangle."""
-    window = simulator.scenery.backgrounds[SIZE][1].luminance_cd_m2
-    x, y = simulator.scenery.place(SIZE, 1, "r0")
-    samples = sample_image(
-        window,
-        pixel_pitch_mrad=CAMERA.detector.pitch_mrad / 2.0,
-        optics=CAMERA.optics,
-        detector=CAMERA.detector,
-        field_detectors=simulator.field,
-        x_detectors=x,
-        y_detectors=y,
-        motion=CAMERA.motion,
-    )
-    found = simulator.scenery.contrast(SIZE, 1, "r0", field=simulator.field, matrix=simulator.matrix) + 1.0
-    assert found == pytest.approx(samples * (found[0, 0] / samples[0, 0]), rel=1e-12)
-    assert samples.std() > 0.05 * samples.mean()
 
 
 @pytest.mark.parametrize("turn", ["r90", "r180", "r270"])
