@@ -99,7 +99,7 @@ def test_arrangement_and_polarity_are_found(shown, sign) -> None:
     found = fitted(images, first_guess(images, 8.0))
     assert found.shown == shown
     assert np.sign(found.shape.amplitude) == sign
-    assert np.rad2deg(found.shape.turn_rad) == pytest.approx(3.0, abs=5.0 * np.rad2deg(found.turn_error_rad))
+    assert np.rad2deg(found.shape.turn_rad) == pytest.approx(3.0, abs=5.0 * np.rad2deg(found.errors[4]))
 
 
 @pytest.mark.weekly

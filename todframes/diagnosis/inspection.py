@@ -22,13 +22,10 @@ from todframes.diagnosis.scene_backgrounds import (
     without_scenes,
 )
 from todframes.diagnosis.triangle import (
-    AMPLITUDE,
     TURNED,
     Images,
     TrialEstimates,
     TriangleFit,
-    X,
-    Y,
     aligned,
     first_guess,
     fit,
@@ -62,62 +59,30 @@ LEAST_SIGNAL = 8.0
 class Inspection:
     """The properties that frames of a group with one stimulus show. Errors are standard errors; None: not known.
 
-    Attributes
-    ----------
-    group : tuple
-        Values of the `group_by` columns.
-    stimulus : Stimulus
-    size_px : float
-        The stated size in pixels.
-    stated_px : (float, float)
-        The stated place of the centroid along x and y, the mean over the trials measured.
-    are_windows : bool
-        The manifest gives the place in each of their frames, and all reach as far from it on one side at least, as
-        do windows that the border of a recording cuts.
-    n_trials : int
-        Number of trials measured.
-    frame_sizes_px : tuple of (int, int)
-        Rows and columns of the frames that occur.
-    background_luminance_cd_m2, ring_luminance_cd_m2 : float
-        Mean luminance that contrast refers to, and mean luminance around the triangle.
-    ring_ratio, ring_ratio_error, ring_scatter : float
-        Mean of the second divided by the first, its error, and its standard deviation over trials.
-    contrast_slope, contrast_slope_error : float or None
-        Displayed contrast of the triangle per unit of the level, blur removed, positive if of the stated polarity.
-    offset_px, offset_error_px : (float, float) or None
-        The triangle's place from the stated one, along x and y.
-    scatter_px : float or None
-        Standard deviation over trials of that place along an axis, noise removed.
-    size_ratio, size_ratio_error, size_scatter : float or None
-        Displayed size divided by the stated one, and its standard deviation over trials, noise removed.
-    turned_rad, turned_error_rad : float or None
-        Clockwise rotation of the triangle from the stated orientation.
-    blur_px : float or None
-        Standard deviation of the Gaussian that blurs the triangle.
-    shown_as : str or None
-        Name of an arrangement.
-    wrong_orientation, n_orientation : int
-        Number of trials that clearly show another orientation than stated, and number that clearly show one.
-    wrong_level, n_level : int
-        Number of trials whose contrast clearly does not follow their level, and number that show it clearly.
-    level_scatter : float or None
-        On scenes: standard deviation over trials of the contrast for its level, noise removed, over the mean.
-    signal : float
-        The triangle's contrast in standard errors by the noise alone.
-    uneven, uneven_error : float
-        Contrast of the triangle that would answer the observer's templates as the empty background does, with its
-        standard error.
-    uneven_texture : float
-        The same elsewhere in the surround: the fixed pattern of a camera, for example.
-    saturated_share, crushed_share : float or None
-        Shares of the triangle's pixels at full scale and at code 0; None without integer codes.
-    peak_code, full_scale, code_step : int or None
-        Largest code read, largest code possible, and the smallest difference of codes that occur; 1 where clean
-        frames have too few codes to show it.
-    code_step_contrast, noise_contrast : float or None
-        Contrast of that difference, and standard deviation of a pixel's contrast.
-    level : float
-        Median level of the trials measured.
+    Stated: `size_px`, and `stated_px`, the place of the centroid along x and y, the mean over the `n_trials`
+    measured, whose median is `level`. The frames have `frame_sizes_px` rows and columns. `are_windows`: the
+    manifest gives the place in each of them, and all reach as far from it on one side at least, as do windows that
+    the border of a recording cuts.
+
+    Background: `background_luminance_cd_m2` is the mean that contrast refers to, `ring_luminance_cd_m2` that
+    around the triangle; `ring_ratio` is the second divided by the first, with its error and its standard deviation
+    over trials. `uneven` is the contrast of the triangle that would answer the observer's templates as the empty
+    background does, with its error; `uneven_texture` is the same elsewhere in the surround: the fixed pattern of a
+    camera, for example.
+
+    Triangle: `contrast_slope` is the displayed contrast per unit of the level, blur removed, positive if of the
+    stated polarity, and `signal` that contrast in errors by the noise alone. `offset_px` is the place from the
+    stated one along x and y, `size_ratio` the displayed size divided by the stated one, `turned_rad` the clockwise
+    rotation from the stated orientation, and `blur_px` the standard deviation of the Gaussian that blurs it.
+    `scatter_px` (along an axis), `size_scatter` and, on scenes, `level_scatter` (of the contrast for its level,
+    over the mean) are standard deviations over trials, noise removed. `shown_as` is the name of an arrangement.
+    `wrong_orientation` of `n_orientation` trials that show one clearly show another than stated; `wrong_level` of
+    `n_level` have clearly not the contrast of their level.
+
+    Codes, None without integer codes: `saturated_share` and `crushed_share` of the triangle's pixels are at full
+    scale and at code 0. `peak_code` and `full_scale` are the largest code read and possible, `code_step` the
+    smallest difference of codes that occur (1 where clean frames have too few codes to show it) and
+    `code_step_contrast` its contrast. `noise_contrast` is the standard deviation of a pixel's contrast.
     """
 
     group: Group
@@ -390,7 +355,7 @@ class GroupTriangle(NamedTuple):
             even, of_noise_alone = scenes.even, images._replace(background=np.zeros_like(images.background))
         each = of_trials(found, of_noise_alone, even, **frames)
         excess = np.maximum(np.square(share) @ (np.square(each.away) - np.square(each.error)), 0.0)
-        of_noise = np.array([*(found.error((one, 1.0)) for one in (AMPLITUDE, X, Y)), found.size_error])
+        of_noise = found.errors[:4]
         alone = float(of_noise[0]) / math.sqrt(found.larger)
         signal = abs(found.shape.amplitude) / alone if alone > 0.0 else math.inf
         # Equal frames may leave a contrast by rounding: luminance has single precision, 6e-8 of itself.
@@ -451,7 +416,7 @@ def _of_triangle(
         "size_ratio_error": of_group.size_ratio * float(error[3]) if is_whole else None,
         "size_scatter": _scatter(each.away[clear_place, 3:], each.error[clear_place, 3:]),
         "turned_rad": shape.turn_rad,
-        "turned_error_rad": found.turn_error_rad,
+        "turned_error_rad": float(found.errors[4]),
         "blur_px": block_px * math.sqrt(max(shape.variance, 0.0)),
         "shown_as": next(turned.name for turned in TURNED if turned.shown == found.shown),
         "wrong_orientation": int((clear_turn & (each.likeness.argmax(axis=1) != shown)).sum()),

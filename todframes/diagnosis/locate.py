@@ -225,7 +225,7 @@ def _begun(
     if locate == "each" and (strongest := _of_strongest(frames, usable, pitch_mrad)) is not None:
         middle_px, scatter_px = strongest
         return _Start(members, np.tile(middle_px, (len(members), 1)), NEARBY * scatter_px)
-    peak = search(frames.take_means(), frames.block_px * pitch_mrad, centre, sizes)
+    peak = search(frames, centre, sizes)
     if peak.height == -math.inf:
         rows, columns = frames.shape or (0, 0)
         size = f"frames of {columns} × {rows} pixels"

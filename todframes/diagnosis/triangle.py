@@ -55,6 +55,11 @@ OF_TRIAL = np.zeros((4, N_PARAMETERS))
 OF_TRIAL[0, AMPLITUDE] = OF_TRIAL[1, X] = OF_TRIAL[2, Y] = OF_TRIAL[3, XX] = OF_TRIAL[3, YY] = 1.0
 """Parameters that are measured of single trials: amplitude, place, and size as a ratio."""
 
+OF_GROUP = np.zeros((5, N_PARAMETERS))
+OF_GROUP[:4], OF_GROUP[4, YX], OF_GROUP[4, XY] = OF_TRIAL, 0.5, -0.5
+OF_GROUP[3] /= 2.0
+"""Combinations whose errors are stated for a group: amplitude, place, size as a share, and rotation."""
+
 
 class Arrangement(NamedTuple):
     """A change of all orientations that a camera or an import may cause, with its words.
@@ -322,22 +327,11 @@ class TriangleFit(NamedTuple):
     square: Square
     larger: float
 
-    def error(self, *parameters: tuple[int, float]) -> float:
-        """Return the standard error of a sum of parameters with factors."""
-        factors = np.zeros(N_PARAMETERS)
-        for parameter, factor in parameters:
-            factors[parameter] = factor
-        return math.sqrt(max(float(factors @ self.covariance @ factors), 0.0))
-
     @property
-    def size_error(self) -> float:
-        """Standard error of the size, as a share of it."""
-        return self.error((XX, 0.5), (YY, 0.5))
-
-    @property
-    def turn_error_rad(self) -> float:
-        """Standard error of the rotation."""
-        return self.error((YX, 0.5), (XY, -0.5))
+    def errors(self) -> FloatArray:
+        """Standard errors of the contrast, of the place along x and y, of the size as a share, and of the "
+        "rotation."""
+        return np.sqrt(np.maximum(np.diag(OF_GROUP @ self.covariance @ OF_GROUP.T), 0.0))
 
 
 def _whitened(information: FloatArray) -> FloatArray:

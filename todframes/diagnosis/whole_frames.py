@@ -24,7 +24,8 @@ MOST_LOCATED_PX = 2**21
 MOST_BLOCKS = 2**24
 """Largest number of blocks of a frame; more would fill the memory."""
 
-Means = dict[Stimulus, dict[Orientation, FloatArray]]
+Spectra = dict[int, ComplexArray]
+"""Spectra of images by orientation, an index into `ORIENTATIONS`."""
 
 
 class MeanFrames:
@@ -54,15 +55,21 @@ class MeanFrames:
         """Return the mean of all frames."""
         return np.asarray(sum(self.totals.values()) / self.counts.total())
 
-    def take_means(self) -> Means:
-        """Return the mean contrast of each stimulus and orientation. They replace the totals, which no longer
-        exist."""
-        means: Means = {}
+    def take_spectra(self) -> dict[Stimulus, Spectra]:
+        """Return the spectra of the mean frames of each stimulus without what its orientations share.
+
+        A single orientation only loses its mean level. The totals no longer exist.
+        """
+        means: dict[Stimulus, dict[int, FloatArray]] = {}
         for (stimulus, orientation), total in self.totals.items():
             total /= self.counts[stimulus, orientation]
-            means.setdefault(stimulus, {})[orientation] = total
-        self.totals = {}
-        return means
+            means.setdefault(stimulus, {})[orientation.quarter_turns] = total
+        self.totals, spectra = {}, {}
+        for stimulus, images in means.items():
+            each = list(images.values())
+            common = np.mean(each, axis=0) if len(each) > 1 else each[0].mean()
+            spectra[stimulus] = {turn: np.fft.rfft2(image - common) for turn, image in images.items()}
+        return spectra
 
     def in_pixels(self, place: tuple[float, float]) -> tuple[float, float]:
         """Return a position in pixels from one in blocks, which counts from the middle of the first block."""
@@ -137,26 +144,17 @@ class CorrelationPeak(NamedTuple):
         return min(self.height, 100.0 * self.spread) / max(self.spread, 1e-300), self.height
 
 
-def search(means: Means, pitch_mrad: float, centre: Centre, sizes: Sequence[float] = (1.0,)) -> CorrelationPeak:
+def search(frames: MeanFrames, centre: Centre, sizes: Sequence[float] = (1.0,)) -> CorrelationPeak:
     """Find the highest correlation of triangles with mean frames, over places, arrangements, polarities and sizes.
 
     The mean over the orientations is subtracted from frames and triangles alike. It contains everything that the
     orientations share: bezel, overlay, shading, fixed pattern. `sizes` are multiples of those of the stimuli.
     """
-    spectra = {stimulus: _of_images(images) for stimulus, images in means.items()}
-    rows, columns = next(iter(next(iter(means.values())).values())).shape
+    assert frames.shape is not None
+    rows, columns = (length // frames.block_px for length in frames.shape)
+    spectra, pitch_mrad = frames.take_spectra(), frames.block_px * frames.dataset.display.pitch_mrad
     peaks = (_peak(spectra, (rows, columns), size, pitch_mrad, centre) for size in sizes)
     return max(peaks, key=lambda peak: peak.rank)
-
-
-Spectra = dict[int, ComplexArray]
-"""Spectra of images by orientation, an index into `ORIENTATIONS`."""
-
-
-def _of_images(images: dict[Orientation, FloatArray]) -> Spectra:
-    """Return the spectra of images without what they share: a single one only loses its mean level."""
-    common = np.mean(list(images.values()), axis=0) if len(images) > 1 else next(iter(images.values())).mean()
-    return {one.quarter_turns: np.fft.rfft2(image - common) for one, image in images.items()}
 
 
 def _peak(
@@ -171,13 +169,12 @@ def _peak(
     if 2 * edge >= min(rows, columns):
         return best
     triangles = {
-        one: _triangles(one, shape, size * one.size_mrad / pitch_mrad, centre, is_single=len(images) == 1)
-        for one, images in spectra.items()
+        stimulus: _triangles(stimulus, shape, size / pitch_mrad, centre, is_single=len(images) == 1)
+        for stimulus, images in spectra.items()
     }
     for arrangement in TURNED:
-        total = np.asarray(
-            sum(_cross(images, *triangles[one], arrangement.shown) for one, images in spectra.items())
-        )
+        crossed = [_cross(spectra[key], *triangles[key], arrangement.shown) for key in spectra]
+        total = np.asarray(sum(crossed))
         correlation = np.fft.fftshift(np.fft.irfft2(total, shape))[edge : rows - edge, edge : columns - edge]
         median = float(np.median(correlation))
         spread = best.spread or 1.4826 * float(np.median(np.abs(correlation - median)))
@@ -189,10 +186,10 @@ def _peak(
 
 
 def _triangles(
-    stimulus: Stimulus, shape: tuple[int, int], size_px: float, centre: Centre, *, is_single: bool
+    stimulus: Stimulus, shape: tuple[int, int], px_per_mrad: float, centre: Centre, *, is_single: bool
 ) -> tuple[list[ComplexArray], FloatArray]:
     """Return conjugate spectra of triangles in the middle of the frame, and their inner products, (4, 4)."""
-    at = {"size_px": size_px, "x_px": shape[1] // 2, "y_px": shape[0] // 2}
+    at = {"size_px": px_per_mrad * stimulus.size_mrad, "x_px": shape[1] // 2, "y_px": shape[0] // 2}
     triangles = np.array(
         [stimulus.polarity * coverage(shape, **at, orientation=one, centre=centre) for one in ORIENTATIONS]
     ).reshape(4, -1)

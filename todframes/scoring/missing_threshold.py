@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from todframes.diagnosis.findings import place_deviations
 from todframes.diagnosis.inspection import LEAST_SIGNAL, SIZES_ALIKE, inspect
 from todframes.diagnosis.locate import Location, locate_triangles
 from todframes.diagnosis.triangle import ARRANGEMENTS, TURNED, Arrangement
-from todframes.frames.dataset import Dataset, WarningCode
+from todframes.frames.dataset import Dataset, DatasetWarning, WarningCode
 from todframes.frames.position import centroid_position
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.observers.interface import Observer
@@ -52,15 +52,6 @@ _Code = tuple[WarningCode, Any, Any]
 """A code, the value found, and the value expected."""
 
 
-class Hint(NamedTuple):
-    """A change that would make the answers right, with a stable `code`."""
-
-    code: WarningCode
-    message: str
-    found: Any
-    expected: Any
-
-
 @dataclass(frozen=True, slots=True)
 class Explanation:
     """Answers in the strongest trials of a group without a threshold, and changes to make them right.
@@ -72,7 +63,7 @@ class Explanation:
     group: tuple[float | str, ...]
     answers: FloatArray
     from_level: float
-    hints: tuple[Hint, ...]
+    hints: tuple[DatasetWarning, ...]
 
 
 def explain_missing(
@@ -104,7 +95,7 @@ def explain_missing(
         strong = _strongest(trials, group_fit.group)
         table = np.zeros((4, 4))
         np.add.at(table, trials.quarter_turns[strong], _answers(scored, strong))
-        hints: tuple[Hint, ...] = ()
+        hints: tuple[DatasetWarning, ...] = ()
         if fit.status == "never_reached" or not is_missing:
             # At most so many of the trials, at an odd step, so that all orientations are among them.
             step = math.ceil(len(strong) / MOST_TRIALS)
@@ -177,7 +168,7 @@ class _MistakeSearch:
         self.scored, self.rows = scored, rows
         self.trials, self.answers = tuple(scored.trials.select(rows)), _answers(scored, rows)
 
-    def hints(self, *, is_scored_again: bool) -> tuple[Hint, ...]:
+    def hints(self, *, is_scored_again: bool) -> tuple[DatasetWarning, ...]:
         """Return the hints of the first change that works; an empty tuple if none does.
 
         Without `is_scored_again`, only changes that need no frame are tried.
@@ -312,7 +303,7 @@ class _MistakeSearch:
         against_guessing = rel_entr([share, 1.0 - share], [0.25, 0.75]).sum()
         return bool(len(self.trials) * against_guessing >= math.log(1e4))  # some thirty changes are tried
 
-    def _hints(self, change: _Change, arrangement: Arrangement, share: float) -> tuple[Hint, ...]:
+    def _hints(self, change: _Change, arrangement: Arrangement, share: float) -> tuple[DatasetWarning, ...]:
         clauses, codes = list(change.clauses), list(change.codes)
         if arrangement.mismatches:
             clauses.append(f"{arrangement.words.format(are='were')}: {arrangement.question}")
@@ -324,4 +315,5 @@ class _MistakeSearch:
             f"{100.0 * share:.0f} % of the answers from {self.dataset.experiment.level} {level:g} on, instead of "
             f"{100.0 * now:.0f} %, would be right if {' and if '.join(conditions)}. {' '.join(remedies)}"
         )
-        return tuple(Hint(code, message, *values) for code, *values in codes)
+        group = dict(zip(self.dataset.experiment.group_by, self.trials[0].group, strict=True))
+        return tuple(DatasetWarning(code, group, message, *values) for code, *values in codes)

@@ -31,7 +31,7 @@ from todframes.parameters import (
 )
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import levels_to_add, numerical_errors
-from todframes.results.data import Fit, ResultWarning, group_of
+from todframes.results.data import Fit, ResultWarning
 from todframes.results.result import Result, repeatable
 from todframes.scoring.error_budget import plan_object
 from todframes.scoring.opening import each_once, in_memory, inspected, is_skip, opened
@@ -195,11 +195,7 @@ def _explained(
 
         missing = explain_missing(data, scored, judge, decisions=decisions, seed=seed)
         explained = {explanation.group: explanation for explanation in missing}
-    hints = [
-        ResultWarning(**hint._asdict(), group=group_of(data, explanation.group))
-        for explanation in explained.values()
-        for hint in explanation.hints
-    ]
+    hints = [ResultWarning(**hint._asdict()) for one in explained.values() for hint in one.hints]
     fits = (fit_record(data, group_fit, explained.get(group_fit.group)) for group_fit in scored.fits)
     return tuple(fits), hints
 
