@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from todframes.base.errors import argument
@@ -27,15 +27,13 @@ MOST_TURN_RAD = math.radians(2.0)
 LOUD = 0.1
 """Contrast of noise that is loud: it reaches an end of the code values, and some of it is cut off."""
 
-Value = float | tuple[float, float]
-
 
 class Deviation(NamedTuple):
     """A difference of frames from their dataset: its code, its value, a clause about it, and what to do."""
 
     code: WarningCode
-    found: Value
-    expected: Value
+    found: float | tuple[float, float]
+    expected: float | tuple[float, float]
     seen: str
     advice: str
 
@@ -48,7 +46,7 @@ def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[
     warnings: dict[tuple[str, Group], DatasetWarning] = {}
     for inspection in inspections:
         group = dict(zip(dataset.experiment.group_by, inspection.group, strict=True))
-        for judge in JUDGES:
+        for judge in (_geometry, _codes, _background, _contrast, place_deviations):
             for code, found, expected, seen, advice in judge(dataset, inspection):
                 warning = DatasetWarning(code, group, f"{seen}: {advice}", found, expected)
                 warnings.setdefault((code, inspection.group), warning)
@@ -276,8 +274,3 @@ def _size(_: Dataset, shown: Inspection) -> Iterator[Deviation]:
             "gives one"
         )
         yield Deviation("mixed_sizes", scatter, 0.0, seen, "check that frames and rows belong together")
-
-
-JUDGES: tuple[Callable[[Dataset, Inspection], Iterator[Deviation]], ...] = (
-    _geometry, _codes, _background, _contrast, place_deviations
-)  # fmt: skip

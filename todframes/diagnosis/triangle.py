@@ -376,7 +376,9 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
             break
         left = square.of(images.triangles) - model.images[order]
         away = _without_background(np.tensordot(factors, left, 1), weight).ravel()
-        step = _solved(design, away)
+        scale = np.maximum(np.linalg.norm(design, axis=1), 1e-300)
+        scaled = design / scale[:, None]
+        step = np.linalg.lstsq(scaled @ scaled.T, scaled @ away, rcond=1e-10)[0] / scale
         shape = _bounded(shape.moved(_limited(step, shape)), start, n)
         # In sizes and radians; the errors that matter are a hundred times as large.
         last = np.abs(np.append(step[[X, Y]] / shape.size, step[[XX, XY, YX, YY]])).max()
@@ -408,12 +410,6 @@ def _design(slopes: FloatArray, factors: FloatArray, weight: FloatArray) -> Floa
     """Return the changes of whitened images by the parameters, without background: (8, 4 side²)."""
     white = np.tensordot(factors, slopes, 1)  # (4, 8, side, side)
     return _without_background(white, weight).transpose(1, 0, 2).reshape(slopes.shape[1], -1)
-
-
-def _solved(design: FloatArray, away: FloatArray) -> FloatArray:
-    scale = np.maximum(np.linalg.norm(design, axis=1), 1e-300)
-    scaled = design / scale[:, None]
-    return np.asarray(np.linalg.lstsq(scaled @ scaled.T, scaled @ away, rcond=1e-10)[0] / scale)
 
 
 def _limited(step: FloatArray, shape: Shape) -> FloatArray:

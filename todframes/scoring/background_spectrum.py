@@ -57,7 +57,11 @@ def _periodogram(dataset: Dataset, trial: Trial, centre: Centre) -> tuple[FloatA
 
     Those that the window does not resolve, and those beyond the Nyquist frequency of the axes, are left out.
     """
-    contrast, x, y = _contrast(dataset, trial, centre)
+    images: list[FloatArray] = []
+    for patch, x_px, y_px in patches_about(dataset, trial, centre, (256, 256)):
+        images.append(np.concatenate([band.values for band in patch.bands()]))
+        x, y = x_px - patch.column, y_px - patch.row
+    contrast = np.asarray(sum(images) / len(images))
     pitch_deg = dataset.display.pitch_mrad / MRAD_PER_DEG
     height, width = contrast.shape
     across, down = np.arange(width), np.arange(height)
@@ -83,12 +87,3 @@ def _periodogram(dataset: Dataset, trial: Trial, centre: Centre) -> tuple[FloatA
     resolved = 1.5 / (min(height, width) * pitch_deg)
     kept = (frequency >= resolved) & (frequency <= 0.5 / pitch_deg)
     return frequency[kept], density[kept]
-
-
-def _contrast(dataset: Dataset, trial: Trial, centre: Centre) -> tuple[FloatArray, float, float]:
-    """Read the mean contrast of a trial's frames about the triangle, and the triangle's position in it."""
-    images: list[FloatArray] = []
-    for patch, x, y in patches_about(dataset, trial, centre, (256, 256)):
-        images.append(np.concatenate([band.values for band in patch.bands()]))
-        at = x - patch.column, y - patch.row
-    return np.asarray(sum(images) / len(images)), *at

@@ -91,9 +91,6 @@ def decision_change(score_change: FloatArray, covariance: FloatArray, covariance
 REPLICATES = 8
 """Number of independent replicates whose spread gives the error of their mean."""
 
-_STUDENT_T = 2.8412
-"""98.75 % point of Student's t with `REPLICATES` − 1 degrees of freedom."""
-
 
 def half_width_95(replicates: ArrayLike) -> float:
     """Compute the half-width of the 95 % interval of the mean of `REPLICATES` values.
@@ -102,4 +99,5 @@ def half_width_95(replicates: ArrayLike) -> float:
     small by chance.
     """
     values = np.asarray(replicates, dtype=np.float64)
-    return _STUDENT_T * float(values.std(ddof=1)) / math.sqrt(len(values))
+    student_t = 2.8412  # the 98.75 % point with `REPLICATES` − 1 degrees of freedom
+    return student_t * float(values.std(ddof=1)) / math.sqrt(len(values))

@@ -25,27 +25,19 @@ from todframes.scoring.retina_view import patches_about, read_trial, retina_imag
 from todframes.scoring.score import GroupFit, ScoredDataset
 from todframes.stimulus import vertices
 
-MOST_EXAMPLES = 4
-
-MOST_SCENES = 8
-"""Largest number of scenes of a group of which a trial is drawn."""
-
-MOST_WITHOUT = 60
-"""Largest number of groups without a threshold whose strongest trial is drawn."""
-
 WHOLE_SIDE_PX = 384
 """Largest side of the picture of a whole frame; a small frame is enlarged by a whole factor."""
 
 
 def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tuple[Example, ...]:
-    """Draw the trial nearest to threshold of up to `MOST_EXAMPLES` groups, and the strongest where there is none.
+    """Draw the trial nearest to threshold of up to 4 groups, and the strongest of up to 60 where there is none.
 
-    On scenes it is one of each scene of a group, up to `MOST_SCENES`. Raises FrameError if a frame can no longer
+    On scenes it is one of each scene of a group, up to 8. Raises FrameError if a frame can no longer
     be used.
     """
     known = [group for group in scored.fits if group.fit.threshold is not None]
     pitch_mrad, drawn = dataset.display.pitch_mrad, []
-    for row in [row for group in evenly(known, MOST_EXAMPLES) for row in _nearest_trials(scored, group)]:
+    for row in [row for group in evenly(known, 4) for row in _nearest_trials(scored, group)]:
         trial, grid = scored.trials[row], observer.grid(scored.trials[row].stimulus)
         # The displacement is NaN if the trial was seen at several displacements.
         dx, dy = np.nan_to_num(scored.displacement_samples[row]).tolist()
@@ -60,7 +52,7 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tup
         )
         drawn.append(example_of(dataset, trial, float(scored.p_correct[row]), width_mrad, images))
     trials = scored.trials
-    for group in evenly([group for group in scored.fits if group.fit.threshold is None], MOST_WITHOUT):
+    for group in evenly([group for group in scored.fits if group.fit.threshold is None], 60):
         rows = trials.indices_of_group(group.group)
         row = int(rows[np.argmax(trials.levels[rows])])
         width_mrad, whole = _whole(dataset, trials[row], observer)
@@ -134,7 +126,7 @@ def _nearest_trials(scored: ScoredDataset, group: GroupFit) -> list[int]:
     names = np.array(["" if view is None else view.scene for view in trials.views])[trials.view_codes]
     members = trials.indices_of_group(group.group)
     of_scenes = [members[names[members] == name] for name in dict.fromkeys(names[members].tolist())]
-    return [nearest_trial(scored, group, of_scene) for of_scene in evenly(of_scenes, MOST_SCENES)]
+    return [nearest_trial(scored, group, of_scene) for of_scene in evenly(of_scenes, 8)]
 
 
 def nearest_trial(scored: ScoredDataset, group: GroupFit, rows: NDArray[np.intp] | None = None) -> int:

@@ -26,14 +26,8 @@ from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, Step, decisio
 from todframes.scoring.retina_view import Reader, Shown, read_trial, retina_image
 from todframes.stimulus import ORIENTATIONS, Stimulus, bounding_box_offset
 
-OMITTED = "omitted"
-"""Key of the bound on what the observer's readout omits."""
-
 MOST_BAD = 100
 """Number of unusable frames after which the plan of a stimulus leaves nothing out."""
-
-OUTWARDS = np.array([[1.0, 1.0, 1.0, 0.0, 0.0, -1.0, -1.0, -1.0], [1.0, 0.0, -1.0, 1.0, -1.0, 1.0, 0.0, -1.0]])
-"""Eight directions from the middle of a frame, as x and y, shape (2, 8)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +166,7 @@ def _weigh(
             assert readout is not None
             weights = weights + missing.deviations
         else:
-            bounds[OMITTED] = bound
+            bounds["omitted"] = bound
     half_width, bounds["field"] = _half_width(readout, stimulus, widest.pitch_mrad, weights, images, budget)
     kept = readout.grid.side if half_width is None else 2 * half_width + 1
     return StimulusPlan(
@@ -211,7 +205,8 @@ def _tried(trials: Trials, observer: Observer, pitch_mrad: float) -> list[int]:
         offset = np.array([bounding_box_offset(orientation) for orientation in ORIENTATIONS])
         position += offset[trials.quarter_turns[placed]] * trials[0].stimulus.size_mrad / pitch_mrad
     if np.ptp(position, axis=0).any():
-        chosen += placed[np.argmax(position @ OUTWARDS, axis=0)].tolist()
+        outwards = [(x, y) for x in (1.0, 0.0, -1.0) for y in (1.0, 0.0, -1.0) if x or y]
+        chosen += placed[np.argmax(position @ np.transpose(outwards), axis=0)].tolist()
     return list(dict.fromkeys(chosen))
 
 
@@ -256,7 +251,7 @@ def _steps(plans: Sequence[StimulusPlan], omitted: str) -> tuple[Step, ...]:
     n_narrow = sum(plan.half_width is not None for plan in plans)
     n_thrifty, n = sum(not plan.full_observer for plan in plans), len(plans)
     levels, narrow = (
-        max((plan.bounds.get(stage, 0.0) for plan in plans), default=0.0) for stage in (OMITTED, "field")
+        max((plan.bounds.get(stage, 0.0) for plan in plans), default=0.0) for stage in ("omitted", "field")
     )
     retina = f"{100.0 * float(np.mean([plan.retina for plan in plans])):.2g} % of the retina"
     rows = [100.0 * plan.rows for plan in plans]

@@ -45,12 +45,11 @@ DECIDED_AT_A_TIME = 4096
 class GroupFit:
     """The psychometric fit of the trials that share the values of the `group_by` columns.
 
-    `non_gaussian_bound` bounds the error in P(correct) from taking the summed internal noise as Gaussian; 0 if
-    answers were drawn with noise on every neuron. `left_out_bound` bounds the change of P(correct) by all that the
-    plan leaves out. `numerical_error` is the half-width of the threshold's 95 % interval over displacements; None
-    if each trial has one displacement. The luminance that contrast refers to is the mean over trials. `run_time_s`
-    is the time for the trials and the fit, in seconds. `places_error` is the largest standard error of a trial's
-    P(correct) by correlated noise of places; None if the place is known.
+    `non_gaussian_bound` and `left_out_bound` bound the errors in P(correct) from taking the summed internal noise
+    as Gaussian, 0 if answers were drawn with noise on every neuron, and from all that the plan leaves out.
+    `numerical_error` is the half-width of the threshold's 95 % interval over displacements; None with one
+    displacement. `places_error` is the largest standard error of a trial's P(correct) by correlated noise of
+    places; None if the place is known.
     """
 
     group: tuple[float | str, ...]
@@ -68,12 +67,10 @@ class GroupFit:
 class ScoredDataset:
     """The scores of every trial that could be read, in the order of the manifest, and the fits.
 
-    `displacement_samples`, (n, 2), are displacements of the retina grid along x and y, in retina samples; NaN if a
-    trial had several. `scores` and `probabilities`, (n, 4), are noise-free inner products with the templates and
-    the probability of each answer, in the order of `ORIENTATIONS`, averaged over displacements; NaN if the
-    observer is not linear. `answers`, (n,), are the answers drawn, or the most probable ones, indices into
-    `ORIENTATIONS`; `p_correct`, (n,), is 1 or 0 if answers were drawn. `n_negative` counts the display pixels with
-    a luminance below zero, among those read.
+    `displacement_samples`, (n, 2), are displacements of the retina along x and y; NaN if a trial had several.
+    `scores` and `probabilities`, (n, 4), are noise-free inner products with the templates and the probability of
+    each answer, averaged over displacements; NaN if the observer is not linear. `answers` are those drawn, or the
+    most probable ones, indices into `ORIENTATIONS`; `p_correct` is 1 or 0 if answers were drawn.
     """
 
     trials: Trials
@@ -300,8 +297,8 @@ _DECIDED = np.dtype(
         *((name, "f8") for name in ("p_correct", "bound", "place_error", "background_luminance_cd_m2", "seconds")),
     ]
 )
-"""Type of a row of decided trials: means over displacements; the bound on the error of the probabilities from
-taking the noise as Gaussian; and their largest standard error if the place is unknown, else 0."""
+"""Means over displacements; the bound on the error of the probabilities from taking the noise as Gaussian, and
+their largest standard error if the place is unknown, else 0."""
 
 
 def _decided(plan: ScorePlan, seen: SeenTrials) -> tuple[NDArray[Any], FloatArray]:

@@ -38,12 +38,10 @@ KRONECKER_STEPS_2D = np.array([0.7548776662466927, 0.5698402909980532])
 class SeenTrial(NamedTuple):
     """The observer's scores of a trial and, if drawn, its answer.
 
-    `displacement_samples`, (d, 2), are displacements of the retina grid along x and y, in retina samples. `scores`
-    and `deviations`, (d, 4), are noise-free inner products with the templates, and their deviations from their
-    mean, computed without cancellation; NaN if the observer is not linear. `answer` is the answer drawn, an index
-    into `ORIENTATIONS`, or `NO_ANSWER`; at an unknown place it is drawn from `place_scores`, (d, place, 4), later,
-    for all trials. `n_negative` counts display pixels with a luminance below zero. The luminance that contrast
-    refers to is the mean over the frames.
+    `displacement_samples`, (d, 2), are displacements of the retina along x and y. `scores` and `deviations`, (d,
+    4), are noise-free inner products with the templates, and their deviations from their mean, computed without
+    cancellation; NaN if the observer is not linear. At an unknown place the answer is drawn from `place_scores`,
+    (d, place, 4), later, for all trials.
     """
 
     displacement_samples: FloatArray

@@ -14,7 +14,6 @@ from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from todframes.base.errors import FrameError, SettingsError
 from todframes.frames.contrast import skipped_frames
@@ -173,7 +172,11 @@ class TrialWork(StoredWork[Trial, bytes | Unusable], Generic[T]):
     @cached_property
     def decoder(self) -> msgspec.msgpack.Decoder[T]:
         """Decoder of results."""
-        return msgspec.msgpack.Decoder(self.kind, dec_hook=lambda _, packed: _array(*packed))
+
+        def array(_: type, packed: tuple[Sequence[int], bytes]) -> Any:
+            return np.frombuffer(packed[1], np.float64).reshape(packed[0])
+
+        return msgspec.msgpack.Decoder(self.kind, dec_hook=array)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state to pickle, without decoders, and without the trials, which other processes do not
@@ -214,7 +217,9 @@ def see_trials(
     """
     bare = replace(scoring, dataset=replace(scoring.dataset, trials=Trials.of(())))
     work = TrialWork(bare, show, kind, depends_on, with_references, with_levels)
-    order = by_stimulus(trials)
+    # In the order of their stimuli, so that few readouts are held at a time.
+    keys = np.array([(stimulus.polarity, stimulus.size_mrad) for stimulus in trials.stimuli])
+    order = np.lexsort(keys[trials.stimulus_codes].T)
     if scoring.dataset.is_in_memory:
         run = replace(run, store=None)
     unusable: dict[int, FrameError] = {}
@@ -231,13 +236,6 @@ def see_trials(
         for number in sorted(unusable)
         for skipped in skipped_frames(scoring.dataset, in_order[number], unusable[number])
     ]
-
-
-def by_stimulus(trials: Trials) -> NDArray[np.intp]:
-    """Return the indices of trials in the order of their stimuli, so that few readouts are held at a time."""
-    sizes, polarities = np.array([(stimulus.size_mrad, stimulus.polarity) for stimulus in trials.stimuli]).T
-    codes = trials.stimulus_codes
-    return np.lexsort((polarities[codes], sizes[codes]))
 
 
 def _stamp(path: str) -> Stamp:
@@ -259,10 +257,6 @@ def _packed(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.shape, np.ascontiguousarray(value, np.float64).tobytes()
     return value.item()
-
-
-def _array(shape: Sequence[int], content: bytes) -> Any:
-    return np.frombuffer(content, np.float64).reshape(shape)
 
 
 _ENCODER = msgspec.msgpack.Encoder(enc_hook=_packed)
