@@ -19,20 +19,18 @@ from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.weibull import weibull, weibull_level
 from todframes.results.result import load_result
 from todframes.scoring.naked_eye import contrast_threshold
-from todframes.studies.accuracy import estimators
+from todframes.studies.accuracy import measure as estimators
 from todframes.studies.accuracy import report as accuracy_report
-from todframes.studies.accuracy.estimators import (
+from todframes.studies.accuracy.measure import (
+    BudgetPoint,
     Converged,
     MonteCarlo,
     Quadrature,
     StudyScene,
     ThresholdEstimate,
+    TimeAt,
     Variant,
     find_scenes,
-)
-from todframes.studies.accuracy.measure import (
-    BudgetPoint,
-    TimeAt,
     fitted_slope,
     measure,
     speed_ratio,

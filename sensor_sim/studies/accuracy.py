@@ -27,7 +27,7 @@ from todframes.parameters import PlanName
 from todframes.psychometrics.threshold_search import crossing, find_crossing
 from todframes.scoring.naked_eye import CONTRAST_RANGE
 from todframes.stimulus import ORIENTATIONS, Stimulus
-from todframes.studies.accuracy.estimators import (
+from todframes.studies.accuracy.measure import (
     P_CORRECT,
     Converged,
     FoldedTrials,

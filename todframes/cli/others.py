@@ -140,8 +140,7 @@ def accuracy(
 
     from todframes.results.result import Result
     from todframes.studies.accuracy import report as accuracy_report
-    from todframes.studies.accuracy.estimators import StudyScene, find_scenes
-    from todframes.studies.accuracy.measure import measure
+    from todframes.studies.accuracy.measure import StudyScene, find_scenes, measure
     from todframes.studies.accuracy.recorded import recorded
 
     makers = find_scenes(names)

@@ -1,10 +1,12 @@
 """Error against run time: estimators of one threshold, each given more and more work, against a converged value.
 
-Errors are root mean squares about a converged value that carries its own bound; that of a threshold is of its
-logarithm. Times are of the process, set-up included.
+A scene is a triangle seen through something, with ways to find its threshold there: some draw independent trials
+(`MonteCarlo`), some place them evenly (`Quadrature`). Packages name scenes under the entry-point group
+`todframes.accuracy_scenes`.
 
-Independent trials are drawn once, as many as the time allows, and cut into blocks of every size: a block is an
-estimate with so many trials, and the blocks of one size are independent.
+Errors are root mean squares about a converged value that carries its own bound; that of a threshold is of its
+logarithm. Times are of the process, set-up included. Independent trials are drawn once, as many as the time
+allows, and cut into blocks of every size, each of which is an independent estimate.
 """
 
 from __future__ import annotations
@@ -13,25 +15,25 @@ import math
 import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError
+from todframes.base._typing import FloatArray, IntArray
+from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import check_keys
+from todframes.base.user_code import registered
+from todframes.observers.decision import answer_probabilities
 from todframes.results.data import Record
-from todframes.studies.accuracy.estimators import (
-    P_CORRECT,
-    Converged,
-    MonteCarlo,
-    Quadrature,
-    StudyScene,
-    ThresholdEstimate,
-    Variant,
-)
 from todframes.studies.accuracy.report import Estimator, SceneResult, SpeedRatio
+
+ENTRY_POINT_GROUP = "todframes.accuracy_scenes"
+
+P_CORRECT = 0.75
+"""Criterion of all thresholds."""
 
 T = TypeVar("T")
 
@@ -40,8 +42,6 @@ TARGETS = (0.01, 0.001)
 
 FEWEST_BLOCKS = 4
 """Smallest number of estimates in a root mean square, which is then known to a third."""
-
-BLOCK_GROWTH = 2
 
 MOST_DRAWN_TRIALS = 2**17
 """Largest number of trials drawn for an estimator; the estimates from their blocks of all sizes then take
@@ -53,6 +53,181 @@ LARGEST_SHOWN = 0.5
 TIMED, LONG_S = 3, 0.5
 """Number of runs of a set-up or variant whose median time is taken, and the total time after which no further one
 begins."""
+
+
+class Converged(NamedTuple):
+    """The threshold with which estimators are compared.
+
+    `bound` is the half-width of its own error, 95 % where that is random; `slope` is dP(correct) / d ln(level).
+    """
+
+    threshold: float
+    bound: float
+    slope: float
+
+
+class ThresholdEstimate(NamedTuple):
+    """P(correct) at the converged threshold, and the threshold; NaN where there is none."""
+
+    p_correct: float
+    threshold: float
+
+
+class FoldedTrials(NamedTuple):
+    """Independent trials as the folded observer sees them: score deviations without noise, (n, columns, 4), the
+    covariance of the noise on them, (n, columns, 4, 4), and the number of the correct answer, (n, columns), both
+    broadcast.
+
+    `probabilities` is the function from scores to the probability of each answer; by default under Gaussian noise.
+    """
+
+    score: FloatArray
+    covariance: FloatArray
+    correct: IntArray
+    probabilities: Callable[[FloatArray], FloatArray] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MonteCarlo:
+    """An estimator that draws independent trials.
+
+    `prepare` sets up and returns `draw(n, rng)`: P(correct) of n independent trials, or 1 and 0 for answers, (n,
+    columns). A column is a condition: one level, or each of many frames. `share` is that of a scene's time; from
+    `smallest` trials on the error falls as 1/√N, and `fewest` are drawn at least.
+    """
+
+    name: str
+    label: str
+    prepare: Callable[[], Callable[[int, np.random.Generator], FloatArray]]
+    share: float
+    smallest: int = 1
+    fewest: int = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Quadrature:
+    """An estimator that places its trials evenly.
+
+    `prepare` sets up and returns `run(n, rng)`, an estimate from n trials. `budgets` are the numbers of trials to
+    try, ascending; `share` is that of a scene's time; errors are taken over `repeats` estimates, 1 if nothing is
+    drawn at random.
+    """
+
+    name: str
+    label: str
+    prepare: Callable[[], Callable[[int, np.random.Generator], ThresholdEstimate]]
+    budgets: tuple[int, ...]
+    share: float
+    repeats: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """A quadrature of one size with one change; the first one of a scene is the one that the others change.
+
+    `prepare` gives `run(rng)`; the same `rng` must give the same trials.
+    """
+
+    label: str
+    prepare: Callable[[], Callable[[np.random.Generator], ThresholdEstimate]]
+
+
+@dataclass(frozen=True)
+class StudyScene:
+    """Base class of the scenes that estimators are tried on.
+
+    `name` is that on the command line and in file names, `level` the kind of level that the threshold is.
+    """
+
+    name: str
+    title: str
+    description: str
+    level: str
+
+    def converge(self) -> Converged:
+        """Compute the threshold with far less error than any estimator is given time for."""
+        raise NotImplementedError
+
+    def estimators(self, converged: Converged) -> Sequence[MonteCarlo | Quadrature]:
+        """List the estimators, the literal Monte Carlo first; a `Quadrature` is a closed form."""
+        raise NotImplementedError
+
+    def variants(self, converged: Converged) -> Sequence[Variant]:
+        """List the closed form as it is, then with single changes."""
+        raise NotImplementedError
+
+    def estimate(self, outcomes: FloatArray, converged: Converged) -> ThresholdEstimate:
+        """Estimate the threshold from the mean of independent trials, (columns,): by default of one level, the
+        converged one, to first order, and the slope there is taken as known.
+
+        No way to choose levels needs fewer trials, and none of these knows the threshold beforehand.
+        """
+        p_correct = float(outcomes.mean())
+        threshold = converged.threshold * math.exp((P_CORRECT - p_correct) / converged.slope)
+        return ThresholdEstimate(p_correct, threshold)
+
+    def non_gaussian_bound(self) -> float:
+        """Bound the error in P(correct) of expected decisions from noise that is not Gaussian."""
+        raise NotImplementedError
+
+
+def monte_carlos(
+    answers: Callable[[], Callable[[int, np.random.Generator], FloatArray]],
+    trials: Callable[[], Callable[[int, np.random.Generator], FoldedTrials]],
+    smallest: int = 1,
+    fewest: int = 64,
+) -> tuple[MonteCarlo, MonteCarlo, MonteCarlo]:
+    """Make the three Monte Carlos that every linear observer has, from `prepare` of the literal one and a function
+    that returns `draw(n, rng)` of `FoldedTrials`.
+    """
+
+    def drawn() -> Callable[[int, np.random.Generator], FloatArray]:
+        draw = trials()
+
+        def outcomes(n: int, rng: np.random.Generator) -> FloatArray:
+            shown = draw(n, rng)
+            # By eigenvectors, for the covariance of deviations from their mean is singular.
+            values, vectors = np.linalg.eigh(shown.covariance)
+            root = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+            noise = (root @ rng.standard_normal((*shown.score.shape, 1)))[..., 0]
+            return np.asarray((shown.score + noise).argmax(axis=-1) == shown.correct, dtype=np.float64)
+
+        return outcomes
+
+    def expected() -> Callable[[int, np.random.Generator], FloatArray]:
+        draw = trials()
+
+        def outcomes(n: int, rng: np.random.Generator) -> FloatArray:
+            shown = draw(n, rng)
+            if shown.probabilities is not None:
+                answers = shown.probabilities(shown.score)
+            else:
+                answers = answer_probabilities(shown.score, shown.covariance)
+            correct = np.broadcast_to(shown.correct, answers.shape[:-1])[..., None]
+            return np.take_along_axis(answers, correct, axis=-1)[..., 0]
+
+        return outcomes
+
+    return (
+        MonteCarlo("literal", "literal Monte Carlo", answers, 0.5, smallest, fewest),
+        MonteCarlo("folded", "Monte Carlo on folded scores", drawn, 0.1, smallest, fewest),
+        MonteCarlo("expected", "expected decisions, random phases", expected, 0.1, smallest, fewest),
+    )
+
+
+def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], StudyScene]]:
+    """Return the functions that make the scenes of these names, or all registered scenes if no name is given;
+    SettingsError if there is no scene of a name, or it cannot be imported.
+    """
+    found = registered(ENTRY_POINT_GROUP)
+    check_keys(names, found, argument.scene)
+    scenes = {}
+    for name in names or found:
+        try:
+            scenes[name] = cast("Callable[[], StudyScene]", found[name].load())
+        except (ImportError, AttributeError) as error:
+            raise SettingsError(f"{argument.scene}: {name!r} cannot be loaded ({error})") from None
+    return scenes
 
 
 class BudgetPoint(NamedTuple):
@@ -231,7 +406,7 @@ def _measure_draws(
         if math.isfinite(errors[1]):
             cpu_s, wall_s = (set_up + size * each).tolist()
             points.append(BudgetPoint(size, blocks, cpu_s, wall_s, *errors))
-        size *= BLOCK_GROWTH
+        size *= 2
     times = [time_of_draws(points, float(set_up[0]), total, at) for at in TARGETS]
     shown = [point for point in points if point.threshold_error <= LARGEST_SHOWN]
     return _result(estimator, set_up[0], shown, times), times

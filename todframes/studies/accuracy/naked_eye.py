@@ -15,7 +15,7 @@ from todframes.observers.retina import triangle_on
 from todframes.psychometrics.threshold_search import find_crossing
 from todframes.scoring.naked_eye import CONTRAST_RANGE
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
-from todframes.studies.accuracy.estimators import (
+from todframes.studies.accuracy.measure import (
     P_CORRECT,
     Converged,
     FoldedTrials,

@@ -22,7 +22,7 @@ from todframes.scoring.plan import plan_score
 from todframes.scoring.retina_view import read_trial, retina_image
 from todframes.scoring.seen_trials import KRONECKER_STEPS_2D
 from todframes.stimulus import Stimulus
-from todframes.studies.accuracy.estimators import (
+from todframes.studies.accuracy.measure import (
     P_CORRECT,
     Converged,
     FoldedTrials,
