@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -30,9 +31,12 @@ from todframes.stimulus import ORIENTATIONS, Stimulus
 from todframes.studies.accuracy.measure import (
     P_CORRECT,
     Converged,
+    Draw,
+    FoldedDraw,
     FoldedTrials,
     MonteCarlo,
     Quadrature,
+    Rule,
     StudyScene,
     ThresholdEstimate,
     Variant,
@@ -114,7 +118,7 @@ class Camera(StudyScene):
         # Each place is seen with two opposite displacements of the retina.
         budgets = tuple(2 * places**2 for places in STUDIED_PLACES if self._is_fair(places))
 
-        def trials() -> Callable[[int, np.random.Generator], FoldedTrials]:
+        def trials() -> FoldedDraw:
             chain = self._chain(self._plan())
 
             def draw(n: int, rng: np.random.Generator) -> FoldedTrials:
@@ -125,7 +129,7 @@ class Camera(StudyScene):
 
             return draw
 
-        def closed_form(tolerance: float) -> Callable[[int, np.random.Generator], ThresholdEstimate]:
+        def closed_form(tolerance: float) -> Rule:
             chain = self._chain(self._plan(tolerance=tolerance))
             return lambda n, rng: self._estimate(chain, math.isqrt(n // 2), converged, rng)
 
@@ -136,33 +140,27 @@ class Camera(StudyScene):
             Quadrature("closed_form", "closed form, planned for 0.1 %", fine, budgets, 0.25, REPEATS),
         )
 
-    def variants(self, converged: Converged) -> tuple[Variant, ...]:
+    def variants(self, converged: Converged) -> dict[str, Variant]:
         """List plans that keep one of the omissions, and all of them; planning is part of the time."""
 
-        def variant(label: str, plan: Callable[[], CurvePlan]) -> Variant:
-            def prepare() -> Callable[[np.random.Generator], ThresholdEstimate]:
-                chain = self._chain(plan())
-                return lambda rng: self._estimate(chain, VARIANT_PLACES, converged, rng)
+        def variant(plan: Callable[[], CurvePlan]) -> Variant:
+            return lambda rng: self._estimate(self._chain(plan()), VARIANT_PLACES, converged, rng)
 
-            return Variant(label, prepare)
+        def changed(**changes: Any) -> Variant:
+            return variant(lambda: replace(self._plan(), **changes))
 
         def everything() -> CurvePlan:
             # One orientation still, for the same trials: four would see each lattice from four sides.
             return replace(self._plan("full"), orientations=ORIENTATIONS[:1])
 
         planned, full = self._plan(), everything()
-        return (
-            variant(f"as planned: {planned.field}² detectors, {np.dtype(planned.dtype)}", self._plan),
-            variant("float64", lambda: replace(self._plan(), dtype=np.float64)),
-            variant(
-                f"{full.field}² detectors", lambda: replace(self._plan(), field=full.field, sampler=full.sampler)
-            ),
-            variant(
-                "one pyramid level more",
-                lambda: replace(self._plan(), observer=PyramidObserver().with_extra_level()),
-            ),
-            variant("nothing left out", everything),
-        )
+        return {
+            f"as planned: {planned.field}² detectors, {np.dtype(planned.dtype)}": variant(self._plan),
+            "float64": changed(dtype=np.float64),
+            f"{full.field}² detectors": changed(field=full.field, sampler=full.sampler),
+            "one pyramid level more": changed(observer=PyramidObserver().with_extra_level()),
+            "nothing left out": variant(everything),
+        }
 
     def non_gaussian_bound(self) -> float:
         """Return the bound that the chain states."""
@@ -248,9 +246,7 @@ def no_noise() -> Camera:
     )
 
 
-def literal_answers(
-    sensor: Sensor, size_detectors: float, *, snr: float, contrast: float = 1.0
-) -> Callable[[int, np.random.Generator], FloatArray]:
+def literal_answers(sensor: Sensor, size_detectors: float, *, snr: float, contrast: float = 1.0) -> Draw:
     """Prepare to draw trials of random orientation and place, with noise on every detector and every neuron: 1 for
     a right and 0 for a wrong answer, (n, 1).
 

@@ -87,6 +87,12 @@ class FoldedTrials(NamedTuple):
     probabilities: Callable[[FloatArray], FloatArray] | None = None
 
 
+Draw = Callable[[int, np.random.Generator], FloatArray]
+FoldedDraw = Callable[[int, np.random.Generator], FoldedTrials]
+Rule = Callable[[int, np.random.Generator], ThresholdEstimate]
+Variant = Callable[[np.random.Generator], ThresholdEstimate]
+
+
 @dataclass(frozen=True, slots=True)
 class MonteCarlo:
     """An estimator that draws independent trials.
@@ -98,7 +104,7 @@ class MonteCarlo:
 
     name: str
     label: str
-    prepare: Callable[[], Callable[[int, np.random.Generator], FloatArray]]
+    prepare: Callable[[], Draw]
     share: float
     smallest: int = 1
     fewest: int = 64
@@ -115,21 +121,10 @@ class Quadrature:
 
     name: str
     label: str
-    prepare: Callable[[], Callable[[int, np.random.Generator], ThresholdEstimate]]
+    prepare: Callable[[], Rule]
     budgets: tuple[int, ...]
     share: float
     repeats: int = 1
-
-
-@dataclass(frozen=True, slots=True)
-class Variant:
-    """A quadrature of one size with one change; the first one of a scene is the one that the others change.
-
-    `prepare` gives `run(rng)`; the same `rng` must give the same trials.
-    """
-
-    label: str
-    prepare: Callable[[], Callable[[np.random.Generator], ThresholdEstimate]]
 
 
 @dataclass(frozen=True)
@@ -152,8 +147,8 @@ class StudyScene:
         """List the estimators, the literal Monte Carlo first; a `Quadrature` is a closed form."""
         raise NotImplementedError
 
-    def variants(self, converged: Converged) -> Sequence[Variant]:
-        """List the closed form as it is, then with single changes."""
+    def variants(self, converged: Converged) -> dict[str, Variant]:
+        """Return the closed form of one size as it is, then with single changes, by their labels."""
         raise NotImplementedError
 
     def estimate(self, outcomes: FloatArray, converged: Converged) -> ThresholdEstimate:
@@ -172,8 +167,8 @@ class StudyScene:
 
 
 def monte_carlos(
-    answers: Callable[[], Callable[[int, np.random.Generator], FloatArray]],
-    trials: Callable[[], Callable[[int, np.random.Generator], FoldedTrials]],
+    answers: Callable[[], Draw],
+    trials: Callable[[], FoldedDraw],
     smallest: int = 1,
     fewest: int = 64,
 ) -> tuple[MonteCarlo, MonteCarlo, MonteCarlo]:
@@ -181,7 +176,7 @@ def monte_carlos(
     that returns `draw(n, rng)` of `FoldedTrials`.
     """
 
-    def drawn() -> Callable[[int, np.random.Generator], FloatArray]:
+    def drawn() -> Draw:
         draw = trials()
 
         def outcomes(n: int, rng: np.random.Generator) -> FloatArray:
@@ -194,7 +189,7 @@ def monte_carlos(
 
         return outcomes
 
-    def expected() -> Callable[[int, np.random.Generator], FloatArray]:
+    def expected() -> Draw:
         draw = trials()
 
         def outcomes(n: int, rng: np.random.Generator) -> FloatArray:
@@ -463,18 +458,18 @@ def _result(
     )
 
 
-def _changes(variants: Sequence[Variant], seed: int) -> list[Record]:
+def _changes(variants: Mapping[str, Variant], seed: int) -> list[Record]:
     def run(variant: Variant) -> ThresholdEstimate:
-        return variant.prepare()(np.random.default_rng(np.random.SeedSequence(seed)))
+        return variant(np.random.default_rng(np.random.SeedSequence(seed)))
 
-    timed = [_timed(partial(run, variant)) for variant in variants]
+    timed = [_timed(partial(run, variant)) for variant in variants.values()]
     (cpu_s, _), reference = timed[0]
     return [
         {
-            "label": variant.label,
+            "label": label,
             "cpu_ratio": float(spent / cpu_s),
             "p_correct_change": estimate.p_correct - reference.p_correct,
             "threshold_change": math.log(estimate.threshold / reference.threshold),
         }
-        for variant, ((spent, _), estimate) in zip(variants, timed, strict=True)
+        for label, ((spent, _), estimate) in zip(variants, timed, strict=True)
     ]

@@ -18,9 +18,12 @@ from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 from todframes.studies.accuracy.measure import (
     P_CORRECT,
     Converged,
+    Draw,
+    FoldedDraw,
     FoldedTrials,
     MonteCarlo,
     Quadrature,
+    Rule,
     StudyScene,
     ThresholdEstimate,
     Variant,
@@ -59,7 +62,7 @@ class NakedEye(StudyScene):
     def estimators(self, converged: Converged) -> tuple[MonteCarlo | Quadrature, ...]:
         """List the literal Monte Carlo, that on folded scores, expected decisions and Gauss–Legendre nodes."""
 
-        def answers() -> Callable[[int, np.random.Generator], FloatArray]:
+        def answers() -> Draw:
             observer, stimulus = PyramidObserver(), Stimulus(self.size_mrad)
             observer.templates(stimulus)
 
@@ -74,7 +77,7 @@ class NakedEye(StudyScene):
 
             return draw
 
-        def trials() -> Callable[[int, np.random.Generator], FoldedTrials]:
+        def trials() -> FoldedDraw:
             observer = PyramidObserver()
             readout = self._readout(observer)
 
@@ -94,7 +97,7 @@ class NakedEye(StudyScene):
 
             return draw
 
-        def closed_form() -> Callable[[int, np.random.Generator], ThresholdEstimate]:
+        def closed_form() -> Rule:
             observer = PyramidObserver()
             self._readout(observer)
             return lambda n, _: _estimate(self._proportion(observer, math.isqrt(n)), converged)
@@ -103,29 +106,29 @@ class NakedEye(StudyScene):
         label = "closed form, Gauss–Legendre nodes"
         return (*monte_carlos(answers, trials), Quadrature("closed_form", label, closed_form, trials_of, 0.3))
 
-    def variants(self, converged: Converged) -> tuple[Variant, ...]:
+    def variants(self, converged: Converged) -> dict[str, Variant]:
         """List single precision, and pyramid levels with the field that goes with them."""
         side = PyramidObserver().grid(Stimulus(self.size_mrad)).side
         levels = side.bit_length() - 3
 
-        def variant(label: str, levels: int, dtype: type[np.floating] = np.float64) -> Variant:
-            def prepare() -> Callable[[np.random.Generator], ThresholdEstimate]:
-                observer = PyramidObserver(PyramidSettings(levels=levels))
-                return lambda _: _estimate(self._proportion(observer, VARIANT_NODES, dtype), converged)
+        def variant(levels: int, dtype: type[np.floating] = np.float64) -> Variant:
+            def run(_: np.random.Generator) -> ThresholdEstimate:
+                observer = PyramidObserver(levels=levels)
+                return _estimate(self._proportion(observer, VARIANT_NODES, dtype), converged)
 
-            return Variant(label, prepare)
+            return run
 
-        fewer = [
-            variant(f"{levels - n} levels, retina of {4 * 2 ** (levels - n) + 1}² samples", levels - n)
+        fewer = {
+            f"{levels - n} levels, retina of {4 * 2 ** (levels - n) + 1}² samples": variant(levels - n)
             for n in (1, 2)
             if 4 * 2 ** (levels - n) > 6.0 + 2.0 * self.size_mrad / PyramidSettings().retina_pitch_mrad
-        ]
-        return (
-            variant(f"float64, {levels} levels, retina of {side}² samples", levels),
-            variant("float32", levels, np.float32),
-            variant(f"{levels + 1} levels, retina of {2 * side - 1}² samples", levels + 1),
-            *fewer,
-        )
+        }
+        return {
+            f"float64, {levels} levels, retina of {side}² samples": variant(levels),
+            "float32": variant(levels, np.float32),
+            f"{levels + 1} levels, retina of {2 * side - 1}² samples": variant(levels + 1),
+            **fewer,
+        }
 
     def non_gaussian_bound(self) -> float:
         """Return the bound that the readout states."""

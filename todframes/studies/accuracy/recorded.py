@@ -15,7 +15,7 @@ from todframes.base.errors import DataError, argument
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.trials import Trial
 from todframes.observers.interface import Readout
-from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
 from todframes.psychometrics.weibull import weibull
 from todframes.scoring.plan import plan_score
@@ -25,9 +25,12 @@ from todframes.stimulus import Stimulus
 from todframes.studies.accuracy.measure import (
     P_CORRECT,
     Converged,
+    Draw,
+    FoldedDraw,
     FoldedTrials,
     MonteCarlo,
     Quadrature,
+    Rule,
     StudyScene,
     ThresholdEstimate,
     Variant,
@@ -117,7 +120,7 @@ class Recorded(StudyScene):
     def estimators(self, converged: Converged) -> tuple[MonteCarlo | Quadrature, ...]:
         """List the literal Monte Carlo, that on folded scores, expected decisions and a sequence of places."""
 
-        def answers() -> Callable[[int, np.random.Generator], FloatArray]:
+        def answers() -> Draw:
             observer = PyramidObserver()
             frames = self._whole(observer)
             for trial in self.trials:
@@ -133,7 +136,7 @@ class Recorded(StudyScene):
 
             return draw
 
-        def trials() -> Callable[[int, np.random.Generator], FoldedTrials]:
+        def trials() -> FoldedDraw:
             frames = self._planned()
 
             def draw(n: int, rng: np.random.Generator) -> FoldedTrials:
@@ -143,7 +146,7 @@ class Recorded(StudyScene):
 
             return draw
 
-        def closed_form() -> Callable[[int, np.random.Generator], ThresholdEstimate]:
+        def closed_form() -> Rule:
             frames = self._planned()
             return lambda n, rng: self.estimate(
                 frames.p_correct(_sequence(n, len(self.trials), rng)).mean(0), converged
@@ -156,32 +159,28 @@ class Recorded(StudyScene):
             Quadrature("closed_form", label, closed_form, STUDIED_DISPLACEMENTS, 0.3, REPEATS),
         )
 
-    def variants(self, converged: Converged) -> tuple[Variant, ...]:
+    def variants(self, converged: Converged) -> dict[str, Variant]:
         """List single precision, what the plan leaves out kept, and one pyramid level less."""
         sides = [PyramidObserver().grid(trial.stimulus).side for trial in self.trials]
         levels = max(sides).bit_length() - 3
 
-        def variant(label: str, frames_of: Callable[[], Frames], dtype: type[np.floating] = np.float64) -> Variant:
-            def prepare() -> Callable[[np.random.Generator], ThresholdEstimate]:
-                frames = frames_of()
+        def variant(frames_of: Callable[[], Frames], dtype: type[np.floating] = np.float64) -> Variant:
+            def run(rng: np.random.Generator) -> ThresholdEstimate:
+                frames, displacements = frames_of(), _sequence(VARIANT_DISPLACEMENTS, len(self.trials), rng)
+                return self.estimate(frames.p_correct(displacements, dtype).mean(axis=0), converged)
 
-                def run(rng: np.random.Generator) -> ThresholdEstimate:
-                    displacements = _sequence(VARIANT_DISPLACEMENTS, len(self.trials), rng)
-                    return self.estimate(frames.p_correct(displacements, dtype).mean(axis=0), converged)
+            return run
 
-                return run
+        def whole(observer: PyramidObserver) -> Variant:
+            return variant(lambda: self._whole(observer))
 
-            return Variant(label, prepare)
-
-        return (
-            variant("as planned", self._planned),
-            variant("float32", self._planned, np.float32),
-            variant("whole retina", lambda: self._whole(PyramidObserver())),
-            variant("one pyramid level more", lambda: self._whole(PyramidObserver().with_extra_level())),
-            variant(
-                "one pyramid level less", lambda: self._whole(PyramidObserver(PyramidSettings(levels=levels - 1)))
-            ),
-        )
+        return {
+            "as planned": variant(self._planned),
+            "float32": variant(self._planned, np.float32),
+            "whole retina": whole(PyramidObserver()),
+            "one pyramid level more": whole(PyramidObserver().with_extra_level()),
+            "one pyramid level less": whole(PyramidObserver(levels=levels - 1)),
+        }
 
     def estimate(self, outcomes: FloatArray, converged: Converged) -> ThresholdEstimate:
         """Fit P(correct) of each trial. Returns the curve at the converged threshold, and its own threshold."""
