@@ -213,18 +213,6 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
             )
         return [*found, f"The display without bars shows {other}."]
 
-    def mrtd_csv(self, phase: str = "averaged") -> str:
-        """Return the table in K that `todframes range` reads, of the phase "averaged", "best" or "lloyd"."""
-        keys = {"averaged": "mrtd_mk", "best": "best_mrtd_mk", "lloyd": "lloyd_mrtd_mk"}
-        key, lines = keys[phase], []
-        for one in self.bars:
-            value, error = getattr(one, key), getattr(one, f"{key}_error", None)
-            if value is not None:
-                ends = "" if phase == "lloyd" else f",{(value - error) / 1e3!r},{(value + error) / 1e3!r}"
-                lines.append(f"{one.frequency_cyc_per_mrad!r},{value / 1e3!r}{ends}")
-        head = "frequency_cyc_per_mrad,mrtd_k" + ("" if phase == "lloyd" else ",ci95_low,ci95_high")
-        return "\n".join([head, *lines, ""])
-
     def figures(self) -> list[ReportFigure]:
         """List MRTD and TOD on one axis, as in Figure 7 of the paper."""
         return [ReportFigure(f"{self.sensor}: four bars and triangles", NOTE, self._draw, "mrtd.png")]
@@ -263,10 +251,20 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
         add_legend(axes)
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
-        """Return the tables, and with NETD the MRTDs in K."""
-        curves = {"mrtd.csv": "averaged", "mrtd_best_phase.csv": "best", "mrtd_lloyd.csv": "lloyd"}
-        in_k = {name: self.mrtd_csv(phase).encode() for name, phase in curves.items()} if self._in_mk else {}
+        """Return the tables, and with NETD the MRTDs in K, which `todframes range` reads."""
+        keys = {"mrtd": "mrtd_mk", "mrtd_best_phase": "best_mrtd_mk", "mrtd_lloyd": "lloyd_mrtd_mk"}
+        in_k = {f"{name}.csv": self._in_k(key).encode() for name, key in keys.items()} if self._in_mk else {}
         return {**super().files(), **in_k}
+
+    def _in_k(self, key: str) -> str:
+        has_ends, lines = key != "lloyd_mrtd_mk", []
+        for one in self.bars:
+            value, error = getattr(one, key), getattr(one, f"{key}_error", None)
+            if value is not None:
+                ends = f",{(value - error) / 1e3!r},{(value + error) / 1e3!r}" if has_ends else ""
+                lines.append(f"{one.frequency_cyc_per_mrad!r},{value / 1e3!r}{ends}")
+        head = "frequency_cyc_per_mrad,mrtd_k" + ",ci95_low,ci95_high" * has_ends
+        return "\n".join([head, *lines, ""])
 
 
 def lloyd_mrtd_mk(frequency_cyc_per_mrad: ArrayLike, sensor: Sensor, *, snr: float) -> FloatArray:

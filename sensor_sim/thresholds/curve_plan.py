@@ -570,31 +570,30 @@ class _CurvePlanner:
 
     def _identities(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
         """Leave out the parts that change nothing. Returns the plan and its steps."""
-        steps = []
+        is_blurred, is_noisy = not is_unblurred(self.sensor), plan.level == "snr"
+        of_each = Step("orientations", True, "all four: the observer, the optics or the noise are not symmetric")
         if is_symmetric(self.readout) and is_alike_when_turned(self.sensor):
             # Square detectors and a symmetric observer look the same to all orientations.
-            plan = replace(plan, orientations=ORIENTATIONS[:1])
-            saved = 3.0 * self.unit_s
-            steps.append(Step("orientations", False, "one stands for all four, which are its turns", 0.0, saved))
-        else:
-            steps.append(
-                Step("orientations", True, "all four: the observer, the optics or the noise are not symmetric")
+            plan, why = (
+                replace(plan, orientations=ORIENTATIONS[:1]),
+                "one stands for all four, which are its turns",
             )
-        plan = replace(plan, three_templates=True)
-        why = "the four score deviations add up to zero"
-        steps.append(Step("fourth template", False, why, 0.0, self.unit_s / 4.0))
-        if is_unblurred(self.sensor):
-            plan = replace(plan, merge_pixels=True)
-            why = "nothing blurs the display: a detector's pixels are alike"
-            steps.append(Step("display pixels", False, why))
-        else:
-            steps.append(Step("display pixels", True, "the display or the electronics blur"))
+            of_each = Step("orientations", False, why, 0.0, 3.0 * self.unit_s)
+        of_pixels = (
+            "the display or the electronics blur"
+            if is_blurred
+            else "nothing blurs the display: a detector's pixels are alike"
+        )
+        steps = [
+            of_each,
+            Step("fourth template", False, "the four score deviations add up to zero", 0.0, self.unit_s / 4.0),
+            Step("display pixels", is_blurred, of_pixels),
+        ]
         if self.sensor.optics.blur_sigma_mrad == 0.0:
             steps.append(Step("optics blur", False, "its standard deviation is 0"))
-        is_noisy = plan.level == "snr"
-        noise = "the threshold is a signal-to-noise ratio" if is_noisy else "there is none"
-        steps.append(Step("noise covariance", is_noisy, noise))
-        return plan, steps
+        of_noise = "the threshold is a signal-to-noise ratio" if is_noisy else "there is none"
+        steps.append(Step("noise covariance", is_noisy, of_noise))
+        return replace(plan, three_templates=True, merge_pixels=not is_blurred), steps
 
 
 def _less_first(weights: FloatArray) -> FloatArray:
