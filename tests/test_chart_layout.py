@@ -213,17 +213,3 @@ def test_markers_along_the_borders_keep_the_middle_free(free_mm: float) -> None:
             if gap >= 130.0
         )
     )
-
-
-def test_bits_are_those_that_opencv_detects() -> None:
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000))
-    for marker in (0, 137, 998, 999):
-        bits = markers.marker_bits(marker)
-        assert bits.shape == (markers.MODULES,) * 2
-        assert not bits[[0, -1]].any() and not bits[:, [0, -1]].any()
-        image = np.pad(
-            np.kron(np.where(bits, 255, 0).astype(np.uint8), np.ones((8, 8), np.uint8)), 20, constant_values=255
-        )
-        corners, ids, _ = detector.detectMarkers(image)
-        assert ids.ravel().tolist() == [marker]
-        assert np.allclose(corners[0][0], [[20, 20], [75, 20], [75, 75], [20, 75]])

@@ -14,7 +14,7 @@ from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from fractions import Fraction
 from functools import partial
-from importlib.metadata import EntryPoint, entry_points, requires
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
 
@@ -900,14 +900,6 @@ def test_a_package_that_is_not_installed_is_named(tmp_path, monkeypatch, name, d
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(tod.DataError, match=rf"not installed: pip install 'todframes\[{extra}\]'"):
         open_recordings(write(tmp_path / name, data))
-
-
-def test_the_extras_bring_no_second_opencv():
-    found = (re.fullmatch(r"(\w+).*extra == .(video|raw|flir).", one) for one in requires("todframes") or [])
-    needed = [one[1] for one in found if one]
-    assert sorted(needed) == ["av", "rawpy"]
-    for package in needed:
-        assert not [one for one in requires(package) or [] if "opencv" in one.lower()]
 
 
 def test_raw_extensions_are_none_of_flir():

@@ -144,17 +144,6 @@ def test_below_one_code_step_only_two_codes_are_used(made) -> None:
         assert (codes[:, 0] == codes[0, 0]).all()
 
 
-def test_a_contrast_is_even_if_a_code_value_is_near(tmp_path: Path) -> None:
-    """Contrast 0.8 lies 0.3 % from a code value, so the inside of the triangle has that one alone."""
-    asked = {"distance_m": 10, "sizes_mrad": [2], "contrasts": [0.8], "repeats": 1}
-    (triangle,) = tod.chart("screen", out=tmp_path / "c", **asked, **MONITOR).pages[0].triangles
-    assert not triangle.dithered
-    assert triangle.contrast_asked == 0.8
-    assert triangle.contrast == pytest.approx(0.8, rel=0.01)
-    codes = cv2.imread(str(tmp_path / "c" / "pages" / "0000.png"), -1)
-    assert len(np.unique(codes[230:250, 310:330])) == 1
-
-
 def test_a_triangle_may_be_as_black_as_the_monitor(tmp_path: Path) -> None:
     """The luminance of covered pixels and the area of the triangle differ by 1e-5."""
     monitor = {"width_px": 320, "height_px": 240, "pixel_pitch_mm": 0.5, "marker_mm": 20.0}
