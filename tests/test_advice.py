@@ -151,4 +151,4 @@ def test_an_error_that_misses_the_tolerance(error, status, tolerance, message) -
 
 
 def test_fits_without_points_have_no_levels() -> None:
-    assert levels_to_add(tod.naked_eye(size_mrad=1.0).fits) == ()
+    assert levels_to_add([Fit(group={}, level="contrast", p_correct=0.75, status="ok", threshold=0.1)]) == ()

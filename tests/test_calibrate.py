@@ -31,7 +31,7 @@ from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset
 from todframes.observers.oriented import OrientedObserver
 from todframes.psychometrics.likelihood import CHI2_95
-from todframes.psychometrics.noise_fit import AnswerTable, NoiseFit, fit_noise, joined, with_lapses
+from todframes.psychometrics.noise_fit import AnswerTable, NoiseFit, fit_noise, joined
 from todframes.results.result import read_result
 from todframes.scoring.retina_view import Shown, retina_image
 from todframes.stimulus import Orientation, Stimulus
@@ -104,11 +104,6 @@ def test_lapses_are_the_errors_of_certain_trials() -> None:
     # Without lapses the errors in certain trials count as noise, and are hardly possible.
     without = fitted(table, is_correct, cell)
     assert without.noise > fit.noise and without.deviance > 100.0
-
-
-def test_lapses_lower_the_ceiling_alone() -> None:
-    p = with_lapses(np.array([0.25, 1.0]), 0.03)
-    assert np.allclose(p, [0.25, 0.97], rtol=0.0, atol=1e-15)
 
 
 @pytest.mark.parametrize("lapse_rates", [(0.0, 0.0), (0.0, 0.05)])
@@ -459,6 +454,7 @@ def test_intervals_of_simulated_people(two_people, observer, noise: float) -> No
     assert abs(np.mean([math.log(fit.noise / noise) for fit in fits])) < 0.02
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_settings_of_a_person_with_a_strange_name(results) -> None:
     """An id comes from a file of the answers: it is no path, and no line of its own in a comment."""
     made = results["calibrate"]
@@ -492,15 +488,6 @@ def test_warnings(fitted_name: str, words: str) -> None:
     assert Calibrated(people[1:], None, (), None, (), fitted_name).warnings() == ()
 
 
-def test_answers_to_another_dataset(small: Path, tmp_path: Path, make_dataset, capsys) -> None:
-    seen_session(small, tmp_path / "answers")
-    other = make_dataset("other", sizes_mrad=(1.0,)).path
-    status, out, err = todframes(capsys, "calibrate", tmp_path / "answers", other)
-    assert (status, out) == (1, "")
-    assert err.startswith("error: ") and err.count("\n") == 1
-    assert "the answers are to another dataset" in err and "manifest.csv" in err
-
-
 def test_a_display_that_has_changed(small: Path, tmp_path: Path) -> None:
     _, session = seen_session(small, tmp_path / "answers")
     settings = small / "dataset.toml"
@@ -529,6 +516,15 @@ def damage_the_sidecar(path: Path) -> None:
     sidecar_path(path).write_text("{")
 
 
+def remove_the_sidecar(path: Path) -> None:
+    sidecar_path(path).unlink()
+
+
+def change_the_manifest(path: Path) -> None:
+    with (path.parents[2] / "dataset" / "manifest.csv").open("a") as file:
+        file.write("\n")
+
+
 @pytest.mark.parametrize(
     ("damage", "arguments", "status", "message"),
     [
@@ -536,6 +532,8 @@ def damage_the_sidecar(path: Path) -> None:
         (damage_a_row, [], 1, "line 4: "),
         (rename_a_frame, [], 1, "trial 1: frame: found 'frames/x"),
         (damage_the_sidecar, [], 1, "not the sidecar of a session"),
+        (remove_the_sidecar, [], 1, "no answers"),
+        (change_the_manifest, [], 1, "the answers are to another dataset"),
         (None, ["--subject", "zz"], 1, "found no subject 'zz', expected one of a1"),
         (None, ["--internal-noise", "0.5"], 2, "No such option '--internal-noise'"),
         (None, ["--free", "everything"], 2, "'everything' is not one of 'lapse', 'blur'"),
@@ -548,9 +546,3 @@ def test_bad_input_is_one_line(small: Path, tmp_path: Path, capsys, damage, argu
     found, out, err = todframes(capsys, "calibrate", tmp_path / "answers", small, *arguments)
     assert (found, out) == (status, "")
     assert err.startswith("error: ") and err.count("\n") == 1 and message in err
-
-
-def test_no_answers(tmp_path: Path, small: Path, capsys) -> None:
-    status, out, err = todframes(capsys, "calibrate", tmp_path / "nothing", small)
-    assert (status, out) == (1, "")
-    assert "no answers" in err and err.count("\n") == 1

@@ -79,6 +79,7 @@ def mixed(make_dataset, monkeypatch):
     return made.path
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("blank_pictures")
 def test_parquet_has_the_numbers_of_the_csv(mixed, tmp_path, monkeypatch) -> None:
     """The same columns and rows, and all bits of the numbers, over several row groups."""

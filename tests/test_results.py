@@ -100,7 +100,10 @@ def result_of(tmp_path_factory, results_of_commands) -> Callable[[str], Result[A
 
 OF_RECORDINGS, LONG = ("noise", "emva", "sensor-mtf"), ("mtf", "mrtd", "sweep")
 
-COMMANDS = sorted(set(KINDS) - {"calibrate"})  # whose result takes persons, as tests of `calibrate` have
+COMMANDS = [
+    pytest.param(one, marks=pytest.mark.slow) if one in ("mtf", "mrtd") else one
+    for one in sorted(set(KINDS) - {"calibrate"})  # whose result takes persons, as tests of `calibrate` have
+]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -164,7 +167,7 @@ def can_be_read_by_those_who_do_not_see_it(root: ElementTree.Element) -> None:
 
 
 def test_a_page_has_its_date_and_the_title_that_is_given(capsys, tmp_path: Path) -> None:
-    result = tod.naked_eye(size_mrad=1.0)
+    result = tod.fit_counts([1.0, 2.0], [20, 40], [40, 40], fit=tod.FitSettings(resamples=0))
     assert re.fullmatch("20[0-9]{2}-[01][0-9]-[0-3][0-9]", result.date)
     assert f'<p class="about">{result.date}</p>' in result.to_html()
     (tmp_path / "result.json").write_bytes(result.to_json())
