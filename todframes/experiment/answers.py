@@ -381,19 +381,20 @@ class AnswerFile:
         os.close(self._file)
 
     def begin(self, dataset: ShownDataset) -> None:
-        """Read the rows, cut a line that was torn, and write the header of a new file.
+        """Read the rows, and write the header of a new file.
 
         Raises OutputError if the file cannot be written; DataError if it holds a row that is not a trial, or has
         the columns of an earlier version.
         """
         self._dataset, self._columns = dataset, columns(dataset.level, dataset.group_by)
         self.rows = list(read_rows(self.path, dataset))
-        self._size = self._cut()
+        content = self.path.read_bytes()
+        self._size = content.rfind(b"\n") + 1
         header = csv_text([self._columns]).encode()
         if self._size == 0:
             self._append(header)
             _sync_folder(self.path.parent)
-        elif not self.path.read_bytes().startswith(header):
+        elif not content.startswith(header):
             raise DataError(
                 f"{self.path}: found a session of an earlier version, without the column flag; expected one of "
                 f"this version, so take another {argument.subject}"
@@ -408,20 +409,10 @@ class AnswerFile:
         self._append(csv_text([[values[name] for name in self._columns]]).encode())
         self.rows.append(row)
 
-    def _cut(self) -> int:
-        """Cut a last line that was torn off; return the number of bytes that stay."""
-        content = self.path.read_bytes()
-        size = content.rfind(b"\n") + 1
-        if size < len(content):
-            try:
-                os.ftruncate(self._file, size)
-                os.fsync(self._file)
-            except OSError as error:
-                raise OutputError(f"{self.path}: cannot be written ({error.strerror})") from None
-        return size
-
     def _append(self, line: bytes) -> None:
+        """Write a line behind the whole ones; what was torn is cut off."""
         try:
+            os.ftruncate(self._file, self._size)
             os.lseek(self._file, self._size, os.SEEK_SET)
             left = line
             while left:  # a disk that is filled up takes a part, and fails at the next
