@@ -27,7 +27,7 @@ from sensor_sim.sweeps.designs import Base, grid, latin_hypercube, make_designs,
 from sensor_sim.sweeps.goals import acuity, front
 from sensor_sim.sweeps.result import draw_map
 from sensor_sim.sweeps.sweep import missed_tolerance
-from sensor_sim.sweeps.work import SweepWork, Variants, plan_sweep, run_sweep
+from sensor_sim.sweeps.work import SweepWork, plan_sweep, run_sweep
 from sensor_sim.thresholds.sharing import Kept, as_computed
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
@@ -115,7 +115,7 @@ def test_memory_and_order_change_no_number() -> None:
     found = []
     for shared_mb, order in ((0, 1), (1, 1), (512, -1)):
         work = SweepWork(
-            observers=Variants(PyramidObserver, PyramidSettings()),
+            observer=PyramidObserver(),
             p_correct=0.75,
             tolerance=ROUGH,
             seed=1,

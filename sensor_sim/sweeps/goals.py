@@ -239,7 +239,7 @@ def columns_of(
         found["range_at_least_km"] = [one.at_least_km for one in ranges]
         found["range_status"] = [one.status for one in ranges]
     found["on_front"] = _on_front(found, swept, goals)
-    found["n_phases"] = [[number or None for number in of_design] for of_design in swept.n_phases.tolist()]
+    found["n_phases"] = [[number or None for number in of_design] for of_design in swept.n_phases]
     found["reason"] = [[why or None for why in of_design] for of_design in swept.reason]
     return {name: _of_rows(values, len(sizes)) for name, values in found.items()}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -171,7 +171,7 @@ def sweep(
     started, seed = time.perf_counter(), seed_of(rng)
     from sensor_sim.sweeps.designs import NETD, Base, check_coupling, make_designs
     from sensor_sim.sweeps.goals import Criterion, columns_of, objectives
-    from sensor_sim.sweeps.work import SweepWork, Variants, check_sweep, run_sweep
+    from sensor_sim.sweeps.work import SweepWork, check_sweep, run_sweep
     from sensor_sim.thresholds.places import check_places
     from todframes.jobs.run import opened_run
 
@@ -181,8 +181,9 @@ def sweep(
     seen = adapted(judge, lambda: sensor.display.background_luminance_cd_m2)
     check_places(sensor, places)
     check_sweep(sensor, seen, sizes, p_correct=p_correct, tolerance=tolerance)
-    observers = Variants.of(judge)
-    base = Base(sensor, observers.settings, keep_fill_factor, couple_netd)
+    own_settings = getattr(judge, "settings", None)
+    varied = own_settings if is_dataclass(own_settings) else None
+    base = Base(sensor, varied, keep_fill_factor, couple_netd)
     designs = make_designs(base, vary=vary, design=design, sample=sample, seed=seed)
     # A file states that its NETD follows the light; designs with NETDs of their own have these.
     couple_netd = couple_netd or (sensor.noise.couple_netd and NETD not in designs.keys)
@@ -203,9 +204,7 @@ def sweep(
         has_range=aim is not None,
         level=sensor.level,
     )
-    work = SweepWork(
-        observers=observers, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan, places=places
-    )
+    work = SweepWork(observer=judge, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan, places=places)
     with opened_run(workers, cluster, store, progress) as run:
         swept = run_sweep(base, designs, sizes, work, run)
     settings |= {

@@ -6,11 +6,10 @@ which its value depends, and each size has the same places of the triangle, plan
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import msgspec
 import numpy as np
@@ -56,25 +55,12 @@ class Chain(NamedTuple):
     size_detectors: float
 
 
-@dataclass(frozen=True, slots=True)
-class Variants:
-    """Observers of one class, `kind`, that differ in their settings: a frozen dataclass, here without changes.
-    Without settings, None, `kind` is the observer.
-    """
-
-    kind: Any
-    settings: Any
-
-    @classmethod
-    def of(cls, observer: Observer) -> Variants:
-        """Return the variants of an observer."""
-        settings = getattr(observer, "settings", None)
-        return cls(type(observer), settings) if is_dataclass(settings) else cls(observer, None)
-
-    def __call__(self, changes: Changes) -> Observer:
-        """Return the observer with some settings changed; SettingsError if a value is refused."""
-        observer: Observer = self.kind
-        return observer if self.settings is None else self.kind(replace(self.settings, **dict(changes)))
+def with_settings(observer: Observer, changes: Changes) -> Observer:
+    """Return an observer with some settings changed; SettingsError if a value is refused."""
+    if not changes:
+        return observer
+    kind, settings = type(observer), cast("Any", observer).settings
+    return kind(replace(settings, **dict(changes)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +69,7 @@ class SweepWork(StoredWork[Chain, PredictedThreshold]):
     `shared_mb`, the largest size of the parts that are shared, in units of 2**20 bytes.
     """
 
-    observers: Variants
+    observer: Observer
     p_correct: float
     tolerance: float
     seed: int
@@ -95,7 +81,7 @@ class SweepWork(StoredWork[Chain, PredictedThreshold]):
     def function(self) -> Callable[[Chain], PredictedThreshold]:
         """Return the function of a chain; the parts that chains share are kept as long as the function."""
         shared = Shared.of(self.shared_mb * 2**20)
-        observer_of = lru_cache(maxsize=OBSERVERS_KEPT)(self.observers)
+        observer_of = lru_cache(maxsize=OBSERVERS_KEPT)(partial(with_settings, self.observer))
 
         def compute(chain: Chain) -> PredictedThreshold:
             sensor, size = chain.sensor, chain.size_detectors
@@ -135,7 +121,7 @@ class SweepWork(StoredWork[Chain, PredictedThreshold]):
     def key(self, item: Chain, *, is_done: bool) -> bytes | None:  # noqa: ARG002
         """Return the key of a threshold, which stands for all that it depends on; None if code has no identity."""
         try:
-            of_work = (self.observers, self.p_correct, self.tolerance, self.seed, self.plan, self.places)
+            of_work = (self.observer, self.p_correct, self.tolerance, self.seed, self.plan, self.places)
             return fingerprint(of_work, tuple(item))
         except TypeError:
             return None
@@ -163,7 +149,7 @@ class Swept:
     mk_per_snr: FloatArray
     threshold: FloatArray
     numerical_error: FloatArray
-    n_phases: FloatArray
+    n_phases: list[list[int]]
     status: list[list[str]]
     reason: list[list[str]]
     n_computed: int
@@ -250,52 +236,34 @@ def _order(unique: Sequence[tuple[Sensor, Changes]]) -> list[int]:
     return [place[-1] for place in sorted(places)]
 
 
-def run_sweep(
-    base: Base,
-    designs: Designs,
-    sizes: Sequence[float],
-    work: SweepWork,
-    run: Run,
-) -> Swept:
+def run_sweep(base: Base, designs: Designs, sizes: Sequence[float], work: SweepWork, run: Run) -> Swept:
     """Compute the thresholds of all designs; OutputError if the store of the run cannot be written."""
     plan = plan_sweep(base, designs, sizes)
-    results: list[PredictedThreshold] = [PredictedThreshold(IMPOSSIBLE)] * len(plan.chains)
+    impossible = PredictedThreshold(IMPOSSIBLE)
+    results = [impossible] * (len(plan.chains) + 1)  # the last one, at −1, is that of designs that there are not
     for number, result in run_stored(work, plan.chains, run):
         results[number] = result
-    return _gathered(designs, tuple(sizes), plan, results, base.sensor.level)
+    rows = [[results[index] for index in of_design] for of_design in plan.places.tolist()]
 
+    def numbers(name: str) -> FloatArray:
+        return np.array([[getattr(one, name) for one in row] for row in rows], np.float64)
 
-def _gathered(
-    designs: Designs,
-    sizes: tuple[float, ...],
-    plan: SweepPlan,
-    results: Sequence[PredictedThreshold],
-    level: str,
-) -> Swept:
-    def mk_per_snr(sensor: Sensor) -> float:
-        return math.nan if sensor.noise.netd_mk is None else float(delta_t_mk(1.0, noise=sensor.noise))
+    def of_sensors(value: Callable[[Sensor], float | None]) -> FloatArray:
+        return np.array([None if one is None else value(one) for one in plan.sensors], np.float64)
 
-    nothing = len(results)
-    status = np.array([*(one.status for one in results), IMPOSSIBLE], dtype=object)
-    threshold, error = (
-        np.array([*(math.nan if value is None else value for value in column), math.nan])
-        for column in ((one.threshold for one in results), (one.numerical_error for one in results))
-    )
-    phases = np.array([*(one.n_phases for one in results), 0])
-    places = np.where(plan.places < 0, nothing, plan.places)
-    reasons = [[results[place].reason if place >= 0 else plan.reasons[row] for place in of_row]
-               for row, of_row in enumerate(plan.places.tolist())]  # fmt: skip
     return Swept(
         designs=designs,
-        size_detectors=sizes,
-        pitch_mrad=np.array([math.nan if one is None else one.detector.pitch_mrad for one in plan.sensors]),
-        netd_mk=np.array([math.nan if one is None else one.noise.netd_mk or math.nan for one in plan.sensors]),
-        mk_per_snr=np.array([math.nan if one is None else mk_per_snr(one) for one in plan.sensors]),
-        threshold=threshold[places],
-        numerical_error=error[places],
-        n_phases=phases[places],
-        status=status[places].tolist(),
-        reason=reasons,
-        n_computed=len(results),
-        level=level,
+        size_detectors=tuple(sizes),
+        pitch_mrad=of_sensors(lambda one: one.detector.pitch_mrad),
+        netd_mk=of_sensors(lambda one: one.noise.netd_mk),
+        mk_per_snr=of_sensors(
+            lambda one: None if one.noise.netd_mk is None else float(delta_t_mk(1.0, noise=one.noise))
+        ),
+        threshold=numbers("threshold"),
+        numerical_error=numbers("numerical_error"),
+        n_phases=[[one.n_phases for one in row] for row in rows],
+        status=[[one.status for one in row] for row in rows],
+        reason=[[one.reason or plan.reasons.get(n, "") for one in row] for n, row in enumerate(rows)],
+        n_computed=len(plan.chains),
+        level=base.sensor.level,
     )

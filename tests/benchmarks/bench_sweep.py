@@ -12,8 +12,8 @@ from timing import Row
 from sensor_sim import curve, sweep
 from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.sweeps.designs import Base, Designs, grid, latin_hypercube
-from sensor_sim.sweeps.work import Variants
-from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from sensor_sim.sweeps.work import with_settings
+from todframes.observers.pyramid import PyramidObserver
 
 SENSOR = Path(__file__).parents[2] / "sample_frames" / "staring_camera.toml"
 SIZES = (4.0, 6.0, 8.0)
@@ -22,12 +22,12 @@ ALONE = 8
 """Designs whose curves are computed alone; they are drawn from all."""
 
 APERTURES, BLURS, NETDS = "60:220:10", "0.5:3:10", "10:40:10"
-VARIANTS = Variants(PyramidObserver, PyramidSettings())
+OBSERVER = PyramidObserver()
 
 
 def mixes() -> Iterator[tuple[str, Designs, str]]:
     """Yield a name, designs, and the ratio that is asked."""
-    base = Base(load_sensor(SENSOR), VARIANTS.settings, keep_fill_factor=True)
+    base = Base(load_sensor(SENSOR), OBSERVER.settings, keep_fill_factor=True)
     apertures, blurs = {"optics.aperture_mm": APERTURES}, {"display.blur_sigma_px": BLURS}
     yield (
         "1,000 designs: aperture × display blur × NETD",
@@ -48,12 +48,13 @@ def mixes() -> Iterator[tuple[str, Designs, str]]:
 
 def alone_s(designs: Designs) -> float:
     """CPU time of a curve, the mean over some of the designs."""
-    base = Base(load_sensor(SENSOR), VARIANTS.settings, keep_fill_factor=True)
+    base = Base(load_sensor(SENSOR), OBSERVER.settings, keep_fill_factor=True)
     rows = np.random.default_rng(1).choice(len(designs.values), ALONE, replace=False)
     chosen = [base.design(dict(zip(designs.keys, designs.values[row].tolist(), strict=True))) for row in rows]
     started = time.process_time()
     for sensor, changes in chosen:
-        curve(sensor, size_detectors=SIZES, observer=VARIANTS(changes), tolerance=TOLERANCE, examples=False)
+        observer = with_settings(OBSERVER, changes)
+        curve(sensor, size_detectors=SIZES, observer=observer, tolerance=TOLERANCE, examples=False)
     return (time.process_time() - started) / ALONE
 
 
