@@ -19,6 +19,7 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import Enum
 from functools import cache
 from numbers import Integral, Real
+from operator import ge, gt, le, lt
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import (
@@ -492,15 +493,9 @@ def _made(table: Mapping[str, Any], kind: Any) -> Any:
 
 def _is_within(value: float, limits: msgspec.Meta | None) -> bool:
     """Return whether a number is finite and within limits."""
-    return abs(value) <= sys.float_info.max and (
-        limits is None
-        or (
-            (limits.ge is None or value >= limits.ge)
-            and (limits.le is None or value <= limits.le)
-            and (limits.gt is None or value > limits.gt)
-            and (limits.lt is None or value < limits.lt)
-        )
-    )
+    ends = limits and ((ge, limits.ge), (le, limits.le), (gt, limits.gt), (lt, limits.lt))
+    is_inside = all(end is None or compare(value, end) for compare, end in ends or ())
+    return abs(value) <= sys.float_info.max and is_inside
 
 
 def _lengths(hint: Any, limits: msgspec.Meta | None) -> tuple[int, float]:
@@ -543,17 +538,10 @@ def _words(hint: Any, limits: msgspec.Meta | None) -> str:
 def _advice(value: Any, hint: Any) -> str:
     """Return what to write in place of a text, after a semicolon; "" if that is not clear."""
     kinds = (hint, *get_args(hint))
-    if isinstance(value, str) and {int, float} & set(kinds) and _is_number(value):
+    if isinstance(value, str) and {int, float} & set(kinds) and isinstance(number_or_text(value), float):
         return f"; write {value} without quotation marks"
     choices = [str(choice) for one in kinds for choice in _choices(one)]
     return spelling_hint(value, choices) if isinstance(value, str) else ""
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False
 
 
 def spelling_hint(text: str, choices: Iterable[str]) -> str:
@@ -694,13 +682,9 @@ def check_columns(header: Iterable[str], needed: Iterable[str], path: Location) 
         if name not in found:
             alike = [other for other in found if other.lower() == name.lower()]
             hint = f"; write {name}, not {alike[0]}" if alike else ""
-            raise DataError(f"{path}: column {name!r} is missing; found {_column_names(found)}{hint}")
-
-
-def _column_names(names: Sequence[str]) -> str:
-    """Return the names of columns for a message; only the first ones if there are many."""
-    more = f" and {len(names) - COLUMNS_SHOWN} more" if len(names) > COLUMNS_SHOWN else ""
-    return (", ".join(map(_shortened, names[:COLUMNS_SHOWN])) or "none") + more
+            shown = ", ".join(map(_shortened, found[:COLUMNS_SHOWN])) or "none"
+            more = f" and {len(found) - COLUMNS_SHOWN} more" if len(found) > COLUMNS_SHOWN else ""
+            raise DataError(f"{path}: column {name!r} is missing; found {shown}{more}{hint}")
 
 
 def check_fields(row: Mapping[str, str], n_columns: int, where: str) -> None:
@@ -714,11 +698,8 @@ def number(text: str, where: str, *, positive: bool = False) -> float:
     `positive`. `where` names file, line and column.
     """
     text = text.strip()
-    try:
-        value = math.nan if "_" in text else float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or (positive and value <= 0):
+    value = number_or_text(text)
+    if isinstance(value, str) or (positive and value <= 0):
         hint = ", with a point, not a comma" if re.fullmatch(r"[+-]?[0-9]*,[0-9]+", text) else ""
         raise DataError(f"{where}: found {text!r}, expected a finite number{' > 0' if positive else ''}{hint}")
     return value

@@ -33,20 +33,11 @@ T = TypeVar("T")
 
 LOCAL = "local:"
 
-CONNECT_S = 10.0
-"""Time within which a scheduler has to answer, and then its first worker."""
+CONNECT_S, WITHOUT_WORKERS_S = 10.0, 60.0
+"""Time for a scheduler to answer, and then for its first worker; and time without any after which a run ends."""
 
-WITHOUT_WORKERS_S = 60.0
-"""Time after which a run ends if all workers have gone."""
-
-CLOSE_S = 10.0
-"""Longest time to leave a cluster in order."""
-
-CLOSE_CLIENT_S = 0.5
-"""Time that the connection to the scheduler has to end in order."""
-
-KILL_S = 0.2
-"""Time that the processes of a local cluster have to end by themselves."""
+CLOSE_S, CLOSE_CLIENT_S, KILL_S = 10.0, 0.5, 0.2
+"""Longest time to leave a cluster in order, to end the connection to it, and for its local processes to end."""
 
 COUNT_WORKERS_S = 1.0
 """Interval between counts of the workers."""
