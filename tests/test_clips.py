@@ -168,19 +168,6 @@ def test_a_clip_algorithm_gets_what_it_names() -> None:
 
 
 @pytest.mark.parametrize(
-    ("declared", "message"),
-    [
-        ({"clip": True, "warm_up_frames": -1}, "warm_up_frames: found -1, expected a whole number"),
-        ({"clip": True, "warm_up_frames": 2.5}, "warm_up_frames: found 2.5, expected a whole number"),
-        ({"warm_up_frames": 1}, "warm_up_frames: found 1 without clip"),
-    ],
-)
-def test_bad_declarations(declared: dict[str, object], message: str) -> None:
-    with pytest.raises(SettingsError, match=message):
-        algorithm(**declared)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
     ("function", "message"),
     [
         (lambda frames: frames, "gave 3 frames for a trial of 2 and 1 before it, expected 2, one for each frame"),

@@ -173,7 +173,6 @@ def same_scores(one, other) -> bool:
     ("background", "more"),
     [
         (50.0, {"plan_name": "full"}),
-        (50.0, {"plan_name": "needed"}),
         ("surround", {"decisions": "sampled", "seed": 3}),
         ("border", {"plan_name": "needed"}),
         ("frame_mean", {"plan_name": "full"}),
@@ -272,22 +271,6 @@ def noisy_frames(
         luminance = read_frame(made.frame(number)).values[..., 0]
         write_frame(made.frame(number), luminance + 50.0 * rng.normal(0.0, sigma, luminance.shape))
     return made
-
-
-@pytest.mark.slow
-def test_averaging_n_noisy_frames_lowers_the_threshold_by_the_root_of_n(make_dataset) -> None:
-    """By √4, within the intervals: one frame a trial, and four a trial of half the contrast."""
-    observer = PyramidObserver(PyramidSettings(internal_noise=0.02))  # 2 % of the noise on the retina
-    levels = np.array([0.25, 0.4, 0.65, 1.0])
-    alone = noisy_frames(make_dataset, sigma=1.0, repeats=16, levels=levels, name="alone")
-    four = noisy_frames(make_dataset, sigma=1.0, repeats=64, levels=levels / 2, name="four")
-    for number, row in enumerate(four.rows):
-        row["trial"] = f"t{number // 4}"
-    four.save()
-    fits = [score_dataset(load_dataset(made.path), observer).fits[0].fit for made in (alone, four)]
-    (low, high), (low_4, high_4) = (fit.threshold_ci95 for fit in fits)
-    assert [fit.n_trials for fit in fits] == [256, 256]
-    assert 0.25 < low_4 / high < 0.5 < high_4 / low < 1.0  # sure enough to tell √4 from 4 and from 1
 
 
 # The background
@@ -639,6 +622,7 @@ def test_a_plain_gain_does_nothing_beyond_its_gain(make_dataset, by) -> None:
         assert one.ratio == pytest.approx(1.0 / by, rel=0.06)
 
 
+@pytest.mark.slow
 def test_a_gain_does_not_help_against_the_noise_of_the_frames(make_dataset) -> None:
     """Noise is amplified too: the plain gain has the same noise, so nothing is beyond it."""
     made = make_dataset(suffix=".png", contrasts=(0.1, 0.2, 0.3, 0.45), repeats=4)
