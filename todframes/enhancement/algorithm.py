@@ -52,13 +52,38 @@ ROUNDING = 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Declaration:
-    """The properties of an enhancement function, as its author declares them.
+    """Decorator that declares the properties of `function(image, **parameters)`, an enhancement algorithm.
 
-    It takes and returns code values with white as 1, or luminance with black as 0 and white as 1: its `domain`.
-    `magnification` is the number of output pixels for one input pixel along each axis, and `warm_up_frames` the
-    number of frames before a trial that an algorithm of clips needs; both may be the name of the parameter with
-    this number. It takes a colour image whole unless it takes `each_channel` at a time, and the frames of a trial
-    together if it is of `clip`. If it `writes` into the image, it gets a copy. `library` names what does the work.
+    The image has shape (rows, columns), or (rows, columns, 3) if a frame is in colour, and 32-bit values. The
+    function returns an image of this shape times the magnification. The first line of its docstring describes it
+    in lists and reports; parameters may be annotated with `parameter`.
+
+    With `clip`, the function takes frames of shape (n, rows, columns) or (n, rows, columns, 3), in the order of
+    time: `warm_up_frames` that come before the trial in its recording, then those of the trial. It returns one
+    frame for each of the trial: (m, rows, columns[, 3]). It may have two keyword-only parameters that users do not
+    set: `judged`, an array of the m indices of the trial's frames, and `frame_rate_hz`, None if it is not known.
+
+    Attributes
+    ----------
+    domain : {"code_value", "luminance"}
+        Values of the image: code values with white as 1, or luminance with black as 0 and white as 1.
+    magnification : float or str
+        Number of output pixels for one input pixel along each axis, or the name of the parameter with this number.
+    each_channel : bool
+        Whether it takes one channel at a time; otherwise it takes a colour image whole.
+    writes : bool
+        Whether it may write into the image; if so, it gets a copy.
+    clip : bool
+        Whether it takes the frames of a trial together.
+    warm_up_frames : int or str
+        Number of frames before a trial that an algorithm of clips needs, or the name of the parameter with it.
+    library : str
+        Library and function that do the work.
+
+    Raises
+    ------
+    SettingsError
+        If the domain, the magnification or the number of frames of warm-up is not valid.
     """
 
     domain: Domain = "code_value"
@@ -74,48 +99,13 @@ class Declaration:
         if self.warm_up_frames != 0 and not self.clip:
             raise SettingsError(f"warm_up_frames: found {self.warm_up_frames!r} without clip, expected 0")
 
-
-def algorithm(
-    *,
-    domain: Domain = "code_value",
-    magnification: float | str = 1.0,
-    each_channel: bool = False,
-    writes: bool = True,
-    clip: bool = False,
-    warm_up_frames: int | str = 0,
-    library: str = "",
-) -> Callable[[F], F]:
-    """Return a decorator that declares the properties of `function(image, **parameters)`; see `Declaration`.
-
-    The image has shape (rows, columns), or (rows, columns, 3) if a frame is in colour, and 32-bit values. The
-    function returns an image of this shape times the magnification. The first line of its docstring describes it
-    in lists and reports; parameters may be annotated with `parameter`.
-
-    With `clip`, the function takes frames of shape (n, rows, columns) or (n, rows, columns, 3), in the order of
-    time: `warm_up_frames` that come before the trial in its recording, then those of the trial. It returns one
-    frame for each of the trial: (m, rows, columns[, 3]). It may have two keyword-only parameters that users do not
-    set: `judged`, an array of the m indices of the trial's frames, and `frame_rate_hz`, None if it is not known.
-
-    Raises
-    ------
-    SettingsError
-        If the domain, the magnification or the number of frames of warm-up is not valid.
-    """
-    declaration = Declaration(
-        domain=domain,
-        magnification=magnification,
-        each_channel=each_channel,
-        writes=writes,
-        clip=clip,
-        warm_up_frames=warm_up_frames,
-        library=library,
-    )
-
-    def declare(function: F) -> F:
-        setattr(function, DECLARATION, declaration)
+    def __call__(self, function: F) -> F:
+        """Return the function with this declaration."""
+        setattr(function, DECLARATION, self)
         return function
 
-    return declare
+
+algorithm = Declaration
 
 
 def parameter(low: float, high: float, *, unit: str = "", what: str = "") -> msgspec.Meta:
