@@ -27,7 +27,7 @@ from todframes.enhancement.comparison import (
     edge_brightness,
     not_proportional,
 )
-from todframes.enhancement.contrast_gain import MEASURED_TRIALS, measured_trials, strongest_levels
+from todframes.enhancement.contrast_gain import MEASURED_TRIALS, measured_trials
 from todframes.enhancement.contrast_on_scenes import contrasts_on_scenes, views_to_measure
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame, EnhancedImage
 from todframes.enhancement.finding import find_enhancement
@@ -904,7 +904,7 @@ def test_trials_that_are_measured() -> None:
         Trial(number, "t", frames, ORIENTATIONS[0], Stimulus(1.0), 0.1 + number // 100, (), 0, 0)
         for number in range(200)
     )
-    found = measured_trials(trials, strongest_levels(trials))
+    found = measured_trials(trials)
     assert found >= set(range(100, 200))
     assert len(found) == 100 + MEASURED_TRIALS
 

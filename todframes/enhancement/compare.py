@@ -27,7 +27,6 @@ from todframes.enhancement.contrast_gain import (
     contrast_gains,
     contrast_responses,
     measured_trials,
-    strongest_levels,
     triangle_contrasts,
 )
 from todframes.enhancement.enhanced_frame import (
@@ -156,7 +155,7 @@ def compare_observers(
     ]
     if len(gazes) > 1:  # a fixed gaze follows from frames read for a tracked one
         dataset = replace(dataset, gaze="tracked")
-    measured = measured_trials(whole, strongest_levels(whole))
+    measured = measured_trials(whole)
     columns = _ResultColumns(whole, len(plans), len(gazes), len(algorithms))
     skipped += see_trials(
         Scoring(dataset, plans[0], decisions, seed),

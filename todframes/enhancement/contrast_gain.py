@@ -6,7 +6,7 @@ threshold a lot. So each algorithm is also compared with a plain gain of the sam
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache, lru_cache
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.enhancement.comparison import ContrastPoint
 from todframes.enhancement.contrast_on_scenes import contrasts_on_scenes, views_to_measure
-from todframes.frames.trials import Trial, Trials, indices_by
+from todframes.frames.trials import Trial, Trials
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Shown, retina_image
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
@@ -35,32 +35,23 @@ Responses = dict[GroupValues, tuple[ContrastPoint, ...]]
 """Displayed contrasts of an algorithm in each group, at ascending levels."""
 
 
-def strongest_levels(trials: Sequence[Trial]) -> dict[GroupValues, float]:
-    """Return the highest level of each group: the trials that show a contrast gain best."""
-    strongest: dict[GroupValues, float] = {}
-    for trial in trials:
-        strongest[trial.group] = max(trial.level, strongest.get(trial.group, 0.0))
-    return strongest
+def measured_trials(trials: Trials) -> frozenset[int]:
+    """Return the numbers of the trials whose contrast is measured.
 
-
-def measured_trials(trials: Trials, strongest: Mapping[GroupValues, float]) -> frozenset[int]:
-    """Return the numbers of the trials whose contrast is measured: all of the highest levels, some of others.
-
-    On scenes that trials share, these are all trials of some views.
+    They are all of the highest level of each group, which shows a contrast gain best, and some of others; on
+    scenes that trials share, all trials of some views.
     """
     shared = [(members, views_to_measure(trials.select(members))) for _, members in trials.by_group()]
     chosen = [members[rows] for members, rows in shared if rows is not None]
     if chosen and len(chosen) == len(shared):
         return frozenset(trials.numbers[np.concatenate(chosen)].tolist())
-    _, level_codes = np.unique(trials.levels, return_inverse=True)
-    cells = trials.group_codes.astype(np.int64) * (level_codes.max(initial=0) + 1) + level_codes
     found: set[int] = set()
-    for rows in indices_by(cells):
-        first = trials[rows[0]]
-        if first.level != strongest[first.group] and len(rows) > MEASURED_TRIALS:
-            evenly = np.linspace(0, len(rows) - 1, MEASURED_TRIALS).astype(np.intp)
-            found.update(trials.numbers[rows[evenly]].tolist())
-        else:
+    for _, members in trials.by_group():
+        levels = trials.levels[members]
+        for level in np.unique(levels):
+            rows = members[levels == level]
+            if level != levels.max() and len(rows) > MEASURED_TRIALS:
+                rows = rows[np.linspace(0, len(rows) - 1, MEASURED_TRIALS).astype(np.intp)]  # evenly
             found.update(trials.numbers[rows].tolist())
     return frozenset(found)
 

@@ -11,12 +11,11 @@ from todframes.enhancement.compare import AlgorithmResult
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader
 from todframes.frames.dataset import Dataset
 from todframes.observers.interface import Observer
-from todframes.results.data import Example, Thumbnail
+from todframes.results.data import Example
 from todframes.results.thumbnails import ExamplePatch, pictures
 from todframes.results.wording import evenly
 from todframes.scoring.examples import example_of, nearest_trial
-from todframes.scoring.retina_view import Shown, retina_image
-from todframes.stimulus import Stimulus
+from todframes.scoring.retina_view import retina_image
 
 MOST_GROUPS, MOST_ALGORITHMS = 2, 6
 
@@ -28,39 +27,26 @@ def compare_examples(
 
     All pictures of a group have the same white. Raises FrameError if a frame can no longer be used.
     """
-    shown_results = results[:MOST_ALGORITHMS]
-    reader = TrialReader([one.enhancement for one in shown_results], screen)
-    reference = results[0].scored
-    found = []
-    for group in evenly([one for one in reference.fits if one.fit.threshold is not None], MOST_GROUPS):
-        place = nearest_trial(reference, group)
-        trial = reference.trials[place]
-        dx, dy = np.nan_to_num(reference.displacement_samples[place]).tolist()
-        after = reader(dataset, trial, observer, observer.grid(trial.stimulus), [(dx, dy)], whole=True)
-        draw = partial(_drawn, (dx, dy), observer, trial.stimulus)
-        white = max(draw(one)[1][0].scale or 0.0 for one in after)
-        for result, one in zip(shown_results, after, strict=True):
-            (here,) = np.flatnonzero(result.scored.trials.numbers == trial.number)
-            p_correct = float(result.scored.p_correct[here])
-            found.append(
-                example_of(dataset, trial, p_correct, *draw(one, white=white), algorithm=result.enhancement.spec)
+    some, reference, examples = results[:MOST_ALGORITHMS], results[0].scored, []
+    reader = TrialReader([result.enhancement for result in some], screen)
+    for group in evenly([fit for fit in reference.fits if fit.fit.threshold is not None], MOST_GROUPS):
+        row = nearest_trial(reference, group)  # all algorithms have the same trials
+        trial = reference.trials[row]
+        grid, displaced = observer.grid(trial.stimulus), np.nan_to_num(reference.displacement_samples[row])
+        dx, dy = displaced.tolist()
+        drawings = [
+            partial(
+                pictures,
+                [ExamplePatch(*part) for part in zip(shown.patches, shown.x_px, shown.y_px, strict=True)],
+                retina_image(shown, grid, (dx, dy)),
+                observer=observer,
+                stimulus=trial.stimulus,
+                pixel_pitch_mrad=shown.pixel_pitch_mrad,
             )
-    return tuple(found)
-
-
-def _drawn(
-    displacement_samples: tuple[float, float],
-    observer: Observer,
-    stimulus: Stimulus,
-    shown: Shown,
-    white: float | None = None,
-) -> tuple[float, tuple[Thumbnail, ...]]:
-    """Draw the display, retina image and bands after one algorithm."""
-    return pictures(
-        [ExamplePatch(*part) for part in zip(shown.patches, shown.x_px, shown.y_px, strict=True)],
-        retina_image(shown, observer.grid(stimulus), displacement_samples),
-        observer=observer,
-        stimulus=stimulus,
-        pixel_pitch_mrad=shown.pixel_pitch_mrad,
-        white=white,
-    )
+            for shown in reader(dataset, trial, observer, grid, [(dx, dy)], whole=True)
+        ]
+        white = max(draw()[1][0].scale or 0.0 for draw in drawings)
+        for result, draw in zip(some, drawings, strict=True):
+            p_correct, spec = float(result.scored.p_correct[row]), result.enhancement.spec
+            examples.append(example_of(dataset, trial, p_correct, *draw(white=white), algorithm=spec))
+    return tuple(examples)
