@@ -131,6 +131,7 @@ def wave(height_px, period_px):
         (wave(4.0, 38.0), 2.83, 0.0),
         (wave(1.0, 10.0), 0.71, 0.1),
         (wave(2.0, 6.0), 1.41, 0.1),
+        (wave(9.0, 38.0), 6.36, 0.0),
         (lambda s: 3.0 * (np.abs(s - 20.0) < 8.0), 1.0, 0.0),
     ],
 )
@@ -140,12 +141,6 @@ def test_an_edge_that_is_not_straight_is_refused_in_any_noise(displaced_px, rms_
         measure_edge(image + np.random.default_rng(4).normal(0.0, noise, image.shape), whole(image))
     # Displacements beyond the profile's width are found too large by a quarter; a cubic takes part of a notch.
     assert float(re.search(r"by (\S+) pixels", str(raised.value))[1]) == pytest.approx(rms_px, rel=0.35)
-
-
-def test_an_edge_that_is_far_from_straight_is_refused():
-    image = edge_image((120, 80), 5.0, gaussian(0.6), displaced_px=wave(9.0, 38.0))
-    with pytest.raises(tod.DataError, match=r"departs from a smooth curve by [4-9]\.\d* pixels, expected at most"):
-        measure_edge(image, whole(image))
 
 
 @pytest.mark.parametrize("kind", ["pixels", "smoothed", "rows", "by light"])

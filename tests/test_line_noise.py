@@ -103,14 +103,6 @@ def test_lines_that_are_more_than_the_noise_are_refused(change, problem) -> None
         replace(LINES, **change)
 
 
-def test_a_file_keeps_lines_and_says_nothing_of_none() -> None:
-    sensor = replace(ss.load_sensor(STAR), noise=LINES)
-    tables = sensor_tables(sensor)
-    assert tables["noise"]["row_pattern_ratio"] == 0.3 and "column_noise_ratio" not in tables["noise"]
-    again = sensor_from({"schema": 1, "name": sensor.name, **tables}, "sensor")
-    assert again == sensor
-
-
 def thermal(noise: Noise) -> ss.Sensor:
     return replace(ss.load_sensor(STAR), noise=noise)
 
@@ -174,18 +166,6 @@ def test_alike_rows_and_columns_need_one_orientation_and_others_all_four() -> No
     ):
         plan = plan_curve(thermal(noise), PyramidObserver(), 6.0, tolerance=0.02)
         assert len(plan.orientations) == n
-
-
-@pytest.mark.slow
-def test_a_sweep_over_rows_has_the_thresholds_of_each() -> None:
-    sensor = thermal(Noise(netd_mk=20.0))
-    swept = ss.sweep(sensor, size_detectors=[6], vary={"noise.row_noise_ratio": [0.0, 0.8]}, tolerance=0.05)
-    thresholds = [row["threshold_snr"] for row in swept.records()]
-    for ratio, threshold in zip((0.0, 0.8), thresholds, strict=True):
-        changed = replace(sensor, noise=Noise(netd_mk=20.0, row_noise_ratio=ratio))
-        (fit,) = ss.curve(changed, size_detectors=[6], tolerance=0.05, examples=False).fits
-        assert threshold == fit.threshold
-    assert thresholds[0] != thresholds[1]
 
 
 def test_measured_lines_come_back_from_the_file() -> None:

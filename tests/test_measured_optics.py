@@ -63,16 +63,6 @@ def pupil_autocorrelation(ratio: float, waves: float, shift: float, n: int = 120
     return float(overlap / (np.pi * (1.0 - ratio**2)))
 
 
-@pytest.mark.parametrize("ratio", [0.15, 0.4, 0.7])
-def test_an_obscured_aperture_is_the_autocorrelation_of_its_pupil(ratio):
-    # About 8n of the n² points lie on a rim, and are wrong by 0.3 of themselves at random:
-    # √(8n)·0.3·(2/n)²/(π(1 − ε²)) is 5e-5 of an annulus with ε = 0.7; four of these.
-    for shift in (0.05, 0.2, 0.45, 0.62, 0.85):
-        assert obscured_mtf(shift, obscuration_ratio=ratio) == pytest.approx(
-            pupil_autocorrelation(ratio, 0.0, shift), abs=2e-4
-        )
-
-
 def test_an_obscured_aperture_in_closed_form():
     # By hand: below (1 − ε)/2 an inner disc lies in the other's outer one, 1 − ε² − ε²·2 + …, and between
     # (1 + ε)/2 and the cut-off the inner discs do not count: the clear aperture's over 1 − ε².
@@ -155,19 +145,6 @@ def test_an_asymmetric_psf_stands_as_its_picture_does(tmp_path, orientation):
     assert np.abs(found - seen[::-1, ::-1]).max() > 0.05, "a PSF turned by 180° would not be seen"
 
 
-@pytest.mark.slow
-def test_a_round_psf_gives_the_samples_of_its_closed_form(tmp_path):
-    sensor = ss.load_sensor(STAR_LIKE)
-    pitch = 0.5 / CUT_OFF
-    frequency = np.fft.fftfreq(64, pitch)
-    transfer = optics_mtf(np.hypot(frequency[:, None], frequency), optics=sensor.optics)
-    psf = np.fft.fftshift(np.fft.ifft2(transfer).real)
-    write_psf(tmp_path / "psf.tif", psf / psf.sum())
-    measured = ss.load_sensor(sensor_file(tmp_path, f'psf = "psf.tif"\npsf_pitch_mrad = {pitch!r}'))
-    (fit,), (closed,) = (ss.curve(one, size_detectors=[4], examples=False).fits for one in (measured, sensor))
-    assert fit.threshold == pytest.approx(closed.threshold, rel=2e-3)
-
-
 def test_tangential_is_along_x_and_sagittal_along_y(tmp_path):
     frequency = np.linspace(0.0, 30.0, 31)
     rows = zip(
@@ -237,11 +214,8 @@ WRONG_TABLES = {
     "outside": (GOOD, 'mtf = "../mtf.csv"', "mtf: ../mtf.csv lies outside"),
     "too fine": ([(0.0, 1.0), (3e8, 0.0)], 'mtf = "mtf.csv"', "mtf.csv passes .* cycles per detector, expected"),
     "no unit": ([(0.0, 1.0), (1e300, 0.0)], 'mtf = "mtf.csv"', "ends at a frequency of 1e.300, expected 1e-09"),
-    "a number": (GOOD, "mtf = 3", "mtf: found 3, expected text"),
     "psf without pitch": (GOOD, 'psf = "psf.tif"', "psf: expected it with psf_pitch_um or psf_pitch_mrad"),
     "no focal length": (GOOD, 'psf = "psf.tif"\npsf_pitch_um = 1.0', "psf_pitch_um needs it for its angle"),
-    "too much": (GOOD, "obscuration_ratio = 1.0", r"obscuration_ratio: found 1\.0"),
-    "inner": (GOOD, "measured_units = 2.0", "unknown key 'measured_units'"),
 }
 
 

@@ -511,8 +511,6 @@ def test_a_sensor_s_curve_has_its_pitch_and_delta_t() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"delta_t_k": 2000.0}, r"delta_t_k: found 2000\.0, expected a number from -1000 to 1000"),
-        ({"size_m": 2300.0}, r"size_m: found 2300\.0, expected a number from 0\.01 to 1000"),
         ({"contrast": 0.3}, "delta_t_k and contrast: found 2 contrasts, expected one of"),
         ({"cycles": "Stanag"}, "cycles: found 'Stanag', expected one of stanag, johnson.*; write stanag"),
         ({"cycles": {"seen": 0.0}}, r"cycles\.seen: found 0\.0, expected a number from 0\.1 to 100"),
@@ -528,8 +526,6 @@ def test_targets_that_are_none(changes, message) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"extinction_per_km": 200.0}, r"extinction_per_km: found 200\.0, expected a number from 0\.001 to 100"),
-        ({"visibility_km": 23000.0}, r"visibility_km: found 23000\.0, expected a number from 0\.01 to 1000"),
         ({"range_km": (1.0, 5.0), "transmission": (0.5, 0.7)}, "grows from 0.5 at 1 km to 0.7 at 5 km, expected"),
         ({"range_km": (1e3, 5e3), "transmission": (0.5, 0.3)}, r"range_km\[1\]: found 5000.0, .* > 0 and <= 1000"),
         ({"transmission": (0.5,)}, "range_km: is missing"),

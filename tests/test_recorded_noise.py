@@ -64,24 +64,6 @@ def test_the_sums_over_frames_give_the_analysis_of_variance(tmp_path, shape):
     assert noise.mean == pytest.approx(values.mean(), rel=1e-7)
 
 
-@pytest.mark.parametrize("name", PARTS)
-def test_a_part_alone_is_found_as_that_part_alone(tmp_path, name):
-    # Each part made with zero means along its axes, so that no other mean square has any of it.
-    shape = (4, 6, 8)
-    rng = np.random.default_rng(1)
-    effect = rng.normal(size=[shape[k] if "tvh"[k] in name else 1 for k in range(3)])
-    for axis in (AXES[one] for one in name):
-        effect = effect - effect.mean(axis, keepdims=True)
-    noise = noise_of(tmp_path / "a.npy", (np.zeros(shape) + effect).astype(np.float32))
-    squares, _ = anova(np.zeros(shape) + effect)
-    others = [one for one in PARTS if one != name]
-    assert all(squares[one] == pytest.approx(0, abs=1e-28) for one in others)
-    per_value = math.prod(shape[AXES[one]] for one in "tvh" if one not in name)
-    assert noise.parts[name].variance == pytest.approx(squares[name] / per_value, rel=1e-5)
-    # A part with an axis that this one lacks is not there; 32-bit values leave squares of their rounding.
-    assert all(abs(noise.parts[one].variance) < 1e-13 for one in others if not set(one) <= set(name))
-
-
 def expected_mean_squares(shape, sd):
     """Return E[MS] by counting: a part is in the mean squares of subsets of its axes, times its values."""
     return {
