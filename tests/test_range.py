@@ -654,7 +654,9 @@ def test_a_criterion_that_is_not_used_is_refused(table) -> None:
 
 def test_one_extinction_in_a_band_of_lines_is_warned_about(table) -> None:
     band = tod.Atmosphere(extinction_per_km=0.3, band_um=(3.0, 5.0))
-    found = tod.acquisition_range(table, target=NATO, atmosphere=band)
+    found = tod.acquisition_range(table, target=replace(NATO, search_time_s=10.0), atmosphere=band)
+    pairs = "N50: detection 1, recognition 3, identification 6 line pairs on the target (stanag)."
+    assert found.sentences()[-2:] == [pairs, "With 10 s to search."]
     assert [one.code for one in found.warnings] == ["one_extinction"]
     quiet = tod.Atmosphere(extinction_per_km=0.3, band_um=(8.0, 12.0))
     assert not tod.acquisition_range(table, target=NATO, atmosphere=quiet).warnings

@@ -104,7 +104,7 @@ def range_answer(found: Result[FieldRange]) -> dict[str, Any]:
                 "task": one.task,
                 "criterion": one.criterion,
                 "probability": one.probability,
-                "words": range_words(one, size_m=data.target.size_m, is_tod=data.is_tod),
+                "words": range_words(one, size_m=data.numbers.target.size_m, is_tod=data.is_tod),
             }
             for one in data.numbers.ranges
         ],

@@ -14,7 +14,6 @@ from msgspec import Struct, field, structs
 
 from todframes.base._typing import Json
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.reading import from_table
 from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.acquisition import (
@@ -34,7 +33,7 @@ from todframes.field.measured_curve import measured_curve
 from todframes.field.target import Quantity, Target, chosen_target
 from todframes.field.threshold_curve import Pattern, ThresholdCurve, read_curve
 from todframes.parameters import Cycles, CyclesPerSize, GroupValues, NamedFile, Seconds, Seed, TargetFactors
-from todframes.results.data import Content, Record, ResultWarning, as_read
+from todframes.results.data import Content, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style, label_text, plain_ticks
 from todframes.results.result import Result, load_result, repeatable
@@ -95,7 +94,7 @@ class RangeNumbers(Struct, frozen=True, kw_only=True, omit_defaults=True):
     ----------
     road : {"tod", "cycles"}
         Range of a TOD with k, or by line pairs.
-    target, atmosphere : dict
+    target, atmosphere : object
         Their settings.
     curve : CurveNumbers
     criteria : dict of float
@@ -110,8 +109,8 @@ class RangeNumbers(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     road: Road
     equation: str
-    target: Record
-    atmosphere: Record
+    target: Target
+    atmosphere: Atmosphere
     curve: CurveNumbers
     criteria: dict[str, float]
     r46_distance_m: float | None = field(default_factory=lambda: None)
@@ -138,26 +137,9 @@ class FieldRange(Content, frozen=True, kw_only=True):
     @property
     def name(self) -> str:
         """Return target and air in words."""
-        target, air = self.target, self.atmosphere
+        target, air = self.numbers.target, self.numbers.atmosphere
         signal = f"ΔT {target.signal:g} K" if target.quantity == "delta_t_k" else f"contrast {target.signal:g}"
         return f"{target.title or 'target'}, {target.size_m:g} m, {signal}; {air.title or 'air'}"
-
-    @property
-    def target(self) -> Target:
-        """The target."""
-        return from_table(self.numbers.target, Target, "range.target")
-
-    @property
-    def atmosphere(self) -> Atmosphere:
-        """The air to the target."""
-        return from_table(self.numbers.atmosphere, Atmosphere, "range.atmosphere")
-
-    def check(self, where: str) -> None:
-        """Raise DataError if target or air are invalid."""
-        try:
-            _ = self.target, self.atmosphere
-        except SettingsError as error:
-            raise DataError(f"{where}: {error}") from None
 
     @property
     def is_tod(self) -> bool:
@@ -210,7 +192,7 @@ class FieldRange(Content, frozen=True, kw_only=True):
         values = [
             {"setting": f"{part}.{key}", "value": value}
             for part, settings in (("target", numbers.target), ("atmosphere", numbers.atmosphere))
-            for key, value in settings.items()
+            for key, value in asdict(settings).items()
             if value is not None and value != ""
         ]
         return [*tables, records_table("Target and air", "", values).folded()]
@@ -221,7 +203,7 @@ class FieldRange(Content, frozen=True, kw_only=True):
         for one in named:
             p = one.probability
             level = "the criterion" if p is None else f"{100 * p:g} %{' correct' * self.is_tod}"
-            words = range_words(one, size_m=self.target.size_m, is_tod=self.is_tod)
+            words = range_words(one, size_m=self.numbers.target.size_m, is_tod=self.is_tod)
             texts.append(f"At {level}, {one.task}: {words}.")
         limited = next((one for one in named if one.limited_by is not None), None)
         if limited is not None:
@@ -234,7 +216,7 @@ class FieldRange(Content, frozen=True, kw_only=True):
 
     def _notes(self) -> list[str]:
         """Return the conventions on which the numbers depend."""
-        numbers, target = self.numbers, self.target
+        numbers, target = self.numbers, self.numbers.target
         if self.is_tod:
             notes = [K_IS_YOURS]
         else:
@@ -249,7 +231,7 @@ class FieldRange(Content, frozen=True, kw_only=True):
                 f"The TOD was converted to line pairs: {target.cycles_per_size:g} cycles in √area, which is your "
                 "convention."
             )
-        if self.atmosphere.is_humidity_form:
+        if numbers.atmosphere.is_humidity_form:
             notes.append(
                 "The extinction from humidity is that of dstl's RET; in 8–12 µm it is 1.4 to 2 times MODTRAN's, "
                 "so the range is rather longer."
@@ -299,7 +281,7 @@ class FieldRange(Content, frozen=True, kw_only=True):
 
     def _draw_crossing(self, axes: Axes) -> None:
         numbers = self.numbers
-        curve, target, air = numbers.curve, self.target, self.atmosphere
+        curve, target, air = numbers.curve, numbers.target, numbers.atmosphere
         per_mrad, needed = np.array(curve.per_mrad), np.array(curve.needed)
         tasks = list(numbers.criteria.items())[:MOST_CURVES]
         ends = [curve.per_mrad[-1] * target.size_m / criterion for _, criterion in tasks]
@@ -485,8 +467,8 @@ def acquisition_range(
     numbers: Json = {
         "road": acquired.road,
         "equation": EQUATIONS[acquired.road],
-        "target": asdict(aim),
-        "atmosphere": asdict(air),
+        "target": aim,
+        "atmosphere": air,
         "curve": {
             "name": curve.name,
             "pattern": curve.pattern,

@@ -85,13 +85,13 @@ class Atmosphere:
         If a value is out of range, missing, or contradicts another.
     """
 
-    extinction_per_km: Annotated[float | None, Meta(ge=1e-3, le=100.0)] = None
+    extinction_per_km: Annotated[float, Meta(ge=1e-3, le=100.0)] | None = None
     range_km: tuple[Annotated[float, Meta(gt=0.0, le=LARGEST_RANGE_KM)], ...] | None = None
     transmission: tuple[Annotated[float, Meta(gt=0.0, le=1.0)], ...] | None = None
-    visibility_km: Annotated[float | None, Meta(ge=0.01, le=1e3)] = None
-    relative_humidity: Annotated[float | None, Meta(ge=0.0, le=1.0)] = None
-    air_temperature_c: Annotated[float | None, Meta(ge=-90.0, le=60.0)] = None
-    sky_to_ground_ratio: Annotated[float | None, Meta(ge=0.01, le=1e3)] = None
+    visibility_km: Annotated[float, Meta(ge=0.01, le=1e3)] | None = None
+    relative_humidity: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    air_temperature_c: Annotated[float, Meta(ge=-90.0, le=60.0)] | None = None
+    sky_to_ground_ratio: Annotated[float, Meta(ge=0.01, le=1e3)] | None = None
     band_um: tuple[Wavelength, Wavelength] | None = None
     title: str = ""
     source: str = ""

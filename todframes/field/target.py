@@ -88,17 +88,17 @@ class Target:
     """
 
     size_m: Annotated[float, Meta(ge=0.01, le=1e3)]
-    delta_t_k: Annotated[float | None, Meta(ge=-1e3, le=1e3)] = None
+    delta_t_k: Annotated[float, Meta(ge=-1e3, le=1e3)] | None = None
     delta_t_sd_k: Annotated[float, Meta(ge=0.0, le=1e3)] = 0.0
-    contrast: Annotated[float | None, Meta(ge=-1.0, le=100.0)] = None
-    reflectance: Annotated[float | None, Meta(ge=0.0, le=1.0)] = None
-    background_reflectance: Annotated[float | None, Meta(ge=0.0, le=1.0)] = None
+    contrast: Annotated[float, Meta(ge=-1.0, le=100.0)] | None = None
+    reflectance: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    background_reflectance: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     cycles: CriterionName | Mapping[str, Cycles] = "stanag"
     k: Mapping[str, Divisor] | None = None
-    cycles_per_size: Annotated[float | None, Meta(ge=0.1, le=10.0)] = None
-    search_time_s: Annotated[float | None, Meta(ge=0.01, le=1e5)] = None
-    view_deg: Annotated[float | None, Meta(ge=0.1, le=179.0)] = None
-    lines: Annotated[float | None, Meta(ge=1.0, le=1e6)] = None
+    cycles_per_size: Annotated[float, Meta(ge=0.1, le=10.0)] | None = None
+    search_time_s: Annotated[float, Meta(ge=0.01, le=1e5)] | None = None
+    view_deg: Annotated[float, Meta(ge=0.1, le=179.0)] | None = None
+    lines: Annotated[float, Meta(ge=1.0, le=1e6)] | None = None
     title: str = ""
     source: str = ""
 
