@@ -199,17 +199,12 @@ def test_all_trials_have_the_same_number_of_frames(rate: float, digits: int) -> 
 
 VIEWS: dict[str, tuple[Camera, dict[str, Any], str]] = {
     "straight": (Camera(), {"turn_deg": 1.0}, r"0\.9[12]\d* px per mm of the chart, residual 0\.0"),
-    "mirrored": (Camera(), {"mirrored": True}, "mirrored; orientations are those in the frames"),
-    "turned": (Camera(), {"turn_deg": 180.0}, "turned by 180°"),
     "perspective": (Camera(), {"tilt_deg": 10.0}, "px per mm"),
 }
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    ["straight", "perspective", *(pytest.param(one, marks=pytest.mark.weekly) for one in ("mirrored", "turned"))],
-)
+@pytest.mark.parametrize("name", VIEWS)
 def test_lossless_film_has_the_thresholds_of_frames_placed_by_hand(
     name: str, chart: Chart, tmp_path: Path
 ) -> None:
