@@ -184,7 +184,7 @@ def simulate(
             for note in notes:
                 tell(f"note: {note}")
     with (
-        continued(new_folder, str(out), restart=restart, keep=keep_store, tell=tell) as (folder, store),
+        continued(new_folder, str(out), restart=restart, keep_store=keep_store, tell=tell) as (folder, store),
         opened_run(workers, cluster, store, progress) as run,
     ):
         written = write_dataset(

@@ -41,7 +41,6 @@ from todframes.results.result import Result, repeatable
 from todframes.results.wording import count
 
 if TYPE_CHECKING:
-    from sensor_sim.sweeps.ranges import Aim
     from sensor_sim.sweeps.result import Sweep
     from todframes.field.atmosphere import Atmosphere
     from todframes.field.target import Target
@@ -171,6 +170,7 @@ def sweep(
     started, seed = time.perf_counter(), seed_of(rng)
     from sensor_sim.sweeps.designs import NETD, Base, check_coupling, make_designs
     from sensor_sim.sweeps.goals import Criterion, columns_of, objectives
+    from sensor_sim.sweeps.ranges import chosen_aim
     from sensor_sim.sweeps.work import SweepWork, check_sweep, run_sweep
     from sensor_sim.thresholds.places import check_places
     from todframes.jobs.run import opened_run
@@ -194,7 +194,11 @@ def sweep(
         raise SettingsError("acuity: found an SNR or a ΔT for a camera that counts photons, expected none")
     has_netd = sensor.noise.netd_mk is not None or "noise.netd_mk" in designs.keys
     criterion = Criterion.of(acuity_snr, acuity_delta_t_mk, has_netd=has_netd)
-    aim = _aim(target, atmosphere, k, level=sensor.level, has_netd=has_netd, p_correct=p_correct)
+    aim = chosen_aim(target, atmosphere, k)
+    if aim is not None:
+        if sensor.level == "snr" and not has_netd:
+            raise SettingsError(f"{argument.target}: needs noise.netd_mk of the sensor")
+        aim.check(p_correct, quantity="delta_t_k" if sensor.level == "snr" else "contrast")
     goals = objectives(
         minimise,
         maximise,
@@ -263,26 +267,3 @@ def missed_tolerance(threshold: FloatArray, error: FloatArray, tolerance: float)
         "have smaller errors"
     )
     return (ResultWarning(code="numerical_error", message=message, found=largest, expected=tolerance),)
-
-
-def _aim(
-    target: Target | Path | str | None,
-    atmosphere: Atmosphere | Path | str | None,
-    k: float | None,
-    *,
-    level: str,
-    has_netd: bool,
-    p_correct: float,
-) -> Aim | None:
-    """Return the target and air of the range; None if there is no target. SettingsError if one of them is missing
-    or invalid, or the thresholds are SNRs and NETD is not known.
-    """
-    from sensor_sim.sweeps.ranges import chosen_aim
-
-    aim = chosen_aim(target, atmosphere, k)
-    if aim is None:
-        return None
-    if level == "snr" and not has_netd:
-        raise SettingsError(f"{argument.target}: needs noise.netd_mk of the sensor")
-    aim.check(p_correct, quantity="delta_t_k" if level == "snr" else "contrast")
-    return aim

@@ -42,14 +42,26 @@ Write = Callable[[Callable[[], Mapping[str, bytes | Iterable[bytes]]]], None]
 
 
 @contextmanager
-def staged(out: str | None) -> Iterator[Write]:
-    """Reserve the folder `out` before the work; what is written appears there if the block ends well."""
+def staged(out: str | None, asked: dict[str, Any] | None = None, *, quiet: bool = False) -> Iterator[Write]:
+    """Reserve the folder `out` before the work; what is written appears there if the block ends well.
+
+    With the arguments that are asked of a call, the run goes on where an earlier one ended: `restart` and
+    `keep_store` are removed from them, and `store` is set.
+    """
+    keep = {} if asked is None else {name: asked.pop(name, False) for name in ("restart", "keep_store")}
     if out is None:
         yield lambda _: None
         return
     from todframes.base.output import output_folder, write_files
 
-    with output_folder(out) as folder:
+    if asked is None:
+        with output_folder(out) as folder:
+            yield lambda make: write_files(folder, make())
+        return
+    from todframes.jobs.run import continued
+
+    going = continued(output_folder, out, **keep, tell=None if quiet else say)
+    with going as (folder, asked["store"]):
         yield lambda make: write_files(folder, make())
 
 
@@ -66,27 +78,6 @@ def opened_engine(asked: dict[str, Any], *, quiet: bool) -> Iterator[None]:
             say(f"dashboard: {engine.dashboard}")
         asked["cluster"] = engine
         yield
-
-
-@contextmanager
-def long_run(out: str | None, asked: dict[str, Any], *, quiet: bool) -> Iterator[Write]:
-    """Reserve the folder `out` for a run that can be continued, and open its engine.
-
-    Of `asked`, `restart` and `keep_store` are removed; `cluster` is replaced by the engine, and `store` is set.
-    """
-    how = {"restart": asked.pop("restart", False), "keep": asked.pop("keep_store", False)}
-    if out is None:
-        with opened_engine(asked, quiet=quiet):
-            yield lambda _: None
-        return
-    from todframes.base.output import output_folder, write_files
-    from todframes.jobs.run import continued
-
-    with (
-        continued(output_folder, out, **how, tell=None if quiet else say) as (folder, asked["store"]),
-        opened_engine(asked, quiet=quiet),
-    ):
-        yield lambda make: write_files(folder, make())
 
 
 def print_result(

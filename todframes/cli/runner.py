@@ -17,7 +17,6 @@ from todframes.base.errors import SettingsError, flag_of
 from todframes.cli.console import (
     Interruption,
     echo,
-    long_run,
     opened_engine,
     print_result,
     prints_go_to_stderr,
@@ -341,12 +340,9 @@ def _run(command: Command, **values: Any) -> None:
         given["dataset"] = load_dataset(given["dataset"], **limit)
     has_progress = "progress" in parameters
     with ExitStack() as stack:
-        if "store" in parameters:
-            write = stack.enter_context(long_run(out, given, quiet=quiet))
-        else:
-            write = stack.enter_context(staged(out))
-            if "cluster" in parameters:
-                stack.enter_context(opened_engine(given, quiet=quiet))
+        write = stack.enter_context(staged(out, given if "store" in parameters else None, quiet=quiet))
+        if "cluster" in parameters:
+            stack.enter_context(opened_engine(given, quiet=quiet))
         if "enhance" in parameters:
             stack.enter_context(prints_go_to_stderr())
         with progress(command.task, quiet=quiet) if has_progress else nullcontext() as advance:

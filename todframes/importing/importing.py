@@ -211,7 +211,7 @@ def import_recordings(
         source = ScheduleSource(Path(schedule), opened, ifov_mrad=ifov_mrad, level=level, **reading)
     scales = [code_range(one, value_range) for one in opened]
     is_clipped = shown.display.eotf != "linear"
-    with continued(new_folder, str(out), restart=restart, keep=keep_store, tell=tell) as (folder, store):
+    with continued(new_folder, str(out), restart=restart, keep_store=keep_store, tell=tell) as (folder, store):
         if store.is_begun:
             store.tell(f"{len(store)} windows are there from an earlier run; going on with the others")
         writer = WindowWriter(folder, store, clip=is_clipped)

@@ -83,8 +83,13 @@ class PoolEngine(ABC):
                 except DeadWorkerError:
                     # All that waited for the process look the same.
                     items_in_flight = [item for one in list(in_flight.values()) or [batch] for _, item in one]
-                    first, last = work.name(items_in_flight[0]), work.name(items_in_flight[-1])
-                    raise self._died(first, last, len(items_in_flight)) from None
+                    where, last = work.name(items_in_flight[0]), work.name(items_in_flight[-1])
+                    if len(items_in_flight) > 1:
+                        where = f"one of {len(items_in_flight)} parts of the work, from {where} to {last}"
+                    raise TodframesError(
+                        f"{getattr(argument, self.name)}: a process died at {where}; it was killed, had too "
+                        "little memory, or a file crashed it"
+                    ) from None
                 batch = in_flight.pop(future)
                 if done.n_items:
                     seconds = (seconds + max(done.seconds / done.n_items, self.batch_s / MOST_ITEMS)) / 2
@@ -108,13 +113,6 @@ class PoolEngine(ABC):
 
     def _check_workers(self) -> None:  # noqa: B027 - most pools always have workers
         """Raise TodframesError if there are no workers any more."""
-
-    def _died(self, first: str, last: str, n_items: int) -> TodframesError:
-        where = first if n_items == 1 else f"one of {n_items} parts of the work, from {first} to {last}"
-        return TodframesError(
-            f"{getattr(argument, self.name)}: a process died at {where}; it was killed, had too little memory, or "
-            "a file crashed it"
-        )
 
     def _pickled(self, value: object) -> bytes:
         try:

@@ -101,18 +101,18 @@ def continued(
     name: str,
     *,
     restart: bool,
-    keep: bool,
+    keep_store: bool,
     tell: Callable[[str], None] | None,
 ) -> Iterator[tuple[Path, Store]]:
     """Yield the staging folder and the store of a run that goes on where an earlier one into this place ended.
 
-    `place` is `output_folder` or `new_folder`. With `restart` nothing of an earlier run is used; with `keep` the
-    store stays when the run has ended well. `tell` gets a remark about what an earlier run has finished.
+    `place` is `output_folder` or `new_folder`. With `restart` nothing of an earlier run is used; with `keep_store`
+    the store stays when the run has ended well. `tell` gets a remark about what an earlier run has finished.
     """
     from todframes.jobs.store import Store
 
     with (
-        place(name, going=Going(restart=restart, keep=keep)) as folder,
+        place(name, going=Going(restart=restart, keep=keep_store)) as folder,
         closing(Store(store_path(folder), name, tell)) as store,
     ):
         yield folder, store
