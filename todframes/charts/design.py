@@ -198,21 +198,17 @@ class Design:
 
 
 class CameraContent(NamedTuple):
-    """The places of what a page for measuring a camera shows.
+    """The content of a page for measuring a camera.
 
-    `square_mm` has the corners of the slanted square, clockwise, shape (4, 2); within `free_mm` of its sides there
-    is nothing else. `patches_mm` has left, top, width and height of each patch.
+    It has the corners of the slanted square, clockwise, shape (4, 2), and its code value; left, top, width and
+    height of each patch, and their code values; and the description of the page.
     """
 
     square_mm: FloatArray
-    free_mm: float
+    square_code: int
     patches_mm: list[tuple[float, float, float, float]]
-
-    @property
-    def edges(self) -> tuple[Edge, ...]:
-        """The sides of the square."""
-        ends = np.column_stack([self.square_mm, np.roll(self.square_mm, -1, axis=0)]).tolist()
-        return tuple(Edge(x1_mm=x1, y1_mm=y1, x2_mm=x2, y2_mm=y2, free_mm=self.free_mm) for x1, y1, x2, y2 in ends)
+    patch_codes: list[int]
+    page: Page
 
 
 def grey_patches(
@@ -235,12 +231,20 @@ def grey_patches(
 
 
 def camera_content(
-    left_mm: float, top_mm: float, width_mm: float, height_mm: float, *, step_mm: float | None = None
+    area_mm: tuple[float, float, float, float],
+    light_of_code: FloatArray,
+    quantity: str,
+    background_code: int,
+    file: str,
+    *,
+    step_mm: float | None = None,
 ) -> CameraContent:
-    """Lay out the square and the wedge in a free area of a page, the wedge at its right.
+    """Lay out the square and the wedge in a free area of the first page, the wedge at its right.
 
-    Borders of patches are multiples of `step_mm`, if there is one.
+    The area is (left, top, width, height). `light_of_code` has the luminance or reflectance, the quantity, of all
+    code values, rising. Borders of patches are multiples of `step_mm`, if there is one.
     """
+    left_mm, top_mm, width_mm, height_mm = area_mm
     surround_mm = min(height_mm, SQUARE_SHARE * width_mm)
     half_mm = SIDE_SHARE * surround_mm / 2.0
     turn = math.atan(1.0 / STEEPNESS)
@@ -260,19 +264,19 @@ def camera_content(
         # From row to row to and fro, so that neighbours have neighbouring greys.
         for column in range(n_columns) if row % 2 == 0 else reversed(range(n_columns)):
             patches.append((xs[column], ys[row], xs[column + 1] - xs[column], ys[row + 1] - ys[row]))
-    return CameraContent(square_mm, min(surround_mm / 2.0 - reach_mm, half_mm), patches)
+    free_mm = min(surround_mm / 2.0 - reach_mm, half_mm)
+    ends = np.column_stack([square_mm, np.roll(square_mm, -1, axis=0)]).tolist()
+    edges = tuple(Edge(x1_mm=x1, y1_mm=y1, x2_mm=x2, y2_mm=y2, free_mm=free_mm) for x1, y1, x2, y2 in ends)
+    black, background, white = light_of_code[[0, background_code, -1]].tolist()
+    bright = EDGE_RATIO * background
+    wanted = bright if bright <= BRIGHTEST * white else background / EDGE_RATIO
+    steps = np.linspace(black, white, N_PATCHES - 1)
+    square, *codes = (int(np.argmin(np.abs(light_of_code - level))) for level in (wanted, *steps))
+    codes = [background_code, *codes]
+    greys = grey_patches(patches, light_of_code[codes].tolist(), quantity)
+    return CameraContent(square_mm, square, patches, codes, Page(number=0, file=file, edges=edges, patches=greys))
 
 
 def _grid(start_mm: float, length_mm: float, n: int, step_mm: float | None) -> list[float]:
     borders = [start_mm + length_mm * k / n for k in range(n + 1)]
     return borders if step_mm is None else [round(one / step_mm) * step_mm for one in borders]
-
-
-def camera_codes(light_of_code: FloatArray, background_code: int) -> tuple[int, list[int]]:
-    """Return the code values of the square and the patches, given the luminance or reflectance of all, rising."""
-    black, background, white = light_of_code[[0, background_code, -1]].tolist()
-    bright = EDGE_RATIO * background
-    wanted = bright if bright <= BRIGHTEST * white else background / EDGE_RATIO
-    steps = np.linspace(black, white, N_PATCHES - 1)
-    square, *patches = (int(np.argmin(np.abs(light_of_code - one))) for one in (wanted, *steps))
-    return square, [background_code, *patches]

@@ -21,7 +21,6 @@ from todframes.charts.design import (
     N_PATCHES,
     Condition,
     Design,
-    camera_codes,
     camera_content,
     grey_patches,
     write_drawings,
@@ -171,12 +170,11 @@ def make_print_chart(design: Design, paper: Paper, folder: Path, progress: Progr
             sheets.append([(condition, *place) for condition, place in zip(some, places, strict=False)])
     patch_codes = [background_code, *np.linspace(0, WHITE, N_PATCHES - 1).round().astype(int).tolist()]
     patches = _patches(sheet, paper, reflectance[patch_codes].tolist())
-    square_code, wedge_codes = camera_codes(reflectance, background_code)
     pages, camera = [], None
     if paper.camera_page:
-        camera = camera_content(sheet.left_mm, sheet.top_mm, sheet.width_mm, sheet.height_mm)
-        large = grey_patches(camera.patches_mm, reflectance[wedge_codes].tolist(), "reflectance")
-        pages.append(Page(number=0, file="sheets/00.svg", edges=camera.edges, patches=large))
+        free_mm = sheet.left_mm, sheet.top_mm, sheet.width_mm, sheet.height_mm
+        camera = camera_content(free_mm, reflectance, "reflectance", background_code, "sheets/00.svg")
+        pages.append(camera.page)
     for page_number, content in enumerate(sheets, len(pages)):
         triangles = tuple(
             design.triangle(
@@ -197,8 +195,8 @@ def make_print_chart(design: Design, paper: Paper, folder: Path, progress: Progr
             rectangle(sheet.left_mm, sheet.top_mm, sheet.width_mm, sheet.height_mm, background_code)
         ]
         if page.edges and camera is not None:
-            shapes += (rectangle(*at, code) for at, code in zip(camera.patches_mm, wedge_codes, strict=True))
-            shapes.append(area(camera.square_mm, square_code))
+            shapes += map(rectangle, *zip(*camera.patches_mm, strict=True), camera.patch_codes)
+            shapes.append(area(camera.square_mm, camera.square_code))
         for triangle in page.triangles:
             corners = vertices(
                 size=triangle.size_mm, orientation=triangle.orientation, x=triangle.x_mm, y=triangle.y_mm

@@ -22,9 +22,7 @@ from todframes.charts.design import (
     CameraContent,
     Condition,
     Design,
-    camera_codes,
     camera_content,
-    grey_patches,
 )
 from todframes.charts.layout import CHART_FILE, Chart, Markers, Page, Screen, Triangle, write_chart
 from todframes.charts.markers import MODULES
@@ -66,16 +64,8 @@ class DrawnTriangle(NamedTuple):
     is_dithered: bool
 
 
-class DrawnCameraPage(NamedTuple):
-    """The page by which a camera is measured: its content, and the code values of its square and its patches."""
-
-    content: CameraContent
-    square_code: int
-    patch_codes: list[int]
-
-
 def _page_codes(
-    chart: Chart, screen: Screen, background_code: int, contents: Sequence[NDArray[np.uint16] | DrawnCameraPage]
+    chart: Chart, screen: Screen, background_code: int, contents: Sequence[NDArray[np.uint16] | CameraContent]
 ) -> Iterator[NDArray[np.uint16]]:
     """Yield the code values of each page, shape (rows, columns), given a triangle or another content for each."""
     assert chart.markers is not None
@@ -87,7 +77,7 @@ def _page_codes(
             with_white = np.pad(bits, 1, constant_values=True)
             modules = np.where(with_white, 2**screen.bits - 1, 0).astype(np.uint16)
             _put(codes, np.kron(modules, module), *(centre_mm / pitch_mm))
-        if isinstance(content, DrawnCameraPage):
+        if isinstance(content, CameraContent):
             _put_camera(codes, content, pitch_mm)
         else:
             _put(codes, content, screen.width_px / 2.0, screen.height_px / 2.0)
@@ -101,14 +91,14 @@ def _put(codes: NDArray[np.uint16], patch: NDArray[np.uint16], x_edge_px: float,
     codes[top : top + rows, left : left + columns] = patch
 
 
-def _put_camera(codes: NDArray[np.uint16], camera: DrawnCameraPage, pitch_mm: float) -> None:
+def _put_camera(codes: NDArray[np.uint16], camera: CameraContent, pitch_mm: float) -> None:
     """Write the wedge and the slanted square into a page; pixels whose centre is in the square belong to it."""
-    for patch_mm, code in zip(camera.content.patches_mm, camera.patch_codes, strict=True):
+    for patch_mm, code in zip(camera.patches_mm, camera.patch_codes, strict=True):
         left, top, width, height = (round(length_mm / pitch_mm) for length_mm in patch_mm)
         codes[top : top + height, left : left + width] = code
     y, x = ((np.arange(n) + 0.5) * pitch_mm for n in codes.shape)
     inside = np.ones(codes.shape, bool)
-    for edge in camera.content.edges:
+    for edge in camera.page.edges:
         (x1, y1), (x2, y2) = edge.ends_mm.tolist()
         inside &= (x2 - x1) * (y[:, None] - y1) - (y2 - y1) * (x[None, :] - x1) > 0.0
     codes[inside] = camera.square_code
@@ -164,14 +154,16 @@ def make_screen_chart(
         for condition in design.conditions
     }
     order = [condition for block in design.blocks() for condition in block]
-    contents: list[NDArray[np.uint16] | DrawnCameraPage] = [drawn[condition].code for condition in order]
+    contents: list[NDArray[np.uint16] | CameraContent] = [drawn[condition].code for condition in order]
     pages = []
     if camera_page:
-        camera = _camera_page(laid, luminance_of_code, background_code, pitch_mm)
+        reach_mm = (0.5 + 2.0 / MODULES) * laid.side_mm  # a module of white, and one of background
+        (left, top), (right, bottom) = laid.centres_mm[0].tolist(), laid.centres_mm[2].tolist()
+        free_mm = left + reach_mm, top + reach_mm, right - left - 2.0 * reach_mm, bottom - top - 2.0 * reach_mm
+        light = luminance_of_code, "luminance_cd_m2", background_code
+        camera = camera_content(free_mm, *light, "pages/0000.png", step_mm=pitch_mm)
         contents.insert(0, camera)
-        luminances = luminance_of_code[camera.patch_codes].tolist()
-        patches = grey_patches(camera.content.patches_mm, luminances, "luminance_cd_m2")
-        pages.append(Page(number=0, file="pages/0000.png", edges=camera.content.edges, patches=patches))
+        pages.append(camera.page)
     digits = max(4, len(str(len(contents) - 1)))
     for number, condition in enumerate(order, len(pages)):
         triangle = _triangle(condition, design, drawn, x_mm=width_mm / 2.0, y_mm=height_mm / 2.0)
@@ -181,19 +173,6 @@ def make_screen_chart(
     codes = _page_codes(chart, screen, background_code, contents)
     _write(folder, chart, screen, codes, f"{background_code * 255 / (2**screen.bits - 1):.0f}", progress)
     return chart
-
-
-def _camera_page(
-    markers: Markers, luminance_of_code: FloatArray, background_code: int, pitch_mm: float
-) -> DrawnCameraPage:
-    """Return a page by which a camera is measured, with its content in the area between all markers."""
-    reach_mm = (0.5 + 2.0 / MODULES) * markers.side_mm  # a module of white, and one of background
-    (left, top), (right, bottom) = markers.centres_mm[0].tolist(), markers.centres_mm[2].tolist()
-    content = camera_content(
-        left + reach_mm, top + reach_mm, right - left - 2.0 * reach_mm, bottom - top - 2.0 * reach_mm,
-        step_mm=pitch_mm,
-    )  # fmt: skip
-    return DrawnCameraPage(content, *camera_codes(luminance_of_code, background_code))
 
 
 def _luminance_of_code(screen: Screen) -> FloatArray:
