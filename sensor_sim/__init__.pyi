@@ -1,5 +1,5 @@
+from .chain.mtf import SensorMtf as SensorMtf
 from .chain.mtf import mtf as mtf
-from .chain.mtf_result import SensorMtf as SensorMtf
 from .chain.new_sensor import new_sensor as new_sensor
 from .chain.sensor import Detector as Detector
 from .chain.sensor import Electronics as Electronics

@@ -1,19 +1,146 @@
-"""The call `mtf`: the modulation transfer of every stage of a sensor."""
+"""The call `mtf`: the modulation transfer of every stage of a sensor, as a record, a table and a figure."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from sensor_sim.chain.mtf_result import SensorMtf
 from sensor_sim.chain.sensor import Sensor, sensor_of
 from sensor_sim.chain.transfer import stages
+from todframes.camera.mtf_figure import MtfLine, draw_mtf
 from todframes.parameters import SensorFile
+from todframes.results.data import Content
+from todframes.results.figure import ReportFigure
+from todframes.results.figure_style import COLOURS, INK
 from todframes.results.result import Result, repeatable
+from todframes.results.table import Column, Table
+from todframes.results.wording import plain
 
-POINTS = 201
-"""Number of frequencies, up to the one at which optics or display pass nothing."""
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+POINTS, TABLE_STEP = 201, 20
+"""Number of frequencies, up to the one at which optics or display pass nothing, and step of those in the table."""
+
+SHOWN_NYQUISTS = 3.0
+"""Highest frequency in the figure, in units of the Nyquist frequency."""
+
+MTF_NOTE = (
+    "Solid: before sampling; dashed: behind it. Thick: all stages before, and behind, together. Stages of the "
+    "same transfer share a line."
+)
+
+# Stages before sampling are solid, those after it dashed; the two products are thick.
+LINES = {
+    "diffraction": (COLOURS[0], "-"),
+    "optics_blur": (COLOURS[1], "-"),
+    "measured_optics": (COLOURS[0], "-"),
+    "motion": (COLOURS[6], "-"),
+    "detector": (COLOURS[2], "-"),
+    "hold": (COLOURS[3], "--"),
+    "electronics": (COLOURS[4], "--"),
+    "display": (COLOURS[5], "--"),
+    "pre_sample": (INK, "-"),
+    "post_sample": (INK, "--"),
+}
+
+
+class SensorMtf(Content, frozen=True, kw_only=True):
+    """Transfer of every stage of a sensor along x.
+
+    Attributes
+    ----------
+    sensor : str
+        The sensor's name.
+    cut_off_cyc_per_mrad, nyquist_cyc_per_mrad : float
+        Cut-off of the optics and Nyquist frequency of the detectors.
+    frequency_cyc_per_mrad : list of float
+        Frequencies in cycles/mrad, up to the one at which optics or display pass nothing.
+    mtf : dict of list of float
+        Transfer of each stage at these frequencies, and of all stages before and after sampling.
+    """
+
+    sensor: str
+    cut_off_cyc_per_mrad: float
+    nyquist_cyc_per_mrad: float
+    frequency_cyc_per_mrad: list[float]
+    mtf: dict[str, list[float]]
+
+    json_file: ClassVar[str] = "mtf.json"  # so that it goes beside a curve
+    page_file: ClassVar[str] = "mtf.html"
+
+    @property
+    def name(self) -> str:
+        """Return the sensor's name."""
+        return self.sensor
+
+    def table(self) -> Table:
+        """Return the table of all frequencies."""
+        title = (
+            f"{self.sensor}: MTF along x; optics' cut-off {self.cut_off_cyc_per_mrad:.4g}, "
+            f"Nyquist {self.nyquist_cyc_per_mrad:.4g} cycles/mrad"
+        )
+        names = ["frequency_cyc_per_mrad", *self.mtf]
+        values = [self.frequency_cyc_per_mrad, *self.mtf.values()]
+        records = [dict(zip(names, row, strict=True)) for row in zip(*values, strict=True)]
+        # A narrow terminal first drops the stages that are usually 1; the two products stay.
+        ranks = {"electronics": 3, "optics_blur": 3, "hold": 2, "display": 2, "diffraction": 1, "detector": 1}
+        columns = [
+            Column(key=names[0], header="cycles/mrad", decimals=2),
+            *(Column(key=name, header=name, decimals=4, rank=ranks.get(name, 0)) for name in self.mtf),
+        ]
+        return Table.of(title, "mtf.csv", columns, records)
+
+    def tables(self) -> list[Table]:
+        """List some frequencies, and folded all of them."""
+        whole = self.table()
+        return [
+            replace(whole, file="", records=whole.records[::TABLE_STEP]),
+            replace(whole, title="All frequencies").folded(),
+        ]
+
+    def sentences(self) -> list[str]:
+        """Return the transfer at the Nyquist frequency in words."""
+        nyquist, cut_off = self.nyquist_cyc_per_mrad, self.cut_off_cyc_per_mrad
+        before, behind = (
+            float(np.interp(nyquist, self.frequency_cyc_per_mrad, self.mtf[name]))
+            for name in ("pre_sample", "post_sample")
+        )
+        return [
+            f"At the Nyquist frequency, {plain(nyquist)} cycles/mrad, the MTF is {plain(before)} before sampling "
+            f"and {plain(behind)} behind it; the optics pass nothing above {plain(cut_off)} cycles/mrad."
+        ]
+
+    def figures(self) -> list[ReportFigure]:
+        """List the transfer of all stages up to three times the Nyquist frequency."""
+        return [ReportFigure(f"{self.sensor}: MTF along x", MTF_NOTE, self._draw, "mtf.png")]
+
+    def _draw(self, axes: Axes) -> None:
+        nyquist = self.nyquist_cyc_per_mrad
+        alike: dict[object, list[str]] = {}
+        for name, values in self.mtf.items():
+            # A product of stages has its own line, also where it is that of a single stage.
+            key = name if name.endswith("_sample") else tuple(np.round(values, 6))
+            alike.setdefault(key, []).append(name)
+        lines = []
+        for names in alike.values():
+            colour, line = LINES[names[0]]
+            style = {"color": colour, "ls": line, "lw": 2.4 if names[0].endswith("_sample") else 1.3}
+            label = " and ".join(names).replace("_", " ")
+            lines.append(MtfLine(label=label, mtf=self.mtf[names[0]], style=style))
+        draw_mtf(
+            axes,
+            self.frequency_cyc_per_mrad,
+            lines,
+            end=SHOWN_NYQUISTS * nyquist,
+            marks={"Nyquist": nyquist, "optics' cut-off": self.cut_off_cyc_per_mrad},
+            xlabel="frequency in the scene (cycles/mrad)",
+            ylabel="MTF along x",
+        )
 
 
 @repeatable

@@ -574,20 +574,17 @@ class _CurvePlanner:
         of_each = Step("orientations", True, "all four: the observer, the optics or the noise are not symmetric")
         if is_symmetric(self.readout) and is_alike_when_turned(self.sensor):
             # Square detectors and a symmetric observer look the same to all orientations.
-            plan, why = (
-                replace(plan, orientations=ORIENTATIONS[:1]),
-                "one stands for all four, which are its turns",
-            )
+            plan = replace(plan, orientations=ORIENTATIONS[:1])
+            why = "one stands for all four, which are its turns"
             of_each = Step("orientations", False, why, 0.0, 3.0 * self.unit_s)
-        of_pixels = (
-            "the display or the electronics blur"
-            if is_blurred
-            else "nothing blurs the display: a detector's pixels are alike"
+        alike, blur = (
+            "nothing blurs the display: a detector's pixels are alike",
+            "the display or the electronics blur",
         )
         steps = [
             of_each,
             Step("fourth template", False, "the four score deviations add up to zero", 0.0, self.unit_s / 4.0),
-            Step("display pixels", is_blurred, of_pixels),
+            Step("display pixels", is_blurred, blur if is_blurred else alike),
         ]
         if self.sensor.optics.blur_sigma_mrad == 0.0:
             steps.append(Step("optics blur", False, "its standard deviation is 0"))

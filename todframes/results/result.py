@@ -90,9 +90,7 @@ KINDS = {
     "range": Kind(
         "Range in the field", "todframes.field.acquisition_range:acquisition_range", "FieldRange", "numbers"
     ),
-    "sensor-mtf": Kind(
-        "MTF of a sensor", "sensor_sim.chain.mtf:mtf", "sensor_sim.chain.mtf_result:SensorMtf", "mtf"
-    ),
+    "sensor-mtf": Kind("MTF of a sensor", "sensor_sim.chain.mtf:mtf", "sensor_sim.chain.mtf:SensorMtf", "mtf"),
     "sweep": Kind(
         "Designs of a sensor", "sensor_sim.sweeps.sweep:sweep", "sensor_sim.sweeps.result:Sweep", "columns"
     ),
