@@ -38,8 +38,7 @@ from sensor_sim.chain.pictures import trial_stages
 from sensor_sim.chain.sensor import Sensor, load_sensor
 from sensor_sim.chain.simulation import Simulator, plan_trials
 from sensor_sim.chain.transfer import diffraction_mtf, pre_sample_mtf
-from sensor_sim.four_bars.mrtd import mrtd
-from sensor_sim.four_bars.mrtd_result import BarsAt
+from sensor_sim.four_bars.mrtd import BarsAt, mrtd
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from todframes.observers.decision import answer_probability
 from todframes.observers.laplacian_pyramid import LaplacianPyramid

@@ -12,10 +12,10 @@ from .chain.sensor import Sensor as Sensor
 from .chain.sensor import SensorDisplay as SensorDisplay
 from .chain.sensor import load_sensor as load_sensor
 from .explorer.explore import explore as explore
+from .four_bars.mrtd import BarsAt as BarsAt
+from .four_bars.mrtd import SensorMrtd as SensorMrtd
+from .four_bars.mrtd import Ttp as Ttp
 from .four_bars.mrtd import mrtd as mrtd
-from .four_bars.mrtd_result import BarsAt as BarsAt
-from .four_bars.mrtd_result import SensorMrtd as SensorMrtd
-from .four_bars.mrtd_result import Ttp as Ttp
 from .frames.dataset import Written as Written
 from .frames.simulate import simulate as simulate
 from .sweeps.result import Sweep as Sweep

@@ -14,7 +14,7 @@ import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor
 from sensor_sim.cli import cli
-from sensor_sim.four_bars.mrtd_result import lloyd_mrtd_mk, sensor_ttp
+from sensor_sim.four_bars.mrtd import lloyd_mrtd_mk, sensor_ttp
 from sensor_sim.thresholds import bars
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run

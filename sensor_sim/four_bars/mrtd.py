@@ -1,16 +1,33 @@
-"""The call `mrtd`: thresholds of four bars for a sensor, beside its TOD."""
+"""The call `mrtd`: MRTD of a sensor beside its TOD, by the literature's form and the model observer, and TTP."""
 
 from __future__ import annotations
 
+import math
 import time
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
 
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
-from sensor_sim.four_bars.mrtd_result import LLOYD_FACTOR, BarsAt, SensorMrtd, bars_at, sensor_ttp
+from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, stages
+from sensor_sim.thresholds.bars import BarChain, BarThreshold
+from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, convert
 from todframes.base.seeds import Rng, seed_of
-from todframes.field.ttp import TtpSettings
+from todframes.field.ttp import (
+    TtpSettings,
+    at_the_eye,
+    contrast_threshold,
+    cycles_of_contrast,
+    eye_mtf,
+    noise_bandwidth,
+    noise_gain_root_hz,
+)
 from todframes.observers.interface import Observer, described
 from todframes.parameters import (
     Against,
@@ -26,8 +43,15 @@ from todframes.parameters import (
     counted,
 )
 from todframes.results.advice import missed_tolerance
-from todframes.results.data import Fit, Group, Record, ResultWarning, as_read
+from todframes.results.data import Content, Fit, Group, Record, ResultWarning, as_read
+from todframes.results.figure import ReportFigure
+from todframes.results.figure_style import COLOURS, INK, add_legend, plain_ticks
 from todframes.results.result import Result, repeatable
+from todframes.results.table import Column, Table
+from todframes.results.wording import plain
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 FREQUENCIES_NYQUIST = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.4)
 """Frequencies of the bars, in units of Nyquist, if none are given."""
@@ -40,6 +64,329 @@ LLOYD_SNR = 2.25
 
 EYE_TIME_S = 0.1
 """Time over which the eye integrates frames (Hogervorst et al. 2001, section 8: 100 ms)."""
+
+LLOYD_FACTOR = math.pi**2 / 8.0
+"""Inverse of the mean, over a bar, of the first harmonic of bars of amplitude 1: (4/π · 2/π)⁻¹."""
+
+SHIFT = 0.5
+"""Factor of the frequency by which MRTD and TOD approximately match (Hogervorst et al. 2001, Figure 7)."""
+
+NODES = 400
+"""Number of frequencies of the integral of TTP."""
+
+NOTE = (
+    "Frequencies of bars are divided by the Nyquist frequency; 1 / size of triangles is in detectors⁻¹. Dotted: "
+    "the bars at half their frequency, as in Figure 7 of Hogervorst et al. 2001."
+)
+
+
+class BarsAt(msgspec.Struct, frozen=True, kw_only=True):
+    """Thresholds of bars of one frequency.
+
+    Attributes
+    ----------
+    frequency_cyc_per_mrad, frequency_nyquist : float
+        Frequency, also in units of the Nyquist frequency.
+    lloyd_mrtd_mk : float or None
+        MRTD by Lloyd's form in mK; None beyond the Nyquist frequency and without NETD.
+    status, best_status : str
+        "ok", or the reason why there is no threshold: as a mean over the places of the bars on the detectors, and
+        at the best place.
+    threshold_snr, best_threshold_snr : float or None
+        Threshold as an SNR, for both; None if there is none. The `_error` of each is half its 95 % interval.
+    mrtd_mk, best_mrtd_mk : float or None
+        Threshold as a temperature difference in mK, for both; None without NETD. Each has its `_error` too.
+    """
+
+    frequency_cyc_per_mrad: float
+    frequency_nyquist: float
+    lloyd_mrtd_mk: float | None
+    status: str
+    threshold_snr: float | None
+    threshold_snr_error: float | None
+    mrtd_mk: float | None
+    mrtd_mk_error: float | None
+    best_status: str
+    best_threshold_snr: float | None
+    best_threshold_snr_error: float | None
+    best_mrtd_mk: float | None
+    best_mrtd_mk_error: float | None
+
+
+class Ttp(msgspec.Struct, frozen=True, kw_only=True):
+    """Targeting task performance (TTP) for a target that the display shows at its gain.
+
+    Attributes
+    ----------
+    delta_t_k : float
+        ΔT of the target.
+    contrast : float
+        Contrast at which the display shows it: its gain.
+    cyc_per_mrad : float
+        ∫ √(contrast / threshold) df; times size / range in mrad it is V.
+    v50_cycles : dict of float
+        V at which half of the observers do each task.
+    settings : dict
+        Settings of the eye, and where public codes disagree.
+    """
+
+    delta_t_k: float
+    contrast: float
+    cyc_per_mrad: float
+    v50_cycles: dict[str, float]
+    settings: Json
+
+
+class SensorMrtd(Content, frozen=True, kw_only=True):
+    """Thresholds of four bars, and the TOD beside them.
+
+    Attributes
+    ----------
+    sensor : str
+        The sensor's name.
+    nyquist_cyc_per_mrad : float
+        Nyquist frequency of the detectors.
+    settings : dict
+        Observer, bars, sensor, and the constants of Lloyd's form.
+    bars : tuple of BarsAt
+        A record for each frequency, in rising order.
+    tod : tuple of Fit
+        Thresholds of triangles.
+    ttp : Ttp or None
+        None without NETD.
+    """
+
+    sensor: str
+    nyquist_cyc_per_mrad: float
+    bars: tuple[BarsAt, ...]
+    tod: tuple[Fit, ...]
+    ttp: Ttp | None = None
+
+    @property
+    def name(self) -> str:
+        """Return the sensor's name."""
+        return self.sensor
+
+    @property
+    def _in_mk(self) -> bool:
+        return self.ttp is not None
+
+    @property
+    def _keys(self) -> tuple[str, str]:
+        """Keys of the thresholds in the unit shown: as a mean over places, and at the best place."""
+        return ("mrtd_mk", "best_mrtd_mk") if self._in_mk else ("threshold_snr", "best_threshold_snr")
+
+    def tables(self) -> list[Table]:
+        """List the tables of the bars and of the triangles."""
+        return [self._bars_table(), self._tod_table()]
+
+    def _bars_table(self) -> Table:
+        title = (
+            f"{self.sensor}: four bars, {100 * self.settings['p_correct']:g} % correct of two displays; "
+            f"Nyquist {self.nyquist_cyc_per_mrad:.4g} cycles/mrad"
+        )
+        columns = [
+            Column(key="frequency_cyc_per_mrad", header="cycles/mrad", digits=4),
+            Column(key="frequency_nyquist", header="Nyquist", digits=3),
+        ]
+        (averaged, best), unit = self._keys, "mK" if self._in_mk else "SNR"
+        if self._in_mk:
+            columns.append(Column(key="lloyd_mrtd_mk", header="Lloyd mK", digits=3))
+        columns += [
+            Column(key=averaged, header=f"bars {unit}", digits=4),
+            Column(key=f"{averaged}_error", header="±", digits=1, rank=1),
+            Column(key=best, header=f"best phase {unit}", digits=4),
+            Column(key=f"{best}_error", header="± ", digits=1, rank=1),
+            Column(key="status", rank=2, is_key=True),
+        ]
+        return Table.of(title, "bars.csv", columns, [msgspec.structs.asdict(one) for one in self.bars])
+
+    def _tod_table(self) -> Table:
+        records: list[Json] = [
+            {
+                "size_detectors": fit.group["size_detectors"],
+                "inverse": 1.0 / float(fit.group["size_detectors"]),
+                "snr": fit.threshold,
+                "delta_t_mk": fit.delta_t_mk,
+                "status": fit.status,
+            }
+            for fit in self.tod
+        ]
+        columns = [
+            Column(key="size_detectors", header="size in detectors"),
+            Column(key="inverse", header="1 / size", digits=3),
+            Column(key="snr", header="SNR", digits=4),
+            *([Column(key="delta_t_mk", header="TOD mK", digits=4)] if self._in_mk else []),
+            Column(key="status", rank=1, is_key=True),
+        ]
+        title = f"TOD: triangles, {100 * self.settings['p_correct']:g} % correct of four orientations"
+        return Table.of(title, "tod.csv", columns, records)
+
+    def sentences(self) -> list[str]:
+        """Return the findings in words."""
+        other = "a uniform square of their mean" if self.settings["against"] == "square" else "the background"
+        key, (what, unit) = self._keys[0], ("MRTD", " mK") if self._in_mk else ("threshold SNR", "")
+        known = [(getattr(one, key), one.frequency_nyquist) for one in self.bars if getattr(one, key) is not None]
+        ends = " and ".join(
+            f"{plain(value)}{unit} at {frequency:g} times the Nyquist frequency"
+            for value, frequency in dict.fromkeys((known[0], known[-1]) if known else ())
+        )
+        found = [f"The {what} of the bars is {ends}."] if ends else []
+        unreached = [one.frequency_nyquist for one in self.bars if one.status == "never_reached"]
+        if unreached:
+            found.append(f"No contrast is enough from {min(unreached):g} times the Nyquist frequency on.")
+        if self.ttp is not None:
+            per_mrad = self.ttp.cyc_per_mrad
+            sizes = ", ".join(f"{task} {v50 / per_mrad:.3g}" for task, v50 in self.ttp.v50_cycles.items())
+            found.append(
+                f"TTP: a target of {self.ttp.delta_t_k:g} K, shown at contrast {self.ttp.contrast:g}, has V = "
+                f"{self.ttp.cyc_per_mrad:.4g} for each mrad of its size. Half of the observers need, in mrad: "
+                f"{sizes}."
+            )
+        return [*found, f"The display without bars shows {other}."]
+
+    def figures(self) -> list[ReportFigure]:
+        """List MRTD and TOD on one axis, as in Figure 7 of the paper."""
+        return [ReportFigure(f"{self.sensor}: four bars and triangles", NOTE, self._draw, "mrtd.png")]
+
+    def _draw(self, axes: Axes) -> None:
+        shown: list[float] = []
+
+        def line(x: Sequence[float], y: Sequence[float | None], label: str, **style: Any) -> None:
+            known = [(one, other) for one, other in zip(x, y, strict=True) if other is not None]
+            if known:
+                axes.plot(*zip(*known, strict=True), label=label, **style)
+                shown.extend(other for _, other in known)
+
+        of_nyquist = [one.frequency_nyquist for one in self.bars]
+        averaged, best = ([getattr(one, key) for one in self.bars] for key in self._keys)
+        inverse = [1.0 / float(fit.group["size_detectors"]) for fit in self.tod]
+        tod = [fit.delta_t_mk if self._in_mk else fit.threshold for fit in self.tod]
+        line(inverse, tod, "TOD", color=INK, marker="^", lw=2.0)
+        line(of_nyquist, averaged, "bars, mean over phases", color=COLOURS[0], marker="o")
+        line(of_nyquist, best, "bars, best phase", color=COLOURS[2], marker="s")
+        line(
+            [SHIFT * one for one in of_nyquist], averaged, f"bars, frequency × {SHIFT:g}", color=COLOURS[0], ls=":"
+        )
+        if self._in_mk:
+            line(of_nyquist, [one.lloyd_mrtd_mk for one in self.bars], "Lloyd", color=COLOURS[4], ls="--")
+        axes.axvline(1.0, color=INK, ls=":", lw=0.8)
+        axes.set(
+            xscale="log",
+            yscale="log",
+            xlabel="frequency / Nyquist, or 1 / size (detectors⁻¹)",
+            ylabel="threshold ΔT (mK)" if self._in_mk else "threshold SNR",
+        )
+        plain_ticks(axes.xaxis, [*of_nyquist, *inverse])
+        if shown:
+            plain_ticks(axes.yaxis, shown)
+        add_legend(axes)
+
+    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+        """Return the tables, and with NETD the MRTDs in K, which `todframes range` reads."""
+        keys = {"mrtd": "mrtd_mk", "mrtd_best_phase": "best_mrtd_mk", "mrtd_lloyd": "lloyd_mrtd_mk"}
+        in_k = {f"{name}.csv": self._in_k(key).encode() for name, key in keys.items()} if self._in_mk else {}
+        return {**super().files(), **in_k}
+
+    def _in_k(self, key: str) -> str:
+        has_ends, lines = key != "lloyd_mrtd_mk", []
+        for one in self.bars:
+            value, error = getattr(one, key), getattr(one, f"{key}_error", None)
+            if value is not None:
+                ends = f",{(value - error) / 1e3!r},{(value + error) / 1e3!r}" if has_ends else ""
+                lines.append(f"{one.frequency_cyc_per_mrad!r},{value / 1e3!r}{ends}")
+        head = "frequency_cyc_per_mrad,mrtd_k" + ",ci95_low,ci95_high" * has_ends
+        return "\n".join([head, *lines, ""])
+
+
+def lloyd_mrtd_mk(frequency_cyc_per_mrad: ArrayLike, sensor: Sensor, *, snr: float) -> FloatArray:
+    """Compute MRTD in mK by the literature's form: (π²/8) · SNR · NETD · (f / MTF) · √(α β / (t_e F)).
+
+    α = β is the width of a detector and t_e F the number of frames that the eye integrates. MTF is that of all
+    stages, the eye left out; where it is 0 the MRTD is infinite. Fixed pattern noise, sampling and the length of
+    the bars have no part in it.
+
+    Lloyd 1975, Thermal Imaging Systems, as quoted by later sources.
+    """
+    noise = sensor.noise
+    f = np.asarray(frequency_cyc_per_mrad, dtype=np.float64)
+    mtf = system_mtf(f, sensor)
+    assert noise.netd_mk is not None
+    with np.errstate(divide="ignore"):
+        falls = f / np.maximum(mtf, 0.0)
+    of_noise = LLOYD_FACTOR * snr * noise.netd_mk
+    return np.asarray(of_noise * falls * sensor.detector.width_mrad / math.sqrt(noise.frames_integrated))
+
+
+def system_mtf(frequency_cyc_per_mrad: FloatArray, sensor: Sensor) -> FloatArray:
+    """Return the transfer along x of all stages: optics, detector, sample & hold, electronics and display."""
+    of = stages(frequency_cyc_per_mrad, sensor=sensor)
+    return np.asarray(of["pre_sample"] * of["post_sample"])
+
+
+def bars_at(
+    frequency_cyc_per_mrad: float, averaged: BarThreshold, best: BarThreshold, sensor: Sensor, *, lloyd_snr: float
+) -> BarsAt:
+    """Return the record of one frequency."""
+    nyquists = frequency_cyc_per_mrad / sensor.detector.nyquist_cyc_per_mrad
+    has_netd = sensor.noise.netd_mk is not None
+    values: dict[str, Any] = {}
+    for prefix, found in (("", averaged), ("best_", best)):
+        values[f"{prefix}status"] = found.status
+        for name, snr in (("", found.snr), ("_error", found.numerical_error)):
+            values[f"{prefix}threshold_snr{name}"] = snr
+            in_mk = None if snr is None or not has_netd else float(delta_t_mk(snr, noise=sensor.noise))
+            values[f"{prefix}mrtd_mk{name}"] = in_mk
+    lloyd = None
+    if has_netd and nyquists <= 1.0 + 1e-9:
+        value = float(lloyd_mrtd_mk(frequency_cyc_per_mrad, sensor, snr=lloyd_snr))
+        lloyd = value if math.isfinite(value) else None
+    return BarsAt(
+        frequency_cyc_per_mrad=frequency_cyc_per_mrad, frequency_nyquist=nyquists, lloyd_mrtd_mk=lloyd, **values
+    )
+
+
+def sensor_ttp(
+    sensor: Sensor, *, delta_t_k: float, width_deg: float, eye_time_s: float, settings: TtpSettings
+) -> Ttp:
+    """Compute TTP of a sensor with NETD for a target that the display shows at the contrast of its gain.
+
+    CTF_sys(f) = CTF(f / M) / MTF(f) · √(1 + α² σ²), M being the magnification and σ² the noise in a channel of the
+    eye: the density of the dynamic noise of a frame, (gain · NETD / ΔT)² · pitch² · frame time, times the
+    bandwidths of channel, eye, hold and display along x and y. The frame time is `eye_time_s` over the frames
+    integrated.
+    """
+    detector, display, noise = sensor.detector, sensor.display, sensor.noise
+    assert noise.netd_mk is not None
+    end = band_limit_cyc_per_mrad(sensor.optics)
+    f = np.geomspace(1e-3, 1.0, NODES) * end
+    luminance, scale = display.background_luminance_cd_m2, sensor.magnification
+    eye = contrast_threshold(
+        at_the_eye(f, scale), luminance_cd_m2=luminance, width_deg=width_deg, settings=settings
+    )
+    of = stages(f, sensor=sensor)
+    after = np.abs(of["post_sample"]) * eye_mtf(f / scale, luminance_cd_m2=luminance, eyes=settings.eyes)
+    along_x, along_y = noise_bandwidth(f, after, settings=settings)
+    contrast_sd = display.gain * noise.netd_mk / 1e3 / delta_t_k
+    density = contrast_sd**2 * detector.pitch_mrad**2 * eye_time_s / noise.frames_integrated
+    gain = noise_gain_root_hz(luminance, eyes=settings.eyes)
+    with np.errstate(divide="ignore"):
+        threshold = eye / np.maximum(system_mtf(f, sensor), 0.0)
+    threshold *= np.sqrt(1.0 + gain**2 * density * along_x * along_y)
+    return Ttp(
+        delta_t_k=delta_t_k,
+        contrast=display.gain,
+        cyc_per_mrad=cycles_of_contrast(f, threshold, display.gain),
+        v50_cycles=settings.criteria,
+        settings={
+            "width_deg": width_deg,
+            "eye_time_s": eye_time_s,
+            "width_exponent": settings.width_exponent,
+            "width_frequency_exponent": settings.width_frequency_exponent,
+            "channel_log": settings.channel_log,
+            "eyes": settings.eyes,
+        },
+    )
 
 
 @repeatable
@@ -123,9 +470,7 @@ def mrtd(
     [(0.8, 0.4), (1.2, 1.2)]
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from sensor_sim.thresholds.bars import BarChain
     from sensor_sim.thresholds.curve import curve
-    from todframes.parameters import Direction
 
     judge, settings = described(observer)
     sensor = sensor_of(sensor)

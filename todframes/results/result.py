@@ -97,7 +97,7 @@ KINDS = {
     "mrtd": Kind(
         "Four bars and triangles of a sensor",
         "sensor_sim.four_bars.mrtd:mrtd",
-        "sensor_sim.four_bars.mrtd_result:SensorMrtd",
+        "sensor_sim.four_bars.mrtd:SensorMrtd",
         "bars",
     ),
 }
