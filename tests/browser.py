@@ -59,10 +59,7 @@ def origin_of(url: str) -> str:
 def serving(*arguments: str | Path, cwd: Path | None = None) -> Iterator[Server]:
     """Run `python -m ARGUMENTS` until the block ends, and wait for the line with its URL.
 
-    Raises
-    ------
-    AssertionError
-        If the command ends or is silent instead; the message has what it wrote to standard error.
+    If the command ends or is silent instead, the AssertionError has what it wrote to standard error.
     """
     command = [sys.executable, "-m", *map(str, arguments)]
     with (
@@ -103,32 +100,12 @@ def watched(
     script: str = "",
     **context: Any,
 ) -> Iterator[Page]:
-    """Open a URL in a context of its own, and check at the end that the page has behaved.
+    """Open a URL, token included, in a context of its own, and check at the end that the page has behaved.
 
-    Parameters
-    ----------
-    browser : playwright.sync_api.Browser
-    url : str
-        With the token, as the context has no cookies.
-    width, height : int
-        Viewport in CSS pixels.
-    expected_console : sequence of str
-        Patterns of warnings and errors that the console may show, such as "status of 422": Chromium itself
-        reports each answer of this kind.
-    script : str
-        JavaScript to run before the page's own.
-    **context
-        Further options of `Browser.new_context`: `color_scheme="dark"`, `device_scale_factor=1.25`.
-
-    Yields
-    ------
-    playwright.sync_api.Page
-
-    Raises
-    ------
-    AssertionError
-        If the console had another warning or error, the page threw one, or it asked another origin than that of
-        `url` for anything.
+    AssertionError if the console had a warning or error other than the patterns of `expected_console`, the page
+    threw one, or it asked another origin than that of the URL for anything. Chromium itself reports answers such
+    as "status of 422". `script` is run before the page's own; `context` are further options of
+    `Browser.new_context`.
     """
     console: list[str] = []
     elsewhere: list[str] = []

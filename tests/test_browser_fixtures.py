@@ -58,11 +58,3 @@ def test_a_request_elsewhere_fails_the_test(browser, files: Server) -> None:
             page.evaluate(
                 f"new Promise((done) => {{ const i = new Image(); i.onerror = done; i.src = '{elsewhere}'; }})"
             )
-
-
-def test_a_command_that_does_not_serve_is_reported() -> None:
-    with (
-        pytest.raises(AssertionError, match=r"expected a line with a URL, found '' and .*No module named no_such"),
-        serving("no_such_module"),
-    ):
-        pass

@@ -5,12 +5,9 @@ from __future__ import annotations
 import asyncio
 import errno
 import hashlib
-import http.client
 import json
 import os
 import re
-import signal
-import subprocess
 import sys
 from collections import Counter
 from contextlib import contextmanager
@@ -18,7 +15,6 @@ from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -797,59 +793,3 @@ def test_the_command_tells_what_is_wrong_in_one_line(dataset, out, capsys):
         lines = capsys.readouterr().err.splitlines()
         assert len(lines) == 1
         assert message in lines[0]
-
-
-def launched(dataset, out, *options: str) -> tuple[subprocess.Popen[str], http.client.HTTPConnection, str]:
-    command = [sys.executable, "-m", "todframes", "experiment", str(dataset.path), "-o", str(out), "--no-browser"]
-    process = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    url = urlsplit(process.stdout.readline().strip())
-    assert url.hostname == "127.0.0.1"
-    return process, http.client.HTTPConnection(url.hostname, url.port or 0), url.query.removeprefix("token=")
-
-
-def posted(connection: http.client.HTTPConnection, token: str, path: str, **body: Any) -> Any:
-    headers = {"X-Token": token, "Content-Type": "application/json"}
-    connection.request("POST", path, json.dumps(body), headers)
-    return json.loads(connection.getresponse().read())
-
-
-@pytest.mark.slow
-def test_a_server_killed_between_answers_and_during_one_loses_none(dataset, out):
-    options = ("--trials", "6", "--practice", "1", "--seed", "4", "--break-every", "0", "--subject", "P1")
-    options += ("--practice-correct", "0")
-    saved = 0
-    for kill_after in (3, 2, 9):
-        process, connection, token = launched(dataset, out, *options)
-        state = posted(connection, token, "/api/state")
-        if state["step"] == "consent":
-            posted(connection, token, "/api/consent", agreed=True)
-            state = posted(connection, token, "/api/monitor", **BODY)
-        for _ in range(kill_after):
-            if state["step"] == "done":
-                break
-            number = posted(connection, token, "/api/trial")["number"]
-            assert number == saved + 1
-            state = posted(connection, token, "/api/answer", number=number, response="up", response_time_ms=400)
-            saved += 1
-        if state["step"] != "done":
-            # One more answer is on its way when the server dies: it is there, or it is not.
-            number = posted(connection, token, "/api/trial")["number"]
-            headers = {"X-Token": token, "Content-Type": "application/json"}
-            body = json.dumps({"number": number, "response": "up", "response_time_ms": 400})
-            connection.request("POST", "/api/answer", body, headers)
-            process.send_signal(signal.SIGKILL)
-            process.wait()
-            (session,) = read_answers(out)
-            assert len(session.rows) in (saved, saved + 1)
-            saved = len(session.rows)
-        else:
-            process.send_signal(signal.SIGINT)
-            assert process.wait() == 0
-            assert "P1, 6 of 6 trials" in process.stdout.read()
-        process.stdout.close()
-        connection.close()
-    (session,) = read_answers(out)
-    assert [row.number for row in session.rows] == list(range(1, 8))
-    assert len({row.frame for row in session.rows[1:]}) == 6
-    assert read_sidecar(sidecar_path(session.path)).seed == 4

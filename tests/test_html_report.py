@@ -196,20 +196,6 @@ def test_verdict_of_an_accuracy_study(results) -> None:
     assert verdict_of(results["accuracy"]) == ["1 scene: error against run time."]
 
 
-def test_error_falls_along_straight_lines(pages) -> None:
-    """Errors are powers of the CPU time: markers of an estimator lie on a line, steeper by the ratio of powers."""
-    drawing = drawings(pages["accuracy"])["Camera, no noise"]
-    slopes = []
-    for colour in (COLOURS[0], COLOURS[-1]):
-        uses = [use for use in drawing.iter("use") if f"fill: {colour}" in use.get("style", "")]
-        # The last one is the legend's.
-        (x0, y0), (x1, y1), (x2, y2) = [(float(use.attrib["x"]), float(use.attrib["y"])) for use in uses][:3]
-        # Places are rounded to 0.01 of about 100 units.
-        assert (y1 - y0) / (x1 - x0) == pytest.approx((y2 - y1) / (x2 - x1), rel=5e-4)
-        slopes.append((y2 - y0) / (x2 - x0))
-    assert slopes[1] / slopes[0] == pytest.approx(3.0, rel=5e-4)
-
-
 def test_sentences_of_the_result_itself_go_first(results) -> None:
     assert verdict_of(results["compare"] | {"verdict": ["It helps.", "A little."]}) == ["It helps.", "A little."]
     assert verdict_of(results["compare"] | {"verdict": "It helps."}) == ["It helps."]
@@ -373,21 +359,6 @@ def test_tod_curve_shows_thresholds_and_intervals(results, pages, command: str) 
             [scale * (value - logarithms[0]) for value in logarithms], abs=0.03
         )
     assert ("ΔT (mK)" in texts(drawing)) == (command == "curve")
-
-
-def test_psychometric_figure_shows_the_points(results, pages) -> None:
-    drawing = drawings(pages["fit"])["Psychometric functions"]
-    heights = {
-        text: float(label.attrib["y"]) for label, text in zip(drawing.iter("text"), texts(drawing), strict=True)
-    }
-    scale = heights["1.0"] - heights["0.0"]
-    outlines = [path.attrib["d"] for path in drawing.iter("path") if "fill: #3b76c4" in path.get("style", "")]
-    places = [[float(y) for y in re.findall(r" (?:[\d.]+) ([\d.]+)", outline)] for outline in outlines]
-    found = [(min(y) + max(y)) / 2 for y in places if len(set(y)) > 2]
-    (fit,) = results["fit"]["fits"]
-    expected = [point["p_correct"] for point in fit["points"]]
-    # Heights are rounded to 0.01 of about 250 units.
-    assert [(y - found[0]) / scale for y in found] == pytest.approx([p - expected[0] for p in expected], abs=1e-3)
 
 
 @pytest.mark.parametrize("curve", ["observer", "weibull"])

@@ -15,6 +15,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import msgspec
 import pytest
@@ -374,34 +376,18 @@ def test_addresses_of_the_newer_internet_protocol_are_listened_at():
         assert one.ask("POST", "/api/greet", body_of("you"), posted | {"Host": "[::1]"})[0] == 403
 
 
-class Browser:
-    """A browser that notes what it is asked to open."""
-
-    def __init__(self) -> None:
-        self.opened: list[str] = []
-
-    def open(self, url: str) -> None:
-        self.opened.append(url)
-
-
 class TerminalBrowser(webbrowser.GenericBrowser):
     def open(self, *_: object) -> None:
         raise AssertionError("it takes the terminal")
 
 
 def test_the_browser_is_that_of_the_desktop(monkeypatch):
-    browser = Browser()
-    monkeypatch.setattr(webbrowser, "get", lambda: browser)
-    server.open_browser_at("http://127.0.0.1:1/")
-    assert browser.opened == ["http://127.0.0.1:1/"]
-    monkeypatch.setattr(webbrowser, "get", lambda: TerminalBrowser("lynx"))
-    server.open_browser_at("http://127.0.0.1:1/")
-
-    def no_browser() -> None:
-        raise webbrowser.Error("could not locate runnable browser")
-
-    monkeypatch.setattr(webbrowser, "get", no_browser)
-    server.open_browser_at("http://127.0.0.1:1/")
+    opened: list[str] = []
+    desktop = SimpleNamespace(open=opened.append)
+    for browser in (desktop, TerminalBrowser("lynx"), webbrowser.Error("could not locate runnable browser")):
+        monkeypatch.setattr(webbrowser, "get", Mock(side_effect=[browser]))
+        server.open_browser_at("http://127.0.0.1:1/")
+    assert opened == ["http://127.0.0.1:1/"]
 
 
 def test_without_the_extra_there_is_one_line(monkeypatch):
