@@ -529,7 +529,9 @@ def test_names_are_data_never_markup(results, command: str) -> None:
         for drawing in tree(content).iter("svg"):
             assert {element.tag for element in drawing.iter()} <= SVG_TAGS
         cells = {"".join(cell.itertext()) for cell in tree(content).iter("td")}
-        for text, row in zip(NASTY, tables_of(content)["skipped.csv"], strict=True):
+        skipped = tables_of(content).get("skipped.csv", [])
+        assert len(skipped) == (0 if command == "accuracy" else len(NASTY))  # which skips no frames
+        for text, row in zip(NASTY, skipped, strict=False):
             # XML takes a carriage return for a line break.
             assert (
                 re.sub(r"[\x00-\x08\x0b\x0c\x0e-\x1f\u202a-\u202e\ufffe]", "\ufffd", text).replace("\r", "\ufffd")
