@@ -59,11 +59,23 @@ def brute_force_threshold(size_mrad: float, *, px_per_deg: int, side_deg: float)
     return float(contrast)
 
 
-@pytest.mark.parametrize("size_mrad", [4.0, pytest.param(1.4, marks=pytest.mark.slow)])
 @pytest.mark.slow
-def test_threshold_of_the_naked_eye_is_that_of_brute_force(size_mrad: float) -> None:
-    """1 % is asked for. The retina's step leaves 0.7 %, and 8e5 draws 0.12 % (0.05 % of P, whose slope is 0.4)."""
-    expected = brute_force_threshold(size_mrad, px_per_deg=240, side_deg=2.5)
+@pytest.mark.parametrize(
+    ("size_mrad", "px_per_deg", "side_deg"),
+    [
+        (4.0, 240, 2.5),
+        (1.4, 240, 2.5),
+        *(pytest.param(size, 480, 3.0, marks=pytest.mark.weekly) for size in (0.75, 1.1, 1.4, 2.4, 4.0)),
+    ],
+)
+def test_threshold_of_the_naked_eye_is_that_of_brute_force(
+    size_mrad: float, px_per_deg: int, side_deg: float
+) -> None:
+    """1 % is asked for. The retina's step leaves 0.7 %, and 8e5 draws 0.12 % (0.05 % of P, whose slope is 0.4).
+
+    The weekly ones are the figures of the documentation.
+    """
+    expected = brute_force_threshold(size_mrad, px_per_deg=px_per_deg, side_deg=side_deg)
     found = contrast_threshold(CsfObserver(), size_mrad=size_mrad)
     assert found.threshold == pytest.approx(expected, rel=0.01)
     # The stated error, and three standard errors of the draws with pixels of 1/240 degree.
@@ -99,14 +111,6 @@ def test_wide_triangles_have_an_error_too(monkeypatch: pytest.MonkeyPatch) -> No
         found = contrast_threshold(CsfObserver(), size_mrad=size)
         fine = contrast_threshold(CsfObserver(retina_pitch_mrad=0.06), size_mrad=size).threshold
         assert 0.5 < found.numerical_error / abs(found.threshold - fine) < 4.0
-
-
-@pytest.mark.weekly
-@pytest.mark.parametrize("size_mrad", [0.75, 1.1, 1.4, 2.4, 4.0])
-def test_threshold_of_the_naked_eye_is_that_of_fine_brute_force(size_mrad: float) -> None:
-    """The figures of the documentation, as above with pixels of 1/480 degree."""
-    expected = brute_force_threshold(size_mrad, px_per_deg=480, side_deg=3.0)
-    assert contrast_threshold(CsfObserver(), size_mrad=size_mrad).threshold == pytest.approx(expected, rel=0.01)
 
 
 @pytest.mark.every_case

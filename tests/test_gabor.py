@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from todframes.base.errors import SettingsError
 from todframes.observers.gabor_pyramid import GaborPyramid
 
 VARIANTS = [
@@ -120,27 +119,3 @@ def test_neurons_of_a_place_share_the_energy_of_their_best_gratings(variant: dic
         for phase in (0.0, np.pi / 2.0)
     ]
     assert np.mean(energies) == pytest.approx(0.5, rel=0.01)
-
-
-def test_half_a_turn_is_even_or_odd() -> None:
-    image = np.random.default_rng(0).normal(size=(33, 33))
-    responses, of_turned = (GaborPyramid(levels=2).build(one)[1] for one in (image, np.rot90(image, 2).copy()))
-    back = np.rot90(of_turned, 2, axes=(-2, -1))
-    assert np.allclose(back[0], responses[0], rtol=0.0, atol=1e-13)
-    assert np.allclose(back[1], -responses[1], rtol=0.0, atol=1e-13)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"orientations": 5}, "orientations: found 5, expected an even number from 2 to 32"),
-        ({"orientations": 0}, "orientations: found 0"),
-        ({"wavelength_samples": 2.0}, r"wavelength_samples: found 2\.0, expected a number from 2\.5 to 16"),
-        ({"bandwidth_octaves": np.nan}, "bandwidth_octaves: found nan"),
-        ({"elongation": 9.0}, r"elongation: found 9\.0"),
-        ({"phases": "all"}, "phases: found 'all', expected one of both, even, odd"),
-    ],
-)
-def test_bad_values(changes: dict, message: str) -> None:
-    with pytest.raises(SettingsError, match=message):
-        GaborPyramid(levels=1, **changes)

@@ -202,17 +202,6 @@ def test_neurons_that_are_left_out_have_no_weight_but_noise() -> None:
             assert band[one].all()
 
 
-def test_blur_moves_what_is_informative_to_coarser_bands() -> None:
-    shares = []
-    for blur in (0.0, 0.3, 0.6, 1.2):
-        upright = observer(display_blur_mrad=blur).templates(Stimulus(1.5))[0]
-        squares = np.array([np.square(band).sum() for band in upright[:4]])
-        shares.append(squares[0] / squares.sum())
-    assert shares == sorted(shares, reverse=True)
-    assert shares[0] > 0.5
-    assert shares[-1] < 0.2
-
-
 @pytest.mark.slow
 def test_one_neuron_in_twenty_is_enough() -> None:
     """A hundredth less of the squared differences is half a hundredth less of d′."""

@@ -370,12 +370,6 @@ def test_naked_eye_at_one_mrad() -> None:
     assert found.numerical_error < 0.001 * found.threshold
 
 
-def test_retina_nyquist() -> None:
-    """0.153 mrad: 57.04 cycles a degree, the paper says 57."""
-    per_degree = np.radians(1.0) * 1000.0 / (2.0 * PyramidSettings().retina_pitch_mrad)
-    assert per_degree == pytest.approx(57.04, abs=0.005)
-
-
 @pytest.mark.slow
 def test_acuity_inverts_the_contrast_threshold() -> None:
     observer = PyramidObserver()
@@ -418,6 +412,9 @@ def test_criterion_is_met_at_the_threshold() -> None:
         ("informative", {"sample_noise_sd": np.inf}, "sample_noise_sd: found inf"),
         ("informative", {"kernel_a": 2.0}, "kernel_a: found 2.0"),
         ("oriented", {"orientations": 7}, "orientations: found 7, expected an even number"),
+        ("oriented", {"wavelength_samples": 2.0}, r"wavelength_samples: found 2\.0, expected a number from 2\.5"),
+        ("oriented", {"bandwidth_octaves": np.nan}, "bandwidth_octaves: found nan"),
+        ("oriented", {"elongation": 9.0}, r"elongation: found 9\.0"),
         ("oriented", {"complex_cells": True, "phases": "odd"}, "phases: found 'odd' with complex_cells, expected"),
         ("csf", {"retina_pitch_mrad": 0.4}, r"found 0\.4, whose Nyquist frequency is 21\.8 cycles/deg"),
         ("csf", {"aperture_sd_deg": 0.0}, "aperture_sd_deg: found 0"),

@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from todframes.base.errors import SettingsError
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
 
 shapes = st.tuples(st.integers(1, 70), st.integers(1, 70))
 kernels = st.one_of(st.sampled_from([0.375, 0.4]), st.floats(0.0, 1.0))
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(shape=shapes, levels=st.integers(0, 6), kernel_a=kernels, seed=st.integers(0, 2**32 - 1))
 def test_an_image_follows_from_its_bands(shape: tuple[int, int], levels: int, kernel_a: float, seed: int) -> None:
     image = np.random.default_rng(seed).normal(size=shape)
@@ -25,7 +24,7 @@ def test_an_image_follows_from_its_bands(shape: tuple[int, int], levels: int, ke
     assert np.allclose(restored, image, rtol=0.0, atol=1e-12)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(shape=shapes, levels=st.integers(0, 6), kernel_a=kernels, seed=st.integers(0, 2**32 - 1))
 def test_adjoint(shape: tuple[int, int], levels: int, kernel_a: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -70,13 +69,6 @@ def test_uniform_image_has_no_bands(shape: tuple[int, int], kernel_a: float) -> 
     assert np.allclose(residual, 3.0, rtol=1e-14)
 
 
-def test_turned_image_has_turned_bands_on_the_observers_grid() -> None:
-    image = np.random.default_rng(2).normal(size=(65, 65))
-    pyramid = LaplacianPyramid(4)
-    for band, turned in zip(pyramid.build(image), pyramid.build(np.rot90(image).copy()), strict=True):
-        assert np.allclose(turned, np.rot90(band), rtol=0.0, atol=1e-14)
-
-
 def test_input_is_left_alone() -> None:
     image = np.random.default_rng(4).normal(size=(20, 21))
     before = image.copy()
@@ -88,10 +80,3 @@ def test_input_is_left_alone() -> None:
     LaplacianPyramid(0).build(image)[0][:] = 0.0
     assert np.array_equal(image, before)
     assert all(np.array_equal(a, b) for a, b in zip(bands, kept, strict=True))
-
-
-def test_bad_settings() -> None:
-    with pytest.raises(SettingsError, match="levels: found -1"):
-        LaplacianPyramid(-1)
-    with pytest.raises(SettingsError, match=r"kernel_a: found 1\.5"):
-        LaplacianPyramid(2, 1.5)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
-from msgspec import Meta
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.reading import check_values
 
 BORDER = 4
 """Number of zeros around the part that is not zero: the filters of the pyramid reach two samples."""
@@ -27,11 +25,8 @@ class LaplacianPyramid:
     1]/16. Borders are mirrored about the outermost sample (reflect-101). Burt & Adelson 1983, eqs. 1-8.
     """
 
-    levels: Annotated[int, Meta(ge=0)]
-    kernel_a: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.375
-
-    def __post_init__(self) -> None:
-        check_values(self)
+    levels: int
+    kernel_a: float = 0.375
 
     def build(self, image: FloatArray) -> list[FloatArray]:
         """Compute bands 0 ... levels - 1 and the residual of an image of any shape (rows, columns)."""
