@@ -389,6 +389,7 @@ def test_registered_scenes_have_the_names_they_are_found_by(monkeypatch):
         assert make().name == name
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_only_known")
 def test_out(todframes, tmp_path: Path):
     folder = tmp_path / "result"

@@ -26,6 +26,8 @@ def oracle(level, n_correct, n_trials, **experiment):
         return psignifit.psignifit(data, verbose=False, **experiment)
 
 
+@pytest.mark.slow
+@pytest.mark.every_case
 @pytest.mark.parametrize(("seed", "beta"), [(0, 1.5), (1, 2.0), (2, 3.0), (3, 4.0)])
 def test_four_alternative_weibull(seed, beta):
     level, n_trials = np.geomspace(0.5, 2.0, 7), np.full(7, 30)

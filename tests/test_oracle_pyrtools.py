@@ -11,6 +11,7 @@ pytestmark = pytest.mark.oracle
 
 
 @pytest.mark.every_case
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(257, 257), (64, 96), (129, 65)])
 def test_bands_agree(shape: tuple[int, int]) -> None:
     pyrtools = pytest.importorskip("pyrtools", reason="pyrtools is in the group dev")

@@ -50,7 +50,7 @@ def test_noise_means_the_same_as_to_the_papers_observer(size_mrad: float) -> Non
     assert 1.0 < ratio < 1.1
 
 
-@pytest.mark.parametrize("samples", [2.0, 17.5, 35.0])
+@pytest.mark.parametrize("samples", [2.0, 17.5, pytest.param(35.0, marks=pytest.mark.slow)])
 def test_more_octaves_and_a_wider_field_change_nothing_that_matters(samples: float) -> None:
     """What is left out of the templates, at the worst sizes for the rule: below 1e-3 of the threshold."""
     stimulus = Stimulus(samples * 0.153)
