@@ -337,17 +337,12 @@ def test_simulated_cameras_have_no_warning(tmp_path, seed) -> None:
 
     rng = np.random.default_rng(seed)
     sensor = ss.load_sensor(SAMPLES / "staring_camera.toml")
-    sensor = replace(
-        sensor,
-        optics=replace(sensor.optics, aperture_mm=float(rng.uniform(60.0, 300.0))),
-        display=replace(
-            sensor.display,
-            pixels_per_detector=int(rng.integers(1, 7)),
-            blur_sigma_px=float(rng.uniform(0.0, 3.0)),
-            gain=float(rng.uniform(0.2, 1.0)),
-        ),
-        noise=replace(sensor.noise, fixed_pattern_ratio=float(rng.uniform(0.0, 1.5))),
-    )
+    optics = replace(sensor.optics, aperture_mm=float(rng.uniform(60.0, 300.0)))
+    pixels, blur = int(rng.integers(1, 7)), float(rng.uniform(0.0, 3.0))
+    gain, fixed = float(rng.uniform(0.2, 1.0)), float(rng.uniform(0.0, 1.5))
+    display = replace(sensor.display, pixels_per_detector=pixels, blur_sigma_px=blur, gain=gain)
+    noise = replace(sensor.noise, fixed_pattern_ratio=fixed)
+    sensor = replace(sensor, optics=optics, display=display, noise=noise)
     sizes = [float(size) for size in np.round(rng.uniform(2.0, 12.0, 2), 1)]
     snr = [0.5, 1.0, 2.0, 4.0, 8.0]
     ss.simulate(sensor, size_detectors=sizes, snr=snr, trials=12, rng=seed, out=tmp_path / "made")

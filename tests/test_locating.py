@@ -115,13 +115,6 @@ def test_command_says_how_far_positions_are_from_the_manifest(make_dataset) -> N
     assert re.search(r"located: 2 mrad: \+0\.(49|50|51) in x, -0\.(49|50|51) in y from the manifest", done.stderr)
 
 
-def test_frames_of_different_sizes(make_dataset) -> None:
-    made = make_dataset(side_px=64)
-    write_frame(made.frame(3), np.full((60, 64), 50.0))
-    with pytest.raises(DataError, match=r"found 64 × 60 pixels, expected 64 × 64"):
-        locate_triangles(load_dataset(made.path))
-
-
 @pytest.mark.parametrize(("size_mrad", "wanted"), [(0.1, "no triangle stands out"), (0.5, "smaller than the")])
 def test_frames_of_one_pixel_are_refused(make_dataset, size_mrad: float, wanted: str) -> None:
     """All orientations are alike on one pixel; warnings are errors here."""

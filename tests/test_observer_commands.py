@@ -140,11 +140,6 @@ def test_documented_settings_are_the_settings() -> None:
     assert documented == own
 
 
-def test_documented_files_exist() -> None:
-    for name in re.findall(r"\]\(([\w./]+)(?:#\w+)?\)", DOCS):
-        assert (ROOT / "docs" / name).exists(), name
-
-
 def test_documented_thresholds_are_the_thresholds() -> None:
     """Those at 4 detectors and a display spot of 2 pixels, to their three digits and both numerical errors."""
     header = re.search(r"^\| display blur \| observer \| (.*) \|$", DOCS, re.MULTILINE)[1]

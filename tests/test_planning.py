@@ -241,17 +241,6 @@ def test_a_large_frame_is_read_where_the_triangle_is(tmp_path, monkeypatch):
     assert planned.fits[0].left_out_bound < 1e-3
 
 
-@pytest.mark.slow
-def test_planned_scores_are_the_full_ones_within_the_bound():
-    planned, full = (
-        score_dataset(load_dataset(NAKED_EYE), PyramidObserver(), plan_name=name) for name in ("needed", "full")
-    )
-    assert np.array_equal(planned.displacement_samples, full.displacement_samples)
-    for one, other in zip(planned.fits, full.fits, strict=True):
-        # dP / d ln level is about 0.5 at threshold, and above 0.3 for all of these.
-        assert one.fit.threshold == pytest.approx(other.fit.threshold, rel=one.left_out_bound / 0.3)
-
-
 @pytest.mark.parametrize("side_px", [25, 26, 27, 28, 29])
 def test_a_frame_that_ends_where_the_field_does(make_dataset, side_px):
     """On an uneven background, whose edge a displaced retina sees elsewhere than one that is not displaced."""

@@ -42,13 +42,8 @@ class Step(NamedTuple):
 def plan_object(steps: Sequence[Step], places: float) -> list[dict[str, Any]]:
     """Return a plan as written to `result.json`, with the time in seconds that it saves over all `places`."""
     return [
-        {
-            "stage": step.stage,
-            "kept": step.kept,
-            "why": step.why,
-            "bound": step.bound,
-            "saves_s": round(step.saves_once_s + max(step.saves_s, 0.0) * places, 3),
-        }
+        {name: getattr(step, name) for name in ("stage", "kept", "why", "bound")}
+        | {"saves_s": round(step.saves_once_s + max(step.saves_s, 0.0) * places, 3)}
         for step in steps
     ]
 
