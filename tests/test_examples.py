@@ -60,7 +60,7 @@ def watched(bands: Sequence[FloatArray], *, levels: int = 4, size_mrad: float = 
     return pictures([patch(np.zeros((99, 99)))], np.zeros((side, side)), **PLAIN | changed)
 
 
-@pytest.mark.parametrize("orientation", ["up", "right", "down", "left"])
+@pytest.mark.parametrize("orientation", ["up", "left"])
 def test_display_shows_the_frame(make_dataset, orientation: str) -> None:
     """A triangle of contrast 0.5 on white at twice the background: grey of ¾ of the light on grey of ½."""
     made = make_dataset(contrasts=(0.3, 0.5, 0.8))

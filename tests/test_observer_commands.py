@@ -156,7 +156,9 @@ def test_documented_thresholds_are_the_thresholds() -> None:
         assert found.threshold == pytest.approx(documented, rel=1e-2 + 2e-3 + 5e-3)
 
 
-@pytest.mark.parametrize("name", OWN_SETTINGS)
+@pytest.mark.parametrize(
+    "name", [name if name == "csf" else pytest.param(name, marks=pytest.mark.slow) for name in OWN_SETTINGS]
+)
 def test_documented_naked_eye_is_what_the_command_says(name: str, capsys) -> None:
     header, row = (
         re.search(rf"^\| {first} \| (.*) \|$", DOCS, re.MULTILINE)[1].split(" | ") for first in ("observer", name)

@@ -64,6 +64,7 @@ def test_ends_of_the_curve():
     )
 
 
+@settings(max_examples=30, deadline=None)
 @given(st.floats(0.2501, 0.999999))
 def test_d_prime_is_the_inverse_of_the_curve(p_correct: float):
     # P falls by 0.27 a unit of d′ at most, and d′ is known to a rounding.
@@ -71,6 +72,7 @@ def test_d_prime_is_the_inverse_of_the_curve(p_correct: float):
     assert found == pytest.approx(p_correct, abs=1e-12)
 
 
+@settings(max_examples=30, deadline=None)
 @given(st.floats(-1.0, 1.0), st.floats(-0.7, 0.7), st.floats(0.0, 1.0), st.floats(-1.0, 1.0))
 def test_derivatives_are_those_of_the_curve(location: float, ln_slope: float, limit: float, z: float):
     none = np.zeros(3)

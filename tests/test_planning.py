@@ -241,7 +241,7 @@ def test_a_large_frame_is_read_where_the_triangle_is(tmp_path, monkeypatch):
     assert planned.fits[0].left_out_bound < 1e-3
 
 
-@pytest.mark.parametrize("side_px", [25, 26, 27, 28, 29])
+@pytest.mark.parametrize("side_px", [25, 27, 28])
 def test_a_frame_that_ends_where_the_field_does(make_dataset, side_px):
     """On an uneven background, whose edge a displaced retina sees elsewhere than one that is not displaced."""
     made = make_dataset(side_px=side_px)

@@ -62,9 +62,9 @@ def test_a_trial_draws_the_same_whatever_else_is_scored(make_dataset) -> None:
 
 
 def test_displacements_fill_half_a_sample_either_way(make_dataset) -> None:
-    displacement = score(make_dataset(repeats=12).path, PyramidObserver()).displacement_samples
+    displacement = score(make_dataset(repeats=6).path, PyramidObserver()).displacement_samples
     assert np.abs(displacement).max() <= 0.5
-    # The largest of 192 uniform draws is below 0.45 once in 10⁸ times.
+    # The largest of 96 uniform draws is below 0.45 once in 25,000 times.
     assert np.abs(displacement).max() > 0.45
 
 
@@ -135,7 +135,7 @@ def test_threshold_is_the_closed_form_one(make_dataset) -> None:
             )
             first = made.path / "first.exr"
             write_frame(first, 50.0 * (1.0 + factor * truth * triangle), pixel_type="float")
-            for repeat in range(12):
+            for repeat in range(6):
                 frame = f"frames/{factor}_{orientation}_{repeat}.exr"
                 (made.path / frame).write_bytes(first.read_bytes())
                 row = {"frame": frame, "orientation": orientation.value, "size_mrad": str(size_mrad)}
@@ -145,8 +145,8 @@ def test_threshold_is_the_closed_form_one(make_dataset) -> None:
     (fit,) = score_dataset(load_dataset(made.path), PyramidObserver(), fit_settings=chosen).fits
     assert fit.fit.status == "ok"
     low, high = fit.fit.threshold_ci95
-    # 240 trials spread P by some 0.03 each, that is 0.002 in P and 0.2 % of the threshold for their mean; the
-    # display's pixels are 7 to a retina sample. 1 % leaves room for five standard errors.
+    # 120 trials spread P by some 0.03 each, that is 0.003 in P and 0.3 % of the threshold for their mean; the
+    # display's pixels are 7 to a retina sample. 1 % leaves room for three standard errors.
     assert fit.fit.threshold == pytest.approx(truth, rel=0.01)
     assert high - low < 0.02 * truth
 
