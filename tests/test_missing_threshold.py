@@ -85,6 +85,7 @@ def test_hint_names_what_another_look_shows(mishap: dict[str, Any], code: str, w
     assert re.search(wanted, warning.message)
 
 
+@pytest.mark.slow
 def test_hint_at_a_camera_held_by_hand() -> None:
     """Triangles jump by a third of their size, so that few are where their mean is."""
     steps = np.random.default_rng(2).choice([-3.0, 0.0, 3.0], (36, 2))

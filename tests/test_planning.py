@@ -72,16 +72,15 @@ def test_only_what_is_left_out_counts():
 
 
 @pytest.mark.parametrize(
-    "settings",
+    ("size_samples", "settings"),
     [
-        {},
-        {"centre": "bounding_box"},
-        {"kernel_a": 0.4, "band_gain": 2.0},
-        {"eye_mtf": "watson2013", "band_noise": (13.0, 1.0, 0.3, 0.2, 0.3)},
-        {"band_noise": (1.0, 1.0, 1.0, 1.0, 0.1, 0.02)},
+        (40.0, {}),
+        (12.0, {"centre": "bounding_box"}),
+        (12.0, {"kernel_a": 0.4, "band_gain": 2.0}),
+        (12.0, {"eye_mtf": "watson2013", "band_noise": (13.0, 1.0, 0.3, 0.2, 0.3)}),
+        (12.0, {"band_noise": (1.0, 1.0, 1.0, 1.0, 0.1, 0.02)}),
     ],
 )
-@pytest.mark.parametrize("size_samples", [12.0, 40.0])
 def test_left_out_bands_are_those_of_a_wider_readout(size_samples, settings):
     """The readout with two octaves more, less the usual one, over the triangle itself."""
     observer = PyramidObserver(PyramidSettings(retina_pitch_mrad=1.0, position_jitter_samples=0.0, **settings))
