@@ -20,13 +20,9 @@ from sensor_sim.chain.detector_noise import (
     unit_fixed_pattern,
 )
 from sensor_sim.chain.sensor import Noise, sensor_from, sensor_tables
-from sensor_sim.chain.simulation import Simulator, plan_trials
 from sensor_sim.thresholds.curve_plan import full_plan, line_covariance, plan_curve
 from todframes.base.errors import SettingsError
-from todframes.observers.decision import answer_probabilities
 from todframes.observers.pyramid import PyramidObserver
-from todframes.observers.retina import resample
-from todframes.stimulus import Stimulus
 
 LINES = Noise(
     distribution="gaussian",
@@ -126,36 +122,6 @@ def test_noise_of_scores_is_that_of_all_pairs_of_detectors() -> None:
     for found, shares in zip(line_covariance(weights), ((0, 1, 0), (0, 0, 1)), strict=True):
         brute = weights @ dense_covariance(9, *shares) @ weights.swapaxes(1, 2)
         np.testing.assert_allclose(found, brute, rtol=1e-12, atol=1e-12)
-
-
-@pytest.mark.weekly
-def test_simulated_frames_have_the_computed_threshold() -> None:
-    """2,000 frames, simulated and read out one by one, displaced on the retina as `score` does."""
-    sensor, size, observer = thermal(Noise(row_noise_ratio=0.9)), 6.0, PyramidObserver()
-    (fit,) = ss.curve(sensor, size_detectors=[size], examples=False).fits
-    readout = observer.readout(Stimulus(size * sensor.display.detector_pitch_mrad))
-    pixel, rng = sensor.display.pixel_pitch_mrad, np.random.default_rng(2)
-    planned = plan_trials([size], [fit.threshold * 2.0**n for n in (-1.0, -0.4, 0.0, 0.4, 1.0)], 400)
-    scores = []
-    for frame in Simulator(sensor, size, seed=1).frames(planned):
-        jitter = rng.uniform(-0.5, 0.5, 2) * readout.grid.pitch_mrad / pixel
-        contrast = frame.luminance_cd_m2 / sensor.display.background_luminance_cd_m2 - 1.0
-        place = {"x_px": frame.x_px + jitter[0], "y_px": frame.y_px + jitter[1], "pixel_pitch_mrad": pixel}
-        scores.append(readout.score_deviations(resample(contrast, readout.grid, **place)))
-    answers = answer_probabilities(np.array(scores), readout.noise_covariance)
-    correct = np.array([trial.orientation.quarter_turns for trial in planned])
-    p_correct = answers[np.arange(len(planned)), correct].reshape(5, 400)
-    # In place of a fit: the frames' P at each level against the curve's, four standard errors.
-    at_level = np.interp(
-        np.log([trial.level for trial in planned[::400]]),
-        [math.log(point.level) for point in fit.points],
-        [point.p_correct for point in fit.points],
-    )
-    errors = p_correct.std(axis=1) / math.sqrt(400)
-    assert (np.abs(p_correct.mean(axis=1) - at_level) < 4.0 * errors).all()
-    # Noise that is independent from detector to detector gives another curve.
-    (other,) = ss.curve(thermal(Noise()), size_detectors=[size], examples=False).fits
-    assert abs(math.log(other.threshold / fit.threshold)) > 0.1
 
 
 def test_alike_rows_and_columns_need_one_orientation_and_others_all_four() -> None:

@@ -19,7 +19,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from scipy.ndimage import convolve, gaussian_filter, uniform_filter
 
@@ -56,28 +55,13 @@ def interpolated(noise: np.ndarray) -> np.ndarray:
     )
 
 
-def sharpened(image: np.ndarray) -> np.ndarray:
-    return np.asarray(image + 0.8 * (image - gaussian_filter(image, 1.2)))
-
-
-def compressed(image: np.ndarray, quality: int) -> np.ndarray:
-    code = np.clip(255.0 * image + 0.5, 0.0, 255.0).astype(np.uint8)
-    packed = cv2.imencode(".jpg", code, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    return np.asarray(cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE), np.float64) / 255.0
-
-
 SHARED: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "none": lambda image, noise: image + noise,
     "smoothed": lambda image, noise: image + 3.0 * uniform_filter(noise, 3),
     "blurred": lambda image, noise: image + 5.3 * gaussian_filter(noise, 1.5),
     "interpolated": lambda image, noise: image + interpolated(noise),
-    "sharpened": lambda image, noise: sharpened(image + noise),
-    "jpeg 90": lambda image, noise: compressed(image + noise, 90),
 }
 """Cameras whose pixels share noise: a picture of an edge and independent noise."""
-
-CHANGED = ("sharpened", "jpeg 90")
-"""Those that change the MTF as well: their bands are held against its mean over all seeds."""
 
 
 class Edges(NamedTuple):
@@ -119,9 +103,6 @@ def repeated(name: str, angle_deg: float, n: int, *, noise: float, seed: int, sh
     mtf, low, high = (
         np.array([getattr(one, end)[1 : NYQUIST + 1] for one in found]) for end in ("mtf", "lower", "upper")
     )
-    if shared in CHANGED:
-        truth = mtf.mean(0)
-        mtf50 = float(np.mean([one.mtf50_cyc_per_pixel.value for one in found if one.mtf50_cyc_per_pixel]))
     bias = mtf.mean(0) - truth
     k = int(np.argmax(np.abs(bias)))
     held = (low <= truth) & (truth <= high)

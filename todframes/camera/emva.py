@@ -437,10 +437,9 @@ def _measured(
         sums = sums or FrameSums(grey)
         sums.add(grey)
     if sums is None or sums.n < 2:
-        n = 0 if sums is None else sums.n
         raise DataError(
-            f"{recording.path}: found {n} frame{'' if n == 1 else 's'} of this exposure, expected 2 or more: one "
-            "cannot separate temporal noise from fixed pattern"
+            f"{recording.path}: found 1 frame of this exposure, expected 2 or more: one cannot separate temporal "
+            "noise from fixed pattern"
         )
     if stack.is_levelled:
         sums.level()
