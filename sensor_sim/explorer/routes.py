@@ -58,7 +58,6 @@ USUAL_SIZE_MRAD = 3.0
 RANGE_POINTS = 7
 """Points of the psychometric function of each size, as many as those of a curve, from which a range follows."""
 
-
 MOST_PICTURE_PIXELS = 2**21
 
 ORIENTATION_STREAM = 2
