@@ -102,10 +102,3 @@ def test_results_of_earlier_versions_name_the_folder_alone(results, tmp_path) ->
     assert '<p class="about">my_camera</p>' in text
     assert "Dataset and display" not in text
     assert json.loads(old.to_json())["dataset"] == "my_camera"
-
-
-@pytest.mark.usefixtures("blank_pictures")
-def test_a_result_comes_back_from_its_file(make_dataset, tmp_path) -> None:
-    made = score(make_dataset().path, fit=QUICK, examples=False)
-    made.save(tmp_path / "out")
-    assert load_result(tmp_path / "out").to_json() == made.to_json()

@@ -25,7 +25,6 @@ import todframes as tod
 from todframes.base import remote
 from todframes.base.errors import DataError, FrameError, OutputError, RemoteError, SettingsError
 from todframes.base.remote import RemotePath, location
-from todframes.cli.main import cli
 from todframes.frames.dataset import FrameReference, dataset_warnings, load_dataset
 from todframes.frames.dataset_files import write_sha256
 from todframes.frames.files import FrameFile, frame_sha256, write_frame
@@ -50,18 +49,6 @@ def upload() -> Iterator[Callable[[Path], str]]:
     yield copy
     for name in uploaded:
         memory.rm(name, recursive=True)
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
-    """Function that runs a command and returns its exit status, standard output and standard error."""
-    from todframes.cli.console import run as run_command
-
-    def run_it(*arguments: object) -> tuple[int, str, str]:
-        status = run_command(cli, [str(one) for one in arguments])
-        return (status, *capsys.readouterr())
-
-    return run_it
 
 
 def numbers(result: tod.Result) -> object:
@@ -193,9 +180,9 @@ def test_damaged_pixels_are_told_by_the_url(make_dataset, upload) -> None:
         f"http://[::1]::s3://{SECRET}@lab/archive",
     ],
 )
-def test_a_url_with_a_secret_is_refused_unseen(run, url) -> None:
+def test_a_url_with_a_secret_is_refused_unseen(todframes, url) -> None:
     for command in ("score", "validate"):
-        status, out, err = run(command, url)
+        status, out, err = todframes(command, url)
         assert (status, out) == (1, "")
         assert err.startswith("error: dataset: found a URL ") and err.count("\n") == 1
         assert SECRET not in err
@@ -206,7 +193,7 @@ def test_a_url_with_a_secret_is_refused_unseen(run, url) -> None:
         tod.score(Path(url))
     assert SECRET not in str(caught.value)
     for command in ("naked-eye --contrast 1 -o", "fit", "noise", "calibrate", "score x --observer-settings"):
-        status, out, err = run(*command.split(), url, *(["x"] if command == "calibrate" else []))
+        status, out, err = todframes(*command.split(), url, *(["x"] if command == "calibrate" else []))
         assert status > 0 and out == "" and err.count("\n") == 1
         assert SECRET not in err
 
@@ -352,13 +339,13 @@ def test_a_lost_connection_ends_the_run_even_if_bad_frames_are_skipped(make_data
     assert len(calls) == remote.ATTEMPTS
 
 
-def test_checksums_are_verified_and_cannot_be_added(make_dataset, upload, run) -> None:
+def test_checksums_are_verified_and_cannot_be_added(make_dataset, upload, todframes) -> None:
     made = make_dataset()
     url = upload(made.path)
-    status, out, err = run("validate", url)
+    status, out, err = todframes("validate", url)
     assert status == 0 and "8 of 8 frames are EXR without a sha256" in err
     assert "validate FOLDER --add-sha256` on a local copy" in err
-    status, out, err = run("validate", url, "--add-sha256")
+    status, out, err = todframes("validate", url, "--add-sha256")
     assert (status, out) == (2, "")
     assert (
         err.startswith(f"error: {url}/manifest.csv: cannot be written, it is behind a URL")
@@ -366,9 +353,9 @@ def test_checksums_are_verified_and_cannot_be_added(make_dataset, upload, run) -
     )
     with pytest.raises(OutputError, match="cannot be written, it is behind a URL"):
         write_sha256(load_dataset(url), {"frames/x.exr": "0" * 64})
-    assert run("validate", made.path, "--add-sha256")[0] == 0
+    assert todframes("validate", made.path, "--add-sha256")[0] == 0
     shutil.copy(made.frame(0), made.frame(1))
-    status, out, err = run("validate", upload(made.path))
+    status, out, err = todframes("validate", upload(made.path))
     assert status == 1 and err.count("error: ") == 2
     assert re.search(rf"{re.escape(made.rows[1]['frame'])}: sha256 is \w+, the manifest says", err)
 
@@ -399,8 +386,8 @@ def test_a_folder_is_listed_once(make_dataset, upload, monkeypatch) -> None:
         ("memory://lab/none", "no such file"),
     ],
 )
-def test_what_cannot_be_reached_is_one_line(run, url, problem) -> None:
-    status, out, err = run("score", url)
+def test_what_cannot_be_reached_is_one_line(todframes, url, problem) -> None:
+    status, out, err = todframes("score", url)
     assert status > 0 and out == "" and err.count("\n") == 1
     assert err.startswith(f"error: {url}/dataset.toml: {problem}")
 
@@ -413,18 +400,18 @@ def test_what_cannot_be_reached_is_one_line(run, url, problem) -> None:
         ("gs", "Please install gcsfs to access Google Storage"),
     ],
 )
-def test_a_package_that_is_missing_is_named(run, monkeypatch, scheme, remedy) -> None:
+def test_a_package_that_is_missing_is_named(todframes, monkeypatch, scheme, remedy) -> None:
     def missing(_: str) -> object:
         raise ImportError("Please install gcsfs to access Google Storage")
 
     monkeypatch.setattr(fsspec, "get_filesystem_class", missing)
-    status, out, err = run("score", f"{scheme}://lab/archive")
+    status, out, err = todframes("score", f"{scheme}://lab/archive")
     assert (status, out) == (1, "")
     where = f"{scheme}://lab/archive/dataset.toml"
     assert err == f"error: {where}: needs a package for {scheme}:// that is not installed: {remedy}\n"
 
 
-def test_without_fsspec_there_is_one_line_too(run, monkeypatch) -> None:
+def test_without_fsspec_there_is_one_line_too(todframes, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "fsspec", None)
-    status, _, err = run("validate", "s3://lab/archive")
+    status, _, err = todframes("validate", "s3://lab/archive")
     assert status == 1 and err.endswith("that is not installed: pip install 'todframes[remote]'\n")

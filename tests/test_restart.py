@@ -18,23 +18,10 @@ import pytest
 
 import todframes as tod
 from todframes.base.output import STAGING, STORE
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.frames.dataset import Dataset
 from todframes.scoring import work as scoring_work
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
-
-
-@pytest.fixture
-def todframes(capsys: pytest.CaptureFixture[str]):
-    """Runs a command; gives exit status, output and error output."""
-
-    def call(*arguments: str | Path) -> tuple[int, str, str]:
-        status = run(cli, [str(argument) for argument in arguments])
-        return status, *capsys.readouterr()
-
-    return call
 
 
 def started(package: str, *arguments: str | Path) -> subprocess.Popen[str]:
@@ -209,19 +196,6 @@ def until_begun(out: Path) -> None:
     while not any(path.stat().st_size > 1_000 for path in out.glob(f"{STAGING}/{STORE}")):
         assert time.monotonic() < deadline
         time.sleep(0.01)
-
-
-@pytest.mark.slow
-def test_a_second_run_into_one_folder_is_told(make_dataset, tmp_path: Path, todframes) -> None:
-    path, out = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=60).path, tmp_path / "out"
-    process = started("todframes", "score", path, "-o", out)
-    until_begun(out)
-    os.kill(process.pid, signal.SIGSTOP)
-    status, _, err = todframes("score", path, "-o", out)
-    os.kill(process.pid, signal.SIGCONT)
-    process.communicate(timeout=60)
-    assert (status, err) == (2, f"error: {out}: another run is writing there; wait for it, or take another name\n")
-    assert process.returncode == 0
 
 
 @pytest.mark.slow
