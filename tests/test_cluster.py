@@ -280,22 +280,6 @@ def test_a_dead_worker_costs_what_it_had_in_flight(local: ClusterEngine, tmp_pat
 
 
 @dask
-def test_finished_results_that_die_with_their_worker_come_all_the_same(
-    local: ClusterEngine, tmp_path: Path
-) -> None:
-    """The process ends from 0 to 12 ms after the batch: before, while or after its results are fetched."""
-
-    def call(item: int) -> int:
-        if item % 50 == 0 and not (flag := tmp_path / str(item)).exists():
-            flag.touch()
-            threading.Timer(item / 50 * 3e-3, os.kill, [os.getpid(), signal.SIGKILL]).start()
-        return item**2
-
-    assert results_of(local, Calls(call), range(250)) == squares(250)
-    assert len(list(tmp_path.iterdir())) == 5
-
-
-@dask
 def test_a_batch_that_kills_its_workers_again_and_again_is_named(local: ClusterEngine) -> None:
     def call(item: int) -> int:
         time.sleep(0.002)
