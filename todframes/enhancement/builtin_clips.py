@@ -32,19 +32,11 @@ Smoothing = Annotated[
     meaning("side in px of the Gaussian that frames are smoothed with to be registered; wider in noise"),
 ]
 
-ECC_MOTIONS = {
-    "translation": cv2.MOTION_TRANSLATION,
-    "euclidean": cv2.MOTION_EUCLIDEAN,
-    "affine": cv2.MOTION_AFFINE,
-}
-
 ECC_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-6)
 """Iterations of ECC, and the change of its correlation below which it ends."""
 
 SURE_CORRELATION = 5.0
 """Correlation after ECC, in standard deviations of that of two frames of noise, from which frames are alike."""
-
-UINT16_WHITE = 65535
 
 _of_clips = partial(algorithm, clip=True, each_channel=True, writes=False)
 """Declare an algorithm of clips of code values that takes one channel at a time and does not write into it."""
@@ -96,7 +88,7 @@ def temporal_nlm(
     """Non-local means over a frame and those before it, on 16-bit code values."""
     # Differences of patches do not depend on where the codes begin, so values beyond black and white fit as well.
     low, high = min(0.0, float(frames.min())), max(1.0, float(frames.max()))
-    scale = UINT16_WHITE / (high - low)
+    scale = 65535 / (high - low)
     codes = np.rint((frames - np.float32(low)) * np.float32(scale)).astype(np.uint16)
     found = []
     for k in judged:
@@ -126,14 +118,7 @@ def registered_mean(
     smoothing_px: Smoothing = 5,
 ) -> Image:
     """Mean of a frame and those before it, registered to it by the whole picture (ECC)."""
-    found = []
-    for k in judged:
-        total, rows_columns = frames[k].astype(np.float64), frames[k].shape
-        for frame in frames[k - before : k]:
-            warp = _ecc_warp(frames[k], frame, motion, smoothing_px)
-            total += _warped(frame, warp, rows_columns)
-        found.append(total / (before + 1))
-    return np.stack(found)
+    return _registered(frames, judged, before, motion, smoothing_px, factor=1)
 
 
 @_of_clips(library="OpenCV: findTransformECC, warpAffine")
@@ -158,19 +143,25 @@ def shift_and_add(
     smoothing_px: Smoothing = 5,
 ) -> Image:
     """Super-resolution from several frames: registered (ECC), interpolated and averaged on smaller pixels."""
+    return _registered(frames, judged, before, motion, smoothing_px, factor=factor)
+
+
+def _registered(
+    frames: Image, judged: Judged, before: int, motion: Motion, smoothing_px: int, *, factor: int
+) -> Image:
+    """Average judged frames with those before them, registered to them, on pixels that are finer by a factor."""
     # A pixel of the result, x, lies at (x − (factor − 1) / 2) / factor of the frame.
-    finer = (
-        np.array([[1.0, 0.0, (1.0 - factor) / 2.0], [0.0, 1.0, (1.0 - factor) / 2.0], [0.0, 0.0, factor]]) / factor
-    )
-    found = []
+    middle = (1.0 - factor) / 2.0
+    finer = np.array([[1.0, 0.0, middle], [0.0, 1.0, middle], [0.0, 0.0, factor]]) / factor
+    shape = factor * frames.shape[1], factor * frames.shape[2]
+    means = []
     for k in judged:
-        shape = (factor * frames.shape[1], factor * frames.shape[2])
-        total = np.zeros(shape)
-        for frame in frames[k - before : k + 1]:
-            warp = np.eye(2, 3) if frame is frames[k] else _ecc_warp(frames[k], frame, motion, smoothing_px)
-            total += _warped(frame, warp @ finer, shape)
-        found.append(total / (before + 1))
-    return np.stack(found)
+        warps = [_ecc_warp(frames[k], frame, motion, smoothing_px) for frame in frames[k - before : k]]
+        own = zip(frames[k - before : k + 1], [*warps, np.eye(2, 3)], strict=True)
+        means.append(
+            sum(_warped(frame, warp @ finer, shape).astype(np.float64) for frame, warp in own) / (before + 1)
+        )
+    return np.stack(means)
 
 
 def _ecc_warp(reference: Image, frame: Image, motion: Motion, smoothing_px: int) -> NDArray[np.float64]:
@@ -180,8 +171,9 @@ def _ecc_warp(reference: Image, frame: Image, motion: Motion, smoothing_px: int)
     """
     start, everywhere = np.eye(2, 3, dtype=np.float32), np.ones(frame.shape, np.uint8)
     try:
+        kind = getattr(cv2, f"MOTION_{motion.upper()}")
         correlation, warp = cv2.findTransformECC(
-            reference, frame, start, ECC_MOTIONS[motion], ECC_CRITERIA, everywhere, smoothing_px
+            reference, frame, start, kind, ECC_CRITERIA, everywhere, smoothing_px
         )
     except cv2.error:  # it does not converge
         return np.eye(2, 3)

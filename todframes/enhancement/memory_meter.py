@@ -11,9 +11,6 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-FRAMES_MEASURED = 3
-"""Number of frames of each algorithm and process that are measured: it takes a millisecond."""
-
 _STATUS, _PEAK = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
@@ -25,7 +22,7 @@ class MemoryMeter:
     """
 
     def __init__(self) -> None:
-        self._left = FRAMES_MEASURED
+        self._left = 3  # frames of each algorithm and process: a measurement takes a millisecond
         self._largest_mb: float | None = None
 
     def measured(self, work: Callable[[], T]) -> tuple[T, float | None]:

@@ -40,9 +40,6 @@ LEFT_OUT = 0.25
 WHOLE_PX = 1024
 """Largest side of a frame that a network which takes any size gets whole, if no tile is given."""
 
-MOST_OVERLAP_PX = 64
-"""Overlap of tiles that are large enough, if none is given."""
-
 MOST_CONSTANT = 1e9
 """Largest magnitude of the value of an input or a channel that is no picture."""
 
@@ -195,7 +192,7 @@ def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -
         )
     overlap = values["overlap_px"]
     if overlap is None:
-        overlap = min(MOST_OVERLAP_PX, smallest // 4)
+        overlap = min(64, smallest // 4)
     if overlap > smallest // 2:
         raise SettingsError(f"{where}: overlap_px: found {overlap}, expected at most half a tile, {smallest // 2}")
     resolved = dict(values) | {

@@ -50,14 +50,8 @@ TIME_LIMIT_S = 120.0
 SIDE_PX = 64
 """Smallest side of the pictures that a network which takes any size is tried with."""
 
-MULTIPLES = (1, 2, 4, 8, 16, 32, 64)
-"""Divisors of the sides that a network may need: one for each time that it halves a picture."""
-
 MOST_TILE_PX = 4096
 """Largest side of the pictures of a network of fixed size."""
-
-MEMORY_SHARE = 0.5
-"""Share of the machine's memory that the process may use."""
 
 PICTURE_CHANNELS = (1, 3)
 
@@ -295,7 +289,8 @@ def examine(model: Model, request: ProbeRequest) -> Found:
     if rows is not None and columns is not None:
         return Found(layout, channels, rows, columns, 1, *tried(rows, columns))
     problem: DataError | None = None
-    for multiple in MULTIPLES if request.multiple_px is None else (request.multiple_px,):
+    # A network needs sides that are divisible by 2 for each time that it halves a picture.
+    for multiple in [2**k for k in range(7)] if request.multiple_px is None else [request.multiple_px]:
         side = multiple * max(1, SIDE_PX // multiple) + (multiple if multiple < SIDE_PX else 0)
         try:
             # Unequal sides show a network that cuts off borders or exchanges axes.
@@ -441,12 +436,12 @@ def main() -> None:
 
 
 def _limit_memory() -> None:
-    """Keep this process to a share of the memory, and from writing its own to a file if it crashes."""
+    """Keep this process to half of the memory, and from writing its own to a file if it crashes."""
     with suppress(ImportError, ValueError, OSError):
         import resource
 
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        most = int(MEMORY_SHARE * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+        most = int(0.5 * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
 
 

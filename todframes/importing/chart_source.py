@@ -69,9 +69,6 @@ SAME_PLACE = 0.1
 LEAST_ZOOM, NOTICED_ZOOM = 0.03, 0.003
 """Relative changes of the chart's size in the picture: of a zoom, and from which on it has begun."""
 
-FIRST_FRAMES = 8
-"""Frames that a zoom is measured from."""
-
 MOST_MOVED = 0.03
 """Motion of the chart besides that by a zoom, in diagonals of the frame, from which it is no zoom."""
 
@@ -81,9 +78,6 @@ FEWEST_INTERVALS = 8
 MOST_OFF_MULTIPLE, MOST_OFF = 0.2, 0.1
 """Distance of an interval from a whole multiple of the usual one, relative to that, from which no missing frames
 explain it; and the largest share of such intervals in a film of a constant frame rate."""
-
-MOST_NAMED = 8
-"""Number of lost pages that a note names."""
 
 MOST_TRANSITION = 3
 """Frames in a row that a transition of two pages spoils: in more of them, something hides a marker."""
@@ -96,9 +90,6 @@ LARGEST_CLOCK_ERROR = 0.1
 
 FEWEST_PAGE_CHANGES = 3
 """Number of changes to the next page from which the duration of pages is measured."""
-
-FEWEST_FRAMES_PER_PAGE = 2
-"""Number of frames of a page from which the duration of pages is measured; photographs may have one of each."""
 
 MOST_UNEVEN_CHANGES = 0.2
 """Largest share of page changes at other intervals at which a program, not a person, has turned the pages."""
@@ -617,7 +608,7 @@ class ChartSource:
         lost = [page for page in pages if page not in shown]
         if not lost:
             return None
-        numbers = ", ".join(map(str, lost[:MOST_NAMED])) + ", …" * (len(lost) > MOST_NAMED)
+        numbers = ", ".join(map(str, lost[:8])) + ", …" * (len(lost) > 8)
         return f"pages with triangles that were not found: {len(lost)} of the chart's {len(pages)} ({numbers})"
 
 
@@ -704,7 +695,7 @@ def zoom_begin(centres_mm: FloatArray, geometries: Sequence[Geometry], shape: tu
     doubled_area = (corners[..., 0] * after[..., 1] - corners[..., 1] * after[..., 0]).sum(axis=1)
     scales = np.sqrt(np.abs(doubled_area) / 2.0)
     places = corners.mean(axis=1) - (np.array(shape[::-1]) - 1.0) / 2.0
-    first = slice(min(FIRST_FRAMES, len(geometries) // 2))
+    first = slice(min(8, len(geometries) // 2))
     start, noise = np.median(scales[first]), np.std(scales[first]) / np.median(scales[first])
     changes = scales / start
     moved = np.linalg.norm(places - np.median(places[first], axis=0) * changes[:, None], axis=1)
@@ -720,14 +711,14 @@ def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> floa
 
     `starts` are the page and the time in seconds of the first frame of each run of frames that show one page;
     `frame_s` is the interval from frame to frame, by which each time may be off. None with fewer than
-    `FEWEST_PAGE_CHANGES`, with less than `FEWEST_FRAMES_PER_PAGE`, or if they are not regular: a person has turned
-    the pages. Single pauses count for nothing.
+    `FEWEST_PAGE_CHANGES`, with less than two frames of a page (they may be photographs), or if they are not
+    regular: a person has turned the pages. Single pauses count for nothing.
     """
     steps_s = [after_s - s for (page, s), (after, after_s) in pairwise(starts) if after == page + 1]
     if len(steps_s) < FEWEST_PAGE_CHANGES:
         return None
     usual_s = median(steps_s)
-    if usual_s < FEWEST_FRAMES_PER_PAGE * frame_s:
+    if usual_s < 2.0 * frame_s:
         return None
     regular_s = [one for one in steps_s if abs(one - usual_s) <= 1.5 * frame_s]
     return fmean(regular_s) if len(regular_s) >= (1.0 - MOST_UNEVEN_CHANGES) * len(steps_s) else None

@@ -20,9 +20,6 @@ from todframes.parameters import ColumnName, DisplayName, Pattern
 from todframes.recordings.recording import natural_order
 from todframes.stimulus import ORIENTATIONS
 
-NOT_FROM_NAMES = ("frame", "sha256", "reference_frame")
-"""Columns of a manifest that names of files cannot give."""
-
 NUMBERS = ("size_mrad", "x_px", "y_px")
 """Columns of a manifest, beside the level, whose values are numbers."""
 
@@ -143,7 +140,7 @@ def _expression(pattern: str, level: str) -> re.Pattern[str]:
         if field[2]:
             parts.append("[^/]*?")
             continue
-        if not name.isidentifier() or name in NOT_FROM_NAMES:
+        if not name.isidentifier() or name in ("frame", "sha256", "reference_frame"):
             raise SettingsError(
                 f"{argument.pattern}: found {{{name}}}, expected the name of a column, such as {{size_mrad}}"
             )

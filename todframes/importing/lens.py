@@ -29,9 +29,6 @@ shows at half the diagonal."""
 STEP = 1e-5
 """Step of numerical derivatives, in half diagonals and in units of the coefficients."""
 
-RADII = 33
-"""Number of radii at which a lens is checked to show no place twice."""
-
 
 @dataclass(frozen=True, slots=True)
 class Lens:
@@ -93,7 +90,7 @@ class Lens:
     def shows_once(self, ideal_px: FloatArray) -> bool:
         """Report whether the frame's radius grows with that of the ideal picture out to the farthest place."""
         farthest = float(np.linalg.norm(ideal_px - self.middle_px, axis=-1).max())
-        radii = np.linspace(0.0, farthest, RADII)
+        radii = np.linspace(0.0, farthest, 33)
         places = self.middle_px + radii[:, None] * np.array([1.0, 0.0])
         grown = np.diff(self.to_px(places)[:, 0])
         return bool(np.isfinite(grown).all() and (grown > 0.0).all())

@@ -23,8 +23,6 @@ from todframes.importing.lens import Lens, LensModel
 MOST_STEPS, CONVERGED_PX = 15, 1e-3
 """Steps of Gauss and Newton, and the largest motion of an edge after which there is no further one."""
 
-MOST_HALVINGS = 6
-
 TRIED: tuple[tuple[LensModel, int], ...] = (
     ("polynomial", 1),
     ("polynomial", 7),
@@ -62,9 +60,6 @@ none."""
 
 USEFUL = 0.9
 """Residual with another coefficient relative to that without, below which it is used while a recording is read."""
-
-MOST_PLACED = 4
-"""Number of frames for whose triangles the error is computed."""
 
 DIFFERENCE = 1e-4
 """Step of numerical derivatives of a triangle's place: of coefficients, and of the chart's map in parts of
@@ -244,7 +239,7 @@ def solve(
         known = weights * np.array(lens.coefficients[:free]) if lens is not None else weights
         change = covariance @ (np.einsum("vni,vn->i", scores, wanted) - known)
         # A step that is too long for a strong lens would fold its picture: it is halved until it does not.
-        for _ in range(MOST_HALVINGS):
+        for _ in range(6):
             rest = wanted - gradients @ change
             moves = (influence @ rest[..., None])[..., 0]
             after = lens.changed(change) if lens is not None else None
@@ -331,7 +326,7 @@ def choose_lens(
     fits = [*([] if ideal is None else [ideal]), *ladders["polynomial"], *ladders["fisheye"]]
     if not fits:
         return None
-    some = [(k, placed[k]) for k in np.unique(np.linspace(0, len(measured) - 1, MOST_PLACED).round().astype(int))]
+    some = [(k, placed[k]) for k in np.unique(np.linspace(0, len(measured) - 1, 4).round().astype(int))]
     places = np.array([np.concatenate([place(one.geometries[k]) for k, place in some]) for one in fits])
     variances = np.array([_variance(pieces, one, some) for one in fits])
     # Bayesian information criterion: among models that are as likely before, this is -2 ln of the probability.

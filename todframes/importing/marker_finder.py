@@ -101,9 +101,6 @@ SAMPLES, SAMPLED = 3, 0.5
 MOST_WRONG_BITS = 1
 """Number of modules of a marker that may read wrong; two markers of the dictionary differ in five or more."""
 
-MOST_RECENT = 8
-"""Frames from which the lens is estimated while a recording is read."""
-
 NEAR, LEAST_NEAR = 0.2, 0.5
 """Distance of an edge from where it is looked for, in modules, up to which it counts for the lens while a
 recording is read; and the least share of such edges, without which all count."""
@@ -223,7 +220,7 @@ class MarkerFinder:
     def _follow_lens(self, seen: Sighting, shape: tuple[int, ...]) -> None:
         """Estimate the lens from the frames so far, ever more rarely, where markers do not fit without one."""
         self._n_seen += 1
-        self._recent = [*self._recent, seen.edges][-MOST_RECENT:]
+        self._recent = [*self._recent, seen.edges][-8:]
         is_turn = self._n_seen & (self._n_seen - 1) == 0
         lens = self.lens or seen.geometry.lens
         if is_turn and (lens is not None or seen.geometry.residual_px > NOTICED_PX):

@@ -38,8 +38,6 @@ SIZE_COLUMNS = ("size_mrad", "size_px")
 SCHEDULE_COLUMNS = ("file", "start_s", "end_s", "orientation", *SIZE_COLUMNS, "x_px", "y_px", "polarity")
 """Columns of a schedule with a meaning of their own, beside the level."""
 
-NO_MODULES = np.zeros((0, 0, 0))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScheduledTrial:
@@ -255,7 +253,9 @@ class ScheduleSource:
             if start_s is not None and (frame.time_s is None or frame.time_s < start_s):
                 continue
             placed = self._placed(self._rows[rows[0]], frame.values)
-            shown = ClipFrame(rows[0], frame.time_s, frame.source, frame.values, (placed,), NO_MODULES, before)
+            shown = ClipFrame(
+                rows[0], frame.time_s, frame.source, frame.values, (placed,), np.zeros((0, 0, 0)), before
+            )
             clips[rows[0]].count(shown)
             yield clips[rows[0]], shown
 

@@ -26,9 +26,6 @@ from todframes.stimulus import Stimulus
 MARGIN_PX = 2
 """Pixels of a window beyond what the observer and the background need."""
 
-WINDOWS_A_COMMIT = 64
-"""Number of windows that are entered into the store together."""
-
 EVERYWHERE = (-(10**9), 10**9)
 
 
@@ -125,7 +122,7 @@ class WindowWriter:
         if written is None:
             written = write_window(self._folder, window, clip=self._clip)
             self._rows.append((key, msgspec.msgpack.encode(written)))
-            if len(self._rows) >= WINDOWS_A_COMMIT:
+            if len(self._rows) >= 64:  # they are entered together
                 self._store.add(self._rows)
                 self._rows.clear()
         return written
