@@ -23,6 +23,7 @@ from todframes.experiment.answers import (
     columns,
     count_file,
     data_path,
+    flagged,
     read_answers,
     read_rows,
     read_sidecar,
@@ -320,7 +321,7 @@ def test_flagged_answers_count_only_if_they_are_included(path):
     (session,) = read_answers(path.parent.parent)
     assert [row.flag for row in session.rows] == flags
     assert [row.number for row in session.main_rows()] == [1, 5]
-    assert session.n_flagged() == {"hidden": 1, "unfocused": 1, "too_fast": 2}
+    assert flagged(session.rows) == {"hidden": 1, "unfocused": 1, "too_fast": 2}
     (session,) = read_answers(path.parent.parent, include_flagged=True)
     assert len(session.main_rows()) == 6
     for record, n_trials in ((RECORD, 2), (replace(RECORD, include_flagged=True), 6)):

@@ -169,10 +169,6 @@ class Session:
         """Return the rows that count: those of the main phase with a response and, as a rule, without a flag."""
         return counted_rows(self.rows, include_flagged=self.include_flagged)
 
-    def n_flagged(self) -> dict[Flag, int]:
-        """Return the number of answers of the main phase with each flag that occurs."""
-        return flagged(self.rows)
-
 
 def counted_rows(rows: Iterable[TrialRow], *, include_flagged: bool) -> tuple[TrialRow, ...]:
     """Return the rows that count: main trials with a response, those with a flag only if they are included."""

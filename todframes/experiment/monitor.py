@@ -174,13 +174,8 @@ def luminance_of_readings(lut: tuple[tuple[float, float], ...]) -> FloatArray:
 # Calibration ---------------------------------------------------------------------------------------------------
 
 
-def pixel_pitch_mrad(*, pixel_pitch_mm: float, viewing_distance_mm: float) -> float:
-    """Return the visual angle of a pixel in mrad, seen straight on: 2 atan(pitch / 2 distance)."""
-    return 2000.0 * math.atan(pixel_pitch_mm / viewing_distance_mm / 2.0)
-
-
 def viewing_distance_mm(*, pixel_pitch_mm: float, pixel_pitch_mrad: float) -> float:
-    """Return the distance from which a pixel has a visual angle; the inverse of `pixel_pitch_mrad`."""
+    """Return the distance from which a pixel has a visual angle; 2 atan(pitch / 2 distance)."""
     return pixel_pitch_mm / (2.0 * math.tan(pixel_pitch_mrad / 2000.0))
 
 
@@ -237,7 +232,7 @@ def calibrated(found: Calibration, *, background: float, dither: bool) -> Monito
     return Monitor(
         pixel_pitch_mm=pitch,
         viewing_distance_mm=found.viewing_distance_mm,
-        pixel_pitch_mrad=pixel_pitch_mrad(pixel_pitch_mm=pitch, viewing_distance_mm=found.viewing_distance_mm),
+        pixel_pitch_mrad=2000.0 * math.atan(pitch / found.viewing_distance_mm / 2.0),  # seen straight on
         background_code=background_code,
         background_relative=relative,
         background_luminance_cd_m2=None if white_cd_m2 is None else relative * white_cd_m2,

@@ -38,11 +38,6 @@ class Practised(NamedTuple):
     n_correct: int
     n_needed: int
 
-    @property
-    def is_enough(self) -> bool:
-        """True if the main trials may begin."""
-        return self.n_correct >= self.n_needed
-
 
 class TrialOrder:
     """The order of the trials of a session, a function of its record and of the rows so far.
@@ -102,7 +97,7 @@ class TrialOrder:
         if not main and len(self._practice):
             practised = self.practised(rows)
             block, place = divmod(len(rows), len(self._practice))
-            if place or practised is None or not practised.is_enough:
+            if place or practised is None or practised.n_correct < practised.n_needed:
                 of_block = _stream(self._record.seed, PRACTICE, block).permutation(self._practice)
                 return NextTrial("practice", int((of_block if block else self._practice)[place]), dither_seed)
         if len(main) >= n_main_trials(self._record, rows):

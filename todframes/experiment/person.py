@@ -20,7 +20,7 @@ from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, FrameError, SettingsError, argument
 from todframes.base.remote import Location
 from todframes.display.display import Display
-from todframes.experiment.answers import Session, TrialRow, at_eye
+from todframes.experiment.answers import Session, TrialRow, at_eye, flagged
 from todframes.experiment.calibration import PersonResult
 from todframes.experiment.monitor import Monitor
 from todframes.experiment.session import frames_sha256
@@ -445,7 +445,7 @@ def calibrate_persons(
                 model = _model_curve(table.select(rows), levels, fit, fit_settings)
                 if model is not None:
                     predicted.append(Fit.of_counts(named, dataset.experiment.level, model))
-        flags: Counter[str] = sum((Counter(sessions[k].n_flagged()) for k in members), Counter())
+        flags: Counter[str] = sum((Counter(flagged(sessions[k].rows)) for k in members), Counter())
         return _person_result(subject, is_correct, dict(flags), fit, predicted, setting, 1 + len(set(free)))
 
     subjects = list(dict.fromkeys(one.subject for one in answered))

@@ -39,10 +39,11 @@ DESCRIPTIONS: Mapping[str, tuple[str, str | None]] = {
 """Descriptions and units of the columns of a data file."""
 
 
-def description(shown: ShownDataset, software: Mapping[str, str]) -> Json:
-    """Return the description of a folder of answers, JSON-LD with the terms of schema.org.
+def write_description(folder: Path, shown: ShownDataset, software: Mapping[str, str]) -> None:
+    """Write the description into a folder of answers, JSON-LD with the terms of schema.org.
 
-    Columns named by the dataset that have no description here are the level or one of the groups.
+    Columns named by the dataset that have no description here are the level or one of the groups. Raises
+    OutputError if it cannot be written.
     """
     others = {
         shown.level: ("Stimulus strength: the level of the dataset that was shown", None),
@@ -54,7 +55,7 @@ def description(shown: ShownDataset, software: Mapping[str, str]) -> Json:
         variables.append(
             {"@type": "PropertyValue", "name": name, "description": text} | ({"unitText": unit} if unit else {})
         )
-    return {
+    description: Json = {
         "@context": "https://schema.org/",
         "@type": "Dataset",
         "name": "Answers of people in a Triangle Orientation Discrimination test",
@@ -70,9 +71,5 @@ def description(shown: ShownDataset, software: Mapping[str, str]) -> Json:
             + ", ".join(f"{name} {version}" for name, version in software.items())
         ),
     }
-
-
-def write_description(folder: Path, shown: ShownDataset, software: Mapping[str, str]) -> None:
-    """Write the description into a folder of answers; OutputError if it cannot be written."""
-    content = msgspec.json.format(msgspec.json.encode(description(shown, software)), indent=2)
+    content = msgspec.json.format(msgspec.json.encode(description), indent=2)
     write_file(folder / DESCRIPTION_FILE, content + b"\n", is_private=True)

@@ -39,10 +39,6 @@ class Answer(msgspec.Struct):
     response_time_ms: Annotated[float, Meta(ge=0.0, le=1e9)]
     lost: Literal["hidden", "unfocused"] | None = None
 
-    def direction(self) -> Orientation | None:
-        """Return the response; None if the time limit has passed."""
-        return None if self.response == NO_RESPONSE else Orientation(self.response)
-
 
 def experiment_app(sitting: Sitting) -> Starlette:
     """Return the app of a session, to be put behind `todframes.web.server.guarded`."""
@@ -50,6 +46,10 @@ def experiment_app(sitting: Sitting) -> Starlette:
     async def stimulus(request: Request) -> Response:
         picture = await run_in_threadpool(sitting.picture, request.path_params["number"])
         return Response(picture, media_type="image/png")
+
+    def answer(asked: Answer) -> object:
+        response = None if asked.response == NO_RESPONSE else Orientation(asked.response)
+        return sitting.answer(asked.number, response, asked.response_time_ms, lost=asked.lost)
 
     app = page(
         files("todframes.experiment") / "static",
@@ -59,13 +59,7 @@ def experiment_app(sitting: Sitting) -> Starlette:
             call("/api/monitor", Calibration, sitting.calibrate),
             call("/api/trial", EmptyRequest, lambda _: sitting.trial()),
             Route("/stimulus/{number:int}.png", stimulus),
-            call(
-                "/api/answer",
-                Answer,
-                lambda asked: sitting.answer(
-                    asked.number, asked.direction(), asked.response_time_ms, lost=asked.lost
-                ),
-            ),
+            call("/api/answer", Answer, answer),
             call("/api/continue", EmptyRequest, lambda _: sitting.go_on()),
             call("/api/stop", EmptyRequest, lambda _: sitting.stop()),
         ],
