@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from test_frames import png_chunk
 from test_memory import PEAK, linux
-from test_recordings import dng, fff, jpeg_ls, png, ptw, write_image
+from test_recordings import dng, fff, jpeg_ls, png, ptw, video, write_image
 
 import todframes as tod
 from todframes.cli.console import run
@@ -26,17 +26,6 @@ COUNTS = np.random.default_rng(1).integers(1, 1000, (SIDE_PX, SIDE_PX)).astype(n
 
 LARGEST_MB = 200
 """What a refusal may take, libraries included; that of a file of 64 × 64 pixels takes 90 to 180 MB."""
-
-
-def video(path, codec, pixel_format, values=None):
-    av = pytest.importorskip("av")
-    values = COUNTS if values is None else values
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=25)
-        stream.height, stream.width, stream.pix_fmt = *values.shape, pixel_format
-        frame = av.VideoFrame.from_ndarray(values, format="gray16le").reformat(format=pixel_format)
-        container.mux(stream.encode(frame))
-        container.mux(stream.encode())
 
 
 def image(path):
@@ -57,10 +46,10 @@ FILES = {
     "a.csq": lambda path: path.write_bytes(fff(COUNTS, image=jpeg_ls(COUNTS))),
     "png.fff": lambda path: path.write_bytes(fff(COUNTS, image=png(COUNTS))),
     "a.ptw": lambda path: path.write_bytes(ptw(COUNTS[np.newaxis], [1.0])),
-    "a.mkv": lambda path: video(path, "ffv1", "gray16le"),
-    "a.mov": lambda path: video(path, "png", "rgb24"),
-    "a.mp4": lambda path: video(path, "libx264", "yuv420p"),
-    "a.ts": lambda path: video(path, "libx264", "yuv420p"),
+    "a.mkv": lambda path: video(path, "ffv1", "gray16le", COUNTS[np.newaxis]),
+    "a.mov": lambda path: video(path, "png", "rgb24", COUNTS[np.newaxis]),
+    "a.mp4": lambda path: video(path, "libx264", "yuv420p", COUNTS[np.newaxis]),
+    "a.ts": lambda path: video(path, "libx264", "yuv420p", COUNTS[np.newaxis]),
 }
 
 
@@ -118,7 +107,7 @@ def test_commands_of_frames_take_the_limit(make_dataset, capsys, command) -> Non
 
 def enlarged_mkv(path):
     """A FFV1 of 300 × 300 pixels whose container says 16,000 × 16,000."""
-    video(path, "ffv1", "gray16le", COUNTS[:300, :300])
+    video(path, "ffv1", "gray16le", COUNTS[np.newaxis, :300, :300])
     content = path.read_bytes()
     for element in (b"\xb0\x82", b"\xba\x82"):  # Matroska's PixelWidth and PixelHeight, of two bytes
         assert content.count(element + struct.pack(">H", 300)) == 1
@@ -128,7 +117,7 @@ def enlarged_mkv(path):
 
 def enlarged_png_in_mov(path):
     """A PNG of 16,000 × 16,000 behind a container that says 512 × 512."""
-    video(path, "png", "rgb24")
+    video(path, "png", "rgb24", COUNTS[np.newaxis])
     content = path.read_bytes()
     place = content.index(b"IHDR")
     header = struct.pack(">II", 16000, 16000) + content[place + 12 : place + 17]

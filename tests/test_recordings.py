@@ -725,27 +725,30 @@ def coloured_npy(folder):
     return folder / "a.npy"
 
 
-def grey_video(folder):
-    import av
-
-    with av.open(str(folder / "a.mkv"), "w") as container:
-        stream = container.add_stream("ffv1", rate=25)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "gray16le"
-        for values in RNG.integers(0, 65536, (3, 48, 64)).astype(np.uint16):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(values, format="gray16le")))
+def video(path, codec, pixel_format, frames):
+    """Write grey frames of 16 bits, converted to a pixel format by FFmpeg."""
+    av = pytest.importorskip("av")
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=25)
+        stream.height, stream.width, stream.pix_fmt = *frames.shape[1:], pixel_format
+        for values in frames:
+            frame = av.VideoFrame.from_ndarray(values, format="gray16le").reformat(format=pixel_format)
+            container.mux(stream.encode(frame))
         container.mux(stream.encode())
-    return folder / "a.mkv"
-
-
-FILMS = [
-    lambda d: write(d / "a.ptw", ptw(scene(3), [1, 2, 3])),
-    lambda d: write(d / "a.csq", b"".join(fff(one, image=jpeg_ls(one)) for one in scene(3))),
-]
+    return path
 
 
 @pytest.mark.parametrize(
     "make",
-    [two_pngs, one_dng, coloured_npy, grey_video, lambda d: write(d / "a.fff", fff(np.ones((40, 50)))), *FILMS],
+    [
+        two_pngs,
+        one_dng,
+        coloured_npy,
+        lambda d: video(d / "a.mkv", "ffv1", "gray16le", scene(3)),
+        lambda d: write(d / "a.fff", fff(np.ones((40, 50)))),
+        lambda d: write(d / "a.ptw", ptw(scene(3), [1, 2, 3])),
+        lambda d: write(d / "a.csq", b"".join(fff(one, image=jpeg_ls(one)) for one in scene(3))),
+    ],
 )
 def test_every_kind_keeps_the_contract_of_a_recording(tmp_path, make):
     (recording,) = open_recordings(make(tmp_path), frames_per_second=20)

@@ -394,7 +394,7 @@ def warnings_of(source: Path, folder: Path, change) -> set[str]:
     return {one.code for one in result.warnings}
 
 
-QUARTER = {"up": "right", "right": "down", "down": "left", "left": "up"}
+TURN = {"up": "right", "right": "down", "down": "left", "left": "up"}
 MIRROR, LEVELS, NUMBERS = {"left": "right", "right": "left"}, {"0.2": "0.5", "0.5": "0.2"}, count()
 
 
@@ -407,11 +407,11 @@ MIRROR, LEVELS, NUMBERS = {"left": "right", "right": "left"}, {"0.2": "0.5", "0.
         ("size_mrad", lambda text: repr(1.3 * float(text)), "size_mismatch"),
         ("background_luminance_cd_m2", lambda text: repr(0.8 * float(text)), "background_mismatch"),
         ("x_px", lambda text: repr(2.5 + float(text)), "position_offset"),
-        ("orientation", lambda text: QUARTER[text], "turned"),
+        ("orientation", lambda text: TURN[text], "turned"),
         ("orientation", lambda text: MIRROR.get(text, text), "mirrored"),
         (
             "orientation",
-            lambda text: text if next(NUMBERS) % 4 else QUARTER[QUARTER[text]],
+            lambda text: text if next(NUMBERS) % 4 else TURN[TURN[text]],
             "orientation_mismatch",
         ),
         ("contrast", lambda text: LEVELS.get(text, text), "polarity_mismatch"),
