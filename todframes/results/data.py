@@ -43,7 +43,6 @@ Group = dict[str, float | str]
 
 Record = dict[str, Any]
 
-
 # JSON leaves out a value that equals its default, but not one that equals the value of a default factory.
 NULL: Any = field(default_factory=lambda: None)
 """Field that may be missing when a result is read, and is written as null if it has no value."""
