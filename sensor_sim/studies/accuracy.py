@@ -15,10 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from sensor_sim.chain.detector_noise import draw
-from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal, luminance_cd_m2
-from sensor_sim.chain.sampling import field_detectors, field_sampler
 from sensor_sim.chain.sensor import Detector, Optics, Sensor, SensorDisplay
+from sensor_sim.chain.simulation import SimulatedTrial, Simulator
 from sensor_sim.thresholds.curve_plan import CurvePlan, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, Phases
 from todframes.base._typing import FloatArray
@@ -247,46 +245,32 @@ def no_noise() -> Camera:
 
 
 def literal_answers(sensor: Sensor, size_detectors: float, *, snr: float, contrast: float = 1.0) -> Draw:
-    """Prepare to draw trials of random orientation and place, with noise on every detector and every neuron: 1 for
-    a right and 0 for a wrong answer, (n, 1).
+    """Prepare to draw trials of random orientation and place as `sensor-sim simulate` does, with noise on every
+    detector and every neuron: 1 for a right and 0 for a wrong answer, (n, 1).
 
-    All noise is new in each trial, the share of the fixed pattern too. `snr` is the signal of a large triangle
-    over the standard deviation of the detector noise, infinite without any; `contrast` that of the triangle, in
-    units of what the display's gain gives it.
+    `snr` is the signal of a large triangle over the standard deviation of the detector noise, infinite without
+    any; `contrast` that of the triangle, in units of what the display's gain gives it.
     """
     display, observer = sensor.display, PyramidObserver()
     stimulus = Stimulus(size_detectors * display.detector_pitch_mrad)
     observer.templates(stimulus)
-    grid, field = observer.grid(stimulus), field_detectors(sensor, size_detectors)
-    sampler = field_sampler(sensor, size_detectors)
-    hold = axis_matrix(field, display=display, electronics=sensor.electronics)
+    grid, simulator = observer.grid(stimulus), Simulator(sensor, size_detectors, seed=0)
     jitter_px = observer.position_jitter_samples * grid.pitch_mrad / display.pixel_pitch_mrad
 
     def batch(n: int, rng: np.random.Generator) -> FloatArray:
-        orientations = rng.integers(4, size=n)
-        places = rng.uniform(-0.5, 0.5, (n, 2))
-        samples = np.empty((n, field, field))
-        for orientation in ORIENTATIONS:
-            shown = orientations == orientation.quarter_turns
-            samples[shown] = sampler.samples(*places[shown].T, orientation=orientation)
-        samples *= contrast
-        samples += draw(samples.shape, sd=contrast / snr, distribution=sensor.noise.distribution, rng=rng)
-        jitter = jitter_px * rng.uniform(-1.0, 1.0, (n, 2))
-        right = np.empty((n, 1))
-        for trial in range(n):
-            x_px, y_px = (
-                display_position_px(at, n_detectors=field, display=display) + by
-                for at, by in zip(places[trial].tolist(), jitter[trial].tolist(), strict=True)
-            )
-            luminance = luminance_cd_m2(display_signal(samples[trial], hold), display=display)
+        stream, right = int(rng.integers(2**32)), np.empty((n, 1))
+        orientations = [ORIENTATIONS[turns] for turns in rng.integers(4, size=n)]
+        trials = [SimulatedTrial((stream, 0, k), size_detectors, snr, one) for k, one in enumerate(orientations)]
+        for k, frame in enumerate(simulator.frames(trials)):
+            dx, dy = jitter_px * rng.uniform(-1.0, 1.0, 2)
             seen = resample(
-                luminance / display.background_luminance_cd_m2 - 1.0,
+                contrast * (frame.luminance_cd_m2 / display.background_luminance_cd_m2 - 1.0),
                 grid,
-                x_px=x_px,
-                y_px=y_px,
+                x_px=frame.x_px + dx,
+                y_px=frame.y_px + dy,
                 pixel_pitch_mrad=display.pixel_pitch_mrad,
             )
-            right[trial] = observer.respond(seen, stimulus, rng).quarter_turns == orientations[trial]
+            right[k] = observer.respond(seen, stimulus, rng) is orientations[k]
         return right
 
     def answers(n: int, rng: np.random.Generator) -> FloatArray:
