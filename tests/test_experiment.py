@@ -535,22 +535,6 @@ def test_answers_to_another_dataset_are_not_mixed(make_dataset, dataset, out):
     refused(SettingsError, "has answers to another dataset", other, out)
 
 
-def test_other_folders_are_left_alone(dataset, tmp_path):
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.txt").write_text("…")
-    refused(OutputError, "mine: holds other files, expected a folder of answers", dataset, tmp_path / "mine")
-    refused(OutputError, "is a file, expected a folder for answers", dataset, tmp_path / "mine" / "thesis.txt")
-    assert [one.name for one in (tmp_path / "mine").iterdir()] == ["thesis.txt"]
-
-
-def test_ids_are_letters_and_digits(dataset, out):
-    for subject in ("", "Jane Doe", "../x", "<script>", "a_b", "ü", "a" * 65, "a\n"):
-        refused(
-            SettingsError, "expected letters and digits, at most 64, and no name", dataset, out, subject=subject
-        )
-    assert not out.exists()
-
-
 @pytest.mark.parametrize(
     ("design", "message"),
     [
@@ -567,23 +551,29 @@ def test_settings_are_checked(design, message):
         SessionDesign(**design)
 
 
-def test_more_trials_than_there_are_is_told(dataset, out):
-    refused(
-        SettingsError,
-        "trials: found 25, expected at most 24, the trials of the dataset",
-        dataset,
-        out,
-        design=SessionDesign(trials=25),
-    )
-    assert not out.exists()
-
-
-def test_answers_without_their_sidecar_are_told(dataset, out):
-    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
-        begin(sitting)
-        answer_rightly(sitting)
-    sidecar_path(data_path(out, "P1")).unlink()
-    refused(DataError, r"_data\.json: no such file", dataset, out, subject="P1")
+@pytest.mark.parametrize(
+    ("more", "error", "message"),
+    [
+        (
+            {"design": SessionDesign(trials=25)},
+            SettingsError,
+            "trials: found 25, expected at most 24, the trials",
+        ),
+        *(
+            ({"subject": subject}, SettingsError, "expected letters and digits, at most 64, and no name")
+            for subject in ("", "Jane Doe", "../x", "<script>", "a_b", "ü", "a" * 65, "a\n")
+        ),
+        ({"folder": "no/such"}, OutputError, "cannot be written"),
+        ({"folder": "mine"}, OutputError, "mine: holds other files, expected a folder of answers"),
+        ({"folder": "mine/thesis.txt"}, OutputError, "is a file, expected a folder for answers"),
+    ],
+)
+def test_sessions_that_cannot_begin_leave_all_as_it_was(dataset, tmp_path, more, error, message):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("…")
+    before = sorted(tmp_path.rglob("*"))
+    refused(error, message, dataset, tmp_path / more.pop("folder", "answers"), **more)
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 @pytest.mark.parametrize(
@@ -603,25 +593,24 @@ def test_datasets_that_the_files_cannot_hold_are_refused(make_dataset, out, chan
     refused(error, message, data, out)
 
 
-def test_rows_of_other_frames_are_told(dataset, out):
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("json", None, None, r"_data\.json: no such file"),
+        ("csv", "frames/", "frames/other", r"line 2: frame: found .*, which no trial"),
+        ("json", '"trials": 8', '"trials": 800', "trials: found 800, the dataset has 24"),
+    ],
+)
+def test_files_of_a_session_that_are_damaged_are_told(dataset, out, file, old, new, message):
     with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
         begin(sitting)
-        row = answer_rightly(sitting)
-    path = data_path(out, "P1")
-    path.write_text(path.read_text().replace(row.frame, "frames/other.exr"))
-    refused(DataError, r"line 2: frame: found .*, which no trial", dataset, out)
-
-
-def test_a_session_of_more_trials_than_the_dataset_has_is_told(dataset, out):
-    with open_sitting(dataset, out, subject="P1", design=SHORT):
-        pass
-    sidecar = sidecar_path(data_path(out, "P1"))
-    sidecar.write_text(sidecar.read_text().replace('"trials": 8', '"trials": 800'))
-    refused(DataError, "trials: found 800, the dataset has 24", dataset, out)
-
-
-def test_a_folder_that_cannot_be_made_is_told(dataset, tmp_path):
-    refused(OutputError, "cannot be written", dataset, tmp_path / "no" / "such")
+        answer_rightly(sitting)
+    path = data_path(out, "P1").with_suffix(f".{file}")
+    if old is None:
+        path.unlink()
+    else:
+        path.write_text(path.read_text().replace(old, new))
+    refused(DataError, message, dataset, out, subject="P1")
 
 
 # The server's side ---------------------------------------------------------------------------------------------

@@ -157,19 +157,6 @@ def test_first_table_holds_what_that_of_the_terminal_holds(results, pages) -> No
     assert table.without_details().csv() == table.csv()
 
 
-@pytest.mark.parametrize(
-    ("level", "heading"),
-    [
-        ("contrast", "threshold contrast"),
-        ("snr", "threshold SNR"),
-        ("delta_t_k", "threshold, ΔT (K)"),
-        ("size_mrad", "threshold, size (mrad)"),
-    ],
-)
-def test_headings_have_units(level: str, heading: str) -> None:
-    assert threshold_heading(level) == heading
-
-
 def test_verdict_of_scored_frames(results) -> None:
     """Threshold 1 ÷ size with ±10 % at 1, 2 and 4 mrad."""
     assert verdict_of(results["score"]) == [
@@ -590,29 +577,25 @@ def test_numbers_at_the_edge_of_all_numbers(results, extreme: float) -> None:
         ({"fits": [{}]}, r"fits\[0\].group is missing"),
         ({"fits": [{"group": {"size_mrad": [1]}}]}, r"fits\[0\].group\[...\]: found array, expected float | str"),
         ({"settings": 3}, "settings: found int, expected object"),
+        *(
+            ({"second fit": {key: value}}, "")
+            for key, value in {"threshold": -1.0, "p_correct": 1.5, "level": 3, "status": None}.items()
+        ),
+        ({"second fit": {"points": [{"level": 0.0}]}}, ""),
+        (
+            {"second fit": {"group": {"camera": "left"}}},
+            r"fits\[1\].group: found 'camera', expected 'size_mrad' as in the first",
+        ),
         ({"examples": [{"group": {}, "pictures": [{"name": "a", "png": "AAAA"}]}]}, "picture 'a' is no PNG"),
         ({"examples": [{"group": {}, "pictures": [{"name": "a", "png": "?"}]}]}, "base64"),
     ],
 )
 def test_odd_values_are_named(results, changes, message: str) -> None:
+    for key, value in changes.pop("second fit", {}).items():
+        results["score"]["fits"][1] |= {key: value}
+        message = message or rf"fits\[1\].{key}.*expected"
     with pytest.raises(DataError, match=f"^result: .*{message}"):
         report_html(results["score"] | changes)
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [("threshold", -1.0), ("p_correct", 1.5), ("level", 3), ("status", None), ("points", [{"level": 0.0}])],
-)
-def test_odd_values_of_a_fit_are_named(results, key: str, value: object) -> None:
-    results["score"]["fits"][1] |= {key: value}
-    with pytest.raises(DataError, match=rf"^result: fits\[1\].{key}.*expected"):
-        report_html(results["score"])
-
-
-def test_fits_of_different_groups_are_refused(results) -> None:
-    results["score"]["fits"][1]["group"] = {"camera": "left"}
-    with pytest.raises(DataError, match=r"fits\[1\].group: found 'camera', expected 'size_mrad' as in the first"):
-        report_html(results["score"])
 
 
 @pytest.fixture
@@ -712,3 +695,9 @@ def test_places_that_cannot_be_written(results, report, tmp_path: Path) -> None:
 )
 def test_columns_of_sizes_in_words(name: str, words: str, unit: str, value: str) -> None:
     assert (quantity(name), unit_of(name), phrase(name, 2.0)) == (words, unit, value)
+
+
+def test_headings_have_units() -> None:
+    names = ("contrast", "snr", "delta_t_k", "size_mrad")
+    headings = ["threshold contrast", "threshold SNR", "threshold, ΔT (K)", "threshold, size (mrad)"]
+    assert [*map(threshold_heading, names)] == headings
