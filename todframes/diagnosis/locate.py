@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -36,24 +37,6 @@ from todframes.frames.position import from_centroid, size_in_px, to_centroid
 from todframes.frames.trials import Group, Trial, Trials, indices_by
 from todframes.parameters import Locate, Progress
 from todframes.stimulus import Centre
-
-LEAST_PEAK = 6.0
-"""Least height of a correlation peak above its surroundings, in their standard deviations."""
-
-MOST_FITTED = 256
-"""Largest number of trials, the strongest, that the triangle of a group is fitted to."""
-
-MOST_STRONGEST = 24
-"""Number of the strongest trials that are searched over whole frames for positions of their own."""
-
-STRONG = 0.5
-"""Least level, as a share of the highest, of trials in which the triangle is looked for before it is known."""
-
-SEARCHED, LEAST_SEARCHED_PX = 2.5, 8.0
-"""Largest distance of a trial's position from where its search begins: so many sizes, and pixels more."""
-
-NEARBY = 4.0
-"""The same distance in standard deviations of the positions, if that is larger."""
 
 MOST_ERROR_MRAD = 0.09
 """Standard error of single positions along an axis from which they raise a threshold by more than 3 %: between
@@ -220,13 +203,13 @@ def _begun(
     pitch_mrad = dataset.display.pitch_mrad
     if locate == "each" and (strongest := _of_strongest(frames, usable, pitch_mrad)) is not None:
         middle_px, scatter_px = strongest
-        return _Start(members, np.tile(middle_px, (len(members), 1)), NEARBY * scatter_px)
+        return _Start(members, np.tile(middle_px, (len(members), 1)), 4.0 * scatter_px)
     peak = search(frames, centre, sizes)
     if peak.height == -math.inf:
         rows, columns = frames.shape or (0, 0)
         size = f"frames of {columns} × {rows} pixels"
         raise DataError(f"{dataset.path}: {size} are smaller than the triangle")
-    if not peak.height > LEAST_PEAK * peak.spread:
+    if not peak.height > 6.0 * peak.spread:
         raise _nothing_stands_out(dataset, usable[0].group)
     x_px, y_px = frames.in_pixels((peak.x, peak.y))
     scaled = _scaled(usable, peak.size)
@@ -247,9 +230,9 @@ def _of_strongest(
 ) -> tuple[tuple[float, float], float] | None:
     """Find the middle and the scatter of the positions in the strongest trials, anywhere on the frames, in pixels.
 
-    None if a triangle stands out in less than half of these.
+    None if a triangle stands out in less than half of these 24.
     """
-    strongest = trials.select(np.argsort(-trials.levels, kind="stable")[:MOST_STRONGEST])
+    strongest = trials.select(np.argsort(-trials.levels, kind="stable")[:24])
     common = frames.mean()
     n = max(common.shape)
     if max(size_in_px(trial, pitch_mrad) for trial in strongest) / frames.block_px > n / 2.0:
@@ -308,13 +291,11 @@ class _Search:
         return measure_trial(self.dataset, trial, "centroid", size_px=self.size_px, reach_px=reach_px)
 
     def _windows(self, trials: Trials, reach_px: float = 0.0) -> list[TrialSample]:
-        """Measure the strongest trials; those that cannot be read are reported where all are read."""
+        """Measure the 256 strongest trials; those that cannot be read are reported where all are read."""
         samples = []
-        for trial in trials.select(np.sort(np.argsort(-trials.levels, kind="stable")[:MOST_FITTED])):
-            try:
+        for trial in trials.select(np.sort(np.argsort(-trials.levels, kind="stable")[:256])):
+            with suppress(DataError):
                 samples.append(self._window(trial, reach_px))
-            except DataError:
-                continue
         return samples
 
     def _fit(self, trials: Trials) -> GroupTriangle | None:
@@ -353,8 +334,9 @@ class _Search:
     ) -> _Displacements:
         """Find the displacement of each trial."""
         n_trials, levels = len(self.trials), self.trials.levels
-        reach_px = max(SEARCHED * self.size_px + LEAST_SEARCHED_PX, self.reach_px)
-        strong = self._windows(self.trials.select(levels >= STRONG * levels.max()), reach_px)
+        reach_px = max(2.5 * self.size_px + 8.0, self.reach_px)
+        # Before the triangle is known, it is looked for in the trials of at least half of the highest level.
+        strong = self._windows(self.trials.select(levels >= 0.5 * levels.max()), reach_px)
         triangle = self._fit_strong(strong, reach_px)
         if triangle is None:
             advance(n_trials)
@@ -514,9 +496,6 @@ CLEAR_LIKELIHOOD, CLEAR_LEAD = 18.0, 5.0
 """Least log likelihood of a peak, that of six standard deviations, and its least lead over the next, for a trial
 whose place is clear without the others."""
 
-LIKELY = 0.5
-"""Least probability of a peak for a trial to have a place of its own."""
-
 LEAST_CLEAR = 4
 """Least number of clear trials from which the scatter is estimated."""
 
@@ -659,7 +638,7 @@ def chosen_places(peaks: list[Peaks]) -> TrialPlaces | None:
         is_clear = (likely > 0.99) & (height[each, best] > CLEAR_LIKELIHOOD / 2.0)
         if is_clear.sum() < LEAST_CLEAR:
             return None
-    is_own = likely >= LIKELY
+    is_own = likely >= 0.5
     share = np.where(is_own, scatter**2 / both[each, best], 0.0)
     found = mean + share[:, None] * (places[each, best] - mean)
     error = np.sqrt(np.where(is_own, share * variance[each, best], scatter**2))

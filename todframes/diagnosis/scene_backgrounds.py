@@ -24,9 +24,6 @@ VIEWED_TIMES, MOST_OF_VIEW = 3, 8
 """Number of trials with scenes that are measured, in those on even backgrounds, and of those of one background if
 there are many: with eight, its error adds an eighth to the variance of the noise."""
 
-LEAST_SCENES = 4
-"""Least number of scenes whose mean tells what all frames share, such as dirt, from what a scene shows."""
-
 
 def whole_views(trials: Trials, strength: FloatArray, most: int) -> NDArray[np.intp]:
     """Choose trials so that their backgrounds are known: of views spread over the manifest, up to a few of each.
@@ -157,7 +154,7 @@ class SceneParts(NamedTuple):
         """Return the mean background of each scene, (scene, n, n), the scene of each trial given; None if few."""
         of_view = {int(number): name for number, name in zip(self.view, names, strict=True)}
         scenes = sorted(set(names))
-        if len(scenes) < LEAST_SCENES:
+        if len(scenes) < 4:  # their mean does not tell what all share, such as dirt, from what a scene shows
             return None
         which = np.array([scenes.index(of_view[number]) for number in range(len(self.backgrounds))])
         return np.array([self.backgrounds[which == number].mean(axis=0) for number in range(len(scenes))])

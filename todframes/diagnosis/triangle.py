@@ -28,25 +28,6 @@ from todframes.stimulus import (
     vertices,
 )
 
-FITTED_REACH_IN_SIZES = 2.2
-"""Half of the side of the square that is fitted, in sizes; corners lie at 0.88."""
-
-CELL = 2.2
-"""Side of the square, in sizes, that counts as one independent value of the noise as a fit sees it, set by
-`tests/triangles.py`: reported 95 % intervals hold 96.8 % of true values, and 92.6 % with 1.5."""
-
-MOST_ROUGH = 2.0
-"""Largest factor of the covariance for what a fit leaves at the edges of a triangle, the power there over that
-elsewhere: pictures with little blur are not quite exact there, and in little noise that is 1.0 to 1.3 times it.
-More is a mishap, such as trials without a triangle."""
-
-MOST_STRETCH = 1.5
-"""Largest ratio of an axis of the map to the mean of the two: a picture seen from 60° to the side has 1.41."""
-
-UNSTEADY = 2.0
-"""Standard deviation of a block around the triangle over trials, in those of the noise there, beyond which it
-counts less: letters that change from frame to frame then count no more than the noise does elsewhere."""
-
 N_PARAMETERS = 8
 AMPLITUDE, X, Y, XX, XY, YX, YY, BLUR = range(N_PARAMETERS)
 """Parameters of a picture: amplitude, place, changes of the affine map, variance of the blur."""
@@ -161,7 +142,7 @@ class Square(NamedTuple):
     @classmethod
     def about(cls, shape: Shape, n: int) -> Square:
         """Return the square about a triangle that is fitted; it may reach beyond the window."""
-        reach = math.ceil(FITTED_REACH_IN_SIZES * shape.size + 1.0)
+        reach = math.ceil(2.2 * shape.size + 1.0)  # corners lie at 0.88 sizes
         middle = (n - 1) // 2
         return cls(middle + round(shape.y) - reach, middle + round(shape.x) - reach, 2 * reach + 1)
 
@@ -302,7 +283,8 @@ class Images(NamedTuple):
             backgrounds = parts[4:] if view is None else np.tensordot(of_backgrounds, frames, 1)[view]
             left = frames - backgrounds - level[:, None, None] * parts[turns]
             spread = np.sqrt(np.square(left / noise[:, None, None]).mean(axis=0))
-            steady = np.square(UNSTEADY / np.maximum(spread, UNSTEADY))
+            # Letters that change from frame to frame count no more than the noise does elsewhere.
+            steady = np.square(2.0 / np.maximum(spread, 2.0))
             weight *= np.where(within(len(known), hole), 1.0, steady)
         return cls(parts[4], parts[:4], shares, information, weight, None if view is None else of_view)
 
@@ -387,8 +369,10 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
     subtract(left, model.images[order], square)
     white = np.tensordot(factors, left, 1)
     spectrum = noise_spectrum(white, images.weight, square.side)
-    # The fit has taken the noise of its parameters out of what it leaves.
-    cells = np.linalg.matrix_rank(images.information) * float(images.weight.sum()) / (CELL * shape.size) ** 2
+    # The fit has taken the noise of its parameters out of what it leaves. A square of 2.2 sizes counts as one
+    # independent value, set by `tests/triangles.py`: 95 % intervals hold 96.8 % of true values, and 92.6 % with
+    # 1.5.
+    cells = np.linalg.matrix_rank(images.information) * float(images.weight.sum()) / (2.2 * shape.size) ** 2
     larger = cells / max(cells - N_PARAMETERS, cells / 4.0)
     larger *= _roughness(white, images.weight, model.images[order], square)
     covariance = _covariance(design, square, images.weight, spectrum)
@@ -396,14 +380,18 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
 
 
 def _roughness(white: FloatArray, weight: FloatArray, pictures: FloatArray, square: Square) -> float:
-    """Return the power that a fit leaves at the edges of triangles over that elsewhere: from 1 to `MOST_ROUGH`."""
+    """Return the power that a fit leaves at the edges of triangles over that elsewhere: from 1 to 2.
+
+    Pictures with little blur are not quite exact there, and in little noise that is 1.0 to 1.3 times it. More is a
+    mishap, such as trials without a triangle.
+    """
     edges = np.square(np.gradient(pictures, axis=(1, 2))).sum(axis=(0, 1))
     at = np.zeros(weight.shape)
     subtract(at, -edges / max(float(edges.max()), 1e-300), square)
     power = np.square(white).sum(axis=0)
     here = float((at * weight * power).sum() / max((at * weight).sum(), 1e-300))
     all_of = float((weight * power).sum() / max(weight.sum(), 1e-300))
-    return min(max(here / max(all_of, 1e-300), 1.0), MOST_ROUGH)
+    return min(max(here / max(all_of, 1e-300), 1.0), 2.0)
 
 
 def _design(slopes: FloatArray, factors: FloatArray, weight: FloatArray) -> FloatArray:
@@ -426,7 +414,8 @@ def _bounded(shape: Shape, start: Shape, n: int) -> Shape:
     left, stretch, right = np.linalg.svd(shape.map)
     mean = float(np.sqrt(stretch.prod()))
     size = min(max(mean, 0.5 * start.size, 0.5), 2.0 * start.size, float(n))
-    stretch = size * np.clip(stretch / max(mean, 1e-9), 1.0 / MOST_STRETCH, MOST_STRETCH)
+    # A picture seen from 60° to the side has an axis of 1.41 times the mean of the two.
+    stretch = size * np.clip(stretch / max(mean, 1e-9), 1.0 / 1.5, 1.5)
     variance = min(max(shape.variance, -0.05), np.square(n / 4.0))  # sharpened pictures have a negative one
     x, y = (min(max(at, -n / 2.0), n / 2.0) for at in (shape.x, shape.y))
     return Shape(shape.amplitude, x, y, left * stretch @ right, variance)

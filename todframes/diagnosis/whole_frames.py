@@ -18,9 +18,6 @@ from todframes.frames.surround import block_sums
 from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
 
-MOST_LOCATED_PX = 2**21
-"""Largest number of pixels of a frame that is searched pixel by pixel; a larger one is averaged over blocks."""
-
 MOST_BLOCKS = 2**24
 """Largest number of blocks of a frame; more would fill the memory."""
 
@@ -101,9 +98,9 @@ class MeanFrames:
 
 
 def _block_px(shape: tuple[int, ...], size_px: float) -> int:
-    """Return the side of the blocks that a frame is searched in, in pixels: 1 unless the frame is large."""
+    """Return the side of the blocks that a frame is searched in, in pixels: 1 up to 2²¹ pixels."""
     n_px = shape[0] * shape[1]
-    wanted = 1 if n_px <= MOST_LOCATED_PX else math.ceil(math.sqrt(n_px / 2**19))
+    wanted = 1 if n_px <= 2**21 else math.ceil(math.sqrt(n_px / 2**19))
     # Blocks of more than a sixteenth of the triangle's size would blur its edges.
     return max(min(wanted, int(min(size_px, 1e9) / 16)), 1)
 

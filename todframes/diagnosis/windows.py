@@ -29,12 +29,6 @@ from todframes.frames.surround import (
 from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import Centre
 
-PICTURE_BLOCKS_PER_SIZE = 8
-"""Number of square blocks along a triangle's size that its picture is reduced to; fewer if these are pixels."""
-
-REACH_IN_SIZES = 3.0
-"""Distance from the stated place that a window has, in sizes."""
-
 
 class TrialSample(NamedTuple):
     """Measurements of a trial: contrast is the mean over its frames, all else is that of its first.
@@ -212,8 +206,8 @@ class _BlockMeans:
     """The means of square blocks about a triangle, by bands; their number depends on its size alone."""
 
     def __init__(self, triangle: TrianglePlace, reach_px: float, middle_px: tuple[float, float]) -> None:
-        self.block_px = block_px = max(int(triangle.size_px / PICTURE_BLOCKS_PER_SIZE), 1)
-        reach = max(REACH_IN_SIZES * triangle.size_px, hole_radius_px(triangle.size_px) + 8.0, reach_px)
+        self.block_px = block_px = max(int(triangle.size_px / 8), 1)  # eight along the triangle's size, or fewer
+        reach = max(3.0 * triangle.size_px, hole_radius_px(triangle.size_px) + 8.0, reach_px)
         self.n = 2 * math.ceil(reach / block_px) + 1
         length = self.n * block_px
         self.first = tuple(round(at) - length // 2 for at in reversed(middle_px))
