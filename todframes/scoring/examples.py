@@ -25,9 +25,6 @@ from todframes.scoring.retina_view import patches_about, read_trial, retina_imag
 from todframes.scoring.score import GroupFit, ScoredDataset
 from todframes.stimulus import vertices
 
-WHOLE_SIDE_PX = 384
-"""Largest side of the picture of a whole frame; a small frame is enlarged by a whole factor."""
-
 
 def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tuple[Example, ...]:
     """Draw the trial nearest to threshold of up to 4 groups, and the strongest of up to 60 where there is none.
@@ -63,9 +60,10 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tup
 def _whole(dataset: Dataset, trial: Trial, observer: Observer) -> tuple[float, tuple[Thumbnail]]:
     """Draw the whole frame of a trial with the outline of the expected triangle. Returns its width in mrad, too.
 
-    Grey is proportional to luminance between black and white, which leave out 0.2 % of the pixels each.
+    Grey is proportional to luminance between black and white, which leave out 0.2 % of the pixels each. A small
+    frame is enlarged by a whole factor.
     """
-    pitch_mrad = dataset.display.pitch_mrad
+    pitch_mrad, largest_side_px = dataset.display.pitch_mrad, 384
     total: FloatArray | float = 0.0
     for frame in trial.frames:
         with dataset.open(frame) as file:
@@ -73,13 +71,13 @@ def _whole(dataset: Dataset, trial: Trial, observer: Observer) -> tuple[float, t
             x, y = centroid_position(trial, header, observer.centre, pitch_mrad, frame)
             patch = read_contrast(file, dataset.display, frame)
         side = max(patch.values.shape[:2])
-        block_px = math.ceil(side / WHOLE_SIDE_PX)
+        block_px = math.ceil(side / largest_side_px)
         total = total + block_means(patch, block_px) / len(trial.frames)
     contrast = np.asarray(total)
     black, white = np.percentile(contrast, [0.2, 99.8]).tolist()
     white = max(white, black + 1e-3)
     grey = np.rint(255.0 * srgb(np.clip((contrast - black) / (white - black), 0.0, 1.0))).astype(np.uint8)
-    enlarged = max(WHOLE_SIDE_PX // side, 1)
+    enlarged = max(largest_side_px // side, 1)
     grey = grey.repeat(enlarged, axis=0).repeat(enlarged, axis=1)
     image = np.ascontiguousarray(grey[..., None].repeat(3, axis=2))
     corners = vertices(

@@ -34,8 +34,8 @@ are 0.06 to 17.5 times. Steps of 1.53 lose at most a fifth of the correlation's 
 LEAST_TRIALS, MOST_TRIALS = 8, 32
 """Least number of strong trials, as far as a group has them, and the largest number that are looked at again."""
 
-LEAST_RIGHT, LEAST_GAIN = 0.75, 0.2
-"""Least share of right answers after a change, and least gain, for a hint."""
+LEAST_GAIN = 0.2
+"""Least gain of the share of right answers by a change, for a hint."""
 
 LEAST_OFFSET = 0.1
 """Least distance from the stated position, and least scatter of positions, in sizes, for a hint at positions."""
@@ -298,7 +298,7 @@ class _MistakeSearch:
     def _works(self, share: float) -> bool:
         """Return whether a share of right answers is high, much higher than now, and no chance result."""
         now = self._right(_Change(self.answers))
-        if share < max(LEAST_RIGHT, now + LEAST_GAIN):
+        if share < max(0.75, now + LEAST_GAIN):
             return False
         against_guessing = rel_entr([share, 1.0 - share], [0.25, 0.75]).sum()
         return bool(len(self.trials) * against_guessing >= math.log(1e4))  # some thirty changes are tried

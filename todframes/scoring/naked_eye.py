@@ -25,9 +25,6 @@ from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus
 NODES = (6, 8, 12, 16, 24, 32, 48)
 """Numbers of Gauss–Legendre displacements along each axis, tried in turn until the threshold is stable."""
 
-TOLERANCE = 2e-4
-"""Largest relative change of a stable threshold between two numbers of displacements."""
-
 SPAN = 1.1
 """Ratio of the levels to the threshold between which the slope of P(correct) is taken."""
 
@@ -157,7 +154,7 @@ def _refined(threshold: Callable[[int], ComputedThreshold], nodes_to_try: Sequen
         if before.threshold is not None and result.threshold is not None:
             change = abs(result.threshold - before.threshold)
             result = replace(result, numerical_error=change)
-            if change <= TOLERANCE * before.threshold:
+            if change <= 2e-4 * before.threshold:
                 break
         elif before.status == result.status:
             break

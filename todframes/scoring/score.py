@@ -37,9 +37,6 @@ from todframes.stimulus import Stimulus, level_of
 
 S = TypeVar("S", bound=Sized)
 
-DECIDED_AT_A_TIME = 4096
-"""Number of trials whose answers are computed together; the work on each takes 500 bytes a displacement."""
-
 
 @dataclass(frozen=True, slots=True)
 class GroupFit:
@@ -319,8 +316,9 @@ def _decided(plan: ScorePlan, seen: SeenTrials) -> tuple[NDArray[Any], FloatArra
         if readout is None:
             continue
         table["bound"][members] = readout.place_bound(n_places) if n_places else readout.non_gaussian_bound
-        for start in range(0, len(members), DECIDED_AT_A_TIME):
-            rows = members[start : start + DECIDED_AT_A_TIME]
+        at_a_time = 4096  # the work on each takes 500 bytes a displacement
+        for start in range(0, len(members), at_a_time):
+            rows = members[start : start + at_a_time]
             if n_places:
                 answers, errors = _of_places(plan, stimulus, seen, rows)
                 table["place_error"][rows] = errors.max(axis=(1, 2))
