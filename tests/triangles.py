@@ -6,9 +6,9 @@ package.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ def recording(
     middle: tuple[float, float],
     *,
     side_px: int = 64,
-    size_px: float = 8.0,
+    size_px: float | Callable[[int], float] = 8.0,
     stated_px: float = 8.0,
     levels: Sequence[float] = (0.1, 0.2),
     repeats: int = 2,
@@ -42,8 +42,9 @@ def recording(
     shake_px: float = 0.0,
     steps: NDArray[np.float64] | None = None,
     shown: Sequence[int] = (0, 1, 2, 3),
-    sign: int = 1,
-    display: tod.Display = DISPLAY,
+    sign: float = 1.0,
+    spoil: Callable[[NDArray[np.float64], int], NDArray[Any]] = lambda luminance, _number: luminance,
+    **stated: Any,
 ) -> tuple[Dataset, NDArray[np.float64]]:
     """A camera's recording in memory, and the position in each frame; `shown` are the orientations on the frames.
 
@@ -51,23 +52,22 @@ def recording(
     All frames share the clutter.
     """
     shared = clutter * rng.normal(size=(side_px, side_px)) if clutter else 0.0
-    frames, stated, contrasts, positions = [], [], [], []
+    frames, orientation, contrasts, positions = [], [], [], []
     for level in levels:
         for turn in (0, 1, 2, 3) * repeats:
             x, y = middle + (shake_px * rng.normal(size=2) if steps is None else steps[len(frames)])
-            at = {"size_px": size_px, "x_px": x, "y_px": y, "orientation": ORIENTATIONS[shown[turn]]}
+            size = size_px(len(frames)) if callable(size_px) else size_px
+            at = {"size_px": size, "x_px": x, "y_px": y, "orientation": ORIENTATIONS[shown[turn]]}
             noise = noise_sd * rng.normal(size=(side_px, side_px))
             scene = sign * level * coverage((side_px, side_px), **at) + is_noise_blurred * noise
             scene = gaussian_filter(scene, blur_px) + (not is_noise_blurred) * noise
-            frames.append(50.0 * (1.0 + scene + shared))
-            stated.append(ORIENTATIONS[turn])
+            frames.append(spoil(50.0 * (1.0 + scene + shared), len(frames)))
+            orientation.append(ORIENTATIONS[turn])
             contrasts.append(level)
             positions.append((x, y))
-    size_mrad = display.pitch_mrad * stated_px
-    data = memory_dataset(
-        frames, orientation=stated, level=contrasts, size_mrad=size_mrad, display=display, polarity=1
-    )
-    return data, np.array(positions)
+    stated = {"orientation": orientation, "level": contrasts, "display": DISPLAY} | stated
+    stated = {"size_mrad": stated["display"].pitch_mrad * stated_px} | stated
+    return memory_dataset(frames, **stated), np.array(positions)
 
 
 def turning(degrees: float) -> NDArray[np.float64]:
