@@ -58,10 +58,9 @@ class FourBars:
         return SHARE if self.against == "square" else 0.0
 
     def profiles(self, middle: ArrayLike, width: float) -> tuple[FloatArray, FloatArray]:
-        """Compute the means over intervals of the contrast along x, and of the bars' length along y.
-
-        Intervals of a width have their middles at places from the pattern's middle, of any shape. The mean over a
-        rectangle is the product of the two.
+        """Compute the means over intervals of the contrast along x, and of the bars' length along y. Intervals of
+        a width have their middles at places from the pattern's middle, of any shape. The mean over a rectangle is
+        the product of the two.
         """
         place = np.asarray(middle, dtype=np.float64)
 

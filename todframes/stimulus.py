@@ -103,10 +103,9 @@ def level_of(column: str) -> Level:
 
 
 def bounding_box_offset(orientation: Orientation) -> tuple[float, float]:
-    """Return the vector from the centroid to the centre of the bounding box, in units of the size, as (x, y).
-
-    The bounding box is centred at half the height, the centroid lies at a third of it, so the offset is a
-    sixth of the height towards the apex.
+    """Return the vector from the centroid to the centre of the bounding box, in units of the size, as (x, y). The
+    bounding box is centred at half the height, the centroid lies at a third of it, so the offset is a sixth of the
+    height towards the apex.
     """
     sixth = HEIGHT_PER_SIZE / 6.0
     return ((0.0, -sixth), (sixth, 0.0), (0.0, sixth), (-sixth, 0.0))[orientation.quarter_turns]
@@ -133,10 +132,8 @@ CIRCLE_PER_SIZE = 2.0 / 3.0 * HEIGHT_PER_SIZE
 
 
 def circle_about(shape: tuple[int, int], *, size_px: float, x_px: float, y_px: float) -> FloatArray:
-    """Return weights of sum 1 of the pixels in the circle through the corners of a triangle.
-
-    `x_px` and `y_px` are its centroid. Pixels at the circle count by the share of a pixel that lies within, along
-    the radius.
+    """Return weights of sum 1 of the pixels in the circle through the corners of a triangle. `x_px` and `y_px` are
+    its centroid. Pixels at the circle count by the share of a pixel that lies within, along the radius.
     """
     rows, columns = shape
     away = np.hypot(np.arange(rows)[:, None] - y_px, np.arange(columns) - x_px)
@@ -145,11 +142,10 @@ def circle_about(shape: tuple[int, int], *, size_px: float, x_px: float, y_px: f
 
 
 def orientation_weights(shape: tuple[int, int], *, size_px: float, x_px: float, y_px: float) -> FloatArray:
-    """Return weights whose products with an image measure its orientation, (4, rows, columns).
-
-    They are triangles of the four orientations, each without the mean of the four, in units of a triangle's own
-    product: a triangle of contrast 0.1 alone has 0.1 in its orientation. Within a pixel all triangles are alike,
-    and the weights are 0.
+    """Return weights whose products with an image measure its orientation, (4, rows, columns). They are triangles
+    of the four orientations, each without the mean of the four, in units of a triangle's own product: a triangle
+    of contrast 0.1 alone has 0.1 in its orientation. Within a pixel all triangles are alike, and the weights are
+    0.
     """
     images = [coverage(shape, size_px=size_px, x_px=x_px, y_px=y_px, orientation=one) for one in ORIENTATIONS]
     triangles = np.array(images)
@@ -220,10 +216,9 @@ def _clamped_floor(value: float, stop: int) -> int:
 
 def moving_coverage(corners: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Compute the coverage of pixels by a triangle, and its changes by x, by y and by the entries xx, xy, yx and
-    yy of a map about (0, 0): (7, rows, columns). Corners (x, y), (3, 2), are clockwise as seen on the frame.
-
-    An edge that moves by v covers v·n more of each pixel for each length of it there, n its outward normal. Along
-    a piece of an edge within one pixel an affine motion is linear, so its value at the middle is its mean.
+    yy of a map about (0, 0): (7, rows, columns). Corners (x, y), (3, 2), are clockwise as seen on the frame. An
+    edge that moves by v covers v·n more of each pixel for each length of it there, n its outward normal. Along a
+    piece of an edge within one pixel an affine motion is linear, so its value at the middle is its mean.
     """
     found = np.zeros((7, *shape))
     first, stop = _touched_box(corners, shape)
@@ -320,10 +315,8 @@ def spectrum(
 ) -> ComplexArray:
     """Compute the Fourier transform ∬ exp(−2πi (f_x x + f_y y)) dx dy over the triangle, in closed form: complex,
     size² at frequency zero. Frequencies, in cycles per unit of `size`, broadcast; (x, y) is the place of the
-    triangle's `centre`.
-
-    By the Hermite–Genocchi formula the integral of an exponential over a triangle is twice its area times the
-    second divided difference of exp at z_j = −2πi f·v_j, v_j the corners.
+    triangle's `centre`. By the Hermite–Genocchi formula the integral of an exponential over a triangle is twice
+    its area times the second divided difference of exp at z_j = −2πi f·v_j, v_j the corners.
     """
     fx, fy = np.broadcast_arrays(np.asarray(frequency_x, float), np.asarray(frequency_y, float))
     corners = vertices(size=size, orientation=orientation)
@@ -351,10 +344,8 @@ def _second_divided_difference_of_exp(p: FloatArray, q: FloatArray, r: FloatArra
 
 
 def _by_series(a: FloatArray, b: FloatArray, c: FloatArray) -> ComplexArray:
-    """Compute exp[i a, i b, i c] for c − a ≤ 1: Taylor about the middle, sum of h_n / (n + 2)!.
-
-    h_n are complete homogeneous polynomials. |z| ≤ 1/2, so h_n ≤ (n + 1)(n + 2)/2 · 2^-n and 16 terms leave less
-    than 1e-17.
+    """Compute exp[i a, i b, i c] for c − a ≤ 1: Taylor about the middle, sum of h_n / (n + 2)!. h_n are complete
+    homogeneous polynomials. |z| ≤ 1/2, so h_n ≤ (n + 1)(n + 2)/2 · 2^-n and 16 terms leave less than 1e-17.
     """
     middle = (a + c) / 2.0
     z = [1j * (p - middle) for p in (a, b, c)]

@@ -77,10 +77,9 @@ COARSE_TOLERANCE, TOLERANCE = 0.0196, 0.00196
 @dataclass(frozen=True)
 class Camera(StudyScene):
     """A triangle of one size through a camera. The level "snr" varies the noise under a triangle of contrast 1,
-    "contrast" the triangle's contrast.
-
-    `noise_contrast` is the standard deviation of the detector noise as displayed, where it is not varied; 0: none.
-    `converged_bound` is the relative half-width of the converged threshold's 95 % interval to reach.
+    "contrast" the triangle's contrast. `noise_contrast` is the standard deviation of the detector noise as
+    displayed, where it is not varied; 0: none. `converged_bound` is the relative half-width of the converged
+    threshold's 95 % interval to reach.
     """
 
     noise_contrast: float = 0.0
@@ -246,10 +245,9 @@ def no_noise() -> Camera:
 
 def literal_answers(sensor: Sensor, size_detectors: float, *, snr: float, contrast: float = 1.0) -> Draw:
     """Prepare to draw trials of random orientation and place as `sensor-sim simulate` does, with noise on every
-    detector and every neuron: 1 for a right and 0 for a wrong answer, (n, 1).
-
-    `snr` is the signal of a large triangle over the standard deviation of the detector noise, infinite without
-    any; `contrast` that of the triangle, in units of what the display's gain gives it.
+    detector and every neuron: 1 for a right and 0 for a wrong answer, (n, 1). `snr` is the signal of a large
+    triangle over the standard deviation of the detector noise, infinite without any; `contrast` that of the
+    triangle, in units of what the display's gain gives it.
     """
     display, observer = sensor.display, PyramidObserver()
     stimulus = Stimulus(size_detectors * display.detector_pitch_mrad)

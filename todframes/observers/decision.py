@@ -202,9 +202,8 @@ def _shared_orthants(score: FloatArray, geometry: _Geometry, answers: slice) -> 
 
 def orthants(limit: FloatArray, angle: FloatArray) -> FloatArray:
     """Compute the probabilities that three standard normal variables are below limits, (n, matrix, 3), which may
-    be infinite: (n, matrix), to 1e-9.
-
-    The cosines of `angle`, (matrix, 3), are the correlations, in the order of `PAIRS`.
+    be infinite: (n, matrix), to 1e-9. The cosines of `angle`, (matrix, 3), are the correlations, in the order of
+    `PAIRS`.
     """
     nodes = _sufficient_nodes(angle[None], _ROUNDING)
     geometry = _geometry(np.ones((1, *angle.shape)), angle[None], nodes)
@@ -236,10 +235,9 @@ def _orthant(limit: FloatArray, geometry: _Geometry) -> FloatArray:
 
 
 class _Geometry(NamedTuple):
-    """Terms of Plackett's integral that the covariances determine; leading axes: matrix, answer.
-
-    The `sum_factor`, `difference_factor` and `weight` of each pair of others, and the `cut` of its conditional
-    limit u with each of the three limits b, are sampled at the nodes of the path (last axis).
+    """Terms of Plackett's integral that the covariances determine; leading axes: matrix, answer. The `sum_factor`,
+    `difference_factor` and `weight` of each pair of others, and the `cut` of its conditional limit u with each of
+    the three limits b, are sampled at the nodes of the path (last axis).
     """
 
     deviation: FloatArray  # (matrix, answer, 3) of the differences from the others
@@ -250,10 +248,9 @@ class _Geometry(NamedTuple):
 
 
 def _face_distances(angle: FloatArray) -> FloatArray:
-    """Compute the distances of the angles from the four faces, s − θ and π − s: (matrix, answer, 4).
-
-    All are π/4 at independence, rounding must not carry them beyond a face at the end, and every angle is the sum
-    of two of them.
+    """Compute the distances of the angles from the four faces, s − θ and π − s: (matrix, answer, 4). All are π/4
+    at independence, rounding must not carry them beyond a face at the end, and every angle is the sum of two of
+    them.
     """
     half_sum = angle.sum(axis=-1, keepdims=True) / 2
     distance = np.maximum(np.concatenate([half_sum - angle, np.pi - half_sum], axis=-1), 0)
@@ -299,9 +296,8 @@ def _geometry(deviation: FloatArray, angle: FloatArray, nodes: int | None = None
 
 @cache
 def _path_nodes(nodes: int, grading: int) -> tuple[FloatArray, FloatArray]:
-    """Return the rest 1 − x = t^grading of the path at nodes t, and their weights.
-
-    Graded, they are dense on every scale where R may become singular.
+    """Return the rest 1 − x = t^grading of the path at nodes t, and their weights. Graded, they are dense on every
+    scale where R may become singular.
     """
     node, weight = np.polynomial.legendre.leggauss(nodes)
     t = (1 + node) / 2
@@ -351,9 +347,8 @@ def of_covariance(
 
 
 def of_factor(factor: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute edges and angles of checked factors, shape (matrix, 4, n), as `of_covariance` does.
-
-    The angle is Kahan's between two vectors, which keeps its digits however small or flat it is.
+    """Compute edges and angles of checked factors, shape (matrix, 4, n), as `of_covariance` does. The angle is
+    Kahan's between two vectors, which keeps its digits however small or flat it is.
     """
     difference = factor[:, :, None, :] - factor[:, OTHERS, :]
     largest = np.abs(difference).max(axis=-1, keepdims=True, initial=0.0)
@@ -389,9 +384,8 @@ def checked_covariance(covariance: ArrayLike) -> FloatArray:
 
 
 def _has_pivots(covariances: FloatArray, slack: FloatArray) -> bool:
-    """Return whether elimination shows that no matrix has an eigenvalue below −slack.
-
-    It takes a quarter of the time of the eigenvalues. The last pivot may be below 0: that of a singular matrix is.
+    """Return whether elimination shows that no matrix has an eigenvalue below −slack. It takes a quarter of the
+    time of the eigenvalues. The last pivot may be below 0: that of a singular matrix is.
     """
     rest, least = covariances, 1e-6 * slack / _ROUNDING
     for _ in range(3):

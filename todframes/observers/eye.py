@@ -62,10 +62,9 @@ def sensitivity_ratio(
     frequency_cyc_per_deg: FloatArray, *, luminance_cd_m2: float, pupil_mm: float | None = None
 ) -> FloatArray:
     """Compute the sensitivity to a frequency in this light, over that at 30 cd/m² with a natural pupil. The
-    default pupil is that of the people of the formula, in this light.
-
-    Ashraf et al. 2024, achromatic sustained channel without flicker; its dependence on the stimulus' area cancels.
-    Another pupil lets in the light of another luminance, through other optics.
+    default pupil is that of the people of the formula, in this light. Ashraf et al. 2024, achromatic sustained
+    channel without flicker; its dependence on the stimulus' area cancels. Another pupil lets in the light of
+    another luminance, through other optics.
     """
     optics: FloatArray | float = 1.0
     if pupil_mm is not None:
@@ -81,9 +80,8 @@ def sensitivity_ratio(
 
 
 def _equivalent_luminance(luminance: float, pupil_mm: float) -> float:
-    """Return the luminance that lights the retina as much through its natural pupil, by iteration.
-
-    A step leaves less than a third of the error, since the area of a pupil falls as L^-0.3 at most.
+    """Return the luminance that lights the retina as much through its natural pupil, by iteration. A step leaves
+    less than a third of the error, since the area of a pupil falls as L^-0.3 at most.
     """
     found = luminance
     for _ in range(40):

@@ -59,7 +59,6 @@ class GaborPyramid:
 
     def build(self, image: FloatArray) -> list[FloatArray]:
         """Compute responses to an image of shape (side, side), finest level first, and the low-pass residual last.
-
         Those of a level have the shape (phases, orientations, side of the level, side of the level).
         """
         radius, shape = self._radius, (len(self.signs), self.orientations)

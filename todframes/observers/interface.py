@@ -201,10 +201,8 @@ def joint_noise_covariance(
     observer: Observer, readout: Readout, stimulus: Stimulus, places_mrad: Sequence[tuple[float, float]]
 ) -> FloatArray | None:
     """Compute the joint covariance of the scores at several places, (place, 4, place, 4); None if they are
-    independent, which they are if the noise at the two nearest places is.
-
-    SettingsError if the readout does not give the noise that its four scores share, or too many places share
-    noise.
+    independent, which they are if the noise at the two nearest places is. SettingsError if the readout does not
+    give the noise that its four scores share, or too many places share noise.
     """
     n, own = len(places_mrad), readout.full_covariance
     if n < 2:
@@ -253,10 +251,9 @@ class OmittedWeights(NamedTuple):
 
 
 def non_gaussian_bound(excess_kurtosis: float) -> float:
-    """Bound the error in P(correct) from taking noise on score differences as Gaussian, to first order.
-
-    The first Edgeworth term of one score difference is κ/24 · He₃(x) φ(x), at most 0.5506 |κ| / 24; three
-    differences decide.
+    """Bound the error in P(correct) from taking noise on score differences as Gaussian, to first order. The first
+    Edgeworth term of one score difference is κ/24 · He₃(x) φ(x), at most 0.5506 |κ| / 24; three differences
+    decide.
     """
     return 3.0 * 0.5506 / 24.0 * abs(excess_kurtosis)
 
@@ -282,9 +279,8 @@ T = TypeVar("T")
 
 
 def keeps_last(most: int) -> Callable[[Callable[Concatenate[S, P], T]], Callable[Concatenate[S, P], T]]:
-    """Return a decorator of methods whose last results, so many of them, are kept in the object.
-
-    A cache of the class would keep every object alive. Results are not pickled, see `Observer.__getstate__`.
+    """Return a decorator of methods whose last results, so many of them, are kept in the object. A cache of the
+    class would keep every object alive. Results are not pickled, see `Observer.__getstate__`.
     """
 
     def decorated(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[S, P], T]:
@@ -519,9 +515,8 @@ def settings_file(name: Path | str) -> Path:
 def described(
     observer: str | Observer, find_background: Callable[[], float] | None = None
 ) -> tuple[Observer, Json]:
-    """Return an observer, made if only its name is given, and its name and settings as JSON values.
-
-    With the function that returns the background of a display in cd/m², it is `adapted` to it.
+    """Return an observer, made if only its name is given, and its name and settings as JSON values. With the
+    function that returns the background of a display in cd/m², it is `adapted` to it.
     """
     if isinstance(observer, str):
         kind, name = find_observer(observer), observer

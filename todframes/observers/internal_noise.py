@@ -78,7 +78,6 @@ def _participation(turned: Sequence[Bands]) -> float:
 
 def fourth_cumulants(factor: ArrayLike, *, excess_kurtosis: float) -> FloatArray:
     """Compute the fourth cumulants, (4, 4, 4, 4), of four scores that sum independent noise of many neurons.
-
     `factor`, (4, n), is the weight of each neuron's noise in each score times the noise's standard deviation,
     `excess_kurtosis` that of one neuron's noise; −1.2 if it is uniform.
     """
@@ -186,9 +185,8 @@ def _order(*limits: int) -> _Order:
 
 
 def inner_product(a: FloatArray, b: FloatArray) -> float:
-    """Sum the products of two arrays of one shape.
-
-    The sum is taken row by row: BLAS divides the work on a longer vector between threads. These wait for each
-    other a hundred times longer than the sum takes when other work keeps the processors busy.
+    """Sum the products of two arrays of one shape. The sum is taken row by row: BLAS divides the work on a longer
+    vector between threads. These wait for each other a hundred times longer than the sum takes when other work
+    keeps the processors busy.
     """
     return float(np.vecdot(a, b).sum())

@@ -19,10 +19,9 @@ BORDER = 4
 
 @dataclass(frozen=True, slots=True)
 class LaplacianPyramid:
-    """Band-pass images of halving resolution, the finest first, and the low-pass residual last.
-
-    `kernel_a` is the centre weight of the generating kernel [1/4 - a/2, 1/4, a, 1/4, 1/4 - a/2]; 0.375 is [1 4 6 4
-    1]/16. Borders are mirrored about the outermost sample (reflect-101). Burt & Adelson 1983, eqs. 1-8.
+    """Band-pass images of halving resolution, the finest first, and the low-pass residual last. `kernel_a` is the
+    centre weight of the generating kernel [1/4 - a/2, 1/4, a, 1/4, 1/4 - a/2]; 0.375 is [1 4 6 4 1]/16. Borders
+    are mirrored about the outermost sample (reflect-101). Burt & Adelson 1983, eqs. 1-8.
     """
 
     levels: int
@@ -46,10 +45,9 @@ class LaplacianPyramid:
 
     def build_middle(self, image: NDArray[Any], half: int) -> list[NDArray[Any]]:
         """Compute the bands and the residual of an image that is zero except in its middle, each in its own
-        square, with odd sides, beyond which it is zero.
-
-        The middle, float32 or float64, has an odd side and `BORDER` samples of zeros on each side or more; the
-        whole image reaches `half` samples to each side, a multiple of 2 ** levels.
+        square, with odd sides, beyond which it is zero. The middle, float32 or float64, has an odd side and
+        `BORDER` samples of zeros on each side or more; the whole image reaches `half` samples to each side, a
+        multiple of 2 ** levels.
         """
         bands = []
         for level in range(self.levels):
@@ -99,10 +97,9 @@ class LaplacianPyramid:
         return self._filter(spread, gain=2.0)
 
     def reduce_adjoint(self, image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-        """Apply the adjoint of `reduce` for images of a shape.
-
-        The mirrored filter F is symmetric under weights D of one half on the outermost samples: D F = Fᵀ D. With
-        S, which keeps every second sample, (S F)ᵀ = D (F Sᵀ) (S D Sᵀ)⁻¹, and F Sᵀ is EXPAND less its gain.
+        """Apply the adjoint of `reduce` for images of a shape. The mirrored filter F is symmetric under weights D
+        of one half on the outermost samples: D F = Fᵀ D. With S, which keeps every second sample, (S F)ᵀ = D (F
+        Sᵀ) (S D Sᵀ)⁻¹, and F Sᵀ is EXPAND less its gain.
         """
         expanded = self.expand(_weigh_border(image, 2.0, shape), shape)
         expanded /= _expand_gain(shape)
@@ -139,10 +136,9 @@ def framed(image: NDArray[Any], half: int) -> NDArray[Any]:
 
 
 def _expand_binomial(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Expand with [1 4 6 4 1]/16 at half the time, on one sample more than needed.
-
-    cv2.pyrUp is wrong in its last rows and columns, so it is given the mirror image's first sample to spoil: of an
-    odd `shape` the mirror goes through the last sample, of an even one it lies half a sample beyond.
+    """Expand with [1 4 6 4 1]/16 at half the time, on one sample more than needed. cv2.pyrUp is wrong in its last
+    rows and columns, so it is given the mirror image's first sample to spoil: of an odd `shape` the mirror goes
+    through the last sample, of an even one it lies half a sample beyond.
     """
     borders = [cv2.BORDER_REFLECT_101 if length % 2 else cv2.BORDER_REFLECT for length in shape]
     if borders[0] == borders[1]:

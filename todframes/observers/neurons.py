@@ -16,10 +16,9 @@ from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 
 class NeuronObserver(Observer):
-    """Base class of observers that correlate noisy neurons with four templates.
-
-    A subclass computes the `activity` of its neurons, draws their `noise` and folds templates. The literal
-    path, with noise on every neuron, is the definition with which tests compare the folded readout.
+    """Base class of observers that correlate noisy neurons with four templates. A subclass computes the `activity`
+    of its neurons, draws their `noise` and folds templates. The literal path, with noise on every neuron, is the
+    definition with which tests compare the folded readout.
     """
 
     noise_excess_kurtosis: ClassVar[float] = 0.0
@@ -46,18 +45,16 @@ class NeuronObserver(Observer):
         return self._expected(mean_of_turns(self._upright(stimulus)))
 
     def _template_deviation(self, stimulus: Stimulus) -> Bands:
-        """Compute the deviation of the upright triangle's template from the common one.
-
-        The difference is taken before blur and bands; after them, the rounding of the common part would be larger
-        than the difference needs.
+        """Compute the deviation of the upright triangle's template from the common one. The difference is taken
+        before blur and bands; after them, the rounding of the common part would be larger than the difference
+        needs.
         """
         image = self._upright(stimulus)
         return self._expected(image - mean_of_turns(image))
 
     def turned(self, bands: Bands, quarter_turns: int) -> Bands:
-        """Compute the activity that an image turned clockwise causes, from that of the image.
-
-        The grid's middle is every band's middle, so that is the turned activity.
+        """Compute the activity that an image turned clockwise causes, from that of the image. The grid's middle is
+        every band's middle, so that is the turned activity.
         """
         return tuple(np.ascontiguousarray(np.rot90(band, -quarter_turns)) for band in bands)
 
@@ -122,10 +119,8 @@ SOLVER_TOLERANCE = 1e-10
 
 
 def ideal_weights(covariance: Callable[[Bands], Bands], expected: Bands, most_steps: int) -> Bands | None:
-    """Solve K w = d for an expected activity d by conjugate gradients; None if that takes more steps.
-
-    `covariance` multiplies weights by K, the covariance of all noise: so the weights are those of the ideal linear
-    observer.
+    """Solve K w = d for an expected activity d by conjugate gradients; None if that takes more steps. `covariance`
+    multiplies weights by K, the covariance of all noise: so the weights are those of the ideal linear observer.
     """
     from scipy.sparse.linalg import LinearOperator, cg
 

@@ -63,7 +63,6 @@ def _shares(
     grid: RetinaGrid, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
 ) -> tuple[NDArray[np.intp], FloatArray]:
     """Divide the retina samples at the pixels' boundaries: pixels and shares of the sample, (side, pieces) each.
-
     Shares are 0 for pieces that a sample does not have.
     """
     width = grid.pitch_mrad / pixel_pitch_mrad
@@ -104,11 +103,9 @@ def resample(
     first_column: int = 0,
     onto: FloatArray | None = None,
 ) -> FloatArray:
-    """Average the contrast over each retina sample's own area, the display taken as piecewise constant.
-
-    `contrast` is the part of a frame whose first pixel is (first_row, first_column); elsewhere the contrast is 0.
-    The grid's middle lies at (x_px, y_px) on the frame. The result, (side, side), is added to `onto` if that is
-    given.
+    """Average the contrast over each retina sample's own area, the display taken as piecewise constant. `contrast`
+    is the part of a frame whose first pixel is (first_row, first_column); elsewhere the contrast is 0. The grid's
+    middle lies at (x_px, y_px) on the frame. The result, (side, side), is added to `onto` if that is given.
     Hogervorst et al. 2001, section 4.1.
     """
     touched = [
@@ -159,9 +156,8 @@ def triangle_on(
 
 
 def gaussian_blur(image: FloatArray, sigma: float) -> FloatArray:
-    """Blur a retina image by a Gaussian of standard deviation `sigma` samples, mirrored at its border.
-
-    Only the part that is not zero is blurred: a triangle covers little of its grid.
+    """Blur a retina image by a Gaussian of standard deviation `sigma` samples, mirrored at its border. Only the
+    part that is not zero is blurred: a triangle covers little of its grid.
     """
     import cv2
 

@@ -82,7 +82,6 @@ def correct_at_unknown_place(
     score: FloatArray, covariance: FloatArray, correct: int, *, empty_places: int
 ) -> FloatArray:
     """Compute the probability of a correct answer, right to 1e-7, of trials that each have a noise of their own.
-
     `score`, (..., 4), is that at the triangle's place, and `covariance`, (..., 4, 4), that of the noise there and
     at each of the `empty_places`; it is not checked. Leading axes are broadcast.
     """
@@ -130,7 +129,6 @@ def _densities(
     score: FloatArray, largest: FloatArray, covariance: FloatArray, deviation: FloatArray
 ) -> FloatArray:
     """Compute the density of each score being t and the three others of its place below t: (row, place, node, 4).
-
     `largest` holds the values t, (row, 1, node). The covariance is (1 or row, 4, 4).
     """
     slope = covariance / np.square(deviation)[:, None]  # [row, j, k]: change of the mean of score j with score k
@@ -170,9 +168,8 @@ def _product_of_others(values: FloatArray) -> FloatArray:
 
 @cache
 def _rule(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return Gauss–Legendre nodes on [−1, 1], weights, and a matrix (n, n) of integrals from each node to 1.
-
-    The matrix integrates the polynomial through the values at the nodes.
+    """Return Gauss–Legendre nodes on [−1, 1], weights, and a matrix (n, n) of integrals from each node to 1. The
+    matrix integrates the polynomial through the values at the nodes.
     """
     from numpy.polynomial import legendre
 
@@ -191,7 +188,6 @@ def drawn_answers(
     score: ArrayLike, covariance: ArrayLike, rngs: Sequence[np.random.Generator]
 ) -> NDArray[np.intp]:
     """Draw the answer of the largest of the scores of all places, an index into `ORIENTATIONS` for each trial.
-
     Scores are (trial, place, 4), the covariance is as for `unknown_place_probabilities`, and each trial has its
     own random stream.
     """

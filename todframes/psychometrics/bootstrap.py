@@ -47,7 +47,6 @@ T = TypeVar("T", bound=np.generic)
 @dataclass(frozen=True, slots=True)
 class Observed:
     """The answers of one series: distinct levels, ascending, and the answers at each, or None for counts alone.
-
     `are_probabilities` states whether an answer is neither 0 nor 1.
     """
 
@@ -106,11 +105,9 @@ def redrawn(
     guess_rate: float,
     each_level: bool = False,
 ) -> FloatArray:
-    """Draw the proportions correct of repeated experiments, (series, experiment, level).
-
-    All series are answers to the same trials, in the same order; `curves`, (series, level), are fitted to them.
-    `each_level` states whether a threshold rests on single levels, as a crossing of the points does, and not on a
-    fitted curve.
+    """Draw the proportions correct of repeated experiments, (series, experiment, level). All series are answers to
+    the same trials, in the same order; `curves`, (series, level), are fitted to them. `each_level` states whether
+    a threshold rests on single levels, as a crossing of the points does, and not on a fitted curve.
     """
     if not any(observed.are_probabilities for observed in series):
         return _redrawn_answers(series, curves, guess_rate, size, rng)
@@ -120,9 +117,8 @@ def redrawn(
 def _redrawn_answers(
     series: Sequence[Observed], curves: FloatArray, guess_rate: float, size: int, rng: np.random.Generator
 ) -> FloatArray:
-    """Draw answers of 0 and 1 from the shares of right answers, mixed with the curve and with (1 + γ)/2.
-
-    The answers of another series are drawn given those of the first, so that they agree as often as those shown.
+    """Draw answers of 0 and 1 from the shares of right answers, mixed with the curve and with (1 + γ)/2. The
+    answers of another series are drawn given those of the first, so that they agree as often as those shown.
     """
     n = series[0].n_trials
     n_all = n.sum()
@@ -153,7 +149,6 @@ def _agreement(
     first: Observed, other: Observed, curve: FloatArray, other_curve: FloatArray
 ) -> tuple[FloatArray, float]:
     """Return the share of trials that are right in two series, at each level, and the agreement of their answers.
-
     The agreement is 0 for independent answers, and 1 for the largest possible.
     """
     assert first.trials is not None and other.trials is not None
@@ -204,7 +199,6 @@ def _redrawn_probabilities(
 
 def resampled_means(answers: FloatArray, size: int, rng: np.random.Generator) -> FloatArray:
     """Draw means of all answers but one, `size` times with replacement, in batches because there may be many.
-
     Answers lie along the last axis, draws along that of the result; those on other axes are drawn together.
     """
     n_trials = answers.shape[-1]
@@ -215,11 +209,9 @@ def resampled_means(answers: FloatArray, size: int, rng: np.random.Generator) ->
 
 
 class BackgroundDraws(NamedTuple):
-    """Draws of backgrounds in repeated experiments.
-
-    `weights`, (resample, background), are the numbers of times that each is drawn. `widening`, (resample,), are
-    factors that make normal deviates those of Student's t, with a degree of freedom less than there are
-    backgrounds: of eight, the spread is known to 27 % only.
+    """Draws of backgrounds in repeated experiments. `weights`, (resample, background), are the numbers of times
+    that each is drawn. `widening`, (resample,), are factors that make normal deviates those of Student's t, with a
+    degree of freedom less than there are backgrounds: of eight, the spread is known to 27 % only.
     """
 
     weights: FloatArray
@@ -232,9 +224,8 @@ def sets_of_backgrounds(numbers: NDArray[np.integer]) -> NDArray[np.intp]:
 
 
 def draw_backgrounds(n_backgrounds: int, resamples: int, rng: np.random.Generator) -> BackgroundDraws | None:
-    """Draw all backgrounds but one with replacement: so many have the variance of the mean of all.
-
-    None for one background: how others differ from it is not known.
+    """Draw all backgrounds but one with replacement: so many have the variance of the mean of all. None for one
+    background: how others differ from it is not known.
     """
     if n_backgrounds < 2:
         return None
@@ -247,7 +238,6 @@ def on_drawn_backgrounds(
     series: Sequence[Observed], curves: FloatArray, backgrounds: Sequence[NDArray[np.integer]], weights: FloatArray
 ) -> FloatArray:
     """Compute the mean answers of repeated experiments with drawn backgrounds, (series, experiment, level).
-
     `backgrounds` are those of the trials of each level. A level without a trial on any drawn background keeps the
     mean of all of its trials. Levels with answers of 0 and 1 have trials of the fitted curve besides, or levels
     without errors would not vary.
@@ -283,11 +273,10 @@ def threshold_interval(
     resamples: int,
     rng: np.random.Generator,
 ) -> tuple[float, float]:
-    """Bound ln x_c by BCa (Efron 1987), acceleration as for several samples (Davison & Hinkley 1997, 5.3).
-
-    Where a step anywhere between two levels is as likely as the curve (likelihood ratio), the interval spans them.
-    If the points show their own curve, and the fitted one is a convention, the interval is that of the level at
-    which the points cross the criterion, extended to the fitted threshold.
+    """Bound ln x_c by BCa (Efron 1987), acceleration as for several samples (Davison & Hinkley 1997, 5.3). Where a
+    step anywhere between two levels is as likely as the curve (likelihood ratio), the interval spans them. If the
+    points show their own curve, and the fitted one is a convention, the interval is that of the level at which the
+    points cross the criterion, extended to the fitted threshold.
     """
     right, weight = model.influence(theta)
     second, third = observed.moments(right)
@@ -340,7 +329,6 @@ def background_draws(
 def crossing_of_points(model: CurveModel, theta: FloatArray, proportions: FloatArray) -> FloatArray:
     """Find where the points themselves, (experiment, level), cross the criterion, upwards and nearest to the
     fitted threshold: ln level about the centre, −∞ or ∞ where all points lie above or below the criterion.
-
     Monotone cubic interpolation (Fritsch & Butland 1984) of ln(−ln(1 − F)), F = (p − γ)/(1 − γ), against ln level:
     a Weibull curve without lapses is a straight line there, other psychometric functions are nearly one.
     """

@@ -18,9 +18,8 @@ MOST_TRIALS = 2**53
 
 def read_counts(path: Path) -> list[tuple[dict[str, float | str], NDArray[np.float64]]]:
     """Read a file of counts, by group in the order of appearance: the group's values by column name, and an array
-    of shape (n, 3): level, n_correct, n_trials.
-
-    DataError if the file cannot be read, a column is missing, or a value is not a number in its range.
+    of shape (n, 3): level, n_correct, n_trials. DataError if the file cannot be read, a column is missing, or a
+    value is not a number in its range.
     """
     header, rows = read_table(path, COLUMNS)
     names = [name for name in header if name not in COLUMNS]

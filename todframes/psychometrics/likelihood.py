@@ -40,11 +40,10 @@ def binomial_loglik(share: ArrayLike, p: ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class CurveModel(ABC):
-    """Levels, trials and parameter limits that a psychometric function is fitted with.
-
-    `z` is ln level about `centre`. Parameters `theta` are (ln of a level about the same centre, ln of the slope,
-    and one that lowers the ceiling of the curve), within `lower` and `upper`. The slope multiplies the distance of
-    ln level from the first parameter.
+    """Levels, trials and parameter limits that a psychometric function is fitted with. `z` is ln level about
+    `centre`. Parameters `theta` are (ln of a level about the same centre, ln of the slope, and one that lowers the
+    ceiling of the curve), within `lower` and `upper`. The slope multiplies the distance of ln level from the first
+    parameter.
     """
 
     centre: float
@@ -124,7 +123,6 @@ class CurveModel(ABC):
         self, theta: FloatArray, answers: FloatArray, *, tolerance: float, steps: int
     ) -> tuple[FloatArray, FloatArray]:
         """Maximise the likelihood of each row of `answers` from its row of `theta`: all rows at once.
-
         Levenberg-damped Fisher scoring; a parameter at a bound stays there while its score points beyond the bound
         (Bertsekas 1982). A row is done when its next step promises less than `tolerance` in log-likelihood.
         """
@@ -180,9 +178,8 @@ class CurveModel(ABC):
         return grid.reshape(len(grid), -1, 3)
 
     def grid_terms(self, grid: FloatArray, answers: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return trials right, (row, pool), and the weight and constant of each curve's log-likelihood.
-
-        At most 64 pools of neighbouring levels keep this small for any number of levels.
+        """Return trials right, (row, pool), and the weight and constant of each curve's log-likelihood. At most 64
+        pools of neighbouring levels keep this small for any number of levels.
         """
         first = np.unique(np.linspace(0, len(self.z), 65)[:-1].astype(np.intp))
         n_trials = np.add.reduceat(self.n_trials, first)
@@ -195,7 +192,6 @@ class CurveModel(ABC):
 
     def fit_one(self, answers: FloatArray, *, steps: int = 60) -> tuple[FloatArray, float]:
         """Return the best of the climbs from `near`, or from the best start of each slope, and its log-likelihood.
-
         `steps` limits the length of a climb.
         """
         tolerance = 1e-20 * float(self.n_trials.sum())
@@ -215,7 +211,6 @@ class CurveModel(ABC):
 
     def fit_many(self, answers: FloatArray, *, tolerance: float) -> FloatArray:
         """Fit one curve to each row of `answers`, to about √tolerance of a standard error of answers of 0 and 1.
-
         The likelihood may have a second top where the curve is a step, so each row climbs from two starts.
         """
         grid, curves = self.starts(), []

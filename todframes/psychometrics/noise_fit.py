@@ -52,7 +52,6 @@ class Interval(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class AnswerTable:
     """The model's probability of a correct answer in each trial, tabulated over internal noise and template blur.
-
     `ln_noise`, (g,), rises from noise that changes hardly any answer to noise that leaves guesses; `ln_blur`,
     (b,), has a single value if the blur is not free. `logit`, (trial, b, g), is ln of P(right) / P(wrong), within
     ± `MOST_CERTAIN`.
@@ -130,7 +129,6 @@ def fit_noise(
     rng: np.random.Generator,
 ) -> NoiseFit:
     """Fit the internal noise, and lapses and blur if they are free, to the answers of one or several persons.
-
     `cell` is the set of trials, from 0, in whose proportions the model is compared with the answers. Blur is free
     if the table has several, δ if the two `lapse_rates` differ. `resamples` is the number of repeated experiments
     for the p-value of the deviance; 0: no p-value.

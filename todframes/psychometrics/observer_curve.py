@@ -31,10 +31,9 @@ _KNOTS_PER_UNIT = 16
 
 
 def observer_curve(level: ArrayLike, *, alpha: float, beta: float, max_d_prime: float | None) -> FloatArray:
-    """Compute the proportion correct at levels >= 0, of any shape, in the unit of `alpha`.
-
-    `alpha` > 0 is the level where d′ would be 1 without a limit, `beta` > 0 the exponent, `max_d_prime` the limit
-    of d′ at high levels, None for no limit.
+    """Compute the proportion correct at levels >= 0, of any shape, in the unit of `alpha`. `alpha` > 0 is the
+    level where d′ would be 1 without a limit, `beta` > 0 the exponent, `max_d_prime` the limit of d′ at high
+    levels, None for no limit.
     """
     with np.errstate(over="ignore", divide="ignore"):
         inverse_square = (np.asarray(level, dtype=np.float64) / alpha) ** (-2.0 * beta)
@@ -47,7 +46,6 @@ def observer_curve(level: ArrayLike, *, alpha: float, beta: float, max_d_prime: 
 @cache
 def _cubics() -> FloatArray:
     """Return the cubics of ln P(wrong) between knots in d′, (power, piece), in units of the distance of the knots.
-
     They have the values and slopes of the integral, a sum over steps of 0.1 in t that is exact to rounding for
     functions this smooth. Halving the distance of the knots moves no P by more than 1e-8.
     """

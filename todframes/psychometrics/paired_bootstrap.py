@@ -28,11 +28,10 @@ exact."""
 
 
 class RatioDraws(NamedTuple):
-    """A threshold divided by the reference's, and the same in repeated experiments.
-
-    `ratio` is that of the fitted thresholds, `points_ratio` that of the points' own crossings; None where one of
-    the two thresholds does not exist, and `points_ratio` where the curve is no convention. `ln_ratios` has shape
-    (resample,): −∞ or ∞ where only one experiment has a threshold within reach, 0 where neither has.
+    """A threshold divided by the reference's, and the same in repeated experiments. `ratio` is that of the fitted
+    thresholds, `points_ratio` that of the points' own crossings; None where one of the two thresholds does not
+    exist, and `points_ratio` where the curve is no convention. `ln_ratios` has shape (resample,): −∞ or ∞ where
+    only one experiment has a threshold within reach, 0 where neither has.
     """
 
     ratio: float | None
@@ -41,11 +40,9 @@ class RatioDraws(NamedTuple):
 
 
 class ThresholdRatio(NamedTuple):
-    """A ratio of thresholds, its 95 % interval, and the p-value of it being within 1 % of 1.
-
-    Without a ratio there is no interval; an end of it is None where the data leave it open. The p-value is
-    two-sided and not below 2 / (resamples + 1). `is_lower` states whether the ratio is below 1 in more experiments
-    than above.
+    """A ratio of thresholds, its 95 % interval, and the p-value of it being within 1 % of 1. Without a ratio there
+    is no interval; an end of it is None where the data leave it open. The p-value is two-sided and not below 2 /
+    (resamples + 1). `is_lower` states whether the ratio is below 1 in more experiments than above.
     """
 
     ratio: float | None
@@ -105,11 +102,10 @@ def ratio_draws(
 
 
 def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
-    """Pool the ratio of one group of trials, or of several by geometric mean, with interval and p-value.
-
-    The interval is that of the draws, extended to the ratio and, where a Weibull curve was fitted to
-    probabilities, to the ratio of their own crossings: that curve is a convention that observers do not follow
-    exactly. If one of these is on the other side of 1 than the draws are, no difference is shown.
+    """Pool the ratio of one group of trials, or of several by geometric mean, with interval and p-value. The
+    interval is that of the draws, extended to the ratio and, where a Weibull curve was fitted to probabilities, to
+    the ratio of their own crossings: that curve is a convention that observers do not follow exactly. If one of
+    these is on the other side of 1 than the draws are, no difference is shown.
     """
     ratio = _geometric_mean([group.ratio for group in groups])
     points_ratio = _geometric_mean([group.points_ratio for group in groups])
@@ -130,9 +126,8 @@ def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
 
 
 def holm(p_values: ArrayLike) -> FloatArray:
-    """Correct p-values for their number, so that any wrong verdict among all is as rare as for a single test.
-
-    The smallest times their number, the next times one less, and so on, never falling (Holm 1979).
+    """Correct p-values for their number, so that any wrong verdict among all is as rare as for a single test. The
+    smallest times their number, the next times one less, and so on, never falling (Holm 1979).
     """
     p = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(p)

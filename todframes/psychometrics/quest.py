@@ -30,7 +30,6 @@ SMALLEST_P = 1e-300
 @dataclass(frozen=True, slots=True, eq=False)
 class QuestGrid:
     """A grid of psychometric functions, and the probabilities of the answers to each level under each of them.
-
     `levels`, (l,), rise; the parameters have shape (g,), and `p_answer`, (2, l, g), are the probabilities of a
     wrong and of a right answer.
     """
@@ -64,7 +63,6 @@ class QuestGrid:
 
     def expected_entropy(self, posterior: FloatArray) -> FloatArray:
         """Compute the entropy of the posterior that is expected after one trial at each level, in nats, (…, l).
-
         The posterior after answer r at level x is p(r|x, θ)·p(θ)/p(r|x), with p(r|x) = Σ p(r|x, θ)·p(θ). Its
         entropy, weighted by p(r|x), is p(r|x)·ln p(r|x) − Σ p(r|x, θ)·p(θ)·ln(p(r|x, θ)·p(θ)): products of the
         tables with vectors.

@@ -54,10 +54,9 @@ def if_known(found: T) -> T:
 def crossing(
     proportion: Callable[[float], float], p_correct: float, *, near: float | None, slope: float
 ) -> Crossing:
-    """Find where a rising curve passes `p_correct`, along secants from nearby or from 1 on.
-
-    `proportion` is that correct at a level > 0; at infinity, that without detector noise. `near` and `slope` are a
-    level that may be near, and dP / d ln level there; None and NaN if not known.
+    """Find where a rising curve passes `p_correct`, along secants from nearby or from 1 on. `proportion` is that
+    correct at a level > 0; at infinity, that without detector noise. `near` and `slope` are a level that may be
+    near, and dP / d ln level there; None and NaN if not known.
     """
 
     def is_never_reached() -> bool:
@@ -110,10 +109,8 @@ def find_crossing(
 ) -> Crossing:
     """Find where a rising curve passes `p_correct`, to 1e-7 of the level, on a logarithmic scale outwards from
     `start` in steps of `factor`; the level is None if the curve stays below (`never_reached`) or above within the
-    bounds.
-
-    If it `saturates`, P is known to stay, from some level on, where it is at the upper bound: if that is below the
-    criterion, the search ends after two levels with P within `SATURATED` of it, instead of at the bound.
+    bounds. If it `saturates`, P is known to stay, from some level on, where it is at the upper bound: if that is
+    below the criterion, the search ends after two levels with P within `SATURATED` of it, instead of at the bound.
     """
     from scipy.optimize import brentq
 

@@ -26,12 +26,9 @@ def weibull(
     guess_rate: float,
     lapse_rate: float | FloatArray,
 ) -> FloatArray:
-    """Compute the proportion correct at levels >= 0, of any shape, in the unit of `alpha`.
-
-    `alpha` > 0 is the level at 1 − δ − (1 − δ − γ)/2, `beta` > 0 the slope, `guess_rate` γ and `lapse_rate` δ the
-    floor and the distance of the ceiling from 1.
-
-    Hogervorst et al. 2001, eq. 3.
+    """Compute the proportion correct at levels >= 0, of any shape, in the unit of `alpha`. `alpha` > 0 is the
+    level at 1 − δ − (1 − δ − γ)/2, `beta` > 0 the slope, `guess_rate` γ and `lapse_rate` δ the floor and the
+    distance of the ceiling from 1. Hogervorst et al. 2001, eq. 3.
     """
     with np.errstate(over="ignore"):
         exponent = (np.asarray(level, dtype=np.float64) / alpha) ** beta

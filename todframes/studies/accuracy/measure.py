@@ -56,9 +56,8 @@ begins."""
 
 
 class Converged(NamedTuple):
-    """The threshold with which estimators are compared.
-
-    `bound` is the half-width of its own error, 95 % where that is random; `slope` is dP(correct) / d ln(level).
+    """The threshold with which estimators are compared. `bound` is the half-width of its own error, 95 % where
+    that is random; `slope` is dP(correct) / d ln(level).
     """
 
     threshold: float
@@ -76,9 +75,8 @@ class ThresholdEstimate(NamedTuple):
 class FoldedTrials(NamedTuple):
     """Independent trials as the folded observer sees them: score deviations without noise, (n, columns, 4), the
     covariance of the noise on them, (n, columns, 4, 4), and the number of the correct answer, (n, columns), both
-    broadcast.
-
-    `probabilities` is the function from scores to the probability of each answer; by default under Gaussian noise.
+    broadcast. `probabilities` is the function from scores to the probability of each answer; by default under
+    Gaussian noise.
     """
 
     score: FloatArray
@@ -95,11 +93,10 @@ Variant = Callable[[np.random.Generator], ThresholdEstimate]
 
 @dataclass(frozen=True, slots=True)
 class MonteCarlo:
-    """An estimator that draws independent trials.
-
-    `prepare` sets up and returns `draw(n, rng)`: P(correct) of n independent trials, or 1 and 0 for answers, (n,
-    columns). A column is a condition: one level, or each of many frames. `share` is that of a scene's time; from
-    `smallest` trials on the error falls as 1/√N, and `fewest` are drawn at least.
+    """An estimator that draws independent trials. `prepare` sets up and returns `draw(n, rng)`: P(correct) of n
+    independent trials, or 1 and 0 for answers, (n, columns). A column is a condition: one level, or each of many
+    frames. `share` is that of a scene's time; from `smallest` trials on the error falls as 1/√N, and `fewest` are
+    drawn at least.
     """
 
     name: str
@@ -112,11 +109,9 @@ class MonteCarlo:
 
 @dataclass(frozen=True, slots=True)
 class Quadrature:
-    """An estimator that places its trials evenly.
-
-    `prepare` sets up and returns `run(n, rng)`, an estimate from n trials. `budgets` are the numbers of trials to
-    try, ascending; `share` is that of a scene's time; errors are taken over `repeats` estimates, 1 if nothing is
-    drawn at random.
+    """An estimator that places its trials evenly. `prepare` sets up and returns `run(n, rng)`, an estimate from n
+    trials. `budgets` are the numbers of trials to try, ascending; `share` is that of a scene's time; errors are
+    taken over `repeats` estimates, 1 if nothing is drawn at random.
     """
 
     name: str
@@ -129,9 +124,8 @@ class Quadrature:
 
 @dataclass(frozen=True)
 class StudyScene:
-    """Base class of the scenes that estimators are tried on.
-
-    `name` is that on the command line and in file names, `level` the kind of level that the threshold is.
+    """Base class of the scenes that estimators are tried on. `name` is that on the command line and in file names,
+    `level` the kind of level that the threshold is.
     """
 
     name: str
@@ -153,9 +147,8 @@ class StudyScene:
 
     def estimate(self, outcomes: FloatArray, converged: Converged) -> ThresholdEstimate:
         """Estimate the threshold from the mean of independent trials, (columns,): by default of one level, the
-        converged one, to first order, and the slope there is taken as known.
-
-        No way to choose levels needs fewer trials, and none of these knows the threshold beforehand.
+        converged one, to first order, and the slope there is taken as known. No way to choose levels needs fewer
+        trials, and none of these knows the threshold beforehand.
         """
         p_correct = float(outcomes.mean())
         threshold = converged.threshold * math.exp((P_CORRECT - p_correct) / converged.slope)
@@ -237,10 +230,8 @@ class BudgetPoint(NamedTuple):
 
 
 class TimeAt(NamedTuple):
-    """CPU time that an error of a threshold takes; None if no budget tried has it.
-
-    `extrapolated` along the measured 1/√N, to more trials than were drawn; `at_most` where even the smallest
-    budget has it.
+    """CPU time that an error of a threshold takes; None if no budget tried has it. `extrapolated` along the
+    measured 1/√N, to more trials than were drawn; `at_most` where even the smallest budget has it.
     """
 
     threshold_error: float
@@ -251,9 +242,8 @@ class TimeAt(NamedTuple):
 
 def measure(scene: StudyScene, *, seconds: float, seed: int = 1) -> SceneResult:
     """Run all estimators of a scene, which share so many seconds of CPU time; the converged value and the smallest
-    budgets take what they take. Each scene and estimator has its own random stream.
-
-    SettingsError if the time is not a positive number.
+    budgets take what they take. Each scene and estimator has its own random stream. SettingsError if the time is
+    not a positive number.
     """
     if not 0.0 < seconds < math.inf:
         raise SettingsError(f"time: found {seconds!r}, expected a finite number of seconds > 0")
@@ -315,10 +305,9 @@ def fitted_slope(
 
 
 def time_of_draws(points: Sequence[BudgetPoint], set_up: float, drawn: int, error: float) -> TimeAt:
-    """Return the CPU time for an error, extrapolated as 1/√N from the smallest blocks.
-
-    These give the most independent estimates, and larger blocks add no information.
-    It is extrapolated beyond the number of trials that were `drawn` in all.
+    """Return the CPU time for an error, extrapolated as 1/√N from the smallest blocks. These give the most
+    independent estimates, and larger blocks add no information. It is extrapolated beyond the number of trials
+    that were `drawn` in all.
     """
     if not points:
         return TimeAt(error, None)

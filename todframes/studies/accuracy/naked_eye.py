@@ -39,7 +39,6 @@ VARIANT_NODES = 8
 @dataclass(frozen=True)
 class NakedEye(StudyScene):
     """A triangle of one size seen directly; the threshold is a contrast, averaged over the retina's displacement.
-
     `size_mrad` is √(area). The orientations are alike by symmetry: evenly placed trials show one of them.
     """
 

@@ -95,10 +95,9 @@ class Frames:
 
 @dataclass(frozen=True)
 class Recorded(StudyScene):
-    """Frames of one group of a dataset; the threshold is that of the fitted psychometric function.
-
-    All estimators get the same frames, so the difference of these frames from others is no part of the error. The
-    converged value is from so many Gauss–Legendre displacements along each axis, the larger number last.
+    """Frames of one group of a dataset; the threshold is that of the fitted psychometric function. All estimators
+    get the same frames, so the difference of these frames from others is no part of the error. The converged value
+    is from so many Gauss–Legendre displacements along each axis, the larger number last.
     """
 
     dataset: Dataset

@@ -45,7 +45,6 @@ class Stability(Content, frozen=True, kw_only=True):
 @dataclass(frozen=True, slots=True)
 class Case:
     """An extreme input and the result that it must have: a text as it stands, each number to so many digits.
-
     `scale` is the unit of errors; None: each number itself, so that a 0 must be exact. `cpu_s` is the CPU time
     within which the case must end, three times what it takes or more.
     """
