@@ -313,13 +313,10 @@ those of one machine; their ratios hardly depend on it.
 
 - **Error**: root mean square of the difference from the converged value, over independent estimates; for the
   threshold, relative. Grey marks errors below the bound on the error of the converged value.
-- **CPU**: time of one estimate, set-up included. The closed form searches its threshold. The Monte Carlos know
-  the threshold and the slope of P(correct) there, which is the least work that any choice of levels could need;
-  only on recorded frames do they fit a psychometric function, as `score` does.
+- **CPU**: time of one estimate, set-up included. The Monte Carlos know the threshold and the slope of P(correct)
+  there; only on recorded frames do they fit a psychometric function, as `score` does.
 - **Slope** of the error against the CPU time beyond the set-up, both logarithmic: −½ for independent trials.
 - **Times less** CPU than the literal Monte Carlo at equal error. `*`: extrapolated along the measured 1/√N.
-- The literal Monte Carlo draws uniform noise on detectors and neurons. On folded scores the noise is Gaussian;
-  expected decisions and closed forms correct that for neurons.
-- For cameras, an estimate is one lattice of 3 to 29 places along each axis of a detector. `sensor-sim curve` runs
-  eight lattices of 5 to 37 places, because it states an error: about eight times the time beyond the set-up.
+- For cameras, an estimate is one lattice of places on the detectors. `sensor-sim curve` runs eight, because it
+  states an error: about eight times the time beyond the set-up.
 - The second table changes one part of the closed form at a time, with equal trials."""
