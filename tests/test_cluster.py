@@ -26,9 +26,9 @@ import pytest
 import todframes
 from todframes.base.errors import ClusterError, FrameError, SettingsError, TodframesError
 from todframes.jobs import batches as handing
-from todframes.jobs import engine as engines
+from todframes.jobs import run as engines
 from todframes.jobs import worker
-from todframes.jobs.engine import open_engine
+from todframes.jobs.run import open_engine
 
 if TYPE_CHECKING:
     from todframes.jobs.cluster import ClusterEngine
@@ -102,7 +102,7 @@ def test_asking_for_a_cluster_without_dask_is_one_line(monkeypatch: pytest.Monke
 
 
 def test_dask_is_imported_for_a_cluster_alone() -> None:
-    code = "import sys, todframes.jobs.engine; sys.exit(bool({'dask', 'distributed'} & set(sys.modules)))"
+    code = "import sys, todframes.jobs.run; sys.exit(bool({'dask', 'distributed'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -504,7 +504,7 @@ def test_a_batch_that_takes_too_long_ends_early(monkeypatch: pytest.MonkeyPatch)
 RUN = """
 import sys, time
 from todframes.base import signals
-from todframes.jobs.engine import open_engine
+from todframes.jobs.run import open_engine
 
 class Naps:
     def function(self):

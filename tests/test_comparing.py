@@ -35,9 +35,8 @@ from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame
 from todframes.frames.trials import FrameReference, SceneView, Trial, Trials
-from todframes.jobs.engine import open_engine
 from todframes.jobs.fingerprint import fingerprint
-from todframes.jobs.run import Run
+from todframes.jobs.run import Run, open_engine
 from todframes.observers.csf import CsfObserver
 from todframes.observers.interface import Observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings

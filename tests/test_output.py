@@ -29,7 +29,10 @@ from todframes.base.output import (
     write_files,
 )
 
-NUMBERS = [signal.SIGINT, *([signal.SIGKILL] if hasattr(signal, "SIGKILL") else [])]
+NUMBERS = [
+    pytest.param(signal.SIGINT, marks=pytest.mark.slow),
+    *([signal.SIGKILL] if hasattr(signal, "SIGKILL") else []),
+]
 CALLS = ("mkdir", "open", "rename", "replace", "unlink", "rmdir", "chmod")
 """Of `os`, each one that changes something on disk."""
 NOT_REACHED, INTERRUPTED = 99, 130

@@ -20,8 +20,8 @@ from typing import Any
 import pytest
 
 from todframes.base.errors import DataError, SettingsError, TodframesError
-from todframes.jobs.engine import open_engine
 from todframes.jobs.processes import ProcessEngine
+from todframes.jobs.run import open_engine
 
 pytestmark = pytest.mark.slow  # each process imports Python anew
 
@@ -127,7 +127,7 @@ def test_a_work_that_cannot_be_loaded_is_one_line(engine: ProcessEngine) -> None
 SCRIPT = """
 import os, sys, time
 from todframes.base import signals
-from todframes.jobs.engine import open_engine
+from todframes.jobs.run import open_engine
 
 class Naps:
     def function(self):

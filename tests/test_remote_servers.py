@@ -503,6 +503,7 @@ def pixels(data: Dataset, number: int) -> bytes:
         return file.read().stored.tobytes()
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_without_scoring_frames_again(make_dataset, web, tmp_path) -> None:
     """Frames are known by their tags alone, and each is read once less; one whose bytes have changed is scored."""
 

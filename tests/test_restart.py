@@ -127,6 +127,7 @@ def test_restart_and_keep_store(todframes, make_dataset, tmp_path: Path) -> None
     assert {name: whole[name] for name in whole} == {name: content(out)[name] for name in whole}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("blank_pictures")
 def test_compare_goes_on(todframes, make_dataset, tmp_path: Path) -> None:
     path = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=4).path

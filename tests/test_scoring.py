@@ -9,8 +9,7 @@ from todframes.base.errors import SettingsError
 from todframes.diagnosis.locate import locate_triangles
 from todframes.frames.dataset import Experiment, load_dataset
 from todframes.frames.files import read_frame, write_frame
-from todframes.jobs.engine import open_engine
-from todframes.jobs.run import Run
+from todframes.jobs.run import Run, open_engine
 from todframes.observers.interface import Observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings

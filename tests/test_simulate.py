@@ -32,8 +32,7 @@ from todframes.frames import dataset_files
 from todframes.frames import files as frame_writing
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import MAX_SIDE_PX, FrameFile, read_frame
-from todframes.jobs.engine import open_engine
-from todframes.jobs.run import Run
+from todframes.jobs.run import Run, open_engine
 from todframes.observers.pyramid import PyramidObserver
 from todframes.parameters import MAX_FRAME_MB
 from todframes.psychometrics.fit import FitSettings

@@ -24,7 +24,7 @@ class Name:
 """
 
 ENGINE = """\
-from todframes.jobs.engine import open_engine
+from todframes.jobs.run import open_engine
 from todframes.base.user_code import import_named
 work = import_named("own_work", "Name", "work")()
 with open_engine({!r}, 2) as engine:
@@ -38,7 +38,9 @@ PROCESSES = {
 }
 
 
-@pytest.mark.parametrize("kind", ["processes", "live curves", pytest.param("cluster", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "kind", ["processes", *(pytest.param(one, marks=pytest.mark.slow) for one in ("live curves", "cluster"))]
+)
 def test_processes_import_nothing_from_the_working_folder(working_folder: Path, kind: str) -> None:
     """Python imports the first of these modules as soon as it has started, the others on the way."""
     if kind == "cluster":

@@ -15,8 +15,7 @@ from bench_scoring import make_dataset
 from timing import Row
 
 from todframes.frames.dataset import load_dataset
-from todframes.jobs.engine import open_engine
-from todframes.jobs.run import Run
+from todframes.jobs.run import Run, open_engine
 from todframes.jobs.work import Engine, LocalEngine
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.score import score_dataset

@@ -71,7 +71,7 @@ def opened_engine(asked: dict[str, Any], *, quiet: bool) -> Iterator[None]:
 
     `cluster` is replaced by the engine in `asked`.
     """
-    from todframes.jobs.engine import open_engine
+    from todframes.jobs.run import open_engine
 
     with open_engine(asked.get("cluster"), asked.get("workers", 1)) as engine:
         if engine.dashboard is not None and not quiet:

@@ -6,13 +6,14 @@ from array import array
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import msgspec
 
+from todframes.base.errors import SettingsError, argument
 from todframes.base.output import Going, store_path
-from todframes.jobs.engine import open_engine
 from todframes.jobs.work import ITEMS_PER_TASK, Engine, LocalEngine
 from todframes.parameters import Progress, counted
 
@@ -76,6 +77,36 @@ class Run:
     def n_from_store(self) -> int:
         """Number of results that were not computed but found in the store."""
         return 0 if self.store is None else self.store.n_used
+
+
+@contextmanager
+def open_engine(cluster: str | Engine | None, workers: int) -> Iterator[Engine]:
+    """Open an engine for the time of a `with` statement: of a Dask cluster by the address of its scheduler,
+    "local:N" for one of N processes of this machine, or one that is open already. Without a cluster, `workers`
+    processes do the work; with one, the calling thread.
+
+    SettingsError if the package for clusters is not installed, or the text names no cluster; ClusterError if there
+    is no such cluster, or its workers cannot do this work.
+    """
+    if cluster is None and workers == 1:
+        yield LocalEngine()
+    elif cluster is None:
+        from todframes.jobs.processes import ProcessEngine
+
+        with closing(ProcessEngine(workers)) as processes:
+            yield processes
+    elif not isinstance(cluster, str):
+        yield cluster
+    elif find_spec("distributed") is None:
+        raise SettingsError(
+            f"{argument.cluster}: needs the package distributed, which is not installed: pip install "
+            "'todframes[cluster]'"
+        )
+    else:
+        from todframes.jobs.cluster import cluster_engine
+
+        with cluster_engine(cluster) as engine:
+            yield engine
 
 
 @contextmanager
