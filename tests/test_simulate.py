@@ -7,10 +7,7 @@ import errno
 import math
 import os
 import shutil
-import signal
-import subprocess
 import sys
-import time
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +23,6 @@ from sensor_sim.chain.simulation import LARGEST_SIDE_PX, SimulatedTrial, Simulat
 from sensor_sim.frames.dataset import white_luminance_cd_m2, write_dataset
 from todframes import __version__
 from todframes.base.errors import FrameError, SettingsError
-from todframes.base.signals import SIGNALS
 from todframes.cli.console import run
 from todframes.frames import dataset_files
 from todframes.frames import files as frame_writing
@@ -472,42 +468,3 @@ def test_a_full_disk_leaves_what_is_finished_and_nothing_else(
     assert_refused(done, BAD_SETTINGS, "No space left", str(folder), kept=folder)
     assert len(calls) > room
     assert tree(tmp_path) == before
-
-
-@pytest.mark.parametrize(
-    ("workers", "stop"),
-    [
-        pytest.param(
-            n, number, id=f"{n}-{number.name}", marks=[pytest.mark.slow] * (n > 1 or number != signal.SIGINT)
-        )
-        for n in (1, 2)
-        for number in SIGNALS
-    ],
-)
-def test_interruption_leaves_nothing(tmp_path, workers, stop):
-    (tmp_path / "SENSOR.toml").write_text(SENSOR_TOML, encoding="utf-8")
-    before = tree(tmp_path)
-    with subprocess.Popen(
-        [*COMMAND, "simulate", "SENSOR.toml", "--size-detectors", "4", "--snr", "1", "--trials", "100000",
-         "-o", "dataset", "--workers", str(workers)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
-    ) as running:  # fmt: skip
-        deadline = time.monotonic() + 30
-        while not [*tmp_path.rglob("frames/*.exr")] and time.monotonic() < deadline:
-            time.sleep(0.05)
-        assert running.poll() is None
-        running.send_signal(stop)
-        try:
-            out, err = running.communicate(timeout=20)
-        finally:
-            running.kill()  # it may hang, the tests may not
-    assert (running.returncode, out) == (INTERRUPTED, "")
-    first, *notes = err.splitlines()
-    assert first == "error: interrupted" + ("" if notes else ", nothing was written")
-    if not notes:
-        assert tree(tmp_path) == before
-    else:  # several processes keep finished results from their first batch on
-        assert workers == 2
-        assert [note.partition(";")[0] for note in notes] == ["note: what is finished is kept in dataset"]
-        assert [path.name for path in tmp_path.iterdir() if path.name not in ("SENSOR.toml", "dataset")] == []
-        assert [path.name for path in (tmp_path / "dataset").iterdir()] == [".todframes-staging"]
