@@ -40,12 +40,11 @@ from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.cli import cli
 from sensor_sim.explorer import routes
 from sensor_sim.explorer.limits import Shares
-from sensor_sim.explorer.live import LiveCurve, LiveCurves
+from sensor_sim.explorer.live import CurvePoint, LiveCurve, LiveCurves, Request, ThresholdEngine
 from sensor_sim.explorer.parameters import SLIDERS, observer_fields, sensor_fields
 from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves
 from sensor_sim.explorer.ranges import ThresholdSent, range_answer, range_from, weibull_slope
 from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
-from sensor_sim.explorer.threshold_engine import CurvePoint, Request, ThresholdEngine
 from sensor_sim.sweeps.designs import numeric_keys
 from sensor_sim.sweeps.ranges import Aim
 from sensor_sim.thresholds.predict import PredictedThreshold

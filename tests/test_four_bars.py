@@ -250,12 +250,14 @@ def test_thresholds_over_phases_are_those_of_code_apart(nyquists, against):
         for j, y in enumerate(places)
     }
     averaged, best = chain.averaged(0.75), chain.best(0.75)
-    assert averaged.snr == pytest.approx(threshold(np.concatenate([*parts.values()]), brute.internal), rel=5e-3)
+    assert averaged.threshold == pytest.approx(
+        threshold(np.concatenate([*parts.values()]), brute.internal), rel=5e-3
+    )
     lowest = min(threshold(one, brute.internal) for one in parts.values())
-    assert best.snr == pytest.approx(lowest, rel=5e-3)
-    assert best.snr <= lowest * 1.001
-    assert averaged.numerical_error <= 2e-3 * averaged.snr
-    assert best.numerical_error <= 2e-3 * best.snr
+    assert best.threshold == pytest.approx(lowest, rel=5e-3)
+    assert best.threshold <= lowest * 1.001
+    assert averaged.numerical_error <= 2e-3 * averaged.threshold
+    assert best.numerical_error <= 2e-3 * best.threshold
 
 
 # The definition: both displays drawn, noise on every detector and neuron.
@@ -316,7 +318,7 @@ def test_answers_of_the_literal_model_are_as_often_correct_as_computed():
     on_background = replace(chain.bars, against="background")
     alone = FourBarSampler(SENSOR, on_background, chain.field, 2 * chain.field)
     rng, n = np.random.default_rng(5), 200
-    share = np.mean([literal_answer(chain, alone, found.snr, rng) for _ in range(n)])
+    share = np.mean([literal_answer(chain, alone, found.threshold, rng) for _ in range(n)])
     assert abs(share - 0.75) < 4.0 * math.sqrt(0.75 * 0.25 / n)
 
 
@@ -328,7 +330,7 @@ def test_lying_bars_of_a_sensor_without_direction_are_as_hard():
         BarChain(SENSOR, PyramidObserver(**COARSE), 0.9 * NYQUIST, direction=direction).averaged(0.75)
         for direction in ("upright", "lying")
     )
-    assert lying.snr == pytest.approx(upright.snr, rel=4e-3)  # both within 0.2 %
+    assert lying.threshold == pytest.approx(upright.threshold, rel=4e-3)  # both within 0.2 %
 
 
 def test_proportion_correct_is_that_of_two_displays():

@@ -19,9 +19,8 @@ from test_predict import UNDER_SAMPLED
 
 from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sensor import Detector, Noise, Optics, PhotonNoise, Scene, Sensor
-from sensor_sim.explorer.limits import Shares, decision_shares, what_limits
-from sensor_sim.explorer.live import LiveCurves
-from sensor_sim.explorer.threshold_engine import SHARED_MB, Request, ThresholdEngine
+from sensor_sim.explorer.limits import Shares, decision_shares
+from sensor_sim.explorer.live import SHARED_MB, CurvePoint, LiveCurve, LiveCurves, Request, ThresholdEngine
 from sensor_sim.thresholds.curve_plan import Level, plan_curve
 from sensor_sim.thresholds.folding import Folding
 from sensor_sim.thresholds.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
@@ -277,18 +276,26 @@ def test_what_limits_follows_the_sensor():
     assert of_quiet.sampling > 2.0 * of_large.sampling
 
 
+def limits_of(*points: tuple[float, float | None, tuple[float, float, float]]) -> tuple[Shares, str]:
+    """What limits a curve with these sizes, thresholds and shares."""
+    curve = []
+    for size, threshold, shares in points:
+        found = PredictedThreshold("ok" if threshold else "never_reached", threshold, size_detectors=size)
+        curve.append(CurvePoint(len(curve), found, Shares(*shares), math.nan, True))
+    return LiveCurve(tuple(curve), 0.02, 0.0, True).limits
+
+
 def test_sentence_says_what_limits_and_where_nothing_is_seen():
-    shares = [Shares(0.9, 0.0, 0.1), Shares(0.25, 0.7, 0.05), Shares(0.15, 0.8, 0.05)]
-    mean, sentence = what_limits([2.0, 4.0, 8.0], shares, [False, True, True])
+    unseen = (2.0, None, (0.9, 0.0, 0.1))
+    mean, sentence = limits_of(unseen, (4.0, 1.0, (0.25, 0.7, 0.05)), (8.0, 1.0, (0.15, 0.8, 0.05)))
     assert mean.detector == pytest.approx(0.75)
     assert sentence == (
         "Detector noise limits: 75 % of what makes answers vary at threshold (the observer's internal noise 20 %, "
         "sampling 5 %); no threshold at 2 detectors, even without detector noise."
     )
-    _, nowhere = what_limits([2.0], shares[:1], [False])
-    assert nowhere.startswith("The observer's internal noise limits: 90 %")
-    _, balanced = what_limits([2.0], [Shares(0.4, 0.35, 0.25)], [True])
-    assert balanced.startswith("The observer's internal noise weighs most: 40 %")
+    assert limits_of(unseen)[1].startswith("The observer's internal noise limits: 90 %")
+    balanced = limits_of((2.0, 1.0, (0.4, 0.35, 0.25)))
+    assert balanced[1].startswith("The observer's internal noise weighs most: 40 %")
 
 
 # Processes ----------------------------------------------------------------------------------------------------

@@ -61,26 +61,3 @@ def decision_shares(phases: Sequence[Phases], internal: FloatArray, detector: Se
         of_each = np.stack([by_internal, by_detector, by_sampling])
         shares.append((of_each / np.maximum(of_each.sum(axis=0), np.finfo(float).tiny)).mean(axis=1))
     return Shares(*np.mean(shares, axis=0).tolist())
-
-
-def what_limits(
-    sizes_detectors: Sequence[float],
-    shares: Sequence[Shares],
-    reached: Sequence[bool],
-    strongest: str = WITHOUT_NOISE,
-) -> tuple[Shares, str]:
-    """Return the mean shares of the sizes that reach their threshold, and what limits a curve in one sentence.
-
-    If none has one, the means are over all sizes. `strongest` is the signal, in words, that sizes without one had.
-    """
-    chosen = [share for share, has_threshold in zip(shares, reached, strict=True) if has_threshold] or list(shares)
-    mean = Shares(*np.mean(chosen, axis=0).tolist())
-    (most, first), *others = sorted(zip(mean, NAMES, strict=True), reverse=True)
-    rest = [f"{name} {100.0 * share:.0f} %" for share, name in others if share > 0.0] or ["nothing else does"]
-    verb = "limits" if most >= LEADING_SHARE else "weighs most"
-    at = [f"{size:g}" for size, has_threshold in zip(sizes_detectors, reached, strict=True) if not has_threshold]
-    tail = f"; no threshold at {', '.join(at)} detectors, even {strongest}" if at else ""
-    sentence = (
-        f"{first} {verb}: {100.0 * most:.0f} % of what makes answers vary at threshold ({', '.join(rest)}){tail}."
-    )
-    return mean, sentence[0].upper() + sentence[1:]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, stages
-from sensor_sim.thresholds.bars import BarChain, BarThreshold
+from sensor_sim.thresholds.bars import BarChain
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, convert
@@ -42,6 +42,7 @@ from todframes.parameters import (
     Tolerance,
     counted,
 )
+from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.results.advice import missed_tolerance
 from todframes.results.data import Content, Fit, Group, Record, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
@@ -325,7 +326,12 @@ def system_mtf(frequency_cyc_per_mrad: FloatArray, sensor: Sensor) -> FloatArray
 
 
 def bars_at(
-    frequency_cyc_per_mrad: float, averaged: BarThreshold, best: BarThreshold, sensor: Sensor, *, lloyd_snr: float
+    frequency_cyc_per_mrad: float,
+    averaged: ComputedThreshold,
+    best: ComputedThreshold,
+    sensor: Sensor,
+    *,
+    lloyd_snr: float,
 ) -> BarsAt:
     """Return the record of one frequency."""
     nyquists = frequency_cyc_per_mrad / sensor.detector.nyquist_cyc_per_mrad
@@ -333,7 +339,7 @@ def bars_at(
     values: dict[str, Any] = {}
     for prefix, found in (("", averaged), ("best_", best)):
         values[f"{prefix}status"] = found.status
-        for name, snr in (("", found.snr), ("_error", found.numerical_error)):
+        for name, snr in (("", found.threshold), ("_error", found.numerical_error)):
             values[f"{prefix}threshold_snr{name}"] = snr
             in_mk = None if snr is None or not has_netd else float(delta_t_mk(snr, noise=sensor.noise))
             values[f"{prefix}mrtd_mk{name}"] = in_mk
@@ -502,7 +508,7 @@ def mrtd(
         bars.append(bars_at(one * nyquist, averaged, best, sensor, lloyd_snr=lloyd_snr))
         group: Group = {"frequency_nyquist": one}
         missed = missed_tolerance(
-            averaged.snr, averaged.numerical_error, tolerance, group=group, exact="lower frequencies"
+            averaged.threshold, averaged.numerical_error, tolerance, group=group, exact="lower frequencies"
         )
         warnings += () if missed is None else (missed,)
     tod: tuple[Fit, ...] = ()

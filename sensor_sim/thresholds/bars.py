@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +30,7 @@ from todframes.four_bars import WIDTHS, FourBars
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid
 from todframes.parameters import Against, Direction
-from todframes.psychometrics.threshold_search import Status, crossing
+from todframes.psychometrics.threshold_search import ComputedThreshold, Status, crossing
 from todframes.scoring.error_budget import REPLICATES, half_width_95
 from todframes.stimulus import Orientation, Stimulus
 
@@ -64,14 +63,6 @@ class BarScores(NamedTuple):
 
     signal: FloatArray
     noise: FloatArray
-
-
-class BarThreshold(NamedTuple):
-    """Threshold SNR of the bars; `numerical_error` is the half-width of its 95 % interval. None without one."""
-
-    status: Status
-    snr: float | None = None
-    numerical_error: float | None = None
 
 
 class BarChain:
@@ -164,7 +155,7 @@ class BarChain:
         proportions: FloatArray = ndtr(np.where(np.isnan(deviations), 0.0, deviations))
         return proportions
 
-    def best(self, p_correct: float) -> BarThreshold:
+    def best(self, p_correct: float) -> ComputedThreshold:
         """Compute the threshold where the bars lie best on the detectors, a mean over displacements of the retina.
 
         The error is the change from the last refinement's neighbour, and from fewer displacements.
@@ -177,8 +168,8 @@ class BarChain:
             for at, n in ((place, nodes + 6), (place, nodes + 4), (beside, nodes + 4))
         )
         if snr is None:
-            return BarThreshold(status)
-        return BarThreshold(status, snr, sum(abs(other - snr) for _, other in others if other is not None))
+            return ComputedThreshold(status)
+        return ComputedThreshold(status, snr, sum(abs(other - snr) for _, other in others if other is not None))
 
     def _best_place(self, p_correct: float, nodes: int) -> FloatArray:
         """Return the place on the detectors, (x, y), at which the bars have the lowest threshold."""
@@ -231,12 +222,12 @@ class BarChain:
 
     def averaged(
         self, p_correct: float, *, tolerance: float = 2e-3, seed: int = 1, check: Callable[[], None] = lambda: None
-    ) -> BarThreshold:
+    ) -> ComputedThreshold:
         """Compute the threshold of P(correct) averaged over all places of the bars on the detectors.
 
         More places are taken until the relative half-width of the 95 % interval is below the tolerance.
         """
-        found = BarThreshold("never_reached")
+        found = ComputedThreshold("never_reached")
         for places in PLACES:
             if math.gcd(places, self.sensor.display.pixels_per_detector) > 1:
                 continue
@@ -252,9 +243,9 @@ class BarChain:
             scores = BarScores(*(np.stack(one) for one in zip(*parts, strict=True)))
             mean = find_threshold(partial(self._of_each, scores), p_correct)
             if mean.status != "ok":
-                return BarThreshold(mean.status)
+                return ComputedThreshold(mean.status)
             error = half_width_95(mean.deviations)
-            found = BarThreshold(mean.status, mean.threshold, mean.threshold * error)
+            found = ComputedThreshold(mean.status, mean.threshold, mean.threshold * error)
             if error <= tolerance:
                 break
         return found
@@ -262,11 +253,6 @@ class BarChain:
     def _of_each(self, scores: BarScores, snr: float) -> FloatArray:
         """Return P(correct) of each replicate of scores, (replicates, places, displacements), at an SNR."""
         return np.asarray(self.proportion(scores, snr).mean(axis=(1, 2)))
-
-
-def d_prime(p_correct: float) -> float:
-    """Return d′ of a proportion correct among two displays: √2 Φ⁻¹(P)."""
-    return math.sqrt(2.0) * NormalDist().inv_cdf(p_correct)
 
 
 def _check_frequency(frequency_cyc_per_mrad: float, pitch_mrad: float) -> None:

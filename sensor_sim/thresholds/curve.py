@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sensor_sim.chain.sensor import Scene, Sensor, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError, argument
@@ -126,7 +126,7 @@ def curve(
     FitSettings(p_correct=p_correct)  # checks it
     luminances = distinct_numbers(argument.luminance_cd_m2, luminance_cd_m2) if len(luminance_cd_m2) else []
     scenes = _scenes(sensor, luminances)
-    asked: _Asked = {"p_correct": p_correct, "places": places, "seed": seed}
+    asked: dict[str, Any] = {"p_correct": p_correct, "places": places, "seed": seed}
     sizes = sizes_in_detectors(
         replace(sensor, scene=scenes[0]) if scenes else sensor, size_detectors, size_mrad, judge, **asked
     )
@@ -174,14 +174,6 @@ class AtLight(NamedTuple):
     chain: FoldedChain
 
 
-class _Asked(TypedDict):
-    """Criterion, number of places and seed of a curve."""
-
-    p_correct: float
-    places: int
-    seed: int
-
-
 def _at_size(
     sensor: Sensor,
     scenes: Sequence[Scene],
@@ -191,7 +183,7 @@ def _at_size(
     tolerance: float,
     plan: PlanName,
     progress: Callable[[float], None],
-    **asked: Unpack[_Asked],
+    **asked: Any,
 ) -> list[AtLight]:
     """Return the thresholds of one size at each light; the only one where the sensor does not count photons."""
     from sensor_sim.thresholds.curve_plan import plan_curve
@@ -249,7 +241,7 @@ def _fit(at_light: AtLight, group: dict[str, float | str], p_correct: float, run
 
 
 def _never_reached(
-    alike: Sequence[AtLight], observer: Observer, luminance_cd_m2: float | None, **asked: Unpack[_Asked]
+    alike: Sequence[AtLight], observer: Observer, luminance_cd_m2: float | None, **asked: Any
 ) -> ResultWarning:
     """Return the warning about sizes without a threshold for one reason: it, and the smallest size with one."""
     from sensor_sim.thresholds.predict import HIDDEN, SATURATING

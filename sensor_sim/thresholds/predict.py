@@ -54,9 +54,6 @@ SURELY_BELOW = 0.2
 """Distance of P(correct) below the criterion from which one replicate shows that this is never reached: at least
 three standard errors of the share of right answers in its 50 trials or more."""
 
-USUAL_SEARCH = 6
-"""Usual number of times for which a search computes P(correct) of all trials; progress is estimated with it."""
-
 HIDDEN = "optics, detectors and display hide its direction, even without noise"
 TOO_FAINT = "the observer's internal noise hides what optics, detectors and display leave of it"
 SATURATING = "it would need more contrast than the pixels can show before they saturate"
@@ -373,39 +370,6 @@ Progress = Callable[[float], None]
 """Function that is called with the share of a computation that was just done."""
 
 
-class _Work:
-    """Work on a ladder of lattices, each of which takes time in proportion to its places: half of it for drawing.
-
-    Progress is reported in shares of the whole ladder.
-    """
-
-    def __init__(self, progress: Progress, check: Callable[[], None], ladder: Sequence[int]) -> None:
-        self._progress, self._check = progress, check
-        self._whole = sum(places**2 for places in ladder)
-        self._left = self._decision = 0.0
-
-    def draw(self, chain: FoldedChain, places: int, seed: int) -> list[list[Phases]]:
-        """Return the replicates of a lattice; the one before is done."""
-        self._progress(self._left)
-        self._left = share = places**2 / self._whole
-        for n in range(1, REPLICATES + 1):
-            parts = chain.replicates(places, seed, n)
-            self._report(0.5 * share / REPLICATES)
-        n_decisions = sum(math.ceil(REPLICATES * len(part.signal) / PLACES_AT_ONCE) for part in parts[0])
-        self._decision = 0.5 * share / USUAL_SEARCH / n_decisions
-        return parts
-
-    def decide(self) -> None:
-        """Report that P(correct) of `PLACES_AT_ONCE` places comes next; `check` may raise an exception."""
-        self._check()
-        self._report(self._decision)
-
-    def _report(self, share: float) -> None:
-        done = min(share, self._left)  # a search may take longer than usual
-        self._left -= done
-        self._progress(done)
-
-
 class PooledThreshold(NamedTuple):
     """A threshold over several replicates; if its status is not "ok", the numbers are NaN.
 
@@ -510,18 +474,22 @@ def predicted_on_lattices(
     never = chain.unreached(p_correct, seed, ladder[0], level) if near is None else None
     if never is not None:
         return never, {}
-    work = _Work(progress, check, ladder)
     for places in ladder:
-        parts = work.draw(chain, places, seed)
+        # A lattice takes time in proportion to its places, half of it for drawing.
+        half = 0.5 * places**2 / sum(n**2 for n in ladder)
+        for n in range(1, REPLICATES + 1):
+            parts = chain.replicates(places, seed, n)
+            progress(half / REPLICATES)
         phases = pooled(parts)
         n_phases = sum(part.signal[..., 0].size for part in phases)
         found = find_threshold(
-            partial(chain.proportions, phases, level=level, n_replicates=REPLICATES, check=work.decide),
+            partial(chain.proportions, phases, level=level, n_replicates=REPLICATES, check=check),
             p_correct,
             most=chain.largest_level,
             near=near,
             slope=slope,
         )
+        progress(half)
         if found.status != "ok":
             never = chain.unreached(p_correct, seed, places, level) if found.status == "never_reached" else None
             other = PredictedThreshold(found.status, size_detectors=chain.size_detectors, n_phases=n_phases)
