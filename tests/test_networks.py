@@ -38,11 +38,10 @@ from todframes.base.errors import DataError, SettingsError
 from todframes.enhancement import network, network_probe
 from todframes.enhancement.algorithm import Enhancement
 from todframes.enhancement.compare import parts_of
-from todframes.enhancement.finding import find_enhancement
+from todframes.enhancement.finding import find_enhancement, plain_value
 from todframes.enhancement.memory_meter import MemoryMeter
 from todframes.enhancement.network import in_tiles
 from todframes.enhancement.network_probe import Found, ProbeRequest, examine, probe, read_model, with_weights
-from todframes.enhancement.records import plain_value
 from todframes.jobs.fingerprint import fingerprint
 
 

@@ -22,8 +22,12 @@ def enhancements(*, json: bool) -> None:
     import msgspec
 
     from todframes import __version__
-    from todframes.enhancement.finding import enhancement_names, find_enhancement
-    from todframes.enhancement.records import enhancement_record, enhancements_table
+    from todframes.enhancement.finding import (
+        enhancement_names,
+        enhancement_record,
+        enhancements_table,
+        find_enhancement,
+    )
     from todframes.results.data import SCHEMA
 
     found = []

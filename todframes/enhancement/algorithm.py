@@ -1,17 +1,6 @@
 """Enhancement algorithms: functions of an image and named parameters, with an optional declaration.
 
-    @algorithm(domain="luminance")
-    def brighten(image, *, gain: Annotated[float, parameter(0.1, 10.0, what="factor")] = 2.0):
-        \"\"\"Multiply all pixels by a factor.\"\"\"
-        return gain * image
-
-The declaration is optional: any function that takes an image of code values and returns one of the same shape is
-an algorithm. An algorithm of clips takes the frames of a whole trial, and those before it:
-
-    @algorithm(clip=True, warm_up_frames=3)
-    def mean_of_four(frames, *, judged):
-        \"\"\"Mean of a frame and the three before it.\"\"\"
-        return np.stack([frames[k - 3 : k + 1].mean(axis=0) for k in judged])
+Any function that takes an image of code values and returns one of the same shape is an algorithm.
 """
 
 from __future__ import annotations

@@ -35,8 +35,7 @@ from todframes.enhancement.enhanced_frame import (
     TrialReader,
     check_warm_up_there,
 )
-from todframes.enhancement.finding import find_enhancement
-from todframes.enhancement.records import plain_value
+from todframes.enhancement.finding import find_enhancement, plain_value
 from todframes.enhancement.repeatability import RepeatedFrames
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import check_places

@@ -361,9 +361,6 @@ def thresholds_of(algorithms: Sequence[Algorithm]) -> tuple[Fit, ...]:
     return tuple(replace(fit, group={"algorithm": one.name} | fit.group) for one in algorithms for fit in one.fits)
 
 
-# Tables --------------------------------------------------------------------------------------------------------
-
-
 def ratios_table(algorithms: Sequence[Algorithm], observer: str = "") -> Table:
     """Make the table of a comparison: a row for each algorithm and group, and one for all groups together.
 
@@ -447,9 +444,6 @@ def responses_table(algorithms: Sequence[Algorithm]) -> Table | None:
     return Table.of("Contrast before and after", "contrast_response.csv", columns, records)
 
 
-# Figures -------------------------------------------------------------------------------------------------------
-
-
 def draw_ratios(axes: Axes, algorithms: Sequence[Algorithm], styles: Mapping[object, CurveStyle]) -> None:
     """Draw thresholds divided by the reference's, by algorithm and group; filled if a difference is shown."""
     others = [one for one in algorithms if one.ratios][:MOST_COMPARED]
@@ -502,9 +496,6 @@ def draw_responses(axes: Axes, algorithms: Sequence[Algorithm], styles: Mapping[
     plain_ticks(axes.xaxis, axes.get_xlim())
     plain_ticks(axes.yaxis, axes.get_ylim())
     add_legend(axes)
-
-
-# Sentences -----------------------------------------------------------------------------------------------------
 
 
 def comparison(algorithms: Sequence[Algorithm]) -> tuple[str, ...]:
@@ -596,9 +587,6 @@ def _without_ratio(one: Algorithm, reference: Algorithm) -> dict[str, list[Group
 
 def _signed(value: float | None, form: str) -> str:
     return f"{value or 0.0:+{form}}".replace("-", "−")
-
-
-# Warnings ------------------------------------------------------------------------------------------------------
 
 
 def not_proportional(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:

@@ -187,8 +187,12 @@ class DecodedFrame:
 
     def looked_at(
         self, picture: EnhancedImage, place: Placement, frame: FrameReference, *, whole: bool
-    ) -> LookedAt:
+    ) -> tuple[ContrastPatch, float, float, float]:
         """Return the part of a picture that a retina grid touches, or all of it, as contrast.
+
+        Then come the middle of the undisplaced retina, x and y in pixels from the picture's first, and the factor
+        by which the algorithm changes the luminance of the outermost pixels, divided by that around the triangle;
+        1 where the background is not given.
 
         A background that the dataset gives, or that lies at the border, is that of the frame: it gets as much
         brighter as the algorithm makes the surroundings of the triangle. Raises FrameError as `read_contrast`.
@@ -215,7 +219,7 @@ class DecodedFrame:
         shown = TrianglePlace(triangle_x_px, triangle_y_px, m * triangle.size_px)
         file = ArrayFrame(self.path, picture.values)
         patch = read_contrast(file, display, frame, rows, columns, triangle=shown)
-        return LookedAt(patch, x_px, y_px, edge_factor)
+        return patch, x_px, y_px, edge_factor
 
     def _brightening(self, picture: EnhancedImage, triangle: TrianglePlace) -> tuple[float, float]:
         """Return the factor by which an algorithm changes the luminance around the triangle, and that by which it
@@ -238,21 +242,8 @@ class DecodedFrame:
         return around, after.border_luminance() / ring / around if ring > 0.0 else 1.0
 
 
-class LookedAt(NamedTuple):
-    """A part of a picture, and the middle of the undisplaced retina on it, in pixels from the picture's first.
-
-    `edge_factor` is the factor by which the algorithm changes the luminance of the outermost pixels, divided by
-    that around the triangle; 1 where the background is not given.
-    """
-
-    patch: ContrastPatch
-    x_px: float
-    y_px: float
-    edge_factor: float
-
-
 class FrameMeasurements(NamedTuple):
-    """The measurements of a frame after an algorithm; others are those of `EnhancedImage` and `LookedAt`.
+    """The measurements of a frame after an algorithm; others are those of `EnhancedImage` and `looked_at`.
 
     `squared_error`, in (cd/m²)², and `ssim` compare the displayed luminance with the frame without noise; None if
     there is none with as many pixels.
@@ -328,8 +319,8 @@ class TrialReader:
                     picture = (
                         decoded.after(algorithm, self._meters[algorithm.spec]) if own is None else own[number]
                     )
-                    looked_at = decoded.looked_at(picture, place, frame, whole=whole)
-                    seen.append((looked_at, self._measured(dataset, frame, picture, looked_at.edge_factor)))
+                    *part, edge_factor = decoded.looked_at(picture, place, frame, whole=whole)
+                    seen.append((part, self._measured(dataset, frame, picture, edge_factor)))
             except FrameError:
                 raise
             except DataError as error:
@@ -339,7 +330,7 @@ class TrialReader:
         trials = []
         for algorithm, of_algorithm in zip(self.algorithms, zip(*frames, strict=True), strict=True):
             parts, measured = zip(*of_algorithm, strict=True)
-            patches, xs, ys, _ = zip(*parts, strict=True)
+            patches, xs, ys = zip(*parts, strict=True)
             pitch_mrad = self.screen.display.pitch_mrad / algorithm.magnification
             trials.append(EnhancedTrial(Shown(patches, xs, ys, pitch_mrad, n_rows[0]), measured))
         return trials

@@ -24,6 +24,7 @@ from todframes.enhancement.algorithm import Image, algorithm, meaning, parameter
 from todframes.enhancement.network_probe import (
     MOST_MODEL_MB,
     MOST_TILE_PX,
+    Found,
     Layout,
     Model,
     ProbeRequest,
@@ -149,62 +150,53 @@ def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -
     one picture that gives one picture, and SettingsError if a setting contradicts the model, or has to be given
     because the model does not say it.
     """
-    if values["black"] == values["white"]:
-        raise SettingsError(f"{where}: black and white: found {values['black']:g} for both, expected two values")
-    given = ("layout", "channels", "multiple_px", "border_px", "black", "white", "constant_channel")
-    asked = {name: values[name] for name in given} | {"inputs": values["inputs"] or {}}
+    shared = {name: values[name] for name in ProbeRequest.__struct_fields__} | {"inputs": values["inputs"] or {}}
     try:
+        if values["black"] == values["white"]:
+            raise SettingsError(f"black and white: found {values['black']:g} for both, expected two values")
         version = runtime_version()
-        properties, content = probe(network.content, path.parent, ProbeRequest(**asked))
+        properties, content = probe(network.content, path.parent, ProbeRequest(**shared))
+        resolved = _resolved(values, properties)
     except SettingsError as error:
         raise SettingsError(f"{where}: {error}") from None
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
-    scale = values["scale"]
-    if scale is not None and scale != properties.scale:
-        raise SettingsError(f"{where}: scale: found {scale:g}, expected {properties.scale:g} as the model gives")
     size = properties.rows, properties.columns
-    multiple = properties.multiple_px
-    tile = values["tile_px"]
+    return replace(network, content=content, version=version, size=size, lost_px=properties.lost_px), resolved
+
+
+def _resolved(values: Mapping[str, Any], properties: Found) -> dict[str, Any]:
+    """Return all settings of a network; raise SettingsError if one contradicts what the model has shown."""
+    scale, lost, multiple = properties.scale, properties.lost_px, properties.multiple_px
+    if values["scale"] not in (None, scale):
+        raise SettingsError(f"scale: found {values['scale']:g}, expected {scale:g} as the model gives")
+    size, tile = (properties.rows, properties.columns), values["tile_px"]
     if tile is not None and any(side not in (tile, None) for side in size):
         taken = " × ".join("any" if side is None else str(side) for side in size)
-        raise SettingsError(f"{where}: tile_px: found {tile}, but the model takes pictures of {taken} only")
+        raise SettingsError(f"tile_px: found {tile}, but the model takes pictures of {taken} only")
     if None not in size:
         tile = size[0] if size[0] == size[1] else None
     elif tile is None:
         tile = WHOLE_PX // multiple * multiple
     if tile and tile % multiple:
-        raise SettingsError(f"{where}: tile_px: found {tile}, expected a multiple of {multiple}")
-    lost, border = properties.lost_px, values["border_px"]
-    border = lost if border is None else border
+        raise SettingsError(f"tile_px: found {tile}, expected a multiple of {multiple}")
+    border = lost if values["border_px"] is None else values["border_px"]
     if border < lost:
-        raise SettingsError(f"{where}: border_px: found {border}, but the model loses {lost} px a side")
-    trimmed = properties.scale * (border - lost)
+        raise SettingsError(f"border_px: found {border}, but the model loses {lost} px a side")
+    trimmed = scale * (border - lost)
     if abs(trimmed - round(trimmed)) > 1e-9:  # rounding of the scale
-        raise SettingsError(
-            f"{where}: border_px: found {border}, of which the model's scale of {properties.scale:g} makes "
-            f"{trimmed:g} output pixels, expected a whole number"
-        )
-    smallest = min(side or tile or MOST_TILE_PX for side in size) - 2 * border
+        makes = f"of which the model's scale of {scale:g} makes {trimmed:g} output pixels"
+        raise SettingsError(f"border_px: found {border}, {makes}, expected a whole number")
+    side = min(side or tile or MOST_TILE_PX for side in size)
+    smallest = side - 2 * border
     if smallest <= 0:
-        raise SettingsError(
-            f"{where}: border_px: found {border}, expected less than half a tile of {smallest + 2 * border} px"
-        )
-    overlap = values["overlap_px"]
-    if overlap is None:
-        overlap = min(64, smallest // 4)
+        raise SettingsError(f"border_px: found {border}, expected less than half a tile of {side} px")
+    # Overlaps of tiles that are large enough have 64 pixels.
+    overlap = min(64, smallest // 4) if values["overlap_px"] is None else values["overlap_px"]
     if overlap > smallest // 2:
-        raise SettingsError(f"{where}: overlap_px: found {overlap}, expected at most half a tile, {smallest // 2}")
-    resolved = dict(values) | {
-        "layout": properties.layout,
-        "channels": properties.channels,
-        "scale": properties.scale,
-        "tile_px": tile,
-        "overlap_px": overlap,
-        "multiple_px": multiple,
-        "border_px": border,
-    }
-    return replace(network, content=content, version=version, size=size, lost_px=lost), resolved
+        raise SettingsError(f"overlap_px: found {overlap}, expected at most half a tile, {smallest // 2}")
+    found = {"layout": properties.layout, "channels": properties.channels, "scale": scale, "tile_px": tile}
+    return dict(values) | found | {"overlap_px": overlap, "multiple_px": multiple, "border_px": border}
 
 
 def _apply(

@@ -44,19 +44,14 @@ class RepeatedFrames:
         self.differences = {one.spec: 0.0 for one in reader.algorithms}
         self._compare(reversed(self._trials))
 
-    @property
-    def is_repeatable(self) -> bool:
-        """True if no algorithm has given other pictures so far."""
-        return not any(self.differences.values())
-
     def run(self, run: Run) -> Run:
         """Return the run, without its store if results could not be taken from there."""
-        return run if self.is_repeatable else replace(run, store=None)
+        return replace(run, store=None) if any(self.differences.values()) else run
 
     def finish(self, run: Run) -> None:
         """Show the trials again after all others, and remove kept results if the pictures are others."""
         self._compare(self._trials)
-        if not self.is_repeatable and run.store is not None:
+        if any(self.differences.values()) and run.store is not None:
             run.store.forget()
 
     def _pictures(self, trials: Iterable[Trial]) -> dict[tuple[str, int], list[FloatArray]]:

@@ -239,50 +239,46 @@ class ChartSource:
                 seen = finder.look(frame.values)
             last = frame.values
             report.most_markers, report.misfit_px = finder.most_found, finder.misfit_px
-            if seen is not None and page_of(seen.ids) is None:
+            named = None if seen is None else page_of(seen.ids)
+            if seen is not None and named is None:
                 n_unclear += 1
                 continue
             report.count_unclear(n_unclear)
             n_unclear = 0
-            page = self._page(seen, finder.key, report)
-            if page is not None and seen is not None:
-                placed = self._placed(page, seen.geometry)
-                roll = max((one.roll_degrees for one in placed), key=abs, default=0.0)
-                if abs(roll) > LARGEST_ROLL_DEGREES:
-                    report.n_rolled += 1
-                    continue
-                if not film.runs or film.runs[-1].page != page:
-                    film.runs.append(_Run(page, frame.time_s))
-                film.charts.append(
-                    _SeenChart(film.runs[-1], seen.geometry, seen.edges, self._n_placed, frame.source)
-                )
-                sizes_mm = [one.size_mm for one in self.chart.pages[page].triangles]
-                parts = tuple(
-                    self._part(frame.values.shape, one, size_mm, report, number)
-                    for number, (size_mm, one) in enumerate(zip(sizes_mm, placed, strict=True), self._n_placed)
-                )
-                self._n_placed += len(placed)
-                yield ClipFrame(page, frame.time_s, frame.source, frame.values, parts, seen.modules, before)
+            page = self._page(named, finder.key, report)
+            if page is None or seen is None:
+                continue
+            placed = self._placed(page, seen.geometry)
+            if abs(max((one.roll_degrees for one in placed), key=abs, default=0.0)) > LARGEST_ROLL_DEGREES:
+                report.n_rolled += 1
+                continue
+            if not film.runs or film.runs[-1].page != page:
+                film.runs.append(_Run(page, frame.time_s))
+            film.charts.append(_SeenChart(film.runs[-1], seen.geometry, seen.edges, self._n_placed, frame.source))
+            sizes_mm = [one.size_mm for one in self.chart.pages[page].triangles]
+            parts = tuple(
+                self._part(frame.values.shape, one, size_mm, report, number)
+                for number, (size_mm, one) in enumerate(zip(sizes_mm, placed, strict=True), self._n_placed)
+            )
+            self._n_placed += len(placed)
+            yield ClipFrame(page, frame.time_s, frame.source, frame.values, parts, seen.modules, before)
         report.count_unclear(n_unclear)
         report.frame_rate_varies = rate_varies(np.diff(times_s))
 
-    def _page(self, seen: Sighting | None, searched_key: int | None, report: RecordingReport) -> int | None:
-        if seen is None:
-            if searched_key is None or searched_key == self.chart.key:
-                report.n_without_markers += 1
-            else:
-                report.other_keys[searched_key] = report.other_keys.get(searched_key, 0) + 1
-            return None
-        found = page_of(seen.ids)
-        assert found is not None
-        page, key = found
-        if key != self.chart.key:
+    def _page(
+        self, named: tuple[int, int] | None, searched_key: int | None, report: RecordingReport
+    ) -> int | None:
+        """Return the page that markers name, with a key; None, and count the frame, if it is none of the chart."""
+        page, key = named or (None, searched_key)
+        if key is not None and key != self.chart.key:
             report.other_keys[key] = report.other_keys.get(key, 0) + 1
-            return None
-        if page >= len(self.chart.pages):
+        elif page is None:
+            report.n_without_markers += 1
+        elif page >= len(self.chart.pages):
             report.n_other_page += 1
-            return None
-        return page
+        else:
+            return page
+        return None
 
     def _placed(self, page: int, geometry: Geometry) -> list[PlacedTriangle]:
         return [

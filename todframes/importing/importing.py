@@ -196,7 +196,14 @@ def import_recordings(
     check_source(chart, schedule)
     time_s = checked_time(integration_time_s)
     convert(warm_up_frames, WarmUpFrames, argument.warm_up_frames)
-    _check_settings(ifov_mrad, level, has_schedule=schedule is not None)
+    if schedule is None and level is not None:
+        raise SettingsError(f"{argument.level}: is given but not used with a chart, which states its levels")
+    if schedule is None and ifov_mrad is not None:
+        raise SettingsError(
+            f"{argument.ifov_mrad}: is given but not used with a chart, whose markers give the scale"
+        )
+    if ifov_mrad is not None:
+        check_positive(argument.ifov_mrad, ifov_mrad)
     shown = find_display(display)
     pitch_mrad = shown.display.pitch_mrad
     opened = open_for_import(
@@ -319,17 +326,6 @@ def checked_time(integration_time_s: float | str) -> float | None:
             "all"
         )
     return time_s
-
-
-def _check_settings(ifov_mrad: float | None, level: str | None, *, has_schedule: bool) -> None:
-    if level is not None and not has_schedule:
-        raise SettingsError(f"{argument.level}: is given but not used with a chart, which states its levels")
-    if ifov_mrad is not None and not has_schedule:
-        raise SettingsError(
-            f"{argument.ifov_mrad}: is given but not used with a chart, whose markers give the scale"
-        )
-    if ifov_mrad is not None:
-        check_positive(argument.ifov_mrad, ifov_mrad)
 
 
 def _interval_s(recording: Recording) -> float | None:

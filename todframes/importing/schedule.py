@@ -1,10 +1,4 @@
-"""Schedules: tables of what a recording shows when no chart with markers states it.
-
-A schedule is a CSV file with a row for each trial:
-
-    file,start_s,end_s,orientation,size_mrad,contrast
-    clip_1.mkv,0.5,2.5,up,4.0,0.2
-    clip_1.mkv,3.5,5.5,left,4.0,0.2
+"""Schedules: CSV files that say what each part of recordings shows when no chart with markers states it.
 
 `size_mrad` is √(area) of the triangle at the camera, as in `chart.toml`; `size_px`, in its place or beside it, is
 the size in pixels of the camera. Columns that this module does not know are kept as text.
