@@ -409,7 +409,7 @@ class _OwnOrientation(NamedTuple):
 
 
 def _shown_triangle(
-    side: int, size_px: float, view: _View, orientation: Orientation, *, blur_px: float
+    side: int, size_px: float, view: _View, orientation: Orientation, blur_px: float
 ) -> FloatArray:
     """Return the share of each pixel of a frame that a triangle covers, after a Gaussian blur of the scene."""
     if not blur_px:
@@ -454,19 +454,18 @@ class _SeenViews:
         """Write a frame; return its row of the manifest."""
         background, key = self.backgrounds[trial.background], (trial.background, trial.turn)
         view, (scene, local) = self.views[key], self._scene(*key)
-        triangle = _shown_triangle(
-            len(scene), self.layout.size_px, view, trial.orientation, blur_px=self.stage.blur_px
-        )
-        luminance = scene + self.stage.polarity * contrast * local * triangle
-        self._check(
-            luminance,
-            scene,
-            local,
-            triangle,
-            f"{background.scene}, window {background.window}, {trial.turn}: a triangle of contrast {contrast:g}",
-        )
+        stage = self.stage
+        triangle = _shown_triangle(len(scene), self.layout.size_px, view, trial.orientation, stage.blur_px)
+        luminance = scene + stage.polarity * contrast * local * triangle
+        black, white = stage.encoder.black_cd_m2, stage.encoder.white_cd_m2
+        if luminance.max() > white * (1.0 + 1e-9) or luminance.min() < black - 1e-9 * white:
+            raise DataError(
+                f"{background.scene}, window {background.window}, {trial.turn}: a triangle of contrast "
+                f"{contrast:g} goes beyond black or white of the display, expected less contrast or another "
+                f"{argument.dim}"
+            )
         name = f"frames/s{size_mrad:g}_c{contrast:g}_{trial.orientation}_{trial.number}.png"
-        write_frame(folder / name, self.stage.encoder(luminance))
+        write_frame(folder / name, stage.encoder(luminance))
         self.shown[key] += 1
         row = {
             "frame": name,
@@ -479,27 +478,7 @@ class _SeenViews:
         } | dict(zip(SCENE_COLUMNS, background.view(trial.turn), strict=True))
         if places > 1:
             row |= zip(PLACE_COLUMNS, (str(view.place), f"{self.layout.step_px:.8g}"), strict=True)
-        return row | ({"polarity": "-1"} if self.stage.polarity < 0 else {})
-
-    def _check(
-        self,
-        luminance: FloatArray,
-        scene: FloatArray,
-        local: float,
-        triangle: FloatArray,
-        what: str,
-    ) -> None:
-        """Raise DataError if the display cannot show a frame: the message has the largest contrast that it can."""
-        black, white = self.stage.encoder.black_cd_m2, self.stage.encoder.white_cd_m2
-        slack = 1e-9 * white
-        if luminance.max() <= white + slack and luminance.min() >= black - slack:
-            return
-        room, end, advice = scene - black, "black", ""
-        if self.stage.polarity > 0:
-            room, end, advice = white - scene, "white", f", or {argument.dim} below {self.stage.dim:.3g}"
-        inside = triangle > 0.0
-        most = float((room[inside] / triangle[inside]).min()) / local
-        raise DataError(f"{what} goes beyond {end} of the display, expected at most {max(most, 0.0):.2g}{advice}")
+        return row | ({"polarity": "-1"} if stage.polarity < 0 else {})
 
     def report(self, size_mrad: float) -> Iterator[_OwnOrientation]:
         """Yield for each background what orientation it has by itself, as it is and over the frames shown."""

@@ -290,22 +290,13 @@ class FrameFile(FrameSource):
         """Yield a rectangle of the frame in bands of rows from top to bottom, each of about `BAND_VALUES` values.
 
         No more of the file is decoded than the chunks or tiles that the rectangle touches, and no chunk of scan
-        lines twice. After a band with bad pixels nothing more is yielded; a FrameError about all of them follows
-        at the end.
+        lines twice.
         """
         (top, bottom), (left, right) = self.clip(rows, columns)
-        n_bad, first_bad = 0, ""
         for begin, end in self._band_rows(top, bottom) if left < right else ():
             stored = self._decode(begin, end, left, right)
-            bad = _not_finite(stored)
-            if bad is not None:
-                row, column = np.argwhere(bad)[0]
-                first_bad = first_bad or f"row {row + begin}, column {column + left}"
-                n_bad += int(np.count_nonzero(bad))
-            if not n_bad:
-                yield Frame(stored, begin, left, self.header.height, self.header.width)
-        if n_bad:
-            raise FrameError(self.path, f"{n_bad} pixels are NaN or infinite, the first at {first_bad}")
+            check_finite(self.path, stored, begin, left)
+            yield Frame(stored, begin, left, self.header.height, self.header.width)
 
     def _band_rows(self, top: int, bottom: int) -> Iterator[Range]:
         """Yield ranges of rows that end where chunks or tiles end."""
@@ -705,13 +696,16 @@ def _ignored(spec: Any, n_channels: int) -> Iterator[HeaderWarning]:
         )
 
 
-def _not_finite(stored: NDArray[Any]) -> NDArray[np.bool_] | None:
-    """Return a mask of the pixels with a NaN or an infinity, (rows, columns); None if there are none."""
+def check_finite(path: Location, stored: NDArray[Any], row: int, column: int) -> None:
+    """Raise FrameError if pixels of a rectangle, the first at (row, column), are NaN or infinite."""
     if stored.dtype.kind == "u":
-        return None
+        return
     is_half = stored.dtype == np.float16  # numpy's isfinite takes five times as long for it
     bad = (stored.view(np.uint16) & 0x7C00) == 0x7C00 if is_half else ~np.isfinite(stored)
-    return bad.any(axis=2) if bad.any() else None
+    if bad.any():
+        places = np.argwhere(bad.any(axis=2))
+        where = f"row {places[0, 0] + row}, column {places[0, 1] + column}"
+        raise FrameError(path, f"{len(places)} pixels are NaN or infinite, the first at {where}")
 
 
 def _clip(wanted: Range | None, first: int, count: int) -> Range:

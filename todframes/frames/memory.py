@@ -16,7 +16,7 @@ from todframes.base.remote import Location
 from todframes.display.display import Display
 from todframes.frames.contrast import row_bands
 from todframes.frames.dataset import Dataset, Experiment, Manifest
-from todframes.frames.files import Frame, FrameHeader, FrameSource, Range
+from todframes.frames.files import Frame, FrameHeader, FrameSource, Range, check_finite
 from todframes.frames.trials import FrameReference
 
 OIIO_TYPES: dict[str, Any] = {
@@ -80,10 +80,7 @@ class ArrayFrame(FrameSource):
         """Yield a rectangle in bands of rows; raise FrameError if a pixel of it is NaN or infinite."""
         (top, bottom), (left, right) = self.clip(rows, columns)
         part = self._stored[top:bottom, left:right]
-        if part.dtype.kind == "f" and not np.isfinite(part).all():
-            bad = np.argwhere(~np.isfinite(part).all(axis=2))
-            where = f"row {bad[0, 0] + top}, column {bad[0, 1] + left}"
-            raise FrameError(self.path, f"{len(bad)} pixels are NaN or infinite, the first at {where}")
+        check_finite(self.path, part, top, left)
         for stored in row_bands(part):
             yield Frame(stored, top, left, self.header.height, self.header.width)
             top += len(stored)

@@ -162,24 +162,10 @@ class RecordingReader(Protocol):
         """Return whether a file that starts with these bytes, 189 or all of them, is read here."""
 
     def read_header(self, path: Path, max_frame_mb: int) -> StillHeader:
-        """Return the header of a file, without decoding it.
-
-        Raises
-        ------
-        FrameError
-            If the file is damaged, or a frame would be larger, decoded, than a limit in 2**20 bytes; `check_size`
-            compares it.
-        """
+        """Return the header of a file; FrameError if it is damaged, or a frame larger, decoded, than a limit."""
 
     def read_frames(self, path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
-        """Yield the values of each frame of a file: uint8, uint16 or float32, (rows, columns) or (rows, columns,
-        3).
-
-        Raises
-        ------
-        FrameError
-            If the file is damaged, a frame is too large, or a value is NaN or infinite.
-        """
+        """Yield the values of each frame of a file, as of `RecordedFrame`; FrameError if they are bad."""
 
 
 def check_rate(frames_per_second: float | None) -> float | None:

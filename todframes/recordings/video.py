@@ -31,9 +31,6 @@ if TYPE_CHECKING:
 MATRICES = {1: (0.2126, 0.0722), 5: (0.299, 0.114), 6: (0.299, 0.114), 7: (0.212, 0.087), 9: (0.2627, 0.0593)}
 """Weights of R' and B' in luma by number of the matrix in H.273: BT.709, BT.601 (twice), 240M, BT.2020."""
 
-LIMITED, UNSPECIFIED_MATRIX = 1, 2
-"""FFmpeg's numbers of the limited range, and of a matrix that is not declared."""
-
 REPACKED = {
     "yuyv422": "yuv422p",
     "uyvy422": "yuv422p",
@@ -89,47 +86,6 @@ def pixel_format(name: str) -> PixelFormat | None:
     n_bits = int(bits or 8)
     dtype = np.dtype("u1") if n_bits == 8 else np.dtype(">u2" if order == "be" else "<u2")
     return PixelFormat(family, n_bits, dtype, per_chroma.get(sampling or "", (1, 1)))
-
-
-def levels(bits: int, *, limited: bool) -> Levels:
-    """Return the values of black, white and chroma for samples of some bits (Rec. ITU-R BT.601 and BT.709)."""
-    if limited:
-        step = 2.0 ** (bits - 8)
-        return Levels(16 * step, 235 * step, 224 * step)
-    return Levels(0.0, 2.0**bits - 1, 2.0**bits - 1)
-
-
-def rgb_from_ycbcr(
-    luma: NDArray[Any],
-    cb: NDArray[Any],
-    cr: NDArray[Any],
-    *,
-    bits: int,
-    limited: bool,
-    matrix: int,
-    per_chroma: tuple[int, int] = (1, 1),
-) -> NDArray[np.float32]:
-    """Convert samples of Y'CbCr to R'G'B' with white 1 and black 0, unclipped; (rows, columns, 3).
-
-    Chroma samples hold over the pixels that they cover, `per_chroma` columns and rows: nothing is interpolated. In
-    limited range, luma is 16 to 235 and chroma 16 to 240 at 8 bits. Rec. ITU-R BT.709-6, item 3, solved for
-    R'G'B'.
-    """
-    (red_weight, blue_weight), (across, down) = MATRICES[matrix], per_chroma
-    green_weight = 1 - red_weight - blue_weight
-    zero, full_scale, chroma_range = levels(bits, limited=limited)
-    y = (luma.astype(np.float32) - np.float32(zero)) / np.float32(full_scale - zero)
-    half = np.float32(2 ** (bits - 1))
-    b_y, r_y = (
-        (chroma.astype(np.float32) - half) * np.float32(2 * (1 - weight) / chroma_range)
-        for chroma, weight in ((cb, blue_weight), (cr, red_weight))
-    )
-    g_y = (b_y * np.float32(blue_weight) + r_y * np.float32(red_weight)) / np.float32(-green_weight)
-    rgb = np.empty((*luma.shape, 3), np.float32)
-    for channel, difference in enumerate((r_y, g_y, b_y)):
-        held = np.repeat(np.repeat(difference, down, 0), across, 1)[: luma.shape[0], : luma.shape[1]]
-        np.add(y, held, out=rgb[..., channel])
-    return rgb
 
 
 def open_recording(path: Path, *, frames_per_second: float | None, max_frame_mb: int) -> Recording:
@@ -388,10 +344,16 @@ def _duration_s(container: InputContainer, stream: VideoStream) -> float | None:
 
 
 def _levels_of(frame: VideoFrame, layout: PixelFormat) -> Levels:
-    """Return the levels of a frame; without a declared range they are limited for Y'CbCr, else full."""
-    declared = int(frame.color_range)
+    """Return the levels of a frame (Rec. ITU-R BT.601 and BT.709).
+
+    Without a declared range (0), it is limited (1) for Y'CbCr, else full.
+    """
+    declared, white = int(frame.color_range), 2.0**layout.bits - 1
     by_name = "yuvj" not in frame.format.name and layout.family == "yuv"
-    return levels(layout.bits, limited=declared == LIMITED or (declared == 0 and by_name))
+    if declared == 1 or (declared == 0 and by_name):
+        step = 2.0 ** (layout.bits - 8)
+        return Levels(16 * step, 235 * step, 224 * step)
+    return Levels(0.0, white, white)
 
 
 def _matrix(path: Path, frame: VideoFrame, layout: PixelFormat) -> int:
@@ -399,7 +361,7 @@ def _matrix(path: Path, frame: VideoFrame, layout: PixelFormat) -> int:
     matrix = int(frame.colorspace)
     if layout.family != "yuv" or matrix in MATRICES:
         return matrix
-    if matrix != UNSPECIFIED_MATRIX:
+    if matrix != 2:  # not declared
         raise FrameError(path, f"colour matrix {matrix} (Rec. H.273), expected one of {sorted(MATRICES)}")
     return 1 if frame.height >= 720 else 6  # BT.709 from HD on, else BT.601
 
@@ -413,8 +375,30 @@ def _values(frame: VideoFrame, layout: PixelFormat, matrix: int) -> NDArray[Any]
     planes = [_plane(frame, number, layout.dtype) for number in range(3)]
     if layout.family == "gbrp":
         return np.stack([planes[2], planes[0], planes[1]], axis=-1)
-    limited = _levels_of(frame, layout).zero > 0
-    return rgb_from_ycbcr(*planes, bits=layout.bits, limited=limited, matrix=matrix, per_chroma=layout.per_chroma)
+    return _rgb(planes, layout, _levels_of(frame, layout), matrix)
+
+
+def _rgb(planes: Sequence[NDArray[Any]], layout: PixelFormat, scale: Levels, matrix: int) -> NDArray[np.float32]:
+    """Convert planes of Y'CbCr to R'G'B' with white 1 and black 0, unclipped; (rows, columns, 3).
+
+    Chroma samples hold over the pixels that they cover: nothing is interpolated. Rec. ITU-R BT.709-6, item 3,
+    solved for R'G'B'.
+    """
+    luma, cb, cr = (plane.astype(np.float32) for plane in planes)
+    (red_weight, blue_weight), (across, down) = MATRICES[matrix], layout.per_chroma
+    y = (luma - np.float32(scale.zero)) / np.float32(scale.full_scale - scale.zero)
+    half = np.float32(2 ** (layout.bits - 1))
+    b_y, r_y = (
+        (chroma - half) * np.float32(2 * (1 - weight) / scale.chroma_range)
+        for chroma, weight in ((cb, blue_weight), (cr, red_weight))
+    )
+    green_weight = 1 - red_weight - blue_weight
+    g_y = (b_y * np.float32(blue_weight) + r_y * np.float32(red_weight)) / np.float32(-green_weight)
+    rgb = np.empty((*luma.shape, 3), np.float32)
+    for channel, difference in enumerate((r_y, g_y, b_y)):
+        held = np.repeat(np.repeat(difference, down, 0), across, 1)[: luma.shape[0], : luma.shape[1]]
+        np.add(y, held, out=rgb[..., channel])
+    return rgb
 
 
 def _plane(frame: VideoFrame, number: int, dtype: np.dtype[Any]) -> NDArray[Any]:
