@@ -4,14 +4,12 @@ The edge-based spatial frequency response of ISO 12233:2023, at any angle and al
 pixels from the edge are sorted into bins, whose means are a finely sampled edge profile. Its differences have the
 MTF as their Fourier transform, after correction for the width of bins and differences.
 
-- Bins are a quarter of a pixel wide at the edge. Farther out they grow with the distance, as a real profile gets
-  smoother there; this takes the place of the standard's window, and the halo of a lens counts. What is farther
-  still is a level that is approached as 1 / distance: every aperture with a rim has such a tail, because its OTF
-  has a kink at frequency 0 (for a circle: 1 - 4 f / (π f_c)).
-- The transform is a linear function of the means. Their covariance is what a bootstrap over blocks of rows gives
-  that keeps each pixel's place and turns the sign of a block's residuals at random (the wild bootstrap: Cameron et
-  al. 2008, Rev. Econ. Stat. 90). Its mean over all signs is a sum of products, so that nothing is drawn. Blocks
-  overlap and are longer than the distance over which pixels share noise.
+- Farther out bins grow with the distance, in place of the standard's window, so the halo of a lens counts. What is
+  farther still is a level that is approached as 1 / distance: every aperture with a rim has such a tail, because
+  its OTF has a kink at frequency 0 (for a circle: 1 - 4 f / (π f_c)).
+- The transform is a linear function of the means. Their covariance is that of the wild bootstrap over blocks of
+  rows (Cameron et al. 2008, Rev. Econ. Stat. 90): the mean over all signs of the blocks' residuals is a sum of
+  products, so that nothing is drawn. Blocks are longer than the distance over which pixels share noise.
 - The modulus of a noisy transform is too large. It is replaced by the value whose mean it would be: Koay & Basser
   2006, "Analytically exact correction scheme for signal extraction from noisy magnitude MR signals", J. Magn.
   Reson. 179. The band is the exact interval of a modulus under Gaussian noise (noncentral χ²). Its upper end is no
@@ -32,7 +30,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import DataError, SettingsError
-from todframes.camera.mtf_table import mtf50_of
+from todframes.camera.mtf_table import Estimate, mtf50_of
 from todframes.psychometrics.bootstrap import NORMAL_95
 
 Box = tuple[int, int, int, int]
@@ -101,13 +99,6 @@ LARGEST_ERROR = 0.25
 """Largest half-width of the interval of MTF50, relative to it."""
 
 
-class EdgeValue(NamedTuple):
-    """A value with its 95 % interval; an end is None where the data do not give one."""
-
-    value: float
-    ci95: tuple[float | None, float | None]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MtfBand:
     """An MTF at `FREQUENCY_CYC_PER_PIXEL` with its 95 % band, point by point: shapes (65,)."""
@@ -117,15 +108,15 @@ class MtfBand:
     upper: FloatArray
 
     @property
-    def mtf50_cyc_per_pixel(self) -> EdgeValue | None:
+    def mtf50_cyc_per_pixel(self) -> Estimate | None:
         """Frequency at which the MTF falls to 0.5, and those at which its band does; None if it stays above."""
         value, *ends = (mtf50_of(FREQUENCY_CYC_PER_PIXEL, one) for one in (self.mtf, self.lower, self.upper))
-        return None if value is None else EdgeValue(value, (ends[0], ends[1]))
+        return None if value is None else Estimate(value, (ends[0], ends[1]))
 
     @property
-    def mtf_at_nyquist(self) -> EdgeValue:
+    def mtf_at_nyquist(self) -> Estimate:
         """MTF at 0.5 cycles/pixel."""
-        return EdgeValue(float(self.mtf[NYQUIST]), (float(self.lower[NYQUIST]), float(self.upper[NYQUIST])))
+        return Estimate(float(self.mtf[NYQUIST]), (float(self.lower[NYQUIST]), float(self.upper[NYQUIST])))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -147,8 +138,8 @@ class EdgeMtf(MtfBand):
     dark: float
     bright: float
     noise_sd: float
-    overshoot: EdgeValue
-    undershoot: EdgeValue
+    overshoot: Estimate
+    undershoot: Estimate
     distance_px: FloatArray
     profile: FloatArray
 
@@ -208,7 +199,7 @@ def measure_edge(image: FloatArray, box: Box, *, saturated: NDArray[np.bool_] | 
     edge = _fitted(values, _fitted_curve(values, where), box, where)
     mtf50 = edge.mtf50_cyc_per_pixel
     if mtf50 is not None:
-        low, high = mtf50.ci95
+        low, high = mtf50.ci95 or (None, None)
         if low is None or high is None or high - low > 2 * LARGEST_ERROR * mtf50.value:
             ends = f"{low or 0:.2g} to {'above 1' if high is None else f'{high:.2g}'}"
             raise DataError(
@@ -581,10 +572,10 @@ def _edge_mtf(esf: _Esf, profile: _Profile, uniform_px: float, curve: _Curve, bo
     in_pixels = (sums[n_in_pixel:] - sums[:-n_in_pixel]) / n_in_pixel
     level = in_pixels @ means
 
-    def beyond(k: int, height: float, sign: float) -> EdgeValue:
+    def beyond(k: int, height: float, sign: float) -> Estimate:
         value = max(sign * (float(level[k]) - height), 0.0)
         half = NORMAL_95 * float(error(in_pixels[k : k + 1] - level[k] * levels[CONTRAST] / contrast)[0])
-        return EdgeValue(value, (max(value - half, 0.0), value + half))
+        return Estimate(value, (max(value - half, 0.0), value + half))
 
     visible = esf.along[np.abs(esf.distance) < 1.0]
     ends = np.linspace(visible.min(), visible.max(), 101)

@@ -22,6 +22,7 @@ from msgspec import Struct, structs
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, argument
 from todframes.camera.emva_xml import LEAVES, noise_table
+from todframes.camera.mtf_table import Ends, Estimate
 from todframes.camera.noise3d import (
     DRIFT_ERRORS,
     MOST_SATURATED,
@@ -110,13 +111,6 @@ MIXED_SD = 0.5
 """The same in standard deviations of a pixel over time, which counts for faint and dark frames."""
 
 
-class Estimate(NamedTuple):
-    """A number with its 95 % interval; None if there is none."""
-
-    value: float
-    ci95: tuple[float, float] | None = None
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stack:
     """Frames of one exposure and light.
@@ -188,9 +182,6 @@ class StackNoise(Variances, frozen=True, kw_only=True, eq=False):
         weights = combinations(self.n_frames, *self.shape)
         parts = {key: estimate(weights[part], self.squares, self.degrees) for key, part in LINES.items()}
         return {key: part.sd for key, part in parts.items() if part.ci95[0] > 0.0}
-
-
-Ends = tuple[float | None, float | None]
 
 
 class TransferStack(Struct, frozen=True, kw_only=True):

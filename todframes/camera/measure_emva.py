@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import path_inside, read_file, resolved, toml_text
-from todframes.camera.emva import EmvaNumbers, Ends, Stack, measure_emva
+from todframes.camera.emva import EmvaNumbers, Stack, measure_emva
 from todframes.camera.emva_xml import emva_xml
+from todframes.camera.mtf_table import Ends
 from todframes.parameters import Box, ChartFile, DescriptorFile, FrameLimit, Numbers, Progress
 from todframes.results.data import Content, ResultWarning, as_read
 from todframes.results.figure import ReportFigure

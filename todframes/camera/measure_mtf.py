@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.safe_text import in_utf8
-from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, EdgeMtf, EdgeValue
+from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, EdgeMtf
 from todframes.camera.mtf_figure import MtfLine, draw_mtf
 from todframes.camera.mtf_table import (
     MAPPER_PER_CYC_PER_PIXEL,
     RADIAL,
+    Ends,
+    Estimate,
     FrequencyUnit,
     MapperEdge,
     MtfTable,
@@ -68,8 +70,6 @@ HOW_MEASURED = (
 
 MOST_LINES = 12
 """Largest number of edges that the figure shows beside their mean."""
-
-Ends = tuple[float | None, float | None]
 
 Curve = tuple[float, ...]
 
@@ -479,7 +479,7 @@ def _record(number: int, colour: str | None, edge: EdgeMtf) -> EdgeRecord:
     values |= {"width_px": width, "height_px": height, "noise_percent": 100.0 * edge.relative_noise}
     values |= {name: getattr(edge, name) for name in ("angle_deg", "normal_deg", "bend_px", "dark", "bright")}
     for name in ("mtf50_cyc_per_pixel", "mtf_at_nyquist", "overshoot", "undershoot"):
-        estimate: EdgeValue | None = getattr(edge, name)
+        estimate: Estimate | None = getattr(edge, name)
         if estimate is not None:
             values |= {name: estimate.value, f"{name}_ci95": estimate.ci95}
     return EdgeRecord(**values)

@@ -42,6 +42,16 @@ MAPPER_LENGTHS = (64, 128)
 """Numbers of MTF values of an edge in these files, without and with the option --full-sfr."""
 
 
+Ends = tuple[float | None, float | None]
+
+
+class Estimate(NamedTuple):
+    """A value with its 95 % interval; an end is None where the data do not give one."""
+
+    value: float
+    ci95: Ends | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MtfTable:
     """An MTF at two or more ascending frequencies >= 0, shape (n,).

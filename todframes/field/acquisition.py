@@ -248,15 +248,15 @@ class Acquisition:
         range_km = float(ranges[0])
         made = structs.replace(made, range_ci95_km=self._interval(ranges[1:]))
         if 0.0 < range_km < np.inf:
-            gains = self._gains(range_km, kappa, ln_threshold[0])
+            gains = (100.0 * self._gains(range_km, kappa, ln_threshold[0])).tolist()
             return structs.replace(
                 made,
                 range_km=range_km,
                 status="ok",
                 limited_by=LIMITS[int(np.argmax(gains))],
-                gain_contrast_percent=100.0 * gains[0],
-                gain_resolution_percent=100.0 * gains[1],
-                gain_air_percent=100.0 * gains[2],
+                gain_contrast_percent=gains[0],
+                gain_resolution_percent=gains[1],
+                gain_air_percent=gains[2],
             )
         if range_km == 0.0:
             is_never = math.log(self.target.signal) < ln_threshold[0, 0]
@@ -289,26 +289,25 @@ class Acquisition:
         low, high = map(_on_curve, ends)
         return None if low is None and high is None else (low, high)
 
-    def _gains(self, range_km: float, kappa: float, ln_threshold: FloatArray) -> tuple[float, float, float]:
+    def _gains(self, range_km: float, kappa: float, ln_threshold: FloatArray) -> FloatArray:
         """Return what a tenth more of each of `LIMITS` gains, from the slopes of both sides of the equation.
 
         With s = d ln(threshold) / d ln(frequency) and a = −d ln(contrast) / d ln(range), a tenth more contrast
         gains 0.1 / (s + a), resolution s times that, and air a times that.
         """
-        frequency = np.array([range_km * kappa / self.target.size_m])
-        slope, air = self._slopes(np.array([range_km]), frequency, ln_threshold)
-        both = max(float(slope[0] + air[0]), LEAST_SLOPE)
-        return GAIN / both, GAIN * float(slope[0]) / both, GAIN * float(air[0]) / both
+        slopes = self._slopes(
+            np.array([range_km]), np.array([range_km * kappa / self.target.size_m]), ln_threshold
+        )
+        return np.asarray(GAIN * slopes[:, 0] / max(slopes[1:, 0].sum(), LEAST_SLOPE))
 
-    def _slopes(
-        self, range_km: FloatArray, frequency: FloatArray, ln_threshold: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return d ln(threshold) / d ln(frequency) and −d ln(contrast) / d ln(range), one a range."""
+    def _slopes(self, range_km: FloatArray, frequency: FloatArray, ln_threshold: FloatArray) -> FloatArray:
+        """Return 1, d ln(threshold) / d ln(frequency) and −d ln(contrast) / d ln(range), shape (3, ranges)."""
         knots = self.curve.per_mrad
         cell = np.clip(np.searchsorted(knots, frequency), 1, knots.size - 1)
         slope = np.diff(ln_threshold)[cell - 1] / np.diff(knots)[cell - 1] * frequency
         near, far = (self.ln_contrast(range_km * (1.0 + step)) for step in (-STEP, STEP))
-        return slope, (near - far) / math.log((1.0 + STEP) / (1.0 - STEP))
+        air = (near - far) / math.log((1.0 + STEP) / (1.0 - STEP))
+        return np.stack([np.ones_like(slope), slope, air])
 
     def task_curves(self, ends_km: tuple[float, float]) -> tuple[TaskCurve, ...]:
         """Return the probability of each task against range between two ranges."""
@@ -365,10 +364,9 @@ class Acquisition:
 
     def _limits(self, ranges: FloatArray, frequency: FloatArray, ln_threshold: FloatArray) -> tuple[Limit, ...]:
         """Return what limits at each range: the largest of the gains, 1 for contrast, and the two slopes."""
-        slope, air = self._slopes(ranges, frequency, ln_threshold)
-        slope[frequency >= self.curve.per_mrad[-1]] = np.inf
-        largest = np.argmax(np.stack([np.ones(ranges.size), slope, air]), axis=0)
-        return tuple(LIMITS[place] for place in largest.tolist())
+        slopes = self._slopes(ranges, frequency, ln_threshold)
+        slopes[1, frequency >= self.curve.per_mrad[-1]] = np.inf
+        return tuple(LIMITS[k] for k in slopes.argmax(axis=0).tolist())
 
     def against_k(self) -> tuple[RangeAtK, ...]:
         """Return k, range and 95 % interval for divisors k of a TOD at its own criterion; None off the curve."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -112,8 +111,11 @@ def _to_field_mrad(
         )
     if size == "size_detectors":
         try:
-            return _pitch_mrad(result.settings["sensor"]), ()
-        except (TypeError, KeyError, ValueError, ZeroDivisionError):
+            detector, optics = (result.settings["sensor"].get(name, {}) for name in ("detector", "optics"))
+            if "pitch_um" in detector:
+                return float(detector["pitch_um"]) / float(optics["focal_length_mm"]), ()
+            return float(detector["pitch_mrad"]), ()
+        except (AttributeError, TypeError, KeyError, ValueError, ZeroDivisionError):
             raise DataError(
                 f"{where}: found sizes in detectors but no detector pitch, expected the result of a sensor's curve"
             ) from None
@@ -124,14 +126,6 @@ def _to_field_mrad(
         )
         return 1.0, (ResultWarning(code="size_at_the_eye", message=message),)
     return 1.0 / (magnification or 1.0), ()
-
-
-def _pitch_mrad(sensor: Any) -> float:
-    """Return the angle from one detector to the next of the settings of a sensor, or raise KeyError."""
-    detector = sensor["detector"]
-    if "pitch_um" in detector:
-        return float(detector["pitch_um"]) / float(sensor["optics"]["focal_length_mm"])
-    return float(detector["pitch_mrad"])
 
 
 def _level(fits: Sequence[Fit], where: str) -> tuple[Quantity, float]:

@@ -32,11 +32,11 @@ one is a mistake in the input, such as cycles/rad."""
 UNREACHED = 500.0
 """ln(contrast / threshold) of what no contrast reaches: its exponential is finite, and its square too."""
 
-LARGEST_LEAST: dict[Quantity, float] = {"delta_t_k": 10.0, "contrast": 10.0}
-"""Largest value of the lowest threshold of a curve; a larger one is a mistake in the input, such as mK for K."""
-
-LEAST_LEAST: dict[Quantity, float] = {"delta_t_k": 1e-4, "contrast": 1e-6}
-"""Least value of the lowest threshold of a curve; a smaller one is a mistake in the input, such as K for mK."""
+LOWEST: dict[Quantity, tuple[float, float, str, str, str]] = {
+    "delta_t_k": (1e-4, 10.0, " K", "are they in K, not mK?", "are they in mK?"),
+    "contrast": (1e-6, 10.0, "", "are they in thousandths?", "are they in %?"),
+}
+"""Least and largest value of the lowest threshold of a curve, their unit, and the mistake beyond either."""
 
 FREQUENCIES: dict[str, tuple[Pattern, float]] = {
     "frequency_cyc_per_mrad": ("bars", 1.0),
@@ -140,14 +140,12 @@ class ThresholdCurve:
                 f"{self.name}: found {highest:g} per mrad as the highest {name}, expected at least "
                 f"{LEAST_PER_MRAD:g}; are the angles in µrad, or the frequencies in cycles/rad?"
             )
-        is_delta_t = self.quantity == "delta_t_k"
-        unit, least, most = " K" * is_delta_t, LEAST_LEAST[self.quantity], LARGEST_LEAST[self.quantity]
+        least, most, unit, too_small, too_large = LOWEST[self.quantity]
         lowest, problem = float(self.threshold.min()), ""
         if lowest < least:
-            hint = "are they in K, not mK?" if is_delta_t else "are they in thousandths?"
-            problem = f"expected at least {least:g}{unit}; {hint}"
+            problem = f"expected at least {least:g}{unit}; {too_small}"
         if lowest > most:
-            problem = f"expected at most {most:g}{unit}; are they in {'mK' if is_delta_t else '%'}?"
+            problem = f"expected at most {most:g}{unit}; {too_large}"
         if problem:
             raise DataError(f"{self.name}: found {lowest:g}{unit} as the lowest threshold, {problem}")
 
