@@ -41,7 +41,7 @@ from todframes.observers.csf import CsfObserver
 from todframes.observers.interface import Observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.data import Fit
+from todframes.results.data import Fit, FitPoint
 from todframes.results.figure_style import new_figure, style
 from todframes.results.result import Result
 from todframes.scoring.score import score_dataset
@@ -805,25 +805,27 @@ def test_an_algorithm_has_one_colour_in_all_figures() -> None:
     points = tuple(ContrastPoint(level=level, before=level, after=2.0 * level) for level in (0.1, 0.3))
     each = []
     for name, thresholds in levels.items():
-        of_sizes = [
-            {"group": {"size_mrad": float(k)}, "status": "ok", "threshold": at}
-            for k, at in enumerate(thresholds, 1)
-        ]
-        fits = tuple(Fit(level="contrast", p_correct=0.75, **one) for one in of_sizes)
+        shown = {"level": "contrast", "p_correct": 0.75, "status": "ok", "points": (FitPoint(0.1, 40, 0.5),)}
+        fits = tuple(
+            Fit(group={"size_mrad": float(k)}, threshold=at, **shown) for k, at in enumerate(thresholds, 1)
+        )
         ratios = tuple(Ratio(group=one.group, ratio=2.0, verdict="worse") for one in fits) * (name != "none")
         responses = (ContrastResponse(points=points),) * len(ratios)
         each.append(Algorithm(name=name, fits=fits, ratios=ratios, contrast_responses=responses))
     figures = Result.made("compare", 0.0, algorithms=tuple(each)).figures()
-    colours: dict[str, set[object]] = {name: set() for name in levels}
+    looks: dict[str, set[object]] = {name: set() for name in levels}
     for figure in figures:
         with style():
             axes = new_figure()[1]
             figure.draw(axes)
         for line in axes.lines:
-            colours.get(line.get_label(), set()).add((line.get_color(), line.get_marker()))
-    assert len(figures) == 3
-    assert [len(found) for found in colours.values()] == [1] * 4
-    assert len(set.union(*colours.values())) == 4
+            looks.get(line.get_label(), set()).add((line.get_color(), line.get_marker()))
+        for dots in (one for one in axes.collections if one.get_label() in looks):  # the points of a curve
+            (colour,) = map(tuple, dots.get_facecolor().tolist())
+            assert {colour} == {one for one, _ in looks[dots.get_label()]}
+    assert [one.title for one in figures[3:]] == [f"Psychometric functions: {k} mrad" for k in (1, 2)]
+    assert [len(found) for found in looks.values()] == [1] * 4
+    assert len(set.union(*looks.values())) == 4
 
 
 def measured_on_scenes(kind: str, levels: list[float], n_views: int = 12) -> tuple[Trials, np.ndarray]:
