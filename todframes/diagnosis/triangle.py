@@ -19,14 +19,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.frames.dataset import WarningCode
-from todframes.stimulus import (
-    ORIENTATIONS,
-    Orientation,
-    coverage,
-    moving_coverage,
-    triangle_coverage,
-    vertices,
-)
+from todframes.stimulus import ORIENTATIONS, Orientation, coverage, moving_coverage, triangle_coverage, vertices
 
 N_PARAMETERS = 8
 AMPLITUDE, X, Y, XX, XY, YX, YY, BLUR = range(N_PARAMETERS)

@@ -217,12 +217,7 @@ def _bound(readout: Readout, weights: FloatArray, images: FloatArray, covariance
 
 
 def _half_width(
-    readout: Readout,
-    stimulus: Stimulus,
-    pitch_mrad: float,
-    weights: FloatArray,
-    images: FloatArray,
-    budget: float,
+    readout: Readout, stimulus: Stimulus, pitch_mrad: float, weights: FloatArray, images: FloatArray, budget: float
 ) -> tuple[int | None, float]:
     """Return the half-width of the narrowest field whose bound fits the budget, and the bound.
 

@@ -24,14 +24,7 @@ from todframes.parameters import CurveName, Decisions, PlanName
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
 from todframes.scoring.error_budget import REPLICATES, Step, half_width_95
 from todframes.scoring.plan import ScorePlan, plan_score
-from todframes.scoring.seen_trials import (
-    FIT_STREAMS,
-    PLACE_STREAMS,
-    Scoring,
-    SeenTrial,
-    SeenTrials,
-    score_trial,
-)
+from todframes.scoring.seen_trials import FIT_STREAMS, PLACE_STREAMS, Scoring, SeenTrial, SeenTrials, score_trial
 from todframes.scoring.work import see_trials
 from todframes.stimulus import Stimulus, level_of
 
