@@ -44,15 +44,13 @@ MOST_ERROR_MRAD = 0.09
 
 
 class Location(NamedTuple):
-    """The position found for a group's triangles, in pixels, and its standard error along either axis.
+    """The position found for a group's triangles, in pixels, and its standard error along either axis, None if no
+    triangle stands out and the manifest's positions stay.
 
-    The error is None if no triangle stands out and the manifest's positions stay.
-
-    `arrangement` states whether the triangles are as the manifest says. `n_located` of `n_trials` trials have a
-    position of their own, whose standard deviation along either axis is `scatter_px`; all three are None if the
-    group has one position. `moved_px` is the mean way from the manifest's positions, None if it has none.
-    From `sure_level` on, single positions are known well enough not to raise a threshold; None: nowhere.
-    `size_ratio` is the size of the triangles on the frames divided by that in the manifest, 1 if not known.
+    `n_located` of `n_trials` trials have a position of their own, whose standard deviation along either axis is
+    `scatter_px`; all three are None if the group has one position. `moved_px` is the mean way from the manifest's
+    positions, None if it has none. From `sure_level` on, single positions are known well enough not to raise a
+    threshold; None: nowhere. `size_ratio` is the size on the frames divided by that in the manifest.
     """
 
     group: Group
@@ -81,24 +79,20 @@ def locate_triangles(
     progress: Progress | None = None,
     sizes: Sequence[float] = (1.0,),
 ) -> tuple[Dataset, tuple[Location, ...]]:
-    """Return the dataset with the positions of triangles as found, without skipped trials, and the locations.
+    """Return the dataset with the positions of triangles as found, without skipped trials, and the locations: one
+    for each group, two if only a part of its trials has positions in the manifest.
 
-    There is a location for each group; two if only a part of its trials has positions in the manifest. The search
-    begins at these: all of a group are moved by one displacement, or each by its own. They stay if no triangle
-    stands out near them. Of other trials whole frames are searched, for triangles of `sizes` times those in the
-    manifest; `centre` is the point that all orientations have in common.
-
-    On whole frames, the mean over the orientations is subtracted from that of each: what these share (bezel,
-    overlay, shading, fixed pattern) is gone. There, the triangle is fitted to the group's strongest trials, be it
-    mirrored, turned or of the opposite polarity. A single position does not depend on the stated orientation, and
-    cannot make a right answer more probable.
+    The search begins at these: all of a group are moved by one displacement, or each by its own. They stay if no
+    triangle stands out near them. Of other trials whole frames are searched, for triangles of `sizes` times those
+    in the manifest; `centre` is the point that all orientations have in common. There, the mean over the
+    orientations is subtracted from that of each: what these share (bezel, overlay, shading, fixed pattern) is
+    gone. A single position does not depend on the stated orientation, and cannot make a right answer more
+    probable.
 
     If bad frames are skipped, trials that cannot be read and groups in which no triangle stands out are listed in
-    `bad_rows`. `progress` is called with the number of trials done, and of all; with "each" again for each.
-
-    Raises DataError if no triangle stands out where the manifest has no position, or the frames of a group differ
-    in size, FrameError if a frame cannot be read, unless bad frames are skipped, and SettingsError if `locate` is
-    neither "group" nor "each".
+    `bad_rows`. `progress` is called with the number of trials done, and of all; with "each" again for each. Raises
+    DataError if no triangle stands out where the manifest has no position, or frames of a group differ in size,
+    and FrameError if one cannot be read.
     """
     convert(locate, Locate, "locate")
     trials = dataset.trials

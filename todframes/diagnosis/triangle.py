@@ -38,10 +38,9 @@ OF_GROUP[3] /= 2.0
 class Arrangement(NamedTuple):
     """A change of all orientations that a camera or an import may cause, with its words.
 
-    `shown` is the orientation on the frames for each of the manifest, in the order of `ORIENTATIONS`. `code` is
-    that of the warning about it, None: as stated. `words` is a clause with {are} for its verb, `question` that for
-    somebody whose answers are all wrong. `sign` is -1 if triangles are darker where the manifest says brighter, or
-    the other way round.
+    `shown` is the orientation on the frames for each of the manifest. `code` is that of the warning about it,
+    None: as stated. `words` is a clause with {are} for its verb, `question` that for somebody whose answers are
+    all wrong. `sign` is -1 if triangles are darker where the manifest says brighter, or the other way round.
     """
 
     name: str
@@ -250,12 +249,11 @@ class Images(NamedTuple):
     ) -> Images:
         """Separate the part that all frames share from the part that grows with the level in each orientation.
 
-        If the levels hardly differ, the two cannot be separated, and all of it counts as triangle. `frames`,
-        (trial, n, n), are contrasts; `level`, `noise` and `turns` are each trial's level, standard deviation of a
-        block and stated quarter turns. `known` are the blocks that all frames have; within `hole` from the middle
-        all of them count. With `view`, the number of each frame's background, frames share what others of their
-        background have; if its levels do not differ, only the differences of the orientations count as triangle,
-        which `information` accounts for.
+        If the levels hardly differ, the two cannot be separated, and all of it counts as triangle. `noise` is the
+        standard deviation of a block of each frame, (trial, n, n). `known` are the blocks that all frames have;
+        within `hole` from the middle all of them count. With `view`, the number of each frame's background, frames
+        share what others of their background have; if its levels do not differ, only the differences of the
+        orientations count as triangle, which `information` accounts for.
         """
         columns = np.array([np.where(turns == k, level, 0.0) for k in range(4)])
         certain = np.square(1.0 / noise)
@@ -470,10 +468,9 @@ def _covariance(design: FloatArray, square: Square, weight: FloatArray, spectrum
 class TrialEstimates(NamedTuple):
     """Estimates of single trials by one step of the fit from the picture that all share.
 
-    `away` and `error`, (trial, 4), are the deviations of the contrast per level, of the place along x and y, and
-    of the size as a ratio, and their standard errors. `likeness`, (trial, 4), is the product of each trial,
-    without its background, with the differences of the orientations, less what these differ in energy;
-    `likeness_error`, (trial,), is its noise. `spectrum`, (length, length/2 + 1), is the power of the noise in
+    `away` and `error`, (trial, 4), are deviations of the contrast per level, of the place along x and y, and of
+    the size as a ratio. `likeness`, (trial, 4), is the product of each trial, without its background, with the
+    differences of the orientations, less what these differ in energy. `spectrum` is the power of the noise in
     units of the trials' noise.
     """
 

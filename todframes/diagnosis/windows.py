@@ -35,10 +35,9 @@ class TrialSample(NamedTuple):
 
     `known` marks the blocks, (n, n), of which the frame has at least half of the pixels. `seen` and `even` are
     their contrasts against the background that the dataset declares, and against the surface fitted around the
-    triangle; 0 beyond the frame. With `reach_px`, that surface is level. `stated_px` is the stated centroid (x, y)
-    on the frame, `offset` its distance from the middle of the blocks, in blocks. `background_cd_m2` is what
-    contrast refers to, `ring_cd_m2` the luminance around the triangle, and `noise` the standard deviation of a
-    pixel's contrast, from neighbouring blocks of the surround. There are no `codes` of floating-point frames.
+    triangle (level with `reach_px`); 0 beyond the frame. `stated_px` is the stated centroid (x, y), `offset` its
+    distance from the middle of the blocks, in blocks. `ring_cd_m2` is the luminance around the triangle, and
+    `noise` the standard deviation of a pixel's contrast, from neighbouring blocks of the surround.
     """
 
     trial: Trial

@@ -77,13 +77,11 @@ def explain_missing(
     """Return an explanation for each group without a threshold, in the order of `scored.fits`, and for groups
     whose threshold is extrapolated to stronger levels, if there is a hint.
 
-    For groups whose criterion is not reached at the levels shown, the strongest trials are looked at. Their
-    answers show triangles that are mirrored or turned. The fit of the triangle, anywhere on their frames, shows
-    place, size and polarity; with these the trials are scored again, though not if the threshold is merely
-    extrapolated, or the place is unknown to the observer. A hint is given only for a change after which most
-    answers are right.
-
-    `dataset`, `decisions` and `seed` are those that `scored` was made with.
+    The answers in the strongest trials show triangles that are mirrored or turned. The fit of the triangle,
+    anywhere on their frames, shows place, size and polarity; with these the trials are scored again, though not if
+    the threshold is merely extrapolated, or the place is unknown to the observer. A hint is given only for a
+    change after which most answers are right. `dataset`, `decisions` and `seed` are those that `scored` was made
+    with.
     """
     explanations = []
     trials = scored.trials

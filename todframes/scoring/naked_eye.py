@@ -49,11 +49,7 @@ def proportion_correct(
 
     `size_mrad` is √(area), `contrast` a Weber contrast, both > 0; `nodes` is the number of Gauss–Legendre
     displacements along each axis. The triangle may be at any of `places`, far apart; with 1, its place is known.
-
-    Raises
-    ------
-    SettingsError
-        If the observer is not linear, or a value is out of range.
+    Raises SettingsError if the observer is not linear, or a value is out of range.
     """
     if not 0 < contrast <= CONTRAST_RANGE[1] * 1.000001:  # the limit of the search, with room for rounding
         raise SettingsError(f"{argument.contrast}: found {contrast!r}, expected a finite number > 0, at most 1e12")

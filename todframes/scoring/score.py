@@ -36,10 +36,9 @@ class GroupFit:
     """The psychometric fit of the trials that share the values of the `group_by` columns.
 
     `non_gaussian_bound` and `left_out_bound` bound the errors in P(correct) from taking the summed internal noise
-    as Gaussian, 0 if answers were drawn with noise on every neuron, and from all that the plan leaves out.
-    `numerical_error` is the half-width of the threshold's 95 % interval over displacements; None with one
-    displacement. `places_error` is the largest standard error of a trial's P(correct) by correlated noise of
-    places; None if the place is known.
+    as Gaussian, 0 for drawn answers, and from what the plan leaves out. `numerical_error` is the half-width of the
+    threshold's 95 % interval over displacements, `places_error` the largest standard error of a trial's P(correct)
+    by correlated noise of places.
     """
 
     group: tuple[float | str, ...]
@@ -91,19 +90,11 @@ def score_dataset(
     """Show every trial to the observer and fit a psychometric function to each group.
 
     The random numbers depend on the seed alone: each trial has its own random stream, whatever the order of the
-    trials or the number of workers. With "expected" decisions the probability of a correct answer under the
-    internal noise counts, with "sampled" ones an answer drawn for each trial with noise on every neuron, as in
-    the paper. `tolerance` is the largest relative error of the thresholds due to the displacement of the retina:
-    each trial is seen with as many displacements as this needs; without it with one. If bad frames are skipped,
-    trials that cannot be read are listed.
-
-    Raises
-    ------
-    FrameError, DataError
-        If a row or frame is bad, unless bad frames are skipped.
-    SettingsError
-        If decisions are "expected" and the observer is not linear, or a tolerance or the observer's curve is asked
-        for and decisions are not "expected".
+    trials or the number of workers. With "sampled" decisions one answer is drawn for each trial with noise on
+    every neuron, as in the paper. `tolerance` is the largest relative error of the thresholds due to the
+    displacement of the retina; without it each trial is seen with one displacement. If bad frames are skipped,
+    trials that cannot be read are listed; otherwise FrameError or DataError is raised. SettingsError is raised as
+    by `fitted_curve` and `trial_viewing`, and for a tolerance with drawn answers.
     """
     curve = fitted_curve(curve, decisions)
     whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
