@@ -10,7 +10,7 @@ import triangles
 
 from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import inspect
-from todframes.diagnosis.triangle import Images, Shape, blur_matrices, first_guess, fit, fitted
+from todframes.diagnosis.triangle import Given, Images, Shape, blur_matrices, first_guess, fit, fitted
 from todframes.frames.memory import memory_dataset
 from todframes.stimulus import ORIENTATIONS, coverage, moving_coverage, vertices
 
@@ -66,9 +66,7 @@ def images_of(change, *, x=0.4, y=-0.7, size=9.0, blur=1.0, shown=(0, 1, 2, 3), 
     frames = sign * np.array(of_turn) + noise * np.random.default_rng(0).normal(size=(4, SIDE, SIDE))
     return Images.of(
         np.concatenate([0.1 * frames, 0.2 * frames]),
-        level=np.repeat([0.1, 0.2], 4),
-        noise=np.full(8, 0.01),
-        turns=np.tile(np.arange(4), 2),
+        Given(np.repeat([0.1, 0.2], 4), np.full(8, 0.01), np.tile(np.arange(4), 2)),
         known=np.ones((SIDE, SIDE), bool),
         hole=10.0,
     )

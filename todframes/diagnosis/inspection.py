@@ -23,6 +23,7 @@ from todframes.diagnosis.scene_backgrounds import (
 )
 from todframes.diagnosis.triangle import (
     TURNED,
+    Given,
     Images,
     TrialEstimates,
     TriangleFit,
@@ -335,25 +336,25 @@ class GroupTriangle(NamedTuple):
         shown = [sample.even if view is None else sample.seen for sample in samples]
         even = samples[0].trial.stimulus.polarity * np.array(shown)
         known = np.logical_and.reduce([sample.known for sample in samples])
-        left = even if view is None else without_scenes(even, level, turns, known, view)
-        noise = noise_of_frames(left, level, known, size)
-        share = np.square(level / noise) / np.square(level / noise).sum()
+        given = Given(level, np.ones(len(level)), turns)
+        left = even if view is None else without_scenes(even, given, known, view)
+        given = given._replace(noise=noise_of_frames(left, level, known, size))
+        share = np.square(level / given.noise) / np.square(level / given.noise).sum()
         stated = np.column_stack([[sample.offset for sample in samples], np.log(sizes)])
-        frames = {"level": level, "noise": noise, "turns": turns}
         hole = HOLE_IN_SIZES * size
-        images = Images.of(even, known=known, hole=hole, view=view, **frames)
+        images = Images.of(even, given, known=known, hole=hole, view=view)
         middle = share @ stated
         apart = stated - middle
         found = fitted(images, first_guess(images, size))
         if np.abs(apart).max() > 1e-3:  # a twentieth of what fits of single frames resolve
-            even = aligned(even, found, level=level, turns=turns, apart=apart)
-            images = Images.of(even, known=known, hole=hole, view=view, **frames)
+            even = aligned(even, found, given, apart)
+            images = Images.of(even, given, known=known, hole=hole, view=view)
             found = fit(images, found.shape, found.shown)
         scenes, of_noise_alone = None, images
         if view is not None:
-            scenes = SceneParts.of(even, found, images, level=level, turns=turns, view=view)
+            scenes = SceneParts.of(even, found, images, given, view)
             even, of_noise_alone = scenes.even, images._replace(background=np.zeros_like(images.background))
-        each = of_trials(found, of_noise_alone, even, **frames)
+        each = of_trials(found, of_noise_alone, even, given)
         excess = np.maximum(np.square(share) @ (np.square(each.away) - np.square(each.error)), 0.0)
         of_noise = found.errors[:4]
         alone = float(of_noise[0]) / math.sqrt(found.larger)

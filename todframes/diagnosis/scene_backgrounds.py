@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.diagnosis.triangle import Images, TriangleFit, subtract
+from todframes.diagnosis.triangle import Given, Images, TriangleFit, subtract
 from todframes.diagnosis.windows import TrialSample
 from todframes.frames.trials import Trials
 from todframes.stimulus import circle_about
@@ -81,17 +81,12 @@ def _parted(left: FloatArray, of_view: FloatArray, view: NDArray[np.intp]) -> tu
 
 
 def without_scenes(
-    windows: FloatArray,
-    level: FloatArray,
-    turns: NDArray[np.intp],
-    known: NDArray[np.bool_],
-    view: NDArray[np.intp],
+    windows: FloatArray, given: Given, known: NDArray[np.bool_], view: NDArray[np.intp]
 ) -> FloatArray:
-    """Return windows on scenes without their backgrounds, as a first fit with equal noise finds them."""
-    equal = np.ones(len(level))
-    first = Images.of(windows, level=level, noise=equal, turns=turns, known=known, hole=0.0, view=view)
+    """Return windows on scenes without their backgrounds, as a fit with the given noise finds them."""
+    first = Images.of(windows, given, known=known, hole=0.0, view=view)
     assert first.of_view is not None
-    return _parted(windows - level[:, None, None] * first.triangles[turns], first.of_view, view)[1]
+    return _parted(windows - given.level[:, None, None] * first.triangles[given.turns], first.of_view, view)[1]
 
 
 class SceneParts(NamedTuple):
@@ -108,14 +103,7 @@ class SceneParts(NamedTuple):
 
     @classmethod
     def of(
-        cls,
-        windows: FloatArray,
-        found: TriangleFit,
-        images: Images,
-        *,
-        level: FloatArray,
-        turns: NDArray[np.intp],
-        view: NDArray[np.intp],
+        cls, windows: FloatArray, found: TriangleFit, images: Images, given: Given, view: NDArray[np.intp]
     ) -> SceneParts:
         """Separate windows by the mean triangles, or by the fitted one if only their differences are known."""
         assert images.of_view is not None
@@ -123,7 +111,7 @@ class SceneParts(NamedTuple):
         if not images.has_triangle:
             triangles = np.zeros_like(images.triangles)
             subtract(triangles, -found.picture.images[list(found.shown)], found.square)
-        shown = level[:, None, None] * triangles[turns]
+        shown = given.level[:, None, None] * triangles[given.turns]
         backgrounds, noise = _parted(windows - shown, images.of_view, view)
         return cls(view, backgrounds, shown + noise, noise)
 

@@ -218,6 +218,15 @@ def blur_matrices(variance: float, side: int) -> tuple[FloatArray, FloatArray]:
     return kernels[0][apart], kernels[1][apart]
 
 
+class Given(NamedTuple):
+    """The level, the standard deviation of a block's noise and the stated quarter turns of each trial: "
+    "(trial,)."""
+
+    level: FloatArray
+    noise: FloatArray
+    turns: NDArray[np.intp]
+
+
 class Images(NamedTuple):
     """Mean frames of a group by orientation, with their weights.
 
@@ -239,10 +248,8 @@ class Images(NamedTuple):
     def of(
         cls,
         frames: FloatArray,
+        given: Given,
         *,
-        level: FloatArray,
-        noise: FloatArray,
-        turns: NDArray[np.intp],
         known: NDArray[np.bool_],
         hole: float,
         view: NDArray[np.intp] | None = None,
@@ -255,6 +262,7 @@ class Images(NamedTuple):
         share what others of their background have; if its levels do not differ, only the differences of the
         orientations count as triangle, which `information` accounts for.
         """
+        level, noise, turns = given
         columns = np.array([np.where(turns == k, level, 0.0) for k in range(4)])
         certain = np.square(1.0 / noise)
         number = np.zeros(len(level), np.intp) if view is None else view
@@ -481,16 +489,9 @@ class TrialEstimates(NamedTuple):
     spectrum: FloatArray
 
 
-def of_trials(
-    found: TriangleFit,
-    images: Images,
-    frames: FloatArray,
-    *,
-    level: FloatArray,
-    noise: FloatArray,
-    turns: NDArray[np.intp],
-) -> TrialEstimates:
+def of_trials(found: TriangleFit, images: Images, frames: FloatArray, given: Given) -> TrialEstimates:
     """Estimate what each trial shows, for frames as in `Images.of`."""
+    level, noise, turns = given
     weight = found.square.of(images.weight)
     shown = np.array(found.shown)[turns]
     slopes = np.tensordot(OF_TRIAL, found.picture.slopes, (1, 1)).swapaxes(0, 1)
@@ -523,9 +524,7 @@ def of_trials(
     )
 
 
-def aligned(
-    frames: FloatArray, found: TriangleFit, *, level: FloatArray, turns: NDArray[np.intp], apart: FloatArray
-) -> FloatArray:
+def aligned(frames: FloatArray, found: TriangleFit, given: Given, apart: FloatArray) -> FloatArray:
     """Return frames, (trial, n, n), as if their triangles were at one place and of one size.
 
     The picture of the fit where a triangle is said to be is replaced by the picture at the place of the fit.
@@ -537,7 +536,7 @@ def aligned(
     by_places = float(np.square(apart[:, :2]).mean())
     shape = found.shape._replace(variance=max(found.shape.variance - by_places, 0.0))
     pictures = [_blurred(shape, found.square, n, turn) for turn in found.shown]
-    for frame, strength, turn, (dx, dy, larger) in zip(moved, level, turns, apart, strict=True):
+    for frame, strength, turn, (dx, dy, larger) in zip(moved, given.level, given.turns, apart, strict=True):
         own = shape._replace(x=shape.x + dx, y=shape.y + dy, map=math.exp(larger) * shape.map)
         there = _blurred(own, found.square, n, found.shown[turn])
         subtract(frame, strength * (there - pictures[turn]), found.square)
