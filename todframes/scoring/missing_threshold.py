@@ -40,14 +40,6 @@ LEAST_GAIN = 0.2
 LEAST_OFFSET = 0.1
 """Least distance from the stated position, and least scatter of positions, in sizes, for a hint at positions."""
 
-SIZE_UNITS = (
-    (1000.0 * math.pi / 180.0, "Is size_mrad in degrees?"),
-    (1000.0 * math.pi / 180.0 / 60.0, "Is size_mrad in arcmin?"),
-    (180.0 / math.pi / 1000.0, "Is the pixel pitch in degrees?"),
-    (60.0 * 180.0 / math.pi / 1000.0, "Is the pixel pitch in arcmin?"),
-)
-"""Factors of the size if a unit was mistaken for mrad, and the question to ask."""
-
 _Code = tuple[WarningCode, Any, Any]
 """A code, the value found, and the value expected."""
 
@@ -131,7 +123,15 @@ def _answers(scored: ScoredDataset, rows: NDArray[np.intp]) -> FloatArray:
 
 def _named_size(ratio: float) -> tuple[float, str]:
     """Return a ratio of sizes, replaced by that of a mistaken unit if it is near one, and the question to ask."""
-    named = ((1.0, ""), *SIZE_UNITS, (ratio, "Is it the root of the area, and is the pixel pitch right?"))
+    degree, arcmin = 1000.0 * math.pi / 180.0, 1000.0 * math.pi / 180.0 / 60.0  # mrad
+    named = (
+        (1.0, ""),
+        (degree, "Is size_mrad in degrees?"),
+        (arcmin, "Is size_mrad in arcmin?"),
+        (1.0 / degree, "Is the pixel pitch in degrees?"),
+        (1.0 / arcmin, "Is the pixel pitch in arcmin?"),
+        (ratio, "Is it the root of the area, and is the pixel pitch right?"),
+    )
     return next((size, question) for size, question in named if max(ratio / size, size / ratio) <= SIZES_ALIKE)
 
 

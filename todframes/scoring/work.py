@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar, cast
+from typing import Any, Generic, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -41,14 +41,8 @@ The readout is None if the observer is not linear. Raises FrameError if a frame 
 """
 
 
-class Unusable(NamedTuple):
-    """The result of a trial with a frame that cannot be used."""
-
-    error: FrameError
-
-
 @dataclass(frozen=True)
-class TrialWork(StoredWork[Trial, bytes | Unusable], Generic[T]):
+class TrialWork(StoredWork[Trial, bytes | FrameError], Generic[T]):
     """The showing of trials to an observer.
 
     Its results, of type `kind`, are NamedTuples of numbers, arrays of float64 and such tuples. They are encoded
@@ -64,13 +58,13 @@ class TrialWork(StoredWork[Trial, bytes | Unusable], Generic[T]):
     with_references: bool = False
     with_levels: bool = False
 
-    def function(self) -> Callable[[Trial], bytes | Unusable]:
+    def function(self) -> Callable[[Trial], bytes | FrameError]:
         """Return the function that shows a trial and encodes the result; a frame that cannot be used is one."""
         scoring = self.scoring
         readout_of = lru_cache(maxsize=4)(scoring.plan.readout)
         fitting: set[Stimulus] = set()
 
-        def show(trial: Trial) -> bytes | Unusable:
+        def show(trial: Trial) -> bytes | FrameError:
             try:
                 if trial.stimulus not in fitting:  # check first: a readout may be huge
                     check_place(scoring.dataset, trial, scoring.plan.observer.centre)
@@ -81,7 +75,7 @@ class TrialWork(StoredWork[Trial, bytes | Unusable], Generic[T]):
                     raise FrameError(scoring.dataset.frame_path(trial.frames[0]), str(error)) from None
                 return _ENCODER.encode(self.show(scoring, trial, readout))
             except FrameError as error:
-                return Unusable(error)
+                return error
 
         return show
 
@@ -160,9 +154,9 @@ class TrialWork(StoredWork[Trial, bytes | Unusable], Generic[T]):
         names = [name for frame in frames for name in (frame.path, frame.reference) if name is not None]
         return [_stamp(os.path.join(folder, name)) for name in names]  # noqa: PTH118 - pathlib is slow
 
-    def encode(self, result: bytes | Unusable) -> bytes | None:
+    def encode(self, result: bytes | FrameError) -> bytes | None:
         """Return an encoded result; None for a frame that cannot be used: it may be mended."""
-        return None if isinstance(result, Unusable) else result
+        return None if isinstance(result, FrameError) else result
 
     def decode(self, encoded: bytes) -> bytes:
         """Return an encoded result. Raises msgspec.MsgspecError if it is none."""
@@ -225,10 +219,10 @@ def see_trials(
     unusable: dict[int, FrameError] = {}
     in_order = trials.select(order)
     for number, result in run_stored(work, in_order, run):
-        if isinstance(result, Unusable):
+        if isinstance(result, FrameError):
             if not skip_bad_frames:
-                raise result.error
-            unusable[number] = result.error
+                raise result
+            unusable[number] = result
         else:
             collect(int(order[number]), work.decoder.decode(result))
     return [
