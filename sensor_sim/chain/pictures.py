@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -138,6 +138,8 @@ STAGE_TITLES = {
 
 def write_stages(folder: Path, sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> None:
     """Write each stage of a trial as an 8-bit PNG, and all stages with labels as `stages.png`."""
+    from matplotlib.figure import Figure
+
     from todframes.frames.files import write_frame
 
     folder.mkdir()
@@ -147,12 +149,6 @@ def write_stages(folder: Path, sensor: Sensor, trial: SimulatedTrial, *, seed: i
         write_frame(folder / f"{name}.png", grey, pixel_type="uint8")
     label = "SNR" if sensor.level == "snr" else "contrast"
     what = f"size {trial.size_detectors:g} detectors, {label} {trial.level:g}, apex {trial.orientation}"
-    (folder / "stages.png").write_bytes(_montage(found, f"{label_text(sensor.name)}: {what}"))
-
-
-def _montage(found: Mapping[str, FloatArray], title: str) -> bytes:
-    from matplotlib.figure import Figure
-
     with style():
         figure = Figure(figsize=(10.0, 5.6), layout="constrained")
         for axes, (name, image) in zip(figure.subplots(2, 4).flat, found.items(), strict=False):
@@ -160,5 +156,6 @@ def _montage(found: Mapping[str, FloatArray], title: str) -> bytes:
             axes.set_title(STAGE_TITLES[name], fontsize="medium")
         for axes in figure.axes:
             axes.set_axis_off()
-        figure.suptitle(title)
-        return save_png(figure, "Black is −1 and white is 2 times the signal of a large triangle; grey 0.")
+        figure.suptitle(f"{label_text(sensor.name)}: {what}")
+        note = "Black is −1 and white is 2 times the signal of a large triangle; grey 0."
+        (folder / "stages.png").write_bytes(save_png(figure, note))

@@ -94,14 +94,6 @@ def _product(a: FloatArray, b: FloatArray) -> FloatArray:
     return product
 
 
-def luminance_cd_m2(signal: FloatArray, *, display: SensorDisplay) -> FloatArray:
-    """Convert a display signal (triangle and noise), of any shape, to luminance: background · (1 + gain · signal).
-
-    The luminance in cd/m² is not clipped; it may be negative if noise is strong.
-    """
-    return display.background_luminance_cd_m2 * (1.0 + display.gain * signal)
-
-
 def display_position_px(offset_detectors: float, *, n_detectors: int, display: SensorDisplay) -> float:
     """Return the pixel along one axis, pixel 0's centre at 0, of a point so far from the middle of the field."""
     return (n_detectors / 2.0 + offset_detectors) * display.pixels_per_detector - 0.5

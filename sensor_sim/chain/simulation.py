@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from sensor_sim.chain.detector_noise import displayed_noise, k_factor, unit_fixed_pattern
 from sensor_sim.chain.photons import PhotonCamera
-from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal, luminance_cd_m2
+from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal
 from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, field_detectors, field_sampler
 from sensor_sim.chain.sensor import Sensor
 from todframes.base._typing import FloatArray
@@ -211,7 +211,9 @@ class Simulator:
         """Return samples as displayed, with the triangle at (x, y) in detectors from the field's middle."""
         display = self.sensor.display
         x_px, y_px = (display_position_px(at, n_detectors=self.field, display=display) for at in (x, y))
-        return SimulatedFrame(luminance_cd_m2(display_signal(samples, self.matrix), display=display), x_px, y_px)
+        signal = display_signal(samples, self.matrix)
+        # It is not clipped, and may be negative if noise is strong.
+        return SimulatedFrame(display.background_luminance_cd_m2 * (1.0 + display.gain * signal), x_px, y_px)
 
     def clip(self, trial: SimulatedTrial) -> list[SimulatedFrame]:
         """Return the frames of a trial's clip as displayed: those of warm-up, then those of the trial.

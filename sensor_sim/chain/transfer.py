@@ -224,16 +224,12 @@ def pre_sample_mtf(
 
     Hogervorst et al. 2001, section 3.6.
     """
-    found: FloatArray | ComplexArray
     found = optics_otf(frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad, optics=optics)
-    others: list[FloatArray] = []
     if motion is not None:
-        others.append(motion_mtf(frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad, motion=motion))
+        found = found * motion_mtf(frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad, motion=motion)
     if not optics.mtf_includes_detector:
-        others.append(box_mtf(frequency_x_cyc_per_mrad, width=detector.width_mrad))
-        others.append(box_mtf(frequency_y_cyc_per_mrad, width=detector.width_mrad))
-    for stage in others:
-        found = found * stage
+        found = found * box_mtf(frequency_x_cyc_per_mrad, width=detector.width_mrad)
+        found = found * box_mtf(frequency_y_cyc_per_mrad, width=detector.width_mrad)
     return found
 
 
