@@ -158,11 +158,11 @@ def _field(key: str, hint: Any, text: str) -> PageField:
     ending = next((one for one in UNITS if name == one or name.endswith(f"_{one}")), "")
     unit = UNITS.get(ending, SliderUnit(""))
     words = name.removesuffix(ending).strip("_").removesuffix("_sigma") or name
-    label = LABELS.get(key) or _sentence(words)
+    label = " ".join(one.upper() if one in CAPITALS else one for one in words.split("_"))
     common: dict[str, Any] = {
         "key": key,
         "group": table.capitalize(),
-        "label": label,
+        "label": LABELS.get(key) or label[:1].upper() + label[1:],
         "help": text,
         "optional": NoneType in kinds and key not in NEEDED,
     }
@@ -195,9 +195,3 @@ def _slider(key: str, unit: SliderUnit, least: float, most: float, *, is_whole: 
         return {}
     step = LOG_STEP if is_log else 1.0 if is_whole else unit.step or LINEAR_STEP
     return {"min": low, "max": high, "step": step, "scale": "log" if is_log else "linear"}
-
-
-def _sentence(words: str) -> str:
-    """Return the words of a name with a capital letter at the beginning, and abbreviations in capitals."""
-    found = [one.upper() if one in CAPITALS else one for one in words.split("_")]
-    return " ".join([found[0][:1].upper() + found[0][1:], *found[1:]])
