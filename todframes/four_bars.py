@@ -26,19 +26,8 @@ SHARE = len(MIDDLES) / WIDTHS
 
 @dataclass(frozen=True, slots=True)
 class FourBars:
-    """Four upright bars of contrast 1 about the origin, less what an observer distinguishes them from.
-
-    Attributes
-    ----------
-    bar_width : float
-        Width of a bar, > 0: half a period.
-    against : {"background", "square"}
-        The uniform background, or a uniform square of the pattern's size and mean.
-
-    Raises
-    ------
-    SettingsError
-        If the width is not a positive number, or there is no such `against`.
+    """Four upright bars of contrast 1 about the origin, less what an observer distinguishes them from: the uniform
+    background, or a uniform square of the pattern's size and mean. The width of a bar is half a period.
     """
 
     bar_width: Positive

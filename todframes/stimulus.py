@@ -64,18 +64,9 @@ class Stimulus:
 
 
 class Level(NamedTuple):
-    """The meaning of a level.
-
-    Attributes
-    ----------
-    name, unit : str
-        Name and unit in sentences and headings.
-    is_signal : bool
-        Whether the signal in a frame is proportional to it.
-    quantity : {"contrast", "delta_t_k"} or None
-        Quantity that it measures in the field; None: none. A contrast is also that of the displayed triangle.
-    factor : float
-        Factor from the level to the quantity.
+    """The meaning of a level: its name and unit in sentences and headings, and whether the signal in a frame is
+    proportional to it. `quantity` is what it measures in the field, None: nothing, and `factor` leads from the
+    level to it; a contrast is also that of the displayed triangle.
     """
 
     name: str

@@ -14,13 +14,10 @@ from todframes.base._typing import FloatArray
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.interface import Observer, Readout, find_observer
 from todframes.observers.retina import RetinaGrid, triangle_on
-from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
+from todframes.stimulus import CIRCLE_PER_SIZE, ORIENTATIONS, Orientation, Stimulus
 
 SIZES_MRAD = (0.05, 1.0, 20.0)
 """Sizes of triangles that a grid must hold."""
-
-APEX = 0.8774
-"""Distance of the apex from the centroid, over the size."""
 
 PLAIN_CONTRAST = 1e4
 """Contrast that nobody overlooks."""
@@ -102,10 +99,10 @@ def _grid(observer: Any) -> Iterator[str]:
         grid = observer.grid(Stimulus(size))
         if not isinstance(grid, RetinaGrid):
             yield f"grid returns {type(grid).__name__}, expected a RetinaGrid."
-        elif grid.width_mrad <= 2.0 * APEX * size:
+        elif grid.width_mrad <= 2.0 * CIRCLE_PER_SIZE * size:
             yield (
                 f"grid is {grid.width_mrad:.4g} mrad wide for a triangle of {size:g} mrad, whose apex needs more "
-                f"than {2.0 * APEX * size:.4g}."
+                f"than {2.0 * CIRCLE_PER_SIZE * size:.4g}."
             )
 
 

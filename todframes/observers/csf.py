@@ -119,11 +119,6 @@ class CsfSettings(EyeSettings):
     efficiency : float
         Squared ratio of a person's d′ to that of ModelFest's average person: contrast thresholds are divided by
         its root.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range.
     """
 
     centre: Centre = "centroid"

@@ -48,11 +48,6 @@ class OrientedSettings(PyramidSettings):
     complex_cells : bool
         Whether the two phases of a place join in one neuron, the root of the sum of their squares, which responds
         to bars of both polarities wherever they lie in its field. The observer is then not linear.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range.
     """
 
     orientations: int = 8

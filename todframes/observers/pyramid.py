@@ -83,11 +83,6 @@ class PyramidSettings(EyeSettings):
         Each neuron then counts by its signal over its noise. Empty: 1 in all bands.
     eye_mtf : {"none", "watson2013"}
         Optics in front of the retina: none, or the mean MTF of eyes of Watson 2013.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range.
     """
 
     centre: Centre = "centroid"
