@@ -121,9 +121,7 @@ def stability(*, json: bool, as_markdown: bool, quiet: bool) -> None:
 @click.option(
     "--seed", "rng", type=click.IntRange(0), default=1, show_default=True, help="Seed of all random draws."
 )
-@click.option(
-    "-o", "--out", metavar="OUT", help="Folder for accuracy.json, report.html, accuracy.md and pictures."
-)
+@click.option("-o", "--out", metavar="OUT", help="Folder for accuracy.json, report.html, tables and pictures.")
 def accuracy(
     *,
     names: tuple[str, ...],
@@ -143,7 +141,6 @@ def accuracy(
     from functools import partial
 
     from todframes.results.result import Result
-    from todframes.studies.accuracy import report as accuracy_report
     from todframes.studies.accuracy.measure import StudyScene, find_scenes, measure
     from todframes.studies.accuracy.recorded import recorded
 
@@ -173,5 +170,5 @@ def accuracy(
             seed=rng,
             scenes=tuple(measured),
         )
-        write(lambda: accuracy_report.files(result))
+        write(result.files)
     print_result(result, as_json=json, out=out, quiet=quiet)

@@ -1,8 +1,8 @@
-"""Error against run time as people and programs read it: a result, and a page of Markdown with pictures."""
+"""Error against run time as people and programs read it: a result with its tables, sentences and figures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
@@ -11,7 +11,6 @@ from msgspec import Struct
 from todframes.results.data import Content, Positive, Record
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style, label_text, within
-from todframes.results.result import Result
 from todframes.results.table import Column, Table
 from todframes.results.tables import records_table
 from todframes.results.wording import count, level_heading, listed, plain
@@ -125,24 +124,19 @@ class Accuracy(Content, frozen=True, kw_only=True):
 
     def figures(self) -> list[ReportFigure]:
         """List error against CPU time of each scene."""
-        note = (
-            "Error of the threshold against CPU time, a line for each way to compute it. "
-            "Grey: below the error of the converged value."
-        )
         return [
-            ReportFigure(scene.heading, note, partial(draw_errors, scene=scene), f"accuracy_{scene.name}.png")
+            ReportFigure(
+                scene.heading,
+                f"{scene.description} Error of the threshold against CPU time, a line for each way to compute it. "
+                f"Grey: below the error of the converged value, where dP / d ln {scene.level} is "
+                f"{plain(scene.slope, 2)}. That summed noise is not quite Gaussian changes P by at most "
+                f"{plain(scene.p_correct_error_bound, 2)}.",
+                partial(draw_errors, scene=scene),
+                f"accuracy_{scene.name}.png",
+            )
             for scene in self.scenes
             if scene_runs(scene)
         ]
-
-    def files(self) -> dict[str, bytes | Iterable[bytes]]:
-        """Return nothing besides pictures, page and JSON; the tables are in accuracy.md."""
-        return {}
-
-
-def files(result: Result[Accuracy]) -> dict[str, bytes | Iterable[bytes]]:
-    """Return the content of what `-o` writes: the files of the result and a page of Markdown."""
-    return {**result.files(), "accuracy.md": page(result).encode()}
 
 
 def timed(scenes: Sequence[SceneResult]) -> list[str]:
@@ -275,48 +269,3 @@ def scene_runs(scene: SceneResult) -> dict[str, list[tuple[float, float]]]:
         for one in scene.estimators
     }
     return {label: pairs for label, pairs in runs.items() if pairs}
-
-
-def page(result: Result[Accuracy], *, folder: str = "") -> str:
-    """Write everything as a page of Markdown whose pictures lie in `folder`."""
-    blocks = [INTRODUCTION.format(seconds=result.settings["seconds"], version=result.version)]
-    drawn = {one.title: one.file for one in result.data.figures()}
-    for scene in result.scenes:
-        estimators, *others = scene_tables(scene)
-        blocks += [f"## {scene.heading}", scene.description]
-        if scene.heading in drawn:
-            blocks.append(f"![Error against CPU time]({folder}{drawn[scene.heading]})")
-        blocks += [
-            f"{estimators.title.rpartition(': ')[2].capitalize()}; dP / d ln {scene.level} is "
-            f"{plain(scene.slope, 2)} there. That summed noise is not quite Gaussian changes P by at most "
-            f"{plain(scene.p_correct_error_bound, 2)}.",
-            estimators.markdown(),
-            *(one.markdown() for one in others if one.file.endswith("_variants.csv")),
-        ]
-    return "\n\n".join(blocks) + "\n"
-
-
-INTRODUCTION = """\
-# Error against run time
-
-This page shows the CPU time that each digit of a threshold costs. Every scene is computed in several ways, each
-with more and more work. Errors refer to a converged value, which carries its own bound. `todframes accuracy`
-measures them, here with `--time {seconds:g}` (CPU seconds for a scene) and version {version}. The times are
-those of one machine; their ratios hardly depend on it.
-
-| estimator | how it works |
-| --- | --- |
-| literal Monte Carlo | as in the paper: frames are drawn, every neuron gets noise, the largest score answers |
-| Monte Carlo on folded scores | pyramid and templates folded into four weight images, noise into one four-vector |
-| expected decisions, random phases | no noise is drawn: P(correct) of each trial is computed |
-| closed form | the same, with trials placed evenly; for cameras, planned for an error (`--tolerance`) |
-
-- **Error**: root mean square of the difference from the converged value, over independent estimates; for the
-  threshold, relative. Grey marks errors below the bound on the error of the converged value.
-- **CPU**: time of one estimate, set-up included. The Monte Carlos know the threshold and the slope of P(correct)
-  there; only on recorded frames do they fit a psychometric function, as `score` does.
-- **Slope** of the error against the CPU time beyond the set-up, both logarithmic: −½ for independent trials.
-- **Times less** CPU than the literal Monte Carlo at equal error. `*`: extrapolated along the measured 1/√N.
-- For cameras, an estimate is one lattice of places on the detectors. `sensor-sim curve` runs eight, because it
-  states an error: about eight times the time beyond the set-up.
-- The second table changes one part of the closed form at a time, with equal trials."""
