@@ -573,13 +573,12 @@ def test_frames_before_a_gap_are_left_out() -> None:
 
 @pytest.mark.parametrize("times_s", [(0.0, 1.0, 1.0, 1.0), (1.0, 1.0, 2.0, 3.0), (None, None, None, None)])
 def test_without_times_that_rise_there_are_no_frames_before(times_s) -> None:
-    """They would be in no clip, as their trial may be. Files that were written are left out."""
+    """They would be in no clip, as their trial may be."""
     before = tuple(RecordedFrame(np.zeros((9, 9), np.uint8), one, "f") for one in times_s[:2])
     first, second = (clip_frame(1, 0)._replace(time_s=one, before=before) for one in times_s[2:])
     division, _ = divided([first, second], None, None)
     (trial,) = division.trials
     assert (len(trial.frames), trial.n_warm_up, trial.n_before) == (2, 0, 0)
-    assert len(division.left_out) == (0 if None in times_s else 2)
     rows = list(division.rows(level="contrast", pitch_mrad=1.0, field_places={}))
     assert [row["clip"] for row in rows] == ["clip_0001" if times_s[3] == 3.0 else ""] * 2
     assert "judged" not in rows[0]
@@ -593,7 +592,6 @@ def test_trials_of_the_integration_time(n_frames: int, time_s: float | None, siz
     division, clip = divided([clip_frame(1, k) for k in range(n_frames)], time_s, 1 / RATE)
     assert [len(trial.frames) for trial in division.trials] == sizes
     assert clip.n_trials == len(sizes)
-    assert len(division.left_out) == n_frames - sum(sizes)
 
 
 def test_a_triangle_that_leaves_a_trial_is_left_out_of_it_alone() -> None:
@@ -613,7 +611,7 @@ def test_a_triangle_that_leaves_a_trial_is_left_out_of_it_alone() -> None:
         ("trial_03_1", 3),
         ("trial_03_2", 3),
     ]
-    assert (division.left_out, division.n_moved, clip.n_trials) == (["frames/clip_0001/trial_01_2_0.png"], 1, 4)
+    assert (division.n_moved, clip.n_trials) == (1, 4)
 
 
 def test_no_trial_goes_across_a_gap() -> None:
@@ -622,7 +620,7 @@ def test_no_trial_goes_across_a_gap() -> None:
         ["0", "1", "2"],
         ["6", "7", "8"],
     ]
-    assert (clip.n_gaps, division.left_out) == (1, ["frames/clip_0001/trial_02_0.png"])
+    assert clip.n_gaps == 1
 
 
 @pytest.mark.parametrize(

@@ -588,24 +588,16 @@ class ChartSource:
         }
         if not scales:
             return
-        if (lost := self._lost_pages()) is not None:
-            yield lost
+        pages = [page.number for page in self.chart.pages if page.triangles]
+        if lost := sorted(set(pages) - {clip.page for clip in self.clips}):
+            numbers = ", ".join(map(str, lost[:8])) + ", …" * (len(lost) > 8)
+            yield f"pages with triangles that were not found: {len(lost)} of the chart's {len(pages)} ({numbers})"
         least, most = min(scales, key=scales.__getitem__), max(scales, key=scales.__getitem__)
         if (ratio := scales[most] / scales[least]) > EQUAL_SCALES:
             yield (
                 f"{most} shows the chart {ratio:.3g} times as large as {least}: triangles of one size are "
                 "displayed with several, and share a curve; import recordings one by one for a curve each"
             )
-
-    def _lost_pages(self) -> str | None:
-        """Return which pages no recording is seen to show; None if there are none."""
-        pages = [one.number for one in self.chart.pages if one.triangles]
-        shown = {clip.page for clip in self.clips}
-        lost = [page for page in pages if page not in shown]
-        if not lost:
-            return None
-        numbers = ", ".join(map(str, lost[:8])) + ", …" * (len(lost) > 8)
-        return f"pages with triangles that were not found: {len(lost)} of the chart's {len(pages)} ({numbers})"
 
 
 class _Film(NamedTuple):

@@ -7,14 +7,13 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from todframes.importing.clips import Clip, ClipFrame, Integration, Placed, Rectangle
 from todframes.importing.windows import MARGIN_PX, RecordedWindow, WrittenWindow, lies_in, suffix
-from todframes.recordings.recording import CodeRange
+from todframes.recordings.recording import CodeRange, RecordedFrame
 from todframes.stimulus import Orientation
 
 OBJECT_SIZE = "object_size_mrad"
@@ -131,22 +130,18 @@ def merged_sizes(sizes: list[float]) -> list[float]:
     return [float(size) for size in merged]
 
 
-def _cut(values: NDArray[Any], window: Rectangle) -> NDArray[Any]:
-    top, bottom, left, right = window
-    return values[top:bottom, left:right]
-
-
 class TrialDivision:
-    """The division of clips into trials, whose windows are written.
+    """The division of clips into trials, whose windows are written, also those of trials that turn out not to be
+    whole.
 
     All frames of a trial have the same window of the recorded frames, as they have on the display: if the triangle
     moves there within the integration time, the eye sees it blurred, and so does the observer. If it is `steady`,
     the window follows the triangle by whole pixels instead. Frames of warm-up have the window of the trial's first
     frame. Without an integration time, each clip is a trial.
 
-    `trials` have the whole integration time. `left_out` are names of frames that were written for a trial that
-    turned out not to be whole, `n_moved` counts trials left out since the triangle went farther than a window may,
-    or off the frame, and `n_before` has the number of trials with each number of frames before them in their run.
+    `trials` have the whole integration time. `n_moved` counts trials left out since the triangle went farther than
+    a window may, or off the frame, and `n_before` has the number of trials with each number of frames before them
+    in their run.
     """
 
     def __init__(
@@ -158,7 +153,6 @@ class TrialDivision:
         write: Callable[[RecordedWindow], WrittenWindow],
     ) -> None:
         self.trials: list[ImportedTrial] = []
-        self.left_out: list[str] = []
         self.n_moved = 0
         self.n_before: Counter[int] = Counter()
         self._described = described
@@ -230,8 +224,7 @@ class TrialDivision:
         if any(before.time_s is None for before in frame.before):
             return
         for number, before in enumerate(frame.before):
-            values = _cut(before.values, trial.window)
-            self._add(trial, f"before_{number:03d}", values, before.source, before.time_s, scale)
+            self._add(trial, f"before_{number:03d}", before, trial.window, scale)
         trial.n_before = trial.n_warm_up = len(frame.before)
 
     def _take(self, frame: ClipFrame, index: int, placed: Placed | None, scale: CodeRange) -> None:
@@ -242,10 +235,10 @@ class TrialDivision:
         window = trial.followed(placed) if self._steady and placed is not None else trial.window
         if placed is None or not lies_in(window, placed.held):
             self.n_moved += 1
-            self._discard(index)
+            self._open[index] = None
             return
         number = str(len(trial.frames) - trial.n_warm_up)
-        self._add(trial, number, _cut(frame.values, window), frame.source, frame.time_s, scale)
+        self._add(trial, number, frame, window, scale)
         trial.last_window = window
         trial.sizes_px.append(placed.size_px)
         trial.numbers.append(placed.number)
@@ -253,26 +246,21 @@ class TrialDivision:
             trial.places_px.append((placed.x_px - window[2], placed.y_px - window[0]))
 
     def _add(
-        self,
-        trial: ImportedTrial,
-        end: str,
-        values: NDArray[Any],
-        source: str,
-        time_s: float | None,
-        scale: CodeRange,
+        self, trial: ImportedTrial, end: str, frame: RecordedFrame | ClipFrame, window: Rectangle, scale: CodeRange
     ) -> None:
+        top, bottom, left, right = window
+        values = frame.values[top:bottom, left:right]
         name = f"frames/{trial.name}_{end}{suffix(scale, values.dtype)}"
-        trial.frames.append(TrialFrame(name, source, time_s, self._write(RecordedWindow(name, values, scale))))
+        written = self._write(RecordedWindow(name, values, scale))
+        trial.frames.append(TrialFrame(name, frame.source, frame.time_s, written))
 
     def _end(self, clip: Clip | None, is_whole: bool) -> None:
         """End the present trials; keep them if they are whole."""
         self._before = {}
         for index, trial in self._open.items():
             if trial is None or clip is None or not is_whole:
-                self._discard(index)
                 continue
             if trial.n_warm_up and not trial.is_in_time:  # without times that rise it is from no clip
-                self.left_out += [frame.name for frame in trial.frames[: trial.n_warm_up]]
                 del trial.frames[: trial.n_warm_up]
                 trial.n_before = trial.n_warm_up = 0
             self.n_before[trial.n_before] += 1
@@ -280,10 +268,6 @@ class TrialDivision:
             self._before[index] = trial
             clip.n_trials += 1
         self._open = {}
-
-    def _discard(self, index: int) -> None:
-        trial, self._open[index] = self._open[index], None
-        self.left_out += [] if trial is None else [frame.name for frame in trial.frames]
 
     def rows(
         self, *, level: str, pitch_mrad: float, field_places: Mapping[int, Mapping[str, str]]

@@ -229,8 +229,6 @@ def import_recordings(
             raise DataError(source.why_nothing() or _why_no_trial(division, source, time_s))
         for trial in division.trials:
             trial.correct(source.corrections)
-        for name in division.left_out:
-            (folder / name).unlink()
         remove_others(folder, {frame.name for trial in division.trials for frame in trial.frames})
         field_places = source.field_places()
         n_frames = write_dataset_files(
@@ -262,9 +260,7 @@ def import_recordings(
         )
         report = {
             "version": __version__,
-            "n_frames": imported.n_frames,
-            "n_trials": imported.n_trials,
-            "n_clips": imported.n_clips,
+            **{name: getattr(imported, name) for name in ("n_frames", "n_trials", "n_clips")},
             "from_store": store.n_used,
             "warnings": [warning._asdict() for warning in warnings],
             "found": source.report(),
