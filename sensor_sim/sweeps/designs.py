@@ -296,11 +296,8 @@ def _check_number(n: int) -> None:
 
 @dataclass(frozen=True)
 class Base:
-    """The sensor and observer that designs differ from; `observer_settings` is a frozen dataclass, or None if it
-    has none.
-
-    With `keep_fill_factor` the detectors' width follows a varied pitch; with `couple_netd` the NETD follows
-    (f-number)² / (area of a detector).
+    """The sensor and observer that designs differ from. With `keep_fill_factor` the detectors' width follows a
+    varied pitch; with `couple_netd` the NETD follows (f-number)² / (area of a detector).
     """
 
     sensor: Sensor

@@ -93,10 +93,9 @@ def acuity(
     size_detectors: FloatArray, threshold: FloatArray, error: FloatArray, status: Sequence[str], criterion: float
 ) -> Acuity:
     """Interpolate the size at which thresholds fall to a criterion > 0, by a straight line between logarithms.
-
     Arrays have the shape (sizes,), with NaN where there is no threshold. The error is that of the two thresholds
-    beside the crossing, as if both deviate to the same side. It does not contain the difference of the curve from
-    a straight line.
+    beside the crossing, as if both deviate to the same side, without the difference of the curve from a straight
+    line.
     """
     order = np.argsort(size_detectors)
     size, value, spread = size_detectors[order], threshold[order], error[order]
@@ -187,10 +186,8 @@ def columns_of(
     whole_keys: Sequence[str],
 ) -> Columns:
     """Return the table of a sweep by column: a value for each design and size, those of a design together; None
-    where there is no value.
-
-    Without `criterion` or `aim` no acuity or no range is asked for. With `couple_netd` each design has its own
-    NETD. The values of `whole_keys` are whole numbers.
+    where there is none. With `couple_netd` each design has its own NETD. The values of `whole_keys` are whole
+    numbers.
     """
     designs, sizes = swept.designs, np.array(swept.size_detectors)
     n_designs, pitch = len(designs.values), swept.pitch_mrad

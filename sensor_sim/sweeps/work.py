@@ -133,13 +133,10 @@ class SweepWork(StoredWork[Chain, PredictedThreshold]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Swept:
-    """Thresholds of all designs.
-
-    Of each design, (designs,): the pitch of the detectors in the scene, the NETD, and the ΔT in mK of a
-    signal-to-noise ratio of 1; NaN where there is no such design, or no NETD. Of each design and size, (designs,
-    sizes): the threshold in SNR, or in contrast (`level`) for cameras that count photons, with its numerical
-    error, NaN where there is none. `n_computed` thresholds were computed; designs that differ in noise alone have
-    theirs in common.
+    """Thresholds of all designs: pitch, NETD and ΔT in mK of a signal-to-noise ratio of 1, (designs,), and the
+    threshold in SNR, or in contrast (`level`) for cameras that count photons, with its numerical error, (designs,
+    sizes). NaN is where there is none. Of the thresholds `n_computed` were computed; designs that differ in noise
+    alone have theirs in common.
     """
 
     designs: Designs

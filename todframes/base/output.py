@@ -1,20 +1,13 @@
 """Writing of results: result folders, datasets, single files. Files that others wrote are never changed.
 
-A run stages its files in a hidden folder inside the place that it writes to; a single file is staged beside it.
-The hidden folder is made before the work, so a place that cannot be written is found at once. A run holds a lock
-in it: a second run into the same place is refused, and what a killed run has left is known by a lock that nobody
-holds.
+A run stages its files in a hidden folder inside the place that it writes to, a single file beside it, made before
+the work. It holds a lock there: a second run is refused, and what a killed run has left is known by a lock that
+nobody holds. A run that can go on later keeps its finished results there, in `STORE`, when it fails or is killed.
 
-A run that can go on later keeps its finished results in the hidden folder, in `STORE`. When it fails or is killed
-they stay there, and the next run into the same place finds them; when it ends well they are removed.
-
-At the end the files are renamed into place:
-
-- Files of a result folder replace those of the same names one by one, `result.json` last.
-- A dataset or a chart needs a new or empty folder. Its files get their names there, `dataset.toml` or `chart.toml`
-  last; without that it is none.
-
-The place belongs to the user: nobody is expected to plant links there, or to swap files during a run.
+At the end the files are renamed into place. Those of a result folder replace those of the same names one by one,
+`result.json` last. A dataset or a chart needs a new or empty folder; without its last file, `dataset.toml` or
+`chart.toml`, it is none. The place belongs to the user: nobody is expected to plant links there, or to swap files
+during a run.
 """
 
 from __future__ import annotations
@@ -61,10 +54,9 @@ class Going:
 
 @contextmanager
 def output_folder(name: str, going: Going | None = None) -> Iterator[Path]:
-    """Yield a staging folder. If the block ends without an exception, all its files move into the folder named.
-
-    With `going` the run can go on later: its finished results, in `store_path`, stay if it fails. Raises
-    OutputError if the place cannot be written, or another run is writing there.
+    """Yield a staging folder. If the block ends well, all its files move into the folder named. With `going`, the
+    results in `store_path` stay if it fails. OutputError if the place cannot be written, or another run is writing
+    there.
     """
     with _as_output_error(name), _place(name) as out, _hidden(out / STAGING, name, going, {STORE}) as hidden:
         staged = hidden / STAGED
@@ -76,11 +68,9 @@ def output_folder(name: str, going: Going | None = None) -> Iterator[Path]:
 
 @contextmanager
 def new_folder(name: str, *, last: str = LAST_OF_DATASET, going: Going | None = None) -> Iterator[Path]:
-    """Yield a staging folder. If the block ends without an exception, its content moves into the folder named,
-    which has to be new or empty. Without the file `last`, which is moved last, it is no dataset or no chart.
-
-    With `going` the run can go on later: its finished results, in `store_path`, and the files in the staging
-    folder stay if it fails. Raises OutputError as `output_folder` does.
+    """Yield a staging folder. If the block ends well, its content moves into the folder named, which has to be new
+    or empty; the file `last` moves last. With `going`, the results in `store_path` and the staged files stay if it
+    fails. Raises OutputError as `output_folder` does.
     """
     kept = {STORE, STAGED}
     with _as_output_error(name), _place(name) as out, _hidden(out / STAGING, name, going, kept) as hidden:
@@ -116,10 +106,9 @@ def remove_others(folder: Path, names: Collection[str]) -> None:
 
 
 def write_file(path: Path, content: bytes, *, not_over: Path | None = None, is_private: bool = False) -> None:
-    """Write a whole file or nothing. An older file of that name is replaced; its permissions are kept.
-
-    Only its owner can read a new file that `is_private`. Raises OutputError if the place cannot be written, is
-    that of `not_over`, or another run is writing there.
+    """Write a whole file or nothing. An older file of that name is replaced; its permissions are kept. Only its
+    owner can read a new one that `is_private`. OutputError if it cannot be written, is that of `not_over`, or
+    another run is writing there.
     """
     name = str(path)
     with _as_output_error(name):

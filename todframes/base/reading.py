@@ -68,10 +68,9 @@ FIELDS_FOUND = "\0fields"
 
 
 def read_file(path: Location, *, most_mb: int) -> bytes:
-    """Return the bytes of a file. Pipes and devices are refused: reading them may never end.
-
-    Raises DataError if it is no regular file, cannot be read, or is longer than `most_mb` · 2**20 bytes;
-    RemoteError if it is behind a URL that cannot be reached or may not be read.
+    """Return the bytes of a file. Pipes and devices are refused: reading them may never end. DataError if it
+    cannot be read, or is longer than `most_mb` · 2**20 bytes; RemoteError if a URL cannot be reached or may not be
+    read.
     """
     with _opened(path, most_mb) as file:
         content = file.read(most_mb * 2**20 + 1)
@@ -118,10 +117,8 @@ def path_inside(
     folder: str | RemotePath, name: str, where: str, real_folders: dict[str, str] | None = None
 ) -> str:
     """Return the full path or URL of a file that a file of the user names, with symbolic links resolved. DataError
-    if it is not in the dataset's folder: an error message might show its content.
-
-    `folder` is that of `resolved`. `real_folders` caches resolved folders: without it a million rows would take a
-    minute.
+    if it is not in `folder`, of `resolved`: an error message might show its content. `real_folders` caches
+    resolved folders: without it a million rows would take a minute.
     """
     if not name or "\0" in name:
         raise DataError(f"{where}: found {name!r}, expected a path")
@@ -364,11 +361,8 @@ def check_values(settings: Any) -> None:
 
 
 def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
-    """Return a dataclass made from a table of plain values by field name; tables in it become the dataclasses of
-    its fields.
-
-    SettingsError, which begins with `where`, if a key is unknown or missing, or a value is of the wrong type or
-    refused by the dataclass.
+    """Return a dataclass made from a table of plain values by field name, as are tables in it. SettingsError,
+    which begins with `where`, if a key is unknown or missing, or a value is refused.
     """
     try:
         made: T = _checked(table, kind)
@@ -588,11 +582,9 @@ def read_described(path: Location, kind: str, schema: int) -> tuple[dict[str, An
 
 
 def read_csv(path: Location, *, most_rows: int | None = MAX_ROWS) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the rows of a CSV file with a header as they are read, each with its place: file and line. The first
-    item is the header: a row with all keys and empty values.
-
-    DataError if the file cannot be read or is not CSV, two columns have the same name, or there are more rows than
-    `most_rows`, empty lines included.
+    """Yield the rows of a CSV file as they are read, each with its place, file and line; first a row with all keys
+    and empty values. DataError if the file cannot be read or is not CSV, two columns have the same name, or there
+    are more rows than `most_rows`, empty lines included.
     """
     lines, name_of_file = _lines(path, most_mb=MAX_CSV_MB), str(path)
     reader = csv.reader(lines, strict=True)
@@ -662,9 +654,8 @@ def read_numbers(path: Location, columns: Sequence[str]) -> list[list[float]]:
 
 @contextmanager
 def table_beside(name: object, folder: Location, where: str) -> Iterator[Location]:
-    """Yield the path of the CSV file that a file of settings names; it is relative to the folder of this file.
-
-    SettingsError if the name is no text, the file lies outside of the folder, or the block raises a DataError.
+    """Yield the path of the CSV file that a file of settings in `folder` names. SettingsError if the name is no
+    text, the file lies outside of the folder, or the block raises a DataError.
     """
     if not isinstance(name, str):
         raise SettingsError(f"{where}: found {name!r}, expected the name of a CSV file")

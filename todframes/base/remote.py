@@ -86,10 +86,8 @@ Location = Path | RemotePath
 
 
 def location(name: str | os.PathLike[str] | RemotePath) -> Location:
-    """Return the location that a text names: a local path, or a URL whose scheme is not that of local files.
-
-    DataError if a URL holds a user name, a password, a parameter or a query, or names several file systems. The
-    message does not show it: it may hold a secret.
+    """Return the local path, or the URL, that a text names. DataError if a URL holds a user name, a password, a
+    parameter or a query, or names several file systems; it does not show the URL, which may hold a secret.
     """
     if isinstance(name, RemotePath):
         return name
@@ -118,10 +116,9 @@ def location(name: str | os.PathLike[str] | RemotePath) -> Location:
 
 @contextmanager
 def local_file(path: Location, *, most_mb: int = FRAME_FILE_MB) -> Iterator[Path]:
-    """Yield the local path of a file; of one behind a URL, that of a copy, which is removed at the end.
-
-    OSError if there is no such file behind the URL, or it is longer than `most_mb` · 2**20 bytes; RemoteError if
-    it cannot be copied for any other reason.
+    """Yield the local path of a file; of one behind a URL, that of a copy, which is removed at the end. OSError if
+    there is none, or it is longer than `most_mb` · 2**20 bytes; RemoteError if it cannot be copied for another
+    reason.
     """
     if isinstance(path, Path):
         yield path

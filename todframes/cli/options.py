@@ -113,11 +113,9 @@ class LocatingCommand(click.Command):
 
 
 def make_observer(asked: dict[str, Any], *, fitted: bool = True) -> tuple[Observer, FitSettings]:
-    """Return the observer and the fit settings of `OBSERVER_OPTIONS`, which are removed from `asked`;
-    SettingsError if there is no such observer or setting, or a value is refused.
-
-    A separate option takes precedence over `--set`, and `--set` over the file. If not `fitted`, the criterion is
-    the only setting of the fit.
+    """Return the observer and the fit settings of `OBSERVER_OPTIONS`, which are removed from `asked`. A separate
+    option takes precedence over `--set`, and `--set` over the file. If not `fitted`, the criterion is the only
+    setting of the fit.
     """
     if "," in (names := asked["observer"]):
         raise SettingsError(f"observer: found {names!r}, expected a single one here")

@@ -33,11 +33,9 @@ KINDS |= {"Sequence": Sequence}
 
 
 class Value(NamedTuple):
-    """Value of a parameter as a command line writes it.
-
-    `kind` is bool, int, float, str or Path: of the value, of each of several, or of those of a mapping with keys
-    of the kind `key`. Several values stand in one text (`is_list`), or the option is repeated; a list may have a
-    fixed length.
+    """Value of a parameter as a command line writes it: of `kind` bool, int, float, str or Path, or each of
+    several of them in one text (`is_list`, perhaps of fixed length) or repeated options, or of a mapping with keys
+    of the kind `key`.
     """
 
     kind: type

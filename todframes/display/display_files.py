@@ -1,15 +1,6 @@
-"""Descriptions of displays: the table [display] of a dataset, files to share, and the displays of this package.
-
-A file has the same table as a dataset, and texts that name the display and the source of its numbers:
-
-    schema = 1
-    title = "Monitor in room 3"
-    source = "measured on 4 May"
-    [display]
-    eotf = "srgb"
-    …
-
-The background that contrast refers to is the surround of the triangle unless the file says otherwise.
+"""Descriptions of displays: the table [display] of a dataset, the displays of this package, and files with the
+same table, and `title` and `source`, where the background is the surround of the triangle unless the file says
+otherwise.
 """
 
 from __future__ import annotations
@@ -58,11 +49,9 @@ class DisplayDescription:
 def find_display(
     asked: Display | str, *, where: str = "display", folder: Location | None = None
 ) -> DisplayDescription:
-    """Return the display given, that of this package with a name, or that of a file that ends with ".toml".
-
-    A file's path is relative to `folder`, that of a dataset, and may not leave it; without one it is any file.
-    SettingsError, which begins with `where`, if there is no such display, or its file cannot be read or has a
-    wrong value.
+    """Return the display given, that of this package with a name, or that of a file that ends with ".toml", which
+    is relative to `folder`, that of a dataset, and may not leave it. SettingsError, which begins with `where`, if
+    there is none, or its file cannot be read or has a wrong value.
     """
     if isinstance(asked, Display):
         return DisplayDescription(display=asked)

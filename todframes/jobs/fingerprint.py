@@ -20,11 +20,9 @@ PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "OpenImageIO", "
 
 
 def fingerprint(*values: object) -> bytes:
-    """Return a hash, 32 bytes, of values and of all that they hold, and of the code of this package.
-
-    Values are numbers, texts, arrays, enumerations, mappings, sequences, and objects with attributes; classes and
+    """Return a hash, 32 bytes, of values and of all that they hold, and of the code of this package. Classes and
     functions count by name and by their code, see `code_fingerprint`, which raises TypeError if that is in no
-    file, as in a notebook.
+    file.
     """
     found = hashlib.sha256(code_fingerprint(__name__))
     for part in _parts(values):

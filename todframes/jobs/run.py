@@ -8,52 +8,41 @@ from contextlib import AbstractContextManager, ExitStack, closing, contextmanage
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import msgspec
 
 from todframes.base.errors import SettingsError, argument
 from todframes.base.output import Going, store_path
-from todframes.jobs.work import ITEMS_PER_TASK, Engine, LocalEngine
+from todframes.jobs.work import ITEMS_PER_TASK, Engine, LocalEngine, Work
 from todframes.parameters import Progress, counted
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store
 
 Item = TypeVar("Item")
+Item_contra = TypeVar("Item_contra", contravariant=True)
 Result = TypeVar("Result")
 
 
-class StoredWork(Generic[Item, Result]):
+class StoredWork(Work[Item_contra, Result], Protocol[Item_contra, Result]):
     """Base class of `Work` whose results can be kept between runs.
 
     The key of an item stands for all that its result depends on, the bytes of the files that it reads included.
     """
 
-    def function(self) -> Callable[[Item], Result]:
-        """Return the function of an item, as `Work` does."""
-        raise NotImplementedError
-
-    def name(self, item: Item) -> str:
-        """Return what messages call an item."""
-        raise NotImplementedError
-
-    def key(self, item: Item, *, is_done: bool) -> bytes | None:
+    def key(self, item: Item_contra, *, is_done: bool) -> bytes | None:
         """Return the key of an item's result; None if it cannot be known, or the result is not to be kept.
 
         `is_done` states whether the function has just returned for this item, which may have checked its files.
         """
-        raise NotImplementedError
 
-    def stamp(self, item: Item) -> object:  # noqa: ARG002
+    def stamp(self, item: Item_contra) -> object:  # noqa: ARG002
         """Return properties of the item's files that change when one is written, without reading them."""
         return None
 
-    def stamped_key(self, item: Item, stamp: object) -> bytes | None:  # noqa: ARG002
-        """Return a key that stands for the stamp in place of the bytes of files; None if that is not enough.
-
-        With it, files that an earlier run has read need not be read again.
-        """
+    def stamped_key(self, item: Item_contra, stamp: object) -> bytes | None:  # noqa: ARG002
+        """Return a key for the stamp in place of the bytes of files, which need not be read again; None: no key."""
         return None
 
     def encode(self, result: Result) -> bytes | None:
@@ -62,7 +51,6 @@ class StoredWork(Generic[Item, Result]):
 
     def decode(self, encoded: bytes) -> Result | None:
         """Return the result that `encode` made these bytes of; None if what it names is no longer there."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,12 +69,10 @@ class Run:
 
 @contextmanager
 def open_engine(cluster: str | Engine | None, workers: int) -> Iterator[Engine]:
-    """Open an engine for the time of a `with` statement: of a Dask cluster by the address of its scheduler,
-    "local:N" for one of N processes of this machine, or one that is open already. Without a cluster, `workers`
-    processes do the work; with one, the calling thread.
-
-    SettingsError if the package for clusters is not installed, or the text names no cluster; ClusterError if there
-    is no such cluster, or its workers cannot do this work.
+    """Open the engine of a Dask cluster by the address of its scheduler, of "local:N" processes of this machine,
+    or one that is open already. Without a cluster, `workers` processes do the work; with one, the calling thread.
+    SettingsError if the text names no cluster or its package is not installed; ClusterError if it cannot do this
+    work.
     """
     if cluster is None and workers == 1:
         yield LocalEngine()
@@ -135,10 +121,9 @@ def continued(
     keep_store: bool,
     tell: Callable[[str], None] | None,
 ) -> Iterator[tuple[Path, Store]]:
-    """Yield the staging folder and the store of a run that goes on where an earlier one into this place ended.
-
-    `place` is `output_folder` or `new_folder`. With `restart` nothing of an earlier run is used; with `keep_store`
-    the store stays when the run has ended well. `tell` gets a remark about what an earlier run has finished.
+    """Yield the staging folder, of `output_folder` or `new_folder`, and the store of a run that goes on where an
+    earlier one into this place ended. With `keep_store` it stays when the run has ended well. `tell` gets a remark
+    about it.
     """
     from todframes.jobs.store import Store
 

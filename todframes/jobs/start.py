@@ -33,11 +33,9 @@ _lock = threading.RLock()
 
 @contextmanager
 def starting_processes() -> Iterator[None]:
-    """Keep the current folder off the import path of processes that the block starts, and Ctrl-C from them.
-
-    Python starts processes by `python -c`, which searches the current folder first; a dataset of unknown origin
-    may lie there. SettingsError if this process ignores the environment, and others would. Ctrl-C in a terminal
-    reaches all processes; new ones inherit the mask of signals of the thread that starts them.
+    """Keep the current folder off the import path of processes that the block starts, and Ctrl-C from them. Python
+    starts them by `python -c`, which searches the current folder first; SettingsError if this process ignores the
+    environment, and others would. New processes inherit the mask of signals of the thread that starts them.
     """
     if sys.flags.ignore_environment and not sys.flags.safe_path:
         raise SettingsError(

@@ -21,11 +21,10 @@ LONGEST_TASK_S = 0.5
 
 
 class Work(Protocol[Item, Result]):
-    """A value that can be pickled and defines what is done with an item.
-
-    It is sent once to each process, and the items go separately: large data belong in the work, or in files that
-    it names, and never in the items. Errors of single items that shall not end the run are results. Work on large
-    items may have an attribute `items_at_once`, the number that come back at a time from the calling thread.
+    """A value that can be pickled and defines what is done with an item. It is sent once to each process, and the
+    items go separately: large data belong in the work, or in files that it names. Errors of items that shall not
+    end the run are results. With an attribute `items_at_once`, so many come back at a time from the calling
+    thread.
     """
 
     def function(self) -> Callable[[Item], Result]:
