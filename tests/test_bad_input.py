@@ -31,7 +31,7 @@ from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.base.reading import read_csv
 from todframes.cli import main as cli
 from todframes.cli.console import run
-from todframes.cli.options import make_observer
+from todframes.cli.options import make_observers
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import write_frame
@@ -932,12 +932,12 @@ def asked(**options):
 @pytest.mark.parametrize(("assignment", "wanted"), ASSIGNMENTS.values(), ids=ASSIGNMENTS.keys())
 def test_bad_assignment(assignment, wanted):
     with refused(SettingsError, wanted):
-        make_observer(asked(assignments=[assignment]))
+        make_observers(asked(assignments=[assignment]))
 
 
 def test_noise_of_an_observer_that_has_another_measure_of_it():
     with refused(SettingsError, ("internal_noise is a setting of .*pyramid", "csf has none; .* efficiency")):
-        make_observer(asked(observer="csf", internal_noise=0.3, assignments=[]))
+        make_observers(asked(observer="csf", internal_noise=0.3, assignments=[]))
 
 
 @pytest.mark.parametrize("setting", ["band_gain=1e300", "internal_noise=1e300", "internal_noise_sd=1e300"])
@@ -988,7 +988,7 @@ def test_bad_observer_settings(content, wanted, tmp_path):
     if content is not None:
         path.write_bytes(content)
     with refused(SettingsError, (re.escape(str(path)), *wanted)):
-        make_observer(asked(assignments=[], observer_settings=path))
+        make_observers(asked(assignments=[], observer_settings=path))
 
 
 def test_bad_observer_settings_meet_the_commands(fails, tmp_path):

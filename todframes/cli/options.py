@@ -112,21 +112,13 @@ class LocatingCommand(click.Command):
         return super().parse_args(ctx, given)
 
 
-def make_observer(asked: dict[str, Any], *, fitted: bool = True) -> tuple[Observer, FitSettings]:
-    """Return the observer and the fit settings of `OBSERVER_OPTIONS`, which are removed from `asked`. A separate
-    option takes precedence over `--set`, and `--set` over the file. If not `fitted`, the criterion is the only
-    setting of the fit.
-    """
-    if "," in (names := asked["observer"]):
-        raise SettingsError(f"observer: found {names!r}, expected a single one here")
-    (observer,), fit = make_observers(asked, fitted=fitted)
-    return observer, fit
+def make_observers(
+    asked: dict[str, Any], *, fitted: bool = True, several: bool = True
+) -> tuple[list[Observer], FitSettings]:
+    """Return the observers and the fit settings of `OBSERVER_OPTIONS`, which are removed from `asked`.
 
-
-def make_observers(asked: dict[str, Any], *, fitted: bool = True) -> tuple[list[Observer], FitSettings]:
-    """Return the observers, separated by commas in `asked`, and the fit settings, as `make_observer` does.
-
-    With several observers, a setting goes to each that has it.
+    A separate option takes precedence over `--set`, and `--set` over the file; with several observers, a setting
+    goes to each that has it. If not `fitted`, the criterion is the only setting of the fit.
     """
     from dataclasses import fields
 
@@ -137,6 +129,8 @@ def make_observers(asked: dict[str, Any], *, fitted: bool = True) -> tuple[list[
 
     names, path = asked.pop("observer"), asked.pop("observer_settings", None)
     names = names.split(",") if isinstance(names, str) else names
+    if len(names) > 1 and not several:
+        raise SettingsError(f"observer: found {','.join(names)!r}, expected a single one here")
     of_file = {} if path is None else read_toml(settings_file(path))
     table = of_file | _set(asked, "internal_noise", "p_correct")
     with prints_go_to_stderr():

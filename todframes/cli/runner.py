@@ -30,7 +30,6 @@ from todframes.cli.options import (
     Assigned,
     LocatingCommand,
     Separated,
-    make_observer,
     make_observers,
 )
 from todframes.cli.signature import REQUIRED, Argument, Value, read_call
@@ -322,9 +321,10 @@ def _run(command: Command, **values: Any) -> None:
         resolved(command.body)(given | further, shown, out)
         return
     if "observer" in parameters:
-        make = make_observers if parameters["observer"].value.is_list else make_observer
+        several = parameters["observer"].value.is_list
         given.setdefault("observer", parameters["observer"].default)
-        given["observer"], fit = make(given, fitted="fit" in parameters)
+        observers, fit = make_observers(given, fitted="fit" in parameters, several=several)
+        given["observer"] = observers if several else observers[0]
         given |= {"fit": fit} if "fit" in parameters else {"p_correct": fit.p_correct}
     if "examples" in parameters:
         given["examples"] = out is not None

@@ -42,7 +42,7 @@ class StoredWork(Work[Item_contra, Result], Protocol[Item_contra, Result]):
         return None
 
     def stamped_key(self, item: Item_contra, stamp: object) -> bytes | None:  # noqa: ARG002
-        """Return a key for the stamp in place of the bytes of files, which need not be read again; None: no key."""
+        """Return a key for the stamp in place of the bytes of files, which are not read again; None: no key."""
         return None
 
     def encode(self, result: Result) -> bytes | None:
