@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from todframes.base.errors import SettingsError
-from todframes.charts import markers
+from todframes.charts import layout as markers
 from todframes.charts.layout import (
     Chart,
     Markers,

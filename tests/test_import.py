@@ -17,8 +17,7 @@ import pytest
 
 import todframes as tod
 from todframes.base.errors import DataError, OutputError, SettingsError
-from todframes.charts.layout import write_chart
-from todframes.charts.markers import marker_bits, marker_ids
+from todframes.charts.layout import marker_bits, marker_ids, write_chart
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.importing.chart_source import page_duration_s

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from todframes.base.errors import DataError
-from todframes.charts.layout import Point
-from todframes.charts.markers import marker_ids
+from todframes.charts.layout import Point, marker_ids
 from todframes.importing.geometry import Geometry, fit_geometry, place_triangle
 from todframes.importing.marker_finder import MarkerFinder
 from todframes.stimulus import ORIENTATIONS, Orientation

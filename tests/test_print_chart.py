@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 import todframes as tod
-from todframes.charts.layout import Chart, Triangle, read_chart
-from todframes.charts.markers import page_of
+from todframes.charts.layout import Chart, Triangle, page_of, read_chart
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.importing.schedule import read_schedule

@@ -16,8 +16,7 @@ import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.detector_noise import displayed_noise, unit_fixed_pattern
 from todframes.camera.noise3d import PARTS, NoisePart, combinations, estimate, fit_drift, measure_noise
-from todframes.charts.layout import Chart, Markers, Page, Patch, Triangle, write_chart
-from todframes.charts.markers import marker_bits, marker_ids
+from todframes.charts.layout import Chart, Markers, Page, Patch, Triangle, marker_bits, marker_ids, write_chart
 from todframes.cli.main import main
 from todframes.recordings.opening import open_recordings
 

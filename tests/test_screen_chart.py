@@ -11,8 +11,7 @@ import pytest
 
 import todframes as tod
 from todframes.base.errors import OutputError, SettingsError
-from todframes.charts.layout import Chart, read_chart
-from todframes.charts.markers import BORDER_IDS, page_of
+from todframes.charts.layout import BORDER_IDS, Chart, page_of, read_chart
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.display.dither import TILE, blue_noise, dithered

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from timing import Row, process
 
-from todframes.charts.layout import Chart, Markers, Page, Point, Screen, Triangle, write_chart
-from todframes.charts.markers import CORNERS
+from todframes.charts.layout import CORNERS, Chart, Markers, Page, Point, Screen, Triangle, write_chart
 from todframes.stimulus import ORIENTATIONS, coverage
 
 N_FRAMES, ROWS, COLUMNS, RATE, FRAMES_PER_PAGE = 18_000, 512, 640, 30, 30

@@ -15,8 +15,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.camera.noise3d import FramePatch, Region
 from todframes.camera.slanted_edges import PlacedEdge, box_about
-from todframes.charts.layout import Chart, Edge, Page, Patch, read_chart
-from todframes.charts.markers import page_of
+from todframes.charts.layout import Chart, Edge, Page, Patch, page_of, read_chart
 from todframes.importing.clips import ClipFrame, clean_clips
 from todframes.importing.geometry import Geometry
 from todframes.importing.lens_fit import MeasuredEdges, choose_lens

@@ -26,6 +26,7 @@ from todframes.base.reading import check_values
 from todframes.charts.layout import (
     CHART_FILE,
     LARGEST_ON_CHART,
+    MOST_PAGES,
     Chart,
     Edge,
     Length,
@@ -34,7 +35,6 @@ from todframes.charts.layout import (
     Triangle,
     write_chart,
 )
-from todframes.charts.markers import MOST_PAGES
 from todframes.charts.page_drawing import Drawing, pdf, svg
 from todframes.frames.surround import REACH_IN_SIZES
 from todframes.parameters import ChartKind, Progress, counted

@@ -25,8 +25,7 @@ from todframes.charts.design import (
     grey_patches,
     write_drawings,
 )
-from todframes.charts.layout import Chart, Length, Markers, Page, Patch, Point
-from todframes.charts.markers import MODULES
+from todframes.charts.layout import MODULES, Chart, Length, Markers, Page, Patch, Point
 from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, rectangle
 from todframes.display.display import srgb_to_linear
 from todframes.parameters import MarkerPlaces, Progress

@@ -24,8 +24,7 @@ from todframes.charts.design import (
     Design,
     camera_content,
 )
-from todframes.charts.layout import CHART_FILE, Chart, Markers, Page, Screen, Triangle, write_chart
-from todframes.charts.markers import MODULES
+from todframes.charts.layout import CHART_FILE, MODULES, Chart, Markers, Page, Screen, Triangle, write_chart
 from todframes.display.dither import dithered
 from todframes.parameters import MarkerPlaces, Progress, counted
 from todframes.stimulus import ORIENTATIONS, coverage

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
-from todframes.charts.layout import Chart, read_chart
-from todframes.charts.markers import CORNERS, page_of
+from todframes.charts.layout import CORNERS, Chart, page_of, read_chart
 from todframes.diagnosis.findings import MOST_TURN_RAD
 from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips, frames_with_those_before
 from todframes.importing.filmed_trials import (

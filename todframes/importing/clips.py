@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.charts.markers import marker_bits, marker_ids
+from todframes.charts.layout import marker_bits, marker_ids
 from todframes.recordings.recording import GAP, RecordedFrame, Recording
 from todframes.stimulus import Orientation
 

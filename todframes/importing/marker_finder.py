@@ -23,7 +23,7 @@ from scipy.special import ndtr
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
-from todframes.charts.markers import (
+from todframes.charts.layout import (
     BORDER_DICTIONARY,
     BORDER_IDS,
     CORNERS,
