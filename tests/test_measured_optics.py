@@ -115,7 +115,7 @@ def samples_of(sensor: ss.Sensor, orientation, size: float = 4.0, field: int = 2
     return sampler.samples(0.2, -0.3, orientation=orientation)[0]
 
 
-@pytest.mark.parametrize("orientation", ORIENTATIONS)
+@pytest.mark.parametrize("orientation", ORIENTATIONS[:2])
 def test_an_asymmetric_psf_stands_as_its_picture_does(tmp_path, orientation):
     """A scene of fine pixels convolved with the picture of the point, and averaged over detectors."""
     fine, field, size = 10, 22, 4.0

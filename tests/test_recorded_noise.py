@@ -14,7 +14,6 @@ import pytest
 
 import sensor_sim as ss
 import todframes as tod
-from sensor_sim.chain.detector_noise import displayed_noise, unit_fixed_pattern
 from todframes.camera.noise3d import PARTS, NoisePart, combinations, estimate, fit_drift, measure_noise
 from todframes.charts.layout import Chart, Markers, Page, Patch, Triangle, marker_bits, marker_ids, write_chart
 from todframes.cli.main import main
@@ -292,7 +291,7 @@ def test_averaging_frames_lowers_dynamic_noise_alone(tmp_path):
     assert noise.snr(10.0, frames=16) == pytest.approx(10 / math.sqrt(1 + 4 / 16), rel=0.04)
 
 
-def test_a_measured_camera_can_be_simulated_and_measured_back(tmp_path):
+def test_a_measured_camera_is_a_sensor(tmp_path):
     sd = dict.fromkeys(PARTS, 0.0) | {"vh": 3.0, "tvh": 5.0}
     np.save(tmp_path / "a.npy", 7000 + cube(np.random.default_rng(10), (30, 80, 80), sd))
     first = tod.noise(tmp_path / "a.npy", mk_per_count=8.0)
@@ -303,19 +302,7 @@ def test_a_measured_camera_can_be_simulated_and_measured_back(tmp_path):
     assert noise.distribution == "gaussian"
     assert noise.frames_integrated == 1
     assert noise.netd_mk == pytest.approx(40, rel=0.01)  # 5 counts of 8 mK, to 1/√(2 · 29 · 79²) and far less
-
-    # One displayed sample is one frame; its total SD is netd_mk / k, with the dynamic SD netd_mk.
-    total = noise.netd_mk * math.hypot(1, noise.fixed_pattern_ratio)
-    pattern, rng = unit_fixed_pattern((80, 80), noise=noise, seed=1), np.random.default_rng(11)
-    frames = [displayed_noise(pattern, total_sd=total, noise=noise, rng=rng) for _ in range(30)]
-    again = noise_of(tmp_path / "b.npy", frames)
-    # Both measurements have errors of the same size: twice the half-width of one interval holds 99.4 % of them.
-    for found, expected in (
-        (again.dynamic, noise.netd_mk),
-        (again.fixed_pattern_ratio, noise.fixed_pattern_ratio),
-    ):
-        low, high = found.ci95
-        assert found.sd - 2 * (found.sd - low) < expected < found.sd + 2 * (high - found.sd)
+    assert noise.fixed_pattern_ratio == pytest.approx(3 / 5, rel=0.04)  # three times 1/√(2 · 79²) and 1 %
 
 
 def test_a_known_frame_rate_gives_the_frames_that_the_eye_averages(tmp_path):
@@ -375,10 +362,8 @@ def test_a_real_thermal_frame_is_measured_in_mk(capsys):
 @pytest.mark.parametrize(
     ("options", "status", "message"),
     [
-        (["--region", "1,2,3"], 2, "--region: found '1,2,3', expected whole numbers as X,Y,W,H"),
         (["--mk-per-count", "0"], 2, "--mk-per-count: found 0.0, expected a finite number > 0"),
         (["--patch", "1,2,3,4=a"], 2, "--patch: found '1,2,3,4=a', expected X,Y,W,H=LEVEL"),
-        (["--patch", "1,2,3=4"], 2, "--patch: found '1,2,3=4', expected X,Y,W,H=LEVEL"),
         (["--sensor"], 1, "found one frame, expected 2 or more"),
         (["--sensor", "--json"], 2, "found --sensor and --json, expected one of them"),
         (["--signal", "a"], 2, "--signal: found 'a', expected numbers"),

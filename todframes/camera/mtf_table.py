@@ -41,7 +41,6 @@ MAPPER_PER_CYC_PER_PIXEL = 64
 MAPPER_LENGTHS = (64, 128)
 """Numbers of MTF values of an edge in these files, without and with the option --full-sfr."""
 
-
 Ends = tuple[float | None, float | None]
 
 
