@@ -494,54 +494,45 @@ def acquisition_range(
 def _curve(
     result: Result[Any] | Path | str, aim: Target, group: Mapping[str, str] | None, magnification: float | None
 ) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
-    of_result: dict[str, Any] = {"quantity": aim.quantity, "group": group, "magnification": magnification}
-    if isinstance(result, Result):
-        return measured_curve(_thresholds(result, "the result"), "the result", **of_result)
-    where = in_utf8(str(result))
-    if where.endswith(TABLE_SUFFIX):
-        if group or magnification is not None:
-            raise DataError(
-                f"{where}: is a table of one curve in the field, expected no group and no magnification"
-            )
-        return read_curve(Path(result)), ()
-    return measured_curve(_thresholds(load_result(result), where), where, **of_result)
-
-
-def _thresholds(result: Result[Any], where: str) -> Thresholds:
-    """Return the thresholds of a result; raise DataError if it has none."""
+    """Return the curve of a table or result, and the warnings about it; DataError if there is none."""
+    where = "the result"
+    if not isinstance(result, Result):
+        where = in_utf8(str(result))
+        if where.endswith(TABLE_SUFFIX):
+            if group or magnification is not None:
+                raise DataError(
+                    f"{where}: is a table of one curve in the field, expected no group and no magnification"
+                )
+            return read_curve(Path(result)), ()
+        result = load_result(result)
     if not isinstance(result.data, Thresholds):
         hint = "; its thresholds are in mrtd.csv, which `todframes range` reads" * (result.command == "mrtd")
         raise DataError(f"{where}: command: found {result.command!r}, expected one that gives thresholds{hint}")
-    return result.data
+    return measured_curve(result.data, where, quantity=aim.quantity, group=group, magnification=magnification)
 
 
-def _check_used(curve: ThresholdCurve, **criteria: object) -> None:
+def _check_used(curve: ThresholdCurve, *, k: object, cycles: object, cycles_per_size: object) -> None:
     """Raise SettingsError if a criterion is given that the road does not use."""
-    is_triangle, converts = curve.pattern == "triangle", criteria["cycles_per_size"] is not None
-    unused = {
-        "k": (not is_triangle, "of bars"),
-        "cycles_per_size": (not is_triangle, "of bars"),
-        "cycles": (is_triangle and not converts, f"of triangles, without {argument.cycles_per_size}"),
-    }
-    for name, (is_unused, pattern) in unused.items():
-        if is_unused and criteria[name] is not None:
-            where = getattr(argument, name)
-            raise SettingsError(f"{where}: is given but not used: {curve.name} is a curve {pattern}")
+    pattern = "of bars"
+    unused = {"k": k, "cycles_per_size": cycles_per_size}
+    if curve.pattern == "triangle":
+        pattern = f"of triangles, without {argument.cycles_per_size}"
+        unused = {"cycles": cycles if cycles_per_size is None else None}
+    for name in (name for name, value in unused.items() if value is not None):
+        raise SettingsError(f"{getattr(argument, name)}: is given but not used: {curve.name} is a curve {pattern}")
 
 
-def _warnings(curve: ThresholdCurve, air: Atmosphere) -> tuple[ResultWarning, ...]:
-    warnings = []
+def _warnings(curve: ThresholdCurve, air: Atmosphere) -> Iterator[ResultWarning]:
     if not curve.is_rising:
         message = (
             "the curve falls somewhere towards finer detail; each threshold counts as at least that of all "
             "coarser detail"
         )
-        warnings.append(ResultWarning(code="curve_not_rising", message=message))
+        yield ResultWarning(code="curve_not_rising", message=message)
     if air.varies_unseen and air.band_um is not None:
         low, high = air.band_um
         message = (
             f"one extinction for all ranges in {low:g} to {high:g} µm is wrong by up to a factor of 5 between 1 "
             "and 20 km; give a table of transmission over range"
         )
-        warnings.append(ResultWarning(code="one_extinction", message=message))
-    return tuple(warnings)
+        yield ResultWarning(code="one_extinction", message=message)

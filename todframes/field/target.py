@@ -133,7 +133,7 @@ class Target:
             raise SettingsError(f"{given[0]}: found {getattr(self, given[0])!r}, which shows no target")
 
     @property
-    def quantity(self) -> str:
+    def quantity(self) -> Quantity:
         """Quantity of `signal`: "delta_t_k" or "contrast"."""
         return "contrast" if self.delta_t_k is None else "delta_t_k"
 
