@@ -87,11 +87,6 @@ class Optics:
         Or their distance as an angle.
     measured_units : float
         Units of the table's frequencies, or cycles per sample of the PSF, in a cycle/mrad; a `Sensor` sets it.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range, or modelled optics have no aperture or wavelength.
     """
 
     aperture_mm: OptionalPositive = None
@@ -186,11 +181,6 @@ class Detector:
         From one detector to the next on the chip.
     width_um : float or None
         Side of the active area; without it, the pitch.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range, the width is larger than the pitch, or there is no pitch.
     """
 
     pitch_mrad: Positive = FOLLOWS
@@ -330,11 +320,6 @@ class PhotonNoise:
         What the pixels of a column have in common in all frames.
     frames_integrated : int
         Frames that the eye averages.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range, or bits are given without the gain.
     """
 
     quantum_efficiency: Annotated[float | None, Meta(ge=1e-6, le=1.0)] = None
@@ -389,11 +374,6 @@ class Scene:
     background_electrons : float or None
         Measured, of the background in a pixel and exposure, in place of lens and QE. The luminance is needed only
         to compute others.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range, or the luminance is not given once.
     """
 
     luminance_cd_m2: OptionalPositive = None
@@ -537,7 +517,7 @@ class Sensor:
     Raises
     ------
     SettingsError
-        If a part lacks what another one needs.
+        If a part lacks what another one needs. Each part checks its own values in the same way.
     """
 
     optics: Optics
