@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -208,7 +208,7 @@ def draw_tod(axes: Axes, fits: Sequence[Fit], styles: Styles = NO_STYLES, *, lin
     curves = list(by_curve([fit for fit in fits if fit.threshold is not None]).items())[:MOST_CURVES]
     axes.set(xscale="log", yscale="log", xlabel=label_text(f"1 / {size} ({unit}⁻¹)"))
     axes.set_ylabel(label_text(threshold_heading(fits[0].level)))
-    drawn = []
+    drawn: list[Drawn] = []
     for number, (label, curve) in enumerate(curves):
         line_style = curve_style(number, len(curves))
         if own := styles.get(curve[0].group.get("algorithm")):
@@ -216,9 +216,9 @@ def draw_tod(axes: Axes, fits: Sequence[Fit], styles: Styles = NO_STYLES, *, lin
         drawn += _draw_tod_curve(axes, curve, name, label, line_style, line)
     if 1 < len(curves) <= MOST_IN_LEGEND:
         add_legend(axes)
-    inverse = sorted({place.x for place in drawn})
+    inverse = sorted({x for x, _, _ in drawn})
     plain_ticks(axes.xaxis, inverse)
-    plain_ticks(axes.yaxis, [place.threshold for place in drawn])
+    plain_ticks(axes.yaxis, [threshold for _, threshold, _ in drawn])
     _draw_open_ends(axes, drawn)
     top = axes.secondary_xaxis("top")
     top.set_xlabel(label_text(f"{size} ({unit})"))
@@ -228,49 +228,40 @@ def draw_tod(axes: Axes, fits: Sequence[Fit], styles: Styles = NO_STYLES, *, lin
     _temperature_axis(axes, drawn)
 
 
-class _Place(NamedTuple):
-    """A threshold in the figure of a TOD curve."""
-
-    x: float
-    threshold: float
-    fit: Fit
+Drawn = tuple[float, float, Fit]
+"""A threshold in the figure of a TOD curve: 1 / size, the threshold as drawn, and the fit."""
 
 
 def _draw_tod_curve(
     axes: Axes, fits: Sequence[Fit], name: str, label: str, line_style: CurveStyle, line: str
-) -> list[_Place]:
-    places = [
-        _Place(1.0 / within(float(fit.group[name])), within(fit.threshold), fit)
-        for fit in fits
-        if fit.threshold is not None
-    ]
-    style_of_points: Json = {"color": line_style.colour, "marker": line_style.marker}
-    x, thresholds = [place.x for place in places], [place.threshold for place in places]
-    axes.plot(x, thresholds, label=label_text(label), zorder=2, ls=line, **style_of_points)
-    for place in places:
-        low, high = place.fit.threshold_ci95 or (None, None)
-        if low is not None or high is not None:
-            ends = [within(end or place.threshold) for end in (low, high)]
-            axes.plot([place.x] * 2, ends, "-_", color=line_style.colour)
-        if place.fit.status == "extrapolated":
-            axes.plot(place.x, place.threshold, **style_of_points, markerfacecolor=PAPER, zorder=3)
-    return places
+) -> list[Drawn]:
+    drawn = [(1.0 / within(float(fit.group[name])), within(fit.threshold or 0.0), fit) for fit in fits]
+    points: Json = {"color": line_style.colour, "marker": line_style.marker}
+    x, thresholds, _ = zip(*drawn, strict=True)
+    axes.plot(x, thresholds, label=label_text(label), zorder=2, ls=line, **points)
+    for at, threshold, fit in drawn:
+        if any(fit.threshold_ci95 or ()):
+            ends = [within(end or threshold) for end in fit.threshold_ci95 or ()]
+            axes.plot([at] * 2, ends, "-_", color=line_style.colour)
+        if fit.status == "extrapolated":
+            axes.plot(at, threshold, **points, markerfacecolor=PAPER, zorder=3)
+    return drawn
 
 
-def _draw_open_ends(axes: Axes, places: Sequence[_Place]) -> None:
+def _draw_open_ends(axes: Axes, drawn: Sequence[Drawn]) -> None:
     """Draw dots from a threshold to the edge of the figure if the data leave that end of the interval open."""
     edges = axes.get_ylim()
-    for place in places:
-        for end, edge in zip(place.fit.threshold_ci95 or (), edges, strict=False):
+    for x, threshold, fit in drawn:
+        for end, edge in zip(fit.threshold_ci95 or (), edges, strict=False):
             if end is None:
-                axes.plot([place.x] * 2, [place.threshold, edge], ":", color=INK, alpha=0.6, lw=1.0, zorder=1)
+                axes.plot([x] * 2, [threshold, edge], ":", color=INK, alpha=0.6, lw=1.0, zorder=1)
     axes.set_ylim(edges)
 
 
-def _temperature_axis(axes: Axes, places: Sequence[_Place]) -> None:
+def _temperature_axis(axes: Axes, drawn: Sequence[Drawn]) -> None:
     """Add an axis of ΔT on the right, which is proportional to SNR by one factor for all thresholds."""
-    factors = [place.fit.delta_t_mk / place.threshold for place in places if place.fit.delta_t_mk]
-    if len(factors) < len(places) or min(factors) <= 0.0:
+    factors = [fit.delta_t_mk / threshold for _, threshold, fit in drawn if fit.delta_t_mk]
+    if len(factors) < len(drawn) or min(factors) <= 0.0:
         return
     factor = float(np.median(factors))
 
@@ -282,7 +273,7 @@ def _temperature_axis(axes: Axes, places: Sequence[_Place]) -> None:
 
     right = axes.secondary_yaxis("right", functions=(to_temperature, to_snr))
     right.set_ylabel("ΔT (mK)")
-    plain_ticks(right.yaxis, [place.threshold * factor for place in places])
+    plain_ticks(right.yaxis, [threshold * factor for _, threshold, _ in drawn])
 
 
 def draw_psychometric(axes: Axes, fits: Sequence[Fit], styles: Styles = NO_STYLES) -> None:
