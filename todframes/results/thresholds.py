@@ -204,22 +204,16 @@ class Thresholds(Content, frozen=True, kw_only=True):
         """Return remarks on the frames: where triangles were found, what was skipped, what is not physical."""
         found = [f"located: {group_phrase(one['group'])}: {_where(one)}" for one in self.located or ()]
         found += [f"skipped: {one['error']}" for one in self.skipped]
-        if self.negative_luminance_pixels and self.fits:
-            found.append(
-                f"note: {self.negative_luminance_pixels} display pixels have a luminance below zero, as noise in "
-                "linear frames may have; they are scored as they are"
-            )
-        return found
+        return [*found, *(f"note: {text}" for text in self._negative() if self.fits)]
+
+    def _negative(self) -> list[str]:
+        n = self.negative_luminance_pixels
+        text = "display pixels have a luminance below zero, as noise in linear frames may have; they are scored as"
+        return [f"{n} {text} they are"] if n else []
 
     def remarks(self) -> list[str]:
         """Return sentences about the accuracy of the numbers."""
-        texts = summary.remarks(self.thresholds)
-        if self.negative_luminance_pixels:
-            texts.append(
-                f"{self.negative_luminance_pixels} display pixels have a luminance below zero, as noise in linear "
-                "frames may have; they were scored as they are."
-            )
-        return texts
+        return [*summary.remarks(self.thresholds), *(f"{text}." for text in self._negative())]
 
     def figures(self) -> list[ReportFigure]:
         """List the figures, the most important first."""
