@@ -296,14 +296,9 @@ def absent(shot: Shot) -> Shot:
     return replace(shot, contrast=0.0) if shot.number % 4 == 3 else shot
 
 
-def smaller(shot: Shot) -> Shot:
-    """A triangle of 10 pixels."""
-    return replace(shot, size_px=0.625 * shot.size_px)
-
-
-def larger(shot: Shot) -> Shot:
-    """A triangle of 32 pixels."""
-    return replace(shot, size_px=2.0 * shot.size_px)
+def resized(factor: float) -> Callable[[Shot], Shot]:
+    """A triangle of another size."""
+    return lambda shot: replace(shot, size_px=factor * shot.size_px)
 
 
 def two_sizes(shot: Shot) -> Shot:
@@ -348,31 +343,6 @@ def overexposed(light: Image, _shot: Shot) -> Image:
     return light * 0.97 * WHITE / BACKGROUND
 
 
-def crushed(light: Image, _shot: Shot) -> Image:
-    """Blacks cut off at the background's own luminance, more or less: a few pixels of its noise are left."""
-    return light - 0.99 * BACKGROUND
-
-
-def of_automatic_gain(codes: Image) -> Image:
-    """Contrast stretched in each frame, from its darkest to its brightest pixel."""
-    return (codes - codes.min()) / (codes.max() - codes.min())
-
-
-def of_automatic_exposure(light: Image, shot: Shot) -> Image:
-    """An exposure that hunts, by 20 % either way."""
-    return light * shot.chance.uniform(0.8, 1.2)
-
-
-def limited(codes: Image) -> Image:
-    """The levels of video, 16 to 235 of 255."""
-    return (16.0 + 219.0 * codes) / 255.0
-
-
-def posterised(codes: Image) -> Image:
-    """Only 25 different code values."""
-    return np.rint(codes * 25.0) / 25.0
-
-
 def stuck(count: int, distance_px: tuple[float, float]) -> Callable[[NDArray, Shot], NDArray]:
     """Pixels stuck at the ends of the scale, the same in each frame, at such distances from the middle."""
     x, y = offsets()
@@ -408,11 +378,6 @@ def tinted(codes: NDArray, _shot: Shot) -> NDArray:
     return np.rint(codes[..., None] * np.array([0.6, 0.8, 1.0])).astype(codes.dtype)
 
 
-def negated(codes: Image) -> Image:
-    """Black is hot, not white."""
-    return 1.0 - codes
-
-
 def of_jpeg(quality: int) -> Callable[[NDArray, Shot], NDArray]:
     """A frame that was a JPEG once."""
     return lambda codes, _shot: cv2.imdecode(
@@ -428,36 +393,6 @@ def scaled(share: float) -> Callable[[NDArray, Shot], NDArray]:
 def background(factor: float) -> dict[str, object]:
     """A number for the background that is wrong by a factor."""
     return {"background_luminance_cd_m2": factor * BACKGROUND}
-
-
-def of_two_cameras(codes: NDArray, shot: Shot) -> NDArray:
-    """Every other frame has twice the pixels along each side."""
-    return np.kron(codes, np.ones((2, 2), codes.dtype)) if shot.number % 2 else codes
-
-
-def turned(codes: NDArray, _shot: Shot) -> NDArray:
-    """A camera on its side."""
-    return np.rot90(codes)
-
-
-def upside_down(codes: NDArray, _shot: Shot) -> NDArray:
-    """A camera that hangs from the ceiling."""
-    return np.rot90(codes, 2)
-
-
-def mirrored(codes: NDArray, _shot: Shot) -> NDArray:
-    """A camera that looks into a mirror."""
-    return np.fliplr(codes)
-
-
-def flipped(codes: NDArray, _shot: Shot) -> NDArray:
-    """Rows stored from the bottom to the top."""
-    return np.flipud(codes)
-
-
-def twelve_bits(codes: NDArray, _shot: Shot) -> NDArray:
-    """Values of 12 bits in files of 16 bits."""
-    return codes >> 4
 
 
 # The mistakes of a manifest.
@@ -519,12 +454,12 @@ CONTROLS = (
     control("noisy", "Ten times the noise.", noise=10 * NOISE),
     control("defocused", "The lens is out of focus: the threshold rises, as it should.", blur_px=1.6),
     control("eight_bits", "sRGB in 8 bits, as declared.", encoded=srgb, full_scale=255, display={"eotf": "srgb"}),
-    control("small", "Triangles of 10 pixels.", shown=smaller, rows=times("size_mrad", 0.625)),
-    control("large", "Triangles of a third of the frame's side.", shown=larger, rows=times("size_mrad", 2.0)),
+    control("small", "Triangles of 10 pixels.", shown=resized(0.625), rows=times("size_mrad", 0.625)),
+    control("large", "Triangles of a third of the side.", shown=resized(2.0), rows=times("size_mrad", 2.0)),
     control("large_detectors", "A camera whose detectors are 2 pixels wide.", light=detected),
     control("dark_stated", "Dark triangles, with their polarity.", shown=darker, rows=with_columns(polarity="-1")),
     control(
-        "off_centre_stated", "Off the middle, as stated.", shown=moved(9.0, -5.0), rows=with_columns(**OFF_MIDDLE)
+        "off_centre_stated", "Off the middle, stated.", shown=moved(9.0, -5.0), rows=with_columns(**OFF_MIDDLE)
     ),
 )
 
@@ -551,17 +486,23 @@ CODE_CASES = (
     case("gamma_as_linear", "sRGB frames declared linear.", LIGHT, encoded=srgb),
     case("srgb_as_bt1886", "sRGB frames declared bt1886.", LIGHT, encoded=srgb, display={"eotf": "bt1886"}),
     case("linear_as_srgb", "Linear frames declared sRGB.", LIGHT, display={"eotf": "srgb"}),
-    case("negative", "Black is hot, not white.", LIGHT + " polarity_mismatch", encoded=negated),
+    case("negative", "Black is hot, not white.", LIGHT + " polarity_mismatch", encoded=lambda codes: 1.0 - codes),
     case("colour_cast", "Colour frames with too little blue and green.", "background_mismatch", stored=tinted),
     case(
         "limited_range",
         "Video levels, 16 to 235, declared full range.",
         "limited_range " + LIGHT,
-        encoded=limited,
+        encoded=lambda codes: (16.0 + 219.0 * codes) / 255.0,
         full_scale=255,
     ),
-    case("twelve_bits", "12-bit values in 16-bit files.", "bit_depth background_mismatch", stored=twelve_bits),
-    case("posterised", "Only 26 code values.", "coarse_codes", encoded=posterised, full_scale=255),
+    case("twelve_bits", "12 bits in files of 16.", "bit_depth background_mismatch", stored=lambda c, _: c >> 4),
+    case(
+        "posterised",
+        "Only 26 code values.",
+        "coarse_codes",
+        encoded=lambda c: np.rint(25.0 * c) / 25.0,
+        full_scale=255,
+    ),
     case(
         "jpeg",
         "Frames that were JPEGs of quality 30.",
@@ -572,9 +513,14 @@ CODE_CASES = (
         display={"eotf": "srgb"},
     ),
     case("overexposed", "The triangle is at the end of the scale.", "saturated", light=overexposed),
-    case("crushed_blacks", "The background's blacks are cut off.", "crushed", light=crushed),
-    case("automatic_gain", "Each frame is stretched to full contrast.", LIGHT, encoded=of_automatic_gain),
-    case("automatic_exposure", "The exposure hunts by 20 %.", LIGHT, light=of_automatic_exposure),
+    case("crushed_blacks", "The blacks are cut off.", "crushed", light=lambda i, _: i - 0.99 * BACKGROUND),
+    case("automatic_gain", "Each frame has full contrast.", LIGHT, encoded=lambda c: (c - c.min()) / np.ptp(c)),
+    case(
+        "automatic_exposure",
+        "The exposure hunts by 20 %.",
+        LIGHT,
+        light=lambda i, shot: i * shot.chance.uniform(0.8, 1.2),
+    ),
     case("dead_pixels_outside", "Sixty stuck pixels off the triangle.", STUCK, stored=stuck(60, (20.0, 48.0))),
     case(
         "hot_pixels_inside",
@@ -593,23 +539,19 @@ PLACE_CASES = (
     case("hand_held", "The camera shakes by 3 pixels.", SCATTERED, shown=shaken),
     case("drift", "The picture drifts by 12 pixels.", SCATTERED, shown=drifted),
     case("interlaced", "Odd rows are 6 pixels late.", PLACED + " size_mismatch", stored=interlaced),
-    case(
-        "barrel", "The lens bends lines, by 10 % in the corners.", "size_mismatch", light=partial(distorted, 0.1)
-    ),
+    case("barrel", "The lens bends lines by 10 % in corners.", "size_mismatch", light=partial(distorted, 0.1)),
 )
 
 TURNED = "turned mirrored orientation_mismatch"
 TRIANGLE_CASES = (
     case("dark_triangles", "Dark triangles without a polarity.", "polarity_mismatch", shown=darker),
-    case("mirror", "The camera looks into a mirror.", "mirrored", stored=mirrored),
-    case("flip", "Rows are stored from the bottom to the top.", "mirrored flipped", stored=flipped),
-    case("quarter_turn", "The camera lies on its side.", "turned", stored=turned),
-    case("half_turn", "The camera hangs upside down.", "turned", stored=upside_down),
+    case("mirror", "The camera looks into a mirror.", "mirrored", stored=lambda c, _: np.fliplr(c)),
+    case("flip", "Rows from the bottom to the top.", "mirrored flipped", stored=lambda c, _: np.flipud(c)),
+    case("quarter_turn", "The camera lies on its side.", "turned", stored=lambda c, _: np.rot90(c)),
+    case("half_turn", "The camera hangs upside down.", "turned", stored=lambda c, _: np.rot90(c, 2)),
     case("tilt", "The camera is tilted by 12 degrees.", TURNED, stored=tilted),
     case("orientation_shifted", "Orientations one row too low.", TURNED, rows=shifted("orientation")),
-    case(
-        "late_frames", "Every fourth frame is that of the row before.", TURNED + " contrast_mismatch", shown=late
-    ),
+    case("late_frames", "Every fourth frame is of the row before.", TURNED + " contrast_mismatch", shown=late),
     case("absent_triangles", "Every fourth frame is empty.", "contrast_mismatch", shown=absent),
     case("ghost", "The triangle again beside itself, half as strong.", UNEVEN, drawn=ghosted),
     case("double_exposure", "Two orientations at once.", TURNED + " contrast_mismatch", drawn=two_orientations),
@@ -620,22 +562,14 @@ LEVEL_CASES = (
     case("twice_as_strong", "Stated contrast × 2.", "contrast_mismatch", rows=times("contrast", 2.0)),
     case("levels_shuffled", "Levels of another session.", "contrast_mismatch", rows=shuffled_levels),
     case("negative_levels", "Contrasts below zero.", refused="contrast", shown=darker, rows=times("contrast", -1)),
-    case(
-        "one_level", "The same level in each row.", "contrast_mismatch", refused="too_few_levels", rows=one_level
-    ),
+    case("one_level", "One level in each row.", "contrast_mismatch", refused="too_few_levels", rows=one_level),
     case("repeated_frames", "One frame listed for each repeat.", refused="already", rows=repeated_frames),
 )
 
 SIZED = "size_mismatch size_unit"
 SIZE_CASES = (
     case("degrees", "Sizes in degrees.", SIZED, rows=times("size_mrad", 1.0 / DEGREE)),
-    case(
-        "arc_minutes",
-        "Sizes in minutes of arc.",
-        SIZED,
-        "off the frame",
-        rows=times("size_mrad", 1.0 / ARC_MINUTE),
-    ),
+    case("arc_minutes", "Sizes in arcmin.", SIZED, "off the frame", rows=times("size_mrad", 1.0 / ARC_MINUTE)),
     case("edges_for_sizes", "Edges, not the root of the area.", SIZED, rows=times("size_mrad", EDGE)),
     case("microradians", "Sizes in µrad.", SIZED, "smaller than the triangle", rows=times("size_mrad", 1000.0)),
     case("pitch_doubled", "Pixel pitch × 2.", SIZED, display={"pixel_pitch_mrad": 2 * PITCH_MRAD}),
@@ -646,7 +580,7 @@ SIZE_CASES = (
         "mixed_resolutions",
         "Every other frame has twice the pixels.",
         "mixed_frame_sizes " + SIZED,
-        stored=of_two_cameras,
+        stored=lambda c, shot: np.kron(c, np.ones((2, 2), c.dtype)) if shot.number % 2 else c,
     ),
 )
 
