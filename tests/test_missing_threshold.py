@@ -27,10 +27,7 @@ QUICK: dict[str, Any] = {"examples": False, "fit": tod.FitSettings(resamples=0)}
 
 
 def recording(
-    *,
-    place: tuple[float, float] = (MIDDLE, MIDDLE),
-    levels: Sequence[float] = (0.1, 0.2, 0.3),
-    **mishap: Any,
+    *, place: tuple[float, float] = (MIDDLE, MIDDLE), levels: Sequence[float] = (0.1, 0.2, 0.3), **mishap: Any
 ) -> Dataset:
     """Frames of triangles that the dataset says are upright, bright, in the middle and of `SIZE_PX`."""
     return triangles.recording(np.random.default_rng(1), place, levels=levels, repeats=3, **mishap)[0]

@@ -432,11 +432,7 @@ def repeated_frames(rows: list[Row]) -> list[Row]:
 def case(name: str, sentence: str, codes: str = "", refused: str | None = None, **steps: object) -> Case:
     """Return a mishap; `codes` are separated by spaces."""
     return Case(
-        name=name,
-        sentence=sentence,
-        codes=frozenset(codes.split()),
-        refused=refused,
-        recording=Recording(**steps),
+        name=name, sentence=sentence, codes=frozenset(codes.split()), refused=refused, recording=Recording(**steps)
     )
 
 
@@ -584,12 +580,4 @@ SIZE_CASES = (
     ),
 )
 
-CASES = (
-    *CONTROLS,
-    *BACKGROUND_CASES,
-    *CODE_CASES,
-    *PLACE_CASES,
-    *TRIANGLE_CASES,
-    *LEVEL_CASES,
-    *SIZE_CASES,
-)
+CASES = (*CONTROLS, *BACKGROUND_CASES, *CODE_CASES, *PLACE_CASES, *TRIANGLE_CASES, *LEVEL_CASES, *SIZE_CASES)
