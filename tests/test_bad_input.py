@@ -1135,9 +1135,7 @@ def test_terminals_are_left_alone(make_dataset, todframes, tmp_path):
     [
         (HOSTILE,),
         ("score", HOSTILE),
-        ("score", "x", f"--{HOSTILE}"),
         ("score", "x", "--decisions", HOSTILE),
-        ("score", "x", "--set", f"{HOSTILE}=1"),
         ("compare", "x", "--enhance", HOSTILE),
         ("fit", "folder\udcff"),
     ],

@@ -8,7 +8,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -301,21 +300,3 @@ def test_libraries_are_kept_to_one_thread() -> None:
             [sys.executable, "-c", script], capture_output=True, text=True, env=environment, check=True
         )
         assert found.stdout == expected
-
-
-@pytest.mark.slow
-def test_the_printed_time_is_that_for_which_people_wait(make_dataset, tmp_path: Path) -> None:
-    """The time for loading what a command needs counts, too: here a module that takes 2 s for it."""
-    path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2)).path
-    (tmp_path / "late.py").write_text("import time\ntime.sleep(2.0)\nfrom todframes import PyramidObserver\n")
-    started = time.perf_counter()
-    process = subprocess.run(
-        [sys.executable, "-m", "todframes", "score", path, "--observer", "late:PyramidObserver", "-o", "out"],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=tmp_path,
-    )
-    waited_s = time.perf_counter() - started
-    (printed,) = re.findall(r"^([0-9.]+) s$", process.stdout, re.MULTILINE)
-    assert 2.0 < float(printed) <= waited_s

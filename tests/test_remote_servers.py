@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
 import os
 import socket
 import subprocess
@@ -12,8 +11,6 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import count
 from pathlib import Path
@@ -24,8 +21,8 @@ import servers
 
 import todframes as tod
 from todframes.base import remote
-from todframes.base.errors import FrameError, RemoteError, SettingsError
-from todframes.frames.dataset import Dataset, load_dataset
+from todframes.base.errors import RemoteError, SettingsError
+from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile
 from todframes.jobs.store import Store
 
@@ -473,34 +470,6 @@ def test_ids_on_s3_change_with_the_bytes(make_dataset, upload) -> None:
     s3fs.S3FileSystem().pipe(f"{data.path}/{first.path}", made.frame(1).read_bytes())
     assert data.content_id(first, is_read=True) == ids[0]
     assert load_dataset(str(data.path)).content_id(first) != ids[0]
-
-
-@pytest.mark.slow
-def test_a_frame_that_vanishes_from_s3_is_named(make_dataset, upload) -> None:
-    data = load_dataset(upload(make_dataset().path))
-    gone = data.trials[2].frames[0]
-    s3fs.S3FileSystem().rm(f"{data.path}/{gone.path}")
-    with pytest.raises(FrameError, match=f"{gone.path}: cannot be opened: No such file"):
-        tod.score(data)
-    skipped = tod.score(data, on_error="skip", examples=False).skipped
-    assert [one["frame"] for one in skipped] == [gone.path]
-
-
-@pytest.mark.slow
-def test_frames_are_read_in_threads_and_in_spawned_processes(make_dataset, upload) -> None:
-    """A dataset goes to a process without connections, as it does to a worker of a cluster."""
-    data = load_dataset(upload(make_dataset().path))
-    frames = [frame for trial in data.trials for frame in trial.frames] * 20
-    with ThreadPoolExecutor(4) as pool:
-        here = list(pool.map(partial(pixels, data), range(len(frames))))
-    with multiprocessing.get_context("spawn").Pool(1) as processes:
-        assert processes.map(partial(pixels, data), range(8)) == here[:8]
-
-
-def pixels(data: Dataset, number: int) -> bytes:
-    """The decoded values of a frame."""
-    with data.open(data.trials[number % len(data.trials)].frames[0]) as file:
-        return file.read().stored.tobytes()
 
 
 @pytest.mark.slow

@@ -163,7 +163,6 @@ def test_curve_as_json(sensor_sim, sensor_file):
     assert (status, len(errors)) == (0, 1)
     assert errors[0].startswith("warning: 75 % correct is never reached at 1 detectors: ")
     result = json.loads(out)
-    assert {"schema", "command", "version", "settings", "seed", "fits", "skipped", "run_time_s"} <= set(result)
     assert (result["schema"], result["command"], result["seed"], result["skipped"]) == (1, "curve", 3, [])
     assert result["version"] == __version__
     assert result["settings"]["internal_noise"] == 0.5
@@ -171,10 +170,6 @@ def test_curve_as_json(sensor_sim, sensor_file):
     assert result["settings"]["sensor"]["optics"]["aperture_mm"] == 100.0
     assert [fit["group"] for fit in result["fits"]] == [{"size_detectors": size} for size in (1.0, 4.0, 8.0)]
     for fit in result["fits"]:
-        assert set(fit) >= {
-            *("group", "level", "status", "threshold", "threshold_ci95", "p_correct"),
-            *("alpha", "beta", "gamma", "delta", "n_trials", "points", "delta_t_mk"),
-        }
         assert (fit["level"], fit["p_correct"], fit["n_trials"]) == ("snr", 0.75, 0)
     small, middle, large = result["fits"]
     assert (small["status"], small["threshold"]) == ("never_reached", None)
@@ -282,17 +277,6 @@ def test_curve_without_netd_has_no_temperatures(sensor_sim, sensor_file):
     assert "ΔT" not in sensor_sim(*curve(sensor_file))[1]
     (fit,) = json.loads(sensor_sim(*curve(sensor_file, "--json"))[1])["fits"]
     assert fit["delta_t_mk"] is None
-
-
-def test_settings_of_the_observer_reach_the_curve(sensor_sim, sensor_file, tmp_path):
-    settings = tmp_path / "observer.toml"
-    settings.write_text("internal_noise = 0.1\nkernel_a = 0.4\n", encoding="utf-8")
-    more = ("--observer-settings", settings, "--internal-noise", "0.25", "--p-correct", "0.7", "--json")
-    quiet = json.loads(sensor_sim(*curve(sensor_file, *more))[1])
-    assert (quiet["settings"]["internal_noise"], quiet["settings"]["kernel_a"]) == (0.25, 0.4)
-    default = json.loads(sensor_sim(*curve(sensor_file, "--json"))[1])
-    assert quiet["fits"][0]["p_correct"] == 0.7
-    assert quiet["fits"][0]["threshold"] < default["fits"][0]["threshold"]
 
 
 # mtf ----------------------------------------------------------------------------------------------------------

@@ -325,7 +325,7 @@ def long_run(folder: Path, n_frames: int, n: int) -> list[tuple[Command, list[Ta
     contrasts = (0.03, 0.05, 0.08, 0.1, 0.15, 0.2, 0.3, 0.4)
     scenes.write_dataset(folder / "dataset", repeats=n_frames // 32, side_px=64, contrasts=contrasts, noise=0.05)
     arguments = ("todframes", "score", str(folder / "dataset"), "--quiet")
-    command = Command(f"score of {n_frames} frames", arguments, 0.008, False, 16, (0.0, 2.0), 0.1)
+    command = Command(f"score of {n_frames} frames", arguments, 0.008, 16, (0.0, 2.0), 0.1)
     return [(command, ["client"] * n)]
 
 
