@@ -260,7 +260,9 @@ class FrameFile(FrameSource):
             self._format = _recognise(local, formats, sha256)
             # Options make an EXR three times as slow to open and have no effect on it.
             options = () if self._format == "EXR" else (_OPEN_OPTIONS,)
-            _allow_frames(max_frame_mb)
+            # OpenImageIO's limit is that of the process, the largest one asked for.
+            if max_frame_mb > oiio.get_int_attribute("limits:imagesize_MB"):
+                oiio.attribute("limits:imagesize_MB", max_frame_mb)
             self._image: Any = oiio.ImageInput.open(str(local), *options)
             if self._image is None or self._image.format_name() != PICTURE_FORMATS[self._format]:
                 raise FrameError(self.path, f"cannot be opened: {self._reason()}")
@@ -470,12 +472,6 @@ def _too_large(found_mb: float, max_frame_mb: int) -> str:
         f"decodes to {found} MB a frame, expected at most {max_frame_mb} MB; if you trust the file, give "
         f"{argument.max_frame_mb} {found}"
     )
-
-
-def _allow_frames(max_frame_mb: int) -> None:
-    """Let OpenImageIO decode frames of a size; its limit is that of the process, the largest one asked for."""
-    if max_frame_mb > oiio.get_int_attribute("limits:imagesize_MB"):
-        oiio.attribute("limits:imagesize_MB", max_frame_mb)
 
 
 def read_frame(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,6 @@ from numpy.typing import NDArray
 from todframes.base.errors import FrameError
 from todframes.frames.files import PICTURE_FORMATS, FrameFile, format_of
 from todframes.recordings.recording import RecordingWarning, StillHeader, check_size
-
-RATE_ATTRIBUTES = ("FramesPerSecond", "dpx:FrameRate", "dpx:TemporalFrameRate")
-"""Attributes with the frame rate."""
-
-ALIKE = ("height", "width", "channels", "pixel_type", "full_scale")
-"""Properties that all pages of a file have in common."""
 
 JOINS_FILES = True
 
@@ -35,13 +30,14 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
     of ours.
     """
     with FrameFile(path, formats=PICTURE_FORMATS, max_frame_mb=max_frame_mb) as file:
+        alike = attrgetter("height", "width", "channels", "pixel_type", "full_scale")
         first, metadata = file.header, file.metadata
         shape, n_pages = (first.height, first.width), 0
         check_size(path, shape, max_frame_mb)
         if (first.n_rows, first.n_columns) != shape:
             raise FrameError(path, "the data window covers only a part of the display window, expected all of it")
         for page in file.pages():
-            if any(getattr(page, name) != getattr(first, name) for name in ALIKE):
+            if alike(page) != alike(first):
                 raise FrameError(
                     path, f"page {n_pages} differs in size or pixel type from page 0, expected equal ones"
                 )
@@ -80,7 +76,7 @@ def _time_s(attributes: Mapping[str, str]) -> float | None:
 
 def _rate(metadata: Mapping[str, Any]) -> float | None:
     """Return the frame rate that the metadata give, None if they give none."""
-    for name in RATE_ATTRIBUTES:
+    for name in ("FramesPerSecond", "dpx:FrameRate", "dpx:TemporalFrameRate"):
         value = metadata.get(name)
         if isinstance(value, tuple):
             value = value[0] / value[1] if len(value) == 2 and value[1] else None

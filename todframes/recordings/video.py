@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -211,8 +211,11 @@ def _decoded(
 
     number = 0
     complaints: list[Any] = []
+    # FFmpeg replaces a slice of FFV1 whose checksum is wrong by that of the frame before, and no more than logs
+    # it. Codecs with loss log much that is harmless.
+    is_lossy = stream.codec_context.codec.lossy
     try:
-        with _complaints(stream) as complaints:
+        with nullcontext(complaints) if is_lossy else _logged() as complaints:
             for frame in container.decode(stream):
                 if frame.is_corrupt or complaints:
                     _check_pixels(path, complaints, max_frame_mb)
@@ -222,15 +225,6 @@ def _decoded(
     except av.FFmpegError as error:
         _check_pixels(path, complaints, max_frame_mb)
         raise FrameError(path, f"frame {number} cannot be decoded ({_reason(error)}); {_good(number)}") from None
-
-
-def _complaints(stream: VideoStream) -> AbstractContextManager[list[Any]]:
-    """Return a context with a list to which the errors of a codec without loss are added.
-
-    FFmpeg replaces a slice of FFV1 whose checksum is wrong by that of the frame before, and no more than logs it.
-    Codecs with loss log much that is harmless.
-    """
-    return nullcontext([]) if stream.codec_context.codec.lossy else _logged()
 
 
 @contextmanager
