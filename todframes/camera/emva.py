@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from msgspec import Struct, structs
@@ -221,6 +221,9 @@ class TransferPoint(TransferStack, frozen=True, kw_only=True, eq=False):
         )
 
 
+S = TypeVar("S", StackNoise, TransferPoint)
+
+
 class EmvaNumbers(Struct, frozen=True, kw_only=True):
     """Noise of a camera as EMVA 1288 defines it, the key `noise.emva1288` of the result.
 
@@ -384,7 +387,7 @@ def measure_emva(
             f"{brightest.bright.name}: its mean is {brightest.bright.mean:.4g} and that of dark frames "
             f"{brightest.dark.mean:.4g}, with no more noise; expected brighter frames; are they exchanged?"
         )
-    series = _series(points)
+    series = _with_common_frames(points)
     saturated = _saturation(series)
     if saturated is not None:
         most = series[saturated].signal_dn
@@ -527,14 +530,8 @@ def _dark_of(bright: StackNoise, dark: Sequence[StackNoise]) -> StackNoise:
     return min(alike, key=lambda one: abs(one.n_frames - bright.n_frames))
 
 
-def _series(points: Sequence[TransferPoint]) -> list[TransferPoint]:
-    """Return the points of photon transfer, those whose bright stacks are a series."""
-    bright = _with_common_frames([one.bright for one in points])
-    return [one for one in points if one.bright in bright]
-
-
-def _with_common_frames(stacks: Sequence[StackNoise]) -> list[StackNoise]:
-    """Return the stacks with the most common number of frames, if there are three; otherwise all.
+def _with_common_frames(stacks: Sequence[S]) -> list[S]:
+    """Return the stacks with the most common number of frames, the series, if there are three; otherwise all.
 
     The others are stacks of many frames for the spatial measurement, which the standard takes on its own.
     """
@@ -603,7 +600,7 @@ def _evaluated(
     background: Stack | None,
 ) -> tuple[EmvaNumbers, tuple[RecordingWarning, ...]]:
     """Return the figures of EMVA 1288 from points of photon transfer and dark stacks, and warnings about them."""
-    series = _series(points)
+    series = _with_common_frames(points)
     rng = np.random.default_rng(SEED)
     drawn = {id(one): _drawn(one, rng) for one in (*of_dark, *(point.bright for point in points))}
     fitted = [one for one in points if one.is_fitted]
@@ -840,11 +837,9 @@ def _about_saturation(saturated: int | None, most: float, bits: int | None) -> I
 
 def _spatial_point(points: Sequence[TransferPoint], most: float) -> TransferPoint:
     """Return the point of the spatial measurement: most frames, and nearest to half of saturation."""
-    n_frames = max(one.bright.n_frames for one in points)
+    n_frames = max(one.n_frames for one in points)
     middle = most / 2.0 if math.isfinite(most) else points[-1].signal_dn
-    return min(
-        (one for one in points if one.bright.n_frames == n_frames), key=lambda one: abs(one.signal_dn - middle)
-    )
+    return min((one for one in points if one.n_frames == n_frames), key=lambda one: abs(one.signal_dn - middle))
 
 
 def _capacity(
