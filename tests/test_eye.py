@@ -60,16 +60,6 @@ def test_a_grating_on_the_retina_is_attenuated_by_the_mtf() -> None:
             np.testing.assert_allclose(band, share * plain, rtol=0.0, atol=1e-13)
 
 
-def test_equal_noise_in_all_bands_is_a_noise() -> None:
-    half, plain = (
-        PyramidObserver(**changes).readout(Stimulus(1.0))
-        for changes in ({"band_noise": (0.5,)}, {"internal_noise": 0.25})
-    )
-    assert half.answer_probabilities(half.score_deviations(half.deviations[0])) == pytest.approx(
-        plain.answer_probabilities(plain.score_deviations(half.deviations[0])), rel=1e-12
-    )
-
-
 def test_a_band_without_noise_worth_naming_decides_alone() -> None:
     """Of many noises, d′² is the sum over bands of energy over variance."""
     stimulus, widths = Stimulus(1.0), (2.0, 0.7, 0.5, 3.0)

@@ -74,11 +74,7 @@ def left_of_people(*, least_sensitivity: float) -> Left:
         spread[frequency <= 8.0] += (people - people.mean()).tolist()
     every = left[True] + left[False]
     parts = every, left[True], left[False], spread[True], spread[False]
-    found = Left(len(every), *(float(np.sqrt(np.mean(np.square(part)))) for part in parts))
-    print(
-        f"RMS of {found.n}: {found.every:.2f} dB; to 8 cycles/degree {found.low:.2f} dB, {found.high:.2f} dB above"
-    )
-    return found
+    return Left(len(every), *(float(np.sqrt(np.mean(np.square(part)))) for part in parts))
 
 
 @pytest.mark.slow

@@ -64,19 +64,6 @@ def test_coarse_pixels_are_seen_as_their_overlaps_say(ratio: float, x: float, y:
     assert np.allclose(seen, rows @ (columns @ image.T).T, rtol=0.0, atol=1e-12)
 
 
-def test_equal_pitch_on_the_pixels_is_the_identity() -> None:
-    image = np.random.default_rng(3).normal(size=(7, 7))
-    seen = resample(image, RetinaGrid(7, 0.5), x_px=3.0, y_px=3.0, pixel_pitch_mrad=0.5)
-    assert np.allclose(seen, image, atol=1e-15)
-
-
-def test_half_a_pixel_aside_is_the_mean_of_neighbours() -> None:
-    image = np.arange(10.0)[None, :] ** 2
-    seen = resample(image, RetinaGrid(3, 1.0), x_px=4.5, y_px=0.0, pixel_pitch_mrad=1.0)
-    assert np.allclose(seen[1], [(9 + 16) / 2, (16 + 25) / 2, (25 + 36) / 2], atol=1e-14)
-    assert np.array_equal(seen[[0, 2]], np.zeros((2, 3)))
-
-
 def test_display_finer_by_a_whole_number_equals_coverage_on_the_retina() -> None:
     """Exact coverage of fine pixels, averaged exactly, is exact coverage of coarse ones."""
     grid = RetinaGrid(17, 0.3)

@@ -7,9 +7,7 @@ import math
 import numpy as np
 import pytest
 from conftest import DatasetMaker
-from scipy.integrate import quad
 from scipy.optimize import brentq
-from scipy.stats import norm
 
 import todframes as tod
 from todframes.base.errors import FrameError, SettingsError
@@ -61,18 +59,6 @@ def some_scores(covariance: np.ndarray, n_places: int) -> np.ndarray:
 def test_d_prime_at_75_per_cent(places: int, d_prime: float) -> None:
     found = brentq(lambda d: correct(d, places) - 0.75, 0.5, 6.0, xtol=1e-6)
     assert found == pytest.approx(d_prime, abs=5.1e-4)  # three decimals of the table, rounded
-
-
-@pytest.mark.parametrize("places", [4, 256])
-@pytest.mark.parametrize("d_prime", [1.0, 4.0])
-def test_the_integral_of_independent_scores(places: int, d_prime: float) -> None:
-    def integrand(t: float) -> float:
-        own = norm.pdf(t - d_prime) * norm.cdf(t) ** (4 * places - 1)
-        other = norm.pdf(t) * norm.cdf(t) ** (4 * places - 2) * norm.cdf(t - d_prime)
-        return float(own + (places - 1) * other)
-
-    expected = quad(integrand, -9.0, 13.0, epsabs=1e-12, limit=300)[0]
-    assert correct(d_prime, places) == pytest.approx(expected, abs=1e-7)
 
 
 def test_one_place_is_a_known_place() -> None:
