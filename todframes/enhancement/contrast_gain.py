@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cache, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from todframes.enhancement.contrast_on_scenes import contrasts_on_scenes, views_
 from todframes.frames.trials import Trial, Trials
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Shown, retina_image
-from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
+from todframes.stimulus import ORIENTATIONS, Centre, Orientation, coverage
 
 RING_SIZES = (1.3, 2.0)
 """Inner and outer end of the ring that the triangle's contrast is measured against, in sizes of the triangle."""
@@ -65,31 +66,20 @@ def triangle_contrasts(shown: Sequence[Shown], trial: Trial, *, grid: RetinaGrid
     """
     found = np.full((len(shown), len(ORIENTATIONS)), np.nan)
     images = [retina_image(one, grid) for one in shown]
+    size_px = trial.stimulus.size_mrad / grid.pitch_mrad
     for turn in range(1 if trial.view is None else len(ORIENTATIONS)):
         orientation = ORIENTATIONS[(trial.orientation.quarter_turns + turn) % len(ORIENTATIONS)]
-        weights = _weights(trial.stimulus, orientation, grid, centre)
+        weights = trial.stimulus.polarity * _ring_weights(grid.side, size_px, orientation, centre)
         found[:, turn] = [float((weights * image).sum()) for image in images]
     return found
 
 
 @lru_cache(maxsize=16)
-def _weights(stimulus: Stimulus, orientation: Orientation, grid: RetinaGrid, centre: Centre) -> FloatArray:
-    """Return the weights of a triangle's mean minus that of the ring around it: (side, side)."""
-    size_px = stimulus.size_mrad / grid.pitch_mrad
-    return stimulus.polarity * _ring_weights(grid.side, size_px, orientation, centre)
-
-
 def _ring_weights(side: int, size_px: float, orientation: Orientation, centre: Centre) -> FloatArray:
+    """Return the weights of a triangle's mean minus that of the ring around it: (side, side)."""
+    middle: dict[str, Any] = {"x_px": side // 2, "y_px": side // 2, "orientation": orientation, "centre": centre}
     inside, hole, whole = (
-        coverage(
-            (side, side),
-            size_px=factor * size_px,
-            x_px=side // 2,
-            y_px=side // 2,
-            orientation=orientation,
-            centre=centre,
-        )
-        for factor in (1.0, *RING_SIZES)
+        coverage((side, side), size_px=factor * size_px, **middle) for factor in (1.0, *RING_SIZES)
     )
     ring = whole - hole
     return np.asarray(inside / inside.sum() - ring / ring.sum())
