@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import filmed_chart as film
@@ -182,31 +181,6 @@ def test_times_that_contradict_the_chart(tmp_path: Path, chart: Path, pages, rat
 def test_the_duration_of_pages_is_that_of_a_program(durations, expected) -> None:
     starts = list(enumerate(np.cumsum([1.0, *durations]).tolist()))
     assert page_duration_s(starts, 0.04) == (None if expected is None else pytest.approx(expected))
-
-
-@pytest.mark.slow
-def test_thresholds_are_those_of_frames_placed_by_hand(tmp_path: Path) -> None:
-    contrasts = (0.01, 0.02, 0.04, 0.08, 0.16)
-    shown = film.make_chart(contrasts)
-    write_chart(tmp_path / "chart.toml", shown)
-    images = [film.filmed(shown, page.number, film.camera()) for page in shown.pages]
-    frames = film_of([image for image in images for _ in range(3)], noise=0.02)
-    done, _ = imported(saved(tmp_path, frames), tmp_path / "chart.toml", integration_time_s=0.01)
-    settings: dict[str, Any] = {"fit": tod.FitSettings(resamples=0), "examples": False}
-    (ours,) = tod.score(done.path, **settings).thresholds
-    x, y = Geometry(film.camera(), 0.0).to_px(film.MIDDLE_MM)
-    display = tod.load_dataset(done.path).display
-    (theirs,) = tod.score_frames(
-        list(frames / 65535.0),
-        orientation=[page.triangles[0].orientation for page in shown.pages for _ in range(3)],
-        level=[page.triangles[0].contrast for page in shown.pages for _ in range(3)],
-        size_mrad=32.0 * 0.62 * display.pitch_mrad,
-        position=[(x, y)] * len(frames),
-        display=display,
-        **settings,
-    ).thresholds
-    assert ours.status == theirs.status == "ok"
-    assert ours.threshold == pytest.approx(theirs.threshold, rel=0.01)
 
 
 def test_transitions_are_left_out(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
