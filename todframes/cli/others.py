@@ -55,11 +55,12 @@ def report_command(*, result: Path, out: str | None, title: str) -> None:
     One page with nothing else to load; the same bytes from the same result.
     """
     from todframes.base.output import write_file
-    from todframes.results.data import read_bytes
+    from todframes.base.reading import read_file
+    from todframes.results.data import MAX_MB
     from todframes.results.result import read_result
 
     try:
-        read = read_result(read_bytes(result), str(result))
+        read = read_result(read_file(result, most_mb=MAX_MB), str(result))
         made = read.to_html(title).encode()
     except RecursionError:
         raise DataError(f"{result}: nested too deep, expected the result of a command") from None

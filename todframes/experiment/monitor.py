@@ -281,10 +281,12 @@ def check_shows(
                 "contrast or noise",
             )
         if high > white:
+            proposed = 0.99 / (1.0 + high)  # two digits, less 1 % for the step of the background
+            digit = 10.0 ** (math.floor(math.log10(proposed)) - 1)
             raise MonitorError(
                 "range",
                 f"the monitor cannot show the contrast {high:.3g} of {one.frame}: {shown} on this background; "
-                f"take a background of {_below(1.0 / (1.0 + high)):g}",
+                f"take a background of {math.floor(proposed / digit) * digit:.2g}",
             )
         step = of_code[monitor.background_code + 1] / 2.0
         if not monitor.dither and max(-low, high) < step:
@@ -293,9 +295,3 @@ def check_shows(
                 f"the contrast {max(-low, high):.2g} of {one.frame} is below half of a code step, {step:.2g}: it "
                 "would not be seen at all without dither",
             )
-
-
-def _below(value: float) -> float:
-    """Return a number of two digits at or below a number from 0 to 1, less 1 % for the step of the background."""
-    digits = 1 - math.floor(math.log10(value * 0.99))
-    return float(np.floor(value * 0.99 * 10.0**digits) / 10.0**digits)

@@ -15,7 +15,6 @@ import msgspec
 from msgspec import Meta, Struct, field
 
 from todframes.base.errors import DataError
-from todframes.base.reading import read_file
 from todframes.base.safe_text import in_utf8, visible_json
 from todframes.results.wording import count, warning_text
 
@@ -434,11 +433,6 @@ class Content(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
 S = TypeVar("S", bound=Struct)
 
 T = TypeVar("T")
-
-
-def read_bytes(path: Path) -> bytes:
-    """Return the content of a result's file; DataError if it cannot be read or is too long."""
-    return read_file(path, most_mb=MAX_MB)
 
 
 def json_file(content: object) -> bytes:

@@ -36,6 +36,7 @@ def page(title: str, name: str, result: Head, data: Content) -> str:
     details = [replace(one, title=f"{one.title}: details", file="").folded() for one in shown if one.has_details]
     folded = [*details, *(one for one in of_data if one.is_folded), tables.settings(result, data).folded()]
     examples: Sequence[Example] = getattr(data, "examples", None) or ()
+    whole = [one for one in examples if any(picture.name == "whole" for picture in one.pictures)]
     run_time = [] if result.run_time_s is None else [f"Run time {plain(result.run_time_s)} s."]
     content = {
         "title": title,
@@ -45,8 +46,8 @@ def page(title: str, name: str, result: Head, data: Content) -> str:
         "warnings": [*warning_texts(result.warnings)],
         "figures": figure_items(data.figures()),
         "tables_shown": [table_item(one.without_details()) for one in shown],
-        "examples": _examples([one for one in examples if not _is_whole(one)]),
-        "without": _examples([one for one in examples if _is_whole(one)]),
+        "examples": _examples([one for one in examples if one not in whole]),
+        "without": _examples(whole),
         "remarks": run_time + data.remarks(),
         "details": [*map(table_item, folded)],
         "version": result.version,
@@ -99,11 +100,6 @@ def _examples(examples: Sequence[Example]) -> list[Json]:
             {"algorithm": one.algorithm or "", "about": _about_example(one), "tiles": [*map(_tile, one.pictures)]}
         )
     return list(groups.values())
-
-
-def _is_whole(one: Example) -> bool:
-    """Return whether an example is a whole frame, of a group without a threshold."""
-    return any(picture.name == "whole" for picture in one.pictures)
 
 
 def _about_example(one: Example) -> str:

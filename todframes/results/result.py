@@ -19,8 +19,9 @@ import numpy as np
 
 from todframes import __version__
 from todframes.base.errors import DataError
+from todframes.base.reading import read_file
 from todframes.base.safe_text import in_utf8
-from todframes.results.data import SCHEMA, Content, Head, ResultWarning, decode, json_file, read_bytes
+from todframes.results.data import MAX_MB, SCHEMA, Content, Head, ResultWarning, decode, json_file
 from todframes.results.wording import path_name
 
 if TYPE_CHECKING:
@@ -311,7 +312,7 @@ def load_result(path: Path | str) -> Result[Any]:
     path = Path(path)
     if (path / "result.json").is_file():
         path /= "result.json"
-    result = read_result(read_bytes(path), str(path))
+    result = read_result(read_file(path, most_mb=MAX_MB), str(path))
     result.data.found_in(path.parent)
     return result
 

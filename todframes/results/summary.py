@@ -95,7 +95,12 @@ def _open_questions(known: Sequence[Fit], size: str | None) -> list[str]:
     """Return sentences about thresholds outside the levels shown, and intervals with an open end."""
     texts = []
     for weaker, wanted in ((True, "weaker"), (False, "stronger")):
-        outside = [fit for fit in known if fit.status == "extrapolated" and _below_levels(fit) == weaker]
+        outside = [
+            fit
+            for fit in known
+            if fit.status == "extrapolated"
+            and all((fit.threshold or 0.0) < point.level for point in fit.points) == weaker
+        ]
         if outside:
             where = f" at {_sizes(outside, size)}" if size else ""
             texts.append(f"The threshold{where} is extrapolated from the levels shown: show {wanted} ones.")
@@ -104,11 +109,6 @@ def _open_questions(known: Sequence[Fit], size: str | None) -> list[str]:
         where = f" at {_sizes(half_open, size)}" if size else ""
         texts.append(f"The data leave an end of the 95 % interval{where} open.")
     return texts
-
-
-def _below_levels(fit: Fit) -> bool:
-    assert fit.threshold is not None
-    return not fit.points or fit.threshold < min(point.level for point in fit.points)
 
 
 def _threshold(fit: Fit) -> str:

@@ -15,6 +15,10 @@ SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 FIELD_AXES = {"object_x_mrad": "x", "object_y_mrad": "y"}
 """Names of the places of a chart in the camera's field, by column; the unit is mrad."""
 
+OF_UNIT = {name: (f"object {axis}", "mrad", f"{axis} ") for name, axis in FIELD_AXES.items()}
+OF_UNIT["luminance_cd_m2"] = ("luminance", "cd/m²", "")
+"""Words and unit of columns besides those of sizes, and what stands before a value."""
+
 
 def evenly(items: Sequence[T], most: int) -> list[T]:
     """Return at most `most` of the items, evenly spaced, with the first and the last."""
@@ -41,10 +45,6 @@ def value_text(value: float | str) -> str:
     return f"{value:.15g}" if isinstance(value, float) else str(value)
 
 
-LUMINANCE = "luminance_cd_m2"
-"""Column with the light of a scene."""
-
-
 def unit_of(name: str) -> str:
     """Return the unit in a column of sizes: "mrad" for size_mrad and object_size_mrad; "" for any other column."""
     of, is_size, unit = name.rpartition("size_")
@@ -56,23 +56,20 @@ def quantity(name: str) -> str:
     return name.removesuffix(f"_{unit_of(name)}").replace("_", " ")
 
 
+def _of_unit(name: str) -> tuple[str, str, str] | None:
+    return (quantity(name), unit_of(name), "") if unit_of(name) else OF_UNIT.get(name)
+
+
 def column_heading(name: str) -> str:
     """Return a column of groups as a heading: "object size (mrad)", "object x (mrad)"; as it is without a unit."""
-    if unit_of(name):
-        return f"{quantity(name)} ({unit_of(name)})"
-    if name == LUMINANCE:
-        return "luminance (cd/m²)"
-    return f"object {FIELD_AXES[name]} (mrad)" if name in FIELD_AXES else name
+    known = _of_unit(name)
+    return f"{known[0]} ({known[1]})" if known else name
 
 
 def phrase(name: str, value: float | str) -> str:
     """Return a column and its value in words: "0.6 mrad" for a size, "x -25 mrad" for a place, "camera left"."""
-    if unit_of(name) and isinstance(value, float):
-        return f"{value_text(value)} {unit_of(name)}"
-    if name in FIELD_AXES and isinstance(value, float):
-        return f"{FIELD_AXES[name]} {value_text(value)} mrad"
-    if name == LUMINANCE:
-        return f"{value_text(value)} cd/m²"
+    if (known := _of_unit(name)) and isinstance(value, float):
+        return f"{known[2]}{value_text(value)} {known[1]}"
     return value_text(value) if name == "algorithm" else f"{name} {value_text(value)}"
 
 
@@ -91,8 +88,8 @@ def group_phrases(groups: Sequence[Mapping[str, float | str]]) -> str:
     names = list(groups[0])
     if len(names) == 1 and all(isinstance(group[names[0]], float) for group in groups):
         values = listed(value_text(group[names[0]]) for group in groups)
-        unit = "cd/m²" if names[0] == LUMINANCE else unit_of(names[0])
-        return f"{values} {unit}" if unit else f"{names[0]} {values}"
+        known = _of_unit(names[0])
+        return f"{known[2]}{values} {known[1]}" if known else f"{names[0]} {values}"
     return "; ".join(map(group_phrase, groups))
 
 
