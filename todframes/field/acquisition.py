@@ -24,7 +24,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.field.atmosphere import Atmosphere
 from todframes.field.target import Target
-from todframes.field.threshold_curve import ThresholdCurve, rising
+from todframes.field.threshold_curve import ThresholdCurve
 
 Road = Literal["tod", "cycles"]
 
@@ -196,7 +196,9 @@ class Acquisition:
         psychometric = self.curve.psychometric
         if self.road == "tod" and psychometric is not None and probability is not None:
             known = known + psychometric.ln_ratio(probability, np.vstack([psychometric.beta, self.betas]))
-        return rising(known)
+        # A running maximum: a target is seen only as far as all coarser detail is, which is the safe reading of a
+        # curve that errs.
+        return np.maximum.accumulate(known, axis=-1)
 
     def crossing(self, kappa: float, ln_threshold: FloatArray) -> tuple[FloatArray, float, float]:
         """Find the ranges in km, shape (n,), at which `threshold_curves` meet the contrast, and those of their

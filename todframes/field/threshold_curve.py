@@ -182,14 +182,6 @@ class ThresholdCurve:
         )
 
 
-def rising(ln_threshold: FloatArray) -> FloatArray:
-    """Return curves, the last axis, in which no threshold is below that at a lower frequency: a running maximum.
-
-    A target is then seen only as far as all coarser detail is, which is the safe reading of a curve that errs.
-    """
-    return np.maximum.accumulate(ln_threshold, axis=-1)
-
-
 def ln_sd_of_interval(threshold: ArrayLike, low: ArrayLike, high: ArrayLike) -> FloatArray:
     """Return the standard deviations of ln(threshold) below and above, shape (2, n), from 95 % intervals.
 

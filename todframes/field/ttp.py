@@ -139,10 +139,8 @@ def noise_gain_root_hz(luminance_cd_m2: float, *, eyes: int = 2) -> float:
 
     A is the area of the pupil in mm² and L the luminance in footlamberts (whale-ir-model).
     """
-    area, footlamberts = (
-        math.pi / 4.0 * pupil_mm(luminance_cd_m2, eyes=eyes) ** 2,
-        luminance_cd_m2 / FOOTLAMBERT_CD_M2,
-    )
+    area = math.pi / 4.0 * pupil_mm(luminance_cd_m2, eyes=eyes) ** 2
+    footlamberts = luminance_cd_m2 / FOOTLAMBERT_CD_M2
     photons = PHOTON_ROOT_TROLANDS_S**2 * PHOTON_BANDWIDTH_HZ / (footlamberts * area)
     return math.sqrt(eyes * WEBER_GAIN**2 * EYE_BANDWIDTH_HZ / (1.0 + photons))
 
