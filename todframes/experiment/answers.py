@@ -210,9 +210,6 @@ def sidecar_path(data: Path) -> Path:
     return data.with_suffix(".json")
 
 
-# Reading -------------------------------------------------------------------------------------------------------
-
-
 def read_answers(folder: Path | str, *, include_flagged: bool = False) -> list[Session]:
     """Read the sessions of a folder of answers that have a row, ordered by their names.
 
@@ -337,9 +334,6 @@ def _row(row: dict[str, str], level: str, group_by: tuple[str, ...], where: str)
 def flag_of(response_time_ms: float | None) -> Flag | None:
     """Return the flag that a response time alone gives; None is the time of a trial without a response."""
     return "too_fast" if response_time_ms is not None and response_time_ms < LEAST_RESPONSE_MS else None
-
-
-# Writing -------------------------------------------------------------------------------------------------------
 
 
 def write_sidecar(path: Path, record: SessionRecord) -> None:

@@ -171,9 +171,6 @@ def luminance_of_readings(lut: tuple[tuple[float, float], ...]) -> FloatArray:
     return np.asarray((root / root[-1]) ** READING_EXPONENT)
 
 
-# Calibration ---------------------------------------------------------------------------------------------------
-
-
 def viewing_distance_mm(*, pixel_pitch_mm: float, pixel_pitch_mrad: float) -> float:
     """Return the distance from which a pixel has a visual angle; 2 atan(pitch / 2 distance)."""
     return pixel_pitch_mm / (2.0 * math.tan(pixel_pitch_mrad / 2000.0))

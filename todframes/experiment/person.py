@@ -167,9 +167,6 @@ def seen_dataset(dataset: Dataset, session: Session) -> SeenDataset:
     )
 
 
-# The model's answers -------------------------------------------------------------------------------------------
-
-
 class _Seen(NamedTuple):
     """Score deviations of a trial, (blur, displacement, 4)."""
 
@@ -345,9 +342,6 @@ def noise_grid(answered: Sequence[AnsweredTrials]) -> FloatArray:
     weak = max(float(np.quantile(strengths, 0.1)), 1e-3 * most)
     low, high = math.log(weak / STRONGEST_D_PRIME), math.log(most / WEAKEST_D_PRIME)
     return np.linspace(low, high, math.ceil((high - low) / NOISE_GRID_STEP) + 1)
-
-
-# The fit -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

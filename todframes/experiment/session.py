@@ -124,9 +124,6 @@ class SessionDesign:
         check_values(self)
 
 
-# The session ---------------------------------------------------------------------------------------------------
-
-
 class Material(NamedTuple):
     """Things that a session shows: the text of consent, the largest size of a frame, and all contrasts."""
 
@@ -459,9 +456,6 @@ def frames_sha256(dataset: Dataset, trial: Trial) -> str:
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
-
-
-# Opening -------------------------------------------------------------------------------------------------------
 
 
 @contextmanager
