@@ -50,25 +50,6 @@ def test_names_become_trials(folder) -> None:
     )
 
 
-def test_a_dataset_of_names_is_scored_as_the_one_of_the_manifest(make_dataset, tmp_path: Path) -> None:
-    made = make_dataset(contrasts=(0.02, 0.05, 0.1, 0.2, 0.5), suffix=".png")
-    copy = tmp_path / "copy" / "deep"
-    copy.mkdir(parents=True)
-    for row in made.rows:
-        name = f"{row['size_mrad']}mrad_{row['orientation'][0].upper()}_{row['contrast'].replace('.', 'p')}.png"
-        shutil.copy(made.path / row["frame"], copy / name)
-    (tmp_path / "monitor.toml").write_text(
-        'schema = 1\n[display]\neotf = "linear"\nwhite_luminance_cd_m2 = 100.0\npixel_pitch_mrad = 0.25\n'
-        "background_luminance_cd_m2 = 50.0\n",
-        encoding="utf-8",
-    )
-    pattern = "deep/{size_mrad}mrad_{orientation}_{contrast}.png"
-    tod.new_dataset(copy.parent, pattern, display=str(tmp_path / "monitor.toml"))
-    settings = {"fit": tod.FitSettings(resamples=0), "observer": tod.PyramidObserver(position_jitter_samples=0)}
-    ours, theirs = (tod.score(path, **settings).thresholds[0] for path in (copy.parent, made.path))
-    assert ours.threshold == theirs.threshold
-
-
 @pytest.mark.parametrize(
     ("name", "pattern", "level", "wanted"),
     [

@@ -737,15 +737,6 @@ def run_python(script, cwd):
     return done.stdout
 
 
-def test_import_brings_no_slow_packages(tmp_path):
-    script = """
-        import sys
-        import todframes.frames.files
-        print(*{"scipy", "cv2", "matplotlib", "msgspec", "rich", "click"} & set(sys.modules))
-    """
-    assert run_python(script, cwd=tmp_path).strip() == ""
-
-
 @pytest.mark.slow
 def test_damaged_files_give_a_frame_or_an_error(tmp_path):
     # In a process of its own with 4 GB of memory, so that a crash or a huge allocation is seen.

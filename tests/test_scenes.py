@@ -428,28 +428,6 @@ def test_mishaps_are_found_on_scenes(on_scenes: Path, tmp_path: Path, column, va
 
 
 @pytest.mark.slow
-def test_shuffled_levels_on_scenes_are_warned_of(folder: Path, tmp_path: Path) -> None:
-    """Whatever the order: by the mean contrast, or by how it scatters where the mean is right."""
-    asked = {"size_mrad": [4], "contrast": [0.1, 0.2, 0.4], "trials": 16, "display": DISPLAY}
-    tod.scenes(folder, out=tmp_path / "out", **asked)
-    said = []
-    for seed in (2, 3):
-
-        def shuffled(rows, seed=seed) -> None:
-            levels = np.random.default_rng(seed).permutation([row["contrast"] for row in rows])
-            for row, level in zip(rows, levels, strict=True):
-                row["contrast"] = str(level)
-
-        (tmp_path / f"{seed}").mkdir()
-        warnings_of(tmp_path / "out", tmp_path / f"{seed}", shuffled)
-        found = tod.validate(tmp_path / f"{seed}" / "changed").warnings
-        assert found
-        said += [one.message for one in found]
-    assert any("the displayed contrast scatters by" in one for one in said)
-    assert not tod.validate(tmp_path / "out").warnings
-
-
-@pytest.mark.slow
 def test_what_frames_on_scenes_show_is_measured(on_scenes: Path) -> None:
     """Without texture or noise in the way: contrast, place and size are those of the triangles, to the codes."""
     (one,) = tod.validate(on_scenes).dataset.measured["stimuli"]

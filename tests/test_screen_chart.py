@@ -278,12 +278,6 @@ def test_an_interrupted_chart_leaves_nothing_and_a_finished_one_stays(tmp_path: 
     with pytest.raises(OutputError, match=r"is not empty, found .*; expected a new name"):
         tod.chart("screen", rng=2, **asked, **MONITOR)
     assert read_chart(tmp_path / "c") == first
-    # What a killed run leaves does not make the chart look unfinished.
-    (tmp_path / "c" / ".todframes-staging").mkdir()
-    (tmp_path / "c" / ".todframes-staging" / "lock").touch()
-    with pytest.raises(OutputError, match=r"is not empty"):
-        tod.chart("screen", rng=2, **asked, **MONITOR)
-    assert read_chart(tmp_path / "c") == first
 
 
 def test_a_measured_monitor(tmp_path: Path) -> None:
