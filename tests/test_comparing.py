@@ -97,10 +97,6 @@ def box(image, beyond="mirrored", ring=None):
         found[[0, -1]] = found[:, [0, -1]] = ring
     return found
 
-def noisy(image, sigma=0.01):
-    seed = int(abs(float(image.sum())) * 1e6) % 2**32
-    return image + np.random.default_rng(seed).normal(0.0, sigma, image.shape)
-
 def weighted(image, file=""):
     return cv2.blur(image, tuple(np.load(file)))
 
@@ -253,23 +249,15 @@ def test_gain_is_as_good_as_less_internal_noise(make_dataset) -> None:
 @pytest.mark.slow
 def test_gain_of_noise_limited_frames_does_nothing(make_dataset) -> None:
     """A linear, invertible change: signal and noise are what they were to each other, so is the threshold."""
-    made = noisy_frames(make_dataset, sigma=0.4)
+    made = make_dataset(contrasts=(0.15, 0.3, 0.6, 1.2), repeats=12)
+    rng = np.random.default_rng(7)
+    for number in range(len(made.rows)):  # with noise far above the observer's
+        luminance = read_frame(made.frame(number)).values[..., 0]
+        write_frame(made.frame(number), luminance + 50.0 * rng.normal(0.0, 0.4, luminance.shape))
     quiet = PyramidObserver(PyramidSettings(internal_noise=1e-3))
     (one,) = compare(made.path, "own_enhancements:gain:by=1.5", observer=quiet, white=100.0)[1].record.ratios
     assert one.verdict == "no difference shown"
     assert one.ratio == pytest.approx(1.0, abs=0.01)
-
-
-def noisy_frames(
-    make_dataset, *, sigma: float, repeats: int = 12, name: str = "noisy", levels=(0.15, 0.3, 0.6, 1.2)
-):
-    """Frames whose noise, in contrast, is far above the observer's."""
-    made = make_dataset(name, contrasts=levels, repeats=repeats)
-    rng = np.random.default_rng(7)
-    for number in range(len(made.rows)):
-        luminance = read_frame(made.frame(number)).values[..., 0]
-        write_frame(made.frame(number), luminance + 50.0 * rng.normal(0.0, sigma, luminance.shape))
-    return made
 
 
 # The background

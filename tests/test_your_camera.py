@@ -93,15 +93,8 @@ def imported(folder: Path, frames: Frames, *options: str, suffix: str = ".png", 
     (folder / "spoiled").mkdir()
     for number, frame in enumerate(frames):
         assert cv2.imwrite(str(folder / "spoiled" / f"{number:04d}{suffix}"), frame)
-    command = [
-        "import",
-        str(folder / "spoiled"),
-        "--chart",
-        str(chart / "chart.toml"),
-        "-o",
-        str(folder / "dataset"),
-    ]
-    return run(cli, [*command, *options])
+    command = f"import {folder / 'spoiled'} --chart {chart / 'chart.toml'} -o {folder / 'dataset'}"
+    return run(cli, [*command.split(), *options])
 
 
 def moved(matrix: list[list[float]]) -> Callable[[NDArray[np.uint8]], NDArray[np.uint8]]:
@@ -140,6 +133,10 @@ def behind_a_tilted_lens(rows: int, columns: int) -> NDArray[np.float32]:
     return (ideal * half + middle).astype(np.float32)
 
 
+def each(spoil: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]) -> Callable[[Frames], Frames]:
+    return lambda frames: [*map(spoil, frames)]
+
+
 NEARER = moved([[0.95, 0.0, 7.8], [0.0, 0.95, 4.3], [0.0, 0.0, 1.0]])
 ROLLED = moved([[0.85, -0.09, 31.0], [0.09, 0.85, -1.0], [0.0, 0.0, 1.0]])  # by 6 degrees
 FROM_THE_SIDE = moved([[0.7, 0.0, 45.0], [0.0, 0.95, 4.0], [0.0, 0.0, 1.0]])
@@ -150,32 +147,20 @@ SPOILED: dict[str, tuple[Callable[[Frames], Frames], tuple[str, ...], int]] = {
     "has no times, so each frame is a trial of its own": (lambda frames: frames, (), 0),
     "shorter than the integration time": (lambda frames: frames, ("--frames-per-second", "50"), 1),
     "more than the integration time of": (lambda frames: frames, ("--frames-per-second", "5"), 0),
-    "triangles are turned by": (lambda frames: [*map(ROLLED, frames)], AT_20_HZ, 0),
-    "triangles are stretched by": (lambda frames: [*map(FROM_THE_SIDE, frames)], AT_20_HZ, 0),
-    "triangles may be placed wrong by": (lambda frames: [*map(waved(1.0), frames)], AT_20_HZ, 0),
-    "too few points to determine the distortion": (
-        lambda frames: [*map(through_a_tilted_lens, frames)],
-        AT_20_HZ,
-        0,
-    ),
-    "px off a flat chart behind a lens": (lambda frames: [*map(waved(3.0), frames)], AT_20_HZ, 1),
+    "triangles are turned by": (each(ROLLED), AT_20_HZ, 0),
+    "triangles are stretched by": (each(FROM_THE_SIDE), AT_20_HZ, 0),
+    "triangles may be placed wrong by": (each(waved(1.0)), AT_20_HZ, 0),
+    "too few points to determine the distortion": (each(through_a_tilted_lens), AT_20_HZ, 0),
+    "px off a flat chart behind a lens": (each(waved(3.0)), AT_20_HZ, 1),
     "the lens zooms": (lambda frames: [*frames[:4], *map(NEARER, frames[4:])], AT_20_HZ, 0),
     "the triangle moves on the display": (
-        lambda frames: [np.roll(frame, 2 * (number % 2), axis=1) for number, frame in enumerate(frames)],
-        AT_20_HZ,
-        0,
+        lambda frames: [np.roll(frame, 2 * (k % 2), axis=1) for k, frame in enumerate(frames)], AT_20_HZ, 0
     ),
     "repeat the one before bit by bit": (
-        lambda frames: [frame for frame in frames for _ in range(2)],
-        ("--frames-per-second", "40"),
-        0,
+        lambda frames: [frame for frame in frames for _ in range(2)], ("--frames-per-second", "40"), 0
     ),
-    "mirrored; orientations are those in the frames": (
-        lambda frames: [frame[:, ::-1] for frame in frames],
-        AT_20_HZ,
-        0,
-    ),
-}
+    "mirrored; orientations are those in the frames": (each(lambda frame: frame[:, ::-1]), AT_20_HZ, 0),
+}  # fmt: skip
 """By the line: what is done to the first frames of the recording, the options of the import, its exit status."""
 
 
