@@ -449,7 +449,7 @@ def test_every_command_has_a_call() -> None:
 
 OTHERS_TYPES = {
     *("Any", "Axes", "Bands", "Callable", "Centre", "DataFrame", "Figure", "FloatArray", "Group", "Image"),
-    *("Iterable", "Iterator", "Location", "Meta", "NDArray", "None", "Range", "Self"),
+    *("Iterable", "Iterator", "Location", "Meta", "NDArray", "None", "Quantity", "Range", "Self"),
 }
 """Types that public calls and methods return and that are not of these packages, or only names for such types."""
 
