@@ -15,6 +15,7 @@ import pytest
 
 from todframes.base.errors import DataError, OutputError, SettingsError
 from todframes.experiment.answers import (
+    DESCRIPTION_FILE,
     AnswerFile,
     Consent,
     SessionRecord,
@@ -29,10 +30,10 @@ from todframes.experiment.answers import (
     read_sidecar,
     sidecar_path,
     write_counts,
+    write_description,
     write_sidecar,
 )
 from todframes.experiment.monitor import Calibration, calibrated
-from todframes.experiment.psych_ds import DESCRIPTION_FILE, write_description
 from todframes.psychometrics.counts import read_counts
 from todframes.stimulus import Orientation
 

@@ -327,7 +327,7 @@ FLAG_OR_ARGUMENT = re.compile(r"--[a-z]|\bargument\s*\.")
 WHOLE_COMMAND = re.compile(r"(todframes|sensor-sim) [a-z-]+ .*--")
 COMMANDS_ALONE = ("cli", "cli.py", "studies")
 """Rooms and modules that only commands use."""
-NO_SENTENCES = {"base/errors.py", "results/html.py", "results/svg.py", "explorer/routes.py"}
+NO_SENTENCES = {"base/errors.py", "results/html.py", "explorer/routes.py"}
 """Modules with a table of options, with variables of CSS, and with the parts of a command to copy."""
 
 

@@ -2,6 +2,7 @@
 
     ANSWERS/data/subject-ID_session-1_data.csv     a row a trial
     ANSWERS/data/subject-ID_session-1_data.json    the session: monitor, consent, dataset, design, software
+    ANSWERS/dataset_description.json               the folder, as Psych-DS 1.5 asks for it
 
 A row is on the disk before the next trial is shown. If a killed server or a full disk leaves a part of a line,
 that part is cut off when the session continues.
@@ -23,6 +24,7 @@ from typing import Annotated, Literal, Self, get_args
 import msgspec
 from msgspec import Meta
 
+from todframes.base._typing import Json
 from todframes.base.errors import DataError, OutputError, SettingsError, argument
 from todframes.base.output import locked, write_file
 from todframes.base.reading import MAX_CSV_MB, number, number_or_text, read_file
@@ -66,6 +68,33 @@ SAME_PITCH = 0.005
 
 SHARED = ("frame", "orientation", "size_mrad")
 """Columns whose values are those of the manifest, so that the level or `group_by` may name them."""
+
+DESCRIPTION_FILE = "dataset_description.json"
+
+DESCRIPTIONS: Mapping[str, tuple[str, str | None]] = {
+    "trial": ("Number of the trial in its session, from 1; practice trials count", None),
+    "phase": ("practice: with feedback, does not count; main: without", None),
+    "frame": ("Path of the trial's first frame in the dataset that was shown", None),
+    "sha256": ("SHA-256 of the file of the frame; of several frames, of the lines of their checksums", None),
+    "orientation": ("Where the apex of the triangle points: up, right, down or left", None),
+    "response": ("What the person said; none: the time limit passed", None),
+    "correct": ("1 if the response is the orientation, otherwise 0", None),
+    "response_time_ms": ("Time from the picture to the response, as the browser measured it", "ms"),
+    "flag": (
+        "hidden, unfocused: the page was not seen, or had lost the focus, during the trial; too_fast: the "
+        "response came within 150 ms; empty: none of them. Flagged answers do not count",
+        None,
+    ),
+    "size_mrad": (
+        "Square root of the triangle's area on the dataset's display; at the person's eye it is this times the "
+        "monitor's pixel_pitch_mrad (sidecar) over the dataset's",
+        "mrad",
+    ),
+    "dither_seed": ("Place of the dither pattern; with the frame and the monitor it gives each pixel", None),
+    "clipped_px": ("Number of pixels that the monitor could not show", None),
+    "shown_at": ("Time at which the page asked for the trial, ISO 8601, UTC", None),
+}
+"""Descriptions and units of the columns of a data file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,7 +149,7 @@ class SessionRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialRow:
-    """A trial that a person has answered: a row of the data file, whose columns `psych_ds.DESCRIPTIONS` explains.
+    """A trial that a person has answered: a row of the data file, whose columns `DESCRIPTIONS` explains.
 
     `response` is None if the time limit passed. `size_mrad` is the size in the manifest; at the eye it is larger
     by the ratio of the monitor's pixel pitch to the dataset's. `dither_seed` is that of `stimuli.shown_codes`.
@@ -481,3 +510,39 @@ def at_eye(name: str, value: float | str, ratio: float) -> float | str:
 def _order(group: Group) -> tuple[tuple[bool, float, str], ...]:
     """Return a key that orders numbers before texts."""
     return tuple((True, 0.0, one) if isinstance(one, str) else (False, one, "") for one in group)
+
+
+def write_description(folder: Path, shown: ShownDataset, software: Mapping[str, str]) -> None:
+    """Write the description into a folder of answers, JSON-LD with the terms of schema.org.
+
+    Columns named by the dataset that have no description here are the level or one of the groups. Raises
+    OutputError if it cannot be written.
+    """
+    others = {
+        shown.level: ("Stimulus strength: the level of the dataset that was shown", None),
+        **dict.fromkeys(shown.group_by, ("Group of the dataset that was shown: a curve each", None)),
+    }
+    variables = []
+    for name in columns(shown.level, shown.group_by):
+        text, unit = DESCRIPTIONS.get(name) or others[name]
+        variables.append(
+            {"@type": "PropertyValue", "name": name, "description": text} | ({"unitText": unit} if unit else {})
+        )
+    description: Json = {
+        "@context": "https://schema.org/",
+        "@type": "Dataset",
+        "name": "Answers of people in a Triangle Orientation Discrimination test",
+        "description": (
+            "Trials of people who said where triangles point, a file a session. The file of the same name that "
+            "ends in .json has the calibration of the monitor, the text of consent and the settings. People have "
+            "anonymous ids."
+        ),
+        "schemaVersion": "Psych-DS 1.5.0",
+        "variableMeasured": variables,
+        "measurementTechnique": (
+            "Four-alternative forced choice (Hogervorst, Bijl & Valeton 2001) on a calibrated monitor, with "
+            + ", ".join(f"{name} {version}" for name, version in software.items())
+        ),
+    }
+    content = msgspec.json.format(msgspec.json.encode(description), indent=2)
+    write_file(folder / DESCRIPTION_FILE, content + b"\n", is_private=True)

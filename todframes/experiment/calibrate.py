@@ -102,11 +102,10 @@ def calibrate(
         If a setting is invalid, or the observer's noise cannot be fitted.
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from todframes.experiment.answers import read_answers
+    from todframes.experiment.answers import DESCRIPTION_FILE, read_answers
     from todframes.experiment.person import calibrate_persons
-    from todframes.experiment.psych_ds import DESCRIPTION_FILE as DESCRIPTION_NAME
 
-    if isinstance(dataset, str | Path) and (Path(dataset) / DESCRIPTION_NAME).exists():
+    if isinstance(dataset, str | Path) and (Path(dataset) / DESCRIPTION_FILE).exists():
         raise SettingsError(f"dataset: {dataset} holds answers, expected calibrate(dataset, answers)")
     fit = fit or FitSettings()
     for name in free:

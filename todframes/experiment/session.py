@@ -27,6 +27,7 @@ from todframes.base.errors import DataError, OutputError, SettingsError, argumen
 from todframes.base.reading import check_values
 from todframes.display.dither import blue_noise
 from todframes.experiment.answers import (
+    DESCRIPTION_FILE,
     LEAST_RESPONSE_MS,
     AnswerFile,
     Consent,
@@ -47,6 +48,7 @@ from todframes.experiment.answers import (
     read_sidecar,
     sidecar_path,
     write_counts,
+    write_description,
     write_sidecar,
 )
 from todframes.experiment.monitor import (
@@ -57,8 +59,6 @@ from todframes.experiment.monitor import (
     check_shows,
 )
 from todframes.experiment.order import NextTrial, TrialOrder, n_main_trials
-from todframes.experiment.psych_ds import DESCRIPTION_FILE as DESCRIPTION_NAME
-from todframes.experiment.psych_ds import write_description
 from todframes.experiment.stimuli import clipped, contrast_range, dithered_codes, png, trial_image
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import frame_sha256
@@ -546,7 +546,7 @@ def _records_in(folder: Path, shown: ShownDataset) -> list[tuple[Path, SessionRe
         return []
     if not folder.is_dir():
         raise OutputError(f"{folder}: is a file, expected a folder for answers, or a new name")
-    if not (folder / DESCRIPTION_NAME).exists() and any(not one.name.startswith(".") for one in folder.iterdir()):
+    if not (folder / DESCRIPTION_FILE).exists() and any(not one.name.startswith(".") for one in folder.iterdir()):
         raise OutputError(f"{folder}: holds other files, expected a folder of answers, an empty one or a new name")
     records = read_records(folder)
     for path, record in records:

@@ -6,10 +6,12 @@ The page is made from the result alone, so the same result gives the same bytes.
 from __future__ import annotations
 
 import base64
+import re
 import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from html import escape
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
@@ -17,16 +19,29 @@ from todframes.base._typing import Json
 from todframes.results import tables
 from todframes.results.data import Content, Example, Head, Thumbnail, warning_texts
 from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import style
-from todframes.results.svg import inline_svg
+from todframes.results.figure_style import INK, PAPER, style, svg_file
 from todframes.results.table import HIDDEN, Table, markup
 from todframes.results.wording import group_phrase, level_name, plain
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from matplotlib.figure import Figure
 
 
 MOST_FIGURES = 12
+
+# Replacements within tags, where matplotlib escapes "<" and ">"; texts between them stay as they are.
+_IN_TAGS = (
+    (re.compile(r"xlink:href="), "href="),
+    (re.compile(r'(<g) id="[^"]*"'), r"\1"),  # numbers of the parts, which nothing refers to
+    (re.compile(r"font: ([\d.]+px) [^;\"]*"), r"font-size: \1"),
+    (re.compile(r"font-family:[^;\"]*; "), ""),
+    (re.compile(re.escape(INK)), "currentColor"),
+    (re.compile(re.escape(PAPER)), "var(--paper)"),
+    (re.compile(r"(\d+\.\d\d)\d+"), r"\1"),  # a hundredth of a pixel
+)
+_TAG = re.compile(r"<[^>]*>")
+_NOT_OF_PAGE = re.compile(r"\s*<(metadata|style)\b.*?</\1>", re.DOTALL)
 
 
 def page(title: str, name: str, result: Head, data: Content) -> str:
@@ -146,3 +161,33 @@ def notebook_page(sentences: Sequence[str], shown: Sequence[Table], figures: Seq
         )
     paper = "--paper: var(--jp-layout-color0, Canvas); max-width: 40rem"
     return f'<div style="{paper}">{text}{content}{svg}</div>'
+
+
+def inline_svg(figure: Figure, *, name: str, label: str) -> str:
+    """Return the figure as an `svg` element for an HTML page; both are made inside `figure_style.style`.
+
+    Ink becomes the page's text colour and paper its background, so a figure follows a dark page. Text stays text,
+    in the page's font.
+
+    It is well-formed XML without document type, namespaces, style sheet or date; the same figure gives the same
+    text. `name` is unique in the page: matplotlib derives the ids of clips and markers from it. `label` describes
+    the figure for readers who do not see it.
+    """
+    import matplotlib as mpl
+
+    for patch in (figure.patch, *(one.patch for axes in figure.axes for one in (axes, *axes.child_axes))):
+        patch.set(facecolor="none", edgecolor="none")
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
+        _, _, drawing = svg_file(figure).decode().partition("<svg")
+    head, _, body = drawing.partition(">")
+    view = re.search(r'viewBox="[^"]*"', head)
+    assert view is not None  # matplotlib writes one into each file
+    body = _TAG.sub(_of_page, _NOT_OF_PAGE.sub("", body))
+    return f'<svg {view[0]} role="img" aria-label="{escape(label)}">{body.strip()}'
+
+
+def _of_page(tag: re.Match[str]) -> str:
+    text = tag[0]
+    for pattern, replacement in _IN_TAGS:
+        text = pattern.sub(replacement, text)
+    return text
