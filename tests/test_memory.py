@@ -92,7 +92,7 @@ def test_bands_are_the_frame(tmp_path) -> None:
         assert np.array_equal(np.concatenate([band.values for band in bands]), whole)
 
 
-@pytest.mark.parametrize("background", ["50.0", "'border'", "'frame_mean'"])
+@pytest.mark.parametrize("background", [pytest.param("50.0", marks=pytest.mark.slow), "'border'", "'frame_mean'"])
 def test_contrast_by_bands_is_that_of_the_whole(make_dataset, background) -> None:
     """More pixels than are held as contrast, against the definitions on the whole frame."""
     rule = background.strip("'")

@@ -438,6 +438,7 @@ def test_what_frames_on_scenes_show_is_measured(on_scenes: Path) -> None:
     assert one["noise_contrast"] < 0.01  # the texture's standard deviation is 0.2
 
 
+@pytest.mark.slow
 def test_triangles_are_not_looked_for_in_texture(on_scenes: Path, capsys) -> None:
     assert run(cli, ["score", str(on_scenes), "--locate"]) == 2
     assert "--locate: the dataset has scenes" in capsys.readouterr().err

@@ -63,6 +63,7 @@ def test_markers_name_page_and_chart_and_stand_where_it_says(made) -> None:
         assert np.abs((centres + 0.5) * PITCH_MM - chart.markers.centres_mm).max() <= 0.5 * PITCH_MM
 
 
+@pytest.mark.slow
 def test_markers_along_the_borders_stand_where_it_says_beside_the_surround(tmp_path) -> None:
     original = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_ARUCO_ORIGINAL)
     monitor = {"width_px": 960, "height_px": 540, "pixel_pitch_mm": PITCH_MM}

@@ -82,7 +82,7 @@ def spotted(luminance):
     return spoilt
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.5 * THRESHOLD])
+@pytest.mark.parametrize("noise", [0.0, pytest.param(0.5 * THRESHOLD, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "spoil",
     [vignetting(0.3), vignetting(0.5), vignetting(0.7), bordered, two_levels, letterboxed],
