@@ -107,11 +107,6 @@ class Sweep(Content, frozen=True, kw_only=True):
         return tuple(map(Objective, [*low, *high], [*repeat(1, len(low)), *repeat(-1, len(high))]))
 
     @property
-    def in_mk(self) -> bool:
-        """Return whether thresholds are shown as temperature differences, as NETD is known."""
-        return "delta_t_mk" in self.columns
-
-    @property
     def threshold_column(self) -> str:
         """The column of the thresholds that figures and tables show."""
         return next(one for one in reversed(BY_SIZE) if one in self.columns)
@@ -278,31 +273,27 @@ class Sweep(Content, frozen=True, kw_only=True):
         name, sign = self.objectives[0]
         values = self.column(name)[:, 0]
         cost = np.where(self.has_threshold[:, 0], sign * values, np.nan)
+        words, unit = in_words(name)
         if not np.isfinite(cost).any():
-            return self._without_order()
+            if not self.at_size:
+                return f"No design has a value of {words}, by which designs are ordered."
+            advice = "take larger sizes"
+            if self.known.any():
+                others = listed(f"{size:g}" for size in np.array(self.sizes)[self.known.any(axis=0)].tolist())
+                advice = f"there is one at {others} detectors: name such a size first"
+            return f"No design has a {words}{self.at_size}, which orders designs; {advice}."
         row = int(np.nanargmin(cost))
         of_design = ", ".join(map(phrase, self.keys, self.values[row].tolist()))
-        words, unit = in_words(name)
         end = "lowest" if sign > 0 else "highest"
         value = f"{plain(float(values[row]))} {unit}".rstrip()
         return f"Design {row + 1} ({of_design}) has the {end} {words}{self.at_size}: {value}."
-
-    def _without_order(self) -> str:
-        """Return the sentence about designs none of which has a value of the column that orders them."""
-        name = in_words(self.objectives[0].column)[0]
-        if not self.at_size:
-            return f"No design has a value of {name}, by which designs are ordered."
-        seen = np.array(self.sizes)[self.known.any(axis=0)].tolist()
-        others = listed(f"{size:g}" for size in seen) if seen else ""
-        advice = f"there is one at {others} detectors: name such a size first" if seen else "take larger sizes"
-        return f"No design has a {name}{self.at_size}, which orders designs; {advice}."
 
     @property
     def _misses_coupling(self) -> bool:
         """True if the light on a detector differs between the designs, but not their NETD."""
         width_follows = self.settings["keep_fill_factor"] or FILL_FACTOR in self.keys
         changes_light = {*OF_ETENDUE, *PITCHES} if width_follows else {*OF_ETENDUE}
-        is_free = self.in_mk and not self.settings["couple_netd"] and NETD not in self.keys
+        is_free = "delta_t_mk" in self.columns and not self.settings["couple_netd"] and NETD not in self.keys
         return bool(is_free and changes_light & {*self.keys})
 
     def figures(self) -> list[ReportFigure]:

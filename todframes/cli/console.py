@@ -236,28 +236,15 @@ class ProblemLines:
 
 @contextmanager
 def progress(task: str, *, quiet: bool = False) -> Iterator[Progress]:
-    """Show a bar with rate and time left if standard error is a terminal. Yields the `progress` of a call."""
+    """Show a bar with the time left if standard error is a terminal. Yields the `progress` of a call."""
     if quiet or not sys.stderr.isatty():
         yield lambda *_: None
         return
     from rich import progress as bars
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        ProgressColumn,
-        Task,
-        TextColumn,
-        TimeRemainingColumn,
-    )
-    from rich.text import Text
 
-    class RateColumn(ProgressColumn):
-        def render(self, task: Task) -> Text:
-            return Text("" if not task.speed else f"{task.speed:.3g}/s")
-
-    named, done = (TextColumn("{task.description}"), BarColumn()), (MofNCompleteColumn(), RateColumn())
-    columns = (*named, *done, TimeRemainingColumn())
+    named, done = (bars.TextColumn("{task.description}"), bars.BarColumn()), bars.MofNCompleteColumn()
+    columns = (*named, done, bars.TimeRemainingColumn())
     with bars.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         running = bar.add_task(task, total=None)
         yield lambda done, total: bar.update(running, completed=done, total=total)
