@@ -21,9 +21,6 @@ from todframes.stimulus import ORIENTATIONS, Orientation, vertices
 SIDE_STEPS = 16
 """Steps in which a side of a triangle is followed where a lens bends it; its bulge is then known to 1/256."""
 
-UNBENT_STEPS = 5
-"""Steps in which a lens is put into a geometry; a start of another search, which needs no more than a pixel."""
-
 
 class View(NamedTuple):
     """The local geometry of a chart in a frame, about a place on the chart.
@@ -74,7 +71,7 @@ class Geometry:
             return geometry
         # What the lens moves is taken off the targets, step by step.
         ideal = targets
-        for _ in range(UNBENT_STEPS):
+        for _ in range(5):  # a start of another search, which needs no more than a pixel
             ideal = ideal - (lens.to_px(geometry.ideal_px(places_mm)) - targets)
             geometry = fit_geometry(places_mm, ideal)
         return Geometry(geometry.homography, geometry.residual_px, lens)

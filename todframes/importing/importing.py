@@ -67,9 +67,6 @@ LARGEST_IMBALANCE = 3.0
 CAUSES: Mapping[str, str] = {"position_scatter": "shake", "turned": "rolled"}
 """Warnings of recordings that explain what the frames of the dataset show."""
 
-UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
-"""Units of a time in a text, in seconds."""
-
 DEFAULT_LEVEL = "contrast"
 
 REPORT_FILE = "import.json"
@@ -313,7 +310,7 @@ def checked_time(integration_time_s: float | str) -> float | None:
         return None
     number = text.rstrip("ms ")
     try:
-        time_s = float(number) * UNITS_S[text[len(number) :].strip()]
+        time_s = float(number) * {"": 1.0, "s": 1.0, "ms": 1e-3}[text[len(number) :].strip()]
     except (ValueError, KeyError):
         time_s = math.nan
     if not (math.isfinite(time_s) and time_s > 0):

@@ -78,9 +78,6 @@ leaves a small part of the motion that it corrects."""
 FIRST_BORDER = len(CORNERS) * (N_DIGITS - 1)
 """Difference between the id of a marker along the borders in the joint dictionary, and its number on the page."""
 
-CORNER_OF_KEY = 3
-"""Corner whose marker carries the key of the chart."""
-
 ENOUGH_MARKERS = 3
 """Number of markers that a search has to find; the places of others follow from these, and their edges show if
 they are there."""
@@ -229,7 +226,7 @@ class MarkerFinder:
 
     def _first_lens(self, recent: Sequence[SeenEdges], shape: tuple[int, ...]) -> Lens | None:
         """Estimate the lens from the edges in some frames; None if none is of use."""
-        fits = first_fits(self.pieces, [self._near(one) for one in recent], shape)
+        fits = first_fits(self.pieces, [self._near(edges) for edges in recent], shape)
         return fits[0].lens if fits else None
 
     def _near(self, edges: SeenEdges) -> MeasuredEdges:
@@ -304,7 +301,7 @@ class MarkerFinder:
             if mirrored:
                 places[:, 0] = image.shape[1] - 1 - places[:, 0]
             digit, corner = divmod(int(marker), len(CORNERS))
-            if digit < N_DIGITS and corner == CORNER_OF_KEY:
+            if digit < N_DIGITS and corner == len(CORNERS) - 1:  # its marker carries the key
                 self.key = digit
             corners.setdefault(corner if digit < N_DIGITS else int(marker) - FIRST_BORDER, places)
         return corners
