@@ -83,13 +83,10 @@ def open_scenes(
 ) -> list[SceneFile]:
     """Open the files of scenes; each image file, film or array is a scene with the name of its file.
 
-    `paths` are files, folders, and "skimage" or "skimage:camera,brick" for photographs of scikit-image.
-    `range_name` is the argument that has the recorded values of black and white, for the message of an error.
-    `note` is called with a remark about files of a folder that are no recordings, and with the warnings of
-    recordings.
-
-    Raises DataError or FrameError if a file cannot be read, or a folder has no recording, and SettingsError if
-    values have no black and white and no range is given.
+    `paths` are files, folders, and "skimage" or "skimage:camera,brick" for photographs of scikit-image. `note` is
+    called with a remark about files of a folder that are no recordings, and with the warnings of recordings.
+    Raises SettingsError, which names the argument `range_name`, if values have no black and white and no range is
+    given.
     """
     given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if not given:
@@ -284,10 +281,7 @@ def draw_backgrounds(
     frames of a film. `rng_of` returns the stream of the windows' places by the numbers of file and layout.
     `room_for` returns how many times stronger the triangles on a window could be and still be shown by the
     display; windows with less than 1 are not taken. `note` is called with a remark about each scene that is left
-    out, or whose values hardly differ; `range_name` is the argument that has the values of black and white.
-
-    Raises FrameError or DataError if a file cannot be decoded; if all scenes are unfit, the UnfitSceneError of the
-    first.
+    out, or whose values hardly differ. If all scenes are unfit, the UnfitSceneError of the first is raised.
     """
     of_layouts: list[list[Background]] = [[] for _ in layouts]
     first: UnfitSceneError | None = None

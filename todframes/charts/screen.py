@@ -113,13 +113,12 @@ def make_screen_chart(
     markers: MarkerPlaces,
     camera_page: bool,
 ) -> Chart:
-    """Lay out a chart for a monitor, and write it into an empty folder.
+    """Lay out a chart for a monitor, and write it into an empty folder; each page has one triangle in its middle.
 
-    Each page has one triangle in its middle; they are in blocks of random order. The background luminance of the
-    screen is replaced by that of the nearest code value, and the side of the markers is rounded to whole pixels a
-    module; `MARKER_SHARE` has the default. With "borders" there are markers along the borders too, not in the
-    corners alone. With `camera_page` the first page has slanted edges and a grey wedge. Raises SettingsError if
-    the monitor cannot show a size or a contrast, or there is no place for the markers.
+    The background luminance of the screen is replaced by that of the nearest code value, and the side of the
+    markers is rounded to whole pixels a module; `MARKER_SHARE` has the default. With `camera_page` the first page
+    has slanted edges and a grey wedge. Raises SettingsError if the monitor cannot show a size or a contrast, or
+    there is no place for the markers.
     """
     luminance_of_code = _luminance_of_code(screen)
     background_code = int(np.argmin(np.abs(luminance_of_code - screen.background_luminance_cd_m2)))

@@ -377,12 +377,11 @@ def background_factor(
 ) -> float:
     """Return the factor by which a picture is brighter than another in a band around the triangle.
 
-    The band is that of `surround_window` around the triangle. In a frame that is large enough, it leaves out what
-    lies next to the frame's edge, where filters act otherwise. The factor is the quotient of two means over the
-    same blocks. Blocks whose luminances deviate from it have no weight in either mean. `before` and `after` return
-    the luminance of rows and columns of the two pictures in cd/m², in their own pixels: `after` has
-    `magnification` of them, along each axis, for one of `before`. The triangle and the half-open ranges of the
-    frame that the pictures show are in pixels of `before`. Raises DataError if most of the band has no light.
+    The band is that of `surround_window`; in a frame that is large enough, it leaves out what lies next to the
+    frame's edge, where filters act otherwise. The factor is the quotient of two means over the same blocks,
+    without those whose luminances deviate from it. `before` and `after` return the luminance of rows and columns
+    of the two pictures in cd/m²: `after` has `magnification` pixels, along each axis, for one of `before`, in
+    whose pixels the triangle and the frame are given. Raises DataError if most of the band has no light.
     """
     block_px = max(int(triangle.size_px / BAND_BLOCKS_PER_SIZE), LEAST_BAND_BLOCK_PX)
     block_px = math.ceil(block_px / min(magnification, 1.0))

@@ -65,15 +65,11 @@ def open_recordings(
 ) -> tuple[Recording, ...]:
     """Open recordings: each video or array is one, all image files together are one, as are those of a folder.
 
-    They are in the order of `paths`; a sequence of images stands where its first image stands. Frames of a
-    sequence are in the natural order of their names: frame_9 before frame_10. A file `times.csv` in a folder of
-    images has their times, in the columns `file` and `time_s`. A frame rate that is given replaces what the files
-    say. `max_frame_mb` limits a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a
-    pixel.
-
-    Raises DataError or FrameError if there are no files, a folder is empty, files of several kinds are in a
-    folder, files of one sequence differ in size, or a file cannot be read; SettingsError if an argument is out of
-    range.
+    A sequence of images stands where its first image stands, its frames in the natural order of their names:
+    frame_9 before frame_10. A file `times.csv` in a folder of images has their times, in the columns `file` and
+    `time_s`. A frame rate that is given replaces what the files say. `max_frame_mb` limits a frame in 2**20 bytes:
+    all channels in their own pixel types, at least 8 bytes a pixel. Raises DataError or FrameError if there are no
+    files, or one cannot be read or does not belong to the others.
     """
     check_rate(frames_per_second)
     check_max_frame_mb(max_frame_mb)
