@@ -49,7 +49,7 @@ def hints(result: tod.Result) -> list[ResultWarning]:
     ],
 )
 def test_hint_names_what_the_answers_show(mishap: dict[str, Any], codes: list[str], wanted: str) -> None:
-    result = tod.score(recording(**mishap), **QUICK)
+    result = tod.score(recording(levels=(0.2, 0.3), **mishap), **QUICK)
     assert result.fits[0].status == "never_reached"
     assert [one.code for one in hints(result)] == codes
     for warning in hints(result):
