@@ -62,14 +62,11 @@ from todframes.stimulus import CIRCLE_PER_SIZE, Orientation, coverage
 LEAST_TRIALS = 40
 """Least number of trials of each size and contrast, if none is asked for."""
 
-PLACE_STEP_SIZES = 2.5
-"""Distance of neighbouring places in sizes of the triangle, if none is asked for."""
-
 ROUNDING = 1e-12
 """Smallest contrast of scenes.csv that is more than rounding."""
 
-DISPLACED = 1.02
-"""Factor of a triangle's luminance that a displacement by half a pixel may make, with a reserve."""
+PLACE_STEP_SIZES = 2.5
+"""Distance of neighbouring places in sizes of the triangle, if none is asked for."""
 
 FINER = 4
 """Points along a pixel at which a triangle is blurred."""
@@ -347,7 +344,7 @@ class _Stage(NamedTuple):
             encoder = self.encoder
             most = encoder.white_cd_m2 - inside.max() if self.polarity > 0 else inside.min() - encoder.black_cd_m2
             # A triangle is displaced by half a pixel, which changes the local luminance by a per cent or so.
-            added = DISPLACED * max(self.contrasts) * local_luminance(scene, x, y, layout.size_px)
+            added = 1.02 * max(self.contrasts) * local_luminance(scene, x, y, layout.size_px)
             room = min(room, float(most) / added)
         return room
 

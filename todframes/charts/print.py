@@ -31,8 +31,6 @@ from todframes.display.display import srgb_to_linear
 from todframes.parameters import MarkerPlaces, Progress
 from todframes.stimulus import vertices
 
-PDF_FILE = "chart.pdf"
-
 SPACING_PER_SIZE = 3.8
 """Distance between triangles of a sheet in sizes. The corners of one stay out of the field around the other, with
 0.4 sizes to spare for the blur and the perspective of a camera."""
@@ -206,7 +204,7 @@ def make_print_chart(design: Design, paper: Paper, folder: Path, progress: Progr
         shapes += _ruler(sheet)
         shapes += _text(chart, page, sheet, f"{least:.2g} to {largest:.2g}, {origin}")
         drawings.append((str(page.file), Drawing(chart.page_width_mm, chart.page_height_mm, tuple(shapes))))
-    write_drawings(folder, chart, drawings, PDF_FILE, progress)
+    write_drawings(folder, chart, drawings, "chart.pdf", progress)
     return chart
 
 

@@ -29,8 +29,6 @@ from todframes.display.dither import dithered
 from todframes.parameters import MarkerPlaces, Progress, counted
 from todframes.stimulus import ORIENTATIONS, coverage
 
-PLAYER = "play.html"
-
 LEAST_MONITOR_SIZE_PX = 8.0
 """Smallest √(area) in pixels of the monitor: a pixel, which blurs the edges, is an eighth of it."""
 
@@ -44,9 +42,6 @@ LARGEST_ROUNDING = 0.01
 MARKER_SHARE: dict[MarkerPlaces, float] = {"borders": 0.13, "corners": 0.15}
 """Side of a marker relative to the smaller side of the page if none is asked for. A page of 16 : 9 has room for
 twelve of 13 % beside the surround of a triangle of 15 % of its height."""
-
-LARGEST_MARKER_SHARE = 0.2
-"""Largest side of a marker relative to the smaller side of the page."""
 
 CORNER_REACH_PER_SIZE = 2.0 / 3.0**0.75
 """Distance from the centroid of a triangle to its corners, in sizes."""
@@ -132,7 +127,7 @@ def make_screen_chart(
     pitch_mm = screen.pixel_pitch_mm
     width_mm, height_mm = screen.width_px * pitch_mm, screen.height_px * pitch_mm
     asked_mm = MARKER_SHARE[markers] * min(width_mm, height_mm) if marker_mm is None else marker_mm
-    least_mm, most_mm = 2 * MODULES * pitch_mm, LARGEST_MARKER_SHARE * min(width_mm, height_mm)
+    least_mm, most_mm = 2 * MODULES * pitch_mm, 0.2 * min(width_mm, height_mm)
     if not least_mm <= asked_mm <= most_mm:
         raise SettingsError(
             f"marker_mm: found {asked_mm:g}, expected {least_mm:g} (two pixels a module) to {most_mm:.3g} (a "
@@ -290,7 +285,7 @@ def _write(
     head, _, foot = template.read_text(encoding="utf-8").partition("{{ pages }}")
     head = head.replace("{{ settings }}", json.dumps(settings)).replace("{{ name }}", html.escape(chart.name))
     dtype, scale = (np.uint8, 1.0) if screen.bits == 8 else (np.uint16, 65535 / (2**screen.bits - 1))
-    with (folder / PLAYER).open("w", encoding="utf-8") as player:
+    with (folder / "play.html").open("w", encoding="utf-8") as player:
         player.write(head)
         for page, codes in counted(zip(chart.pages, page_codes, strict=True), len(chart.pages), progress):
             stored: NDArray[Any] = np.rint(codes * scale).astype(dtype)

@@ -21,15 +21,11 @@ from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, r
 from todframes.parameters import Progress
 from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, vertices
 
-PDF_FILE, SCHEDULE_FILE = "plates.pdf", "schedule.csv"
-
 LEAST_HOLE_SIZE_MM = 1.0
 """Smallest √(area) of a hole: corners of smaller ones cannot be cut sharp enough."""
 
 BORDER_MM = 20.0
 """Border of the drawing around the plate, for the text."""
-
-PLATE_STEP_MM = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +47,7 @@ def make_thermal_chart(design: Design, plate: Plate, folder: Path, progress: Pro
     """
     largest_mm = design.size_mm(max(design.sizes_mrad))
     needed_mm = FIELD_PER_SIZE * largest_mm
-    side_mm = math.ceil(needed_mm / PLATE_STEP_MM) * PLATE_STEP_MM if plate.plate_mm is None else plate.plate_mm
+    side_mm = math.ceil(needed_mm / 10.0) * 10.0 if plate.plate_mm is None else plate.plate_mm
     design.check_size(min(design.sizes_mrad), LEAST_HOLE_SIZE_MM, "whose corners cannot be cut")
     if side_mm < needed_mm:
         raise SettingsError(
@@ -77,8 +73,8 @@ def make_thermal_chart(design: Design, plate: Plate, folder: Path, progress: Pro
     )
     chart = design.chart("thermal", side_mm, side_mm, pages)
     drawings = [(f"plates/plate_{size:g}_mrad.svg", _drawing(design, size, side_mm)) for size in design.sizes_mrad]
-    write_drawings(folder, chart, drawings, PDF_FILE, progress)
-    (folder / SCHEDULE_FILE).write_text(_schedule(chart), encoding="utf-8")
+    write_drawings(folder, chart, drawings, "plates.pdf", progress)
+    (folder / "schedule.csv").write_text(_schedule(chart), encoding="utf-8")
     return chart
 
 

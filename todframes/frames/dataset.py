@@ -65,9 +65,6 @@ MOST_PLACES = 4096
 CLIP_COLUMN, TIME_COLUMN, JUDGED_COLUMN = "clip", "time_s", "judged"
 """Names of the manifest columns with a frame's continuous recording, its time there, and whether it is judged."""
 
-HEADERS_READ = 16
-"""Number of frames, spread over the trials, of which the header is read for warnings; up to twice as many."""
-
 ORIENTATION_OF = {orientation.value: orientation for orientation in ORIENTATIONS}
 
 MOST_ROWS, MOST_BAD_ROWS = 20_000_000, 100_000
@@ -596,7 +593,7 @@ def _header_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
     """
     messages: dict[WarningCode, list[str]] = {}
     n_read = 0
-    for index in range(0, len(trials), max(len(trials) // HEADERS_READ, 1)):
+    for index in range(0, len(trials), max(len(trials) // 16, 1)):
         frame = trials[index].frames[0]
         try:
             with dataset.open(frame) as file:
