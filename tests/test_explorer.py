@@ -46,7 +46,7 @@ from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves
 from sensor_sim.explorer.ranges import ThresholdSent, range_answer, range_from, weibull_slope
 from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
 from sensor_sim.sweeps.designs import numeric_keys
-from sensor_sim.sweeps.ranges import Aim
+from sensor_sim.sweeps.goals import Aim
 from sensor_sim.thresholds.predict import PredictedThreshold
 from todframes.base.errors import DataError, SettingsError
 from todframes.cli.console import run

@@ -14,7 +14,7 @@ from scipy.special import ndtri
 
 import sensor_sim as ss
 import todframes as tod
-from sensor_sim.sweeps.ranges import Aim
+from sensor_sim.sweeps.goals import Aim
 from todframes.base.reading import shipped_names
 from todframes.cli.console import run
 from todframes.cli.main import cli

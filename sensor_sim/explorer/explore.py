@@ -75,7 +75,7 @@ def explore(
     sensor = sensor_of(sensor)
     check_installed("explore")
     from sensor_sim.explorer.routes import Explorer
-    from sensor_sim.sweeps.ranges import chosen_aim
+    from sensor_sim.sweeps.goals import chosen_aim
     from todframes.web.server import open_listener, serve
 
     aim = chosen_aim(target, atmosphere, k)

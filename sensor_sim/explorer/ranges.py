@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sensor import Sensor, sensor_settings
-from sensor_sim.sweeps.ranges import Aim
+from sensor_sim.sweeps.goals import Aim
 from todframes.base.errors import SettingsError, argument
 from todframes.field.acquisition_range import FieldRange, acquisition_range, range_words
 from todframes.psychometrics.threshold_search import ComputedThreshold, Status

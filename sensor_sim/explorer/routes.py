@@ -27,7 +27,7 @@ from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import PageField, observer_fields, sensor_fields
 from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, file_of
 from sensor_sim.explorer.ranges import Thresholds, check_aim, range_answer, range_from
-from sensor_sim.sweeps.ranges import Aim
+from sensor_sim.sweeps.goals import Aim
 from sensor_sim.thresholds.curve_plan import Level, not_linear
 from sensor_sim.thresholds.predict import PredictedThreshold
 from sensor_sim.thresholds.sizes import SIZES_CHOSEN, computed_sizes

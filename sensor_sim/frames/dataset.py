@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -35,10 +35,6 @@ from todframes.frames.files import frame_sha256, write_frame
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.run import Run, StoredWork, run_stored
 from todframes.parameters import FrameFormat
-
-if TYPE_CHECKING:
-    pass
-
 
 LARGEST_CLIPPED_SHARE = 0.01
 

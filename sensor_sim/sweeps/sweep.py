@@ -169,8 +169,7 @@ def sweep(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     from sensor_sim.sweeps.designs import NETD, Base, check_coupling, make_designs
-    from sensor_sim.sweeps.goals import Criterion, columns_of, objectives
-    from sensor_sim.sweeps.ranges import chosen_aim
+    from sensor_sim.sweeps.goals import Criterion, chosen_aim, columns_of, objectives
     from sensor_sim.sweeps.work import SweepWork, check_sweep, run_sweep
     from sensor_sim.thresholds.places import check_places
     from todframes.jobs.run import opened_run

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -11,9 +11,6 @@ from todframes.base.errors import DataError
 from todframes.cli.console import ProblemLines, check_strict, echo, print_sentences, say, warning_lines
 from todframes.cli.options import P_CORRECT, SETTINGS, make_fit
 from todframes.cli.runner import Command
-
-if TYPE_CHECKING:
-    pass
 
 FILES_SHOWN = 3
 """Number of files that do not match whose names `new` prints."""

@@ -8,7 +8,7 @@ from contextlib import ExitStack, nullcontext
 from difflib import get_close_matches
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import click
 
@@ -33,9 +33,6 @@ from todframes.cli.options import (
     make_observers,
 )
 from todframes.cli.signature import REQUIRED, Argument, Value, read_call
-
-if TYPE_CHECKING:
-    pass
 
 LOADING = "todframes.frames.dataset:load_dataset"
 """Call that opens a dataset; its limit of memory is an option of the commands that read one."""
