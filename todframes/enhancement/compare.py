@@ -51,10 +51,13 @@ from todframes.psychometrics.paired_bootstrap import (
     ratio_draws,
     threshold_ratio,
 )
-from todframes.results.data import group_of
+from todframes.results.data import Example, group_of
+from todframes.results.thumbnails import ExamplePatch, pictures
+from todframes.results.wording import evenly
+from todframes.scoring.examples import example_of, nearest_trial
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.records import fit_record
-from todframes.scoring.retina_view import to_mean_place_px
+from todframes.scoring.retina_view import retina_image, to_mean_place_px
 from todframes.scoring.score import (
     ScoredDataset,
     check_seen,
@@ -85,6 +88,9 @@ RESAMPLES_PER_COMPARISON = 80
 
 Gains = Mapping[tuple[float | str, ...], float]
 """Contrast gains by group."""
+
+MOST_GROUPS, MOST_ALGORITHMS = 2, 6
+"""Largest numbers of groups and algorithms of the examples."""
 
 
 class AlgorithmResult(NamedTuple):
@@ -485,3 +491,35 @@ def _psnr_db(squared_error: float | None, *, data_range: float) -> float | None:
     if not squared_error:
         return None
     return 10.0 * math.log10(data_range**2 / squared_error)
+
+
+def compare_examples(
+    dataset: Dataset, results: Sequence[AlgorithmResult], observer: Observer, screen: AlgorithmDisplay
+) -> tuple[Example, ...]:
+    """Draw the trial nearest to the reference's threshold in up to two groups, after each of up to six algorithms.
+
+    All pictures of a group have the same white. Raises FrameError if a frame can no longer be used.
+    """
+    some, reference, examples = results[:MOST_ALGORITHMS], results[0].scored, []
+    reader = TrialReader([result.enhancement for result in some], screen)
+    for group in evenly([fit for fit in reference.fits if fit.fit.threshold is not None], MOST_GROUPS):
+        row = nearest_trial(reference, group)  # all algorithms have the same trials
+        trial = reference.trials[row]
+        grid, displaced = observer.grid(trial.stimulus), np.nan_to_num(reference.displacement_samples[row])
+        dx, dy = displaced.tolist()
+        drawings = [
+            partial(
+                pictures,
+                [ExamplePatch(*part) for part in zip(shown.patches, shown.x_px, shown.y_px, strict=True)],
+                retina_image(shown, grid, (dx, dy)),
+                observer=observer,
+                stimulus=trial.stimulus,
+                pixel_pitch_mrad=shown.pixel_pitch_mrad,
+            )
+            for shown in reader(dataset, trial, observer, grid, [(dx, dy)], whole=True)
+        ]
+        white = max(draw()[1][0].scale or 0.0 for draw in drawings)
+        for result, draw in zip(some, drawings, strict=True):
+            p_correct, spec = float(result.scored.p_correct[row]), result.enhancement.spec
+            examples.append(example_of(dataset, trial, p_correct, *draw(white=white), algorithm=spec))
+    return tuple(examples)

@@ -213,7 +213,7 @@ def compare(
         for (name, of_each), own in zip(judged, each_settings, strict=True)
     ]
     if examples:
-        from todframes.enhancement.examples import compare_examples
+        from todframes.enhancement.compare import compare_examples
 
         more["examples"] = compare_examples(data, results, judge, screen)
     black, peak = screen.luminance_range
