@@ -11,9 +11,8 @@ import pytest
 import todframes as tod
 from todframes.base.output import write_files
 from todframes.results import figures, table
-from todframes.results import parquet as parquet_module
-from todframes.results.parquet import parquet_parts
-from todframes.results.table import LongRecords, Table
+from todframes.results import table as parquet_module
+from todframes.results.table import LongRecords, Table, parquet_parts
 from todframes.scoring import records
 
 KINDS = {"name": str, "n": int, "value": float}

@@ -35,8 +35,7 @@ from todframes.results.figure_style import (
     curve_style,
     plain_ticks,
 )
-from todframes.results.parquet import has_parquet, parquet_parts
-from todframes.results.table import BLOCK, Column, LongRecords, Table
+from todframes.results.table import BLOCK, Column, LongRecords, Table, has_parquet, parquet_parts
 from todframes.results.wording import count, evenly, listed, plain, unknown_place
 
 if TYPE_CHECKING:

@@ -271,7 +271,7 @@ class Thresholds(Content, frozen=True, kw_only=True):
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the trials: `scores.csv` and, where pyarrow is installed, `scores.parquet`, in parts."""
-        from todframes.results.parquet import has_parquet, parquet_parts
+        from todframes.results.table import has_parquet, parquet_parts
 
         trials = self.trials
         if trials is None:
