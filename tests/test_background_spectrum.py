@@ -131,8 +131,7 @@ def brute_force(dataset: Path, *, ideal: bool) -> float:
 
 
 @pytest.mark.parametrize(
-    ("ideal", "tolerance"),
-    [pytest.param(False, 0.01), pytest.param(True, 0.02, marks=pytest.mark.weekly)],
+    ("ideal", "tolerance"), [pytest.param(False, 0.01), pytest.param(True, 0.02, marks=pytest.mark.weekly)]
 )
 @pytest.mark.slow
 def test_thresholds_in_clutter_are_those_of_brute_force(clutter: Path, ideal: bool, tolerance: float) -> None:

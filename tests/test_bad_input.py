@@ -278,8 +278,7 @@ FRAMES = {
         display=(("background_luminance_cd_m2", "frame_mean"),),
     ),
     "smaller than the triangle": Spoilt(
-        lambda path: write_frame(path, np.full((5, 6), 50.0)),
-        ("6 × 5 pixels", "smaller", "2 mrad"),
+        lambda path: write_frame(path, np.full((5, 6), 50.0)), ("6 × 5 pixels", "smaller", "2 mrad")
     ),
     "srgb beyond 1": Spoilt(
         lambda path: write_frame(path, np.full((48, 48), 1.5)),
@@ -1151,12 +1150,7 @@ def test_arguments_are_shown_without_control_characters(arguments, todframes):
 
 def process(*arguments, **options):
     return subprocess.run(
-        [*COMMAND, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        **options,
+        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False, **options
     )
 
 

@@ -19,13 +19,7 @@ from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.experiment.answers import read_answers, sidecar_path
 from todframes.experiment.calibration import PersonResult
-from todframes.experiment.person import (
-    Calibrated,
-    answered_trials,
-    noise_grid,
-    noise_observers,
-    seen_dataset,
-)
+from todframes.experiment.person import Calibrated, answered_trials, noise_grid, noise_observers, seen_dataset
 from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
 from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset

@@ -26,11 +26,7 @@ from todframes.charts.layout import (
 from todframes.stimulus import Orientation
 
 SCREEN = Screen(
-    width_px=1920,
-    height_px=1080,
-    pixel_pitch_mm=0.25,
-    background_luminance_cd_m2=25.0,
-    page_duration_s=1.0,
+    width_px=1920, height_px=1080, pixel_pitch_mm=0.25, background_luminance_cd_m2=25.0, page_duration_s=1.0
 )
 MARKERS = Markers(
     side_mm=40.0,

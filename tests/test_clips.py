@@ -117,8 +117,7 @@ def test_bad_rows(tmp_path: Path, rows: list[list[object]], message: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("left_out", "message"),
-    [("time_s", "column clip without time_s"), ("clip", "column judged without clip")],
+    ("left_out", "message"), [("time_s", "column clip without time_s"), ("clip", "column judged without clip")]
 )
 def test_columns_that_need_others(tmp_path: Path, left_out: str, message: str) -> None:
     kept = [place for place, name in enumerate(COLUMNS) if name != left_out]

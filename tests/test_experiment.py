@@ -554,11 +554,7 @@ def test_settings_are_checked(design, message):
 @pytest.mark.parametrize(
     ("more", "error", "message"),
     [
-        (
-            {"design": SessionDesign(trials=25)},
-            SettingsError,
-            "trials: found 25, expected at most 24, the trials",
-        ),
+        ({"design": SessionDesign(trials=25)}, SettingsError, "trials: found 25, expected at most 24, the trials"),
         *(
             ({"subject": subject}, SettingsError, "expected letters and digits, at most 64, and no name")
             for subject in ("", "Jane Doe", "../x", "<script>", "a_b", "ü", "a" * 65, "a\n")

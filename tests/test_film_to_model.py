@@ -143,13 +143,7 @@ def test_measured_electrons_take_the_place_of_lens_and_light(tmp_path) -> None:
 
 @pytest.mark.weekly
 def test_the_curve_of_the_model_is_that_of_the_film(tmp_path) -> None:
-    make_film(
-        tmp_path,
-        sizes_mrad=[1.0, 2.0],
-        contrasts=[0.06, 0.1, 0.16, 0.25, 0.4],
-        repeats=5,
-        seed=31,
-    )
+    make_film(tmp_path, sizes_mrad=[1.0, 2.0], contrasts=[0.06, 0.1, 0.16, 0.25, 0.4], repeats=5, seed=31)
     found = closed(tmp_path)
     for film, model in zip(found.film.fits, found.model.fits, strict=True):
         assert film.status == model.status == "ok"

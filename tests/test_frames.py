@@ -219,12 +219,7 @@ def test_part_equals_slice_of_whole(tmp_path, layout):
 @pytest.mark.parametrize(
     ("x", "y", "rectangle"),
     # Frame: (2, -3) to (32, 47); data 24 wide, 40 high from (x, y). (first row, first column, rows, columns)
-    [
-        (2, -3, (0, 0, 40, 24)),
-        (7, 2, (5, 5, 40, 24)),
-        (-10, -13, (0, 0, 30, 12)),
-        (20, 30, (33, 18, 17, 12)),
-    ],
+    [(2, -3, (0, 0, 40, 24)), (7, 2, (5, 5, 40, 24)), (-10, -13, (0, 0, 30, 12)), (20, 30, (33, 18, 17, 12))],
 )
 def test_pixels_lie_where_the_windows_say(tmp_path, x, y, rectangle, tiles):
     # Values number the pixels of the data window, so they tell where each came from. Half holds integers to 2048.

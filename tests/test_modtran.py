@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from todframes.base.errors import SettingsError
-from todframes.field.atmosphere import find_atmosphere
-from todframes.field.modtran import modtran_table
+from todframes.field.atmosphere import find_atmosphere, modtran_table
 
 EXTINCTION_PER_KM, HORIZON_M = 0.3, 31_000.0
 

@@ -230,11 +230,7 @@ def test_a_result_that_cannot_be_replaced_says_what_is_new(
         match=r"result.json: cannot be replaced \(Permission denied\), but report.html and scores.csv are new",
     ):
         score(path, {"report.html": "new", "result.json": "{}", "scores.csv": "new"})
-    assert contents(path) == {
-        "report.html": "new",
-        "scores.csv": "new",
-        "result.json": old,
-    }
+    assert contents(path) == {"report.html": "new", "scores.csv": "new", "result.json": old}
 
 
 def test_a_cluster_that_is_gone_is_no_place_that_cannot_be_written(tmp_path: Path) -> None:

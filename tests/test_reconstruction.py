@@ -10,12 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from sensor_sim.chain.reconstruction import (
-    axis_matrix,
-    display_position_px,
-    display_signal,
-    gaussian_kernel,
-)
+from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal, gaussian_kernel
 from sensor_sim.chain.sensor import Electronics, SensorDisplay
 from sensor_sim.chain.transfer import gaussian_mtf
 

@@ -381,10 +381,7 @@ def test_a_folder_is_listed_once(make_dataset, upload, monkeypatch) -> None:
 
 @pytest.mark.parametrize(
     ("url", "problem"),
-    [
-        ("nosuch://lab/archive", "no file system is known as nosuch://"),
-        ("memory://lab/none", "no such file"),
-    ],
+    [("nosuch://lab/archive", "no file system is known as nosuch://"), ("memory://lab/none", "no such file")],
 )
 def test_what_cannot_be_reached_is_one_line(todframes, url, problem) -> None:
     status, out, err = todframes("score", url)

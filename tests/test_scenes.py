@@ -409,11 +409,7 @@ MIRROR, LEVELS, NUMBERS = {"left": "right", "right": "left"}, {"0.2": "0.5", "0.
         ("x_px", lambda text: repr(2.5 + float(text)), "position_offset"),
         ("orientation", lambda text: TURN[text], "turned"),
         ("orientation", lambda text: MIRROR.get(text, text), "mirrored"),
-        (
-            "orientation",
-            lambda text: text if next(NUMBERS) % 4 else TURN[TURN[text]],
-            "orientation_mismatch",
-        ),
+        ("orientation", lambda text: text if next(NUMBERS) % 4 else TURN[TURN[text]], "orientation_mismatch"),
         ("contrast", lambda text: LEVELS.get(text, text), "polarity_mismatch"),
         ("polarity", lambda _: "-1", "polarity_mismatch"),
     ],

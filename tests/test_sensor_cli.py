@@ -58,7 +58,7 @@ background_luminance_cd_m2 = 50.0
 gain = 1.0
 """
 STAGES = [
-    *("diffraction", "optics_blur", "detector", "hold", "electronics", "display", "pre_sample", "post_sample"),
+    *("diffraction", "optics_blur", "detector", "hold", "electronics", "display", "pre_sample", "post_sample")
 ]
 
 

@@ -375,9 +375,7 @@ def test_plan_refuses(sizes, snrs, trials, match):
 
 # Stages -------------------------------------------------------------------------------------------------------
 
-STAGES = [
-    *("a_input", "b_optics", "c_detector_response", "d_samples", "e_noise", "f_hold", "g_display"),
-]
+STAGES = [*("a_input", "b_optics", "c_detector_response", "d_samples", "e_noise", "f_hold", "g_display")]
 
 
 def test_stages_follow_from_each_other():

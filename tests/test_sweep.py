@@ -114,13 +114,7 @@ def test_memory_and_order_change_no_number() -> None:
     designs = grid({"detector.pitch_mrad": [0.08, 0.1], "display.blur_sigma_px": [0.4, 0.8]}, base.keys)
     found = []
     for shared_mb, order in ((0, 1), (1, 1), (512, -1)):
-        work = SweepWork(
-            observer=PyramidObserver(),
-            p_correct=0.75,
-            tolerance=ROUGH,
-            seed=1,
-            shared_mb=shared_mb,
-        )
+        work = SweepWork(observer=PyramidObserver(), p_correct=0.75, tolerance=ROUGH, seed=1, shared_mb=shared_mb)
         turned = designs._replace(values=designs.values[::order])
         found.append(run_sweep(base, turned, [4.0], work, Run()).threshold[::order])
     assert np.isfinite(found[0]).all()
@@ -350,15 +344,7 @@ def test_output(swept, tmp_path: Path) -> None:
     swept.save(tmp_path / "out")
     names = {path.name for path in (tmp_path / "out").iterdir()} - {"sweep.parquet"}
     assert names == {
-        *(
-            "sweep.csv",
-            "result.json",
-            "report.html",
-            "best.csv",
-            "front.png",
-            "map.png",
-            "tod_curves.png",
-        ),
+        *("sweep.csv", "result.json", "report.html", "best.csv", "front.png", "map.png", "tod_curves.png")
     }
     with (tmp_path / "out" / "sweep.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

@@ -10,7 +10,7 @@ import numpy as np
 
 from sensor_sim.chain.sensor import Sensor, sensor_of
 from sensor_sim.chain.transfer import stages
-from todframes.camera.mtf_figure import MtfLine, draw_mtf
+from todframes.camera.mtf_table import MtfLine, draw_mtf
 from todframes.parameters import SensorFile
 from todframes.results.data import Content
 from todframes.results.figure import ReportFigure

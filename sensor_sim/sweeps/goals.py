@@ -270,10 +270,7 @@ def columns_of(
     found["size_detectors"] = np.broadcast_to(sizes, swept.threshold.shape)
     found["size_scene_mrad"] = pitch[:, None] * sizes
     found["status"] = swept.status
-    found |= {
-        f"threshold_{swept.level}": swept.threshold,
-        f"threshold_{swept.level}_error": swept.numerical_error,
-    }
+    found |= {f"threshold_{swept.level}": swept.threshold, f"threshold_{swept.level}_error": swept.numerical_error}
     if np.isfinite(swept.mk_per_snr).any():
         found["delta_t_mk"] = swept.delta_t_mk
         found["delta_t_mk_error"] = swept.numerical_error * swept.mk_per_snr[:, None]

@@ -169,10 +169,7 @@ def mishap_sets(n: int, seed: int, first: int) -> bool:  # noqa: ARG001
     return missed <= NOT_FOUND_ON_SCENES and not alarms
 
 
-PARTS: dict[str, Callable[[int, int, int], bool]] = {
-    "clean": clean_sets,
-    "mishaps": mishap_sets,
-}
+PARTS: dict[str, Callable[[int, int, int], bool]] = {"clean": clean_sets, "mishaps": mishap_sets}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

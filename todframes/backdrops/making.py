@@ -429,11 +429,7 @@ class _SeenViews:
     """The frames of one size, and how often each view was shown."""
 
     def __init__(
-        self,
-        stage: _Stage,
-        layout: Layout,
-        backgrounds: Sequence[Background],
-        views: dict[tuple[int, str], _View],
+        self, stage: _Stage, layout: Layout, backgrounds: Sequence[Background], views: dict[tuple[int, str], _View]
     ) -> None:
         self.stage, self.layout, self.backgrounds, self.views = stage, layout, backgrounds, views
         self.shown = dict.fromkeys(views, 0)

@@ -21,12 +21,7 @@ from todframes.frames.trials import SceneView
 from todframes.parameters import PathLike
 from todframes.recordings.opening import NoReaderError, open_recordings
 from todframes.recordings.recording import CodeRange, Recording, code_range, files_in
-from todframes.stimulus import (
-    ORIENTATIONS,
-    Orientation,
-    circle_about,
-    orientation_weights,
-)
+from todframes.stimulus import ORIENTATIONS, Orientation, circle_about, orientation_weights
 
 PHOTOGRAPHS = (
     *("astronaut.png", "brick.png", "camera.png", "chelsea.png", "coffee.png", "coins.png", "grass.png"),

@@ -406,11 +406,7 @@ def measure_emva(
 
 
 def _measured(
-    stack: Stack,
-    region: Region | None,
-    full_scale: float | None,
-    darkest: float | None,
-    progress: Progress | None,
+    stack: Stack, region: Region | None, full_scale: float | None, darkest: float | None, progress: Progress | None
 ) -> StackNoise:
     """Return means and variances of a stack. `darkest` is the mean of dark frames, None for a dark stack."""
     recording = stack.recording

@@ -18,7 +18,6 @@ from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.safe_text import in_utf8
 from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, EdgeMtf
-from todframes.camera.mtf_figure import MtfLine, draw_mtf
 from todframes.camera.mtf_table import (
     MAPPER_PER_CYC_PER_PIXEL,
     RADIAL,
@@ -26,7 +25,9 @@ from todframes.camera.mtf_table import (
     Estimate,
     FrequencyUnit,
     MapperEdge,
+    MtfLine,
     MtfTable,
+    draw_mtf,
     is_table,
     mtf50_of,
     read_mtf_mapper,

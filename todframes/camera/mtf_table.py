@@ -1,18 +1,23 @@
-"""Tables of a measured MTF: CSV with frequencies in pixels, mrad or mm, and the text files of MTF Mapper."""
+"""Figure and tables of an MTF: CSV with frequencies in pixels, mrad or mm, and the text files of MTF Mapper."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from todframes.base._typing import FloatArray
+from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError
 from todframes.base.reading import MAX_CSV_MB, check_columns, number, read_table, read_text
+from todframes.results.figure_style import INK, label_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 FrequencyUnit = Literal["cyc_per_pixel", "cyc_per_mrad", "cyc_per_mm"]
 
@@ -205,3 +210,48 @@ def read_mtf_mapper(path: Path) -> list[MapperEdge]:
 def is_table(path: Path) -> bool:
     """Return whether a file is read here, by the end of its name: CSV, or a text file of MTF Mapper."""
     return path.suffix.lower() in (".csv", ".txt")
+
+
+class MtfLine(NamedTuple):
+    """A curve of the figure: name in the legend, values, style for matplotlib's `plot`, band if it has one."""
+
+    label: str
+    mtf: ArrayLike
+    style: Json
+    band: tuple[ArrayLike, ArrayLike] | None = None
+
+
+def draw_mtf(
+    axes: Axes,
+    frequency: ArrayLike,
+    lines: Sequence[MtfLine],
+    *,
+    end: float,
+    marks: Mapping[str, float],
+    xlabel: str,
+    ylabel: str,
+) -> None:
+    """Draw MTFs over (n,) frequencies up to `end`, with a dotted line at each marked frequency, by its name."""
+    frequencies = np.asarray(frequency)
+    shown = frequencies <= end
+    for line in lines:
+        style: Json = {"lw": 1.3, **line.style}
+        axes.plot(frequencies[shown], np.asarray(line.mtf)[shown], label=label_text(line.label), **style)
+        if line.band is not None:
+            low, high = (np.asarray(edge)[shown] for edge in line.band)
+            axes.fill_between(frequencies[shown], low, high, color=style.get("color"), alpha=0.2, lw=0.0)
+    axes.axhline(0.0, color=INK, lw=0.6)
+    axes.set(xlabel=xlabel, ylabel=ylabel, xlim=(0.0, end))
+    for name, marked in marks.items():
+        if marked < end:
+            axes.axvline(marked, color=INK, ls=":", lw=1.0)
+            axes.annotate(
+                f"{name} {marked:.3g}",
+                (marked, 1.0),
+                (3, -2),
+                xycoords=("data", "axes fraction"),
+                textcoords="offset points",
+                va="top",
+                fontsize="small",
+            )
+    axes.legend(frameon=True, framealpha=1.0, edgecolor="none").set_in_layout(False)

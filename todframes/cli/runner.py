@@ -24,14 +24,7 @@ from todframes.cli.console import (
     say,
     staged,
 )
-from todframes.cli.options import (
-    LOCATE,
-    OBSERVER_OPTIONS,
-    Assigned,
-    LocatingCommand,
-    Separated,
-    make_observers,
-)
+from todframes.cli.options import LOCATE, OBSERVER_OPTIONS, Assigned, LocatingCommand, Separated, make_observers
 from todframes.cli.signature import REQUIRED, Argument, Value, read_call
 
 LOADING = "todframes.frames.dataset:load_dataset"
@@ -147,11 +140,7 @@ class Commands(click.Group):
     """
 
     def __init__(
-        self,
-        *args: Any,
-        table: Mapping[str, Command],
-        modules: Mapping[str, str] | None = None,
-        **kwargs: Any,
+        self, *args: Any, table: Mapping[str, Command], modules: Mapping[str, str] | None = None, **kwargs: Any
     ) -> None:
         super().__init__(*args, **kwargs)
         self._table, self._modules = table, modules or {}

@@ -45,12 +45,7 @@ from todframes.observers.interface import Observer, Readout
 from todframes.parameters import CurveName, Decisions, Gaze, PlanName
 from todframes.psychometrics.bootstrap import draw_backgrounds, sets_of_backgrounds
 from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings
-from todframes.psychometrics.paired_bootstrap import (
-    RatioDraws,
-    holm,
-    ratio_draws,
-    threshold_ratio,
-)
+from todframes.psychometrics.paired_bootstrap import RatioDraws, holm, ratio_draws, threshold_ratio
 from todframes.results.data import Example, group_of
 from todframes.results.thumbnails import ExamplePatch, pictures
 from todframes.results.wording import evenly
@@ -66,14 +61,7 @@ from todframes.scoring.score import (
     settings_of_experiment,
     usable_trials,
 )
-from todframes.scoring.seen_trials import (
-    RATIO_STREAMS,
-    Scoring,
-    SeenTrial,
-    SeenTrials,
-    see,
-    trial_viewing,
-)
+from todframes.scoring.seen_trials import RATIO_STREAMS, Scoring, SeenTrial, SeenTrials, see, trial_viewing
 from todframes.scoring.work import see_trials
 from todframes.stimulus import ORIENTATIONS
 

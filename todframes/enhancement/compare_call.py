@@ -36,15 +36,7 @@ from todframes.results.advice import levels_to_add
 from todframes.results.data import observer_names
 from todframes.results.result import Result, repeatable
 from todframes.scoring.error_budget import plan_object
-from todframes.scoring.opening import (
-    each_once,
-    gazes_of,
-    in_memory,
-    inspected,
-    is_skip,
-    of_observer,
-    opened,
-)
+from todframes.scoring.opening import each_once, gazes_of, in_memory, inspected, is_skip, of_observer, opened
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store

@@ -11,15 +11,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from todframes.base._typing import Json
-from todframes.results.data import (
-    Fit,
-    Group,
-    Interval,
-    Positive,
-    Record,
-    ResultWarning,
-    observer_names,
-)
+from todframes.results.data import Fit, Group, Interval, Positive, Record, ResultWarning, observer_names
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import (
     INK,

@@ -20,12 +20,7 @@ from todframes.parameters import Count, Free, ObserverNames, OnError, Progress, 
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.data import DatasetRecord, observer_names
 from todframes.results.result import Result, repeatable
-from todframes.scoring.opening import (
-    described_each,
-    is_skip,
-    loaded,
-    of_observer,
-)
+from todframes.scoring.opening import described_each, is_skip, loaded, of_observer
 
 if TYPE_CHECKING:
     from todframes.experiment.answers import Session

@@ -163,13 +163,7 @@ def run_experiment(
     with (
         open_listener(host, port) as listener,
         open_sitting(
-            data,
-            answers,
-            subject=subject,
-            design=design,
-            consent_text=text,
-            contact=contact,
-            progress=progress,
+            data, answers, subject=subject, design=design, consent_text=text, contact=contact, progress=progress
         ) as sitting,
     ):
         serve(experiment_app(sitting), listener, host=host, open_browser=open_browser, tell=tell, warn=warn)

@@ -51,13 +51,7 @@ from todframes.experiment.answers import (
     write_description,
     write_sidecar,
 )
-from todframes.experiment.monitor import (
-    Calibration,
-    ContrastRange,
-    Monitor,
-    calibrated,
-    check_shows,
-)
+from todframes.experiment.monitor import Calibration, ContrastRange, Monitor, calibrated, check_shows
 from todframes.experiment.order import NextTrial, TrialOrder, n_main_trials
 from todframes.experiment.stimuli import clipped, contrast_range, dithered_codes, png, trial_image
 from todframes.frames.dataset import Dataset
@@ -628,11 +622,7 @@ def _difference(record: SessionRecord, design: SessionDesign) -> str | None:
 
 
 def _material(
-    dataset: Dataset,
-    indices: Sequence[int],
-    consent_text: str,
-    contact: str,
-    progress: Progress | None,
+    dataset: Dataset, indices: Sequence[int], consent_text: str, contact: str, progress: Progress | None
 ) -> Material:
     """Read all frames that a session may show."""
     blue_noise()  # takes a quarter of a second, which the first trial shall not take

@@ -15,11 +15,7 @@ from todframes.stimulus import Centre, Orientation, Stimulus, bounding_box_offse
 
 
 def centroid_position(
-    trial: Trial,
-    header: FrameHeader,
-    centre: Centre,
-    pixel_pitch_mrad: float,
-    frame: FrameReference | None = None,
+    trial: Trial, header: FrameHeader, centre: Centre, pixel_pitch_mrad: float, frame: FrameReference | None = None
 ) -> tuple[float, float]:
     """Return the position (x, y) of the triangle's centroid in pixels: in a frame, or its mean in the trial.
 

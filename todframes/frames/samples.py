@@ -63,10 +63,7 @@ def naked_eye(folder: Path) -> int:
     Each triangle is displaced by up to half a pixel of the display. Return the number of frames.
     """
     display = Display(
-        eotf="linear",
-        pixel_pitch_mm=0.25,
-        viewing_distance_mm=8000.0,
-        background_luminance_cd_m2=BACKGROUND_CD_M2,
+        eotf="linear", pixel_pitch_mm=0.25, viewing_distance_mm=8000.0, background_luminance_cd_m2=BACKGROUND_CD_M2
     )
     rows: list[Mapping[str, object]] = []
     rng = np.random.default_rng(2001)

@@ -20,12 +20,7 @@ from todframes.base.errors import SettingsError, argument
 from todframes.charts.layout import CORNERS, Chart, page_of, read_chart
 from todframes.diagnosis.findings import MOST_TURN_RAD
 from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips, frames_with_those_before
-from todframes.importing.filmed_trials import (
-    FIELD_PLACE,
-    OBJECT_SIZE,
-    Correction,
-    TriangleDescription,
-)
+from todframes.importing.filmed_trials import FIELD_PLACE, OBJECT_SIZE, Correction, TriangleDescription
 from todframes.importing.geometry import Geometry, PlacedTriangle, place_triangle
 from todframes.importing.lens_fit import choose_lens, solve
 from todframes.importing.marker_finder import MarkerFinder, SeenEdges, Sighting
@@ -154,12 +149,7 @@ class ChartSource:
     """
 
     def __init__(
-        self,
-        path: Path,
-        *,
-        pitch_mrad: float,
-        progress: Progress | None,
-        warm_up_frames: int = 0,
+        self, path: Path, *, pitch_mrad: float, progress: Progress | None, warm_up_frames: int = 0
     ) -> None:
         self.path = path
         self.chart: Chart = read_chart(path)

@@ -26,11 +26,7 @@ from todframes.frames.dataset import Dataset, Experiment, load_dataset
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.importing.chart_source import ChartSource
 from todframes.importing.clips import TIME_TOLERANCE
-from todframes.importing.filmed_trials import (
-    FIELD_PLACE,
-    SHAKE_PX,
-    TrialDivision,
-)
+from todframes.importing.filmed_trials import FIELD_PLACE, SHAKE_PX, TrialDivision
 from todframes.importing.schedule import ScheduleSource, read_schedule
 from todframes.importing.windows import WindowWriter
 from todframes.jobs.run import continued
@@ -50,13 +46,7 @@ from todframes.parameters import (
     Rate,
 )
 from todframes.recordings.opening import open_recordings
-from todframes.recordings.recording import (
-    GAP,
-    Recording,
-    RecordingWarning,
-    code_range,
-    natural_order,
-)
+from todframes.recordings.recording import GAP, Recording, RecordingWarning, code_range, natural_order
 
 LARGEST_TIME_ERROR = 0.1
 """Relative difference of the trials' time from the integration time, above which it is reported."""

@@ -23,12 +23,7 @@ from todframes.importing.lens import Lens, LensModel
 MOST_STEPS, CONVERGED_PX = 15, 1e-3
 """Steps of Gauss and Newton, and the largest motion of an edge after which there is no further one."""
 
-TRIED: tuple[tuple[LensModel, int], ...] = (
-    ("polynomial", 1),
-    ("polynomial", 7),
-    ("fisheye", 1),
-    ("fisheye", 5),
-)
+TRIED: tuple[tuple[LensModel, int], ...] = (("polynomial", 1), ("polynomial", 7), ("fisheye", 1), ("fisheye", 5))
 """Models and numbers of coefficients, the first ones of `PARAMETERS`; each begins with the result of the one
 before. More are tried only if the first one explains something, as it does for any lens: where it does not, others
 would follow what shifts edges in another way, such as a colour mosaic."""

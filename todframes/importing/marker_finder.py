@@ -35,14 +35,7 @@ from todframes.charts.layout import (
 )
 from todframes.importing.geometry import Geometry, fit_geometry
 from todframes.importing.lens import Lens
-from todframes.importing.lens_fit import (
-    USEFUL,
-    MeasuredEdges,
-    Pieces,
-    corner_pieces,
-    first_fits,
-    solve,
-)
+from todframes.importing.lens_fit import USEFUL, MeasuredEdges, Pieces, corner_pieces, first_fits, solve
 
 PIECES, POINTS = 3, 6
 """Pieces of a marker's edge, and points along each piece whose profiles across the edge are averaged."""

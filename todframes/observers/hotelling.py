@@ -25,12 +25,7 @@ from todframes.observers.interface import OmittedWeights
 from todframes.observers.internal_noise import Bands
 from todframes.observers.neurons import ideal_weights
 from todframes.observers.pyramid import LARGEST_SIZE_SAMPLES, PyramidObserver, PyramidSettings
-from todframes.observers.retina import (
-    RetinaGrid,
-    mirror_filtered,
-    mirror_filtered_adjoint,
-    mirrored_frequencies,
-)
+from todframes.observers.retina import RetinaGrid, mirror_filtered, mirror_filtered_adjoint, mirrored_frequencies
 from todframes.stimulus import Stimulus
 
 DisplayAngle = Annotated[float, Meta(ge=0.0, le=1e6)]

@@ -5,22 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
-from todframes.results.data import (
-    Content,
-    DatasetRecord,
-    Fit,
-    Group,
-    Head,
-    Record,
-)
+from todframes.results.data import Content, DatasetRecord, Fit, Group, Head, Record
 from todframes.results.table import EXACT, Column, Table, field_text
-from todframes.results.wording import (
-    column_heading,
-    group_phrase,
-    level_heading,
-    path_name,
-    threshold_heading,
-)
+from todframes.results.wording import column_heading, group_phrase, level_heading, path_name, threshold_heading
 from todframes.stimulus import ORIENTATIONS
 
 THRESHOLD_COLUMNS = (

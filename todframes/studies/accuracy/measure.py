@@ -160,10 +160,7 @@ class StudyScene:
 
 
 def monte_carlos(
-    answers: Callable[[], Draw],
-    trials: Callable[[], FoldedDraw],
-    smallest: int = 1,
-    fewest: int = 64,
+    answers: Callable[[], Draw], trials: Callable[[], FoldedDraw], smallest: int = 1, fewest: int = 64
 ) -> tuple[MonteCarlo, MonteCarlo, MonteCarlo]:
     """Make the three Monte Carlos that every linear observer has, from `prepare` of the literal one and a function
     that returns `draw(n, rng)` of `FoldedTrials`.
