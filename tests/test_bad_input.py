@@ -36,8 +36,7 @@ from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import write_frame
 from todframes.observers.pyramid import PyramidObserver
-from todframes.psychometrics.counts import read_counts
-from todframes.psychometrics.fit import FitSettings
+from todframes.psychometrics.fit import FitSettings, read_counts
 from todframes.scoring.score import score_dataset
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")

@@ -12,8 +12,7 @@ from todframes.frames.dataset import load_dataset
 from todframes.frames.position import candidate_places
 from todframes.frames.trials import SceneView
 from todframes.observers.pyramid import PyramidObserver
-from todframes.psychometrics.counts import read_counts
-from todframes.psychometrics.fit import FitSettings
+from todframes.psychometrics.fit import FitSettings, read_counts
 from todframes.scoring.score import score_dataset
 from todframes.stimulus import Orientation, Stimulus
 

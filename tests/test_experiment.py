@@ -39,7 +39,7 @@ from todframes.experiment.session import SessionDesign, StepError, frames_sha256
 from todframes.experiment.stimuli import shown_codes, trial_image
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile
-from todframes.psychometrics.counts import read_counts
+from todframes.psychometrics.fit import read_counts
 from todframes.psychometrics.quest import QuestGrid
 from todframes.stimulus import Orientation
 

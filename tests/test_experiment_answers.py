@@ -34,7 +34,7 @@ from todframes.experiment.answers import (
     write_sidecar,
 )
 from todframes.experiment.monitor import Calibration, calibrated
-from todframes.psychometrics.counts import read_counts
+from todframes.psychometrics.fit import read_counts
 from todframes.stimulus import Orientation
 
 SHOWN = ShownDataset(

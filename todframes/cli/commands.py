@@ -74,7 +74,7 @@ def _read_counts(given: dict[str, Any], further: dict[str, Any]) -> None:
     given["fit"] = make_fit(further)
     import numpy as np
 
-    from todframes.psychometrics.counts import read_counts
+    from todframes.psychometrics.fit import read_counts
 
     curves = read_counts(Path(further["counts"]))
     columns = np.concatenate([rows for _, rows in curves]).T

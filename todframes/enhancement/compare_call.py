@@ -151,7 +151,7 @@ def compare(
     [None, 'no difference shown']
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from todframes.enhancement.compare import compare_observers
+    from todframes.enhancement.compare import compare_examples, compare_observers
     from todframes.enhancement.comparison import (
         JudgedBy,
         comparisons,
@@ -205,8 +205,6 @@ def compare(
         for (name, of_each), own in zip(judged, each_settings, strict=True)
     ]
     if examples:
-        from todframes.enhancement.compare import compare_examples
-
         more["examples"] = compare_examples(data, results, judge, screen)
     black, peak = screen.luminance_range
     record, shown_wrong = inspected(data, reference.trials, judge.centre)

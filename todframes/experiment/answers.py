@@ -32,7 +32,7 @@ from todframes.base.safe_text import csv_text, without_quote
 from todframes.experiment.monitor import Monitor
 from todframes.frames.trials import Group
 from todframes.parameters import Method
-from todframes.psychometrics.counts import COLUMNS as COUNT_COLUMNS
+from todframes.psychometrics.fit import COUNT_COLUMNS
 from todframes.stimulus import Orientation
 
 SCHEMA = 1

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
-from todframes.base.reading import check_values
+from todframes.base.reading import check_values, number_or_text, read_table
 from todframes.parameters import CurveName
 from todframes.psychometrics.bootstrap import (
     Observed,
@@ -39,6 +40,11 @@ from todframes.psychometrics.weibull import WeibullModel
 
 Status = Literal["ok", "extrapolated", "never_reached", "always_exceeded", "too_few_levels"]
 MIN_RESAMPLES, MAX_RESAMPLES = 40, 100_000
+
+COUNT_COLUMNS = ("level", "n_correct", "n_trials")
+
+MOST_COUNTED = 2**53
+"""Largest number of trials; above it, not every whole number is a floating-point number."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -360,3 +366,26 @@ def _status(model: CurveModel, theta: FloatArray, ln_threshold: float) -> Status
     if near and abs(nearest - model.p_correct) <= abs(limit - model.p_correct) / 2:
         return "extrapolated"
     return "never_reached" if above else "always_exceeded"
+
+
+def read_counts(path: Path) -> list[tuple[dict[str, float | str], NDArray[np.float64]]]:
+    """Read a file of counts, by group in the order of appearance: the group's values by column name, and an array
+    of shape (n, 3): level, n_correct, n_trials. DataError if the file cannot be read, a column is missing, or a
+    value is not a number in its range.
+    """
+    header, rows = read_table(path, COUNT_COLUMNS)
+    names = [name for name in header if name not in COUNT_COLUMNS]
+    groups: dict[tuple[float | str, ...], list[list[float]]] = {}
+    for row in rows:
+        where, texts = row
+        level, n_correct, n_trials = values = row.numbers(COUNT_COLUMNS)
+        if level <= 0:
+            raise DataError(f"{where}: level: found {level:g}, expected > 0")
+        if not 1 <= n_trials <= MOST_COUNTED or n_trials % 1:
+            raise DataError(f"{where}: n_trials: found {n_trials:g}, expected a whole number >= 1 and <= 2^53")
+        if not 0 <= n_correct <= n_trials or n_correct % 1:
+            raise DataError(f"{where}: n_correct: found {n_correct:g}, expected a whole number, 0 to n_trials")
+        groups.setdefault(tuple(number_or_text(texts[name]) for name in names), []).append(values)
+    if not groups:
+        raise DataError(f"{path}: no counts; expected rows below the header")
+    return [(dict(zip(names, group, strict=True)), np.array(values)) for group, values in groups.items()]
