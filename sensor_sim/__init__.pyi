@@ -18,6 +18,12 @@ from .four_bars.mrtd import Ttp as Ttp
 from .four_bars.mrtd import mrtd as mrtd
 from .frames.dataset import Written as Written
 from .frames.simulate import simulate as simulate
+from .limits.advise import SensorAdvice as SensorAdvice
+from .limits.advise import advise as advise
+from .limits.limit import SensorLimit as SensorLimit
+from .limits.limit import limit as limit
+from .limits.worth import SensorWorth as SensorWorth
+from .limits.worth import worth as worth
 from .sweeps.result import Sweep as Sweep
 from .sweeps.sweep import sweep as sweep
 from .thresholds.curve import curve as curve

@@ -33,13 +33,22 @@ def _show_sensor(text: str, given: dict[str, Any], _: dict[str, Any]) -> None:
 
 
 COMMANDS = {
+    "advise": Command(
+        "sensor_sim.limits.advise:advise",
+        arguments="sensor",
+        showing="json quiet",
+        files="result.json, report.html, advice.csv and advice.png",
+        task="computing",
+    ),
     "curve": Command(
         "sensor_sim.thresholds.curve:curve",
         arguments="sensor",
         showing="explain verbose json quiet",
         files="result.json, report.html and plots",
         task="computing",
-        title=lambda result, _: f"{result.settings['sensor']['name']}: TOD curve",
+        title=lambda result, given: "" if "limit" in given else f"{result.settings['sensor']['name']}: TOD curve",
+        also="sensor_sim.limits.limit:limit",
+        also_if="limit",
     ),
     "explore": Command(
         "sensor_sim.explorer.explore:explore", arguments="sensor", showing="", show=lambda *_: None
@@ -82,6 +91,14 @@ COMMANDS = {
         showing="json quiet",
         files="sweep.csv, sweep.parquet, result.json, report.html and plots",
         task="sweeping",
+    ),
+    "worth": Command(
+        "sensor_sim.limits.worth:worth",
+        arguments="result sensor",
+        showing="json quiet",
+        files="result.json, report.html, worth.csv and worth.png",
+        task="computing",
+        without="p_correct",
     ),
 }
 """Commands that are made of calls, by name."""

@@ -19,7 +19,14 @@ from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.experiment.answers import read_answers, sidecar_path
 from todframes.experiment.calibration import PersonResult
-from todframes.experiment.person import Calibrated, answered_trials, noise_grid, noise_observers, seen_dataset
+from todframes.experiment.person import (
+    Calibrated,
+    answered_trials,
+    model_difference,
+    noise_grid,
+    noise_observers,
+    seen_dataset,
+)
 from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
 from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset
@@ -146,6 +153,29 @@ def test_p_values_are_uniform() -> None:
     # Shares of 400: ± 4 standard deviations of a binomial.
     for level in (0.1, 0.5):
         assert abs(np.mean(found <= level) - level) < 4.0 * math.sqrt(level * (1 - level) / 400)
+
+
+def test_a_model_that_is_off_by_the_margin_is_rarely_called_equal() -> None:
+    """Two one-sided tests at 5 % or less: of persons who are 0.1 better than the model, and of equal ones."""
+    n, p, rng = 400, np.full(400, 0.7), np.random.default_rng(2)
+    rows = [np.arange(n)]
+    called = []
+    for true in (0.8, 0.7):
+        drawn = rng.random((2000, n)) < true
+        ends = [model_difference(one, p, rows)[1] for one in drawn]
+        called.append(np.mean([low > -0.1 and high < 0.1 for low, high in ends]))
+    # The variance is the model's, 0.21, where the person's is 0.16: z = 1.645 · √(0.21 / 0.16) = 1.88, so 3.0 %.
+    # In equal ones, |d| has to be below 0.1 − 1.645 · 0.0229 = 0.0623, or 2.72 standard errors: 99.3 %.
+    assert called[0] == pytest.approx(0.030, abs=3.5 * math.sqrt(0.030 * 0.97 / 2000))
+    assert called[1] > 0.98
+
+
+def test_the_worst_group_decides() -> None:
+    is_correct = np.array([True] * 50 + [True] * 30 + [False] * 20)
+    p = np.array([1.0] * 50 + [0.9] * 50)
+    difference, (low, high) = model_difference(is_correct, p, [np.arange(50), np.arange(50, 100)])
+    assert difference == pytest.approx(-0.3)
+    assert high - low == pytest.approx(2 * 1.645 * math.sqrt(0.9 * 0.1 / 50))
 
 
 # The frames as they were seen ----------------------------------------------------------------------------------

@@ -50,7 +50,7 @@ todframes range: RESULT --target --atmosphere -o --k --cycles --cycles-per-size 
     --magnification --seed --verbose --strict --json
 todframes report: RESULT -o --title
 todframes rerun: RESULT
-todframes sample: OUT
+todframes sample: OUT --exact
 todframes scenes: BACKGROUNDS --size-mrad --contrast -o --places --place-step-mrad --trials --darker
     --blur-px --windows --frames --turns --dim --display --range --seed --max-frame-mb --quiet
 todframes score: DATASET -o --tolerance --explain --verbose --json --quiet --strict --decisions --curve
@@ -58,7 +58,10 @@ todframes score: DATASET -o --tolerance --explain --verbose --json --quiet --str
     --observer --internal-noise --p-correct --set --observer-settings
 todframes stability: --json --markdown --quiet
 todframes validate: DATASET --add-sha256 --max-frame-mb --strict --json
+sensor-sim advise: SENSOR --tolerance --seed -o --json --quiet --observer --internal-noise --p-correct --set
+    --observer-settings
 sensor-sim curve: SENSOR --size-detectors --size-mrad --luminance --places --tolerance --plan --seed -o
+    --limit --size-m --contrast --delta-t-k --snr
     --explain --verbose --json --quiet --observer --internal-noise --p-correct --set --observer-settings
 sensor-sim explore: SENSOR --target --atmosphere --k --observer --internal-noise --p-correct --set
     --observer-settings --host --port --no-browser
@@ -75,6 +78,8 @@ sensor-sim sweep: SENSOR --size-detectors --vary --design --sample --keep-fill-f
     --minimise --maximise --acuity-snr --acuity-delta-t-mk --target --atmosphere --k --places --tolerance
     --plan --seed --workers -o --json --quiet --observer --internal-noise --p-correct --set
     --observer-settings --cluster --restart --keep-store
+sensor-sim worth: RESULT SENSOR --limit --tolerance --seed -o --json --quiet --observer --internal-noise --set
+    --observer-settings
 """
 """Arguments and options of each command; a command begins a line."""
 

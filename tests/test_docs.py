@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import json
 import re
 import runpy
@@ -17,6 +18,8 @@ import click
 import numpy as np
 import pytest
 
+import sensor_sim as ss
+import todframes as tod
 from sensor_sim.cli import cli as sensor_sim
 from todframes import __version__
 from todframes.cli.console import run
@@ -180,6 +183,7 @@ def page_with_its_file(name: str, folder: Path) -> str:
     return text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "file", "shown"),
     [
@@ -227,16 +231,13 @@ def test_table_of_the_page_on_charts(capsys) -> None:
     assert [line.rstrip() for line in shown.splitlines() if line.strip()][: len(lines)] == lines
 
 
-SLOW_CODE = [*HOW_TO, "thermal_background.md"]
+SLOW_CODE = [*HOW_TO, "api.md", "camera_noise.md", "thermal_background.md", "your_camera.md"]
 QUICK = [
     "datasets.md",
     "own_frames.md",
-    "your_camera.md",
-    "camera_noise.md",
     "displays.md",
     "fit_counts.md",
     "own_enhancement.md",
-    "api.md",
 ]
 
 
@@ -323,6 +324,28 @@ def test_each_command_and_each_key_has_its_page() -> None:
         known = descriptions(record)
         assert not [one for one in record.__struct_fields__ if not known.get(one)], record
     assert "| `gamma` | number or null | Parameters α, β, γ and δ" in made["commands/keys.inc"]
+
+
+WITHOUT_EXAMPLE = {"calibrate", "compare_frames", "explore", "import_recordings", "run_experiment", "worth"}
+"""Calls that need people, a film, a server or another result; pages show them."""
+
+OF_CALLS = {"GL07", "GL08", "PR01", "PR02", "PR03", "PR04", "PR05", "PR06", "PR07", "RT01", "SS01", "SS03", "EX01"}
+"""Checks of numpydoc for calls: sections in order, all parameters with type and text, a result, an example."""
+
+
+@pytest.mark.oracle
+def test_docstrings_of_calls_pass_the_checks_of_numpydoc() -> None:
+    validate = pytest.importorskip("numpydoc.validate", reason="numpydoc comes with the docs extra").validate
+    found = {}
+    for package in (tod, ss):
+        for name in dir(package):
+            call = getattr(package, name)
+            if inspect.isfunction(call):
+                allowed = {"EX01"} if name in WITHOUT_EXAMPLE else set()
+                errors = {code for code, _ in validate(f"{call.__module__}.{name}")["errors"]}
+                if wrong := errors & OF_CALLS - allowed:
+                    found[name] = wrong
+    assert found == {}
 
 
 def test_own_observer_by_its_module(folder: Path, capsys) -> None:
@@ -456,6 +479,7 @@ def test_samples_can_be_made_again(made_again: Path, name: str) -> None:
         assert (ours / file).read_bytes() == (theirs / file).read_bytes(), file
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAMPLES)
 def test_samples_are_valid(name: str, capsys) -> None:
     assert run(cli, ["validate", str(ROOT / "sample_frames" / name)]) == 0

@@ -39,7 +39,6 @@ from sensor_sim.chain.sensor import NOISE_MODELS, TABLES, sensor_from, sensor_se
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.cli import cli
 from sensor_sim.explorer import routes
-from sensor_sim.explorer.limits import Shares
 from sensor_sim.explorer.live import CurvePoint, LiveCurve, LiveCurves, Request, ThresholdEngine
 from sensor_sim.explorer.parameters import SLIDERS, observer_fields, sensor_fields
 from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves
@@ -48,6 +47,7 @@ from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAs
 from sensor_sim.sweeps.designs import numeric_keys
 from sensor_sim.sweeps.goals import Aim
 from sensor_sim.thresholds.predict import PredictedThreshold
+from sensor_sim.thresholds.shares import Shares
 from todframes.base.errors import DataError, SettingsError
 from todframes.cli.console import run
 from todframes.field.acquisition_range import acquisition_range

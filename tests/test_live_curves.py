@@ -19,11 +19,11 @@ from test_predict import UNDER_SAMPLED
 
 from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sensor import Detector, Noise, Optics, PhotonNoise, Scene, Sensor
-from sensor_sim.explorer.limits import Shares, decision_shares
 from sensor_sim.explorer.live import SHARED_MB, CurvePoint, LiveCurve, LiveCurves, Request, ThresholdEngine
 from sensor_sim.thresholds.curve_plan import Level, plan_curve
 from sensor_sim.thresholds.folding import Folding
 from sensor_sim.thresholds.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
+from sensor_sim.thresholds.shares import Shares, decision_shares
 from todframes.base.errors import SettingsError
 from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import Observer

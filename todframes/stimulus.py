@@ -27,7 +27,14 @@ SIDE_PER_SIZE = 2.0 / 3.0**0.25
 
 
 class Orientation(StrEnum):
-    """Direction of the apex on the display; members are in clockwise order, as are all scores and answers."""
+    """Direction of the apex on the display; members are in clockwise order, as are all scores and answers.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> [each.value for each in tod.Orientation]
+    ['up', 'right', 'down', 'left']
+    """
 
     UP = "up"
     RIGHT = "right"
@@ -57,6 +64,13 @@ class Stimulus:
         √(area) as displayed, in mrad at the eye.
     polarity : {1, -1}
         Brighter or darker than the background.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> readout = tod.PyramidObserver().readout(tod.Stimulus(size_mrad=2.4))
+    >>> len(readout.deviations)
+    4
     """
 
     size_mrad: float
@@ -182,6 +196,13 @@ def coverage(
     ------
     SettingsError
         If the size is not a positive number, or the orientation or `centre` is unknown.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> pixels = tod.coverage((32, 32), size_px=6.0, x_px=15.5, y_px=15.5, orientation="up")
+    >>> round(float(pixels.sum()), 9)
+    36.0
     """
     n_rows, n_columns = shape
     quarter_turns = Orientation(orientation).quarter_turns

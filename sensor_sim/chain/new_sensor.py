@@ -96,6 +96,11 @@ def new_sensor(
     name : str, optional
         Name of the sensor.
 
+    Returns
+    -------
+    str
+        Text of the file.
+
     Raises
     ------
     SettingsError

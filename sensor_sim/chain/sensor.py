@@ -518,6 +518,23 @@ class Sensor:
     ------
     SettingsError
         If a part lacks what another one needs. Each part checks its own values in the same way.
+
+    Examples
+    --------
+    >>> import sensor_sim as ss
+    >>> sensor = ss.Sensor(
+    ...     optics=ss.Optics(aperture_mm=50.0, wavelength_um=10.0),
+    ...     detector=ss.Detector(pitch_mrad=0.2, width_mrad=0.18),
+    ...     noise=ss.Noise(netd_mk=40.0),
+    ...     display=ss.SensorDisplay(
+    ...         pixels_per_detector=2,
+    ...         pixel_pitch_mm=0.25,
+    ...         viewing_distance_mm=500.0,
+    ...         background_luminance_cd_m2=50.0,
+    ...     ),
+    ... )
+    >>> ss.curve(sensor, size_detectors=[5]).thresholds[0].status
+    'ok'
     """
 
     optics: Optics
@@ -602,6 +619,12 @@ def load_sensor(path: Path | str) -> Sensor:
     SettingsError
         If it cannot be read or is not TOML, or a table or key is unknown, missing or out of its range; the
         message names the file, table and key, the value found and the values expected.
+
+    Examples
+    --------
+    >>> import sensor_sim as ss
+    >>> ss.load_sensor("sample_frames/star_like.toml").detector.pitch_mrad
+    0.0681
     """
     return sensor_from(read_toml(Path(path)), str(path), folder=Path(path).parent)
 

@@ -26,34 +26,26 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from sensor_sim.chain.sampling import field_detectors
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.explorer.limits import LEADING_SHARE, NAMES, SATURATING, WITHOUT_NOISE, Shares, decision_shares
 from sensor_sim.thresholds.curve_plan import Level, coarse_plan, plan_curve
 from sensor_sim.thresholds.predict import (
     FoldedChain,
     PredictedThreshold,
-    covariance_at,
-    pooled,
     predicted_on_lattices,
 )
+from sensor_sim.thresholds.shares import SATURATING, SEED, WITHOUT_NOISE, Shares, shares_at, what_limits
 from sensor_sim.thresholds.sharing import Shared, as_computed
 from todframes.base.errors import TodframesError
 from todframes.base.user_code import search_last, searched_last
 from todframes.jobs.start import starting_processes
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings
-from todframes.scoring.error_budget import REPLICATES
 
 SHARED_MB = 32
 """Largest size of the parts that are kept, in units of 2**20 bytes."""
 
 THRESHOLDS_KEPT = 2000
-
-SEED = 1
-"""Seed of the places, that of `curve` if no other is asked for."""
 
 TOLERANCES = (0.03, 0.002)
 """Relative errors of the estimate and of the refined thresholds."""
@@ -175,16 +167,7 @@ class ThresholdEngine:
             check=self._check,
         )
         slope = on_places[max(on_places)].slope if on_places else math.nan
-        return CurvePoint(index, found, _shares(chain, level, found.threshold), slope, is_refined)
-
-
-def _shares(chain: FoldedChain, level: Level, threshold: float | None) -> Shares:
-    """Return the shares at a threshold, or without one at the strongest signal."""
-    value, nothing = threshold or chain.largest_level, np.zeros((4, 4))
-    phases = pooled(chain.replicates(chain.lattices[0], SEED, REPLICATES if threshold else 1))
-    internal = chain.noise_covariance / (value**2 if level == "contrast" or chain.variance is not None else 1.0)
-    noise = [np.array(covariance_at(level, value, nothing, part, chain.variance), ndmin=4) for part in phases]
-    return decision_shares(phases, internal, [of_part.mean(axis=(0, 1)) for of_part in noise])
+        return CurvePoint(index, found, shares_at(chain, level, found.threshold), slope, is_refined)
 
 
 class LiveCurve(NamedTuple):
@@ -208,16 +191,9 @@ class LiveCurve(NamedTuple):
     @property
     def limits(self) -> tuple[Shares, str]:
         """Mean shares of the sizes that reach their threshold, or else of all, and what limits in a sentence."""
-        reached = [one.shares for one in self.points if one.threshold.threshold is not None]
-        mean = Shares(*np.mean(reached or [one.shares for one in self.points], axis=0).tolist())
-        (most, first), *others = sorted(zip(mean, NAMES, strict=True), reverse=True)
-        rest = [f"{name} {100.0 * share:.0f} %" for share, name in others if share > 0.0] or ["nothing else does"]
-        verb = "limits" if most >= LEADING_SHARE else "weighs most"
-        at = [f"{one.size_detectors:g}" for one in self.thresholds if one.threshold is None]
-        strongest = SATURATING if self.counts_photons else WITHOUT_NOISE
-        tail = f"; no threshold at {', '.join(at)} detectors, even {strongest}" if at else ""
-        of_all = f"{100.0 * most:.0f} % of what makes answers vary at threshold"
-        return mean, f"{first[0].upper()}{first[1:]} {verb}: {of_all} ({', '.join(rest)}){tail}."
+        reached = [one.threshold is not None for one in self.thresholds]
+        sizes, shares = [one.size_detectors for one in self.thresholds], [one.shares for one in self.points]
+        return what_limits(sizes, shares, reached, SATURATING if self.counts_photons else WITHOUT_NOISE)
 
 
 class LiveCurves:

@@ -142,7 +142,7 @@ def curve(
 
     for number, size in enumerate(sizes, 1):
         started_size = time.perf_counter()
-        thresholds = _at_size(
+        thresholds = thresholds_at(
             sensor, scenes, judge, size, tolerance=tolerance, plan=plan, progress=advance, **asked
         )
         run_time_s = round((time.perf_counter() - started_size) / len(thresholds), 4)
@@ -174,7 +174,7 @@ class AtLight(NamedTuple):
     chain: FoldedChain
 
 
-def _at_size(
+def thresholds_at(
     sensor: Sensor,
     scenes: Sequence[Scene],
     observer: Observer,

@@ -21,14 +21,27 @@ def matched_settings(sensor: Sensor, **others: Any) -> HotellingSettings:
     Parameters
     ----------
     sensor : Sensor
+        The sensor to match.
     **others
         Any other settings, such as internal_noise. If `sample_noise_sd` is given, as the display's gain divided by
         a signal-to-noise ratio, the weights are ideal for that noise too.
+
+    Returns
+    -------
+    HotellingSettings
+        Settings for `HotellingObserver`.
 
     Raises
     ------
     SettingsError
         If a value is out of its range.
+
+    Examples
+    --------
+    >>> import sensor_sim as ss
+    >>> import todframes as tod
+    >>> sensor = ss.load_sensor("sample_frames/star_like.toml")
+    >>> result = ss.curve(sensor, size_detectors=[5], observer=tod.HotellingObserver(ss.matched_settings(sensor)))
     """
     display, detector, optics = sensor.display, sensor.detector, sensor.optics
     as_seen = display.detector_pitch_mrad / detector.pitch_mrad

@@ -76,6 +76,15 @@ class TodframesError(Exception):
 
     A URL in the message is shown without a user name, password, parameter or query: they may be secrets.
     Names that are not UTF-8 are escaped, because results keep messages.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> try:
+    ...     tod.load_dataset("nowhere")
+    ... except tod.TodframesError as error:
+    ...     print(type(error).__name__)
+    DataError
     """
 
     exit_status = 1

@@ -58,8 +58,8 @@ def resolved(name: str) -> Any:
 class Command(NamedTuple):
     """A command: the call that it is made of, and what is shown of the result.
 
-    - `call`: the call, "module:function"; `also`: another call whose parameters are options, too, for a body that
-      chooses between them.
+    - `call`: the call, "module:function"; `also`: another call whose parameters are options, too, which is made if
+      the option `also_if` is given, or if a body says so.
     - `arguments`: parameters that stand without a name on the command line.
     - `showing`: the options of `SHOWING` that apply; `details`: what `--verbose` adds.
     - `files`: what `-o` writes into a folder; empty if the command has no such option.
@@ -89,6 +89,7 @@ class Command(NamedTuple):
     text: str = ""
     without: str = ""
     also: str = ""
+    also_if: str = ""
     body: str = ""
 
 
@@ -107,6 +108,7 @@ def make_command(name: str, command: Command) -> click.Command:
     for one in parameters.values():
         if one.name not in left_out:
             made.append(option(one, parameters))
+            made[-1].required &= one.name in described.parameters
         if one.name == "observer":
             made += (each for each in OBSERVER_OPTIONS if each.name not in {*parameters, *left_out})
     made += command.further
@@ -295,7 +297,7 @@ def _run(command: Command, **values: Any) -> None:
     shown = {name: given.pop(name, False) for name in command.showing.split()}
     further = {str(one.name): given.pop(str(one.name)) for one in command.further if one.name in given}
     out, quiet = given.pop("out", None) if command.files else None, shown.get("quiet", False)
-    parameters = read_call(command.call).parameters
+    call_name, parameters = _chosen(command, given)
     for name in given.keys() & parameters.keys():
         if parameters[name].value.key is not None:
             keys = [key for key, _ in given[name]]
@@ -311,14 +313,14 @@ def _run(command: Command, **values: Any) -> None:
         given.setdefault("observer", parameters["observer"].default)
         observers, fit = make_observers(given, fitted="fit" in parameters, several=several)
         given["observer"] = observers if several else observers[0]
-        given |= {"fit": fit} if "fit" in parameters else {"p_correct": fit.p_correct}
+        given |= {name: one for name, one in (("fit", fit), ("p_correct", fit.p_correct)) if name in parameters}
     if "examples" in parameters:
         given["examples"] = out is not None
     if "tell" in parameters:
         given["tell"] = echo if "open_browser" in parameters else None if quiet else say
     if "warn" in parameters:
         given["warn"] = say
-    call = resolved(command.call)
+    call = resolved(call_name)
     if _opens_dataset(parameters):
         from todframes.frames.dataset import load_dataset
 
@@ -341,3 +343,16 @@ def _run(command: Command, **values: Any) -> None:
     title = "" if command.title is None else command.title(result, given | further)
     as_json = shown.pop("json", False)
     print_result(result, title, as_json=as_json, out=out, is_timed=command.is_timed, **shown)
+
+
+def _chosen(command: Command, given: Mapping[str, Any]) -> tuple[str, Mapping[str, Argument]]:
+    """Return the call that is made and its parameters; SettingsError if a value is of the other call alone."""
+    parameters = read_call(command.call).parameters
+    if not command.also_if:
+        return command.call, parameters
+    others, is_also = read_call(command.also).parameters, command.also_if in given
+    chosen, name = (others, command.also) if is_also else (parameters, command.call)
+    if unused := sorted(given.keys() & {*parameters, *others} - chosen.keys()):
+        how = "is not used with" if is_also else "needs"
+        raise SettingsError(f"{flag_of(unused[0])}: {how} {flag_of(command.also_if)}")
+    return name, chosen

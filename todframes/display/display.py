@@ -88,6 +88,19 @@ class Display:
     ------
     SettingsError
         If a value is out of range, missing, or contradicts another.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> display = tod.Display(
+    ...     eotf="srgb",
+    ...     white_luminance_cd_m2=120.0,
+    ...     pixel_pitch_mm=0.25,
+    ...     viewing_distance_mm=1000.0,
+    ...     background_luminance_cd_m2="surround",
+    ... )
+    >>> round(display.pitch_mrad, 6)
+    0.25
     """
 
     eotf: Eotf

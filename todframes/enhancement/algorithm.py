@@ -73,6 +73,15 @@ class Declaration:
     ------
     SettingsError
         If the domain, the magnification or the number of frames of warm-up is not valid.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> @tod.algorithm(library="mine")
+    ... def brighter(image):
+    ...     return image + 0.1
+    >>> tod.find_enhancement(brighter).declaration.library
+    'mine'
     """
 
     domain: Domain = "code_value"
@@ -98,7 +107,29 @@ algorithm = Declaration
 
 
 def parameter(low: float, high: float, *, unit: str = "", what: str = "") -> msgspec.Meta:
-    """Return a parameter's range, unit and meaning for annotations: `Annotated[float, parameter(0.1, 50.0)]`."""
+    """Return a parameter's range, unit and meaning for annotations: `Annotated[float, parameter(0.1, 50.0)]`.
+
+    Parameters
+    ----------
+    low, high : float
+        Smallest and largest value.
+    unit, what : str
+        Unit, and meaning in a few words, for lists and reports.
+
+    Returns
+    -------
+    msgspec.Meta
+        The annotation.
+
+    Examples
+    --------
+    >>> from typing import Annotated
+    >>> import todframes as tod
+    >>> def scaled(image, factor: Annotated[float, tod.parameter(0.1, 10.0, what="factor of all values")] = 2.0):
+    ...     return factor * image
+    >>> tod.find_enhancement(scaled).parameters[0].name
+    'factor'
+    """
     return msgspec.Meta(ge=low, le=high, description=what, extra={"unit": unit})
 
 

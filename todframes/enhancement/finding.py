@@ -42,6 +42,12 @@ def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
         If the name is unknown, the module cannot be imported, or a parameter is unknown, missing or out of range.
     DataError
         If the file of a network cannot be used.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> tod.find_enhancement("gaussian:sigma=1.5").values
+    {'sigma': 1.5}
     """
     if not isinstance(spec, str):
         if not callable(spec):

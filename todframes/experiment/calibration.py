@@ -48,11 +48,16 @@ NOISE_COLUMNS = (
     Column(key="deviance", digits=3, rank=2),
     Column(key="n_cells", header="cells", rank=2),
     Column(key="deviance_p_value", header="p", digits=2),
+    Column(key="model_difference", in_file_only=True),
+    Column(key="model_difference_ci90", interval="model_difference_ci90", in_file_only=True),
     Column(key="status", is_key=True),
 )
 
 UNDECIDED, STRONG = 2.0, 10.0
 """Differences of AIC below which the answers do not decide, and from which they are strong evidence."""
+
+MARGIN = 0.1
+"""Difference in proportion correct within which a model and a person count as equal."""
 
 MOST_DESCRIBED = 6
 """Largest number of persons that are described one by one; if there are more, the table shows them."""
@@ -115,6 +120,9 @@ class PersonResult(Struct, frozen=True, kw_only=True):
     deviance, deviance_p_value : float
         Deviance of the proportions correct of the `n_cells` groups and levels, and the share of experiments with
         the fitted model that have as large a one.
+    model_difference, model_difference_ci90 : float, (float, float), or None
+        Proportion correct of the person minus that of the fitted model, in the group in which they differ most,
+        and its 90 % interval. Person and model are equal if it lies within ± 0.1.
     predicted : tuple of Fit
         Thresholds of the fitted model, a record for each of the person's own in `fits`, in the same order; their
         intervals are those of the noise.
@@ -138,7 +146,19 @@ class PersonResult(Struct, frozen=True, kw_only=True):
     deviance: float
     deviance_p_value: Proportion | None = NULL
     n_cells: int
+    model_difference: float | None = NULL
+    model_difference_ci90: tuple[float, float] | None = NULL
     predicted: tuple[Fit, ...] = EMPTY
+
+    @property
+    def equivalence(self) -> str:
+        """Return whether model and person are equal within the margin, in a sentence; empty without a noise."""
+        if self.model_difference is None or self.model_difference_ci90 is None:
+            return ""
+        low, high = self.model_difference_ci90
+        does = "equals" if low > -MARGIN and high < MARGIN else "is not shown to equal"
+        worst = f"{self.model_difference:+.2f} where they differ most, 90 % interval {low:+.2f} to {high:+.2f}"
+        return f" The model {does} this person within {MARGIN:g} of proportion correct ({worst})."
 
 
 class FurtherObserver(Struct, frozen=True, kw_only=True):
@@ -229,7 +249,7 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
             fate = "flagged, but counted" if self.settings.get("include_flagged") else "left out"
             each = " and ".join(f"{n} {FLAGS[flag]}" for flag, n in one.n_flagged.items())
             text += f"; {count(sum(one.n_flagged.values()), 'answer')} {fate}: {each}"
-        return f"{text}."
+        return f"{text}.{one.equivalence if one.subject is not None else ''}"
 
     def printed(self) -> list[str]:
         """Return all sentences."""

@@ -33,7 +33,7 @@ from todframes.jobs.run import Run
 from todframes.observers.interface import Observer, Readout
 from todframes.parameters import Free
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
-from todframes.psychometrics.noise_fit import MOST_CERTAIN, AnswerTable, NoiseFit, fit_noise, joined
+from todframes.psychometrics.noise_fit import MOST_CERTAIN, AnswerTable, NoiseFit, fit_noise, joined, with_lapses
 from todframes.psychometrics.observer_curve import GUESS_RATE
 from todframes.results.data import Fit, ResultWarning, group_of
 from todframes.scoring.plan import ScorePlan, plan_score
@@ -63,6 +63,9 @@ smallest."""
 
 SURPRISING = 0.01
 """P-value below which there is a warning."""
+
+Z_90 = 1.645
+"""Half of a 90 % interval in standard errors."""
 
 PLANNED_NOISE = 0.1
 """Internal noise for which the plan is made. It is smaller than that of people, so the plan's bounds hold for
@@ -428,10 +431,15 @@ def calibrate_persons(
         is_correct = np.concatenate([answered[k].is_correct for k in members])
         cells = cells_of([answered[k] for k in members])
         fit = fit_noise(table, is_correct, cells, lapse_rates=lapse_rates, rng=rng)
-        predicted = []
+        predicted, trials = [], Trials.of(trial for k in members for trial in answered[k].trials)
+        groups = groups_of(trials)
+        equal: Json = {}
+        if fit.noise is not None:
+            p_model = with_lapses(table.at(np.log([fit.noise]), np.log([fit.blur]))[:, 0, 0], fit.lapse_rate)
+            of_groups = model_difference(is_correct, p_model, [rows for _, rows in groups])
+            equal = dict(zip(("model_difference", "model_difference_ci90"), of_groups, strict=True))
         if subject is not None:
-            trials = Trials.of(trial for k in members for trial in answered[k].trials)
-            for group, rows in groups_of(trials):
+            for group, rows in groups:
                 levels, named = trials.levels[rows], {"subject": subject, **group_of(dataset, group)}
                 right = is_correct[rows].astype(np.float64)
                 alone = fit_counts(levels, right, np.ones(len(rows)), settings=fit_settings, rng=rng)
@@ -440,7 +448,7 @@ def calibrate_persons(
                 if model is not None:
                     predicted.append(Fit.of_counts(named, dataset.experiment.level, model))
         flags: Counter[str] = sum((Counter(flagged(sessions[k].rows)) for k in members), Counter())
-        return _person_result(subject, is_correct, dict(flags), fit, predicted, setting, 1 + len(set(free)))
+        return _person_result(subject, is_correct, dict(flags), fit, predicted, equal, setting, 1 + len(set(free)))
 
     subjects = list(dict.fromkeys(one.subject for one in answered))
     persons = tuple(
@@ -461,6 +469,7 @@ def _person_result(
     n_flagged: dict[str, int],
     fit: NoiseFit,
     predicted: Sequence[Fit],
+    equal: Json,
     setting: str,
     n_fitted: int,
 ) -> PersonResult:
@@ -486,7 +495,25 @@ def _person_result(
         deviance_p_value=fit.deviance_p_value,
         n_cells=fit.n_cells,
         predicted=tuple(predicted),
+        **equal,
     )
+
+
+def model_difference(
+    is_correct: NDArray[np.bool_], p_model: FloatArray, groups: Sequence[NDArray[np.intp]]
+) -> tuple[float, tuple[float, float]]:
+    """Return the person's proportion correct minus the model's, and its 90 % interval, in the group that is worst.
+
+    Model and person are equal within a margin, at a level of 5 %, if this interval lies within it: two one-sided
+    tests in each group, all of which have to hold. The standard error is that of the model's probabilities.
+    """
+    found = []
+    for rows in groups:
+        p, n = p_model[rows], len(rows)
+        difference = float(np.mean(is_correct[rows] - p))
+        reach = Z_90 * float(np.sqrt(np.sum(p * (1.0 - p)))) / n
+        found.append((difference, (difference - reach, difference + reach)))
+    return max(found, key=lambda one: max(-one[1][0], one[1][1]))
 
 
 def _equal_noise(persons: Sequence[PersonResult], pooled: PersonResult, n_parameters: int) -> float:

@@ -99,6 +99,11 @@ class Atmosphere:
     ------
     SettingsError
         If a value is out of range, missing, or contradicts another.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> air = tod.Atmosphere(extinction_per_km=0.2)
     """
 
     extinction_per_km: Annotated[float, Meta(ge=1e-3, le=100.0)] | None = None

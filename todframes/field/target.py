@@ -85,6 +85,11 @@ class Target:
     ------
     SettingsError
         If a value is out of range, missing, or contradicts another.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> target = tod.Target(size_m=2.3, delta_t_k=2.0)
     """
 
     size_m: Annotated[float, Meta(ge=0.01, le=1e3)]

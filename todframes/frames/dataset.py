@@ -265,6 +265,13 @@ def load_dataset(path: Location | str, *, max_frame_mb: FrameLimit = MAX_FRAME_M
         raises nothing: it goes to `bad_rows`.
     RemoteError
         If the URL cannot be reached, or may not be read.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> data = tod.load_dataset("sample_frames/naked_eye")
+    >>> len(data.trials), data.display.background_luminance_cd_m2
+    (336, 22.0)
     """
     path = location(path)
     check_max_frame_mb(max_frame_mb)

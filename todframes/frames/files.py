@@ -500,6 +500,12 @@ def read_frame(
     ------
     FrameError
         If the file cannot be read or is too large, or one of these pixels is damaged, NaN or infinite.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> tod.read_frame("sample_frames/naked_eye/frames/s0.6_c0.155_up_0.exr", rows=(70, 90)).values.shape
+    (20, 160, 1)
     """
     with FrameFile(path, max_frame_mb=max_frame_mb) as file:
         return file.read(rows=rows, columns=columns)
@@ -786,6 +792,18 @@ def write_frame(
         If values have another shape, are not finite or lie beyond the pixel type's range.
     OutputError, an OSError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> import todframes as tod
+    >>> path = Path(tempfile.mkdtemp()) / "grey.png"
+    >>> tod.write_frame(path, np.full((4, 6), 0.5))
+    >>> frame = tod.read_frame(path)
+    >>> frame.values.shape, round(float(frame.values[0, 0, 0]), 4)
+    ((4, 6, 1), 0.5)
     """
     path, attributes = Path(path), attributes or {}
     suffix = path.suffix.lower()

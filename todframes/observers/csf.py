@@ -155,6 +155,11 @@ class CsfObserver(NeuronObserver):
 
     Parameters are as for `Observer`, with `CsfSettings`; `wider` is a factor of the field's width. Watson &
     Ahumada 2005, with the pooling exponent 2.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> result = tod.naked_eye(size_mrad=2.4, observer=tod.CsfObserver())
     """
 
     settings_type: ClassVar[type[CsfSettings]] = CsfSettings

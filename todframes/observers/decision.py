@@ -98,6 +98,13 @@ def answer_probabilities(
     SettingsError
         A ValueError, for a wrong shape, a value that is not finite, a matrix that is not a covariance, or noise
         that is given in both ways or none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import todframes as tod
+    >>> tod.answer_probabilities([1.0, 0.0, 0.0, 0.0], np.eye(4)).round(4)
+    array([0.552 , 0.1493, 0.1493, 0.1493])
     """
     if (covariance is None) == (factor is None):
         raise SettingsError("noise: found both or none of covariance and factor, expected one of them")

@@ -85,6 +85,11 @@ class HotellingObserver(PyramidObserver):
     `postsample_mtf` on the triangle and on the noise of its samples. A subclass may replace them by any functions
     that are real and even along both axes. The width of their field still follows from the settings. Hogervorst et
     al. 2001, section 9.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> result = tod.naked_eye(size_mrad=2.4, observer=tod.HotellingObserver())
     """
 
     settings_type: ClassVar[type[HotellingSettings]] = HotellingSettings

@@ -72,6 +72,13 @@ class Readout:
     find_common_variance : function of no arguments, or None
         Returns the variance of the internal noise that the four scores share, which `noise_covariance` is without.
         A decision needs it only if the triangle's place is unknown. None: it is not known.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> readout = tod.PyramidObserver().readout(tod.Stimulus(size_mrad=2.4))
+    >>> readout.noise_covariance.shape
+    (4, 4)
     """
 
     grid: RetinaGrid
@@ -342,19 +349,19 @@ class Observer:
     A subclass has a `grid` and can `respond`. All other abilities are optional, and by default they are missing: a
     method then returns None, or the observer itself. `check_observer` reports what a subclass does wrong.
 
-    Attributes
-    ----------
-    settings_type : type
-        Frozen dataclass whose fields are the names that users set.
-    omitted_part : str
-        Name of what the readout omits.
-
     Parameters
     ----------
     settings : dataclass, optional
         Of the type `settings_type`. Default: its defaults.
     **changes
         Settings by name, in place of those of `settings`.
+
+    Attributes
+    ----------
+    settings_type : type
+        Frozen dataclass whose fields are the names that users set.
+    omitted_part : str
+        Name of what the readout omits.
 
     Raises
     ------
@@ -471,10 +478,21 @@ def find_observer(name: str) -> type[Observer]:
     name : str
         That of an entry point of the group `todframes.observers`, or `module:Class`, which is imported.
 
+    Returns
+    -------
+    type
+        Subclass of `Observer`.
+
     Raises
     ------
     SettingsError
         If there is none of this name, or it cannot be imported.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> tod.find_observer("csf").__name__
+    'CsfObserver'
     """
     if ":" in name:
         module, _, class_name = name.partition(":")

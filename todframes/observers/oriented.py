@@ -71,6 +71,11 @@ class OrientedSettings(PyramidSettings):
 class OrientedObserver(PyramidObserver):
     """An observer with oriented neurons, whose readout is that of the paper's observer. Parameters are as for
     `PyramidObserver`, with `OrientedSettings`. Hogervorst et al. 2001, section 9.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> result = tod.naked_eye(size_mrad=2.4, observer=tod.OrientedObserver())
     """
 
     settings_type: ClassVar[type[OrientedSettings]] = OrientedSettings

@@ -32,6 +32,13 @@ class RetinaGrid:
         Number of samples along each side, odd.
     pitch_mrad : float
         Visual angle from one sample to the next, which is also the width of each.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> grid = tod.PyramidObserver().readout(tod.Stimulus(size_mrad=2.4)).grid
+    >>> round(grid.pitch_mrad, 4)
+    0.153
     """
 
     side: int

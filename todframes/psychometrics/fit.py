@@ -72,6 +72,13 @@ class FitSettings:
     ------
     SettingsError
         If a value is out of its range, or the criterion not between guess rate and 1 − lapse rate.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> result = tod.score("sample_frames/grabbed_8bit", fit=tod.FitSettings(p_correct=0.7))
+    >>> result.thresholds[0].p_correct
+    0.7
     """
 
     guess_rate: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.25

@@ -101,6 +101,18 @@ KINDS = {
         "sensor_sim.four_bars.mrtd:SensorMrtd",
         "bars",
     ),
+    "advise": Kind(
+        "Advice on a sensor", "sensor_sim.limits.advise:advise", "sensor_sim.limits.advise:SensorAdvice", "gains"
+    ),
+    "limit": Kind(
+        "Limit of a sensor", "sensor_sim.limits.limit:limit", "sensor_sim.limits.limit:SensorLimit", "limits"
+    ),
+    "worth": Kind(
+        "What enhancements are worth",
+        "sensor_sim.limits.worth:worth",
+        "sensor_sim.limits.worth:SensorWorth",
+        "worth",
+    ),
 }
 """Results that have a page and can be read again, by command."""
 

@@ -25,6 +25,9 @@ from todframes.scoring.error_budget import REPLICATES
 from todframes.scoring.plan import ScorePlan
 from todframes.scoring.retina_view import Shown, read_trial, retina_image
 
+NO_ANSWER = -1
+"""Answer of a trial for which none was drawn."""
+
 # First elements of the spawn keys of random streams: they keep the streams of trials and fits apart.
 TRIAL_STREAMS, FIT_STREAMS, DISPLACEMENT_STREAMS, RATIO_STREAMS, PLACE_STREAMS = range(5)
 
@@ -167,7 +170,7 @@ def see(
     seen = []
     for shown in ways:
         started = time.perf_counter()
-        answer = -1  # none was drawn
+        answer = NO_ANSWER
         at_places = np.empty((len(displaced), len(viewing.offsets), 4))
         if readout is None:
             scores = deviations = np.full((len(displaced), 4), np.nan)

@@ -24,11 +24,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sensor_sim.thresholds.predict import Phases
+from sensor_sim.thresholds.curve_plan import Level
+from sensor_sim.thresholds.predict import FoldedChain, Phases, covariance_at, pooled
 from todframes.base._typing import FloatArray
+from todframes.scoring.error_budget import REPLICATES
 
 WITHOUT_NOISE, SATURATING = "without detector noise", "at the contrast that saturates the pixels"
 """The strongest signal of a sensor with an SNR, and that of a camera that counts photons."""
+
+SEED = 1
+"""Seed of the places, that of `curve` if no other is asked for."""
 
 LEADING_SHARE = 0.5
 """Share from which one of the three causes is named as the only limit."""
@@ -61,3 +66,35 @@ def decision_shares(phases: Sequence[Phases], internal: FloatArray, detector: Se
         of_each = np.stack([by_internal, by_detector, by_sampling])
         shares.append((of_each / np.maximum(of_each.sum(axis=0), np.finfo(float).tiny)).mean(axis=1))
     return Shares(*np.mean(shares, axis=0).tolist())
+
+
+def shares_at(chain: FoldedChain, level: Level, threshold: float | None) -> Shares:
+    """Return the shares at a threshold, or without one at the strongest signal."""
+    value, nothing = threshold or chain.largest_level, np.zeros((4, 4))
+    phases = pooled(chain.replicates(chain.lattices[0], SEED, REPLICATES if threshold else 1))
+    internal = chain.noise_covariance / (value**2 if level == "contrast" or chain.variance is not None else 1.0)
+    noise = [np.array(covariance_at(level, value, nothing, part, chain.variance), ndmin=4) for part in phases]
+    return decision_shares(phases, internal, [of_part.mean(axis=(0, 1)) for of_part in noise])
+
+
+def what_limits(
+    sizes_detectors: Sequence[float],
+    shares: Sequence[Shares],
+    reached: Sequence[bool],
+    strongest: str = WITHOUT_NOISE,
+) -> tuple[Shares, str]:
+    """Return the mean shares of the sizes that reach their threshold, and what limits a curve in one sentence.
+
+    If none has one, the means are over all sizes. `strongest` is the signal, in words, that sizes without one had.
+    """
+    chosen = [share for share, has_threshold in zip(shares, reached, strict=True) if has_threshold] or list(shares)
+    mean = Shares(*np.mean(chosen, axis=0).tolist())
+    (most, first), *others = sorted(zip(mean, NAMES, strict=True), reverse=True)
+    rest = [f"{name} {100.0 * share:.0f} %" for share, name in others if share > 0.0] or ["nothing else does"]
+    verb = "limits" if most >= LEADING_SHARE else "weighs most"
+    at = [f"{size:g}" for size, has_threshold in zip(sizes_detectors, reached, strict=True) if not has_threshold]
+    tail = f"; no threshold at {', '.join(at)} detectors, even {strongest}" if at else ""
+    sentence = (
+        f"{first} {verb}: {100.0 * most:.0f} % of what makes answers vary at threshold ({', '.join(rest)}){tail}."
+    )
+    return mean, sentence[0].upper() + sentence[1:]

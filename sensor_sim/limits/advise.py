@@ -1,0 +1,256 @@
+"""Advice before a curve: what limits a sensor, the sizes worth asking for, and which number of it buys most."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct, structs
+
+from sensor_sim.chain.sensor import Sensor, part_of, sensor_of, sensor_settings
+from sensor_sim.limits.varied import find_varied, threshold_of
+from sensor_sim.sweeps.designs import FILL_FACTOR, numeric_keys
+from sensor_sim.thresholds.curve import thresholds_at
+from sensor_sim.thresholds.shares import SATURATING, WITHOUT_NOISE, shares_at, what_limits
+from sensor_sim.thresholds.sizes import sizes_in_detectors
+from todframes.base.errors import SettingsError
+from todframes.base.seeds import Rng, seed_of
+from todframes.observers.interface import Observer, described
+from todframes.parameters import ObserverName, Probability, Progress, Seed, SensorFile, Tolerance, counted
+from todframes.psychometrics.fit import FitSettings
+from todframes.results.data import Content
+from todframes.results.figure import ReportFigure
+from todframes.results.figure_style import COLOURS, INK
+from todframes.results.result import Result, repeatable
+from todframes.results.table import Column, Table
+from todframes.results.wording import listed, plain
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MORE = 1.1
+"""Factor of each number whose effect on the threshold is stated."""
+
+LEAST_SHOWN_PERCENT = 0.05
+"""Smallest change that the table shows; the figure and `gains` have all."""
+
+NOT_FOR_SALE = ("optics.wavelength_um",)
+"""Numbers that belong to the light, not to the camera."""
+
+
+class Gain(Struct, frozen=True, kw_only=True):
+    """What a tenth more of one number of the sensor changes.
+
+    Attributes
+    ----------
+    key, unit : str
+        Key of SENSOR.toml and its unit.
+    value : float
+        The sensor's own value.
+    change_percent, error_percent : float
+        Change of the threshold if the value is a tenth larger, and half of its 95 % interval: above 0, the
+        triangle has to be stronger.
+    """
+
+    key: str
+    unit: str
+    value: float
+    change_percent: float
+    error_percent: float
+
+
+class SensorAdvice(Content, frozen=True, kw_only=True):
+    """Advice on a sensor.
+
+    Attributes
+    ----------
+    sensor : str
+        The sensor's name.
+    limits : str
+        A sentence: what makes answers vary at threshold.
+    internal, detector, sampling : float
+        Shares of the observer's noise, the detectors' noise and sampling in it; their sum is 1.
+    sizes_detectors, sizes_mrad : tuple of float
+        Sizes worth asking for, in detectors and as angles at the camera.
+    size_detectors : float
+        Size for which the gains hold.
+    gains : tuple of Gain
+        The numbers of the sensor, the one that changes most first.
+    """
+
+    sensor: str
+    limits: str
+    internal: float
+    detector: float
+    sampling: float
+    sizes_detectors: tuple[float, ...]
+    sizes_mrad: tuple[float, ...]
+    size_detectors: float
+    gains: tuple[Gain, ...]
+
+    @property
+    def name(self) -> str:
+        """Return the sensor's name."""
+        return self.sensor
+
+    def tables(self) -> list[Table]:
+        """List the table of the gains."""
+        columns = [
+            Column(key="key", header="number", is_name=True),
+            Column(key="value", digits=4),
+            Column(key="unit", none=""),
+            Column(key="change_percent", header="a tenth more changes the threshold by (%)", decimals=1),
+            Column(key="error_percent", header="±", digits=1),
+        ]
+        records = [structs.asdict(one) for one in self.gains if abs(one.change_percent) >= LEAST_SHOWN_PERCENT]
+        title = f"{self.sensor}: what its numbers change at {self.size_detectors:g} detectors"
+        return [Table.of(title, "advice.csv", columns, records)]
+
+    def sentences(self) -> list[str]:
+        """Return the advice in words."""
+        angles = f"{plain(self.sizes_mrad[0])} to {plain(self.sizes_mrad[-1])} mrad at the camera"
+        sizes = listed(f"{size:g}" for size in self.sizes_detectors)
+        found = [self.limits, f"Sizes worth asking for: {sizes} detectors ({angles})."]
+        most = next((one for one in self.gains if one.key not in NOT_FOR_SALE), None)
+        if most is not None and abs(most.change_percent) > most.error_percent:
+            way, change = "more" if most.change_percent < 0.0 else "less", plain(abs(most.change_percent), 2)
+            found.append(f"A tenth {way} of {most.key} buys most: the threshold falls by about {change} %.")
+        return found
+
+    def figures(self) -> list[ReportFigure]:
+        """List the changes as bars."""
+        note = "Bars to the left: a tenth more of the number lowers the threshold."
+        return [ReportFigure("What a tenth more changes", note, self._draw, "advice.png")]
+
+    def _draw(self, axes: Axes) -> None:
+        shown = self.gains[::-1]
+        changes, errors = [one.change_percent for one in shown], [one.error_percent for one in shown]
+        axes.barh([one.key for one in shown], changes, xerr=errors, color=COLOURS[0])
+        axes.axvline(0.0, color=INK, lw=0.8)
+        axes.set(xlabel="change of the threshold (%)")
+
+
+@repeatable
+def advise(
+    sensor: Sensor | SensorFile,
+    *,
+    observer: ObserverName | Observer = "pyramid",
+    p_correct: Probability = 0.75,
+    tolerance: Tolerance = 5e-3,
+    rng: Seed | Rng = 1,
+    progress: Progress | None = None,
+) -> Result[SensorAdvice]:
+    """State what limits a sensor, which sizes are worth asking for, and which of its numbers buys most.
+
+    Parameters
+    ----------
+    sensor : Sensor or path
+        File with optics, detector, noise, electronics and display of the sensor.
+
+        A `Sensor` is taken as well.
+    observer : str or Observer
+        Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
+        own, whose code is run. It must be linear.
+
+        An object is taken as well.
+    p_correct : float
+        Raw proportion correct at threshold.
+    tolerance : float
+        Relative error of the thresholds to reach.
+    rng : int, SeedSequence or Generator
+        Seed of the places of the triangle on the detectors.
+    progress : function of two ints, optional
+        Called with the number of numbers of the sensor that are done, and of all.
+
+    Returns
+    -------
+    todframes.Result
+        `limits` is a sentence, `gains` has a record for each number of the sensor.
+
+    Raises
+    ------
+    SettingsError
+        If a setting is invalid, or the observer is not linear.
+
+    Examples
+    --------
+    >>> import sensor_sim as ss
+    >>> ss.advise("sample_frames/star_like.toml", tolerance=0.05).gains[0].key
+    'noise.netd_mk'
+    """
+    started, seed = time.perf_counter(), seed_of(rng)
+    sensor = sensor_of(sensor)
+    background = sensor.display.background_luminance_cd_m2
+    judge, settings = described(observer, lambda: background)
+    FitSettings(p_correct=p_correct)  # checks it
+    asked: dict[str, Any] = {"p_correct": p_correct, "seed": seed}
+    sizes = sizes_in_detectors(sensor, [], [], judge, places=1, **asked)
+    asked["tolerance"] = tolerance
+    plan: dict[str, Any] = {"plan": "needed", "places": 1, "progress": lambda _: None}
+    scenes = [] if sensor.scene is None else [sensor.scene]
+    found = [one for size in sizes for one in thresholds_at(sensor, scenes, judge, size, **plan, **asked)]
+    shares = [shares_at(one.chain, "snr", one.found.threshold) for one in found]
+    reached = [one.found.threshold is not None for one in found]
+    mean, sentence = what_limits(sizes, shares, reached, WITHOUT_NOISE if sensor.photons is None else SATURATING)
+    worth_asking = [size for size, has_threshold in zip(sizes, reached, strict=True) if has_threshold] or sizes
+    middle = worth_asking[len(worth_asking) // 2]
+    return Result.made(
+        "advise",
+        started,
+        settings=settings | {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance},
+        seed=seed,
+        sensor=sensor.name,
+        limits=sentence,
+        **mean._asdict(),
+        sizes_detectors=tuple(worth_asking),
+        sizes_mrad=tuple(size * sensor.detector.pitch_mrad for size in worth_asking),
+        size_detectors=middle,
+        gains=_gains(sensor, judge, middle, progress, asked),
+    )
+
+
+def _gains(
+    sensor: Sensor, observer: Observer, size_detectors: float, progress: Progress | None, asked: dict[str, Any]
+) -> tuple[Gain, ...]:
+    """Return what a tenth more of each number changes, the largest first; empty if the size has no threshold.
+
+    The trials of all sensors have the same places, so the errors of two thresholds cancel in part; they are stated
+    as if they did not.
+    """
+    asked = asked | {"in_mk": sensor.level == "snr" and sensor.noise.netd_mk is not None}
+    before, error = threshold_of(sensor, observer, size_detectors, **asked)
+    if before is None:
+        return ()
+    size_mrad = size_detectors * sensor.detector.pitch_mrad
+    known = numeric_keys(sensor, type(None))
+    keys = [key for key, is_whole in known.items() if not is_whole and key != FILL_FACTOR and _value(sensor, key)]
+    gains = []
+    for key in counted(keys, len(keys), progress):
+        varied = find_varied(sensor, key, 1.0)
+        for factor in (MORE, 1.0 / MORE):  # some numbers have no room above
+            try:
+                changed = varied.sensor_at(factor * varied.own)
+                at_size = size_mrad / changed.detector.pitch_mrad
+                after, other = threshold_of(changed, observer, at_size, **asked)
+            except SettingsError:
+                continue
+            if after is not None:
+                change = (after / before) ** (1.0 if factor == MORE else -1.0) - 1.0
+                gains.append(
+                    Gain(
+                        key=key,
+                        unit=varied.unit,
+                        value=varied.own,
+                        change_percent=100.0 * change,
+                        error_percent=100.0 * math.hypot(error, other),
+                    )
+                )
+                break
+    return tuple(sorted(gains, key=lambda one: -abs(one.change_percent)))
+
+
+def _value(sensor: Sensor, key: str) -> float | None:
+    table, _, name = key.partition(".")
+    value: float | None = getattr(getattr(sensor, part_of(table, sensor)), name)
+    return value

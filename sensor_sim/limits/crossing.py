@@ -1,0 +1,124 @@
+"""The one root finder: where the threshold of a sensor, as a function of one number, meets what is asked for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from todframes.base.errors import SettingsError
+
+STEP = 2.0
+"""Factor between the values that are tried until one is recognised and its neighbour is not."""
+
+PRECISION = 5e-4
+"""Relative precision of the root, below the error of the thresholds."""
+
+UNREACHED = 50.0
+"""Logarithm of threshold over target that stands for a threshold that is never reached."""
+
+
+class Try(NamedTuple):
+    """One value of the parameter: ln(threshold / target), its error, and the threshold, if there is one."""
+
+    value: float
+    excess: float
+    error: float
+    threshold: float | None
+
+    @classmethod
+    def of(cls, value: float, threshold: float | None, error: float, target: float) -> Try:
+        """Return the record of a threshold, None if it is never reached, and its relative error."""
+        excess = math.inf if threshold is None else math.log(threshold / target)
+        return cls(value, excess, error, threshold)
+
+
+class Crossing(NamedTuple):
+    """The value at which the threshold is the target, and half of its 95 % interval; all values that were tried.
+
+    `value` is None if none was found between the ends of the range. `is_least` states that larger values are
+    recognised, `is_recognised` that the first value was.
+    """
+
+    value: float | None
+    error: float | None
+    is_least: bool
+    is_recognised: bool
+    tries: tuple[Try, ...]
+
+
+def find_crossing(
+    attempt: Callable[[float], Try],
+    start: float,
+    *,
+    low: float,
+    high: float,
+    larger_is_better: bool | None = None,
+    is_whole: bool = False,
+) -> Crossing:
+    """Find the value nearest to `start` at which the excess changes its sign, by steps of a factor and by Brent.
+
+    The range is from `low` to `high`, both > 0. Of whole numbers it is the outermost one that is recognised. Both
+    directions are tried unless it is known whether larger values are better.
+    """
+    tries: dict[float, Try] = {}
+
+    def excess(log_value: float) -> float:
+        value = math.exp(log_value)
+        value = float(round(value)) if is_whole else value
+        if value not in tries:
+            tries[value] = attempt(value)
+        return min(tries[value].excess, UNREACHED)
+
+    first = math.log(start)
+    is_recognised = excess(first) <= 0.0
+    ends = math.log(low), math.log(high)
+    if larger_is_better is not None:
+        ends = (ends[0], first) if larger_is_better is is_recognised else (first, ends[1])
+    bracket = _bracket(excess, first, *ends)
+    found = sorted(tries.values())
+    if bracket is None:
+        return Crossing(None, None, is_least=True, is_recognised=is_recognised, tries=tuple(found))
+    below, above = bracket
+    is_least = excess(below) > 0.0
+    if is_whole:
+        a, b = round(math.exp(below)), round(math.exp(above))
+        while b - a > 1:
+            middle = (a + b) // 2
+            a, b = (middle, b) if (excess(math.log(middle)) > 0.0) is is_least else (a, middle)
+        value, error = float(b if is_least else a), 0.0
+    else:
+        from scipy.optimize import brentq
+
+        root = float(brentq(excess, below, above, xtol=PRECISION))
+        value, error = math.exp(root), _error(sorted(tries.values()), math.exp(root))
+    return Crossing(value, error, is_least, is_recognised, tuple(sorted(tries.values())))
+
+
+def _bracket(
+    excess: Callable[[float], float], first: float, low: float, high: float
+) -> tuple[float, float] | None:
+    """Return two neighbouring logarithms with a change of sign, nearest to the first; None if there is none."""
+    is_recognised, ends = excess(first) <= 0.0, [first, first]
+    while ends[0] > low or ends[1] < high:
+        for side, limit, sign in ((1, high, 1.0), (0, low, -1.0)):
+            if ends[side] == limit:
+                continue
+            before = ends[side]
+            ends[side] = max(low, min(high, before + sign * math.log(STEP)))
+            try:
+                changes = (excess(ends[side]) <= 0.0) is not is_recognised
+            except SettingsError:  # no sensor has such a value
+                changes, ends[side] = False, limit
+            if changes:
+                return (before, ends[side]) if side else (ends[side], before)
+    return None
+
+
+def _error(tries: list[Try], value: float) -> float:
+    """Return the error of a root: that of the threshold nearby, over the slope between its two neighbours."""
+    below = max((one for one in tries if one.value <= value), key=lambda one: one.value)
+    above = min((one for one in tries if one.value >= value and one != below), key=lambda one: one.value)
+    slope = (above.excess - below.excess) / math.log(above.value / below.value)
+    near = max(below.error, above.error)
+    return value * (math.hypot(near / abs(slope), PRECISION) if slope else math.inf)

@@ -1,0 +1,323 @@
+"""The limit of a sensor: the least light or aperture, or the largest noise or range, for a triangle to be seen."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct, structs
+
+from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
+from sensor_sim.limits.crossing import Crossing, Try
+from sensor_sim.limits.varied import Varied, find_varied, threshold_of
+from sensor_sim.thresholds.sizes import sizes_in_detectors
+from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import check_positive, distinct_numbers
+from todframes.base.seeds import Rng, seed_of
+from todframes.observers.interface import Observer, described
+from todframes.parameters import (
+    Kelvin,
+    LimitName,
+    Numbers,
+    ObserverName,
+    Probability,
+    Progress,
+    Seed,
+    SensorFile,
+    Tolerance,
+    WeberContrast,
+    counted,
+)
+from todframes.psychometrics.fit import FitSettings
+from todframes.results.data import Content
+from todframes.results.figure import ReportFigure
+from todframes.results.figure_style import INK, add_legend, curve_style, plain_ticks
+from todframes.results.result import Result, repeatable
+from todframes.results.table import EXACT, Column, Table
+from todframes.results.wording import plain
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+LONGEST_EXPOSURE_MS = 40.0
+"""Exposure that IEC 62676-5 allows for the sensitivity of a camera: 1/25 s."""
+
+
+class Limit(Struct, frozen=True, kw_only=True):
+    """The limit of one size.
+
+    Attributes
+    ----------
+    size : float
+        Size of the triangle: an angle in mrad at the camera, of `range` a length in m.
+    status : str
+        "ok"; "never_recognised" or "always_recognised", whatever the value within a factor of a million.
+    value, error : float or None
+        The limit, and half of its 95 % interval, which follows from the errors of the thresholds.
+    is_least : bool
+        Whether larger values are recognised.
+    own_threshold : float or None
+        Threshold at the sensor's own value, in the unit of the target.
+    values, thresholds : tuple of float
+        All values that were tried, and their thresholds; None where none is reached.
+    """
+
+    size: float
+    status: str
+    value: float | None
+    error: float | None
+    is_least: bool
+    own_threshold: float | None
+    values: tuple[float, ...]
+    thresholds: tuple[float | None, ...]
+
+
+class SensorLimit(Content, frozen=True, kw_only=True):
+    """The limit of a sensor in one of its parameters.
+
+    Attributes
+    ----------
+    sensor : str
+        The sensor's name.
+    parameter, unit : str
+        "light", "range", or the key of SENSOR.toml, and its unit.
+    own_value : float or None
+        The sensor's own value; None for a range.
+    target, level : float, str
+        Contrast, SNR or ΔT in mK that has to be recognised.
+    limits : tuple of Limit
+        A record for each size.
+    exposure_ms : float or None
+        Exposure of a camera that counts photons.
+    """
+
+    sensor: str
+    parameter: str
+    unit: str
+    own_value: float | None
+    target: float
+    level: str
+    limits: tuple[Limit, ...]
+    exposure_ms: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Return the sensor's name."""
+        return self.sensor
+
+    @property
+    def _words(self) -> str:
+        named = {"light": "luminance", "range": "range"}
+        return named.get(self.parameter, self.parameter) + (f" ({self.unit})" if self.unit else "")
+
+    def tables(self) -> list[Table]:
+        """List the table of the limits."""
+        unit = "m" if self.parameter == "range" else "mrad"
+        columns = [
+            Column(key="size", header=f"size ({unit})", digits=EXACT, is_name=True),
+            Column(key="value", header=self._words, digits=4),
+            Column(key="error", header="±", digits=1),
+            Column(key="bound"),
+            Column(key="own_threshold", header="threshold as it is", digits=4, rank=1),
+            Column(key="status", rank=2),
+        ]
+        records = [
+            structs.asdict(one) | {"bound": ("least" if one.is_least else "largest") if one.value else None}
+            for one in self.limits
+        ]
+        title = f"{self.sensor}: {self._words} at which {self._target} is recognised"
+        return [Table.of(title, "limit.csv", columns, records)]
+
+    @property
+    def _target(self) -> str:
+        of_level = {"contrast": "a contrast of {}", "snr": "an SNR of {}", "delta_t_mk": "a ΔT of {} mK"}
+        return of_level[self.level].format(f"{self.target:g}")
+
+    def sentences(self) -> list[str]:
+        """Return the limits in words."""
+        found = [self._sentence(one) for one in self.limits]
+        if self.parameter == "light" and self.exposure_ms is not None and self.exposure_ms > LONGEST_EXPOSURE_MS:
+            allowed = f"IEC 62676-5 allows {LONGEST_EXPOSURE_MS:g} ms at most"
+            found.append(f"The exposure is {self.exposure_ms:g} ms; {allowed}.")
+        return found
+
+    def _sentence(self, one: Limit) -> str:
+        what = f"{self._target} at {one.size:g} {'m' if self.parameter == 'range' else 'mrad'}"
+        what = what[0].upper() + what[1:]
+        if one.value is None:
+            does = "is recognised at every" if one.status == "always_recognised" else "is recognised at no"
+            tried = f"from {plain(one.values[0])} to {plain(one.values[-1])}"
+            return f"{what} {does} {self._words} that was tried, {tried}."
+        value = plain(one.value) + (f" ± {one.error:.1g}" if one.error else "") + f" {self.unit}".rstrip()
+        if self.parameter == "range":
+            return f"{what} is recognised up to {value}."
+        named = "a luminance" if self.parameter == "light" else self.parameter
+        return f"{what} needs {named} of at {'least' if one.is_least else 'most'} {value}."
+
+    def figures(self) -> list[ReportFigure]:
+        """List the threshold against the parameter."""
+        note = "The dashed line is what has to be recognised, and a cross the limit."
+        return [ReportFigure(f"Threshold against {self._words}", note, self._draw, "limit.png")]
+
+    def _draw(self, axes: Axes) -> None:
+        for number, one in enumerate(self.limits):
+            known = [(x, y) for x, y in zip(one.values, one.thresholds, strict=True) if y is not None]
+            if known:
+                colour, marker = curve_style(number, len(self.limits))
+                axes.plot(
+                    *zip(*known, strict=True),
+                    label=f"{one.size:g} {'m' if self.parameter == 'range' else 'mrad'}",
+                    color=colour,
+                    marker=marker,
+                )
+            if one.value is not None:
+                axes.plot(one.value, self.target, "x", color=INK, ms=9)
+        axes.axhline(self.target, color=INK, ls="--", lw=0.8)
+        axes.set(xscale="log", yscale="log", xlabel=self._words, ylabel=f"threshold {self.level}")
+        plain_ticks(axes.xaxis, [value for one in self.limits for value in one.values])
+        plain_ticks(axes.yaxis, [value for one in self.limits for value in one.thresholds if value is not None])
+        add_legend(axes)
+
+
+@repeatable
+def limit(
+    sensor: Sensor | SensorFile,
+    *,
+    limit: LimitName,
+    size_mrad: Numbers = (),
+    size_m: Numbers = (),
+    contrast: WeberContrast | None = None,
+    delta_t_k: Kelvin | None = None,
+    snr: float | None = None,
+    observer: ObserverName | Observer = "pyramid",
+    p_correct: Probability = 0.75,
+    tolerance: Tolerance = 2e-3,
+    rng: Seed | Rng = 1,
+    progress: Progress | None = None,
+) -> Result[SensorLimit]:
+    """Find the least light or aperture, the largest noise or range, at which a triangle is recognised.
+
+    Parameters
+    ----------
+    sensor : Sensor or path
+        File with optics, detector, noise, electronics and display of the sensor.
+
+        A `Sensor` is taken as well.
+    limit : str
+        Instead of the curve, the limit of one number: the least light (of a camera that counts photons) or
+        aperture, the largest NETD, or the largest range of `size_m`; or any key of SENSOR.toml, such as
+        optics.blur_sigma_mrad. The value nearest to the sensor's own is found, with its error.
+    size_mrad : sequence of float
+        Sizes of the triangle as angles at the camera in mrad.
+    size_m : sequence of float
+        For a range: sizes √(area) of the triangle in m. There is no air; `todframes range` has it.
+    contrast : float, optional
+        Weber contrast that has to be recognised, for a camera that counts photons. IEC 62676-5 asks for 0.3.
+    delta_t_k : float, optional
+        Temperature difference in K that has to be recognised, for a sensor with NETD.
+    snr : float, optional
+        Signal-to-noise ratio that has to be recognised, for a sensor that does not count photons.
+    observer : str or Observer
+        Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
+        own, whose code is run. It must be linear.
+
+        An object is taken as well.
+    p_correct : float
+        Raw proportion correct at threshold.
+    tolerance : float
+        Relative error of the thresholds to reach.
+    rng : int, SeedSequence or Generator
+        Seed of the places of the triangle on the detectors.
+    progress : function of two ints, optional
+        Called with the number of sizes that are done, and of all.
+
+    Returns
+    -------
+    todframes.Result
+        `limits` has a record for each size.
+
+    Raises
+    ------
+    SettingsError
+        If a setting is invalid, the sensor has no such number, or the target does not fit the sensor.
+
+    Examples
+    --------
+    >>> import sensor_sim as ss
+    >>> camera = "sample_frames/star_like.toml"
+    >>> result = ss.limit(camera, limit="netd", size_mrad=[0.4], delta_t_k=0.02, tolerance=0.02)
+    >>> round(result.limits[0].value)
+    33
+    """
+    started, seed = time.perf_counter(), seed_of(rng)
+    sensor = sensor_of(sensor)
+    level, target = _target(sensor, contrast, delta_t_k, snr)
+    background = sensor.display.background_luminance_cd_m2
+    judge, settings = described(observer, lambda: background)
+    FitSettings(p_correct=p_correct)  # checks it
+    is_range = limit == "range"
+    name, sizes = (argument.size_m, size_m) if is_range else (argument.size_mrad, size_mrad)
+    if not len(sizes) or (size_mrad if is_range else size_m):
+        raise SettingsError(
+            f"{name}: found {list(sizes)}, expected sizes, with {argument.limit} {limit}, and no others"
+        )
+    asked: dict[str, Any] = {"p_correct": p_correct, "tolerance": tolerance, "seed": seed}
+    asked["in_mk"] = level == "delta_t_mk"
+    limits = []
+    for size in counted(distinct_numbers(name, sizes), len(sizes), progress):
+        varied = find_varied(sensor, limit, size)
+
+        def at_value(value: float, size: float = size, varied: Varied = varied) -> Try:
+            at, angle = varied.sensor_at(value), size / value if is_range else size
+            detectors = sizes_in_detectors(at, [], [angle])[0]
+            return Try.of(value, *threshold_of(at, judge, detectors, **asked), target)
+
+        limits.append(_record(size, varied.crossing(at_value), varied))
+    settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance}
+    return Result.made(
+        "limit",
+        started,
+        settings=settings,
+        seed=seed,
+        sensor=sensor.name,
+        parameter=varied.name,
+        unit=varied.unit,
+        own_value=None if is_range else varied.own,
+        target=target,
+        level=level,
+        limits=tuple(limits),
+        exposure_ms=None if sensor.photons is None else sensor.photons.exposure_ms,
+    )
+
+
+def _record(size: float, crossing: Crossing, varied: Varied) -> Limit:
+    own = next((one.threshold for one in crossing.tries if one.value == varied.own), None)
+    status = "always_recognised" if crossing.is_recognised else "never_recognised"
+    return Limit(
+        size=size,
+        status="ok" if crossing.value is not None else status,
+        value=crossing.value,
+        error=crossing.error,
+        is_least=crossing.is_least,
+        own_threshold=own,
+        values=tuple(one.value for one in crossing.tries),
+        thresholds=tuple(one.threshold for one in crossing.tries),
+    )
+
+
+def _target(
+    sensor: Sensor, contrast: float | None, delta_t_k: float | None, snr: float | None
+) -> tuple[str, float]:
+    """Return the level and the number that has to be recognised; SettingsError if it does not fit the sensor."""
+    given = {"contrast": contrast, "delta_t_k": delta_t_k, "snr": snr}
+    fitting = (
+        ["contrast"] if sensor.level == "contrast" else ["delta_t_k", "snr"] if sensor.noise.netd_mk else ["snr"]
+    )
+    found = [name for name, value in given.items() if value is not None]
+    if len(found) != 1 or found[0] not in fitting:
+        names = [getattr(argument, name) for name in fitting]
+        shown = ", ".join(getattr(argument, name) for name in found) or "no target"
+        raise SettingsError(f"limit: found {shown}, expected {' or '.join(names)}, which this sensor has")
+    value = given[found[0]] or 0.0
+    check_positive(getattr(argument, found[0]), value)
+    return ("delta_t_mk", 1e3 * value) if found[0] == "delta_t_k" else (found[0], value)

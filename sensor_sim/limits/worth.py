@@ -1,0 +1,273 @@
+"""What an enhancement is worth: the light, aperture or noise that gives a sensor the same thresholds."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct, structs
+
+from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
+from sensor_sim.limits.crossing import Try
+from sensor_sim.limits.varied import find_varied, threshold_of
+from sensor_sim.thresholds.sizes import sizes_in_detectors
+from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.safe_text import in_utf8
+from todframes.base.seeds import Rng, seed_of
+from todframes.enhancement.comparison import Algorithm, Comparison, Ratio
+from todframes.observers.interface import Observer, described
+from todframes.parameters import (
+    LimitName,
+    ObserverName,
+    Progress,
+    ResultFile,
+    Seed,
+    SensorFile,
+    Tolerance,
+    counted,
+)
+from todframes.results.data import Content
+from todframes.results.figure import ReportFigure
+from todframes.results.figure_style import INK, add_legend, curve_style
+from todframes.results.result import Result, load_result, repeatable
+from todframes.results.table import EXACT, Column, Table
+from todframes.results.wording import plain
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+NAMES = {"light": "the light", "noise.netd_mk": "the NETD", "noise.frames_integrated": "the frames averaged"}
+"""Words for what a factor multiplies."""
+
+
+class Worth(Struct, frozen=True, kw_only=True):
+    """What an algorithm is worth at one size.
+
+    Attributes
+    ----------
+    algorithm : str
+    size_detectors : float
+    ratio : float
+        Threshold with the algorithm over that without.
+    ratio_ci95 : (float or None, float or None)
+    factor : float or None
+        Factor of the sensor's number that changes its threshold by the same ratio; None if there is none.
+    factor_ci95 : (float or None, float or None)
+        Factors for the ends of the interval of the ratio; an end is None if there is none.
+    """
+
+    algorithm: str
+    size_detectors: float
+    ratio: float
+    ratio_ci95: tuple[float | None, float | None]
+    factor: float | None
+    factor_ci95: tuple[float | None, float | None]
+
+
+class SensorWorth(Content, frozen=True, kw_only=True):
+    """What the algorithms of a comparison are worth in one number of a sensor.
+
+    Attributes
+    ----------
+    sensor, parameter, unit : str
+        The sensor's name; "light" or the key of SENSOR.toml, and its unit.
+    own_value : float
+        The sensor's own value.
+    worth : tuple of Worth
+        A record for each algorithm and size.
+    """
+
+    sensor: str
+    parameter: str
+    unit: str
+    own_value: float
+    worth: tuple[Worth, ...]
+
+    @property
+    def name(self) -> str:
+        """Return the sensor's name."""
+        return self.sensor
+
+    @property
+    def _of(self) -> str:
+        return NAMES.get(self.parameter, self.parameter)
+
+    def tables(self) -> list[Table]:
+        """List the table of the factors."""
+        columns = [
+            Column(key="algorithm", is_name=True, wraps=True),
+            Column(key="size_detectors", header="size (detectors)", digits=EXACT),
+            Column(key="ratio", header="ratio of thresholds", digits=3),
+            Column(key="ratio_ci95", header="95 % interval", interval="ratio", digits=3, rank=1),
+            Column(key="factor", header=f"times {self._of}", digits=3),
+            Column(key="factor_ci95", header="95 % interval", interval="factor", digits=3),
+        ]
+        records = [structs.asdict(one) for one in self.worth]
+        return [Table.of(f"{self.sensor}: worth in {self._of}", "worth.csv", columns, records)]
+
+    def sentences(self) -> list[str]:
+        """Return the factors in words."""
+        return [self._sentence(one) for one in self.worth]
+
+    def _sentence(self, one: Worth) -> str:
+        at = f"{one.algorithm} at {one.size_detectors:g} detectors"
+        if one.factor is None:
+            return f"{at}: no factor of {self._of} changes the threshold by {plain(one.ratio, 3)}."
+        low, high = ("no limit" if end is None else plain(end, 3) for end in one.factor_ci95)
+        return f"{at}: as good as {plain(one.factor, 3)} times {self._of} ({low} to {high})."
+
+    def figures(self) -> list[ReportFigure]:
+        """List the factors against size."""
+        note = f"Above 1, the algorithm does what more of {self._of} would do. Bars are 95 % intervals."
+        return [ReportFigure(f"Worth in {self._of}", note, self._draw, "worth.png")]
+
+    def _draw(self, axes: Axes) -> None:
+        names = list(dict.fromkeys(one.algorithm for one in self.worth))
+        for number, name in enumerate(names):
+            colour, marker = curve_style(number, len(names))
+            shown = [one for one in self.worth if one.algorithm == name and one.factor is not None]
+            axes.plot(
+                [one.size_detectors for one in shown],
+                [one.factor or math.nan for one in shown],
+                color=colour,
+                marker=marker,
+                label=name,
+            )
+            for one in shown:
+                low, high = one.factor_ci95
+                if low is not None and high is not None:
+                    axes.vlines(one.size_detectors, low, high, color=colour)
+        axes.axhline(1.0, color=INK, ls=":", lw=0.8)
+        axes.set(xscale="log", yscale="log", xlabel="size (detectors)", ylabel=f"times {self._of}")
+        add_legend(axes)
+
+
+@repeatable
+def worth(
+    result: Result[Any] | ResultFile,
+    sensor: Sensor | SensorFile,
+    *,
+    limit: LimitName = "light",
+    observer: ObserverName | Observer = "pyramid",
+    tolerance: Tolerance = 2e-3,
+    rng: Seed | Rng = 1,
+    progress: Progress | None = None,
+) -> Result[SensorWorth]:
+    """State what the enhancements of a comparison are worth: as good as 1.3 times the light.
+
+    Parameters
+    ----------
+    result : Result or path
+        The comparison, result.json of `todframes compare`. Sizes are in detectors, or in mrad at the eye as the
+        sensor's display shows them.
+    sensor : Sensor or path
+        SENSOR.toml of the camera that took the frames; `todframes noise` and `mtf` measure what it holds.
+
+        A `Sensor` is taken as well.
+    limit : str
+        Number of the sensor: light (of a camera that counts photons), aperture, netd, or any key of SENSOR.toml,
+        such as noise.frames_integrated.
+    observer : str or Observer
+        Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
+        own, whose code is run. It must be linear.
+
+        An object is taken as well.
+    tolerance : float
+        Relative error of the sensor's thresholds to reach.
+    rng : int, SeedSequence or Generator
+        Seed of the places of the triangle on the detectors.
+    progress : function of two ints, optional
+        Called with the number of algorithms and sizes that are done, and of all.
+
+    Returns
+    -------
+    todframes.Result
+        `worth` has a record for each algorithm and size.
+
+    Raises
+    ------
+    SettingsError
+        If a setting is invalid, or the sensor has no such number.
+    DataError
+        If the result is no comparison, or has no ratio.
+    """
+    started, seed = time.perf_counter(), seed_of(rng)
+    sensor = sensor_of(sensor)
+    where = "the result" if isinstance(result, Result) else in_utf8(str(result))
+    loaded = result if isinstance(result, Result) else load_result(result)
+    if not isinstance(loaded.data, Comparison):
+        raise DataError(f"{where}: command: found {loaded.command!r}, expected compare")
+    if limit == "range":
+        raise SettingsError(f"{argument.limit}: found range, expected light, aperture, netd or a key of a sensor")
+    ratios = [(each, ratio) for each in loaded.data.algorithms for ratio in each.ratios if ratio.ratio is not None]
+    if not ratios:
+        raise DataError(f"{where}: found no ratio of thresholds, expected at least one")
+    background = sensor.display.background_luminance_cd_m2
+    judge, settings = described(observer, lambda: background)
+    asked: dict[str, Any] = {
+        "p_correct": loaded.data.algorithms[0].fits[0].p_correct,
+        "tolerance": tolerance,
+        "seed": seed,
+    }
+    asked["in_mk"] = sensor.noise.netd_mk is not None and sensor.level == "snr"
+    varied = find_varied(sensor, limit, 1.0)
+
+    @cache
+    def threshold_at(value: float, size_detectors: float) -> tuple[float | None, float]:
+        return threshold_of(varied.sensor_at(value), judge, size_detectors, **asked)
+
+    found = []
+    for algorithm, ratio in counted(ratios, len(ratios), progress):
+        size = _size_detectors(ratio, sensor, where)
+        before, _ = threshold_at(varied.own, size)
+        if before is None:
+            raise DataError(f"{where}: the sensor has no threshold at {size:g} detectors, expected one")
+
+        def factor(wanted: float | None, size: float = size, before: float = before) -> float | None:
+            if wanted is None:
+                return None
+            crossing = varied.crossing(lambda value: Try.of(value, *threshold_at(value, size), wanted * before))
+            return None if crossing.value is None else crossing.value / varied.own
+
+        found.append(_worth(algorithm, ratio, size, factor))
+    return Result.made(
+        "worth",
+        started,
+        settings=settings | {"sensor": sensor_settings(sensor), "tolerance": tolerance, "limit": limit},
+        seed=seed,
+        sensor=sensor.name,
+        parameter=varied.name,
+        unit=varied.unit,
+        own_value=varied.own,
+        worth=tuple(found),
+    )
+
+
+def _worth(
+    algorithm: Algorithm, ratio: Ratio, size_detectors: float, factor: Callable[[float | None], float | None]
+) -> Worth:
+    """Return the record of an algorithm at one size; `factor` gives the factor for a ratio of thresholds."""
+    assert ratio.ratio is not None
+    ends = ratio.ratio_ci95 or (None, None)
+    value, (first, last) = factor(ratio.ratio), (factor(end) for end in ends)
+    known = [one for one in (first, value, last) if one is not None]
+    return Worth(
+        algorithm=algorithm.name,
+        size_detectors=size_detectors,
+        ratio=ratio.ratio,
+        ratio_ci95=ends,
+        factor=value,
+        factor_ci95=(first, last) if known == sorted(known) else (last, first),
+    )
+
+
+def _size_detectors(ratio: Ratio, sensor: Sensor, where: str) -> float:
+    """Return the size of a ratio's group in detectors."""
+    if "size_detectors" in ratio.group:
+        return float(ratio.group["size_detectors"])
+    if "size_mrad" in ratio.group:
+        return sizes_in_detectors(sensor, [], [float(ratio.group["size_mrad"]) / sensor.magnification])[0]
+    raise DataError(f"{where}: found groups without size_mrad or size_detectors, expected one of them")

@@ -1,0 +1,187 @@
+"""Limits of a sensor, and the worth of an enhancement: closed forms, thresholds computed apart, drawn frames."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import sensor_sim as ss
+import todframes as tod
+from sensor_sim.limits.crossing import Try, find_crossing
+from todframes.base.errors import DataError, SettingsError
+
+ROOT = Path(__file__).parent.parent
+THERMAL = ROOT / "sample_frames" / "star_like.toml"
+
+
+def power_law(exponent: float, at: float):
+    """Thresholds value**exponent over their value at `at`, with an error of 1 %."""
+    return lambda value: Try.of(value, value**exponent, 0.01, at**exponent)
+
+
+@pytest.mark.parametrize("exponent", [-2.0, -0.5, 0.7, 1.0])
+@pytest.mark.parametrize("start", [0.02, 3.0, 40.0])
+def test_a_power_law_is_crossed_where_its_closed_form_says(exponent, start):
+    crossing = find_crossing(power_law(exponent, 3.7), start, low=1e-3, high=1e3)
+    assert crossing.value == pytest.approx(3.7, rel=1e-6)
+    assert crossing.is_least is (exponent < 0)
+    # 1 % of the threshold is 1 % / |exponent| of the value; the precision of the root, 5e-4, is added in squares.
+    assert crossing.error == pytest.approx(3.7 * math.hypot(0.01 / abs(exponent), 5e-4), rel=1e-3)
+
+
+def test_whole_numbers_end_at_the_outermost_that_is_recognised():
+    found = find_crossing(power_law(-0.5, 4.3), 1.0, low=1e-3, high=1e3, larger_is_better=True, is_whole=True)
+    assert (found.value, found.error) == (5.0, 0.0)
+
+
+def test_a_value_that_never_is_recognised_has_no_limit():
+    def attempt(value: float) -> Try:
+        return Try.of(value, None, 0.0, 1.0)
+
+    found = find_crossing(attempt, 1.0, low=0.1, high=10.0)
+    assert (found.value, found.is_recognised) == (None, False)
+
+
+def test_values_that_no_sensor_has_end_the_search():
+    def attempt(value: float) -> Try:
+        if value > 5.0:
+            raise SettingsError("optics.transmission: found 6, expected a number in (0, 5]")
+        return Try.of(value, 10.0, 0.0, 1.0)
+
+    assert find_crossing(attempt, 1.0, low=0.1, high=100.0).value is None
+
+
+def test_the_netd_is_that_of_the_closed_form():
+    """The threshold in SNR does not depend on the NETD: the largest NETD is the target over the threshold a mK."""
+    limit = ss.limit(THERMAL, limit="netd", size_mrad=[0.5], delta_t_k=0.02, tolerance=0.02).limits[0]
+    curve = ss.curve(THERMAL, size_mrad=[0.5], tolerance=0.02).thresholds[0]
+    assert limit.value == pytest.approx(16.0 * 20.0 / curve.delta_t_mk, rel=1e-6)
+    assert not limit.is_least
+
+
+@pytest.fixture(scope="module")
+def photon_camera(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("camera") / "camera.toml"
+    path.write_text(
+        ss.new_sensor(
+            preset="emva_basler",
+            focal_length_mm=8.0,
+            f_number=2.0,
+            pitch_um=5.6,
+            wavelength_um=0.55,
+            luminance=0.5,
+        )
+    )
+    return path
+
+
+def test_at_the_least_light_the_threshold_is_the_contrast_asked_for(photon_camera):
+    limit = ss.limit(photon_camera, limit="light", size_mrad=[4.0], contrast=0.3).limits[0]
+    at_limit = ss.curve(photon_camera, size_mrad=[4.0], luminance_cd_m2=[limit.value]).thresholds[0]
+    # The root has a relative precision of 5e-4, and the threshold changes less than the light.
+    assert at_limit.threshold == pytest.approx(0.3, rel=1e-3)
+    assert limit.is_least
+    assert limit.error < 0.01 * limit.value
+
+
+def test_the_range_shows_the_size_at_its_threshold():
+    limit = ss.limit(THERMAL, limit="range", size_m=[0.5], delta_t_k=0.02, tolerance=0.01).limits[0]
+    size_mrad = 0.5 / limit.value
+    at_limit = ss.curve(THERMAL, size_mrad=[size_mrad], tolerance=0.01).thresholds[0]
+    assert at_limit.delta_t_mk == pytest.approx(20.0, rel=0.01)
+
+
+def test_an_aperture_takes_the_netd_along_where_it_is_coupled():
+    sensor = ss.load_sensor(THERMAL)
+    coupled = replace(sensor, noise=replace(sensor.noise, couple_netd=True))
+    alone, along = (
+        ss.limit(one, limit="aperture", size_mrad=[0.5], delta_t_k=0.005, tolerance=0.02).limits[0].value
+        for one in (sensor, coupled)
+    )
+    # More aperture also lowers the NETD, so less of it is enough; without that, no more blur is lost.
+    assert along < (alone or math.inf)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"limit": "light", "size_mrad": [1], "delta_t_k": 1}, "background_electrons"),
+        ({"limit": "netd", "size_mrad": [1]}, "found no target, expected delta_t_k or snr"),
+        ({"limit": "netd", "size_mrad": [1], "contrast": 0.3}, "found contrast, expected delta_t_k or snr"),
+        ({"limit": "netd", "delta_t_k": 1}, "expected sizes"),
+        ({"limit": "range", "size_mrad": [1], "delta_t_k": 1}, "expected sizes, with limit range"),
+        ({"limit": "appertur", "size_mrad": [1], "delta_t_k": 1}, "the nearest valid one is 'aperture'"),
+        ({"limit": "electronics.blur_sigma_px", "size_mrad": [1], "delta_t_k": 1}, "is missing or 0"),
+        ({"limit": "netd", "size_mrad": [1], "delta_t_k": -1}, "delta_t_k: found -1"),
+    ],
+)
+def test_what_does_not_fit_is_refused(arguments, message):
+    with pytest.raises(SettingsError, match=message):
+        ss.limit(THERMAL, **arguments)
+
+
+def test_what_a_tenth_more_buys_follows_closed_forms(photon_camera):
+    """A threshold in mK is proportional to the NETD; electrons are light · exposure · efficiency."""
+    thermal = {one.key: one for one in ss.advise(THERMAL, tolerance=0.05).gains}
+    assert thermal["noise.netd_mk"].change_percent == pytest.approx(10.0, abs=1e-6)
+    assert thermal["optics.transmission"].change_percent == pytest.approx(0.0, abs=1e-6)
+    advice = ss.advise(photon_camera, tolerance=0.05)
+    photon = {one.key: one.change_percent for one in advice.gains}
+    assert -10.0 < photon["scene.luminance_cd_m2"] < -5.0  # between dark noise alone, 1/L, and shot noise, 1/√L
+    for key in ("noise.exposure_ms", "noise.quantum_efficiency"):
+        assert photon[key] == pytest.approx(photon["scene.luminance_cd_m2"], abs=1e-6)
+    assert advice.internal + advice.detector + advice.sampling == pytest.approx(1.0)
+    assert "buys most" in advice.data.sentences()[-1]
+
+
+@pytest.fixture(scope="module")
+def comparison(photon_camera, tmp_path_factory) -> tod.Result:
+    out = tmp_path_factory.mktemp("frames") / "frames"
+    ss.simulate(
+        photon_camera,
+        size_detectors=[6],
+        contrast=[0.05, 0.1, 0.2, 0.4, 0.8],
+        trials=8,
+        out=out,
+        frame_format="exr",
+    )
+    return tod.compare(out, enhance=["gaussian:sigma=0.6"], white=200.0)
+
+
+def test_the_factor_of_light_changes_the_threshold_by_the_ratio(photon_camera, comparison):
+    [found] = ss.worth(comparison, photon_camera).worth
+    lights = [0.5, 0.5 * found.factor]
+    before, after = ss.curve(photon_camera, size_detectors=[6], luminance_cd_m2=lights).thresholds
+    assert after.threshold / before.threshold == pytest.approx(found.ratio, rel=1e-3)
+    low, high = found.factor_ci95
+    assert low < found.factor < high
+
+
+def test_a_result_of_another_kind_is_refused(photon_camera):
+    curve = ss.curve(photon_camera, size_detectors=[6], tolerance=0.05)
+    with pytest.raises(DataError, match="command: found 'curve', expected compare"):
+        ss.worth(curve, photon_camera)
+
+
+@pytest.mark.weekly
+@pytest.mark.slow
+def test_frames_with_that_much_more_light_have_the_threshold_of_the_enhanced_ones(photon_camera, tmp_path):
+    """20 seeds: frames simulated with the factor of light against enhanced frames; their ratio is 1 in 95 %."""
+    settings = {"size_detectors": [6], "contrast": [0.05, 0.1, 0.2, 0.4, 0.8], "trials": 40}
+    holds = 0
+    for seed in range(20):
+        plain, brighter = tmp_path / f"plain{seed}", tmp_path / f"brighter{seed}"
+        ss.simulate(photon_camera, **settings, out=plain, rng=seed)
+        compared = tod.compare(plain, enhance=["gaussian:sigma=0.6"], white=200.0, rng=seed)
+        [found] = ss.worth(compared, photon_camera).worth
+        sensor = ss.load_sensor(photon_camera)
+        sensor = replace(sensor, scene=sensor.scene.at(found.factor * 0.5))
+        ss.simulate(sensor, **settings, out=brighter, rng=1000 + seed)
+        enhanced, light = compared.algorithms[1].fits[0], tod.score(brighter, rng=seed).thresholds[0]
+        spreads = [math.log(high / low) for low, high in (enhanced.threshold_ci95, light.threshold_ci95)]
+        holds += abs(math.log(light.threshold / enhanced.threshold)) < math.hypot(*spreads) / 2.0
+    # Of 20 intervals of 95 %, 17 or more hold with a probability of 98 %.
+    assert holds >= 17
