@@ -232,13 +232,7 @@ def test_table_of_the_page_on_charts(capsys) -> None:
 
 
 SLOW_CODE = [*HOW_TO, "api.md", "camera_noise.md", "thermal_background.md", "your_camera.md"]
-QUICK = [
-    "datasets.md",
-    "own_frames.md",
-    "displays.md",
-    "fit_counts.md",
-    "own_enhancement.md",
-]
+QUICK = ["datasets.md", "own_frames.md", "displays.md", "fit_counts.md", "own_enhancement.md"]
 
 
 @pytest.mark.parametrize(

@@ -29,11 +29,7 @@ from typing import Any, NamedTuple
 from sensor_sim.chain.sampling import field_detectors
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import Level, coarse_plan, plan_curve
-from sensor_sim.thresholds.predict import (
-    FoldedChain,
-    PredictedThreshold,
-    predicted_on_lattices,
-)
+from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predicted_on_lattices
 from sensor_sim.thresholds.shares import SATURATING, SEED, WITHOUT_NOISE, Shares, shares_at, what_limits
 from sensor_sim.thresholds.sharing import Shared, as_computed
 from todframes.base.errors import TodframesError

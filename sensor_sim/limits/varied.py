@@ -10,6 +10,7 @@ from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sensor import Sensor, part_of
 from sensor_sim.limits.crossing import Crossing, Try, find_crossing
 from sensor_sim.sweeps.designs import Base, numeric_keys
+from sensor_sim.sweeps.goals import in_words
 from sensor_sim.thresholds.curve import thresholds_at
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys
@@ -20,9 +21,6 @@ REACH = 1e6
 
 LARGEST_DETECTORS, OWN_DETECTORS, SMALLEST_DETECTORS = 32.0, 4.0, 0.5
 """Sizes of the triangle in detectors at the ends of the ranges that are tried, and at the first one."""
-
-UNITS = {"cd_m2": "cd/m²", "mm": "mm", "um": "µm", "mrad": "mrad", "mk": "mK", "ms": "ms"}
-"""Units by the end of a key."""
 
 
 class Varied(NamedTuple):
@@ -86,7 +84,13 @@ def find_varied(sensor: Sensor, limit: str, size: float) -> Varied:
     if not own:
         raise SettingsError(f"{argument.limit}: {key} is missing or 0 in this sensor, expected a number above 0")
     better = {"light": True, "aperture": key == "optics.aperture_mm", "netd": False}.get(limit)
-    unit = next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
     return Varied(
-        key, unit, own, own / REACH, own * REACH, better, known[key], lambda value: base.design({key: value})[0]
+        key,
+        in_words(key)[1],
+        own,
+        own / REACH,
+        own * REACH,
+        better,
+        known[key],
+        lambda value: base.design({key: value})[0],
     )
