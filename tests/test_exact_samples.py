@@ -61,7 +61,7 @@ def test_a_matched_filter_is_right_at_the_threshold_in_three_of_four(made):
             ]
         )
         rng = np.random.default_rng(4)
-        n = 4000
+        n = 2000
         noise = rng.normal(0.0, NOISE_SD, (n, side * side))
         shown = np.arange(n) % 4
         seen = float(row["threshold_contrast"]) * templates.reshape(4, -1)[shown] + noise

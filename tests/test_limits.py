@@ -87,6 +87,7 @@ def test_at_the_least_light_the_threshold_is_the_contrast_asked_for(photon_camer
     assert limit.error < 0.01 * limit.value
 
 
+@pytest.mark.slow
 def test_the_range_shows_the_size_at_its_threshold():
     limit = ss.limit(THERMAL, limit="range", size_m=[0.5], delta_t_k=0.02, tolerance=0.01).limits[0]
     size_mrad = 0.5 / limit.value
@@ -94,6 +95,7 @@ def test_the_range_shows_the_size_at_its_threshold():
     assert at_limit.delta_t_mk == pytest.approx(20.0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_an_aperture_takes_the_netd_along_where_it_is_coupled():
     sensor = ss.load_sensor(THERMAL)
     coupled = replace(sensor, noise=replace(sensor.noise, couple_netd=True))
@@ -123,6 +125,7 @@ def test_what_does_not_fit_is_refused(arguments, message):
         ss.limit(THERMAL, **arguments)
 
 
+@pytest.mark.slow
 def test_what_a_tenth_more_buys_follows_closed_forms(photon_camera):
     """A threshold in mK is proportional to the NETD; electrons are light · exposure · efficiency."""
     thermal = {one.key: one for one in ss.advise(THERMAL, tolerance=0.05).gains}

@@ -82,6 +82,29 @@ def sweep(_: Path) -> Result[Any]:
     return ss.sweep(CAMERA, size_detectors=[4, 6], vary=vary, minimise=low, tolerance=0.1)
 
 
+@made
+def limit(_: Path) -> Result[Any]:
+    return ss.limit(CAMERA, limit="netd", size_mrad=[0.5], delta_t_k=0.05, tolerance=0.1)
+
+
+@made
+def worth(_: Path) -> Result[Any]:
+    shown = [(turn, level) for level in (0.02, 0.05, 0.1, 0.2, 0.4) for turn in tod.ORIENTATIONS]
+    middle = {"size_px": 6, "x_px": 31.5, "y_px": 31.5}
+    frames = [0.5 * (1 + level * tod.coverage((64, 64), orientation=turn, **middle)) for turn, level in shown]
+    orientation, level = zip(*shown, strict=True)
+    background = {"white_luminance_cd_m2": 100, "background_luminance_cd_m2": 50}
+    display = tod.Display(eotf="linear", pixel_pitch_mrad=0.25, **background)
+    what = {"orientation": orientation, "level": level, "size_mrad": 1.5, "group": {"size_detectors": [6.0] * 20}}
+    compared = tod.compare_frames(frames, "gaussian:sigma=1", display=display, **what)
+    return ss.worth(compared, CAMERA, limit="netd", tolerance=0.1)
+
+
+@made
+def advise(_: Path) -> Result[Any]:
+    return ss.advise(CAMERA, tolerance=0.1)
+
+
 @pytest.fixture(scope="module")
 def result_of(tmp_path_factory, results_of_commands) -> Callable[[str], Result[Any]]:
     """Function that gives the result of a command; each is made once."""
@@ -101,7 +124,7 @@ def result_of(tmp_path_factory, results_of_commands) -> Callable[[str], Result[A
 OF_RECORDINGS, LONG = ("noise", "emva", "sensor-mtf"), ("mtf", "mrtd", "sweep")
 
 COMMANDS = [
-    pytest.param(one, marks=pytest.mark.slow) if one in ("mtf", "mrtd") else one
+    pytest.param(one, marks=pytest.mark.slow) if one in ("advise", "mtf", "mrtd") else one
     for one in sorted(set(KINDS) - {"calibrate"})  # whose result takes persons, as tests of `calibrate` have
 ]
 
