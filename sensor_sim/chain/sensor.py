@@ -812,7 +812,7 @@ def explained_toml(sensor: Sensor, *, source: str = "") -> str:
             text = f"{name} =" if value is None else f"{name} = {toml_literal(value)}"
             is_set = values.get(name) is not None
             explained = EXPLAINED.get(f"{table}.{name}", "")
-            if explained[1:2].islower():
+            if explained[1:2].islower() and not explained.startswith("Gaussian"):
                 explained = explained[0].lower() + explained[1:]
             lines.append(f"{'' if is_set else '# '}{text}  # {explained}")
     return "\n".join([*lines, ""])
