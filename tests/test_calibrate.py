@@ -15,8 +15,6 @@ from people import a_monitor, model_person, sit
 
 import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.experiment.answers import read_answers, sidecar_path
 from todframes.experiment.calibration import PersonResult
 from todframes.experiment.person import (
@@ -347,11 +345,6 @@ def test_an_efficiency_is_the_inverse_square_of_a_noise() -> None:
 # The command ---------------------------------------------------------------------------------------------------
 
 
-def todframes(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    status = run(cli, [*map(str, arguments)])
-    return status, *capsys.readouterr()
-
-
 @pytest.fixture(scope="module")
 def two_people(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Answers of two models of the same noise but for chance, on frames of contrasts about their thresholds."""
@@ -365,12 +358,10 @@ def two_people(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 @pytest.mark.slow
-def test_a_person_is_calibrated_and_scored(two_people, tmp_path: Path, capsys) -> None:
+def test_a_person_is_calibrated_and_scored(two_people, tmp_path: Path, todframes) -> None:
     folder, frames = two_people
     out = tmp_path / "out"
-    status, text, err = todframes(
-        capsys, "calibrate", folder, frames, "--json", "-o", out, "--set", "resamples=100"
-    )
+    status, text, err = todframes("calibrate", folder, frames, "--json", "-o", out, "--set", "resamples=100")
     assert (status, err) == (0, "")
     made = json.loads(text)
     written = json.loads((out / "result.json").read_text())
@@ -392,7 +383,7 @@ def test_a_person_is_calibrated_and_scored(two_people, tmp_path: Path, capsys) -
     # The settings of an observer that scores: with the person's noise, and the thresholds that were predicted.
     person = made["persons"][0]
     status, text, err = todframes(
-        capsys, "score", frames, "--observer-settings", out / "observer_a1.toml", "--json", "--set", "resamples=0"
+        "score", frames, "--observer-settings", out / "observer_a1.toml", "--json", "--set", "resamples=0"
     )
     assert (status, err) == (0, "")
     scored = json.loads(text)
@@ -401,7 +392,7 @@ def test_a_person_is_calibrated_and_scored(two_people, tmp_path: Path, capsys) -
         # Half of the frames, on a monitor of 8 bits: 10 % is four times what their positions and codes change.
         assert fit["threshold"] == pytest.approx(predicted["threshold"], rel=0.1)
     assert tod.load_result(out).persons[0].internal_noise == person["internal_noise"]
-    status, _, err = todframes(capsys, "report", out / "result.json", "-o", tmp_path / "again.html")
+    status, _, err = todframes("report", out / "result.json", "-o", tmp_path / "again.html")
     assert (status, err) == (0, "")
     assert (tmp_path / "again.html").read_bytes() == (out / "report.html").read_bytes()
 
@@ -421,11 +412,11 @@ def test_a_free_blur(two_people) -> None:
 
 
 @pytest.mark.slow
-def test_two_observers_on_the_same_answers(two_people, tmp_path: Path, capsys) -> None:
+def test_two_observers_on_the_same_answers(two_people, tmp_path: Path, todframes) -> None:
     """The person is a pyramid: it sees small triangles that csf does not, so csf explains it worse."""
     (folder, frames), out = two_people, tmp_path / "out"
     arguments = ("calibrate", folder, frames, "--json", "--subject", "a1", "--set", "resamples=0", "--quiet")
-    result = json.loads(todframes(capsys, *arguments, "--observer", "pyramid,csf", "-o", out)[1])
+    result = json.loads(todframes(*arguments, "--observer", "pyramid,csf", "-o", out)[1])
     (pyramid,), (other,) = result["persons"], result["observers"]
     assert result["settings"]["observer"] == "pyramid" and other["settings"]["observer"] == "csf"
     (csf,) = other["persons"]
@@ -520,28 +511,9 @@ def test_a_display_that_has_changed(small: Path, tmp_path: Path) -> None:
         seen_dataset(load_dataset(small), session)
 
 
-def cut_to_practice(path: Path) -> None:
-    path.write_text(path.read_text().replace(",main,", ",practice,"))
-
-
-def damage_a_row(path: Path) -> None:
-    lines = path.read_text().splitlines()
-    lines[3] = lines[3].replace(",up,", ",upp,", 1)
-    path.write_text("\n".join(lines) + "\n")
-
-
-def rename_a_frame(path: Path) -> None:
-    lines = path.read_text().splitlines()
-    lines[1] = lines[1].replace("frames/", "frames/x", 1)
-    path.write_text("\n".join(lines) + "\n")
-
-
-def damage_the_sidecar(path: Path) -> None:
-    sidecar_path(path).write_text("{")
-
-
-def remove_the_sidecar(path: Path) -> None:
-    sidecar_path(path).unlink()
+def replaced(old: str, new: str):
+    """Function that damages a file: the first of a text becomes another."""
+    return lambda path: path.write_text(path.read_text().replace(old, new, 1))
 
 
 def change_the_manifest(path: Path) -> None:
@@ -552,21 +524,25 @@ def change_the_manifest(path: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "arguments", "status", "message"),
     [
-        (cut_to_practice, [], 1, "found no answers of the main trials"),
-        (damage_a_row, [], 1, "line 4: "),
-        (rename_a_frame, [], 1, "trial 1: frame: found 'frames/x"),
-        (damage_the_sidecar, [], 1, "not the sidecar of a session"),
-        (remove_the_sidecar, [], 1, "no answers"),
+        (
+            lambda path: path.write_text(path.read_text().replace(",main,", ",practice,")),
+            [],
+            1,
+            "found no answers of the main trials",
+        ),
+        (replaced(",up,", ",upp,"), [], 1, "line 2: "),
+        (replaced("frames/", "frames/x"), [], 1, "trial 1: frame: found 'frames/x"),
+        (lambda path: sidecar_path(path).write_text("{"), [], 1, "not the sidecar of a session"),
+        (lambda path: sidecar_path(path).unlink(), [], 1, "no answers"),
         (change_the_manifest, [], 1, "the answers are to another dataset"),
-        (None, ["--subject", "zz"], 1, "found no subject 'zz', expected one of a1"),
-        (None, ["--internal-noise", "0.5"], 2, "No such option '--internal-noise'"),
-        (None, ["--free", "everything"], 2, "'everything' is not one of 'lapse', 'blur'"),
+        (str, ["--subject", "zz"], 1, "found no subject 'zz', expected one of a1"),
+        (str, ["--internal-noise", "0.5"], 2, "No such option '--internal-noise'"),
+        (str, ["--free", "everything"], 2, "'everything' is not one of 'lapse', 'blur'"),
     ],
 )
-def test_bad_input_is_one_line(small: Path, tmp_path: Path, capsys, damage, arguments, status, message) -> None:
+def test_bad_input_is_one_line(small: Path, tmp_path: Path, todframes, damage, arguments, status, message) -> None:
     _, session = seen_session(small, tmp_path / "answers")
-    if damage is not None:
-        damage(session.path)
-    found, out, err = todframes(capsys, "calibrate", tmp_path / "answers", small, *arguments)
+    damage(session.path)
+    found, out, err = todframes("calibrate", tmp_path / "answers", small, *arguments)
     assert (found, out) == (status, "")
     assert err.startswith("error: ") and err.count("\n") == 1 and message in err

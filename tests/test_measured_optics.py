@@ -288,15 +288,6 @@ def test_a_motion_that_is_too_wide_is_named(motion, message):
         ss.curve(replace(ss.load_sensor(STAR_LIKE), motion=motion), size_detectors=[4], examples=False)
 
 
-@pytest.mark.slow
-def test_sweeps_vary_what_a_file_has():
-    sensor = replace(ss.load_sensor(STAR_LIKE), motion=ss.Motion())
-    vary = {"motion.smear_mrad": [0.0, 0.1], "optics.obscuration_ratio": [0.0, 0.4]}
-    swept = ss.sweep(sensor, size_detectors=[6], vary=vary, tolerance=0.05)
-    thresholds = [record["threshold_snr"] for record in swept.records()]
-    assert thresholds[0] < min(thresholds[1:3]) and max(thresholds[1:3]) < thresholds[3]
-
-
 def test_measured_optics_need_an_aperture_for_their_light_alone(tmp_path):
     f = np.linspace(0.0, 30.0, 61)
     gaussian = np.exp(-2.0 * (np.pi * 0.03 * f) ** 2)
@@ -333,12 +324,3 @@ def test_a_sweep_cannot_vary_what_a_measured_mtf_has_in_it(tmp_path, key):
     sensor = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"'))
     with pytest.raises(SettingsError, match=rf"unknown key 'optics\.{key}'"):
         ss.sweep(sensor, size_detectors=[6], vary={f"optics.{key}": [110.0, 220.0]})
-
-
-@pytest.mark.slow
-def test_an_aperture_behind_a_measured_mtf_changes_the_coupled_netd(tmp_path):
-    write_table(tmp_path, [(0.0, 1.0), (20.0, 0.4), (40.0, 0.01)])
-    sensor = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"'))
-    asked = {"size_detectors": [6], "vary": {"optics.aperture_mm": [110.0, 220.0]}, "tolerance": 0.1}
-    small, large = (row["delta_t_mk"] for row in ss.sweep(sensor, couple_netd=True, **asked).records())
-    assert small == pytest.approx(4.0 * large, rel=1e-12)  # NETD ∝ f-number²

@@ -71,16 +71,6 @@ def test_line_pairs_for_a_probability() -> None:
     np.testing.assert_allclose(transfer_probability([0.0, 1e9]), [0.0, 1.0], atol=1e-300)
 
 
-def test_probability_curve_passes_through_the_ranges() -> None:
-    found = acquired()
-    for curve in found.curves:
-        for one in (one for one in found.ranges if one.task == curve.task):
-            # 121 places: between two of them P is off by (span / 120)² / 8 · max |P''|, below 2e-3.
-            value = np.interp(one.range_km, curve.range_km, curve.probability)
-            assert value == pytest.approx(one.probability, abs=2e-3)
-        assert (np.diff(curve.probability) <= 0.0).all()
-
-
 def words(one: TaskRange) -> str:
     return range_words(one, size_m=NATO.size_m, is_tod=False)
 
@@ -508,63 +498,87 @@ def test_a_sensor_s_curve_has_its_pitch_and_delta_t() -> None:
     np.testing.assert_allclose(curve.threshold, 0.1, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"contrast": 0.3}, "delta_t_k and contrast: found 2 contrasts, expected one of"),
-        ({"cycles": "Stanag"}, "cycles: found 'Stanag', expected one of stanag, johnson.*; write stanag"),
-        ({"cycles": {"seen": 0.0}}, r"cycles\.seen: found 0\.0, expected a number from 0\.1 to 100"),
-        ({"k": {"seen": 1.0}, "cycles_per_size": 1.0}, "k: found it and cycles_per_size, expected one"),
-        ({"delta_t_k": 0.0}, "which shows no target"),
-    ],
-)
-def test_targets_that_are_none(changes, message) -> None:
-    with pytest.raises(tod.SettingsError, match=message):
-        replace(NATO, **changes)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"range_km": (1.0, 5.0), "transmission": (0.5, 0.7)}, "grows from 0.5 at 1 km to 0.7 at 5 km, expected"),
-        ({"range_km": (1e3, 5e3), "transmission": (0.5, 0.3)}, r"range_km\[1\]: found 5000.0, .* > 0 and <= 1000"),
-        ({"transmission": (0.5,)}, "range_km: is missing"),
-        ({"visibility_km": 5.0, "relative_humidity": 0.5}, "air_temperature_c: is missing"),
-        ({"visibility_km": 5.0, "extinction_per_km": 0.5}, "found 2 descriptions of the air, expected one"),
-        ({}, "found 0 descriptions of the air"),
-    ],
-)
-def test_airs_that_are_none(settings, message) -> None:
-    with pytest.raises(tod.SettingsError, match=message):
-        tod.Atmosphere(**settings)
-
-
 VISIBLE, TRIANGLES = exponential(quantity="contrast"), exponential(pattern="triangle")
 BRIGHT = tod.Target(size_m=2.3, contrast=0.3)
-HUMID = tod.Atmosphere(visibility_km=10.0, relative_humidity=0.5, air_temperature_c=15.0)
+HUMID = {"visibility_km": 10.0, "relative_humidity": 0.5, "air_temperature_c": 15.0}
+COARSE = exponential([0.02, 0.05], threshold=np.array([0.05, 0.1]))
+
+
+def target(**changes):
+    return lambda _: replace(NATO, **changes)
+
+
+def air_of(**settings):
+    return lambda _: tod.Atmosphere(**settings)
+
+
+def in_sight(curve=None, target=NATO, air=BEER):
+    return lambda _: acquired(curve, target, air)
+
+
+def of_bars(**asked):
+    return lambda table: tod.acquisition_range(table, target=NATO, atmosphere=BEER, **asked)
+
+
+def of_result(fits=None, **asked):
+    return lambda _: tod.acquisition_range(of_fits(**fits or {}), target=DAYLIGHT, atmosphere=BEER, **asked)
+
+
+LEFT, RIGHT = {"camera": "left"}, {"camera": "right"}
+REFUSED_SETTINGS = [
+    (target(contrast=0.3), "delta_t_k and contrast: found 2 contrasts, expected one of"),
+    (target(cycles="Stanag"), "cycles: found 'Stanag', expected one of stanag, johnson.*; write stanag"),
+    (target(cycles={"seen": 0.0}), r"cycles\.seen: found 0\.0, expected a number from 0\.1 to 100"),
+    (target(k={"seen": 1.0}, cycles_per_size=1.0), "k: found it and cycles_per_size, expected one"),
+    (target(delta_t_k=0.0), "which shows no target"),
+    (air_of(range_km=(1.0, 5.0), transmission=(0.5, 0.7)), "grows from 0.5 at 1 km to 0.7 at 5 km, expected"),
+    (air_of(range_km=(1e3, 5e3), transmission=(0.5, 0.3)), r"range_km\[1\]: found 5000.0, .* > 0 and <= 1000"),
+    (air_of(transmission=(0.5,)), "range_km: is missing"),
+    (air_of(visibility_km=5.0, relative_humidity=0.5), "air_temperature_c: is missing"),
+    (air_of(visibility_km=5.0, extinction_per_km=0.5), "found 2 descriptions of the air, expected one"),
+    (air_of(), "found 0 descriptions of the air"),
+    (in_sight(VISIBLE), "target: found a temperature difference, expected a contrast, as"),
+    (in_sight(air=tod.Atmosphere(visibility_km=10.0)), "found visibility_km of daylight, expected air of the"),
+    (
+        in_sight(VISIBLE, BRIGHT, tod.Atmosphere(**HUMID)),
+        "found relative_humidity of thermal bands, expected air of",
+    ),
+    (in_sight(air=find_atmosphere("visible_23km")), r"found a band of 0\.4 to 0\.7 µm, expected a thermal band"),
+    (in_sight(VISIBLE, BRIGHT, find_atmosphere("lwir_5km")), "a band of 8 to 12 µm, expected reflected light"),
+    (in_sight(TRIANGLES), "k: is missing, and mrtd is a TOD; no public value exists"),
+    (in_sight(TRIANGLES, replace(NATO, k={"seen": 3.0}, search_time_s=2.0)), "search_time_s: is given but not"),
+    (of_bars(k=3.0), "k: is given but not used: .* is a curve of bars"),
+    (of_bars(cycles_per_size=1.0), "cycles_per_size: is given but not used: .* is a curve of bars"),
+    (of_result(cycles="johnson"), r"cycles: is given but not used: .* curve of triangles, without"),
+    (of_result(magnification=-1.0), r"magnification: found -1\.0, expected a number > 0"),
+    (of_result(magnification=2.0), "magnification: is given but not used"),
+    (
+        of_result({"group": LEFT}, group=RIGHT),
+        "group: found 0 curves in .*, expected a choice of one: camera=left",
+    ),
+]
+REFUSED_DATA = [
+    (in_sight(COARSE, tod.Target(size_m=0.01, delta_t_k=2.0)), r"target of 0\.01 m is smaller than the curve's"),
+    (of_result({"level": "snr"}), "found thresholds in snr, expected one of .*netd_mk in the table"),
+    (
+        of_result({"column": "distance_m"}, group={"distance_m": "1"}),
+        "found no column of sizes, expected one of obj",
+    ),
+    (of_result({"column": "size_detectors"}), "found sizes in detectors but no detector pitch"),
+]
 
 
 @pytest.mark.parametrize(
-    ("curve", "target", "air", "message"),
-    [
-        (VISIBLE, NATO, BEER, "target: found a temperature difference, expected a contrast, as"),
-        (None, NATO, tod.Atmosphere(visibility_km=10.0), "found visibility_km of daylight, expected air of the"),
-        (VISIBLE, BRIGHT, HUMID, "found relative_humidity of thermal bands, expected air of daylight"),
-        (None, NATO, find_atmosphere("visible_23km"), r"found a band of 0\.4 to 0\.7 µm, expected a thermal band"),
-        (VISIBLE, BRIGHT, find_atmosphere("lwir_5km"), "found a band of 8 to 12 µm, expected reflected light"),
-        (TRIANGLES, NATO, BEER, "k: is missing, and mrtd is a TOD; no public value exists"),
-        (TRIANGLES, replace(NATO, k={"seen": 3.0}, search_time_s=2.0), BEER, "search_time_s: is given but not"),
-    ],
+    ("call", "message", "error"),
+    [(*one, tod.SettingsError) for one in REFUSED_SETTINGS] + [(*one, tod.DataError) for one in REFUSED_DATA],
 )
-def test_target_and_air_must_be_of_the_curve_s_kind(curve, target, air, message) -> None:
-    with pytest.raises(tod.SettingsError, match=message):
-        acquired(curve, target, air)
+def test_what_has_no_range(call, message, error, table) -> None:
+    with pytest.raises(error, match=message):
+        call(table)
 
 
-def test_a_target_that_is_smaller_than_the_finest_detail_at_any_range() -> None:
-    coarse = exponential([0.02, 0.05], threshold=np.array([0.05, 0.1]))
-    with pytest.raises(tod.DataError, match=r"target of 0\.01 m is smaller than the curve's"):
-        acquired(coarse, tod.Target(size_m=0.01, delta_t_k=2.0))
+def test_a_group_names_a_curve() -> None:
+    assert of_result({"group": LEFT}, group=LEFT)(None)
 
 
 BAD_TABLES = [
@@ -612,44 +626,6 @@ def test_bad_files_of_air(text, message, tmp_path) -> None:
     (tmp_path / "air.toml").write_text(text)
     with pytest.raises(tod.SettingsError, match=message):
         find_atmosphere(tmp_path / "air.toml")
-
-
-@pytest.mark.parametrize(
-    ("fits", "asked", "error", "message"),
-    [
-        ({"level": "snr"}, {}, tod.DataError, "found thresholds in snr, expected one of .*netd_mk in the table"),
-        (
-            {"column": "distance_m"},
-            {"group": {"distance_m": "1"}},
-            *(tod.DataError, "found no column of sizes, expected one of object_size_mrad"),
-        ),
-        ({"column": "size_detectors"}, {}, tod.DataError, "found sizes in detectors but no detector pitch"),
-        (
-            {"group": {"camera": "left"}},
-            {"group": {"camera": "right"}},
-            *(tod.SettingsError, "group: found 0 curves in .*, expected a choice of one: camera=left"),
-        ),
-        ({}, {"magnification": 2.0}, tod.SettingsError, "magnification: is given but not used"),
-    ],
-)
-def test_results_that_are_no_curve(fits, asked, error, message) -> None:
-    with pytest.raises(error, match=message):
-        tod.acquisition_range(of_fits(**fits), target=DAYLIGHT, atmosphere=BEER, **asked)
-
-
-def test_a_group_names_a_curve() -> None:
-    of_camera = of_fits(group={"camera": "left"})
-    assert tod.acquisition_range(of_camera, target=DAYLIGHT, atmosphere=BEER, group={"camera": "left"})
-
-
-def test_a_criterion_that_is_not_used_is_refused(table) -> None:
-    for name, value in (("k", 3.0), ("cycles_per_size", 1.0)):
-        with pytest.raises(tod.SettingsError, match=rf"{name}: is given but not used: .* is a curve of bars"):
-            tod.acquisition_range(table, target=NATO, atmosphere=BEER, **{name: value})
-    with pytest.raises(tod.SettingsError, match=r"cycles: is given but not used: .* curve of triangles, without"):
-        tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER, cycles="johnson")
-    with pytest.raises(tod.SettingsError, match=r"magnification: found -1\.0, expected a number > 0"):
-        tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER, magnification=-1.0)
 
 
 def test_one_extinction_in_a_band_of_lines_is_warned_about(table) -> None:

@@ -16,7 +16,6 @@ import sensor_sim as ss
 import todframes as tod
 from todframes.camera.noise3d import PARTS, NoisePart, combinations, estimate, fit_drift, measure_noise
 from todframes.charts.layout import Chart, Markers, Page, Patch, Triangle, marker_bits, marker_ids, write_chart
-from todframes.cli.main import main
 from todframes.recordings.opening import open_recordings
 
 AXES = {"t": 0, "v": 1, "h": 2}
@@ -206,7 +205,7 @@ def test_memory_does_not_grow_with_the_number_of_frames(tmp_path):
     assert peaks[1] - peaks[0] < 180 * 200
 
 
-def test_patches_give_the_signal_transfer(tmp_path, capsys):
+def test_patches_give_the_signal_transfer(tmp_path, todframes):
     levels, rng = (10.0, 20.0, 40.0, 80.0), np.random.default_rng(15)
     scene = np.repeat(np.repeat([[100 + 3 * one for one in levels]], 20, 0), 25, 1)
     frames = scene + rng.normal(0, 1, scene.shape) + rng.normal(0, 2, (30, *scene.shape))
@@ -225,7 +224,7 @@ def test_patches_give_the_signal_transfer(tmp_path, capsys):
     given = [
         text for place, level in places.items() for text in ("--patch", ",".join(map(str, place)) + f"={level}")
     ]
-    status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *given, "--json")
+    status, out, _ = todframes("noise", tmp_path / "a.npy", *given, "--json")
     assert status == 0 and json.loads(out)["noise"]["signal_transfer"]["gain"] == noise.transfer.gain
     with pytest.raises(tod.SettingsError, match=r"patches: found levels \[5.0\], expected at least two different"):
         tod.noise(tmp_path / "a.npy", patches={(0, 0, 5, 5): 5.0, (5, 5, 5, 5): 5.0})
@@ -323,13 +322,6 @@ def test_the_ratio_has_an_interval_of_both_errors(tmp_path):
     assert none.fixed_pattern_ratio.ci95 == (0, 0.5 / noise.dynamic.sd)
 
 
-def run(capsys, *arguments):
-    with pytest.raises(SystemExit) as ended:
-        main([str(one) for one in arguments])
-    shown = capsys.readouterr()
-    return ended.value.code, shown.out, shown.err
-
-
 def test_a_folder_of_radiometric_files_has_their_scale(tmp_path):
     one = tod.noise(REAL / "frame_000000.fff")
     for name in ("a.fff", "b.fff", ".hidden"):
@@ -344,8 +336,8 @@ def test_a_folder_of_radiometric_files_has_their_scale(tmp_path):
     assert tod.noise(tmp_path / "c.fff").noise.mk_per_unit is None
 
 
-def test_a_real_thermal_frame_is_measured_in_mk(capsys):
-    status, out, _ = run(capsys, "noise", REAL / "frame_000000.fff", "--region", "200,150,200,200", "--strict")
+def test_a_real_thermal_frame_is_measured_in_mk(todframes):
+    status, out, _ = todframes("noise", REAL / "frame_000000.fff", "--region", "200,150,200,200", "--strict")
     assert status == 1
     assert "one frame: its temporal noise cannot be separated from its fixed pattern" in out
     assert "mK" in out
@@ -369,9 +361,9 @@ def test_a_real_thermal_frame_is_measured_in_mk(capsys):
         (["--signal", "a"], 2, "--signal: found 'a', expected numbers"),
     ],
 )
-def test_bad_requests_are_told_in_one_line(tmp_path, capsys, options, status, message):
+def test_bad_requests_are_told_in_one_line(tmp_path, todframes, options, status, message):
     np.save(tmp_path / "a.npy", np.zeros((4, 5)))
-    found, out, err = run(capsys, "noise", tmp_path / "a.npy", "--quiet", *options)
+    found, out, err = todframes("noise", tmp_path / "a.npy", "--quiet", *options)
     assert (found, out) == (status, "")
     assert message in err.splitlines()[-1]
 

@@ -151,19 +151,6 @@ def test_a_temporary_folder_that_cannot_take_a_copy_is_named(monkeypatch, is_ful
         FrameFile(RemotePath("memory://lab/a.exr"))
 
 
-def test_damaged_pixels_are_told_by_the_url(make_dataset, upload) -> None:
-    made = make_dataset(contrasts=(0.2,))
-    content = bytearray(made.frame(2).read_bytes())
-    content[-len(content) // 2 :] = bytes(len(content) - len(content) // 2)
-    made.frame(2).write_bytes(content)
-    url = upload(made.path)
-    with pytest.raises(FrameError, match="cannot be decoded") as caught:
-        tod.score(url)
-    assert str(caught.value).startswith(f"{url}/{made.rows[2]['frame']}: ")
-    skipped = tod.score(url, on_error="skip", examples=False).skipped
-    assert [one["frame"] for one in skipped] == [made.rows[2]["frame"]]
-
-
 @pytest.mark.parametrize(
     "url",
     [
@@ -249,16 +236,6 @@ def test_nothing_leads_out_of_the_dataset(make_dataset, upload, name) -> None:
     made.save()
     with pytest.raises(SettingsError, match="lies outside of the dataset"):
         load_dataset(upload(made.path))
-
-
-def test_rows_are_told_apart_by_where_they_lead(make_dataset, upload) -> None:
-    made = make_dataset()
-    made.rows[1]["frame"] = "./" + made.rows[0]["frame"]
-    made.rows[2]["frame"] = made.rows[2]["frame"].replace("/", "\\")
-    made.save()
-    twice, backslashes = (one.error for one in load_dataset(upload(made.path)).bad_rows)
-    assert "is there already, in line 2" in twice
-    assert "expected slashes" in backslashes
 
 
 def test_a_dataset_travels_without_connections_or_listings(make_dataset, upload) -> None:
@@ -368,15 +345,6 @@ def test_only_names_tell_which_frames_have_checksums(make_dataset, upload, monke
     assert [one.found for one in dataset_warnings(exr, exr.trials)] == [40]
     assert dataset_warnings(png, png.trials) == []
     assert len(opened) == 2 * 20  # every second of 40
-
-
-def test_a_folder_is_listed_once(make_dataset, upload, monkeypatch) -> None:
-    data = load_dataset(upload(make_dataset().path))
-    memory, listed = type(fsspec.filesystem("memory")), []
-    ls = memory.ls
-    monkeypatch.setattr(memory, "ls", lambda self, path, **more: listed.append(path) or ls(self, path, **more))
-    assert all(data.has_frame(frame) for trial in data.trials for frame in trial.frames)
-    assert listed == [f"{data.path}/frames"]
 
 
 @pytest.mark.parametrize(

@@ -460,19 +460,6 @@ def test_ids_on_the_web_are_of_strong_tags_or_of_bytes(make_dataset, web, tag) -
 
 
 @pytest.mark.slow
-def test_ids_on_s3_change_with_the_bytes(make_dataset, upload) -> None:
-    """At the next loading: the folder is listed once."""
-    made = make_dataset()
-    data = load_dataset(upload(made.path))
-    first, second = (data.trials[k].frames[0] for k in (0, 1))
-    ids = [data.content_id(one) for one in (first, second)]
-    assert ids[0] != ids[1]
-    s3fs.S3FileSystem().pipe(f"{data.path}/{first.path}", made.frame(1).read_bytes())
-    assert data.content_id(first, is_read=True) == ids[0]
-    assert load_dataset(str(data.path)).content_id(first) != ids[0]
-
-
-@pytest.mark.slow
 def test_a_run_goes_on_without_scoring_frames_again(make_dataset, web, tmp_path) -> None:
     """Frames are known by their tags alone, and each is read once less; one whose bytes have changed is scored."""
 

@@ -204,15 +204,10 @@ def test_latin_hypercube_has_one_design_in_each_part() -> None:
         ("9:5:3", "found '9:5:3', a range that falls"),
         ("0:5:3:log", "expected FROM above 0 with log"),
         ("1:5:1", "expected N of 2 or more"),
-        ("1:5:0", "expected N of 2 or more"),
         ("1:5:2.5", "expected FROM:TO:N"),
-        ("1:5:3:ln", "expected FROM:TO:N"),
-        ("1:5:3:4:log", "expected FROM:TO:N"),
         ("1", "expected FROM:TO:N"),
-        ("log", "expected FROM:TO:N"),
         ("", "expected FROM:TO:N"),
         ("nan:5:3", "expected finite numbers"),
-        ("1:inf:3", "expected finite numbers"),
     ],
 )
 def test_bad_ranges(text: str, match: str) -> None:
@@ -229,33 +224,27 @@ def bad(capsys: pytest.CaptureFixture[str], *arguments: object, status: int = 2)
     return line
 
 
+VARIED = ("--vary", "noise.netd_mk=1:3:3")
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
         ((), "sweep: found nothing to vary"),
-        (
-            ("--vary", "optics.aperture=50:200:7"),
-            "unknown key 'optics.aperture'; the nearest valid one is 'optics.ap",
-        ),
+        (("--vary", "optics.aperture=50:200:7"), "unknown key 'optics.aperture'; the nearest valid one is 'opti"),
         (("--vary", "observer.internalnoise=0:1:3"), "the nearest valid one is 'observer.internal_noise'"),
         (("--vary", "noise.distribution=1:2:2"), "unknown key 'noise.distribution'"),
         (("--vary", "optics.aperture_mm"), "--vary: found 'optics.aperture_mm', expected KEY=FROM:TO:N"),
         (("--vary", "optics.aperture_mm=50:200"), "expected a number of values N"),
         (("--vary", "optics.aperture_mm=1:2:2000000"), "designs: found 2000000, expected at most 100000"),
         (("--vary", "noise.frames_integrated=1:3:7"), "some values are the same whole number"),
-        (("--vary", "noise.netd_mk=1:3:3", "--vary", "noise.netd_mk=1:3:3"), "found noise.netd_mk twice"),
-        (("--vary", "noise.netd_mk=1:3:3", "--sample", "4"), "N is that of the sample"),
-        (("--vary", "noise.netd_mk=1:3:3", "--minimise", "netd"), "minimise: unknown key 'netd'"),
-        (("--vary", "noise.netd_mk=1:3:3", "--minimise", "acuity_mrad"), "needs an SNR or ΔT for the acuity"),
-        (
-            ("--vary", "noise.netd_mk=1:3:3", "--acuity-snr", "-1"),
-            "acuity_snr: found -1.0, expected a finite number",
-        ),
-        (("--vary", "noise.netd_mk=1:3:3", "--tolerance", "0"), "tolerance: found 0.0, expected a finite number"),
-        (
-            ("--vary", "noise.netd_mk=1:3:3", "--observer", "oriented", "--set", "complex_cells=true"),
-            "it is not linear",
-        ),
+        ((*VARIED, *VARIED), "found noise.netd_mk twice"),
+        ((*VARIED, "--sample", "4"), "N is that of the sample"),
+        ((*VARIED, "--minimise", "netd"), "minimise: unknown key 'netd'"),
+        ((*VARIED, "--minimise", "acuity_mrad"), "needs an SNR or ΔT for the acuity"),
+        ((*VARIED, "--acuity-snr", "-1"), "acuity_snr: found -1.0, expected a finite number"),
+        ((*VARIED, "--tolerance", "0"), "tolerance: found 0.0, expected a finite number"),
+        ((*VARIED, "--observer", "oriented", "--set", "complex_cells=true"), "it is not linear"),
         (
             ("--vary", "detector.width_mrad=1:2:2", "--vary", "detector.fill_factor=0.5:1:2"),
             "found detector.fill_factor and detector.width_mrad, expected one of them",
@@ -272,10 +261,7 @@ def test_bad_commands_give_one_line(capsys, arguments: tuple[str, ...], expected
         ("optics.aperture_mm\n", "found no design, expected a row for each"),
         ("optics.aperture\n5\n", "unknown key 'optics.aperture'; the nearest valid one is 'optics.aperture_mm'"),
         ("optics.aperture_mm\nlarge\n", "line 2: optics.aperture_mm: found 'large', expected a finite number"),
-        (
-            "noise.frames_integrated\n2.5\n",
-            "line 2: noise.frames_integrated: found '2.5', expected a whole number",
-        ),
+        ("noise.frames_integrated\n2.5\n", "line 2: noise.frames_integrated: found '2.5', expected a whole"),
         ("optics.aperture_mm,noise.netd_mk\n5\n", "line 2: found 1 fields, expected 2"),
         ("name\nbest\n", "found no key"),
     ],
