@@ -29,11 +29,20 @@ def p_of(level, threshold: float, lapse_rate: float = 0.0):
     return weibull(level, alpha=alpha, beta=2.0, guess_rate=0.25, lapse_rate=lapse_rate)
 
 
+def curves(level, series, rng):
+    """Fits without intervals."""
+    return [fit_trials(level, p, settings=FitSettings(resamples=0), rng=rng) for p in series]
+
+
+def width(found) -> float:
+    """Width of the interval of a ratio, ln."""
+    return math.log(found.ratio_ci95[1] / found.ratio_ci95[0])
+
+
 def compared(level, *series, seed: int = 1):
     """Ratio of each series but the first to the first."""
     p_correct, rng = np.array(series, dtype=np.float64), np.random.default_rng(seed)
-    fits = [fit_trials(level, p, settings=FitSettings(resamples=0), rng=rng) for p in p_correct]
-    pairs = [(k, 0) for k in range(1, len(series))]
+    fits, pairs = curves(level, p_correct, rng), [(k, 0) for k in range(1, len(series))]
     draws = ratio_draws(np.asarray(level), p_correct, fits, pairs=pairs, settings=SETTINGS, rng=rng)
     return [threshold_ratio([one]) for one in draws]
 
@@ -45,8 +54,7 @@ def test_the_same_answers_have_ratio_one_and_nothing_else(sampled: bool, n_trial
     answers = (rng.random(level.size) < p).astype(np.float64) if sampled else p
     same, again = compared(level, answers, answers, answers)
     assert same == again
-    assert (same.ratio, same.p_value) == (1.0, 1.0)
-    assert same.ratio_ci95 == (1.0, 1.0)
+    assert (same.ratio, same.p_value, same.ratio_ci95) == (1.0, 1.0, (1.0, 1.0))
 
 
 def test_a_ratio_known_from_the_curves() -> None:
@@ -57,7 +65,7 @@ def test_a_ratio_known_from_the_curves() -> None:
     low, high = found.ratio_ci95
     assert low <= 0.8 <= high
     # Noise moves a threshold by 0.3/√(trials near it), some 4 % or 16 % from end to end, but both alike.
-    assert math.log(high / low) < 0.08
+    assert width(found) < 0.08
     assert (found.p_value, found.is_lower) == (2 / 401, True)
 
 
@@ -68,9 +76,8 @@ def test_pairs_are_surer_than_strangers() -> None:
     first, second = (p_of(level * np.exp(noise), threshold) for threshold in (1.0, 0.95))
     broken = np.concatenate([rng.permutation(answers) for answers in second.reshape(7, 20)])
     paired, unpaired = compared(level, first, second, broken)
-    width, wide = (math.log(one.ratio_ci95[1] / one.ratio_ci95[0]) for one in (paired, unpaired))
     assert paired.ratio == pytest.approx(unpaired.ratio, rel=1e-9)
-    assert wide > 4 * width
+    assert width(unpaired) > 4 * width(paired)
     assert paired.p_value < 0.05 < unpaired.p_value
 
 
@@ -158,9 +165,7 @@ def test_a_threshold_that_one_of_the_two_lacks(
     reference: float, other: float, is_lower: bool, sampled: bool
 ) -> None:
     rng, level = np.random.default_rng(4), np.repeat(LEVELS, 20)
-    series = [
-        p_of(level * np.exp(rng.normal(0.0, 0.1, level.size)), threshold) for threshold in (reference, other)
-    ]
+    series = [p_of(level * np.exp(rng.normal(0.0, 0.1, level.size)), at) for at in (reference, other)]
     if sampled:
         series = [(rng.random(level.size) < p).astype(np.float64) for p in series]
     (found,) = compared(level, *series)
@@ -203,9 +208,8 @@ def test_several_groups_have_their_geometric_mean() -> None:
     groups = [draws(0.9, 0.07, seed=seed) for seed in range(4)]
     alone, together = threshold_ratio(groups[:1]), threshold_ratio(groups)
     assert together.ratio == pytest.approx(0.9, rel=1e-12)
-    width, wide = (math.log(one.ratio_ci95[1] / one.ratio_ci95[0]) for one in (together, alone))
     # Quantiles of 1999 normal deviates have an SD of 0.06 of theirs.
-    assert width == pytest.approx(wide / 2, rel=0.15)
+    assert width(together) == pytest.approx(width(alone) / 2, rel=0.15)
     assert together.p_value < 0.05 < alone.p_value
     mixed = threshold_ratio([draws(0.5, 0.01), draws(2.0, 0.01, seed=1)])
     assert (mixed.ratio, mixed.p_value) == (pytest.approx(1.0, rel=1e-12), 1.0)
@@ -242,7 +246,7 @@ def test_holm() -> None:
 
 def on_backgrounds(
     effects: np.ndarray, *, n_trials: int = 4, noise: float = 0.1, groups: int = 1
-) -> tuple[list[RatioDraws], np.ndarray]:
+) -> list[RatioDraws]:
     """Draws of a comparison whose second way has ln thresholds that differ by an effect of each background."""
     rng, n = np.random.default_rng(11), len(effects)
     scene = np.tile(np.repeat(np.arange(n), n_trials), len(LEVELS))
@@ -252,15 +256,14 @@ def on_backgrounds(
     for _ in range(groups):
         strewn = rng.normal(0.0, noise, level.size)
         series = np.array([p_of(level * np.exp(strewn - k * effects[scene]), 1.0) for k in (0, 1)])
-        fits = [fit_trials(level, one, settings=FitSettings(resamples=0), rng=rng) for one in series]
-        more = {"backgrounds": scene, "drawn_backgrounds": drawn}
-        draws += ratio_draws(level, series, fits, pairs=[(1, 0)], settings=SETTINGS, rng=rng, **more)
-    return draws, scene
+        more = {"settings": SETTINGS, "rng": rng, "backgrounds": scene, "drawn_backgrounds": drawn}
+        draws += ratio_draws(level, series, curves(level, series, rng), pairs=[(1, 0)], **more)
+    return draws
 
 
 def test_help_on_three_backgrounds_of_eight_is_not_better() -> None:
-    few = threshold_ratio(on_backgrounds(np.repeat([math.log(0.7), 0.0], [3, 5]))[0])
-    all_alike = threshold_ratio(on_backgrounds(np.full(8, math.log(0.87)))[0])
+    few = threshold_ratio(on_backgrounds(np.repeat([math.log(0.7), 0.0], [3, 5])))
+    all_alike = threshold_ratio(on_backgrounds(np.full(8, math.log(0.87))))
     assert few.ratio == pytest.approx(all_alike.ratio, rel=0.03)
     assert few.p_value > 0.05 > all_alike.p_value
     assert few.ratio_ci95[1] > 1.0 > all_alike.ratio_ci95[1]
@@ -269,10 +272,9 @@ def test_help_on_three_backgrounds_of_eight_is_not_better() -> None:
 def test_the_width_over_backgrounds_is_students() -> None:
     """Without trial noise the interval is that of the mean of eight effects: t(7) · s / √8."""
     effects = np.array([-0.05, -0.03, -0.02, 0.0, 0.0, 0.02, 0.03, 0.05]) - 0.1
-    found = threshold_ratio(on_backgrounds(effects, n_trials=2, noise=0.0)[0])
-    width = math.log(found.ratio_ci95[1] / found.ratio_ci95[0])
+    found = threshold_ratio(on_backgrounds(effects, n_trials=2, noise=0.0))
     # 400 resamples place an end of an interval to 8 % of its half width; the curve is linear to some per cent.
-    assert width == pytest.approx(2.0 * 2.365 * effects.std(ddof=1) / math.sqrt(8.0), rel=0.2)
+    assert width(found) == pytest.approx(2.0 * 2.365 * effects.std(ddof=1) / math.sqrt(8.0), rel=0.2)
     assert math.log(found.ratio) == pytest.approx(-0.1, abs=0.005)
 
 
@@ -303,7 +305,7 @@ def test_the_interval_of_a_threshold_over_backgrounds_is_students() -> None:
 
 def test_more_groups_on_the_same_backgrounds_are_no_surer() -> None:
     effects = np.random.default_rng(3).normal(-0.1, 0.1, 8)
-    one, three = (threshold_ratio(on_backgrounds(effects, noise=0.0, groups=n)[0]) for n in (1, 3))
+    one, three = (threshold_ratio(on_backgrounds(effects, noise=0.0, groups=n)) for n in (1, 3))
     assert three.ratio_ci95 == pytest.approx(one.ratio_ci95, rel=1e-9)
 
 
@@ -312,15 +314,10 @@ def test_backgrounds_that_a_level_lacks_keep_its_mean() -> None:
     rng, level = np.random.default_rng(0), np.repeat(LEVELS, 4)
     scene = np.where(np.arange(level.size) % 2 == 0, 0, 1)
     scene[:4] = 0
-    p = p_of(level, 1.0)
-    fit = fit_trials(level, p, settings=FitSettings(resamples=0), rng=rng)
-    drawn = draw_backgrounds(2, 50, rng)
-    assert drawn is not None
-    settings = FitSettings(resamples=50)
-    (found,) = ratio_draws(
-        level, np.array([p, p]), [fit, fit], pairs=[(1, 0)], settings=settings, rng=rng, backgrounds=scene,
-        drawn_backgrounds=drawn,
-    )  # fmt: skip
+    series = np.array([p_of(level, 1.0)] * 2)
+    fits, drawn = curves(level, series, rng), draw_backgrounds(2, 50, rng)
+    more = {"settings": FitSettings(resamples=50), "rng": rng, "backgrounds": scene, "drawn_backgrounds": drawn}
+    (found,) = ratio_draws(level, series, fits, pairs=[(1, 0)], **more)
     assert not found.ln_ratios.any()
 
 
