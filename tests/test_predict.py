@@ -432,12 +432,6 @@ def test_points_lie_about_the_threshold_and_pass_the_criterion(level, observer):
     assert at_threshold == pytest.approx(0.7, abs=0.4 * 8 * 2e-3)
 
 
-def test_threshold_rises_with_the_criterion(observer):
-    chain = FoldedChain(UNDER_SAMPLED, observer, 4.0)
-    thresholds = [predict_threshold(chain, p_correct=p).threshold for p in (0.4, 0.625, 0.75, 0.9)]
-    assert thresholds == sorted(thresholds)
-
-
 # Refused ------------------------------------------------------------------------------------------------------
 
 
