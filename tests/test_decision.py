@@ -15,7 +15,6 @@ from scipy.integrate import quad
 from scipy.special import ndtr
 
 from todframes.base.errors import SettingsError
-from todframes.observers import decision
 from todframes.observers.decision import answer_probabilities, answer_probability
 
 EXACT = 1e-9
@@ -258,17 +257,6 @@ def test_improbable_answers_are_right_relatively(overlap, level):
     assert found[1] == pytest.approx(found[3], rel=1e-12, abs=0)
 
 
-@pytest.mark.parametrize("behind", [6.0, 9.0, 11.0])
-def test_improbable_of_equally_noisy_independent_scores(behind):
-    # The mass is near z = behind·3/4; 1e-26 and smaller at the last.
-    expected = integrate(
-        lambda z: 1e20 * density(z + 3 * behind / 4) * ndtr(z - behind / 4) * ndtr(z + 3 * behind / 4) ** 2,
-        limit=25,
-    )
-    found = answer_probabilities([0, behind, 0, 0], np.eye(4))[0]
-    assert 1e20 * found == pytest.approx(expected, rel=1e-7, abs=0)
-
-
 # No noise, and identical templates
 
 
@@ -393,13 +381,6 @@ def test_one_matrix_per_score_and_one_for_all_agree():
     assert answer_probabilities(np.zeros((0, 4)), BOUNDING_BOX).shape == (0, 4)
 
 
-def test_a_score_does_not_depend_on_its_batch():
-    scores = np.random.default_rng(4).normal(size=(150, 4))
-    alone = np.array([answer_probabilities(score, CENTROID) for score in scores])
-    # Vectorised exponentials may round their last elements apart.
-    assert answer_probabilities(scores, CENTROID) == pytest.approx(alone, abs=1e-14)
-
-
 # Refusals
 
 
@@ -451,21 +432,6 @@ def test_one_answer_is_that_of_all_four() -> None:
             assert found.shape == expected.shape[:-1]
             # Both are exact to 1e-9; the largest of the four is 1 less the others there.
             assert np.allclose(found, expected[..., answer], rtol=0.0, atol=1e-9)
-
-
-def test_fewer_nodes_are_as_good_far_from_singular(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Random covariances on both sides of the limit, with all nodes and with as many as are taken."""
-    rng = np.random.default_rng(11)
-    spread = np.exp(rng.uniform(0.0, 1.5, (100, 1, 1)) * rng.normal(size=(100, 4, 1)))
-    factor = spread * rng.normal(size=(100, 4, 5))
-    score = rng.normal(size=(100, 4)) * np.geomspace(0.3, 3.0, 100)[:, None]
-    covariances = factor @ factor.swapaxes(1, 2)
-    found = np.array([answer_probabilities(s, c) for s, c in zip(score, covariances, strict=True)])
-    monkeypatch.setattr(decision, "_FEWER_NODES", decision._NODES)
-    exact = np.array([answer_probabilities(s, c) for s, c in zip(score, covariances, strict=True)])
-    assert 25 < np.count_nonzero((found != exact).any(axis=1)) < 100, "both numbers of nodes were taken"
-    # Sums of 3 × 48 to 3 × 128 terms that are rounded by 1e-16 each.
-    assert np.abs(found - exact).max() < 3e-14
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-8])

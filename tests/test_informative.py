@@ -193,15 +193,6 @@ def test_informative_neurons_are_the_fewest_with_their_share(share: float, displ
     assert used.mean() < 0.08
 
 
-def test_neurons_that_are_left_out_have_no_weight_but_noise() -> None:
-    stimulus, some = Stimulus(1.0), observer(informative_share=0.9)
-    used = some.informative_neurons(stimulus)
-    for template in some.templates(stimulus):
-        for band, one in zip(template, used, strict=True):
-            assert not band[~one].any()
-            assert band[one].all()
-
-
 @pytest.mark.slow
 def test_one_neuron_in_twenty_is_enough() -> None:
     """A hundredth less of the squared differences is half a hundredth less of d′."""

@@ -219,113 +219,93 @@ class Case:
 
 @cache
 def offsets() -> tuple[Image, Image]:
-    """Columns and rows of the pixels from the middle of the frame."""
     y, x = np.mgrid[:SIDE_PX, :SIDE_PX] - MIDDLE_PX
     return x, y
 
 
 def vignetted(loss: float) -> Callable[[Image, Shot], Image]:
-    """Less light by `loss` in the corners, by the square of the distance from the middle."""
     x, y = offsets()
     share = 1.0 - loss * (x**2 + y**2) / (2.0 * MIDDLE_PX**2)
     return lambda light, _shot: light * share
 
 
 def framed(light: Image, _shot: Shot) -> Image:
-    """A dark border, 12 pixels wide."""
     x, y = offsets()
     return np.where(np.maximum(abs(x), abs(y)) > MIDDLE_PX - 12, 0.1 * BACKGROUND, light)
 
 
 def letterboxed(light: Image, _shot: Shot) -> Image:
-    """Black bars above and below, 12 pixels high."""
     return np.where(abs(offsets()[1]) > MIDDLE_PX - 12, 0.0, light)
 
 
 def halved(edge_px: float) -> Callable[[Image, Shot], Image]:
-    """A background that is darker by 30 % to the right of an edge, at a distance from the middle."""
     return lambda light, _shot: np.where(offsets()[0] > edge_px, 0.7, 1.0) * light
 
 
 def flickering(light: Image, shot: Shot) -> Image:
-    """Bands of a lamp's flicker, 10 % either way, that roll from frame to frame."""
     return light * (1.0 + 0.1 * np.sin(2.0 * np.pi * (offsets()[1] / 40.0 + shot.chance.random())))
 
 
 def glaring(light: Image, _shot: Shot) -> Image:
-    """The reflection of a lamp, beside the triangle."""
     x, y = offsets()
     return light + 0.5 * BACKGROUND * np.exp(-((x - 24) ** 2 + (y + 10) ** 2) / (2 * 6.0**2))
 
 
 def detected(light: Image, _shot: Shot) -> Image:
-    """The mean over detectors of 2 × 2 pixels, each shown as a square."""
     count = SIDE_PX // 2
     means = light.reshape(count, 2, count, 2).mean(axis=(1, 3))
     return np.repeat(np.repeat(means, 2, axis=0), 2, axis=1)
 
 
 def shaken(shot: Shot) -> Shot:
-    """A camera held in the hand: 3 pixels either way."""
     x, y = shot.chance.normal(0.0, 3.0, 2)
     return replace(shot, x_px=shot.x_px + x, y_px=shot.y_px + y)
 
 
 def drifted(shot: Shot) -> Shot:
-    """A mount that sags: 12 pixels from the first frame to the last."""
     return replace(shot, y_px=shot.y_px + 12.0 * shot.number / (len(series()) - 1))
 
 
 def moved(x_px: float, y_px: float) -> Callable[[Shot], Shot]:
-    """A triangle away from the middle."""
     return lambda shot: replace(shot, x_px=shot.x_px + x_px, y_px=shot.y_px + y_px)
 
 
 def darker(shot: Shot) -> Shot:
-    """A triangle darker than its background."""
     return replace(shot, contrast=-shot.contrast)
 
 
 def late(shot: Shot) -> Shot:
-    """Every fourth frame shows the triangle of the frame before: the grabber was late."""
     return series()[shot.number - 1] if shot.number % 4 == 2 else shot
 
 
 def absent(shot: Shot) -> Shot:
-    """Every fourth frame shows no triangle."""
     return replace(shot, contrast=0.0) if shot.number % 4 == 3 else shot
 
 
 def resized(factor: float) -> Callable[[Shot], Shot]:
-    """A triangle of another size."""
     return lambda shot: replace(shot, size_px=factor * shot.size_px)
 
 
 def two_sizes(shot: Shot) -> Shot:
-    """Every other triangle is half as large."""
     return replace(shot, size_px=shot.size_px / (1 + shot.number % 2))
 
 
 def ghosted(shot: Shot) -> Image:
-    """A double exposure: the triangle again, 20 pixels to the right, half as strong."""
     return _alone(shot) + 0.5 * _alone(moved(20.0, 0.0)(shot))
 
 
 def two_orientations(shot: Shot) -> Image:
-    """A double exposure: the next orientation on top."""
     other = ORIENTATIONS[(ORIENTATIONS.index(shot.orientation) + 1) % 4]
     return 0.5 * (_alone(shot) + _alone(replace(shot, orientation=other)))
 
 
 def interlaced(codes: NDArray, _shot: Shot) -> NDArray:
-    """Odd rows from another moment, 6 pixels later."""
     woven = codes.copy()
     woven[1::2] = np.roll(codes[1::2], 6, axis=1)
     return woven
 
 
 def distorted(barrel: float, image: Image, _shot: Shot) -> Image:
-    """A barrel's distortion of the lens, as a share at the corners, with the right size in the middle."""
     x, y = offsets()
     stretch = 1.0 + barrel * (x**2 + y**2) / (2.0 * MIDDLE_PX**2)
     maps = [(MIDDLE_PX + along * stretch).astype(np.float32) for along in (x, y)]
@@ -333,18 +313,15 @@ def distorted(barrel: float, image: Image, _shot: Shot) -> Image:
 
 
 def tilted(image: Image, _shot: Shot) -> Image:
-    """A camera tilted by 12 degrees."""
     turn = cv2.getRotationMatrix2D((MIDDLE_PX, MIDDLE_PX), 12.0, 1.0)
     return cv2.warpAffine(image, turn, image.shape, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
 
 def overexposed(light: Image, _shot: Shot) -> Image:
-    """Three times and a bit the light, so that the triangle is at the sensor's end."""
     return light * 0.97 * WHITE / BACKGROUND
 
 
 def stuck(count: int, distance_px: tuple[float, float]) -> Callable[[NDArray, Shot], NDArray]:
-    """Pixels stuck at the ends of the scale, the same in each frame, at such distances from the middle."""
     x, y = offsets()
     distance = np.hypot(x, y)
     there = np.flatnonzero((distance >= distance_px[0]) & (distance < distance_px[1]))
@@ -359,7 +336,6 @@ def stuck(count: int, distance_px: tuple[float, float]) -> Callable[[NDArray, Sh
 
 
 def titled(codes: NDArray, shot: Shot) -> NDArray:
-    """The camera's display on the frame: white letters in a corner and at the lower edge."""
     letters = np.zeros(codes.shape, np.uint8)
     for text, at in (("REC", (2, 12)), (f"{shot.number:05d}", (2, 94))):
         cv2.putText(letters, text, at, cv2.FONT_HERSHEY_PLAIN, 0.8, 255)
@@ -367,31 +343,26 @@ def titled(codes: NDArray, shot: Shot) -> NDArray:
 
 
 def aimed(codes: NDArray, _shot: Shot) -> NDArray:
-    """A cross-hair in the middle of the frame, as of a thermal sight: white lines with a gap."""
     x, y = offsets()
     near, far = np.minimum(abs(x), abs(y)), np.maximum(abs(x), abs(y))
     return np.where((near < 1.0) & (far > 3.0) & (far < 24.0), SIXTEEN_BITS, codes).astype(np.uint16)
 
 
 def tinted(codes: NDArray, _shot: Shot) -> NDArray:
-    """A colour frame of a lamp that has too little blue and green (stored as blue, green, red)."""
     return np.rint(codes[..., None] * np.array([0.6, 0.8, 1.0])).astype(codes.dtype)
 
 
 def of_jpeg(quality: int) -> Callable[[NDArray, Shot], NDArray]:
-    """A frame that was a JPEG once."""
     return lambda codes, _shot: cv2.imdecode(
         cv2.imencode(".jpg", codes, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_UNCHANGED
     )
 
 
 def scaled(share: float) -> Callable[[NDArray, Shot], NDArray]:
-    """A frame with fewer or more pixels of the same scene."""
     return lambda codes, _shot: cv2.resize(codes, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
 
 
 def background(factor: float) -> dict[str, object]:
-    """A number for the background that is wrong by a factor."""
     return {"background_luminance_cd_m2": factor * BACKGROUND}
 
 
@@ -399,33 +370,27 @@ def background(factor: float) -> dict[str, object]:
 
 
 def times(column: str, factor: float) -> Callable[[list[Row]], list[Row]]:
-    """A column in another unit."""
     return lambda rows: [row | {column: f"{float(row[column]) * factor:.6g}"} for row in rows]
 
 
 def with_columns(**values: str) -> Callable[[list[Row]], list[Row]]:
-    """More columns, with one value each."""
     return lambda rows: [row | values for row in rows]
 
 
 def shifted(column: str) -> Callable[[list[Row]], list[Row]]:
-    """A column pasted one row too low."""
     return lambda rows: [row | {column: rows[n - 1][column]} for n, row in enumerate(rows)]
 
 
 def shuffled_levels(rows: list[Row]) -> list[Row]:
-    """Levels of another session, in another order."""
     order = np.random.default_rng(5).permutation(len(rows))
     return [row | {"contrast": rows[k]["contrast"]} for row, k in zip(rows, order, strict=True)]
 
 
 def one_level(rows: list[Row]) -> list[Row]:
-    """The same level in each row, as in a table that was filled down."""
     return [row | {"contrast": rows[0]["contrast"]} for row in rows]
 
 
 def repeated_frames(rows: list[Row]) -> list[Row]:
-    """Every frame of an orientation and level listed as often as there are repeats: the first of them."""
     return [row | {"frame": rows[n - n % REPEATS]["frame"]} for n, row in enumerate(rows)]
 
 
@@ -437,7 +402,6 @@ def case(name: str, sentence: str, codes: str = "", refused: str | None = None, 
 
 
 def control(name: str, sentence: str, *, is_right: bool = False, **steps: object) -> Case:
-    """Return a recording without a mishap."""
     return Case(name=name, sentence=sentence, recording=Recording(**steps), control=True, is_right=is_right)
 
 
