@@ -67,14 +67,9 @@ def test_time_of_a_rule_between_its_budgets():
     assert time_of_rule(points, 0.5) == TimeAt(0.5, 2.0, at_most=True)
     assert time_of_rule(points, 1e-3) == TimeAt(1e-3, None)
 
-
-def test_a_small_error_by_chance_is_not_taken_for_the_last_one():
-    errors = (0.1, 0.001, 0.05, 0.001)
-    points = [
-        BudgetPoint(n, 1, t, t, math.nan, error)
-        for n, t, error in zip(range(4), (1, 2, 4, 8), errors, strict=True)
-    ]
-    # From 5 % at 4 s to 0.1 % at 8 s, in logarithms.
+    # A small error by chance is not the last one: from 5 % at 4 s to 0.1 % at 8 s, in logarithms.
+    chance = enumerate([(1, 0.1), (2, 0.001), (4, 0.05), (8, 0.001)])
+    points = [BudgetPoint(n, 1, t, t, math.nan, error) for n, (t, error) in chance]
     assert time_of_rule(points, 0.01).cpu_s == pytest.approx(4.0 * 2.0 ** (math.log(5.0) / math.log(50.0)))
 
 
@@ -310,12 +305,10 @@ def test_contrast_is_the_gain_of_a_display(noise):
 
 
 def test_detector_noise_decides_where_the_title_says_so():
-    """By as much as the scenes' descriptions say."""
     chain = FoldedChain(STAR_LIKE, PyramidObserver(), 6.0)
     (part,) = chain.phases(11, np.random.default_rng(0))
 
     def share(noise_sd: float) -> float:
-        """Of detector noise in the variance of a score difference."""
         external = noise_sd**2 * part.noise.mean(axis=0)
         whole = external + chain.noise_covariance
         difference = np.array([1.0, -1.0, 0.0, 0.0])
@@ -370,7 +363,6 @@ def test_error_that_ends_a_refinement_is_honest(spread):
 
 @pytest.fixture
 def _only_known(monkeypatch):
-    """The scenes are the one with a known answer, and recorded frames."""
     everything = {"known": Known, "recorded": recorded}
     monkeypatch.setattr(
         estimators, "find_scenes", lambda names: {name: everything[name] for name in names or everything}
@@ -423,22 +415,14 @@ def test_without_recorded_frames(todframes, monkeypatch, tmp_path: Path):
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
-        (
-            ["--scene", "naked_eye_smal"],
-            2,
-            "error: --scene: unknown key 'naked_eye_smal'; the nearest valid one is",
-        ),
-        (["--dataset", "nowhere"], 1, "error: nowhere: not a folder"),
-        (
-            ["--scene", "camera_no_noise", "--dataset", "nowhere"],
-            2,
-            "error: --dataset: found scenes camera_no_noise",
-        ),
-        (["--time", "0"], 2, "error: time: found 0.0, expected a finite number of seconds > 0"),
-        (["--time", "nan"], 2, "error: time: found nan, expected"),
+        ("--scene naked_eye_smal", 2, "--scene: unknown key 'naked_eye_smal'; the nearest valid one is"),
+        ("--dataset nowhere", 1, "nowhere: not a folder"),
+        ("--scene camera_no_noise --dataset nowhere", 2, "--dataset: found scenes camera_no_noise"),
+        ("--time 0", 2, "time: found 0.0, expected a finite number of seconds > 0"),
+        ("--time nan", 2, "time: found nan, expected"),
     ],
 )
 def test_bad_input(todframes, arguments, status, message):
-    found, out, err = todframes("accuracy", *arguments)
+    found, out, err = todframes("accuracy", *arguments.split())
     assert (found, out) == (status, "")
-    assert err.startswith(message) and err.count("\n") == 1
+    assert err.startswith(f"error: {message}") and err.count("\n") == 1

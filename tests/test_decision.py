@@ -110,14 +110,6 @@ def test_zero_mean_is_the_solid_angle_of_the_orthant(template):
     assert answer_probabilities(np.zeros(4), template @ template.T) == pytest.approx(expected, abs=SMOOTH)
 
 
-def test_four_independent_alternatives_as_tabulated():
-    # Hacker & Ratcliff 1979, six decimals.
-    for d_prime, table in [(0.5, 0.393318), (1, 0.552031), (1.5, 0.701863), (2, 0.822793), (3, 0.956374)]:
-        correct = answer_probabilities([d_prime, 0, 0, 0], np.eye(4))[0]
-        assert correct == pytest.approx(table, abs=5.1e-7)
-        assert correct == pytest.approx(integrate(lambda z, d=d_prime: density(z - d) * ndtr(z) ** 3), abs=1e-10)
-
-
 def test_the_four_triangles_as_tabulated():
     scores = np.arange(1, 6)[:, None] * CENTROID[:, 0]
     # Four or five decimals in the table.
@@ -298,17 +290,6 @@ def test_factor_is_as_good_as_its_covariance():
     one = answer_probabilities(scores, factor=factor[0])
     assert one == pytest.approx(answer_probabilities(scores, covariance[0]), abs=SMOOTH)
     assert one.shape == (7, 4)
-
-
-@pytest.mark.parametrize("apart", [1.0, 1e-3, 1e-7, 1e-150])
-def test_factor_keeps_the_digits_of_templates_that_are_alike(apart):
-    # Templates a + apart·e_k are independent but for what they share; 1 + 1e-7 has lost no digit that decides, and
-    # of 1e-150 nothing would be left but for a = 0.
-    shared = 1.0 if apart > 1e-10 else 0.0
-    score = apart * np.array([1.3, 0.2, -0.4, 0.9])
-    found = answer_probabilities(score, factor=shared + apart * np.eye(4))
-    # Rows round by 1e-16, their distances by 1e-16 / apart.
-    assert found == pytest.approx(independent(score / apart, np.ones(4)), abs=SMOOTH + 1e-16 * shared / apart)
 
 
 def test_factors_of_any_rank():

@@ -109,7 +109,6 @@ def as_codes(luminance, _number):
 
 
 def coded(share, dtype, step=1):
-    """Integer codes in steps, from a share of full scale."""
     return (step * np.rint(share * np.iinfo(dtype).max / step)).astype(dtype)
 
 
@@ -253,7 +252,6 @@ def test_sizes_that_belong_on_one_curve_are_not(make_dataset, sizes_mrad, experi
 
 @pytest.fixture
 def mistaken(make_dataset):
-    """A dataset whose background is stated as 40 instead of 50 cd/m²."""
     return make_dataset(suffix=".png", contrasts=(0.1, 0.3), display={"background_luminance_cd_m2": 40.0})
 
 
@@ -297,7 +295,6 @@ def test_validate_prints_one_json_object(mistaken, todframes) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_simulated_cameras_have_no_warning(tmp_path, seed) -> None:
-    """Cameras at random: detectors of one to six pixels, noise, fixed pattern, blur."""
     import sensor_sim as ss
 
     rng = np.random.default_rng(seed)

@@ -128,7 +128,6 @@ def test_frames_of_one_pixel_are_refused(make_dataset, size_mrad: float, wanted:
 
 
 def placed_at(data: Dataset, places: NDArray[np.float64]) -> Dataset:
-    """The same with the position of each trial."""
     pairs = zip(data.trials, places.tolist(), strict=True)
     trials = Trials.of(trial._replace(x_px=x, y_px=y) for trial, (x, y) in pairs)
     return replace(data, trials=trials)
@@ -174,13 +173,25 @@ def test_triangles_that_are_not_as_stated_are_found(
     assert all(one.group == {"size_mrad": 2.0} for one in warnings)
 
 
-def test_each_trial_of_a_shaken_recording_is_found() -> None:
-    rng = np.random.default_rng(4)
-    data, places = recording(rng, (31.3, 30.4), side_px=64, levels=(0.15, 0.3), noise_sd=0.03, shake_px=3.0)
+HALF_A_FRAME = {"size_px": 22.0, "stated_px": 22.0, "levels": (0.3,), "noise_sd": 0.01}
+MANY_SIZES = {"side_px": 128, "levels": (0.2, 0.3), "noise_sd": 0.03}
+
+
+@pytest.mark.parametrize(
+    ("middle_px", "shake_px", "settings"),
+    [
+        (31.0, 3.0, {"side_px": 64, "levels": (0.15, 0.3), "noise_sd": 0.03}),
+        (23.5, 1.0, HALF_A_FRAME),
+        pytest.param(63.5, 16.0, MANY_SIZES, marks=pytest.mark.slow),
+    ],
+    ids=["shaken", "nearly half a frame", "drift of many sizes"],
+)
+def test_each_trial_is_found(middle_px: float, shake_px: float, settings: dict) -> None:
+    data, places = recording(np.random.default_rng(6), (middle_px, middle_px), shake_px=shake_px, **settings)
     placed, (found,) = locate_triangles(data, locate="each")
-    assert (found.n_located, found.n_trials) == (16, 16)
-    # A standard deviation of 32 numbers: its error is 3 / √64 = 0.4; four of these.
-    assert found.scatter_px == pytest.approx(3.0, abs=1.6)
+    assert found.n_located == found.n_trials == len(places)
+    # A standard deviation σ of 2n numbers: its error is σ / √(4n); four of these.
+    assert found.scatter_px == pytest.approx(shake_px, abs=2.0 * shake_px / np.sqrt(len(places)))
     # The blurred noise has the energy of white noise of 0.03 at low frequencies, and the triangle of contrast 0.15
     # an edge of 18 px: some 0.03 / (0.15 √9) = 0.07 px along each axis; five of these.
     assert np.abs(placed.trials.positions_px - places).max() < 0.35
@@ -196,11 +207,12 @@ def test_faint_trials_have_the_position_of_the_group() -> None:
 
 
 @pytest.mark.slow
-def test_faint_triangles_of_a_hand_held_camera_do_not_raise_the_threshold() -> None:
-    """By their own frames: 9 % high if faint trials have the mean place."""
+@pytest.mark.parametrize(("noise_sd", "shake_px"), [(0.1, 3.0), pytest.param(0.03, 0.0, marks=pytest.mark.weekly)])
+def test_thresholds_are_those_of_known_positions(noise_sd: float, shake_px: float) -> None:
+    """9 % high if faint trials have the mean place, and low if places are chosen to favour stated orientations."""
     ratios = []
     for seed in range(4):
-        data, places = held_by_hand(seed, noise_sd=0.1)
+        data, places = held_by_hand(seed, noise_sd=noise_sd, shake_px=shake_px)
         result = tod.score(data, locate="each", **QUICK)
         assert "position_scatter" not in {one.code for one in result.warnings}
         known = tod.score(placed_at(data, places), **QUICK)
@@ -209,11 +221,13 @@ def test_faint_triangles_of_a_hand_held_camera_do_not_raise_the_threshold() -> N
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.03)
 
 
-def held_by_hand(seed: int, *, noise_sd: float) -> tuple[Dataset, NDArray[np.float64]]:
+def held_by_hand(seed: int, *, noise_sd: float, shake_px: float = 3.0) -> tuple[Dataset, NDArray[np.float64]]:
     """Triangles of 9 pixels in noise that is blurred as they are, from levels that show nothing to clear ones."""
     levels = (0.03, 0.05, 0.08, 0.13, 0.2, 0.3)
     rng, middle, sizes = np.random.default_rng(seed), (31.3, 32.2), {"size_px": 9.0, "stated_px": 9.0}
-    return recording(rng, middle, side_px=64, levels=levels, repeats=5, noise_sd=noise_sd, shake_px=3.0, **sizes)
+    return recording(
+        rng, middle, side_px=64, levels=levels, repeats=5, noise_sd=noise_sd, shake_px=shake_px, **sizes
+    )
 
 
 @pytest.mark.slow
@@ -225,48 +239,10 @@ def test_faint_triangles_that_raise_a_threshold_are_reported() -> None:
     assert warning.found == pytest.approx(3.0, rel=0.3)  # 120 trials, of which half are clear
 
 
-def test_triangles_of_nearly_half_a_frame_are_found() -> None:
-    rng, sizes = np.random.default_rng(6), {"size_px": 22.0, "stated_px": 22.0}
-    data, places = recording(rng, (23.5, 23.5), levels=(0.3,), noise_sd=0.01, shake_px=1.0, **sizes)
-    placed, (found,) = locate_triangles(data, locate="each")
-    assert found.n_located == 8
-    assert np.abs(placed.trials.positions_px - places).max() < 0.35  # as above
-
-
-@pytest.mark.slow
-def test_a_drift_of_many_sizes_is_followed() -> None:
-    rng = np.random.default_rng(6)
-    data, places = recording(rng, (63.5, 63.5), levels=(0.2, 0.3), side_px=128, noise_sd=0.03, shake_px=16.0)
-    placed, (found,) = locate_triangles(data, locate="each")
-    assert found.n_located == 16
-    assert np.abs(placed.trials.positions_px - places).max() < 0.35  # as above
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("shake_px", [pytest.param(0.0, marks=pytest.mark.weekly), 3.0])
-def test_thresholds_are_those_of_known_positions(shake_px: float) -> None:
-    """Positions that were chosen to favour the stated orientation would lower thresholds."""
-    rng, ratios, levels = np.random.default_rng(7), [], (0.06, 0.09, 0.13, 0.2, 0.3)
-    for _ in range(4):
-        data, places = recording(
-            rng, (31.3, 32.2), levels=levels, repeats=5, side_px=64, noise_sd=0.03, shake_px=shake_px
-        )
-        located, known = (
-            tod.score(one, **QUICK).thresholds[0].threshold
-            for one in (locate_triangles(data, locate="each")[0], placed_at(data, places))
-        )
-        ratios.append(located / known)
-    assert np.mean(ratios) == pytest.approx(1.0, abs=0.03)
-
-
 def test_locate_is_group_or_each(make_dataset) -> None:
     data = load_dataset(make_dataset().path)
     with pytest.raises(SettingsError, match="locate: found 'all', expected one of group, each"):
         locate_triangles(data, locate="all")  # type: ignore[arg-type]
-    _, (of_group,) = locate_triangles(data)
-    result = tod.score(data, locate=True, examples=False)
-    assert result.located is not None
-    assert result.located[0]["x_px"] == of_group.x_px
 
 
 def test_option_may_stand_before_the_dataset_without_a_value(make_dataset) -> None:

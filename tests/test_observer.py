@@ -17,7 +17,7 @@ from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_obse
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid, triangle_on
-from todframes.scoring.naked_eye import acuity, contrast_threshold, proportion_correct
+from todframes.scoring.naked_eye import contrast_threshold, proportion_correct
 from todframes.stimulus import Orientation, Stimulus
 
 
@@ -184,7 +184,6 @@ def test_a_fault_has_a_sentence(observer: Any, sentence: str) -> None:
 
 
 def test_what_an_observer_need_not_do() -> None:
-    """A grid and answers are enough; the other abilities are missing, and say so."""
     observer, stimulus = Bare(), Stimulus(1.0)
     assert tod.check_observer(observer) == []
     assert (observer.centre, observer.position_jitter_samples) == ("centroid", 0.0)
@@ -232,7 +231,6 @@ def flat_templates(observer: PyramidObserver, stimulus: Stimulus) -> np.ndarray:
 @pytest.mark.parametrize("variant", [*PYRAMID_VARIANTS, {"include_residual": True, "levels": 7}], ids=str)
 @pytest.mark.parametrize("size_mrad", [0.3, 1.0, 3.3, 9.0])
 def test_readout_about_the_triangle_is_that_of_whole_bands(variant: dict, size_mrad: float) -> None:
-    """The literal templates, through the adjoint of the whole pyramid."""
     if (variant, size_mrad) == (PYRAMID_VARIANTS[-1], 9.0):
         pytest.skip("does not fit")
     observer, stimulus = PyramidObserver(**variant), Stimulus(size_mrad)
@@ -354,21 +352,6 @@ def test_literal_noise_is_on_every_neuron(observer: PyramidObserver) -> None:
 
 
 # Published figures.
-
-
-def test_naked_eye_at_one_mrad() -> None:
-    """0.1462 at internal noise 0.5 by brute force in independent code; asked for within 0.5 %."""
-    found = contrast_threshold(PyramidObserver(), size_mrad=1.0)
-    assert found.status == "ok"
-    assert found.threshold == pytest.approx(0.1462, rel=0.005)
-    assert found.numerical_error < 0.001 * found.threshold
-
-
-@pytest.mark.slow
-def test_acuity_inverts_the_contrast_threshold() -> None:
-    observer = PyramidObserver()
-    contrast = contrast_threshold(observer, size_mrad=0.7).threshold
-    assert acuity(observer, contrast=contrast).threshold == pytest.approx(0.7, rel=1e-3)
 
 
 @pytest.mark.slow

@@ -106,17 +106,6 @@ def test_exact_probabilities_give_back_their_curve(threshold, beta, max_d_prime,
     )
 
 
-def test_weibull_s_curve_is_kept_beside():
-    p_correct = observer_curve(LEVELS, alpha=0.6, beta=1.0, max_d_prime=None)
-    fit = fitted(LEVELS, p_correct)
-    other = fit_trials(LEVELS, p_correct, settings=POINT, rng=np.random.default_rng(0))
-    assert (other.curve, other.observer_curve) == ("weibull", None)
-    for name in ("alpha", "beta", "guess_rate", "lapse_rate"):
-        assert getattr(fit, name) == getattr(other, name)
-    assert fit.weibull_threshold == other.weibull_threshold == other.threshold
-    assert fit.threshold != fit.weibull_threshold
-
-
 def test_answers_far_from_the_curve_s_own_shape_still_give_their_threshold():
     """A Weibull curve as steep as d′ to the power of 2: the exponent follows the points."""
     curve = {"alpha": 0.9, "beta": 3.0, "guess_rate": 0.25, "lapse_rate": 0.0}

@@ -18,7 +18,7 @@ import sensor_sim.thresholds.curve_plan
 from sensor_sim.chain.sampling import TriangleSampler
 from sensor_sim.chain.sensor import Optics, load_sensor
 from sensor_sim.cli import cli as sensor_cli
-from sensor_sim.thresholds.curve_plan import full_plan, plan_curve
+from sensor_sim.thresholds.curve_plan import plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 from todframes.cli.main import cli
 from todframes.frames.dataset import load_dataset
@@ -42,7 +42,6 @@ def forbidden(*_args, **_more):
 
 
 def test_decisions_change_by_less_than_the_bound():
-    """Random scores, covariances and changes of both, small and large, against the decision itself."""
     rng = np.random.default_rng(1)
     mixing = rng.normal(size=(400, 4, 6))
     covariance = mixing @ mixing.swapaxes(1, 2)
@@ -123,19 +122,6 @@ def test_planned_and_full_thresholds_differ_by_less_than_their_bounds(number):
         # The intervals stated are of 95 %, 2.8 standard errors from eight lattices; twice as much is passed once
         # in a thousand (Student's t, 7 degrees of freedom).
         assert abs(planned.threshold - full.threshold) <= 2.0 * (planned.numerical_error + full.numerical_error)
-
-
-def test_at_the_same_places_the_plan_changes_next_to_nothing():
-    """The same lattice and shifts: what is left is what was left out."""
-    observer = PyramidObserver()
-    planned = FoldedChain(STAR_LIKE, observer, 4.0)
-    full = FoldedChain(STAR_LIKE, observer, 4.0, full_plan(STAR_LIKE, observer.with_extra_level(), 4.0))
-    parts = [chain.phases(5, np.random.default_rng(3)) for chain in (planned, full)]
-    p, expected = (
-        chain.proportion_correct(part[:1], 2.0) for chain, part in zip((planned, full), parts, strict=True)
-    )
-    assert 0.0 < abs(p - expected) <= planned.plan.bound
-    assert planned.plan.bound < 1e-3 * LEFT_OUT_SHARE
 
 
 def test_the_repetition_of_the_scene_is_part_of_the_stated_error():
@@ -260,7 +246,6 @@ def test_a_frame_that_ends_where_the_field_does(make_dataset, side_px):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 56, 88, 184])
 def test_planned_and_full_scores_of_random_frames(tmp_path, seed):
-    """Triangles in the middle and elsewhere, frames that end within the retina's field."""
     rng = np.random.default_rng(seed)
     observer = plan_datasets.observer_at_random(rng)
     dataset = plan_datasets.dataset_at_random(tmp_path, observer, rng)

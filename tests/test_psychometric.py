@@ -92,16 +92,6 @@ def test_fixed_lapse_rate_is_kept():
     assert (fit.alpha, fit.beta) == pytest.approx((0.9, 2.0), rel=1e-6)
 
 
-@settings(max_examples=15, deadline=None)
-@given(st.lists(st.integers(0, 30), min_size=7, max_size=7), st.floats(1e-8, 1e8))
-def test_threshold_scales_with_the_levels(n_correct, factor):
-    fit = counts(n_correct)
-    scaled = counts(n_correct, level=LEVELS * factor)
-    assert scaled.status == fit.status
-    if fit.threshold is not None:
-        assert scaled.threshold == pytest.approx(factor * fit.threshold, rel=1e-9)
-
-
 def test_order_and_split_of_the_trials_do_not_matter():
     fit = counts([8, 12, 13, 18, 24, 28, 30], fit_settings=FitSettings(resamples=200))
     level, right = np.repeat(LEVELS, 2)[::-1], [20, 10, 19, 9, 18, 6, 12, 6, 10, 3, 6, 6, 8, 0]

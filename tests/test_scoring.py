@@ -9,7 +9,6 @@ from todframes.base.errors import SettingsError
 from todframes.diagnosis.locate import locate_triangles
 from todframes.frames.dataset import Experiment, load_dataset
 from todframes.frames.files import read_frame, write_frame
-from todframes.jobs.run import Run, open_engine
 from todframes.observers.interface import Observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
@@ -35,18 +34,6 @@ def test_every_orientation_is_seen_alike(make_dataset) -> None:
     assert np.allclose(scored.p_correct, scored.p_correct[0], atol=1e-10)
 
 
-@pytest.mark.slow
-def test_workers_change_nothing(make_dataset) -> None:
-    path = make_dataset(sizes_mrad=(1.0, 1.5, 2.0), repeats=2).path
-    with open_engine(None, 2) as engine:
-        for decisions in ("expected", "sampled"):
-            one = score(path, PyramidObserver(), decisions=decisions)
-            two = score(path, PyramidObserver(), decisions=decisions, run=Run(engine))
-            assert one.trials == two.trials
-            for name in ("displacement_samples", "scores", "probabilities", "answers", "p_correct"):
-                assert np.array_equal(getattr(one, name), getattr(two, name)), name
-
-
 def test_a_trial_draws_the_same_whatever_else_is_scored(make_dataset) -> None:
     made = make_dataset(repeats=2)
     whole = score(made.path, PyramidObserver(), decisions="sampled", seed=3)
@@ -68,7 +55,6 @@ def test_displacements_fill_half_a_sample_either_way(make_dataset) -> None:
 
 
 def test_frames_of_a_trial_are_averaged_in_contrast(make_dataset) -> None:
-    """Scores are linear, so those of the mean are the mean of those."""
     made = make_dataset(contrasts=(0.1, 0.4))
     single = score(made.path)
     for number, row in enumerate(made.rows):
@@ -79,7 +65,6 @@ def test_frames_of_a_trial_are_averaged_in_contrast(make_dataset) -> None:
 
 
 def test_polarity(make_dataset) -> None:
-    """A darker triangle is to its template what a brighter one is to the other."""
     made = make_dataset(contrasts=(0.25,))
     bright = score(made.path)
     for number, row in enumerate(made.rows):
@@ -94,7 +79,6 @@ def test_polarity(make_dataset) -> None:
 
 @pytest.mark.parametrize("rule", ["surround", "border", "frame_mean", "column"])
 def test_background_rules(make_dataset, rule: str) -> None:
-    """The same contrast comes from frames of any brightness."""
     made = make_dataset(side_px=80, contrasts=(0.2,))
     known = score(made.path)
     made.toml["display"]["background_luminance_cd_m2"] = rule
@@ -113,7 +97,6 @@ def test_background_rules(make_dataset, rule: str) -> None:
 
 
 def test_only_the_light_counts_not_the_file(make_dataset) -> None:
-    """EXR in cd/m² and 16-bit PNG of the same display are seen alike."""
     exr = score(make_dataset("exr", contrasts=(0.25, 0.5)).path)
     png = score(make_dataset("png", contrasts=(0.25, 0.5), suffix=".png").path)
     # Half floats near 64 are 2⁻⁵ apart, 6e-4 of the background; some 60 pixels of the triangle's edge are rounded
@@ -166,23 +149,12 @@ def test_sampled_answers_are_right_as_often_as_expected(make_dataset) -> None:
 
 
 class Guesser(Observer):
-    """An observer that is not linear, the least that one must offer."""
-
     def grid(self, stimulus: Stimulus):
         return STEADY.grid(stimulus)
 
     def respond(self, contrast: np.ndarray, stimulus: Stimulus, rng: np.random.Generator):
         del contrast, stimulus
         return ORIENTATIONS[rng.integers(4)]
-
-
-def test_an_observer_that_is_not_linear_answers_itself(make_dataset) -> None:
-    path = make_dataset(repeats=3).path
-    scored = score(path, Guesser(), decisions="sampled")
-    assert np.isnan(scored.scores).all()
-    assert len(set(scored.answers)) == 4
-    with pytest.raises(SettingsError, match="this observer is not linear"):
-        score(path, Guesser())
 
 
 def test_frames_smaller_than_the_field_go_on_as_background(make_dataset) -> None:

@@ -407,13 +407,14 @@ def control(name: str, sentence: str, *, is_right: bool = False, **steps: object
 
 OFF_MIDDLE = {"x_px": f"{MIDDLE_PX + 9.0:g}", "y_px": f"{MIDDLE_PX - 5.0:g}"}
 SWAPPED = {"x_px": OFF_MIDDLE["y_px"], "y_px": OFF_MIDDLE["x_px"]}
+SRGB_8_BITS = {"encoded": srgb, "full_scale": 255, "display": {"eotf": "srgb"}}
 DEGREE, ARC_MINUTE = math.pi / 180.0 * 1000.0, math.pi / 10800.0 * 1000.0  # mrad
 
 CONTROLS = (
     control("flat", "A flat background, everything as the dataset says.", is_right=True),
     control("noisy", "Ten times the noise.", noise=10 * NOISE),
     control("defocused", "The lens is out of focus: the threshold rises, as it should.", blur_px=1.6),
-    control("eight_bits", "sRGB in 8 bits, as declared.", encoded=srgb, full_scale=255, display={"eotf": "srgb"}),
+    control("eight_bits", "sRGB in 8 bits, as declared.", **SRGB_8_BITS),
     control("small", "Triangles of 10 pixels.", shown=resized(0.625), rows=times("size_mrad", 0.625)),
     control("large", "Triangles of a third of the side.", shown=resized(2.0), rows=times("size_mrad", 2.0)),
     control("large_detectors", "A camera whose detectors are 2 pixels wide.", light=detected),
@@ -456,38 +457,16 @@ CODE_CASES = (
         full_scale=255,
     ),
     case("twelve_bits", "12 bits in files of 16.", "bit_depth background_mismatch", stored=lambda c, _: c >> 4),
-    case(
-        "posterised",
-        "Only 26 code values.",
-        "coarse_codes",
-        encoded=lambda c: np.rint(25.0 * c) / 25.0,
-        full_scale=255,
-    ),
-    case(
-        "jpeg",
-        "Frames that were JPEGs of quality 30.",
-        "coarse_codes contrast_mismatch",
-        encoded=srgb,
-        full_scale=255,
-        stored=of_jpeg(30),
-        display={"eotf": "srgb"},
-    ),
+    case("posterised", "26 code values.", "coarse_codes", encoded=lambda c: np.rint(25 * c) / 25, full_scale=255),
+    case("jpeg", "Once JPEGs of quality 30.", "coarse_codes contrast_mismatch", stored=of_jpeg(30), **SRGB_8_BITS),
     case("overexposed", "The triangle is at the end of the scale.", "saturated", light=overexposed),
     case("crushed_blacks", "The blacks are cut off.", "crushed", light=lambda i, _: i - 0.99 * BACKGROUND),
     case("automatic_gain", "Each frame has full contrast.", LIGHT, encoded=lambda c: (c - c.min()) / np.ptp(c)),
     case(
-        "automatic_exposure",
-        "The exposure hunts by 20 %.",
-        LIGHT,
-        light=lambda i, shot: i * shot.chance.uniform(0.8, 1.2),
+        "automatic_exposure", "Exposure hunts by 20 %.", LIGHT, light=lambda i, s: i * s.chance.uniform(0.8, 1.2)
     ),
     case("dead_pixels_outside", "Sixty stuck pixels off the triangle.", STUCK, stored=stuck(60, (20.0, 48.0))),
-    case(
-        "hot_pixels_inside",
-        "Eight stuck pixels on the triangle.",
-        STUCK + " background_uneven",
-        stored=stuck(8, (0.0, 8.0)),
-    ),
+    case("hot_pixels_inside", "Eight pixels inside stuck.", STUCK + " background_uneven", stored=stuck(8, (0, 8))),
 )
 
 PLACED = "position_offset misplaced"
