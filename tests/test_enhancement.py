@@ -344,10 +344,10 @@ def register(monkeypatch, **functions) -> None:
 
 def test_a_registered_function_with_a_declaration(monkeypatch) -> None:
     register(monkeypatch, finer=lambda: finer)
-    algorithm = find_enhancement("finer:factor=3")
+    found = find_enhancement("finer:factor=3")
     assert finding.enhancement_names() == ["finer"]
-    assert (algorithm.declaration.domain, algorithm.magnification) == ("luminance", 3.0)
-    assert algorithm.run(picture())[0].shape == (120, 144)
+    assert (found.declaration.domain, found.magnification) == ("luminance", 3.0)
+    assert found.run(picture())[0].shape == (120, 144)
     with pytest.raises(SettingsError, match=r"factor: found 9, expected a whole number from 1 to 4"):
         find_enhancement("finer:factor=9")
     register(monkeypatch, odd=lambda: algorithm(magnification="scale")(lambda image: image))
