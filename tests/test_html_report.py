@@ -23,8 +23,6 @@ import pytest
 from matplotlib.figure import Figure
 
 from todframes.base.errors import DataError
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.psychometrics.observer_curve import observer_curve
 from todframes.results.data import Fit
@@ -112,11 +110,6 @@ def tables_of(content: bytes) -> dict[str, list[dict[str, str]]]:
     return found
 
 
-@pytest.mark.parametrize("command", ["score", pytest.param("compare", marks=pytest.mark.slow)])
-def test_same_result_same_bytes(results, pages, command: str) -> None:
-    assert report_html(json.loads(encode(results[command]))) == pages[command]
-
-
 @pytest.mark.slow
 def test_same_bytes_in_another_process(results, pages, tmp_path: Path) -> None:
     """One that orders its sets otherwise."""
@@ -157,45 +150,38 @@ def test_first_table_holds_what_that_of_the_terminal_holds(results, pages) -> No
     assert table.without_details().csv() == table.csv()
 
 
-def test_verdict_of_scored_frames(results) -> None:
-    """Threshold 1 ÷ size with ±10 % at 1, 2 and 4 mrad."""
-    assert verdict_of(results["score"]) == [
+VERDICTS = {
+    "score": [  # 1 ÷ size with ±10 % at 1, 2 and 4 mrad
         "At 75 % correct the threshold contrast is 1.00 (95 % interval 0.909 to 1.10) at 1 mrad, "
         "falling to 0.250 (95 % interval 0.227 to 0.275) at 4 mrad.",
         "1 frame could not be used and is left out.",
-    ]
-
-
-def test_verdict_of_a_curve(results) -> None:
-    assert verdict_of(results["curve"]) == [
+    ],
+    "curve": [
         "At 75 % correct the threshold SNR is 0.250 (ΔT 5.00 mK, ± 0.0006 numerical error) at 4 detectors, "
         "falling to 0.125 (ΔT 2.50 mK, ± 0.0003 numerical error) at 8 detectors.",
         "At 2 detectors there is no threshold: 75 % correct is never reached, however strong the signal.",
-    ]
-
-
-def test_verdict_of_an_accuracy_study(results) -> None:
-    assert verdict_of(results["accuracy"]) == [
+    ],
+    "accuracy": [
         "Camera, no noise: the CPU time of closed form is 464 times less at 1 % error (extrapolated) than that of "
         "literal."
-    ]
+    ],
+    "fit": ["At 75 % correct with eye left the threshold level is 1.00 (95 % interval 0.909 to 1.10)."],
+}
+
+
+def test_verdicts(results) -> None:
+    assert {command: verdict_of(results[command]) for command in VERDICTS} == VERDICTS
     results["accuracy"]["scenes"][0]["speed_ratios"] = []
     assert verdict_of(results["accuracy"]) == ["1 scene: error against run time."]
-
-
-def test_sentences_of_the_result_itself_go_first(results) -> None:
-    assert verdict_of(results["compare"] | {"verdict": ["It helps.", "A little."]}) == ["It helps.", "A little."]
-    assert verdict_of(results["compare"] | {"verdict": "It helps."}) == ["It helps."]
+    for own in (["It helps.", "A little."], "It helps."):
+        assert verdict_of(results["compare"] | {"verdict": own}) == ([own] if isinstance(own, str) else own)
 
 
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
         ({"status": "extrapolated", "threshold": 0.1}, "is extrapolated from the levels shown: show weaker ones."),
-        (
-            {"status": "extrapolated", "threshold": 9.0},
-            "is extrapolated from the levels shown: show stronger ones.",
-        ),
+        ({"status": "extrapolated", "threshold": 9.0}, "from the levels shown: show stronger ones."),
         ({"threshold_ci95": [None, 1.1]}, "The data leave an end of the 95 % interval at 1 mrad open."),
         ({"threshold": None, "status": "never_reached"}, "answers stay below 75 % correct at the levels shown"),
         ({"threshold": None, "status": "always_exceeded"}, "answers stay above 75 % correct at the levels shown"),
@@ -210,9 +196,6 @@ def test_verdict_names_what_the_data_leave_open(results, changes, sentence: str)
 
 
 def test_groups_without_sizes_are_told_one_by_one(results) -> None:
-    assert verdict_of(results["fit"]) == [
-        "At 75 % correct with eye left the threshold level is 1.00 (95 % interval 0.909 to 1.10)."
-    ]
     many = [results["fit"]["fits"][0] | {"group": {"eye": str(number)}} for number in range(9)]
     told = verdict_of(results["fit"] | {"fits": many})
     assert len(told) == 7 and told[-1] == "3 more are in the table."
@@ -230,21 +213,16 @@ def test_remarks_on_error(pages) -> None:
 # Tables --------------------------------------------------------------------------------------------------------
 
 
+NUMBERS = ("threshold", "alpha", "beta", "delta", "p_correct", "threshold_numerical_error", "delta_t_mk")
+
+
 @pytest.mark.parametrize("command", ["score", "curve", "fit", "naked-eye"])
-def test_thresholds_come_back_from_csv(results, pages, command: str) -> None:
+def test_thresholds_and_points_come_back_from_csv(results, pages, command: str) -> None:
     fits = results[command]["fits"]
     rows = tables_of(pages[command])["thresholds.csv"]
     assert len(rows) == len(fits)
     for row, fit in zip(rows, fits, strict=True):
-        for name in (
-            "threshold",
-            "alpha",
-            "beta",
-            "delta",
-            "p_correct",
-            "threshold_numerical_error",
-            "delta_t_mk",
-        ):
+        for name in NUMBERS:
             if name in row:
                 assert (float(row[name]) if row[name] else None) == fit.get(name)
             else:
@@ -254,15 +232,10 @@ def test_thresholds_come_back_from_csv(results, pages, command: str) -> None:
             assert type(value)(row[name]) == value
         if "threshold_ci95_low" in row:
             assert [float(row[f"threshold_ci95_{end}"]) for end in ("low", "high")] == fit["threshold_ci95"]
-
-
-@pytest.mark.parametrize("command", ["score", "curve"])
-def test_points_come_back_from_csv(results, pages, command: str) -> None:
-    result = results[command]
-    points = [point for fit in result["fits"] for point in fit["points"]]
-    rows = tables_of(pages[command])["points.csv"]
+    rows = tables_of(pages[command]).get("points.csv", [])
     found = [{key: float(row[key]) for key in ("level", "n_trials", "p_correct")} for row in rows]
-    assert found == points
+    assert found == [point for fit in fits for point in fit.get("points", [])]
+    assert found or command == "naked-eye"
 
 
 def test_comparison_comes_back_from_csv(results, pages) -> None:
@@ -598,24 +571,13 @@ def test_odd_values_are_named(results, changes, message: str) -> None:
         report_html(results["score"] | changes)
 
 
-@pytest.fixture
-def report(capsys: pytest.CaptureFixture[str]):
-    """Runs `todframes report`; gives exit status, standard output and standard error."""
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        status = run(cli, ["report", *map(str, arguments)])
-        return status, *capsys.readouterr()
-
-    return call
-
-
-def test_command_writes_beside_the_result_or_elsewhere(results, pages, report, tmp_path: Path) -> None:
+def test_command_writes_beside_the_result_or_elsewhere(results, pages, todframes, tmp_path: Path) -> None:
     path = tmp_path / "result.json"
     path.write_bytes(b"\xef\xbb\xbf" + encode(results["score"]))
-    assert report(path) == (0, f"written: {tmp_path / 'report.html'}\n", "")
+    assert todframes("report", path) == (0, f"written: {tmp_path / 'report.html'}\n", "")
     other = tmp_path / "other.html"
     other.write_text("old", encoding="utf-8")
-    assert report(path, "-o", other)[0] == 0
+    assert todframes("report", path, "-o", other)[0] == 0
     assert (tmp_path / "report.html").read_bytes() == other.read_bytes() == pages["score"]
     assert {file.name for file in tmp_path.iterdir()} == {"result.json", "report.html", "other.html"}
 
@@ -636,36 +598,35 @@ def test_command_writes_beside_the_result_or_elsewhere(results, pages, report, t
         (b'{"schema": 1, "command": "score", "fits": [{"threshold": 1e999}]}', r"fits\[0\]"),
     ],
 )
-def test_files_that_are_no_results(report, tmp_path: Path, content: bytes, wanted: str) -> None:
+def test_files_that_are_no_results(todframes, tmp_path: Path, content: bytes, wanted: str) -> None:
     path = tmp_path / "result.json"
     path.write_bytes(content)
-    status, out, err = report(path)
+    status, out, err = todframes("report", path)
     assert (status, out, err.count("\n")) == (1, "", 1)
     assert err.startswith(f"error: {path}: ") and re.search(wanted, err)
     assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("depth", [300, 900, 985])
-def test_settings_that_are_nested_deep(results, report, tmp_path: Path, depth: int) -> None:
+def test_settings_that_are_nested_deep(results, todframes, tmp_path: Path, depth: int) -> None:
     """Some are too deep for Python though not for the JSON reader; they are shown, or refused in a line."""
     path = tmp_path / "result.json"
     nested = b'{"a": ' * depth + b"1" + b"}" * depth
     path.write_bytes(
         encode(results["fit"] | {"settings": {"deep": 0}}).replace(b'"deep": 0', b'"deep": ' + nested)
     )
-    status, _, err = report(path)
+    status, _, err = todframes("report", path)
     assert (status, err.count("\n")) in {(0, 0), (1, 1)}, err
 
 
-def test_file_that_is_not_there(report, tmp_path: Path) -> None:
-    for path, wanted in ((tmp_path / "no.json", "no such file"), (tmp_path, "is a folder")):
-        status, out, err = report(path)
-        assert (status, out, err.count("\n")) == (1, "", 1)
-        assert wanted in err
+@pytest.mark.parametrize(("name", "wanted"), [("no.json", "no such file"), ("", "is a folder")])
+def test_file_that_is_not_there(todframes, tmp_path: Path, name: str, wanted: str) -> None:
+    status, out, err = todframes("report", tmp_path / name)
+    assert (status, out, err.count("\n")) == (1, "", 1) and wanted in err
 
 
 @pytest.mark.usefixtures("blank_pictures")
-def test_places_that_cannot_be_written(results, report, tmp_path: Path) -> None:
+def test_places_that_cannot_be_written(results, todframes, tmp_path: Path) -> None:
     path = tmp_path / "result.json"
     path.write_bytes(encode(results["fit"]))
     for place, wanted in (
@@ -675,7 +636,7 @@ def test_places_that_cannot_be_written(results, report, tmp_path: Path) -> None:
         (path / "report.html", "Not a directory"),
         ("", "is a folder"),
     ):
-        status, out, err = report(path, "-o", place)
+        status, out, err = todframes("report", path, "-o", place)
         assert (status, out, err.count("\n")) == (2, "", 1)
         assert wanted in err
     assert list(tmp_path.iterdir()) == [path]
