@@ -113,7 +113,7 @@ def test_luminance_rises_with_the_code_whatever_the_readings():
         (
             {"photometer": ((0, -1.0), (9, 2.0), (99, 4.0), (255, 90.0))},
             "calibration",
-            "beyond 0 to 100000 cd/m²; read it again",
+            "beyond 0 to 100000 cd/m²;",
         ),
         ({"photometer": ((0, 0.0), (1, 1.0), (2, 1e6), (255, 1e7))}, "calibration", "beyond 0 to 100000"),
         ({"photometer": ((0, 0.0), (1, 1e-320), (2, 1.0), (255, 9.0))}, "calibration", "to rise with the code"),
@@ -135,11 +135,7 @@ RANGE = ContrastRange("frames/a.exr", -0.1, 0.2, -0.05, 0.3)
         ({"frame_px": (1901, 10)}, "viewport", "has 1901 × 10 pixels, the page has room for 1900 × 1000"),
         ({"pixel_pitch_mrad": 0.1}, "pitch", "2.5 times that of the dataset .0.1 mrad.* sit 2500 mm from"),
         ({"pixel_pitch_mrad": 0.6}, "pitch", "0.417 times"),
-        (
-            {"ranges": [RANGE, RANGE._replace(high=1.5)]},
-            "range",
-            "contrast 1.5 of frames/a.exr.*background of 0.39",
-        ),
+        ({"ranges": [RANGE, RANGE._replace(high=1.5)]}, "range", "1.5 of frames/a.exr.*background of 0.39"),
         ({"ranges": [RANGE._replace(triangle_low=-1.2)]}, "range", "contrast -1.2 .*less contrast or noise"),
     ],
 )
@@ -304,9 +300,7 @@ def test_dither_patterns_of_different_seeds_lie_at_different_places_and_of_the_s
 def test_what_the_monitor_cannot_show_is_counted_and_becomes_its_ends():
     contrast = np.array([[-1.5, -1.0, 0.0, 1.0, 2.0]])
     np.testing.assert_array_equal(clipped(contrast, MONITOR), [[True, False, False, False, True]])
-    codes = shown_codes(contrast, MONITOR, 0)
-    assert codes[0, 0] == 0
-    assert codes[0, -1] == 255
+    assert shown_codes(contrast, MONITOR, 0)[0, [0, -1]].tolist() == [0, 255]
 
 
 def test_range_of_a_trial_has_its_triangle(make_dataset):
