@@ -59,9 +59,6 @@ def row(
     return [f"{number}.exr", "up", 2.4, 0.5, x, 24.0, trial, clip, time, judged]
 
 
-# The manifest
-
-
 def test_frames_of_a_clip_come_before_a_trial(tmp_path: Path) -> None:
     rows = [row(0, judged=0), row(1, judged=0), row(2), row(3), row(4, trial="u"), row(0, clip="d")]
     rows[-1][0], rows[-1][6] = "d.exr", "v"
@@ -137,9 +134,6 @@ def test_a_bad_row_breaks_its_clip(tmp_path: Path) -> None:
     assert [frame.path for frame in trial.warm_up] == ["3.exr"]
 
 
-# The declaration
-
-
 def test_a_clip_algorithm_gets_what_it_names() -> None:
     @algorithm(clip=True, warm_up_frames="before")
     def seen(frames, *, judged, frame_rate_hz, before: int = 2, offset: float = 0.0):
@@ -170,9 +164,6 @@ def test_wrong_results_of_clips(function, message: str) -> None:
     wrong = find_enhancement(algorithm(clip=True, warm_up_frames=1)(function))
     with pytest.raises(DataError, match=message):
         wrong.run_clip(np.ones((3, 4, 6), np.float32), np.array([1, 2]), None)
-
-
-# The algorithms of the package
 
 
 def shaking(noise_sd: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -466,8 +457,6 @@ def test_bad_gazes(gaze) -> None:
     with pytest.raises(SettingsError, match=r"gaze: found 'tracked,fixed', expected one of tracked, fixed$"):
         tod.score(data, gaze="tracked,fixed")  # type: ignore[arg-type]
 
-
-# Clips on a disk, simulated
 
 SENSOR = ss.load_sensor("sample_frames/star_like.toml")
 SENSOR = replace(SENSOR, display=replace(SENSOR.display, pixels_per_detector=2, blur_sigma_px=0.7))

@@ -34,9 +34,6 @@ def run(spec: str, image: np.ndarray) -> np.ndarray:
     return find_enhancement(spec).run(image)[0]
 
 
-# The contract
-
-
 @pytest.mark.parametrize("name", [*sorted({*NAMES, *BUILT_IN}), "gaussian:sigma=2.5"])
 def test_contract(name: str) -> None:
     """The image stays, nothing is drawn or remembered, a copy is the same, and a colour image is three images."""
@@ -158,9 +155,6 @@ def test_interpolation_goes_on_with_a_ramp_where_its_pixels_are(name: str) -> No
 def test_values_that_an_algorithm_cannot_take(spec: str, value: float, message: str) -> None:
     with pytest.raises(DataError, match=message):
         run(spec, np.full((9, 9), value, np.float32))
-
-
-# Names and parameters
 
 
 @pytest.mark.parametrize(
@@ -312,9 +306,6 @@ def test_a_module_that_fails_when_it_is_imported(text: str, tmp_path, monkeypatc
 def test_own_functions_that_give_something_else(name: str, message: str) -> None:
     with pytest.raises(DataError, match=message):
         run(f"own_algorithms:{name}", picture())
-
-
-# Declarations
 
 
 @algorithm(domain="luminance", magnification="factor")

@@ -125,9 +125,6 @@ def test_a_network_has_no_threads_besides_those_of_its_process(tmp_path: Path) -
     assert len(list(Path("/proc/self/task").iterdir())) == before
 
 
-# Tiles
-
-
 @pytest.mark.parametrize("size", [("h", "w"), (48, 40)])
 @pytest.mark.parametrize(("rows", "columns"), [(130, 170), (70, 48)])
 def test_tiles_have_no_seams(tmp_path: Path, size, rows: int, columns: int) -> None:
@@ -211,9 +208,6 @@ def test_sides_that_a_network_needs_are_found(tmp_path: Path) -> None:
         found(path, "tile_px=100")
 
 
-# Weights in another file
-
-
 @pytest.mark.parametrize("location", ["m.onnx.data", "weights/k.bin"])
 def test_weights_in_a_file_beside_the_model_are_read(tmp_path: Path, location: str, monkeypatch) -> None:
     folder, image = tmp_path / "models", picture()
@@ -267,9 +261,6 @@ def test_weights_are_limited_as_models_are(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(network_probe, "MOST_MODEL_MB", 1)
     with pytest.raises(DataError, match="is longer than 1 MB with its weights, the limit for such files"):
         found(path)
-
-
-# Settings
 
 
 def test_tiles_have_the_size_of_the_models(tmp_path: Path) -> None:
@@ -424,9 +415,6 @@ def test_values_of_inputs_that_are_refused(tmp_path: Path, kind: str, text: str,
         find_enhancement(f"onnx:{path}")
 
 
-# Files that are refused, in one line
-
-
 UNREADABLE = "ONNX Runtime cannot read it"
 CONV, SAME = [convolution("x", "k", "y", 3)], [node("Identity", "x", "y")]
 BAD_FILES = {"text": b"not a network\n" * 20, "empty": b""}
@@ -502,9 +490,6 @@ def test_a_package_that_is_missing_is_one_line(tmp_path: Path, package: str, mon
         found(path)
 
 
-# The process that tries a network
-
-
 def test_a_network_is_tried_in_another_process(tmp_path: Path) -> None:
     (tmp_path / "k.bin").write_bytes(np.arange(9, dtype="<f4").tobytes())
     content = with_weights_in(tmp_path / "m.onnx", "k.bin").read_bytes()
@@ -557,9 +542,6 @@ def test_the_table_of_settings_in_the_docs_has_all() -> None:
     names = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
     parameters = list(inspect.signature(network.Network.enhanced).parameters)
     assert names == parameters[2:]
-
-
-# Cost
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not report it")

@@ -148,9 +148,6 @@ def test_algorithms_that_are_alike_are_hardly_ever_called_different(
     assert different <= 0.05 * experiments
 
 
-# Groups without a threshold
-
-
 @pytest.mark.parametrize(
     ("reference", "other", "is_lower", "sampled"),
     [
@@ -193,9 +190,6 @@ def test_the_criterion_hardly_reached_is_no_proof() -> None:
     answers = [(rng.random(level.size) < p_of(level, threshold)).astype(np.float64) for threshold in (2.2, 2.0)]
     (found,) = compared(level, *answers)
     assert found.p_value > 0.05
-
-
-# Several groups
 
 
 def draws(ratio: float | None, spread: float, points_ratio: float | None = None, seed: int = 0) -> RatioDraws:
