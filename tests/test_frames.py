@@ -161,41 +161,33 @@ def test_same_values_give_the_same_bytes(tmp_path):
 # Layouts
 
 
+TILES = {"tile_width": 16, "tile_height": 8}
+OFFSET = {"x": 7, "y": 2, "full_x": 2, "full_y": -3, "full_width": 30, "full_height": 50}
+OVERHANGING = {"x": -5, "y": -6, "full_width": 10, "full_height": 20}
+LAYOUTS = {
+    "scanline": [("Y", {})],
+    "tiled": [("RGB", TILES)],
+    "multipart": [("Z", {}), ("RGB", {})],
+    "offset": [("Y", OFFSET)],
+    "offset tiled": [("Y", OFFSET | TILES)],
+    "overhanging": [("Y", OVERHANGING)],
+    "overhanging tiled": [("Y", OVERHANGING | TILES)],
+}
+
+
 def make_layout(path, layout):
-    grey = noise(HEIGHT, WIDTH, 1).astype(np.float16)
-    colour = noise(HEIGHT, WIDTH, 3, seed=1).astype(np.float16)
-    tiles = {"tile_width": 16, "tile_height": 8}
-    window = {"full_x": 2, "full_y": -3, "full_width": 30, "full_height": 50}
-    if layout == "scanline":
-        write_exr(path, (grey, ("Y",), {}))
-    elif layout == "tiled":
-        write_exr(path, (colour, ("R", "G", "B"), tiles))
-    elif layout == "multipart":
-        write_exr(path, (grey, ("Z",), {}), (colour, ("R", "G", "B"), {}))
-    elif layout == "offset":
-        write_exr(path, (grey, ("Y",), {"x": 7, "y": 2, **window}))
-    elif layout == "offset tiled":
-        write_exr(path, (grey, ("Y",), {"x": 7, "y": 2, **window, **tiles}))
-    elif layout == "overhanging":
-        write_exr(path, (grey, ("Y",), {"x": -5, "y": -6, "full_width": 10, "full_height": 20}))
-    elif layout == "overhanging tiled":
-        write_exr(path, (grey, ("Y",), {"x": -5, "y": -6, "full_width": 10, "full_height": 20, **tiles}))
-    elif layout == "png":
+    if layout == "png":
         write_frame(path, noise(HEIGHT, WIDTH, 3))
+    elif layout == "interlaced png":
+        path.write_bytes(interlaced_png((255 * noise(HEIGHT, WIDTH)).astype(np.uint8)))
     else:
-        path.write_bytes(interlaced_png((255 * grey[..., 0]).astype(np.uint8)))
+        parts = [(noise(HEIGHT, WIDTH, len(names)), tuple(names), fields) for names, fields in LAYOUTS[layout]]
+        write_exr(path, *((values.astype(np.float16), names, fields) for values, names, fields in parts))
 
 
-@pytest.mark.parametrize(
-    "layout",
-    [
-        *("scanline", "tiled", "multipart", "offset", "offset tiled", "overhanging", "overhanging tiled"),
-        *("png", "interlaced png"),
-    ],
-)
+@pytest.mark.parametrize("layout", [*LAYOUTS, "png", "interlaced png"])
 def test_part_equals_slice_of_whole(tmp_path, layout):
-    path = tmp_path / "a"
-    path = path.with_suffix(".png" if "png" in layout else ".exr")
+    path = tmp_path / ("a.png" if "png" in layout else "a.exr")
     make_layout(path, layout)
     whole = read_frame(path)
     top, left = whole.first_row, whole.first_column
@@ -254,7 +246,7 @@ def test_only_the_rows_asked_for_are_decoded(tmp_path, tiles):
 
 # Channels
 
-VALUES = {"R": 1.0, "G": 2.0, "B": 3.0, "Y": 4.0, "A": 0.5, "Z": 9.0}
+VALUES = {"R": 1.0, "G": 2.0, "B": 3.0, "Y": 4.0, "A": 0.5, "X": 8.0, "Z": 9.0}
 
 
 def write_channels(path, *parts):
@@ -358,7 +350,10 @@ def test_an_exr_that_has_lost_something_is_named(tmp_path, compression, pixel_ty
     assert [one.code for one in FrameFile(tmp_path / "a.exr").header.warnings] == ["lossy_compression"] * is_lossy
 
 
-@pytest.mark.parametrize("parts", [(["R", "G"],), (["A", "Z"],), (["Z"], ["A"]), (["a.R", "b.G", "b.B"],)])
+@pytest.mark.parametrize(
+    "parts",
+    [(["R", "G"],), (["A", "Z"],), (["Z"], ["A"]), (["a.R", "b.G", "b.B"],), (["N.X", "N.Y", "N.Z"],)],
+)
 def test_other_channels_are_named_in_the_error(tmp_path, parts):
     write_channels(tmp_path / "a.exr", *parts)
     with pytest.raises(FrameError, match=f"found channels .*{parts[-1][-1]}.*; expected Y, or R, G and B"):
@@ -366,15 +361,9 @@ def test_other_channels_are_named_in_the_error(tmp_path, parts):
 
 
 def test_a_y_beside_an_x_is_part_of_a_vector(tmp_path):
-    """As in the passes of normals and motion."""
-    normals, picture = (
-        (np.zeros((4, 4, 3), np.float16), ("N.X", "N.Y", "N.Z")),
-        (np.ones((4, 4, 1), np.float16), ("Y",)),
-    )
-    write_exr(tmp_path / "a.exr", (*normals, {}))
-    assert_refused(tmp_path / "a.exr", "found channels N.X N.Y N.Z; expected Y, or R, G and B")
-    write_exr(tmp_path / "b.exr", (*normals, {}), (*picture, {}))
-    assert (read_frame(tmp_path / "b.exr").values == 1.0).all()
+    normals = (np.zeros((4, 4, 3), np.float16), ("N.X", "N.Y", "N.Z"), {})
+    write_exr(tmp_path / "a.exr", normals, (np.ones((4, 4, 1), np.float16), ("Y",), {}))
+    assert (read_frame(tmp_path / "a.exr").values == 1.0).all()
 
 
 def test_each_channel_has_its_own_type(tmp_path):
@@ -463,40 +452,9 @@ def assert_refused(path, problem, read=read_frame):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["a.png", "a.exr"])
-@pytest.mark.parametrize("read", [read_frame, FrameFile])
-def test_no_frame_at_all(tmp_path, name, read):
-    path = tmp_path / name
-    assert_refused(path, "No such file", read)
-    path.mkdir()
-    assert_refused(path, "found a folder", read)
-    path.rmdir()
-    path.write_bytes(b"")
-    assert_refused(path, "found an empty file", read)
-    path.write_text("frame,orientation\n" * 10)
-    assert_refused(path, "starts with b'frame,or', expected EXR or PNG", read)
-    path.write_bytes(b"\x76\x2f\x31\x01")
-    assert_refused(path, "cannot be opened", read)
-    path.write_bytes(b"\x89PNG\r\n\x1a\n")
-    assert_refused(path, "truncated", read)
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read anything")
-def test_no_permission(tmp_path):
-    write_frame(tmp_path / "a.exr", noise(4, 4))
-    (tmp_path / "a.exr").chmod(0)
-    assert_refused(tmp_path / "a.exr", "Permission denied")
-    assert_refused(tmp_path / "a.exr", "Permission denied", frame_sha256)
-
-
 def test_names_that_open_image_io_does_not_take():
     assert_refused(Path("a\udc80.exr"), "cannot be opened")
     assert_refused(Path("a\0.exr"), "null (byte|character)")  # its name depends on the version of Python
-
-
-def test_sha256_of_nothing(tmp_path):
-    assert_refused(tmp_path / "a.exr", "No such file", frame_sha256)
-    assert_refused(tmp_path, "found a folder or device", frame_sha256)
 
 
 def test_content_tells_the_format(tmp_path):
@@ -541,41 +499,15 @@ def test_pixels_that_are_not_finite_are_counted_and_placed(tmp_path, bad, pixel_
     assert read_frame(tmp_path / "a.exr", columns=(0, 12)).values.shape == (HEIGHT, 3, 3)
 
 
-@pytest.mark.parametrize(
-    ("side", "problem"),
-    [(20_000, "decodes to 382 MB a frame, expected at most 256 MB"), (60_000, "60000x60000 exceeds .*32768")],
-)
-def test_png_too_large_is_refused_before_it_is_decoded(tmp_path, side, problem):
-    compressor = zlib.compressobj(9)
-    first, again = (
-        compressor.compress(bytes(100 * (1 + side))) + compressor.flush(zlib.Z_FULL_FLUSH) for _ in range(2)
-    )
-    # 100 lines repeated: 400 MB for a side of 20,000, without the checksum at their end.
-    pixels = first + again * 199 if side == 20_000 else first
-    header = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
-    chunks = [(b"IHDR", header), (b"IDAT", pixels), (b"IEND", b"")]
-    path = tmp_path / "a.png"
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks))
-    assert path.stat().st_size < 450_000
-    assert_refused(path, problem)
-
-
-@pytest.mark.parametrize(
-    ("corner", "problem"),
-    [
-        (59_999, "exceeds|expected"),
-        (2**31 - 1, "cannot be opened|expected"),
-        (-(2**31), "cannot be opened|expected"),
-    ],
-)
+@pytest.mark.parametrize("corner", [2**31 - 1, -(2**31)])
 @pytest.mark.parametrize("window", [b"dataWindow\0box2i\0", b"displayWindow\0box2i\0"])
-def test_exr_with_absurd_windows(tmp_path, window, corner, problem):
+def test_exr_with_absurd_windows(tmp_path, window, corner):
     path = tmp_path / "a.exr"
     write_frame(path, noise(8, 8))
     content = bytearray(path.read_bytes())
     struct.pack_into("<2i", content, content.index(window) + len(window) + 4 + 8, corner, corner)
     path.write_bytes(content)
-    assert_refused(path, problem)
+    assert_refused(path, "cannot be opened|expected")
 
 
 @pytest.mark.slow
@@ -623,20 +555,23 @@ def test_exr_with_absurd_tiles(tmp_path):
 # Bad input to the writer
 
 
-@pytest.mark.parametrize("suffix", [".exr", ".png"])
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e6, -1e6])
-def test_values_beyond_the_file_are_counted(tmp_path, suffix, bad):
-    values = noise(4, 4)
-    values[1, 2] = values[3, 3] = bad
-    with pytest.raises(ValueError, match="2 values are NaN or beyond"):
-        write_frame(tmp_path / f"a{suffix}", values)
+@pytest.mark.parametrize(
+    ("name", "values", "problem"),
+    [
+        *(
+            (name, [[bad, 0.5], [1.0, bad]], "2 values are NaN or beyond")
+            for name in ("a.exr", "a.png")
+            for bad in (np.nan, np.inf, -np.inf, 1e6, -1e6)
+        ),
+        *(("a.png", [[bad]], r"1 values are NaN or beyond \[0, 1\]") for bad in (-1e-9, 1 + 1e-9)),
+        *(("a.exr", np.ones(shape), "expected numbers") for shape in (4, (4, 4, 2), (0, 4))),
+        *(("a.exr", values, "expected numbers") for values in ([["a"]], [[1j]])),
+    ],
+)
+def test_values_that_a_file_does_not_hold(tmp_path, name, values, problem):
+    with pytest.raises(FrameError, match=problem):
+        write_frame(tmp_path / name, values)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_png_takes_no_value_just_outside(tmp_path):
-    for value in (-1e-9, 1 + 1e-9):
-        with pytest.raises(FrameError, match=r"1 values are NaN or beyond \[0, 1\]"):
-            write_frame(tmp_path / "a.png", [[value]])
 
 
 def test_float_exr_holds_what_half_does_not(tmp_path):
@@ -644,14 +579,6 @@ def test_float_exr_holds_what_half_does_not(tmp_path):
     assert read_frame(tmp_path / "a.exr").values[0, 0, 0] == 1e6
     with pytest.raises(FrameError, match=r"1 values are NaN or beyond ±3\.4"):
         write_frame(tmp_path / "a.exr", [[1e39]], pixel_type="float")
-
-
-@pytest.mark.parametrize(
-    "values", [np.ones(4), np.ones((4, 4, 2)), np.ones((0, 4)), [["a"]], np.ones((1, 1), complex)]
-)
-def test_values_of_another_shape(tmp_path, values):
-    with pytest.raises(FrameError, match="expected numbers"):
-        write_frame(tmp_path / "a.exr", values)
 
 
 @pytest.mark.parametrize(
