@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 import json
 import re
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 from independent_camera import Bending, Camera, Chart, Seen, film, looking_at, write_tiffs, write_video
 from numpy.typing import NDArray
+from test_import import rows_of
 
 import todframes as tod
 from todframes.base.errors import DataError
@@ -93,11 +93,6 @@ class Film(NamedTuple):
         """The triangle as the camera saw it in a frame."""
         page, (x, y), _ = self.frames[number]
         return self.chart.triangle(page, np.array([[1, 0, x], [0, 1, y], [0, 0, 1.0]]) @ self.matrix, self.bending)
-
-
-def rows_of(dataset: Path) -> list[dict[str, str]]:
-    with (dataset / "manifest.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def number_of(row: dict[str, str]) -> int:

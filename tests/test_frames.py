@@ -367,13 +367,8 @@ def test_a_y_beside_an_x_is_part_of_a_vector(tmp_path):
 
 
 def test_each_channel_has_its_own_type(tmp_path):
-    values = np.float32([[[0.1, 0.2]]])
-    spec = oiio.ImageSpec(1, 1, 2, "float")
-    spec.channelnames, spec.channelformats = ("Y", "Z"), (oiio.TypeDesc("half"), oiio.TypeDesc("float"))
-    output = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
-    assert output.open(str(tmp_path / "a.exr"), spec)
-    assert output.write_image(values)
-    assert output.close()
+    types = {"format": "float", "channelformats": (oiio.TypeDesc("half"), oiio.TypeDesc("float"))}
+    write_exr(tmp_path / "a.exr", (np.float32([[[0.1, 0.2]]]), ("Y", "Z"), types))
     assert FrameFile(tmp_path / "a.exr").header.pixel_type == "half"
     assert read_frame(tmp_path / "a.exr").values[0, 0, 0] == np.float16(0.1)
 

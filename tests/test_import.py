@@ -227,17 +227,6 @@ def test_places_are_checked_in_the_frames(tmp_path: Path, chart: Path, change: d
     assert re.search(message, found)
 
 
-def test_a_recording_of_another_chart_is_refused(tmp_path: Path, chart: Path) -> None:
-    """Also where its markers stand at other places than those of chart.toml."""
-    other = film.make_chart((0.2,), name="another")
-    assert other.key != CHART.key
-    for view in (film.camera(), film.camera() @ np.diag([0.9, 1.0, 1.0])):
-        path = saved(tmp_path, film_of([film.filmed(other, 0, view)]))
-        with pytest.raises(DataError, match=f"with the key {other.key}, expected {CHART.key}"):
-            imported(path, chart)
-        assert not (tmp_path / "dataset").exists()
-
-
 def test_each_triangle_of_a_page_has_windows_and_trials(tmp_path: Path, pages: list[np.ndarray]) -> None:
     one = CHART.pages[0].triangles[0]
     off_middle = replace(one, x_mm=150.0, orientation=Orientation.LEFT)

@@ -9,10 +9,10 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
 import pytest
 import tifffile
 from PIL import Image
+from test_import import rows_of
 
 import todframes as tod
 from todframes.backdrops.views import (
@@ -61,11 +61,6 @@ def folder(tmp_path: Path) -> Path:
     tod.write_frame(path / "hills.png", textured(seed=1), pixel_type="uint8")
     tod.write_frame(path / "woods.png", textured(seed=2), pixel_type="uint16")
     return path
-
-
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with (path / "manifest.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def luminance_of(path: Path, row: dict[str, str]) -> np.ndarray:
@@ -237,11 +232,8 @@ def hostile(tmp_path: Path) -> Path:
     (tmp_path / "text.png").write_text("no image")
     content = (tmp_path / "good.png").read_bytes()
     (tmp_path / "torn.png").write_bytes(content[: len(content) // 2])
-    spec = oiio.ImageSpec(160, 160, 5, "uint8")
-    output = oiio.ImageOutput.create(str(tmp_path / "five.tif"))
-    output.open(str(tmp_path / "five.tif"), spec)
-    output.write_image(np.zeros((160, 160, 5), np.uint8))
-    output.close()
+    five = {"photometric": "minisblack", "planarconfig": "contig"}
+    tifffile.imwrite(tmp_path / "five.tif", np.zeros((160, 160, 5), np.uint8), **five)
     (tmp_path / "none").mkdir()
     (tmp_path / "none" / "README.md").write_text("nothing here")
     return tmp_path
@@ -301,15 +293,10 @@ def test_unfit_scenes_are_left_out(hostile: Path) -> None:
     dark = textured(seed=5, low=0.35, high=0.9)
     dark[::7, ::7] = 0.2
     tod.write_frame(hostile / "spotted.png", dark)
-    made = tod.scenes(
-        [hostile / "good.png", hostile / "spotted.png"],
-        out=hostile / "darker",
-        **asked | {"polarity": -1, "contrast": [0.3]},
-    )
-    (note,) = made.notes
-    assert (
-        "left out" in note and "spotted.png: found the strongest triangle beyond" in note and made.n_frames == 16
-    )
+    asked |= {"polarity": -1, "contrast": [0.3], "out": hostile / "darker"}
+    made = tod.scenes([hostile / "good.png", hostile / "spotted.png"], **asked)
+    assert re.search("left out .*spotted.png: found the strongest triangle beyond", *made.notes)
+    assert made.n_frames == 16
 
 
 def test_counts_without_a_range_are_remarked(tmp_path: Path) -> None:
@@ -340,19 +327,9 @@ def test_frames_of_a_film_are_spread_over_it(tmp_path: Path) -> None:
     """Frames 0, 4 and 9 of ten, of which each has its number in its mean; a blurred triangle keeps its energy."""
     film = np.array([textured(seed=1) * (0.5 + 0.05 * k) for k in range(10)], np.float32)
     np.save(tmp_path / "film.npy", film)
-    made = tod.scenes(
-        tmp_path / "film.npy",
-        out=tmp_path / "out",
-        size_mrad=[4],
-        contrast=[0.1],
-        frames=3,
-        trials=6,
-        turns=1,
-        blur_px=1.5,
-        value_range=(0.0, 1.0),
-        display=DISPLAY,
-    )
-    assert made.n_scenes == 1
+    asked = {"size_mrad": [4], "contrast": [0.1], "frames": 3, "trials": 6, "turns": 1, "blur_px": 1.5}
+    asked |= {"value_range": (0.0, 1.0), "display": DISPLAY}
+    assert tod.scenes(tmp_path / "film.npy", out=tmp_path / "out", **asked).n_scenes == 1
     rows = rows_of(tmp_path / "out")
     assert {row["scene_window"].partition(":")[0] for row in rows} == {"0", "4", "9"}
     # Two orientations of one background differ by triangles alone, of equal sum: size² · contrast · local.
@@ -376,24 +353,6 @@ def on_scenes(tmp_path_factory) -> Path:
     return path / "dataset"
 
 
-def warnings_of(source: Path, folder: Path, change) -> set[str]:
-    """Validate a dataset after a change of its rows; return the codes of the warnings."""
-    changed = folder / "changed"
-    (changed / "frames").mkdir(parents=True)
-    (changed / "dataset.toml").write_bytes((source / "dataset.toml").read_bytes())
-    rows = rows_of(source)
-    change(rows)
-    with (changed / "manifest.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    for row in rows:
-        (changed / row["frame"]).hardlink_to(source / row["frame"])
-    result = tod.validate(changed)
-    assert not result.skipped
-    return {one.code for one in result.warnings}
-
-
 TURN = {"up": "right", "right": "down", "down": "left", "left": "up"}
 MIRROR, LEVELS, NUMBERS = {"left": "right", "right": "left"}, {"0.2": "0.5", "0.5": "0.2"}, count()
 
@@ -415,11 +374,18 @@ MIRROR, LEVELS, NUMBERS = {"left": "right", "right": "left"}, {"0.2": "0.5", "0.
     ],
 )
 def test_mishaps_are_found_on_scenes(on_scenes: Path, tmp_path: Path, column, value, code) -> None:
-    def change(rows) -> None:
-        for row in rows:
-            row[column] = value(row.get(column))
-
-    found = warnings_of(on_scenes, tmp_path, change)
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "dataset.toml").write_bytes((on_scenes / "dataset.toml").read_bytes())
+    rows = [row | {column: value(row.get(column))} for row in rows_of(on_scenes)]
+    with (tmp_path / "manifest.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    for row in rows:
+        (tmp_path / row["frame"]).hardlink_to(on_scenes / row["frame"])
+    result = tod.validate(tmp_path)
+    assert not result.skipped
+    found = {one.code for one in result.warnings}
     assert found == set() if code is None else code in found
 
 
