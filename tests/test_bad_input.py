@@ -14,7 +14,6 @@ import signal
 import struct
 import subprocess
 import sys
-import time
 import zlib
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -205,6 +204,14 @@ def replaced_by_pipe(path):
     os.mkfifo(path)
 
 
+def holding(content):
+    return lambda path: path.write_bytes(content)
+
+
+def filled(value):
+    return lambda path: write_frame(path, np.full((48, 48), value))
+
+
 @dataclass(frozen=True)
 class Spoilt:
     """A dataset with one bad frame: how, and what the error must say besides the file's name."""
@@ -224,22 +231,22 @@ FRAMES = {
     "missing": Spoilt(Path.unlink, ("No such file",)),
     "folder": Spoilt(replaced_by_folder, ("folder", "expected")),
     "pipe": Spoilt(replaced_by_pipe, ("device", "expected")),
-    "empty": Spoilt(lambda path: path.write_bytes(b""), ("empty", "EXR or PNG")),
+    "empty": Spoilt(holding(b""), ("empty", "EXR or PNG")),
     "text named png": Spoilt(lambda path: path.write_text("contrast,level\n"), ("starts with", "PNG"), ".png"),
     "jpeg": Spoilt(
-        lambda path: path.write_bytes(b"\xff\xd8\xff\xe0" + bytes(99)),
+        holding(b"\xff\xd8\xff\xe0" + bytes(99)),
         ("is a JPEG file, expected EXR or PNG: its compression has changed the pixels",),
     ),
     "tiff": Spoilt(
-        lambda path: path.write_bytes(b"II*\0" + bytes(99)),
+        holding(b"II*\0" + bytes(99)),
         ("is a TIFF file, expected EXR or PNG: convert it without loss",),
     ),
     "video": Spoilt(
-        lambda path: path.write_bytes(b"\0\0\0\x20ftypisom" + bytes(99)),
+        holding(b"\0\0\0\x20ftypisom" + bytes(99)),
         ("is a mov video file, .*each of its frames",),
     ),
     "git lfs": Spoilt(
-        lambda path: path.write_bytes(b"version https://git-lfs.github.com/spec/v1\n"),
+        holding(b"version https://git-lfs.github.com/spec/v1\n"),
         ("is a Git LFS pointer file, .*git lfs pull",),
     ),
     "exr truncated": Spoilt(truncate, (r"cannot be (opened|decoded)",)),
@@ -251,76 +258,41 @@ FRAMES = {
     "png truncated": Spoilt(truncate, ("truncated",), ".png"),
     "png flipped": Spoilt(flip_middle, ("damaged",), ".png"),
     "png declares 60000": Spoilt(
-        lambda path: path.write_bytes(png(60_000, 60_000, png_chunk(b"IDAT", zeros_deflated(1)))),
+        holding(png(60_000, 60_000, png_chunk(b"IDAT", zeros_deflated(1)))),
         ("60000", "32768"),
         ".png",
     ),
     "png bomb, 400 MB of pixels": Spoilt(
-        lambda path: path.write_bytes(png(20_000, 20_000, png_chunk(b"IDAT", zeros_deflated(382)))),
+        holding(png(20_000, 20_000, png_chunk(b"IDAT", zeros_deflated(382)))),
         (r"\d MB|image size", "256"),
         ".png",
     ),
     "png lacks rows": Spoilt(
-        lambda path: path.write_bytes(png(48, 48, png_chunk(b"IDAT", zlib.compress(bytes(49 * 20))))),
+        holding(png(48, 48, png_chunk(b"IDAT", zlib.compress(bytes(49 * 20))))),
         ("cannot be (opened|decoded)",),
         ".png",
     ),
     "nan": Spoilt(with_pixel(np.nan), ("1 pixels are NaN or infinite", "row 20, column 30")),
     "black border": Spoilt(
-        lambda path: write_frame(path, np.zeros((48, 48))),
+        filled(0.0),
         ("background luminance is 0", "expected > 0"),
         display=(("background_luminance_cd_m2", "border"),),
     ),
     "negative mean": Spoilt(
-        lambda path: write_frame(path, np.full((48, 48), -2.0)),
+        filled(-2.0),
         ("background luminance is -2", "expected > 0"),
         display=(("background_luminance_cd_m2", "frame_mean"),),
     ),
     "smaller than the triangle": Spoilt(
         lambda path: write_frame(path, np.full((5, 6), 50.0)), ("6 × 5 pixels", "smaller", "2 mrad")
     ),
-    "srgb beyond 1": Spoilt(
-        lambda path: write_frame(path, np.full((48, 48), 1.5)),
-        ("code values run from 1.5 to 1.5", "expected 0 to 1", "srgb"),
-        display=(("eotf", "srgb"),),
-    ),
 }
-
-
-def make_good_for(case, dataset):
-    """Frames of the other rows in the range of the transfer function of the case."""
-    if dict(case.display).get("eotf") == "srgb":
-        for row in set(range(len(dataset.rows))) - {BAD}:
-            write_frame(dataset.frame(row), np.full((48, 48), 0.5))
 
 
 @pytest.mark.parametrize("case", FRAMES.values(), ids=FRAMES.keys())
 def test_bad_frame(case, make_dataset):
     dataset = case.of(make_dataset)
-    make_good_for(case, dataset)
     assert_spoils(dataset, BAD, (re.escape(str(dataset.frame(BAD))), *case.wanted), FrameError)
-
-
-of_each_kind = pytest.mark.parametrize(
-    "name", ["exr truncated", "png flipped", "nan", "smaller than the triangle"]
-)
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-@of_each_kind
-@pytest.mark.slow
-def test_bad_frame_stops_score(name, workers, make_dataset, fails, tmp_path):
-    dataset = FRAMES[name].of(make_dataset)
-    fails(
-        "score", dataset.path, "-o", tmp_path / "out", "--workers", workers,
-        status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))), *FRAMES[name].wanted),
-        kept=tmp_path / "out",
-    )  # fmt: skip
-
-
-@of_each_kind
-def test_bad_frame_is_skipped_and_listed(name, make_dataset, todframes):
-    assert_skipped(FRAMES[name].of(make_dataset), [BAD], FRAMES[name].wanted, todframes)
 
 
 def assert_skipped(dataset, bad, wanted, todframes):
@@ -348,12 +320,6 @@ def assert_validate_finds(dataset, problems, todframes):
     assert_says(errors[-1], (re.escape(str(dataset.path)), rf"\b{len(problems)} problem"))
 
 
-def test_wrong_sha256(make_dataset):
-    dataset = make_dataset(row_changes={BAD: {"sha256": "0" * 64}})
-    wanted = (re.escape(str(dataset.frame(BAD))), "sha256", "0{64}", "[0-9a-f]{64}")
-    assert_spoils(dataset, BAD, wanted, FrameError)
-
-
 @pytest.mark.parametrize("spoil", [Path.unlink, replaced_by_folder, replaced_by_pipe], ids=lambda f: f.__name__)
 def test_checksum_of_what_is_no_file(spoil, make_dataset, fails):
     """A pipe that nobody writes to must not be waited for."""
@@ -370,30 +336,16 @@ def test_checksum_of_what_is_no_file(spoil, make_dataset, fails):
 
 def test_text_bomb_in_a_png_is_not_inflated(make_dataset, todframes):
     """Comments of 400 MB in 400 kB: read without them, or refused in a line."""
+    from resource import RUSAGE_SELF, getrusage
+
     dataset = make_dataset(suffix=".png")
     bomb = png_chunk(b"zTXt", b"Comment\0\0" + zeros_deflated(400))
     pixels = png_chunk(b"IDAT", zlib.compress((b"\0" + bytes([128] * 48)) * 48))
     dataset.frame(BAD).write_bytes(png(48, 48, bomb, pixels))
-    before = peak_memory_mib()
+    before_kib = getrusage(RUSAGE_SELF).ru_maxrss
     status, _, errors = todframes("score", dataset.path, "--json", "--quiet")
-    assert peak_memory_mib() < before + 200
+    assert getrusage(RUSAGE_SELF).ru_maxrss < before_kib + 200 * 1024
     assert (status, errors) == (0, []) or (status == BAD_DATA and len(errors) == 1), errors
-
-
-def peak_memory_mib():
-    import resource
-
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-def test_nothing_left_after_skipping(make_dataset, fails, tmp_path):
-    dataset = make_dataset()
-    for row in range(len(dataset.rows)):
-        dataset.frame(row).unlink()
-    fails(
-        "score", dataset.path, "--on-error", "skip", "-o", tmp_path / "out",
-        status=BAD_DATA, wanted=(re.escape(str(dataset.path)), "no frame can be scored; the first: "),
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize("line", ["score", "score --locate", "compare --enhance median"])
@@ -411,16 +363,8 @@ def test_validate_lists_all_problems(make_dataset, todframes):
     dataset = make_dataset(row_changes={0: {"orientation": "north"}, 3: {"size_mrad": "-1"}})
     dataset.frame(1).unlink()
     truncate(dataset.frame(2))
-    assert_validate_finds(
-        dataset,
-        [
-            ("line 2", "north"),
-            ("line 5", "size_mrad"),
-            (re.escape(str(dataset.frame(1))),),
-            (re.escape(str(dataset.frame(2))),),
-        ],
-        todframes,
-    )
+    frames = [(re.escape(str(dataset.frame(row))),) for row in (1, 2)]
+    assert_validate_finds(dataset, [("line 2", "north"), ("line 5", "size_mrad"), *frames], todframes)
 
 
 def test_validate_looks_at_all_frames_of_a_trial_with_a_bad_row(make_dataset, todframes):
@@ -474,38 +418,35 @@ def test_bad_row_meets_the_commands(make_dataset, fails, todframes, tmp_path):
 
 
 # What is wrong with a row only shows on the frame: the line names the frame.
-PLACES = {
+AT_THE_FRAME = {
+    "sha256": ({"sha256": "0" * 64}, "sha256.*0{64}.*[1-9a-f]|sha256.*[1-9a-f].*0{64}"),
     "off to the left": ({"x_px": "1", "y_px": "23"}, "off the frame"),
     "far off": ({"x_px": "1e300", "y_px": "-1e300"}, "off the frame"),
-    "too large": ({"size_mrad": "20"}, "48 × 48 pixels.*smaller than the triangle"),
-    "much too large": ({"size_mrad": "1e308"}, "48 × 48 pixels.*smaller than the triangle"),
+    "link to itself": ({"frame": "loop.exr"}, r"loop\.exr"),
+    "too large": ({"size_mrad": "1e308"}, "48 × 48 pixels.*smaller than the triangle"),
 }
 
 
-@pytest.mark.parametrize(("changes", "wanted"), PLACES.values(), ids=PLACES.keys())
-def test_triangle_that_the_frame_does_not_hold(changes, wanted, make_dataset):
+@pytest.mark.parametrize(("changes", "wanted"), AT_THE_FRAME.values(), ids=AT_THE_FRAME.keys())
+def test_bad_row_that_shows_on_the_frame(changes, wanted, make_dataset):
     dataset = make_dataset(row_changes={BAD: changes})
+    (dataset.path / "loop.exr").symlink_to("loop.exr")
     assert_spoils(dataset, BAD, (re.escape(str(dataset.frame(BAD))), wanted), FrameError)
 
 
-@pytest.mark.parametrize("background", ["0", "-50", "", "nan", "dark"])
+@pytest.mark.parametrize("background", ["0", "-50", "", "nan", "dark", "1e-320"])
 def test_background_column(background, make_dataset):
+    """Where the contrast overflows, as above a background of next to zero, the line names the frame."""
     dataset = make_dataset(display={"background_luminance_cd_m2": "column"})
     for row in dataset.rows:
         row["background_luminance_cd_m2"] = "50"
     dataset.rows[BAD]["background_luminance_cd_m2"] = background
     dataset.save()
-    assert_spoils(dataset, BAD, (BAD_LINE, "background_luminance_cd_m2", f"'{background}'", "> 0"))
-
-
-def test_contrast_beyond_all_numbers(make_dataset):
-    """A background so near to zero that the contrast overflows is the row's fault, not a setting's."""
-    dataset = make_dataset(display={"background_luminance_cd_m2": "column"})
-    for row in dataset.rows:
-        row["background_luminance_cd_m2"] = "50"
-    dataset.rows[BAD]["background_luminance_cd_m2"] = "1e-320"
-    dataset.save()
-    assert_spoils(dataset, BAD, (re.escape(str(dataset.frame(BAD))), "background|luminance|contrast"), FrameError)
+    if background == "1e-320":
+        wanted = (re.escape(str(dataset.frame(BAD))), "background|luminance|contrast")
+        assert_spoils(dataset, BAD, wanted, FrameError)
+    else:
+        assert_spoils(dataset, BAD, (BAD_LINE, "background_luminance_cd_m2", f"'{background}'", "> 0"))
 
 
 @pytest.mark.parametrize("change", [{"contrast": "1e308"}, {"contrast": "1e-308"}, {"size_mrad": "5e-324"}])
@@ -515,13 +456,6 @@ def test_values_near_the_ends_of_all_numbers_print_nothing(change, make_dataset,
     status, out, errors = todframes("score", dataset.path, "--json", "--quiet", "--set", "resamples=0")
     assert (status, errors) == (0, [])
     assert sum(fit["n_trials"] for fit in json.loads(out)["fits"]) == 24
-
-
-def test_background_column_missing(make_dataset):
-    dataset = make_dataset(display={"background_luminance_cd_m2": "column"})
-    wanted = (re.escape(str(dataset.manifest_file)), "column 'background_luminance_cd_m2' is missing")
-    with refused(DataError, wanted):
-        load_dataset(dataset.path)
 
 
 @pytest.mark.parametrize("linked", ["file", "folder"])
@@ -538,12 +472,6 @@ def test_link_out_of_the_dataset(linked, make_dataset, tmp_path):
         dataset.rows[BAD]["frame"] = "link/secret.exr"
     dataset.save()
     assert_spoils(dataset, BAD, (BAD_LINE, "link", "outside"))
-
-
-def test_link_to_itself(make_dataset):
-    dataset = make_dataset(row_changes={BAD: {"frame": "loop.exr"}})
-    (dataset.path / "loop.exr").symlink_to("loop.exr")
-    assert_spoils(dataset, BAD, (r"loop\.exr",), FrameError)
 
 
 @pytest.mark.parametrize("spelling", ["frames/{}", "./frames/{}", "frames//{}", "frames/../frames/{}"])
@@ -591,20 +519,12 @@ MANIFESTS = {
     "semicolons": (HEADER.replace(",", ";").encode() + b"\na.exr;up;2;1\n", ("semicolons .*expected commas",)),
     "capitals": (HEADER.title().encode() + b"\na.exr,up,2,1\n", ("missing; .*write frame, not Frame$",)),
     "x without y": (f"{HEADER},x_px\na.exr,up,2,1,3\n".encode(), ("x_px and y_px", "both or none")),
-    "column twice": (f"{HEADER},orientation\na.exr,up,2,1,left\n".encode(), ("'orientation'", "twice|again")),
+    "column twice": (f"{HEADER},orientation\na.exr,up,2,1,left\n".encode(), ("'orientation'", "2 times")),
     "latin-1": (f"{HEADER}\nfrämes/a.exr,up,2,1\n".encode("latin-1"), ("not UTF-8", r"byte 39")),
     "quote never closed": (f'{HEADER}\n"a.exr,up,2,1\n'.encode(), ("line 2", "not valid CSV")),
     "huge field": (f"{HEADER}\n{'a' * 200_000},up,2,1\n".encode(), ("line 2", "not valid CSV")),
     "60,000 columns": (",".join(map(str, range(60_000))).encode(), ("found 0, 1, .*, 19 and 59980 more$",)),
 }  # fmt: skip
-
-
-@pytest.mark.parametrize(("content", "wanted"), MANIFESTS.values(), ids=MANIFESTS.keys())
-def test_bad_manifest(content, wanted, make_dataset):
-    dataset = make_dataset(contrasts=(0.5,))
-    dataset.manifest_file.write_bytes(content)
-    with refused(DataError, (re.escape(str(dataset.manifest_file)), *wanted)):
-        load_dataset(dataset.path)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="Linux lists open files")
@@ -643,21 +563,9 @@ def test_dataset_is_no_folder(name, tmp_path):
         load_dataset(tmp_path / name)
 
 
-def test_dataset_without_settings(make_dataset):
-    dataset = make_dataset(contrasts=(0.5,))
-    dataset.settings_file.unlink()
-    with refused(SettingsError, (re.escape(str(dataset.settings_file)), "no such file")):
-        load_dataset(dataset.path)
-
-
 # Files that are none, and those of others --------------------------------------------------------------------
 
 SECRET = "root:x:0:0,secret\n"
-
-
-def as_pipe(path):
-    path.unlink()
-    os.mkfifo(path)
 
 
 def as_endless_device(path):
@@ -675,7 +583,11 @@ def as_link(path):
 
 @pytest.mark.parametrize(
     ("spoil", "wanted"),
-    [(as_pipe, "is a pipe or device, expected a file"), (as_endless_device, "outside"), (as_link, "outside")],
+    [
+        (replaced_by_pipe, "is a pipe or device, expected a file"),
+        (as_endless_device, "outside"),
+        (as_link, "outside"),
+    ],
 )
 @pytest.mark.parametrize("name", ["dataset.toml", "manifest.csv", "lut.csv"])
 def test_files_of_a_dataset(name, spoil, wanted, make_dataset):
@@ -785,13 +697,6 @@ DISPLAYS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("display", "wanted"), DISPLAYS.values(), ids=DISPLAYS.keys())
-def test_bad_display(display, wanted, make_dataset):
-    dataset = make_dataset(contrasts=(0.5,), display=display)
-    with refused(SettingsError, (re.escape(str(dataset.path)), *wanted)):
-        load_dataset(dataset.path)
-
-
 EXPERIMENTS = {
     "level missing": ({"level": None}, ("level", "missing")),
     "level empty": ({"level": ""}, ("level", "''", "column")),
@@ -801,17 +706,33 @@ EXPERIMENTS = {
 }
 
 
-@pytest.mark.parametrize(("experiment", "wanted"), EXPERIMENTS.values(), ids=EXPERIMENTS.keys())
-def test_bad_experiment(experiment, wanted, make_dataset):
-    dataset = make_dataset(contrasts=(0.5,), experiment=experiment)
-    with refused(SettingsError, (re.escape(str(dataset.settings_file)), r"\[experiment\]", *wanted)):
+@pytest.mark.parametrize(
+    ("table", "changes", "wanted"),
+    [
+        pytest.param(table, *case, id=f"{table}: {label}")
+        for table, cases in (("display", DISPLAYS), ("experiment", EXPERIMENTS))
+        for label, case in cases.items()
+    ],
+)
+def test_bad_table(table, changes, wanted, make_dataset):
+    dataset = make_dataset(contrasts=(0.5,), **{table: changes})
+    # A message about the luminance table names that file.
+    place = rf"{re.escape(str(dataset.path))}.*" + (r"\[experiment\]" if table == "experiment" else "")
+    with refused(SettingsError, (place, *wanted)):
         load_dataset(dataset.path)
 
 
-@pytest.mark.parametrize(("experiment", "name"), [({"level": "snr"}, "snr"), ({"group_by": ["lens"]}, "lens")])
-def test_columns_of_the_experiment_missing(experiment, name, make_dataset):
-    dataset = make_dataset(contrasts=(0.5,), experiment=experiment)
-    with refused(DataError, (r"manifest\.csv", f"column '{name}' is missing")):
+COLUMNS = {
+    "snr": {"experiment": {"level": "snr"}},
+    "lens": {"experiment": {"group_by": ["lens"]}},
+    "background_luminance_cd_m2": {"display": {"background_luminance_cd_m2": "column"}},
+}
+
+
+@pytest.mark.parametrize(("name", "tables"), COLUMNS.items(), ids=COLUMNS.keys())
+def test_columns_that_the_settings_name_are_missing(name, tables, make_dataset):
+    dataset = make_dataset(contrasts=(0.5,), **tables)
+    with refused(DataError, (re.escape(str(dataset.manifest_file)), f"column '{name}' is missing")):
         load_dataset(dataset.path)
 
 
@@ -821,6 +742,7 @@ DISPLAY_TABLE = (
 )
 EXPERIMENT_TABLE = "[experiment]\nlevel = 'contrast'\n"
 TOML = {
+    "missing": (None, ("no such file",)),
     "empty": (b"", ("schema", "None|missing", "1")),
     "schema missing": ((DISPLAY_TABLE + EXPERIMENT_TABLE).encode(), ("schema", "None|missing", "1")),
     "schema 2": (b"schema = 2\n[display]\n[experiment]\n", ("schema", "found 2", "expected 1")),
@@ -847,14 +769,6 @@ TOML = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("content", "wanted"), TOML.values(), ids=TOML.keys())
-def test_bad_toml(content, wanted, make_dataset):
-    dataset = make_dataset(contrasts=(0.5,))
-    dataset.settings_file.write_bytes(content)
-    with refused(SettingsError, (re.escape(str(dataset.settings_file)), *wanted)):
-        load_dataset(dataset.path)
-
-
 # The table is part of the settings: all that is wrong in it has the same status.
 TABLES = {
     "columns": (b"code,luminance\n0,0\n1,100\n", ("column", "code_value")),
@@ -863,18 +777,32 @@ TABLES = {
 }
 
 
-@pytest.mark.parametrize(("content", "wanted"), TABLES.values(), ids=TABLES.keys())
-def test_bad_luminance_table(content, wanted, make_dataset):
-    dataset = make_dataset(
-        contrasts=(0.5,), display={"eotf": "lut", "lut": "lut.csv", "white_luminance_cd_m2": None}
-    )
-    (dataset.path / "lut.csv").write_bytes(content)
-    with refused(SettingsError, (re.escape(str(dataset.path / "lut.csv")), *wanted)):
-        load_dataset(dataset.path)
+@pytest.mark.parametrize(
+    ("name", "kind", "content", "wanted"),
+    [
+        pytest.param(name, kind, *case, id=f"{name}: {label}")
+        for name, kind, cases in (
+            ("manifest.csv", DataError, MANIFESTS),
+            ("dataset.toml", SettingsError, TOML),
+            ("lut.csv", SettingsError, TABLES),
+        )
+        for label, case in cases.items()
+    ],
+)
+def test_bad_file_of_a_dataset(name, kind, content, wanted, make_dataset):
+    display = {"eotf": "lut", "lut": "lut.csv", "white_luminance_cd_m2": None} if name == "lut.csv" else {}
+    path = make_dataset(contrasts=(0.5,), display=display).path
+    if content is None:
+        (path / name).unlink()
+    else:
+        (path / name).write_bytes(content)
+    with refused(kind, (re.escape(str(path / name)), *wanted)):
+        load_dataset(path)
 
 
 # Command line -------------------------------------------------------------------------------------------------
 
+ONE_MRAD = "naked-eye --size-mrad 1"
 USAGES = {
     "unknown command": ("scroe x", ("scroe",)),
     "unknown option": ("score x --workes 2", ("--workes",)),
@@ -893,6 +821,10 @@ USAGES = {
     "size negative after a good one": ("naked-eye --size-mrad 1,-1", ("size_mrad|--size-mrad", "-1", "> 0")),
     "size beyond the retina": ("naked-eye --size-mrad 1e6", ("size_mrad|--size-mrad|1e\\+06 mrad", "expected")),
     "size beyond all numbers": ("naked-eye --size-mrad 1e308", ("mrad", "expected")),
+    "noise twice": (f"{ONE_MRAD} --set internal_noise_sd=0.1 --internal-noise 0.5", ("internal_noise_sd",)),
+    "few levels": ("naked-eye --size-mrad 10 --set levels=2", ("levels",)),
+    "far displacement": (f"{ONE_MRAD} --set position_jitter_samples=50", ("levels: found 4, .*displacement",)),
+    "guess rate of a model": (f"{ONE_MRAD} --set guess_rate=0.5", ("guess_rate",)),
     "fit setting unknown": ("fit x --set gess_rate=0.5", ("'gess_rate'", "'guess_rate'")),
 }
 
@@ -919,6 +851,7 @@ ASSIGNMENTS = {
     "guess rate": ("guess_rate=1", ("guess_rate", "found 1")),
     "criterion nan": ("p_correct=nan", ("p_correct", "nan")),
     "of another observer": ("efficiency=0.5", ("efficiency is a setting of csf; pyramid has none",)),
+    "two in one": ("kernel_a=0.4\nband_gain=2", ("kernel_a",)),
     "no TOML list": ("band_noise=[.5,.5]", (r"band_noise=\[.5,.5\]", "a list as TOML has it")),
 }
 
@@ -944,7 +877,7 @@ def test_setting_beyond_all_numbers(setting, make_dataset, fails):
     fails("score", path, "--set", setting, status=BAD_SETTINGS, wanted=(setting.split("=")[0],))
 
 
-def test_out_of_memory(make_dataset, todframes, tmp_path, monkeypatch):
+def test_out_of_memory(make_dataset, fails, tmp_path, monkeypatch):
     """As with retina_pitch_mrad = 1e-3, or levels = 12: a line that tells which kind of trouble it is."""
 
     def too_large(*_, **__):
@@ -952,19 +885,7 @@ def test_out_of_memory(make_dataset, todframes, tmp_path, monkeypatch):
 
     dataset = make_dataset(contrasts=(0.5,))
     monkeypatch.setattr("todframes.scoring.seen_trials.read_trial", too_large)
-    before = tree(tmp_path)
-    status, out, errors = todframes("score", dataset.path, "-o", tmp_path / "out")
-    assert status in (BAD_DATA, BAD_SETTINGS)
-    assert (out, len(errors)) == ("", 1)
-    assert_says(errors[0], ("memory",))
-    assert tree(tmp_path) == before
-
-
-def test_more_than_one_setting_in_an_assignment(fails):
-    fails(
-        "naked-eye", "--contrast", "1", "--set", "kernel_a=0.4\nband_gain=2",
-        status=BAD_SETTINGS, wanted=("kernel_a",),
-    )  # fmt: skip
+    fails("score", dataset.path, "-o", tmp_path / "out", status=BAD_DATA, wanted=("memory",))
 
 
 def test_no_command_shows_the_help(todframes):
@@ -973,28 +894,20 @@ def test_no_command_shows_the_help(todframes):
     assert len(out.splitlines() or errors) > 5, "help in lines, not folded into one"
 
 
-OBSERVER_SETTINGS = {
-    "unknown key": (b"kernal_a = 0.4\n", ("'kernal_a'", "'kernel_a'")),
-    "value": (b"kernel_a = 4\n", ("kernel_a", "4", "from 0 to 1")),
-    "in a table": (b"[observer]\nkernel_a = 0.4\n", ("'observer'",)),
-}
-
-
-@pytest.mark.parametrize(("content", "wanted"), OBSERVER_SETTINGS.values(), ids=OBSERVER_SETTINGS.keys())
-def test_bad_observer_settings(content, wanted, tmp_path):
+@pytest.mark.parametrize("line", ["score x", "compare x --enhance median", "naked-eye --size-mrad 1"])
+@pytest.mark.parametrize(
+    ("content", "wanted"),
+    [
+        ("kernal_a = 0.4\n", ("'kernal_a'", "'kernel_a'")),
+        ("kernel_a = 4\n", ("kernel_a", "4", "from 0 to 1")),
+        ("[observer]\nkernel_a = 0.4\n", ("'observer'",)),
+    ],
+)
+def test_bad_observer_settings(line, content, wanted, fails, tmp_path):
     path = tmp_path / "observer.toml"
-    if content is not None:
-        path.write_bytes(content)
-    with refused(SettingsError, (re.escape(str(path)), *wanted)):
-        make_observers(asked(assignments=[], observer_settings=path))
-
-
-def test_bad_observer_settings_meet_the_commands(fails, tmp_path):
-    path = tmp_path / "observer.toml"
-    path.write_text("kernal_a = 0.4\n")
-    for line in ("score x", "compare x --enhance median", "naked-eye --size-mrad 1"):
-        wanted = (re.escape(str(path)), "'kernal_a'", "'kernel_a'")
-        fails(*line.split(), "--observer-settings", path, status=BAD_SETTINGS, wanted=wanted)
+    path.write_text(content)
+    wanted = (re.escape(str(path)), *wanted)
+    fails(*line.split(), "--observer-settings", path, status=BAD_SETTINGS, wanted=wanted)
 
 
 @pytest.mark.parametrize(
@@ -1147,17 +1060,11 @@ def test_arguments_are_shown_without_control_characters(arguments, todframes):
 # In a process of its own --------------------------------------------------------------------------------------
 
 
-def process(*arguments, **options):
+def process(*arguments, stdout=subprocess.PIPE, **options):
+    command = [*COMMAND, *map(str, arguments)]
     return subprocess.run(
-        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False, **options
+        command, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=60, check=False, **options
     )
-
-
-def test_exit_statuses(tmp_path):
-    for expected, arguments in ((0, ("--version",)), (BAD_DATA, ("validate", tmp_path / "missing"))):
-        done = process(*arguments)
-        assert done.returncode == expected
-        assert len(done.stderr.splitlines()) == (expected != 0)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
@@ -1165,10 +1072,7 @@ def test_exit_statuses(tmp_path):
 @pytest.mark.slow
 def test_standard_output_is_full(option):
     with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [*COMMAND, "enhancements", *option], stdout=full, stderr=subprocess.PIPE, text=True,
-            timeout=60, check=False,
-        )  # fmt: skip
+        done = process("enhancements", *option, stdout=full)
     assert done.returncode != 0
     assert len(done.stderr.splitlines()) == 1, done.stderr
     assert_says(done.stderr, ("No space left",))
@@ -1224,10 +1128,7 @@ def test_an_error_of_the_system_is_not_one_of_standard_output(error, message, to
 def test_reader_of_standard_output_is_gone():
     read_end, write_end = os.pipe()
     os.close(read_end)
-    done = subprocess.run(
-        [*COMMAND, "enhancements"], stdout=write_end, stderr=subprocess.PIPE, text=True,
-        timeout=60, check=False,
-    )  # fmt: skip
+    done = process("enhancements", stdout=write_end)
     os.close(write_end)
     assert done.stderr == ""
 
@@ -1242,38 +1143,3 @@ def test_standard_output_of_few_characters(encoding, tmp_path):
     done = process("fit", counts, env=os.environ | {"PYTHONIOENCODING": encoding}, encoding=encoding)
     assert (done.returncode, done.stderr) == (0, "")
     assert "threshold" in done.stdout
-
-
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_ctrl_c(workers, make_dataset, tmp_path):
-    dataset = make_dataset(contrasts=(0.5,))
-    good = dataset.rows[0]
-    # Links to one frame: a run of many seconds at no cost.
-    for number in range(8_000):
-        frame = f"frames/{number}.exr"
-        os.link(dataset.frame(0), dataset.path / frame)
-        dataset.rows.append(good | {"frame": frame})
-    dataset.save()
-    before = {path.name for path in tmp_path.iterdir()}
-    with subprocess.Popen(
-        [*COMMAND, "score", str(dataset.path), "-o", str(tmp_path / "out"), "--workers", str(workers)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    ) as running:  # fmt: skip
-        deadline = time.monotonic() + 30
-        # The temporary folder is there as soon as there is something to interrupt.
-        while {path.name for path in tmp_path.iterdir()} == before and time.monotonic() < deadline:
-            time.sleep(0.02)
-        assert running.poll() is None
-        time.sleep(0.2)
-        running.send_signal(signal.SIGINT)
-        out, err = running.communicate(timeout=10)
-    assert out == ""
-    error, *notes = err.splitlines()
-    assert error == "error: interrupted" + ("" if notes else ", nothing was written")
-    assert running.returncode == INTERRUPTED
-    if notes:  # what is finished is kept
-        assert [note.partition(";")[0] for note in notes] == [
-            f"note: what is finished is kept in {tmp_path / 'out'}"
-        ]
-        shutil.rmtree(tmp_path / "out")
-    assert {path.name for path in tmp_path.iterdir()} == before

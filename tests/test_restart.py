@@ -34,6 +34,14 @@ def started(package: str, *arguments: str | Path) -> subprocess.Popen[str]:
     )
 
 
+def killed(*command: str | Path) -> None:
+    """Start a command that writes into its last argument, and kill it when the store has results."""
+    process = started(*command)
+    until_begun(Path(command[-1]))
+    process.kill()
+    process.communicate()
+
+
 def done(package: str, *arguments: str | Path) -> str:
     """Run a command to its good end; return its error output."""
     process = started(package, *arguments)
@@ -131,17 +139,8 @@ def test_restart_and_keep_store(todframes, make_dataset, tmp_path: Path) -> None
 @pytest.mark.usefixtures("blank_pictures")
 def test_compare_goes_on(todframes, make_dataset, tmp_path: Path) -> None:
     path = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=4).path
-    command = (
-        "compare",
-        path,
-        "--enhance",
-        "gaussian:sigma=1",
-        "--white",
-        "100",
-        "--set",
-        "resamples=40",
-        "--json",
-    )
+    options = ("--enhance", "gaussian:sigma=1", "--white", "100", "--set", "resamples=40", "--json")
+    command = ("compare", path, *options)
     undisturbed = json.loads(todframes(*command, "-o", tmp_path / "undisturbed")[1])
     frame = spoil_last(path)
     assert todframes(*command, "-o", tmp_path / "out")[0] == 1
@@ -166,8 +165,7 @@ def test_a_slow_algorithm_keeps_frame_after_frame(make_dataset, tmp_path: Path, 
     )
     Path("slow.py").write_text(code)
     path, out = make_dataset(contrasts=(0.1, 0.2, 0.4), repeats=4, suffix=".png").path, tmp_path / "out"
-    command = [sys.executable, "-m", "todframes", "compare", path, "--enhance", "slow:naps", "-o", out]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    process = started("todframes", "compare", path, "--enhance", "slow:naps", "-o", out)
     until_begun(out)
     n_calls = len(Path("calls").read_text())
     process.send_signal(signal.SIGINT)
@@ -177,14 +175,19 @@ def test_a_slow_algorithm_keeps_frame_after_frame(make_dataset, tmp_path: Path, 
     assert "nothing" not in err
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_an_interrupted_run_says_what_is_kept(make_dataset, tmp_path: Path, number: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("number", "workers"),
+    [(signal.SIGINT, 1), *(pytest.param(n, 2, marks=pytest.mark.slow) for n in (signal.SIGINT, signal.SIGTERM))],
+)
+def test_an_interrupted_run_says_what_is_kept(make_dataset, tmp_path: Path, number, workers) -> None:
     path, out = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=60).path, tmp_path / "out"
-    process = started("todframes", "score", path, "-o", out)
+    process = started("todframes", "score", path, "-o", out, "--workers", str(workers))
     until_begun(out)
     process.send_signal(number)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 130
+    printed, err = process.communicate(timeout=60)
+    assert (process.returncode, printed) == (130, "")
+    assert {one.name for one in tmp_path.iterdir()} == {"dataset", "out"}
+    assert [one.name for one in out.iterdir()] == [STAGING]
     assert err.splitlines() == [
         "error: interrupted",
         f"note: what is finished is kept in {out}; the same command goes on where this one ended",
@@ -226,11 +229,7 @@ def test_a_killed_simulation_goes_on(tmp_path: Path) -> None:
     command = ("sensor_sim", "simulate", SAMPLES / "staring_camera.toml", "--size-detectors", "4,6")
     command += ("--snr", "1,2", "--trials", "128", "-o")
     done(*command, tmp_path / "undisturbed")
-    out = tmp_path / "out"
-    process = started(*command, out)
-    until_begun(out)
-    process.kill()
-    process.communicate()
+    killed(*command, out := tmp_path / "out")
     # Frames of other settings are not taken over, nor do they stay.
     shutil.copytree(out, tmp_path / "other")
     err = done(*command, out)
@@ -252,11 +251,7 @@ def test_a_killed_import_goes_on(tmp_path: Path) -> None:
     command = ("todframes", "import", tmp_path / "frames.npy", "--schedule", tmp_path / "schedule.csv")
     command += ("--frames-per-second", "30", "--warm-up", "4", "-o")
     done(*command, tmp_path / "undisturbed")
-    out = tmp_path / "out"
-    process = started(*command, out)
-    until_begun(out)
-    process.kill()
-    process.communicate()
+    killed(*command, out := tmp_path / "out")
     err = done(*command, out)
     assert "windows are there from an earlier run; going on with the others" in err
     assert content(out) == content(tmp_path / "undisturbed")
