@@ -242,18 +242,6 @@ def test_help_imports_nothing_slow(module: str) -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
 
 
-@pytest.mark.slow
-def test_no_picture_of_an_earlier_run_stays(todframes, make_dataset, tmp_path: Path) -> None:
-    sizes = make_dataset("sizes", sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2)).path
-    one = make_dataset("one", contrasts=(0.05, 0.1, 0.2), experiment={"group_by": []}).path
-    kept = tmp_path / "result" / "my_notes.txt"
-    assert todframes("score", sizes, "-o", tmp_path / "result")[0] == 0
-    kept.write_text("mine", encoding="utf-8")
-    assert todframes("score", one, "-o", tmp_path / "result")[0] == 0
-    assert not (tmp_path / "result" / "tod_curve.png").exists()
-    assert kept.exists()
-
-
 def test_locate_and_skip_go_together(todframes, make_dataset) -> None:
     """A group in which nothing stands out, and a frame with a wrong checksum, do not stop the rest."""
     made = make_dataset(sizes_mrad=(1.5, 2.0), side_px=64, contrasts=(0.1, 0.2, 0.4))
@@ -272,21 +260,6 @@ def test_locate_and_skip_go_together(todframes, make_dataset) -> None:
         row["frame"] for row in [*made.rows[:12], made.rows[-1]]
     }
     assert todframes("score", made.path, "--locate")[0] == 1
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["--set", "internal_noise_sd=0.1", "--internal-noise", "0.5"],
-        ["--set", "levels=2", "--size-mrad", "10"],
-        ["--set", "position_jitter_samples=50"],
-        ["--set", "guess_rate=0.5"],
-    ],
-)
-def test_settings_that_make_no_sense_here(todframes, arguments: list[str]) -> None:
-    status, out, err = todframes("naked-eye", "--size-mrad", "1", *arguments)
-    assert (status, out) == (2, "")
-    assert arguments[1].partition("=")[0] in err or "levels" in err
 
 
 def test_libraries_are_kept_to_one_thread() -> None:
