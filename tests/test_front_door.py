@@ -253,10 +253,7 @@ def test_plots_into_ones_own_axes(scored) -> None:
     assert np.allclose(1.0 / np.asarray(x), [0.6, 0.9, 1.4, 2.4])
     assert np.allclose(y, [one.threshold for one in scored.thresholds])
     assert [text.get_text() for text in right.get_legend().get_texts()] == [
-        "0.6 mrad",
-        "0.9 mrad",
-        "1.4 mrad",
-        "2.4 mrad",
+        f"{size} mrad" for size in (0.6, 0.9, 1.4, 2.4)
     ]
 
 
@@ -302,11 +299,6 @@ def test_own_observer_from_a_module(working_folder: Path, commanded) -> None:
 def test_observers_that_are_none(name: str, message: str) -> None:
     with pytest.raises(tod.SettingsError, match=message):
         tod.find_observer(name)
-
-
-def test_settings_of_an_observer_are_checked() -> None:
-    with pytest.raises(tod.SettingsError, match="nearest valid one is 'internal_noise'"):
-        tod.PyramidObserver(internal_noize=0.1)
 
 
 def test_stages_are_those_of_the_clearest_trial(tmp_path: Path) -> None:

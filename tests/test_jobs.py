@@ -54,21 +54,6 @@ def test_results_are_found_again(store: Store) -> None:
     assert signals.kept == ["OUT"]
 
 
-def test_results_survive_the_end_of_the_process(store: Store) -> None:
-    """What `add` has returned from is there, though the process ends without closing anything."""
-    script = f"""
-        import os
-        from pathlib import Path
-        from todframes.jobs.store import Store
-        store = Store(Path({str(store.path)!r}), "OUT")
-        for k in range(100):
-            store.add([(str(k).encode(), bytes(100))])
-        os._exit(9)
-    """
-    assert subprocess.run([sys.executable, "-c", textwrap.dedent(script)], check=False).returncode == 9
-    assert len(store) == 100
-
-
 @pytest.mark.parametrize("damage", [b"not a store" * 100, b"", MAGIC, MAGIC + bytes(1000), b"SQLite format 3\0"])
 def test_a_damaged_store_is_begun_anew(store: Store, damage: bytes) -> None:
     store.path.parent.mkdir()
@@ -289,12 +274,6 @@ def test_a_run_goes_on_where_it_was(squares: Squares, store: Store, fails_at: in
     squares.called.clear()
     assert done(squares, store) == SQUARED
     assert squares.called == []
-
-
-def test_a_run_begins_a_store_with_its_first_batch(squares: Squares, store: Store) -> None:
-    assert not store.is_begun
-    assert done(squares, store) == SQUARED
-    assert len(store) == 20
 
 
 def test_what_has_changed_is_done_again(squares: Squares, store: Store, tmp_path: Path) -> None:
