@@ -458,19 +458,14 @@ def test_values_near_the_ends_of_all_numbers_print_nothing(change, make_dataset,
     assert sum(fit["n_trials"] for fit in json.loads(out)["fits"]) == 24
 
 
-@pytest.mark.parametrize("linked", ["file", "folder"])
-def test_link_out_of_the_dataset(linked, make_dataset, tmp_path):
-    dataset = make_dataset()
+@pytest.mark.parametrize("frame", ["link.exr", "link/secret.exr"])
+def test_link_out_of_the_dataset(frame, make_dataset, tmp_path):
+    dataset = make_dataset(row_changes={BAD: {"frame": frame}})
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
-    shutil.copy(dataset.frame(BAD), elsewhere / "secret.exr")
-    if linked == "file":
-        (dataset.path / "link.exr").symlink_to(elsewhere / "secret.exr")
-        dataset.rows[BAD]["frame"] = "link.exr"
-    else:
-        (dataset.path / "link").symlink_to(elsewhere)
-        dataset.rows[BAD]["frame"] = "link/secret.exr"
-    dataset.save()
+    shutil.copy(dataset.frame(0), elsewhere / "secret.exr")
+    (dataset.path / "link.exr").symlink_to(elsewhere / "secret.exr")
+    (dataset.path / "link").symlink_to(elsewhere)
     assert_spoils(dataset, BAD, (BAD_LINE, "link", "outside"))
 
 
@@ -812,7 +807,6 @@ USAGES = {
     "seed negative": ("score x --seed -1", ("--seed", "-1")),
     "noise text": ("score x --internal-noise low", ("--internal-noise", "low")),
     "criterion above one": ("score x --p-correct 75", ("p_correct", "75")),
-    "set unknown": ("score x --set kernal_a=0.4", ("'kernal_a'", "'kernel_a'")),
     "naked eye without either": ("naked-eye", ("--contrast", "--size-mrad")),
     "naked eye with both": ("naked-eye --contrast 1 --size-mrad 1", ("--contrast", "--size-mrad")),
     "contrast zero": ("naked-eye --contrast 0", ("contrast", "0", "> 0")),
@@ -839,8 +833,6 @@ ASSIGNMENTS = {
     "unknown fit setting": ("lapserate=0.1", ("'lapserate'", "'lapse_rate'")),
     "without equals": ("kernel_a", ("--set", "kernel_a", "NAME=VALUE")),
     "without value": ("kernel_a=", ("kernel_a", "''", "float|number")),
-    "text": ("kernel_a=wide", ("kernel_a", "'wide'", "float|number")),
-    "beyond range": ("kernel_a=2", ("kernel_a", "2", "from 0 to 1")),
     "date": ("internal_noise=2001-01-01", ("internal_noise", "2001")),
     "nested list": (f"levels={'[' * 2000}{']' * 2000}", ("levels", "whole number")),
     "5,000 digits": (f"levels={'9' * 5000}", ("levels", "whole number")),
