@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import test_processes
 
 import todframes
 from todframes.base.errors import ClusterError, FrameError, SettingsError, TodframesError
@@ -244,10 +245,11 @@ def test_an_error_of_an_item_ends_the_run_and_arrives_whole(local: ClusterEngine
 @dask
 def test_what_cannot_be_pickled_is_one_line(local: ClusterEngine) -> None:
     lock = threading.Lock()
-    with pytest.raises(SettingsError, match=r"^cluster: cannot send this to other processes \(TypeError: .*lock"):
-        results_of(local, Calls(lambda _: lock), [0])
-    with pytest.raises(SettingsError, match=r"^cluster: cannot send this to other processes \(TypeError: .*lock"):
-        results_of(local, Squares(), [lock])
+    for work, item in ((Calls(lambda _: lock), 0), (Squares(), lock)):
+        with pytest.raises(
+            SettingsError, match=r"^cluster: cannot send this to other processes \(TypeError: .*lock"
+        ):
+            results_of(local, work, [item])
 
 
 @dask
@@ -399,36 +401,22 @@ def test_something_else_at_the_address_is_one_line(
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.fixture
-def foreign_worker(tmp_path: Path) -> Iterator[Callable[[str], str]]:
-    """Function that starts a cluster with a worker in which some code has run, and returns its address."""
-    with contextlib.ExitStack() as stack:
-
-        def start(code: str) -> str:
-            preload = tmp_path / "preload.py"
-            preload.write_text(code)
-            options = ("--local-directory", str(tmp_path), "--preload", str(preload))
-            return stack.enter_context(scheduler_process(*options))[0]
-
-        yield start
-
-
 @dask
 @pytest.mark.parametrize(
     ("code", "message"),
     [
         ("sys.modules['todframes'] = None", r"a worker cannot do the work \(.*ModuleNotFoundError"),
-        (
-            "import todframes; todframes.__version__ = '0.0.7'",
-            r"worker tcp://\S+: found todframes 0\.0\.7, expected",
-        ),
+        ("import todframes; todframes.__version__ = '0.0.7'", r"worker tcp://\S+: found todframes 0\.0\.7, ex"),
     ],
 )
-def test_a_worker_without_the_package_or_of_another_version_is_one_line(
-    foreign_worker: Callable[[str], str], code: str, message: str
-) -> None:
-    address = foreign_worker(f"import sys; {code}\n")
-    with pytest.raises(ClusterError, match=f"^{address}: {message}"), open_engine(address, 1) as engine:
+def test_a_worker_without_the_package_or_of_another_version_is_one_line(tmp_path: Path, code, message) -> None:
+    (tmp_path / "preload.py").write_text(f"import sys; {code}\n")
+    options = ("--local-directory", str(tmp_path), "--preload", str(tmp_path / "preload.py"))
+    with (
+        scheduler_process(*options) as (address, _),
+        pytest.raises(ClusterError, match=f"^{address}: {message}"),
+        open_engine(address, 1) as engine,
+    ):
         results_of(engine, Squares(), [0])
 
 
@@ -436,10 +424,8 @@ def test_a_worker_without_the_package_or_of_another_version_is_one_line(
 def test_a_scheduler_without_workers_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with scheduler_process() as (address, _):
         monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
-        with (
-            pytest.raises(ClusterError, match=f"^{address}: the scheduler has no workers"),
-            open_engine(address, 1),
-        ):
+        message = f"^{address}: the scheduler has no workers"
+        with pytest.raises(ClusterError, match=message), open_engine(address, 1):
             pass
 
 
@@ -501,41 +487,9 @@ def test_a_batch_that_takes_too_long_ends_early(monkeypatch: pytest.MonkeyPatch)
     assert pickle.loads(done.results) == [0, 1, 4][: done.n_items]
 
 
-RUN = """
-import sys, time
-from todframes.base import signals
-from todframes.jobs.run import open_engine
-
-class Naps:
-    def function(self):
-        return time.sleep
-    def name(self, item):
-        return str(item)
-
-if __name__ == "__main__":
-    try:
-        with signals.raised(), open_engine("local:2", 1) as engine:
-            for _ in engine.run(Naps(), enumerate([0.1] * 10_000)):
-                print("running", flush=True)
-    except KeyboardInterrupt:
-        print("interrupted", flush=True)
-"""
-
-
 @dask
-def test_ctrl_c_in_a_terminal_ends_all_processes_at_once_and_quietly(tmp_path: Path) -> None:
-    script = tmp_path / "run.py"
-    script.write_text(RUN)
-    command = [sys.executable, str(script)]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    # A session of its own is a process group, as a terminal makes it.
-    with subprocess.Popen(command, start_new_session=True, **pipes) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        assert process.stdout.readline() == "running\n"
-        started = time.monotonic()
-        os.killpg(process.pid, signal.SIGINT)
-        *_, last = process.stdout.read().split()  # to its end: no worker holds it any more
-        assert time.monotonic() - started < 3.0
-        assert last == "interrupted"
-        assert process.stderr.read() == ""
+def test_ctrl_c_in_a_terminal_ends_all_processes_at_once_and_quietly(tmp_path: Path, monkeypatch) -> None:
+    script = test_processes.GUARDED.replace("open_engine(None, 2)", 'open_engine("local:2", 1)')
+    assert script != test_processes.GUARDED
+    monkeypatch.setattr(test_processes, "GUARDED", script)
+    test_processes.test_ctrl_c_ends_all_processes_at_once_and_quietly(tmp_path, reaches_all=True)

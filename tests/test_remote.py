@@ -9,7 +9,6 @@ import errno
 import json
 import pickle
 import re
-import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -316,25 +315,17 @@ def test_a_lost_connection_ends_the_run_even_if_bad_frames_are_skipped(make_data
     assert len(calls) == remote.ATTEMPTS
 
 
-def test_checksums_are_verified_and_cannot_be_added(make_dataset, upload, todframes) -> None:
-    made = make_dataset()
-    url = upload(made.path)
+def test_checksums_are_missed_and_cannot_be_added(make_dataset, upload, todframes) -> None:
+    url = upload(make_dataset().path)
     status, out, err = todframes("validate", url)
     assert status == 0 and "8 of 8 frames are EXR without a sha256" in err
     assert "validate FOLDER --add-sha256` on a local copy" in err
     status, out, err = todframes("validate", url, "--add-sha256")
     assert (status, out) == (2, "")
-    assert (
-        err.startswith(f"error: {url}/manifest.csv: cannot be written, it is behind a URL")
-        and err.count("\n") == 1
-    )
+    assert err.startswith(f"error: {url}/manifest.csv: cannot be written, it is behind a URL")
+    assert err.count("\n") == 1
     with pytest.raises(OutputError, match="cannot be written, it is behind a URL"):
         write_sha256(load_dataset(url), {"frames/x.exr": "0" * 64})
-    assert todframes("validate", made.path, "--add-sha256")[0] == 0
-    shutil.copy(made.frame(0), made.frame(1))
-    status, out, err = todframes("validate", upload(made.path))
-    assert status == 1 and err.count("error: ") == 2
-    assert re.search(rf"{re.escape(made.rows[1]['frame'])}: sha256 is \w+, the manifest says", err)
 
 
 def test_only_names_tell_which_frames_have_checksums(make_dataset, upload, monkeypatch) -> None:

@@ -11,6 +11,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import count
 from pathlib import Path
@@ -89,17 +90,23 @@ class _Handler(BaseHTTPRequestHandler):
         pass
 
 
-@pytest.fixture
-def web(tmp_path: Path) -> Iterator[Web]:
-    """A web server of `tmp_path`."""
-    server = Web(tmp_path)
+@contextmanager
+def serving(server: Web) -> Iterator[Web]:
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
     thread.start()
-    yield server
-    server.released.set()
-    server.shutdown()
-    thread.join()
-    server.server_close()
+    try:
+        yield server
+    finally:
+        server.released.set()
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+@pytest.fixture
+def web(tmp_path: Path) -> Iterator[Web]:
+    with serving(Web(tmp_path)) as server:
+        yield server
 
 
 @pytest.fixture(scope="module")
@@ -376,14 +383,8 @@ def test_an_address_of_ipv6(make_dataset, tmp_path) -> None:
         server = Web(tmp_path, "::1")
     except OSError:
         pytest.skip("this machine has no IPv6")
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-    try:
+    with serving(server):
         assert load_dataset(f"http://[::1]:{server.server_port}/dataset").n_frames == 8
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
 
 
 def test_an_opening_is_one_request_and_connections_are_kept(make_dataset, web) -> None:
