@@ -268,9 +268,7 @@ def test_identical_templates_share_or_yield():
     assert shared == pytest.approx([ahead / 2, ahead / 2, (1 - ahead) / 2, (1 - ahead) / 2], abs=SMOOTH)
     yielded = answer_probabilities([0.7, 0.5, 0, 0], template @ template.T)
     assert yielded == pytest.approx([ahead, 0, (1 - ahead) / 2, (1 - ahead) / 2], abs=SMOOTH)
-
-
-def test_two_pairs_of_identical_templates():
+    # Two pairs of them.
     template = np.array([[1, 0], [0, 1], [1, 0], [0, 1.0]])
     first = ndtr(0.6 / np.sqrt(2))
     found = answer_probabilities([0.6, 0, 0.6, -1], template @ template.T)

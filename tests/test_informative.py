@@ -10,7 +10,7 @@ import pytest
 
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal
 from sensor_sim.chain.sampling import field_detectors, field_sampler
-from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
+from sensor_sim.chain.sensor import Detector, Electronics, Optics, Sensor, SensorDisplay
 from sensor_sim.thresholds.matched import matched_settings
 from todframes.base.errors import SettingsError
 from todframes.observers.decision import answer_probabilities
@@ -28,6 +28,13 @@ DISPLAYS = [
     {"sample_pitch_mrad": 0.7},
     {"sample_pitch_mrad": 0.7, "sample_width_mrad": 0.5, "display_blur_mrad": 0.3, "presample_blur_mrad": 0.2},
 ]
+GAUSSIAN = Sensor(
+    optics=Optics(aperture_mm=1e6, wavelength_um=4.0, blur_sigma_mrad=0.02),
+    detector=Detector(pitch_mrad=0.07, width_mrad=0.06),
+    display=SensorDisplay(
+        pixels_per_detector=6, pixel_pitch_mm=0.25, viewing_distance_mm=350.0, background_luminance_cd_m2=50.0
+    ),
+)
 
 
 def observer(**changes: object) -> HotellingObserver:
@@ -65,20 +72,7 @@ def test_expected_image_is_the_mean_over_the_places_on_the_detectors(blur_px: fl
     which places repeat is at a zero of both hold and retina sample; of a picture with f cycles a detector they
     leave about (f/28)² together. So do the pixels in which the simulated display blurs. All is 6e-4.
     """
-    sensor = Sensor(
-        name="Gaussian optics",
-        optics=Optics(aperture_mm=1e6, wavelength_um=4.0, blur_sigma_mrad=0.02),
-        detector=Detector(pitch_mrad=0.07, width_mrad=0.06),
-        noise=Noise(),
-        electronics=Electronics(),
-        display=SensorDisplay(
-            pixels_per_detector=6,
-            pixel_pitch_mm=0.25,
-            viewing_distance_mm=350.0,
-            blur_sigma_px=blur_px,
-            background_luminance_cd_m2=50.0,
-        ),
-    )
+    sensor = replace(GAUSSIAN, display=replace(GAUSSIAN.display, blur_sigma_px=blur_px))
     size_detectors, display = 3.0, sensor.display
     observer = HotellingObserver(matched_settings(sensor, retina_pitch_mrad=display.detector_pitch_mrad / 7))
     stimulus = Stimulus(size_detectors * display.detector_pitch_mrad)
@@ -106,16 +100,13 @@ def test_expected_image_is_the_mean_over_the_places_on_the_detectors(blur_px: fl
 
 def test_optics_are_matched_at_nyquist() -> None:
     """Optics that are Gaussian already stay what they are, on the display's scale."""
-    display = SensorDisplay(
-        pixels_per_detector=4, pixel_pitch_mm=0.25, viewing_distance_mm=500.0, background_luminance_cd_m2=50.0
-    )
-    sensor = Sensor(
-        name="Gaussian optics",
+    display = replace(GAUSSIAN.display, pixels_per_detector=4, viewing_distance_mm=500.0, blur_sigma_px=4.0)
+    sensor = replace(
+        GAUSSIAN,
         optics=Optics(aperture_mm=1e9, wavelength_um=4.0, blur_sigma_mrad=0.03),
         detector=Detector(pitch_mrad=0.1, width_mrad=0.08),
-        noise=Noise(),
         electronics=Electronics(blur_sigma_px=3.0),
-        display=replace(display, blur_sigma_px=4.0),
+        display=display,
     )
     found = matched_settings(sensor, internal_noise=0.25)
     pitch = 4 * display.pixel_pitch_mrad

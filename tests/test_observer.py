@@ -36,6 +36,7 @@ PYRAMID_VARIANTS = [
     {"template_blur_samples": 0.0},
     {"levels": 5, "internal_noise_sd": 0.3},
 ]
+EXTERNAL_NOISE = {"external_noise_deg": 0.003, "external_noise_exponent": 1.0}
 VARIANTS = [
     *(("pyramid", variant) for variant in PYRAMID_VARIANTS),
     *(("informative", variant) for variant in PYRAMID_VARIANTS[:4]),
@@ -46,15 +47,7 @@ VARIANTS = [
     ("oriented", {"phases": "even", "elongation": 2.0, "bandwidth_octaves": 1.5, "include_residual": True}),
     ("csf", {}),
     ("csf", {"retina_pitch_mrad": 0.17, "centre": "bounding_box", "aperture_sd_deg": 0.6, "efficiency": 3.0}),
-    (
-        "csf",
-        {
-            "retina_pitch_mrad": 0.2,
-            "template": "ideal",
-            "external_noise_deg": 0.003,
-            "external_noise_exponent": 1.0,
-        },
-    ),
+    ("csf", {"retina_pitch_mrad": 0.2, "template": "ideal"} | EXTERNAL_NOISE),
 ]
 EYE = {"eye_mtf": "watson2013", "band_noise": (13.0, 1.0, 0.3, 0.2, 0.1), "pupil_mm": 5.0}
 VARIANTS += [(name, EYE) for name in ("pyramid", "informative", "oriented")]
@@ -393,11 +386,6 @@ def test_criterion_is_met_at_the_threshold() -> None:
 def test_bad_settings(name: str, changes: dict, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         find_observer(name)(**changes)
-
-
-def test_too_large_a_triangle_says_so() -> None:
-    with pytest.raises(SettingsError, match=r"^size_mrad: found 1000 mrad at the eye, expected at most 348\.2"):
-        PyramidObserver().grid(Stimulus(1000.0))
 
 
 def test_unknown_observer_names_the_nearest() -> None:

@@ -194,20 +194,16 @@ def test_explained_curve_and_scoring():
 # Scoring ------------------------------------------------------------------------------------------------------
 
 
-def test_a_large_frame_is_read_where_the_triangle_is(tmp_path, monkeypatch):
+def test_a_large_frame_is_read_where_the_triangle_is(make_dataset, monkeypatch):
     """10 pixels in 960 × 540: under 10 % of the rows, but for the one trial in forty that is looked at wide."""
-    (tmp_path / "frames").mkdir()
-    (tmp_path / "dataset.toml").write_text(
-        "schema = 1\n[display]\neotf = 'linear'\nwhite_luminance_cd_m2 = 1.0\npixel_pitch_mrad = 0.7\n"
-        "background_luminance_cd_m2 = 50.0\n[experiment]\nlevel = 'contrast'\ngroup_by = []\n"
-    )
-    rng, rows = np.random.default_rng(0), ["frame,orientation,size_mrad,contrast"]
+    made = make_dataset(sizes_mrad=(7.0,), contrasts=(0.04,), display={"pixel_pitch_mrad": 0.7})
+    rng = np.random.default_rng(0)
     for number, orientation in enumerate(ORIENTATIONS):
         shape = coverage((540, 960), size_px=10.0, x_px=479.5, y_px=269.5, orientation=orientation)
         noise = np.tile(rng.normal(0.0, 0.03, (540, 64)), 15)
-        write_frame(tmp_path / f"frames/{number}.exr", 50.0 * (1.0 + 0.04 * shape + noise))
-        rows.append(f"frames/{number}.exr,{orientation.value},7.0,{0.04 + 0.001 * number}")
-    (tmp_path / "manifest.csv").write_text("\n".join(rows) + "\n")
+        write_frame(made.frame(number), 50.0 * (1.0 + 0.04 * shape + noise))
+        made.rows[number]["contrast"] = str(0.04 + 0.001 * number)
+    made.save()
     decoded, decode = Counter(), FrameFile._decode
 
     def counted(self, top, bottom, left, right):
@@ -215,7 +211,7 @@ def test_a_large_frame_is_read_where_the_triangle_is(tmp_path, monkeypatch):
         return decode(self, top, bottom, left, right)
 
     monkeypatch.setattr(FrameFile, "_decode", counted)
-    dataset = load_dataset(tmp_path)
+    dataset = load_dataset(made.path)
     planned = score_dataset(dataset, PyramidObserver())
     assert sorted(decoded.values())[-2] < 54
     decoded.clear()

@@ -221,25 +221,21 @@ def test_a_million_trials_a_level_are_not_expanded():
     assert widths[1] / widths[0] == pytest.approx(100, rel=0.3)
 
 
-def test_numbers_of_trials_up_to_2_53_have_intervals():
-    # Their sum is no floating-point number: rounding once left a probability above 1.
-    most = 2**53
-    chosen = FitSettings(guess_rate=0.5, lapse_rate=0.005, p_correct=0.9949999995, resamples=40)
-    fit = fit_counts([0.84, 1.29, 1.55], [7, most // 4, most], [30, most, most], settings=chosen, rng=generator())
-    assert fit.status == "ok"
-
-
-def test_information_beyond_all_numbers():
-    # A step far from all levels but one: the information is 1e-310, its inverse was infinite.
-    level = [1.1634277626790947e260, 1.2113719304401822e261, 2.6683305693385645e260, 3.345629407248644e261,
-             2.518506483314855e260, 9.783007098562351e261]  # fmt: skip
-    n_trials = [2**53, 10**6, 1, 1, 10**6, 2**53]
-    n_correct = [2**51, 10**6, 0, 1, 250_000, 2**53]
-    chosen = FitSettings(
-        guess_rate=0.99, lapse_rate=0.0099, lapse_rate_max=0.0, p_correct=0.9900999999999, resamples=40
-    )
-    fit = fit_counts(level, n_correct, n_trials, settings=chosen, rng=generator())
-    assert fit.status == "ok"
+@pytest.mark.parametrize(
+    ("level", "n_correct", "n_trials", "rates"),
+    [
+        # The sum of the trials is no floating-point number: rounding once left a probability above 1.
+        ([0.84, 1.29, 1.55], [7, 2**51, 2**53], [30, 2**53, 2**53], (0.5, 0.005, 0.05, 0.9949999995)),
+        # A step far from all levels but one: the information is 1e-310, its inverse was infinite.
+        ([1.1634277626790947e260, 1.2113719304401822e261, 2.6683305693385645e260, 3.345629407248644e261,
+          2.518506483314855e260, 9.783007098562351e261], [2**51, 10**6, 0, 1, 250_000, 2**53],
+         [2**53, 10**6, 1, 1, 10**6, 2**53], (0.99, 0.0099, 0.0, 0.9900999999999)),
+    ],
+)  # fmt: skip
+def test_numbers_of_trials_up_to_2_53_have_intervals(level, n_correct, n_trials, rates):
+    names = ("guess_rate", "lapse_rate", "lapse_rate_max", "p_correct")
+    chosen = FitSettings(**dict(zip(names, rates, strict=True)), resamples=40)
+    assert fit_counts(level, n_correct, n_trials, settings=chosen, rng=generator()).status == "ok"
 
 
 # The interval
