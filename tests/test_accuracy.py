@@ -96,7 +96,6 @@ def test_slope_of_a_power_law_is_exact():
 
 
 def test_standard_error_of_a_slope_is_its_spread():
-    """Blocks of the same 4,096 normal trials, 400 times over."""
     rng = np.random.default_rng(1)
     sizes = 2 ** np.arange(8)
     blocks = 4096 // sizes
@@ -181,9 +180,6 @@ def test_errors_of_a_closed_form(known):
     times = zip(known.speed_ratios, known.estimators[0].cpu_s_at, closed_form.cpu_s_at, strict=True)
     for ratio, one, other in times:
         assert ratio.ratio == pytest.approx(one["cpu_s"] / other["cpu_s"])
-
-
-def test_changes_by_variants(known):
     same, other = known.variants
     assert (same["p_correct_change"], same["threshold_change"]) == (0.0, 0.0)
     assert other["threshold_change"] == pytest.approx(math.log(1.01))
@@ -206,7 +202,6 @@ CAMERA = Camera("camera", "", "", "snr", sensor=UNDER_SAMPLED, size_detectors=3.
 
 
 def some_recorded() -> StudyScene:
-    """Every third of the sample frames of one size."""
     whole = recorded(ROOT / "sample_frames" / "naked_eye")
     return replace(whole, trials=whole.trials[::3], converged_nodes=(3, 4))
 

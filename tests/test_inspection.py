@@ -263,11 +263,7 @@ def test_strict_ends_with_status_1_after_the_output(mistaken, todframes) -> None
     assert "background_mismatch" in err
     status, out, _ = todframes("score", mistaken.path, "--strict", "--json")
     assert status == 1
-    result = json.loads(out)
-    assert "background_mismatch" in {one["code"] for one in result["warnings"]}
-    (group,) = result["dataset"]["measured"]["stimuli"]
-    assert group["group"] == {"size_mrad": 2.0}
-    assert group["ring_luminance_cd_m2"] == pytest.approx(50.0, rel=1e-3)
+    assert "background_mismatch" in {one["code"] for one in json.loads(out)["warnings"]}
 
 
 @pytest.mark.slow

@@ -148,21 +148,8 @@ def test_units_are_not_tried_that_exceed_the_largest_retina_grid() -> None:
     assert hints(result) == []
 
 
-def test_frames_are_not_searched_again_if_a_threshold_is_extrapolated(monkeypatch) -> None:
-    """The measurements of the frames tell a wrong place or size; searching takes longer than scoring."""
-
-    def search(*_args, **_settings):
-        raise AssertionError
-
-    monkeypatch.setattr(missing_threshold, "locate_triangles", search)
-    weak = recording(levels=(0.05, 0.06, 0.08))
-    assert tod.score(weak, **QUICK).fits[0].status == "extrapolated"
-
-
-@pytest.mark.parametrize("away", [0, 6], ids="{} away".format)
-def test_frames_are_searched_again_unless_they_show_the_triangles_as_stated(away: int, monkeypatch) -> None:
-    """An observer of much noise finds no threshold, and nothing is wrong. If 6 of the 12 strongest trials show
-    their triangles 20 pixels away, the mean of all still has the stated place and size."""
+@pytest.fixture
+def searches(monkeypatch) -> list[int]:
     searches = []
 
     def search(*_args, **_settings):
@@ -170,6 +157,22 @@ def test_frames_are_searched_again_unless_they_show_the_triangles_as_stated(away
         raise tod.DataError("nothing stands out")
 
     monkeypatch.setattr(missing_threshold, "locate_triangles", search)
+    return searches
+
+
+def test_frames_are_not_searched_again_if_a_threshold_is_extrapolated(searches: list[int]) -> None:
+    """The measurements of the frames tell a wrong place or size; searching takes longer than scoring."""
+    weak = recording(levels=(0.05, 0.06, 0.08))
+    assert tod.score(weak, **QUICK).fits[0].status == "extrapolated"
+    assert not searches
+
+
+@pytest.mark.parametrize("away", [0, 6], ids="{} away".format)
+def test_frames_are_searched_again_unless_they_show_the_triangles_as_stated(
+    away: int, searches: list[int]
+) -> None:
+    """An observer of much noise finds no threshold, and nothing is wrong. If 6 of the 12 strongest trials show
+    their triangles 20 pixels away, the mean of all still has the stated place and size."""
     steps = np.zeros((36, 2))
     steps[24 : 24 + 2 * away : 2] = 20.0
     result = tod.score(recording(steps=steps), observer=tod.PyramidObserver(internal_noise=50.0), **QUICK)

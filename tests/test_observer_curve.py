@@ -188,17 +188,6 @@ def test_naked_eye_threshold_is_right_to_two_thousandths(naked_eye):
         assert abs(fit.weibull_threshold / truth - 1) > 0.02
 
 
-def test_interval_lies_about_the_estimate_and_is_narrow(naked_eye):
-    p_correct = of_naked_eye(naked_eye, 0.31 * LEVELS)
-    rng = np.random.default_rng(2)
-    for _ in range(5):
-        trials = p_correct[np.arange(7)[:, None], rng.integers(25, size=(7, 12))]
-        fit = fitted(np.repeat(0.31 * LEVELS, 12), trials.ravel(), FitSettings(resamples=200))
-        low, high = fit.threshold_ci95
-        assert low < fit.threshold < high
-        assert math.log(high / low) < 0.1
-
-
 def test_ratio_is_the_quotient_of_the_thresholds(naked_eye):
     """The second series has frames of 0.8 of the contrast: its threshold is 1.25 times as high."""
     levels = 0.31 * LEVELS
@@ -208,7 +197,10 @@ def test_ratio_is_the_quotient_of_the_thresholds(naked_eye):
         [of_naked_eye(naked_eye, gain * levels)[np.arange(7)[:, None], chosen].ravel() for gain in (1.0, 0.8)]
     )
     level = np.repeat(levels, 12)
-    fits = [fitted(level, p) for p in series]
+    fits = [fitted(level, p, FitSettings(resamples=200)) for p in series]
+    for fit in fits:
+        low, high = fit.threshold_ci95
+        assert low < fit.threshold < high < math.exp(0.1) * low
     draws = ratio_draws(level, series, fits, pairs=[(1, 0)], settings=FitSettings(resamples=200), rng=rng)
     found = threshold_ratio(draws)
     assert found.ratio == fits[1].threshold / fits[0].threshold

@@ -141,9 +141,7 @@ def test_no_curve_of_a_brute_force_search_is_more_likely(seed):
 @pytest.mark.parametrize(
     ("n_correct", "status"),
     [
-        ([30] * 7, "always_exceeded"),
         ([29, 30, 30, 30, 30, 30, 30], "always_exceeded"),
-        ([0] * 7, "never_reached"),
         ([8, 7, 8, 7, 8, 7, 8], "never_reached"),
         ([8, 7, 8, 7, 8, 7, 9], "never_reached"),
         ([20] * 7, "never_reached"),

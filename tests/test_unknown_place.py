@@ -79,23 +79,21 @@ def test_empty_places_are_places_with_scores_of_zero() -> None:
     assert few == pytest.approx(unknown_place_probabilities(score, covariance).probability, abs=1e-8)
 
 
-def test_independent_places_as_often_as_drawn() -> None:
-    covariance, n = PyramidObserver().readout(SMALL).full_covariance, 40_000
-    score = some_scores(covariance, 5)
-    found = unknown_place_probabilities(score, covariance).probability
-    often = drawn(score, np.einsum("mn,jk->mjnk", np.eye(5), covariance), n)
-    assert np.abs(often - found).max() < 3.3 * math.sqrt(0.25 / n)  # 3 SE, of 12 correlated figures the worst
-
-
-@pytest.mark.parametrize("correlation", [0.1, 0.6])
-def test_correlated_places_as_often_as_drawn(correlation: float) -> None:
+@pytest.mark.parametrize("correlation", [0.0, 0.1, 0.6])
+def test_probabilities_and_answers_as_often_as_drawn(correlation: float) -> None:
     covariance, n = PyramidObserver().readout(SMALL).full_covariance, 40_000
     along = correlation ** np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
     score, joint = some_scores(covariance, 4), np.einsum("mn,jk->mjnk", along, covariance)
-    found = unknown_place_probabilities(score, joint)
-    assert 0.0 < found.standard_error.max() < 0.0014
+    noise = joint if correlation else covariance
+    found = unknown_place_probabilities(score, noise)
+    assert (found.standard_error.max() > 0.0) == (correlation > 0.0)
+    assert found.standard_error.max() < 0.0014
     error = np.sqrt(0.25 / n + found.standard_error**2)
     assert (np.abs(drawn(score, joint, n, seed=2) - found.probability) / error).max() < 3.0
+    n, expected = 4000, found.probability[1]
+    answers = drawn_answers(np.tile(score[1], (n, 1, 1)), noise, [np.random.default_rng(6)] * n)
+    error = np.sqrt(expected * (1.0 - expected) / n + found.standard_error[1] ** 2)
+    assert (np.abs(np.bincount(answers, minlength=4) / n - expected) / error).max() < 3.0
 
 
 def test_without_noise_the_largest_is_answered_and_equals_share() -> None:
@@ -210,20 +208,6 @@ def test_more_places_need_more_contrast(make_dataset: DatasetMaker) -> None:
     assert 0.0 < found.fits[0].places_error < 0.0014
     assert known.fits[0].places_error is None
     assert "any of 4 places" in found.plan[0].why
-
-
-@pytest.mark.parametrize("correlation", [0.0, 0.6])
-def test_answers_are_drawn_as_often_as_they_are_probable(correlation: float) -> None:
-    covariance, n = PyramidObserver().readout(SMALL).full_covariance, 4000
-    along = correlation ** np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
-    joint = np.einsum("mn,jk->mjnk", along, covariance) if correlation else covariance
-    score = some_scores(covariance, 4)[1]
-    found = unknown_place_probabilities(score, joint)
-    rng = np.random.default_rng(6)
-    answers = drawn_answers(np.tile(score, (n, 1, 1)), joint, [rng] * n)
-    error = np.sqrt(found.probability * (1.0 - found.probability) / n + found.standard_error**2)
-    often = np.bincount(answers, minlength=4) / n
-    assert (np.abs(often - found.probability) / error).max() < 3.0
 
 
 @pytest.mark.slow
