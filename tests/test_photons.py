@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from camera_texts import DISPLAY, LENS, PHOTONS, PIXELS
 from overlaps import weights_at
-from test_predict import seen_frames
+from test_predict import assert_frames_have_the_threshold, seen_frames
 
 import sensor_sim as ss
 import todframes as tod
@@ -24,7 +24,6 @@ from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
-from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.results.wording import column_heading, group_phrase, group_phrases
 from todframes.stimulus import ORIENTATIONS
 
@@ -77,13 +76,8 @@ def test_photopic_efficiency_is_tabulated_and_smooth():
 
 def test_variance_of_drawn_frames_is_the_computed_one(tmp_path):
     """Many cameras, each with a fixed pattern, and a triangle's signal in all pixels."""
-    sensor = camera(
-        tmp_path,
-        (
-            "exposure_ms = 10.0",
-            "exposure_ms = 10.0\nrow_noise_electrons = 2.0\ncolumn_pattern_electrons = 3.0\nframes_integrated = 3",
-        ),
-    )
+    more = "row_noise_electrons = 2.0\ncolumn_pattern_electrons = 3.0\nframes_integrated = 3"
+    sensor = camera(tmp_path, ("exposure_ms = 10.0", f"exposure_ms = 10.0\n{more}"))
     variance, signal = contrast_variance(sensor), 0.7
     rng = np.random.default_rng(1)
     drawn = np.array(
@@ -164,10 +158,7 @@ def test_frames_of_photons_have_the_computed_threshold(tmp_path):
     (fit,) = ss.curve(sensor, size_detectors=[size], examples=False).fits
     levels = [fit.threshold * 2.0**n for n in (-0.75, -0.25, 0.0, 0.25, 0.75)]
     seen = seen_frames(sensor, observer, size, levels, 400, seed=1)
-    drawn = fit_trials(seen.level, seen.p_correct, settings=FitSettings(), rng=np.random.default_rng(1))
-    end = drawn.threshold_ci95[int(fit.threshold > drawn.threshold)]
-    interval = abs(math.log(end / drawn.threshold))
-    assert abs(math.log(fit.threshold / drawn.threshold)) < interval < 0.15
+    assert_frames_have_the_threshold(seen, fit.threshold, 0.0)
 
 
 @pytest.mark.slow

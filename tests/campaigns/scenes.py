@@ -7,7 +7,6 @@ import hashlib
 import io
 import json
 import os
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -80,9 +79,8 @@ def write_dataset(
     repeats: int = 1,
     with_sha256: bool = False,
     noise: float = 0.0,
-    linked: bool = True,
 ) -> list[str]:
-    """Write a dataset: a frame for each contrast and orientation, with `repeats` links to it or copies of it.
+    """Write a dataset: a frame for each contrast and orientation, with `repeats` links to it.
 
     Returns the names of the frames, in the order of the manifest's rows.
     """
@@ -93,19 +91,14 @@ def write_dataset(
     rows = []
     for level in contrasts:
         for orientation in ORIENTATIONS:
-            covered = coverage(
-                (side_px, side_px),
-                size_px=SIZE_MRAD / PITCH_MRAD,
-                x_px=middle,
-                y_px=middle,
-                orientation=orientation,
-            )
+            place = {"x_px": middle, "y_px": middle, "orientation": orientation}
+            covered = coverage((side_px, side_px), size_px=SIZE_MRAD / PITCH_MRAD, **place)
             values = BACKGROUND / WHITE * (1.0 + level * covered + noise * rng.standard_normal(covered.shape))
             name = f"c{level:.4g}_{orientation.value}"
             for repeat in range(repeats):
                 frame = f"frames/{name}_{repeat}{suffix}"
                 if repeat:
-                    (os.link if linked else shutil.copy)(path / f"frames/{name}_0{suffix}", path / frame)
+                    os.link(path / f"frames/{name}_0{suffix}", path / frame)
                 else:
                     stored = np.repeat(values[..., np.newaxis], n_channels, axis=2)
                     write_frame(path / frame, stored, pixel_type=pixel_type, compression=compression)
