@@ -72,10 +72,7 @@ def sensor_file(tmp_path) -> Path:
 
 @pytest.fixture
 def sensor_sim(capfd):
-    """Runs a command line; status, standard output, lines of standard error. A warning would raise.
-
-    No terminal is at the other end.
-    """
+    """Runs a command line; status, standard output, lines of standard error. A warning would raise."""
 
     def call(*arguments):
         capfd.readouterr()
