@@ -234,8 +234,32 @@ def framed(light: Image, _shot: Shot) -> Image:
     return np.where(np.maximum(abs(x), abs(y)) > MIDDLE_PX - 12, 0.1 * BACKGROUND, light)
 
 
+def letterboxed(light: Image, _shot: Shot) -> Image:
+    return np.where(abs(offsets()[1]) > MIDDLE_PX - 12, 0.0, light)
+
+
+def halved(edge_px: float) -> Callable[[Image, Shot], Image]:
+    return lambda light, _shot: np.where(offsets()[0] > edge_px, 0.7, 1.0) * light
+
+
 def flickering(light: Image, shot: Shot) -> Image:
     return light * (1.0 + 0.1 * np.sin(2.0 * np.pi * (offsets()[1] / 40.0 + shot.chance.random())))
+
+
+def glaring(light: Image, _shot: Shot) -> Image:
+    x, y = offsets()
+    return light + 0.5 * BACKGROUND * np.exp(-((x - 24) ** 2 + (y + 10) ** 2) / (2 * 6.0**2))
+
+
+def detected(light: Image, _shot: Shot) -> Image:
+    count = SIDE_PX // 2
+    means = light.reshape(count, 2, count, 2).mean(axis=(1, 3))
+    return np.repeat(np.repeat(means, 2, axis=0), 2, axis=1)
+
+
+def shaken(shot: Shot) -> Shot:
+    x, y = shot.chance.normal(0.0, 3.0, 2)
+    return replace(shot, x_px=shot.x_px + x, y_px=shot.y_px + y)
 
 
 def drifted(shot: Shot) -> Shot:
@@ -254,12 +278,25 @@ def late(shot: Shot) -> Shot:
     return series()[shot.number - 1] if shot.number % 4 == 2 else shot
 
 
+def absent(shot: Shot) -> Shot:
+    return replace(shot, contrast=0.0) if shot.number % 4 == 3 else shot
+
+
 def resized(factor: float) -> Callable[[Shot], Shot]:
     return lambda shot: replace(shot, size_px=factor * shot.size_px)
 
 
+def two_sizes(shot: Shot) -> Shot:
+    return replace(shot, size_px=shot.size_px / (1 + shot.number % 2))
+
+
 def ghosted(shot: Shot) -> Image:
     return _alone(shot) + 0.5 * _alone(moved(20.0, 0.0)(shot))
+
+
+def two_orientations(shot: Shot) -> Image:
+    other = ORIENTATIONS[(ORIENTATIONS.index(shot.orientation) + 1) % 4]
+    return 0.5 * (_alone(shot) + _alone(replace(shot, orientation=other)))
 
 
 def interlaced(codes: NDArray, _shot: Shot) -> NDArray:
@@ -273,6 +310,15 @@ def distorted(barrel: float, image: Image, _shot: Shot) -> Image:
     stretch = 1.0 + barrel * (x**2 + y**2) / (2.0 * MIDDLE_PX**2)
     maps = [(MIDDLE_PX + along * stretch).astype(np.float32) for along in (x, y)]
     return cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def tilted(image: Image, _shot: Shot) -> Image:
+    turn = cv2.getRotationMatrix2D((MIDDLE_PX, MIDDLE_PX), 12.0, 1.0)
+    return cv2.warpAffine(image, turn, image.shape, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+
+
+def overexposed(light: Image, _shot: Shot) -> Image:
+    return light * 0.97 * WHITE / BACKGROUND
 
 
 def stuck(count: int, distance_px: tuple[float, float]) -> Callable[[NDArray, Shot], NDArray]:
@@ -316,6 +362,10 @@ def scaled(share: float) -> Callable[[NDArray, Shot], NDArray]:
     return lambda codes, _shot: cv2.resize(codes, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
 
 
+def background(factor: float) -> dict[str, object]:
+    return {"background_luminance_cd_m2": factor * BACKGROUND}
+
+
 # The mistakes of a manifest.
 
 
@@ -331,6 +381,19 @@ def shifted(column: str) -> Callable[[list[Row]], list[Row]]:
     return lambda rows: [row | {column: rows[n - 1][column]} for n, row in enumerate(rows)]
 
 
+def shuffled_levels(rows: list[Row]) -> list[Row]:
+    order = np.random.default_rng(5).permutation(len(rows))
+    return [row | {"contrast": rows[k]["contrast"]} for row, k in zip(rows, order, strict=True)]
+
+
+def one_level(rows: list[Row]) -> list[Row]:
+    return [row | {"contrast": rows[0]["contrast"]} for row in rows]
+
+
+def repeated_frames(rows: list[Row]) -> list[Row]:
+    return [row | {"frame": rows[n - n % REPEATS]["frame"]} for n, row in enumerate(rows)]
+
+
 def case(name: str, sentence: str, codes: str = "", refused: str | None = None, **steps: object) -> Case:
     """Return a mishap; `codes` are separated by spaces."""
     return Case(
@@ -344,27 +407,38 @@ def control(name: str, sentence: str, *, is_right: bool = False, **steps: object
 
 OFF_MIDDLE = {"x_px": f"{MIDDLE_PX + 9.0:g}", "y_px": f"{MIDDLE_PX - 5.0:g}"}
 SWAPPED = {"x_px": OFF_MIDDLE["y_px"], "y_px": OFF_MIDDLE["x_px"]}
-SRGB_8_BITS = {"encoded": srgb, "full_scale": 255, "display": {"eotf": "srgb"}}
 DEGREE, ARC_MINUTE = math.pi / 180.0 * 1000.0, math.pi / 10800.0 * 1000.0  # mrad
 
 CONTROLS = (
     control("flat", "A flat background, everything as the dataset says.", is_right=True),
-    control("eight_bits", "sRGB in 8 bits, as declared.", **SRGB_8_BITS),
+    control("noisy", "Ten times the noise.", noise=10 * NOISE),
+    control("defocused", "The lens is out of focus: the threshold rises, as it should.", blur_px=1.6),
+    control("eight_bits", "sRGB in 8 bits, as declared.", encoded=srgb, full_scale=255, display={"eotf": "srgb"}),
     control("small", "Triangles of 10 pixels.", shown=resized(0.625), rows=times("size_mrad", 0.625)),
     control("large", "Triangles of a third of the side.", shown=resized(2.0), rows=times("size_mrad", 2.0)),
+    control("large_detectors", "A camera whose detectors are 2 pixels wide.", light=detected),
+    control("dark_stated", "Dark triangles, with their polarity.", shown=darker, rows=with_columns(polarity="-1")),
+    control(
+        "off_centre_stated", "Off the middle, stated.", shown=moved(9.0, -5.0), rows=with_columns(**OFF_MIDDLE)
+    ),
 )
 
 UNEVEN = "background_uneven background_mismatch"
-DOUBLED = {"background_luminance_cd_m2": 2.0 * BACKGROUND}
 STUCK = "saturated crushed stuck_pixels"
 BACKGROUND_CASES = (
     case("vignetting_30", "Corners darker by 30 %.", UNEVEN, light=vignetted(0.3)),
+    case("vignetting_50", "Corners darker by 50 %.", UNEVEN, light=vignetted(0.5)),
     case("vignetting_70", "Corners darker by 70 %.", UNEVEN, light=vignetted(0.7)),
     case("dark_border", "A dark border of 12 pixels around the picture.", UNEVEN, light=framed),
+    case("letterbox", "Black bars of 12 pixels above and below.", UNEVEN + " crushed", light=letterboxed),
+    case("two_levels_beside", "The background is darker by 30 % beside the triangle.", UNEVEN, light=halved(16)),
+    case("two_levels_through", "The background's edge runs through the triangle.", UNEVEN, light=halved(0)),
     case("flicker", "Bands of a lamp's flicker roll over the frames.", UNEVEN, light=flickering),
+    case("glare", "A lamp is reflected beside the triangle.", UNEVEN, light=glaring),
     case("on_screen_text", "The camera's own text on the frame.", UNEVEN + " saturated", stored=titled),
     case("cross_hair", "A thermal sight's cross-hair on the triangle.", STUCK, stored=aimed),
-    case("background_doubled", "Background number × 2.", "background_mismatch", display=DOUBLED),
+    case("background_doubled", "Background number × 2.", "background_mismatch", display=background(2.0)),
+    case("background_halved", "Background number / 2.", "background_mismatch", display=background(0.5)),
 )
 
 LIGHT = "background_mismatch contrast_mismatch"
@@ -382,13 +456,38 @@ CODE_CASES = (
         full_scale=255,
     ),
     case("twelve_bits", "12 bits in files of 16.", "bit_depth background_mismatch", stored=lambda c, _: c >> 4),
-    case("posterised", "26 code values.", "coarse_codes", encoded=lambda c: np.rint(25 * c) / 25, full_scale=255),
-    case("jpeg", "Once JPEGs of quality 30.", "coarse_codes contrast_mismatch", stored=of_jpeg(30), **SRGB_8_BITS),
+    case(
+        "posterised",
+        "Only 26 code values.",
+        "coarse_codes",
+        encoded=lambda c: np.rint(25.0 * c) / 25.0,
+        full_scale=255,
+    ),
+    case(
+        "jpeg",
+        "Frames that were JPEGs of quality 30.",
+        "coarse_codes contrast_mismatch",
+        encoded=srgb,
+        full_scale=255,
+        stored=of_jpeg(30),
+        display={"eotf": "srgb"},
+    ),
+    case("overexposed", "The triangle is at the end of the scale.", "saturated", light=overexposed),
     case("crushed_blacks", "The blacks are cut off.", "crushed", light=lambda i, _: i - 0.99 * BACKGROUND),
     case("automatic_gain", "Each frame has full contrast.", LIGHT, encoded=lambda c: (c - c.min()) / np.ptp(c)),
-    case("automatic_exposure", "Exposure hunts.", LIGHT, light=lambda i, s: i * s.chance.uniform(0.8, 1.2)),
+    case(
+        "automatic_exposure",
+        "The exposure hunts by 20 %.",
+        LIGHT,
+        light=lambda i, shot: i * shot.chance.uniform(0.8, 1.2),
+    ),
     case("dead_pixels_outside", "Sixty stuck pixels off the triangle.", STUCK, stored=stuck(60, (20.0, 48.0))),
-    case("hot_pixels_inside", "Eight pixels inside stuck.", STUCK + " background_uneven", stored=stuck(8, (0, 8))),
+    case(
+        "hot_pixels_inside",
+        "Eight stuck pixels on the triangle.",
+        STUCK + " background_uneven",
+        stored=stuck(8, (0.0, 8.0)),
+    ),
 )
 
 PLACED = "position_offset misplaced"
@@ -397,6 +496,7 @@ PLACE_CASES = (
     case("off_centre_few", "The triangle is 3 pixels off the middle.", PLACED, shown=moved(2.0, -2.2)),
     case("off_centre_many", "The triangle is 20 pixels off the middle.", PLACED, shown=moved(16.0, 12.0)),
     case("swapped", "x_px and y_px swapped.", PLACED, shown=moved(9.0, -5.0), rows=with_columns(**SWAPPED)),
+    case("hand_held", "The camera shakes by 3 pixels.", SCATTERED, shown=shaken),
     case("drift", "The picture drifts by 12 pixels.", SCATTERED, shown=drifted),
     case("interlaced", "Odd rows are 6 pixels late.", PLACED + " size_mismatch", stored=interlaced),
     case("barrel", "The lens bends lines by 10 % in corners.", "size_mismatch", light=partial(distorted, 0.1)),
@@ -406,15 +506,24 @@ TURNED = "turned mirrored orientation_mismatch"
 TRIANGLE_CASES = (
     case("dark_triangles", "Dark triangles without a polarity.", "polarity_mismatch", shown=darker),
     case("mirror", "The camera looks into a mirror.", "mirrored", stored=lambda c, _: np.fliplr(c)),
+    case("flip", "Rows from the bottom to the top.", "mirrored flipped", stored=lambda c, _: np.flipud(c)),
     case("quarter_turn", "The camera lies on its side.", "turned", stored=lambda c, _: np.rot90(c)),
+    case("half_turn", "The camera hangs upside down.", "turned", stored=lambda c, _: np.rot90(c, 2)),
+    case("tilt", "The camera is tilted by 12 degrees.", TURNED, stored=tilted),
     case("orientation_shifted", "Orientations one row too low.", TURNED, rows=shifted("orientation")),
     case("late_frames", "Every fourth frame is of the row before.", TURNED + " contrast_mismatch", shown=late),
+    case("absent_triangles", "Every fourth frame is empty.", "contrast_mismatch", shown=absent),
     case("ghost", "The triangle again beside itself, half as strong.", UNEVEN, drawn=ghosted),
+    case("double_exposure", "Two orientations at once.", TURNED + " contrast_mismatch", drawn=two_orientations),
 )
 
 LEVEL_CASES = (
     case("per_cent", "Contrast in per cent.", "contrast_mismatch", rows=times("contrast", 100.0)),
+    case("twice_as_strong", "Stated contrast × 2.", "contrast_mismatch", rows=times("contrast", 2.0)),
+    case("levels_shuffled", "Levels of another session.", "contrast_mismatch", rows=shuffled_levels),
     case("negative_levels", "Contrasts below zero.", refused="contrast", shown=darker, rows=times("contrast", -1)),
+    case("one_level", "One level in each row.", "contrast_mismatch", refused="too_few_levels", rows=one_level),
+    case("repeated_frames", "One frame listed for each repeat.", refused="already", rows=repeated_frames),
 )
 
 SIZED = "size_mismatch size_unit"
@@ -424,7 +533,9 @@ SIZE_CASES = (
     case("edges_for_sizes", "Edges, not the root of the area.", SIZED, rows=times("size_mrad", EDGE)),
     case("microradians", "Sizes in µrad.", SIZED, "smaller than the triangle", rows=times("size_mrad", 1000.0)),
     case("pitch_doubled", "Pixel pitch × 2.", SIZED, display={"pixel_pitch_mrad": 2 * PITCH_MRAD}),
+    case("pitch_halved", "Pixel pitch / 2.", SIZED, display={"pixel_pitch_mrad": PITCH_MRAD / 2}),
     case("scaled", "Frames scaled to three quarters.", SIZED, stored=scaled(0.75)),
+    case("mixed_sizes", "Every other triangle is half as large.", SIZED + " mixed_sizes", shown=two_sizes),
     case(
         "mixed_resolutions",
         "Every other frame has twice the pixels.",
