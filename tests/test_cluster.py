@@ -423,7 +423,7 @@ def test_a_worker_without_the_package_or_of_another_version_is_one_line(tmp_path
 @dask
 def test_a_scheduler_without_workers_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with scheduler_process() as (address, _):
-        monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
+        monkeypatch.setattr(cluster, "CONNECT_S", 4.0)
         message = f"^{address}: the scheduler has no workers"
         with pytest.raises(ClusterError, match=message), open_engine(address, 1):
             pass

@@ -1,0 +1,133 @@
+"""How often the interval of the internal noise covers the true one, over simulated people; seconds to minutes.
+
+python tests/campaigns/coverage.py 1000 --free lapse     # also: --method quest, --lapses 0.02, --trials 120
+
+The frames of one session are shown once, and each person answers some of them with the probabilities of the model.
+docs/validation.md has the figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from people import a_monitor, sit
+
+from todframes.experiment.answers import Session, read_answers
+from todframes.experiment.order import TrialOrder
+from todframes.experiment.person import AnsweredTrials, answered_trials, cells_of, noise_grid, noise_observers
+from todframes.frames.dataset import Dataset, load_dataset
+from todframes.observers.pyramid import PyramidObserver
+from todframes.parameters import Method
+from todframes.psychometrics.noise_fit import AnswerTable, NoiseFit, fit_noise, with_lapses
+from todframes.stimulus import ORIENTATIONS, Orientation
+
+FRAMES = Path(__file__).parents[2] / "sample_frames" / "naked_eye"
+
+
+class Found(NamedTuple):
+    """Coverage and bias over some people; `bias` is the mean of ln σ̂/σ of those with an estimate."""
+
+    n: int
+    covered: float
+    below: int
+    above: int
+    bias: float
+    bias_error: float
+    spread: float
+    statuses: dict[str, int]
+    small_p: float
+
+
+def summary(fits: Sequence[NoiseFit], noise: float) -> Found:
+    """Compare intervals and estimates with the true noise."""
+    ends = [(one.noise_ci95.low or 0.0, one.noise_ci95.high or math.inf) for one in fits]
+    below, above = sum(noise < low for low, _ in ends), sum(noise > high for _, high in ends)
+    ratios = np.log([one.noise / noise for one in fits if one.noise is not None])
+    p_values = [one.deviance_p_value for one in fits if one.deviance_p_value is not None]
+    return Found(
+        n=len(fits),
+        covered=1.0 - (below + above) / len(fits),
+        below=below,
+        above=above,
+        bias=float(ratios.mean()),
+        bias_error=float(ratios.std() / math.sqrt(len(ratios))),
+        spread=float(ratios.std()),
+        statuses=dict(Counter(one.status for one in fits)),
+        small_p=float(np.mean(np.array(p_values) <= 0.05)) if p_values else math.nan,
+    )
+
+
+def tabulated(dataset: Dataset, session: Session) -> tuple[AnsweredTrials, AnswerTable]:
+    """Show a session to the observer and compute its answers."""
+    observers, blurs = noise_observers(PyramidObserver(), dataset.trials[0].stimulus, blur_is_free=False)
+    answered = answered_trials(dataset, session, observers)
+    return answered, answered.table(noise_grid([answered]), blurs)
+
+
+def redrawn(
+    n: int, *, noise: float, lapses: float, free: bool, method: Method, trials: int, seed: int
+) -> Iterator[NoiseFit]:
+    """Yield the fit of each person who answers frames of one session, in an order of their own."""
+    dataset = load_dataset(FRAMES)
+    with TemporaryDirectory() as folder:
+        sit(dataset, Path(folder), lambda *_: Orientation.UP, a_monitor(dataset.display.pitch_mrad))
+        (session,) = read_answers(folder)
+    answered, table = tabulated(dataset, session)
+    # A lapse is a guess with probability λ, and δ = λ (1 − γ).
+    p_correct = with_lapses(table.at(np.log([noise]))[:, 0, 0], 0.75 * lapses)
+    cells = cells_of([answered])
+    shown = {row.frame: (place, row) for place, row in enumerate(session.main_rows())}
+    frames = [trial.frames[0].path for trial in dataset.trials]
+    for number in range(n):
+        rng = np.random.default_rng([seed, number])
+        record = replace(session.record, method=method, trials=trials, seed=number)
+        order, rows, places = TrialOrder(dataset.trials, record), [], []
+        while (following := order.next(rows)) is not None:
+            place, row = shown[frames[following.row]]
+            wrong = next(one for one in ORIENTATIONS if one is not row.orientation)
+            response = row.orientation if rng.random() < p_correct[place] else wrong
+            rows.append(replace(row, number=len(rows) + 1, response=response))
+            places.append(place)
+        yield fit_noise(
+            table.select(np.array(places)),
+            np.array([row.is_correct for row in rows]),
+            np.unique(cells[places], return_inverse=True)[1],
+            lapse_rates=(0.0, 0.05 if free else 0.0),
+            resamples=0 if free else 200,
+            rng=rng,
+        )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print coverage and bias; exit status 1 where they are beyond 93 to 98 %, and 2 %."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("n", type=int, help="number of people")
+    parser.add_argument("--method", choices=["constant", "quest"], default="constant")
+    parser.add_argument("--noise", type=float, default=0.35)
+    parser.add_argument("--lapses", type=float, default=0.0, help="probability of a guess")
+    parser.add_argument("--free", choices=["lapse"])
+    parser.add_argument("--trials", type=int, default=240)
+    parser.add_argument("--seed", type=int, default=1)
+    asked = vars(parser.parse_args(arguments))
+    n, noise = asked.pop("n"), asked["noise"]
+    asked["free"] = asked["free"] is not None
+    fits = list(redrawn(n, **asked))
+    found = summary(fits, noise)
+    print(found)
+    return int(not (0.93 <= found.covered <= 0.98 and abs(found.bias) <= 0.02))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
