@@ -17,7 +17,7 @@ from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_obse
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid, triangle_on
-from todframes.scoring.naked_eye import contrast_threshold, proportion_correct
+from todframes.scoring.naked_eye import acuity, contrast_threshold, proportion_correct
 from todframes.stimulus import Orientation, Stimulus
 
 
@@ -36,7 +36,6 @@ PYRAMID_VARIANTS = [
     {"template_blur_samples": 0.0},
     {"levels": 5, "internal_noise_sd": 0.3},
 ]
-EXTERNAL_NOISE = {"external_noise_deg": 0.003, "external_noise_exponent": 1.0}
 VARIANTS = [
     *(("pyramid", variant) for variant in PYRAMID_VARIANTS),
     *(("informative", variant) for variant in PYRAMID_VARIANTS[:4]),
@@ -47,7 +46,15 @@ VARIANTS = [
     ("oriented", {"phases": "even", "elongation": 2.0, "bandwidth_octaves": 1.5, "include_residual": True}),
     ("csf", {}),
     ("csf", {"retina_pitch_mrad": 0.17, "centre": "bounding_box", "aperture_sd_deg": 0.6, "efficiency": 3.0}),
-    ("csf", {"retina_pitch_mrad": 0.2, "template": "ideal"} | EXTERNAL_NOISE),
+    (
+        "csf",
+        {
+            "retina_pitch_mrad": 0.2,
+            "template": "ideal",
+            "external_noise_deg": 0.003,
+            "external_noise_exponent": 1.0,
+        },
+    ),
 ]
 EYE = {"eye_mtf": "watson2013", "band_noise": (13.0, 1.0, 0.3, 0.2, 0.1), "pupil_mm": 5.0}
 VARIANTS += [(name, EYE) for name in ("pyramid", "informative", "oriented")]
@@ -177,6 +184,7 @@ def test_a_fault_has_a_sentence(observer: Any, sentence: str) -> None:
 
 
 def test_what_an_observer_need_not_do() -> None:
+    """A grid and answers are enough; the other abilities are missing, and say so."""
     observer, stimulus = Bare(), Stimulus(1.0)
     assert tod.check_observer(observer) == []
     assert (observer.centre, observer.position_jitter_samples) == ("centroid", 0.0)
@@ -224,6 +232,7 @@ def flat_templates(observer: PyramidObserver, stimulus: Stimulus) -> np.ndarray:
 @pytest.mark.parametrize("variant", [*PYRAMID_VARIANTS, {"include_residual": True, "levels": 7}], ids=str)
 @pytest.mark.parametrize("size_mrad", [0.3, 1.0, 3.3, 9.0])
 def test_readout_about_the_triangle_is_that_of_whole_bands(variant: dict, size_mrad: float) -> None:
+    """The literal templates, through the adjoint of the whole pyramid."""
     if (variant, size_mrad) == (PYRAMID_VARIANTS[-1], 9.0):
         pytest.skip("does not fit")
     observer, stimulus = PyramidObserver(**variant), Stimulus(size_mrad)
@@ -270,6 +279,12 @@ def test_a_turned_image_has_the_turned_activity(name: str, variant: dict) -> Non
 
 
 # The pyramid observer itself.
+
+
+def test_a_constant_added_changes_nothing(observer: PyramidObserver) -> None:
+    readout = observer.readout(Stimulus(1.0))
+    image = np.random.default_rng(2).normal(size=(readout.grid.side,) * 2)
+    assert np.allclose(readout.scores(image + 5.0), readout.scores(image), rtol=0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("size_samples", [0.01, 0.3, 0.5698])
@@ -347,6 +362,29 @@ def test_literal_noise_is_on_every_neuron(observer: PyramidObserver) -> None:
 # Published figures.
 
 
+def test_naked_eye_at_one_mrad() -> None:
+    """0.1462 at internal noise 0.5 by brute force in independent code; asked for within 0.5 %."""
+    found = contrast_threshold(PyramidObserver(), size_mrad=1.0)
+    assert found.status == "ok"
+    assert found.threshold == pytest.approx(0.1462, rel=0.005)
+    assert found.numerical_error < 0.001 * found.threshold
+
+
+@pytest.mark.slow
+def test_acuity_inverts_the_contrast_threshold() -> None:
+    observer = PyramidObserver()
+    contrast = contrast_threshold(observer, size_mrad=0.7).threshold
+    assert acuity(observer, contrast=contrast).threshold == pytest.approx(0.7, rel=1e-3)
+
+
+def test_threshold_follows_noise() -> None:
+    """Signal and internal noise scaled together change nothing."""
+    at = {"size_mrad": 1.5, "nodes": 4}
+    quiet = proportion_correct(PyramidObserver(internal_noise=0.25), contrast=0.05, **at)
+    assert quiet == pytest.approx(proportion_correct(PyramidObserver(), contrast=0.1, **at), rel=1e-9)
+    assert 0.5 < quiet < 0.99
+
+
 @pytest.mark.slow
 def test_criterion_is_met_at_the_threshold() -> None:
     found = contrast_threshold(PyramidObserver(), size_mrad=1.0, p_correct=0.9)
@@ -380,13 +418,22 @@ def test_criterion_is_met_at_the_threshold() -> None:
         ("oriented", {"complex_cells": True, "phases": "odd"}, "phases: found 'odd' with complex_cells, expected"),
         ("csf", {"retina_pitch_mrad": 0.4}, r"found 0\.4, whose Nyquist frequency is 21\.8 cycles/deg"),
         ("csf", {"aperture_sd_deg": 0.0}, "aperture_sd_deg: found 0"),
-        ("piramid", {}, "unknown key 'piramid'; the nearest valid one is 'pyramid'"),
         ("csf", {"efficency": 2.0}, "unknown key 'efficency'; the nearest valid one is 'efficiency'"),
     ],
 )
 def test_bad_settings(name: str, changes: dict, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         find_observer(name)(**changes)
+
+
+def test_too_large_a_triangle_says_so() -> None:
+    with pytest.raises(SettingsError, match=r"^size_mrad: found 1000 mrad at the eye, expected at most 348\.2"):
+        PyramidObserver().grid(Stimulus(1000.0))
+
+
+def test_unknown_observer_names_the_nearest() -> None:
+    with pytest.raises(SettingsError, match="unknown key 'piramid'; the nearest valid one is 'pyramid'"):
+        find_observer("piramid")
 
 
 @pytest.mark.parametrize("size", [0.0, -1.0, np.nan])
