@@ -463,7 +463,8 @@ def made_again(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SAMPLES)
+# Frames of `staring_camera` state the version that made them; `test_samples.py` compares their pixels.
+@pytest.mark.parametrize("name", sorted({*SAMPLES} - {"staring_camera"}))
 def test_samples_can_be_made_again(made_again: Path, name: str) -> None:
     ours, theirs = ROOT / "sample_frames" / name, made_again / name
     files = sorted(path.relative_to(ours) for path in ours.rglob("*") if path.is_file())
