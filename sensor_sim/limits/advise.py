@@ -40,7 +40,7 @@ NOT_FOR_SALE = ("optics.wavelength_um",)
 
 
 class Gain(Struct, frozen=True, kw_only=True):
-    """What a tenth more of one number of the sensor changes.
+    """The change of the threshold that a tenth more of one number of the sensor makes.
 
     Attributes
     ----------

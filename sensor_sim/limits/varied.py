@@ -24,7 +24,7 @@ LARGEST_DETECTORS, OWN_DETECTORS, SMALLEST_DETECTORS = 32.0, 4.0, 0.5
 
 
 class Varied(NamedTuple):
-    """What is varied: its name and unit, the sensor's value, its range, the sensor with another value."""
+    """The number that is varied: name and unit, the sensor's value, its range, the sensor with another value."""
 
     name: str
     unit: str

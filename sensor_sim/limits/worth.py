@@ -1,4 +1,4 @@
-"""What an enhancement is worth: the light, aperture or noise that gives a sensor the same thresholds."""
+"""The worth of an enhancement: the light, aperture or noise that gives a sensor the same thresholds."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ NAMES = {"light": "the light", "noise.netd_mk": "the NETD", "noise.frames_integr
 
 
 class Worth(Struct, frozen=True, kw_only=True):
-    """What an algorithm is worth at one size.
+    """The worth of an algorithm at one size.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Worth(Struct, frozen=True, kw_only=True):
 
 
 class SensorWorth(Content, frozen=True, kw_only=True):
-    """What the algorithms of a comparison are worth in one number of a sensor.
+    """The worth of the algorithms of a comparison in one number of a sensor.
 
     Attributes
     ----------

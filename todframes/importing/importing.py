@@ -62,7 +62,7 @@ DEFAULT_LEVEL = "contrast"
 REPORT_FILE = "import.json"
 
 Source = ChartSource | ScheduleSource
-"""What finds the clips in recordings: by a chart's markers, or by a schedule."""
+"""Search for the clips in recordings: by a chart's markers, or by a schedule."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
