@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import DataError, FrameError
@@ -527,6 +526,8 @@ class Template(NamedTuple):
         `window`, (n, n), is a contrast, `contrast` that of the triangle, None if it is not known, and `noise` the
         standard deviation of a block.
         """
+        from scipy.ndimage import maximum_filter
+
         n = len(window)
         spectrum = np.fft.rfft2(window, (self.length, self.length))
         heights = np.fft.irfft2(spectrum * self.spectra, (self.length, self.length))[:, :n, :n]
