@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import tempfile
-from itertools import product
 from pathlib import Path
 
-import numpy as np
+from bench_scoring import DISTINCT, make_dataset
 from timing import Cost, Row, process
 
-from todframes.frames.files import frame_sha256, write_frame
-from todframes.stimulus import ORIENTATIONS, coverage
+from todframes.frames.files import frame_sha256
 
 SCORED = (10**4, 10**5, 10**6)
-SIDE, PITCH_MRAD = 40, 0.5
-SIZES_MRAD, CONTRASTS = (2.0, 2.5, 3.0), (0.02, 0.05, 0.1, 0.2, 0.4)
+SIDE, SIZE_MRAD = 40, 3.0
 FRAMES_A_FOLDER = 1000
 LOAD = "import sys; from todframes.frames.dataset import load_dataset; load_dataset(sys.argv[1])"
 
@@ -50,28 +47,18 @@ def _rows(what: str, costs: list[Cost], asked: str) -> list[Row]:
 
 def _dataset(path: Path, n_trials: int) -> Path:
     """Write a dataset of links to a few files, with checksums."""
-    kinds = []
-    middle = (SIDE - 1) / 2
-    for size_mrad, contrast, orientation in product(SIZES_MRAD, CONTRASTS, ORIENTATIONS):
-        shape = coverage(
-            (SIDE, SIDE), size_px=size_mrad / PITCH_MRAD, x_px=middle, y_px=middle, orientation=orientation
-        )
-        frame = path / f"kinds/{len(kinds)}.png"
-        frame.parent.mkdir(parents=True, exist_ok=True)
-        write_frame(frame, (0.5 + 0.5 * contrast * shape).astype(np.float32), pixel_type="uint16")
-        kinds.append((frame, f"{orientation.value},{size_mrad},{contrast},{frame_sha256(frame)}"))
-    (path / "dataset.toml").write_text(
-        "schema = 1\n[display]\neotf = 'linear'\nwhite_luminance_cd_m2 = 100.0\n"
-        f"pixel_pitch_mrad = {PITCH_MRAD}\nbackground_luminance_cd_m2 = 50.0\n"
-        "[experiment]\nlevel = 'contrast'\ngroup_by = ['size_mrad']\n"
-    )
+    kinds = Path(path, "kinds")
+    make_dataset(kinds, DISTINCT, "png", side=SIDE, size_mrad=SIZE_MRAD)
+    header, *rows = (kinds / "manifest.csv").read_text(encoding="utf-8").splitlines()
+    (kinds / "dataset.toml").rename(path / "dataset.toml")
+    checksums = [frame_sha256(kinds / row.partition(",")[0]) for row in rows]
     with (path / "manifest.csv").open("w") as manifest:
-        manifest.write("frame,orientation,size_mrad,contrast,sha256\n")
+        manifest.write(f"{header},sha256\n")
         for number in range(n_trials):
-            frame, row = kinds[number % len(kinds)]
+            frame, _, row = rows[number % DISTINCT].partition(",")
             name = f"frames/{number // FRAMES_A_FOLDER:04d}/trial_{number:07d}.png"
             if not number % FRAMES_A_FOLDER:
                 (path / name).parent.mkdir(parents=True)
-            (path / name).hardlink_to(frame)
-            manifest.write(f"{name},{row}\n")
+            (path / name).hardlink_to(kinds / frame)
+            manifest.write(f"{name},{row},{checksums[number % DISTINCT]}\n")
     return path

@@ -56,7 +56,9 @@ def measuring_share(folder: Path) -> float:
     return (time.process_time() - scored) / (scored - started)
 
 
-def make_dataset(folder: Path, n_frames: int, suffix: str) -> None:
+def make_dataset(
+    folder: Path, n_frames: int, suffix: str, *, side: int = SIDE, size_mrad: float = SIZE_MRAD
+) -> None:
     """Noisy frames with a triangle near the middle; a few distinct ones, copied."""
     (folder / "frames").mkdir(parents=True)
     white = 100.0 if suffix == "png" else 1.0
@@ -72,13 +74,13 @@ def make_dataset(folder: Path, n_frames: int, suffix: str) -> None:
         name = f"frames/{number:05}.{suffix}"
         if number < DISTINCT:
             orientation, contrast = ORIENTATIONS[number % 4], 0.02 + 0.01 * (number // 4 % 5)
-            x, y = (SIDE - 1) / 2 + rng.uniform(-0.5, 0.5, 2)
+            x, y = (side - 1) / 2 + rng.uniform(-0.5, 0.5, 2)
             triangle = coverage(
-                (SIDE, SIDE), size_px=SIZE_MRAD / PITCH_MRAD, x_px=x, y_px=y, orientation=orientation
+                (side, side), size_px=size_mrad / PITCH_MRAD, x_px=x, y_px=y, orientation=orientation
             )
             noise = 0.02 * rng.normal(size=triangle.shape)
             write_frame(folder / name, 50.0 / white * (1.0 + contrast * triangle + noise))
-            rows.append([orientation.value, SIZE_MRAD, contrast, x, y])
+            rows.append([orientation.value, size_mrad, contrast, x, y])
         else:
             shutil.copyfile(folder / f"frames/{number % DISTINCT:05}.{suffix}", folder / name)
     with (folder / "manifest.csv").open("w", encoding="utf-8", newline="") as file:
