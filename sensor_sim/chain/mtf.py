@@ -10,7 +10,7 @@ import numpy as np
 
 from sensor_sim.chain.sensor import Sensor, sensor_of
 from sensor_sim.chain.transfer import stages
-from todframes.camera.mtf_table import MtfLine, draw_mtf
+from todframes.camera.mtf_table import MtfLine, Resolution, draw_mtf
 from todframes.parameters import SensorFile
 from todframes.results.data import Content
 from todframes.results.figure import ReportFigure
@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-POINTS, TABLE_STEP = 201, 20
-"""Number of frequencies, up to the one at which optics or display pass nothing, and step of those in the table."""
+POINTS, TABLE_STEP, FINE_POINTS = 201, 20, 2001
+"""Number of frequencies, up to the one at which optics or display pass nothing, step of those in the table, and
+number of those between which MTF10 is found."""
 
 SHOWN_NYQUISTS = 3.0
 """Highest frequency in the figure, in units of the Nyquist frequency."""
@@ -62,6 +63,14 @@ class SensorMtf(Content, frozen=True, kw_only=True):
         Frequencies in cycles/mrad, up to the one at which optics or display pass nothing.
     mtf : dict of list of float
         Transfer of each stage at these frequencies, and of all stages before and after sampling.
+    mtf10_cyc_per_mrad : float or None
+        Frequency at which the MTF before sampling falls to 0.1.
+    resolution_limit_cyc_per_mrad : float or None
+        The smaller one of MTF10 and the Nyquist frequency.
+    effective_pitch_mrad : float or None
+        Pitch of detectors whose Nyquist frequency is this limit.
+    aliased_from_cyc_per_mrad : float or None
+        1 / pitch − MTF10: patterns beyond the Nyquist frequency appear from here on. None if MTF10 is not beyond.
     """
 
     sensor: str
@@ -69,6 +78,10 @@ class SensorMtf(Content, frozen=True, kw_only=True):
     nyquist_cyc_per_mrad: float
     frequency_cyc_per_mrad: list[float]
     mtf: dict[str, list[float]]
+    mtf10_cyc_per_mrad: float | None = None
+    resolution_limit_cyc_per_mrad: float | None = None
+    effective_pitch_mrad: float | None = None
+    aliased_from_cyc_per_mrad: float | None = None
 
     json_file: ClassVar[str] = "mtf.json"  # so that it goes beside a curve
     page_file: ClassVar[str] = "mtf.html"
@@ -110,10 +123,14 @@ class SensorMtf(Content, frozen=True, kw_only=True):
             float(np.interp(nyquist, self.frequency_cyc_per_mrad, self.mtf[name]))
             for name in ("pre_sample", "post_sample")
         )
-        return [
+        sentences = [
             f"At the Nyquist frequency, {plain(nyquist)} cycles/mrad, the MTF is {plain(before)} before sampling "
             f"and {plain(behind)} behind it; the optics pass nothing above {plain(cut_off)} cycles/mrad."
         ]
+        found = Resolution(
+            self.mtf10_cyc_per_mrad, self.resolution_limit_cyc_per_mrad, self.aliased_from_cyc_per_mrad
+        )
+        return sentences + found.sentences("cycles/mrad", nyquist)
 
     def figures(self) -> list[ReportFigure]:
         """List the transfer of all stages up to three times the Nyquist frequency."""
@@ -175,6 +192,8 @@ def mtf(sensor: Sensor | SensorFile) -> Result[SensorMtf]:
     sensor = sensor_of(sensor)
     cut_off, nyquist = sensor.optics.cut_off_cyc_per_mrad, sensor.detector.nyquist_cyc_per_mrad
     frequency = np.linspace(0.0, min(1.05 * cut_off, 10.0 * nyquist), POINTS)
+    fine = np.linspace(0.0, frequency[-1], FINE_POINTS)
+    found = Resolution.of(fine, stages(fine, sensor=sensor)["pre_sample"], nyquist)
     return Result.made(
         "sensor-mtf",
         started,
@@ -183,4 +202,8 @@ def mtf(sensor: Sensor | SensorFile) -> Result[SensorMtf]:
         nyquist_cyc_per_mrad=nyquist,
         frequency_cyc_per_mrad=frequency.tolist(),
         mtf={name: values.tolist() for name, values in stages(frequency, sensor=sensor).items()},
+        mtf10_cyc_per_mrad=found.mtf10,
+        resolution_limit_cyc_per_mrad=found.limit,
+        effective_pitch_mrad=None if found.limit is None else 0.5 / found.limit,
+        aliased_from_cyc_per_mrad=found.aliased_from,
     )

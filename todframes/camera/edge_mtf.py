@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import DataError, SettingsError
-from todframes.camera.mtf_table import Estimate, mtf50_of
+from todframes.camera.mtf_table import Estimate, falls_to
 from todframes.psychometrics.bootstrap import NORMAL_95
 
 Box = tuple[int, int, int, int]
@@ -110,7 +110,7 @@ class MtfBand:
     @property
     def mtf50_cyc_per_pixel(self) -> Estimate | None:
         """Frequency at which the MTF falls to 0.5, and those at which its band does; None if it stays above."""
-        value, *ends = (mtf50_of(FREQUENCY_CYC_PER_PIXEL, one) for one in (self.mtf, self.lower, self.upper))
+        value, *ends = (falls_to(0.5, FREQUENCY_CYC_PER_PIXEL, one) for one in (self.mtf, self.lower, self.upper))
         return None if value is None else Estimate(value, (ends[0], ends[1]))
 
     @property

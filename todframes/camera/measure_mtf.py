@@ -27,9 +27,10 @@ from todframes.camera.mtf_table import (
     MapperEdge,
     MtfLine,
     MtfTable,
+    Resolution,
     draw_mtf,
+    falls_to,
     is_table,
-    mtf50_of,
     read_mtf_mapper,
     read_mtf_table,
 )
@@ -117,6 +118,14 @@ class MtfNumbers(Struct, frozen=True, kw_only=True):
         Further curves by name: means of "red", "green", "blue"; "tangential", "sagittal"; or "edge 1", "edge 2".
     mtf50, mtf50_ci95
         Frequency at which the MTF falls to 0.5; None if it stays above. An end is None where the band does.
+    mtf10, mtf10_ci95
+        Frequency at which the MTF falls to 0.1.
+    resolution_limit_cyc_per_pixel, resolution_limit_cyc_per_pixel_ci95
+        The smaller one of MTF10 and the Nyquist frequency.
+    effective_width_px : float or None
+        Width of the frame in pixels, times twice this limit; None for a table.
+    aliased_from_cyc_per_pixel : float or None
+        1 − MTF10: patterns beyond the Nyquist frequency appear from here on. None if MTF10 is not beyond.
     mtf_at_nyquist, mtf_at_nyquist_ci95
         MTF at 0.5 cycles/pixel; None if frequencies are not those of pixels or end before.
     n_frames : int or None
@@ -136,6 +145,12 @@ class MtfNumbers(Struct, frozen=True, kw_only=True):
     others: dict[str, Curve] = {}
     mtf50: float | None
     mtf50_ci95: Ends | None
+    mtf10: float | None = None
+    mtf10_ci95: Ends | None = None
+    resolution_limit_cyc_per_pixel: float | None = None
+    resolution_limit_cyc_per_pixel_ci95: Ends | None = None
+    effective_width_px: float | None = None
+    aliased_from_cyc_per_pixel: float | None = None
     nyquist_cyc_per_pixel: float | None
     mtf_at_nyquist: float | None
     mtf_at_nyquist_ci95: Ends | None
@@ -228,6 +243,11 @@ class Mtf(Content, frozen=True, kw_only=True):
             texts.append(
                 f"MTF {plain(found.mtf_at_nyquist, 3)}{within} at the Nyquist frequency, 0.5 cycles/pixel."
             )
+        resolution = Resolution(
+            found.mtf10, found.resolution_limit_cyc_per_pixel, found.aliased_from_cyc_per_pixel
+        )
+        within, effective_px = _within(found.mtf10_ci95), found.effective_width_px
+        texts += resolution.sentences(unit, NYQUIST_CYC_PER_PIXEL, within, effective_px)
         if found.n_frames is not None:
             n_edges = len({one.edge for one in found.edges})
             texts.append(f"Mean of {count(n_edges, 'edge')} in {count(found.n_frames, 'frame')}.")
@@ -446,6 +466,10 @@ def _result(
     band = None if table.lower is None or table.upper is None else (table.lower, table.upper)
     of_pixels = table.unit == "cyc_per_pixel"
     has_nyquist = of_pixels and frequency[-1] >= NYQUIST_CYC_PER_PIXEL
+    resolution, *ends = (
+        Resolution.of(frequency, curve, NYQUIST_CYC_PER_PIXEL if of_pixels else None)
+        for curve in (mtf, *(band or ()))
+    )
 
     def at_nyquist(curve: FloatArray) -> float | None:
         return float(np.interp(NYQUIST_CYC_PER_PIXEL, frequency, curve)) if has_nyquist else None
@@ -460,8 +484,16 @@ def _result(
         "others": {
             name.removeprefix("mtf_"): curve.tolist() for name, curve in table.curves.items() if name != RADIAL
         },
-        "mtf50": mtf50_of(frequency, mtf),
-        "mtf50_ci95": None if band is None else [mtf50_of(frequency, end) for end in band],
+        "mtf50": falls_to(0.5, frequency, mtf),
+        "mtf50_ci95": None if band is None else [falls_to(0.5, frequency, end) for end in band],
+        "mtf10": resolution.mtf10,
+        "mtf10_ci95": [end.mtf10 for end in ends] or None,
+        "resolution_limit_cyc_per_pixel": resolution.limit,
+        "resolution_limit_cyc_per_pixel_ci95": [end.limit for end in ends] or None,
+        "effective_width_px": None
+        if measured is None or resolution.limit is None
+        else 2.0 * resolution.limit * measured.image.shape[1],
+        "aliased_from_cyc_per_pixel": resolution.aliased_from,
         "nyquist_cyc_per_pixel": NYQUIST_CYC_PER_PIXEL if of_pixels else None,
         "mtf_at_nyquist": at_nyquist(mtf),
         "mtf_at_nyquist_ci95": [at_nyquist(end) for end in band] if band is not None and has_nyquist else None,
@@ -501,7 +533,7 @@ def _of_mapper(edges: Sequence[MapperEdge], source: str, started: float) -> Resu
             x_px=None if one.centre_px is None else one.centre_px[0],
             y_px=None if one.centre_px is None else one.centre_px[1],
             angle_deg=one.angle_deg,
-            mtf50_cyc_per_pixel=mtf50_of(table.frequency, curve),
+            mtf50_cyc_per_pixel=falls_to(0.5, table.frequency, curve),
             mtf_at_nyquist=float(np.interp(NYQUIST_CYC_PER_PIXEL, table.frequency, curve)),
         )
         for number, (one, curve) in enumerate(zip(edges, curves, strict=True), 1)

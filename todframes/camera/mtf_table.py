@@ -15,6 +15,7 @@ from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError
 from todframes.base.reading import MAX_CSV_MB, check_columns, number, read_table, read_text
 from todframes.results.figure_style import INK, label_text
+from todframes.results.wording import plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,6 +40,9 @@ READING_ERROR = 0.01
 
 LARGEST_END = 0.05
 """MTF at the last frequency above which a table stops early: what follows may be a visible part of an edge."""
+
+LIMITING_MTF = 0.1
+"""MTF at the limit of resolution, as in ISO 12233 and ISO 16505."""
 
 MAPPER_PER_CYC_PER_PIXEL = 64
 """Frequencies in 1 cycle/pixel of files of MTF Mapper, from 0. Manual page of mtf_mapper, options -f and -q."""
@@ -89,14 +93,58 @@ class MtfTable:
         return self.end_mtf / math.pi
 
 
-def mtf50_of(frequency: FloatArray, mtf: FloatArray) -> float | None:
-    """Return the first frequency at which an MTF falls to 0.5, between its values; None if it stays above."""
-    below = np.flatnonzero(mtf < 0.5)
+def falls_to(value: float, frequency: FloatArray, mtf: FloatArray) -> float | None:
+    """Return the first frequency at which an MTF falls to a value, between its own; None if it stays above."""
+    below = np.flatnonzero(mtf < value)
     if not len(below) or below[0] == 0:
         return None
     k = int(below[0])
-    share = (mtf[k - 1] - 0.5) / (mtf[k - 1] - mtf[k])
+    share = (mtf[k - 1] - value) / (mtf[k - 1] - mtf[k])
     return float(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
+
+
+class Resolution(NamedTuple):
+    """Limit of resolution of an MTF before sampling, in the unit of its frequencies; None where it is not known.
+
+    `mtf10` is the frequency at which the MTF falls to 0.1, `limit` the smaller one of it and Nyquist. A pattern
+    beyond Nyquist appears at the sampling frequency less its own: down to `aliased_from`, None if there is none.
+
+    Koren 2017, "Measuring MTF with wedges: pitfalls and best practices", for ISO 16505: the third of these limits,
+    the onset of aliasing, is where fewer bars of a wedge are counted. Patterns below Nyquist keep their frequency.
+    """
+
+    mtf10: float | None
+    limit: float | None
+    aliased_from: float | None
+
+    @classmethod
+    def of(cls, frequency: FloatArray, mtf: FloatArray, nyquist: float | None) -> Resolution:
+        """Return the resolution of an MTF; without a Nyquist frequency it has MTF10 alone."""
+        mtf10 = falls_to(LIMITING_MTF, frequency, mtf)
+        if nyquist is None or (mtf10 is None and frequency[-1] < nyquist):
+            return cls(mtf10, None, None)
+        is_beyond = mtf10 is not None and mtf10 > nyquist
+        limit = nyquist if mtf10 is None or is_beyond else mtf10
+        return cls(mtf10, limit, max(2.0 * nyquist - mtf10, 0.0) if mtf10 is not None and is_beyond else None)
+
+    def sentences(
+        self, unit: str, nyquist: float, within: str = "", effective_px: float | None = None
+    ) -> list[str]:
+        """Return MTF10 `within` its interval, the limit of resolution, and effective pixels, in words."""
+        texts = []
+        if self.mtf10 is not None:
+            aliased = "" if self.aliased_from is None else plain(self.aliased_from, 3)
+            aliased = aliased and f": patterns beyond Nyquist are aliased, down to {aliased}"
+            texts.append(f"MTF10 {plain(self.mtf10, 3)}{within} {unit}{aliased}.")
+        if self.limit is not None:
+            share, name = self.limit / nyquist, "MTF10" if self.limit == self.mtf10 else "Nyquist"
+            across = (
+                f", the {effective_px / share:.0f} across the frame {effective_px:.0f}" if effective_px else ""
+            )
+            texts.append(
+                f"{name} limits the resolution: 100 pixels are {plain(100.0 * share, 3)} effective{across}."
+            )
+        return texts
 
 
 class MapperEdge(NamedTuple):
