@@ -10,11 +10,7 @@ MTF as their Fourier transform, after correction for the width of bins and diffe
 - The transform is a linear function of the means. Their covariance is that of the wild bootstrap over blocks of
   rows (Cameron et al. 2008, Rev. Econ. Stat. 90): the mean over all signs of the blocks' residuals is a sum of
   products, so that nothing is drawn. Blocks are longer than the distance over which pixels share noise.
-- The modulus of a noisy transform is too large. It is replaced by the value whose mean it would be: Koay & Basser
-  2006, "Analytically exact correction scheme for signal extraction from noisy magnitude MR signals", J. Magn.
-  Reson. 179. The band is the exact interval of a modulus under Gaussian noise (noncentral χ²). Its upper end is no
-  lower than that of the modulus which noise alone exceeds in half of all cases: Cowan et al. 2011,
-  "Power-constrained limits", arXiv:1105.3166. Without this, a small modulus would have a band of no width.
+- The square of a noisy transform's modulus is too large by the variance at right angles to it, which is taken off.
 """
 
 from __future__ import annotations
@@ -44,21 +40,14 @@ NYQUIST = 32
 LEAST_SIDE_PX = 20
 """Least width and height of a box: the tail begins 6 pixels from the edge or farther, and needs pixels behind."""
 
-BIN_PX, GROWTH = 0.25, 1.0 / 6.0
-"""Width of the bins at the edge, and farther out relative to the distance."""
+BIN_PX = 0.25
+"""Width of the bins at the edge."""
 
-UNIFORM_PX, UNIFORM_RISES = 3.0, 1.2
-"""Distance up to which bins are uniform: at least, and in units of the profile's rise from 10 to 90 %."""
+TAIL_PX, FARTHEST_TAIL = 6.0, 0.6
+"""Least distance at which the tail begins, and the largest relative to the distance of the farthest pixels."""
 
-TAIL_PX, TAIL_RISES = 6.0, 2.5
-"""Distance at which the tail begins: at least, and in units of the rise. A Gaussian's is 0 from there on,
-and that of a diffraction-limited lens 1 / distance to 3 parts in 10,000 of the contrast."""
-
-FARTHEST_TAIL = 0.6
-"""Largest distance at which the tail begins, relative to the distance of the farthest pixels."""
-
-WIDEST_PX = 48.0
-"""Largest distance of pixels that are used: what is farther adds shading, and no precision."""
+QUARTILE = 0.6745
+"""Upper quartile of a Gaussian."""
 
 WIDEST_GAP_PX = 0.75
 """Largest distance between neighbouring pixels of the profile: 0.71 at 45° exactly, and 1 for an upright edge;
@@ -66,9 +55,6 @@ frequencies up to 0.5 cycles/pixel are then still sampled twice."""
 
 DEGREE = 3
 """Degree of the polynomial that the edge may follow: lenses bend it by a parabola, and more at one end."""
-
-N_FITS = 6
-"""Number of fits of the profile, each with the curve that the last one improved."""
 
 LEAST_STEP = 5.0
 """Least contrast of an edge in units of the noise of a pixel."""
@@ -78,22 +64,6 @@ BLOCK_ROWS = 8
 
 ROUGHEST_PX = 0.15
 """Largest standard deviation of the edge from its curve. It lowers the MTF at the Nyquist frequency by 10 %."""
-
-ROUGHNESS_ERRORS = 5.0
-"""Least square of a roughness in units of what noise gives, for independent parts of the edge."""
-
-QUARTILE, LEAST_SIGMA_PX = 0.6745, 0.4
-"""Upper quartile of a Gaussian, and the least width of the one that stands for the edge's slope."""
-
-DEAD_ERRORS, DEAD_CONTRAST, DEAD_NEIGHBOURS = 8.0, 0.05, 3.0
-"""Least residual of a pixel that is left out as dead: in units of the noise, of the contrast, and of the largest
-residual beside it."""
-
-MOST_SATURATED_EDGE = 0.01
-"""Largest share of the pixels of a box at an end of the scale."""
-
-LEAST_SHADING, SHADING_ERRORS = 0.01, 1.5
-"""Change of light across one side of the edge from which it is fitted: a part of the contrast, and errors more."""
 
 LARGEST_ERROR = 0.25
 """Largest half-width of the interval of MTF50, relative to it."""
@@ -191,7 +161,7 @@ def measure_edge(image: FloatArray, box: Box, *, saturated: NDArray[np.bool_] | 
     values = image[top : top + height, left : left + width].astype(np.float64)
     if saturated is not None:
         share = float(saturated[top : top + height, left : left + width].mean())
-        if share > MOST_SATURATED_EDGE:
+        if share > 0.01:
             raise DataError(
                 f"{where}{100 * share:.0f} % of the pixels are at an end of the scale: the edge is saturated and "
                 "its MTF is lost; change exposure or gain"
@@ -320,7 +290,7 @@ def _binned(distance: FloatArray, along: FloatArray, values: FloatArray, uniform
     """Return the means of values in bins of their distance; empty bins are left out."""
     ends = [0.0]
     while ends[-1] < np.abs(distance).max():
-        ends.append(ends[-1] + (BIN_PX if ends[-1] < uniform_px else max(BIN_PX, GROWTH * ends[-1])))
+        ends.append(ends[-1] + (BIN_PX if ends[-1] < uniform_px else max(BIN_PX, ends[-1] / 6.0)))
     half = np.array(ends[1:])
     _, bins, counts = np.unique(
         np.digitize(distance, np.concatenate([-half[::-1], [0.0], half])), return_inverse=True, return_counts=True
@@ -342,35 +312,12 @@ DARK, CONTRAST, TAIL, DARK_SIDE, BRIGHT_SIDE = range(5)
 
 def _levels(esf: _Esf, tail_px: float, terms: Sequence[int]) -> FloatArray:
     """Return how the terms of the profile follow from the means beyond a distance, (5, n_bins)."""
-    d = np.where(np.abs(esf.nodes) < tail_px, np.inf, esf.nodes)
-    far = np.isfinite(d)
-    functions = np.zeros((len(d), 5))
-    functions[far] = np.column_stack(
-        [np.ones(far.sum()), d[far] > 0, -1.0 / d[far], np.minimum(d[far], 0), np.maximum(d[far], 0)]
-    )
-    root = np.sqrt(esf.counts) * far
-    found = np.zeros((5, len(d)))
-    found[list(terms)] = np.linalg.pinv(functions[:, list(terms)] * root[:, np.newaxis]) * root
-    return found
-
-
-class _Profile(NamedTuple):
-    """An edge profile: values at distances, and how they and their terms follow from the means of the bins."""
-
-    distances: FloatArray
-    values: FloatArray
-    levels: FloatArray
-
-
-def _profile(esf: _Esf, levels: FloatArray, tail_px: float) -> _Profile:
-    """Return the profile between the tails, without the changes of light across its sides."""
-    inner = np.abs(esf.nodes) < tail_px
-    d = esf.nodes[inner]
-    found = np.eye(len(esf.nodes))[inner]
-    rise = _rise(esf, levels)[inner, np.newaxis]
-    found -= d[:, np.newaxis] * ((1.0 - rise) * levels[DARK_SIDE] + rise * levels[BRIGHT_SIDE])
-    first, last = levels[DARK] + levels[TAIL] / tail_px, levels[DARK] + levels[CONTRAST] - levels[TAIL] / tail_px
-    return _Profile(np.concatenate([[-tail_px], d, [tail_px]]), np.vstack([first, found, last]), levels)
+    far = np.abs(esf.nodes) >= tail_px
+    d, root = esf.nodes[far], np.sqrt(esf.counts[far])
+    functions = np.array([np.ones_like(d), d > 0.0, -1.0 / d, np.minimum(d, 0.0), np.maximum(d, 0.0)])[[*terms]]
+    levels = np.zeros((5, len(far)))
+    levels[np.ix_(np.array(terms), far)] = np.linalg.pinv((functions * root).T) * root
+    return levels
 
 
 def _rise(esf: _Esf, levels: FloatArray) -> FloatArray:
@@ -386,7 +333,8 @@ def _fitted(values: FloatArray, curve: _Curve, box: Box, where: str) -> EdgeMtf:
     # The farthest pixels, as many as the edge has along it, lie in corners of the box.
     n_left_out = min(int(np.ptp(s)), len(s) // 4)
     ordered = np.sort(distance)
-    widest_px = min(WIDEST_PX, float(ordered[-1 - n_left_out]), float(-ordered[n_left_out]))
+    # Beyond 48 pixels there is more shading, and no more precision.
+    widest_px = min(48.0, float(ordered[-1 - n_left_out]), float(-ordered[n_left_out]))
     farthest_px = FARTHEST_TAIL * widest_px
     if farthest_px < TAIL_PX:
         raise DataError(
@@ -397,7 +345,7 @@ def _fitted(values: FloatArray, curve: _Curve, box: Box, where: str) -> EdgeMtf:
     tail_px = uniform_px = min(farthest_px, 1.5 * TAIL_PX)
     light, is_alive = np.zeros(values.size), np.ones(values.size, bool)
     terms: tuple[int, ...] = DARK, CONTRAST, TAIL
-    for n_done in range(N_FITS):
+    for n_left in range(5, -1, -1):
         distance, s = curve.distance(x, y)
         used = (np.abs(distance) <= widest_px) & is_alive
         esf = _binned(distance[used], s[used], (values.ravel() - light)[used], uniform_px, where)
@@ -411,32 +359,29 @@ def _fitted(values: FloatArray, curve: _Curve, box: Box, where: str) -> EdgeMtf:
                 "straight and alone in the box?"
             )
         rise = _rise(esf, levels)
-        if n_done == N_FITS - 1:
+        if not n_left:
             break
-        curve, change = _improved(curve, esf, rise)
-        light[used] += change
-        if n_done > 0:
+        # A Gauss-Newton step of the curve, and of light that changes along either side of the edge.
+        length, powers = float(np.abs(esf.along).max()), np.arange(1, DEGREE + 1)
+        s, bright = esf.along / length, rise[esf.bins]
+        sides = np.column_stack([s * bright, s * (1.0 - bright)])
+        columns = -esf.slopes[esf.bins, np.newaxis] * s[:, np.newaxis] ** powers
+        step = np.linalg.lstsq(np.column_stack([columns, sides]), esf.residual, rcond=None)[0]
+        curve = curve.moved(np.concatenate([[0.0], step[:DEGREE] / length**powers]))
+        light[used] += sides @ step[DEGREE:]
+        if n_left < 5:
             high = esf.nodes[int(np.argmax(rise > 0.9))]
             low = esf.nodes[len(rise) - 1 - int(np.argmax(rise[::-1] < 0.1))]
             rise_px = float(high - low)
-            tail_px = min(max(TAIL_PX, TAIL_RISES * rise_px), farthest_px)
-            uniform_px = min(max(UNIFORM_PX, UNIFORM_RISES * rise_px), tail_px)
-        if n_done == 1:
+            # From the tail on a Gaussian is 0, and a diffraction-limited lens's profile 1 / distance to 3e-4.
+            tail_px = min(max(TAIL_PX, 2.5 * rise_px), farthest_px)
+            uniform_px = min(max(3.0, 1.2 * rise_px), tail_px)
+        if n_left == 4:
             is_alive = ~_dead(esf, used.reshape(values.shape), contrast)
-        if n_done == 3 and _is_shaded(esf, tail_px, widest_px):
+        if n_left == 2 and _is_shaded(esf, tail_px, widest_px):
             terms = DARK, CONTRAST, DARK_SIDE, BRIGHT_SIDE
     _check_smooth(esf, rise, contrast, widest_px, where)
-    return _edge_mtf(esf, _profile(esf, levels, tail_px), uniform_px, curve, box)
-
-
-def _improved(curve: _Curve, esf: _Esf, rise: FloatArray) -> tuple[_Curve, FloatArray]:
-    """Return the curve after a Gauss-Newton step, and the change of light along both sides of the edge."""
-    length, powers = float(np.abs(esf.along).max()), np.arange(1, DEGREE + 1)
-    s, bright = esf.along / length, rise[esf.bins]
-    sides = np.column_stack([s * bright, s * (1.0 - bright)])
-    columns = np.column_stack([-esf.slopes[esf.bins, np.newaxis] * s[:, np.newaxis] ** powers, sides])
-    found = np.linalg.lstsq(columns, esf.residual, rcond=None)[0]
-    return curve.moved(np.concatenate([[0.0], found[:DEGREE] / length**powers])), sides @ found[DEGREE:]
+    return _edge_mtf(esf, levels, tail_px, uniform_px, curve, box)
 
 
 def _check_gaps(esf: _Esf, uniform_px: float, curve: _Curve, where: str) -> None:
@@ -460,12 +405,11 @@ def _dead(esf: _Esf, used: NDArray[np.bool_], contrast: float) -> NDArray[np.boo
     residual[used] = np.abs(esf.residual)
     noise_sd = float(np.median(np.abs(esf.residual))) / QUARTILE
     others = maximum_filter(residual, footprint=[[1, 1, 1], [1, 0, 1], [1, 1, 1]], mode="constant")
-    least = max(DEAD_ERRORS * noise_sd, DEAD_CONTRAST * contrast)
-    return np.asarray((residual > least) & (residual > DEAD_NEIGHBOURS * others)).ravel()
+    return np.asarray((residual > max(8.0 * noise_sd, 0.05 * contrast)) & (residual > 3.0 * others)).ravel()
 
 
 def _is_shaded(esf: _Esf, tail_px: float, widest_px: float) -> bool:
-    """Return whether light changes across one side of the edge, beyond what the tail explains.
+    """Return whether light changes across one side of the edge by 1 % and 1.5 errors more than the tail explains.
 
     One edge cannot hold a tail and a change of light apart, so that a fit of both loses the levels.
     """
@@ -473,7 +417,7 @@ def _is_shaded(esf: _Esf, tail_px: float, widest_px: float) -> bool:
     for term in (DARK_SIDE, BRIGHT_SIDE):
         levels = _levels(esf, tail_px, (DARK, CONTRAST, TAIL, term))
         size, error = abs(float(levels[term] @ esf.means)), math.sqrt(levels[term] @ covariance @ levels[term])
-        if (size - SHADING_ERRORS * error) * widest_px > LEAST_SHADING * (levels[CONTRAST] @ esf.means):
+        if (size - 1.5 * error) * widest_px > 0.01 * (levels[CONTRAST] @ esf.means):
             return True
     return False
 
@@ -484,7 +428,7 @@ def _check_smooth(esf: _Esf, rise: FloatArray, contrast: float, widest_px: float
     The same filter beside the edge shows what noise does, also noise that neighbouring pixels share.
     """
     quarters = np.interp([0.25, 0.75], np.maximum.accumulate(rise), esf.nodes)
-    sigma_px = max(float(np.ptp(quarters)) / (2 * QUARTILE), LEAST_SIGMA_PX)
+    sigma_px = max(float(np.ptp(quarters)) / (2 * QUARTILE), 0.4)
     height = contrast / (sigma_px * math.sqrt(math.tau))
     row = np.floor(esf.along - esf.along.min()).astype(np.intp)
 
@@ -518,14 +462,16 @@ def _check_smooth(esf: _Esf, rise: FloatArray, contrast: float, widest_px: float
     ]
     n_rows = len(found) / (1.0 + 2.0 * float(np.sum(np.square(shared)))) if noise > 0.0 else math.inf
     excess = float(found @ found) / len(found) - noise
-    if excess > max(ROUGHEST_PX**2, ROUGHNESS_ERRORS * math.sqrt(2.0 / n_rows) * noise):
+    if excess > max(ROUGHEST_PX**2, 5.0 * math.sqrt(2.0 / n_rows) * noise):
         raise DataError(
             f"{where}found an edge that departs from a smooth curve by {math.sqrt(excess):.2f} pixels, expected "
             f"at most {ROUGHEST_PX}; is it straight and smooth, and alone in the box?"
         )
 
 
-def _transform(profile: _Profile, uniform_px: float, blur_px: float) -> ComplexArray:
+def _transform(
+    distance_px: FloatArray, values: FloatArray, tail: FloatArray, uniform_px: float, blur_px: float
+) -> ComplexArray:
     """Return how the Fourier transform of the profile's slope follows from the means, (n_frequencies, n_bins).
 
     Differences of samples a width w apart have sinc(f w) times the transform of the slope. Farther out the profile
@@ -534,26 +480,34 @@ def _transform(profile: _Profile, uniform_px: float, blur_px: float) -> ComplexA
     from scipy.special import sici
 
     frequency = FREQUENCY_CYC_PER_PIXEL
-    width, middle = np.diff(profile.distances), (profile.distances[1:] + profile.distances[:-1]) / 2.0
+    width, middle = np.diff(distance_px), (distance_px[1:] + distance_px[:-1]) / 2.0
     of_width = np.sinc(np.outer(frequency, width))
     is_uniform = (np.abs(middle) < uniform_px) & (width < 1.0)
     waves = np.exp(-2j * np.pi * np.outer(frequency, middle)) * np.where(
         is_uniform, 1.0 / np.maximum(of_width, 0.1), of_width
     )
-    end_px, omega = profile.distances[-1], 2 * np.pi * frequency
+    end_px, omega = distance_px[-1], 2 * np.pi * frequency
     of_tail = 2 * (np.cos(omega * end_px) / end_px - omega * (np.pi / 2 - sici(omega * end_px)[0]))
-    found = waves @ np.diff(profile.values, axis=0) + np.outer(of_tail, profile.levels[TAIL])
+    transform = waves @ np.diff(values, axis=0) + np.outer(of_tail, tail)
     # A bin's mean is that of a profile blurred by the distances in it.
-    return np.asarray(found * np.exp(0.5 * (omega[:, np.newaxis] * blur_px) ** 2), np.complex128)
+    return np.asarray(transform * np.exp(0.5 * (omega[:, np.newaxis] * blur_px) ** 2), np.complex128)
 
 
-def _edge_mtf(esf: _Esf, profile: _Profile, uniform_px: float, curve: _Curve, box: Box) -> EdgeMtf:
-    """Return MTF, band and overshoot of a fitted edge."""
+def _edge_mtf(
+    esf: _Esf, levels: FloatArray, tail_px: float, uniform_px: float, curve: _Curve, box: Box
+) -> EdgeMtf:
+    """Return MTF, band and overshoot of a fitted edge, whose profile ends in tails at a distance."""
     from scipy.interpolate import make_interp_spline
 
-    means, covariance, levels = esf.means, esf.covariance(), profile.levels
-    dark, contrast = (float(one) for one in levels[[DARK, CONTRAST]] @ means)
-    transform = _transform(profile, uniform_px, esf.blur_px) / contrast
+    means, covariance = esf.means, esf.covariance()
+    dark, contrast = (levels[[DARK, CONTRAST]] @ means).tolist()
+    inner, tail = np.abs(esf.nodes) < tail_px, levels[TAIL] / tail_px
+    d, rise = esf.nodes[inner, np.newaxis], _rise(esf, levels)[inner, np.newaxis]
+    distance_px = np.concatenate([[-tail_px], d[:, 0], [tail_px]])
+    # Without the changes of light across its sides.
+    between = np.eye(len(inner))[inner] - d * ((1.0 - rise) * levels[DARK_SIDE] + rise * levels[BRIGHT_SIDE])
+    values = np.vstack([levels[DARK] + tail, between, levels[DARK] + levels[CONTRAST] - tail])
+    transform = _transform(distance_px, values, levels[TAIL], uniform_px, esf.blur_px) / contrast
     ratio = transform @ means
     # Derivatives of the ratio, turned so that the real part is along it.
     derivative = transform - np.outer(ratio, levels[CONTRAST] / contrast)
@@ -562,28 +516,28 @@ def _edge_mtf(esf: _Esf, profile: _Profile, uniform_px: float, curve: _Curve, bo
     def error(derivatives: FloatArray) -> FloatArray:
         return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", derivatives, covariance, derivatives), 0.0)))
 
-    mtf, lower, upper = _without_noise(np.abs(ratio), error(derivative.real), error(derivative.imag))
+    mtf = np.sqrt(np.maximum(np.abs(ratio) ** 2 - error(derivative.imag) ** 2, 0.0))
+    half = NORMAL_95 * error(derivative.real)
     # How far means over a pixel go beyond both levels.
     n_in_pixel = 20
-    end = math.floor(profile.distances[-1] * n_in_pixel)
+    end = math.floor(tail_px * n_in_pixel)
     grid = np.arange(-end, end + 1) / n_in_pixel
-    at_grid = make_interp_spline(profile.distances, profile.values - levels[DARK], k=1)(grid) / contrast
-    sums = np.cumsum(at_grid, 0)
+    sums = np.cumsum(make_interp_spline(distance_px, values - levels[DARK], k=1)(grid) / contrast, 0)
     in_pixels = (sums[n_in_pixel:] - sums[:-n_in_pixel]) / n_in_pixel
     level = in_pixels @ means
 
     def beyond(k: int, height: float, sign: float) -> Estimate:
         value = max(sign * (float(level[k]) - height), 0.0)
-        half = NORMAL_95 * float(error(in_pixels[k : k + 1] - level[k] * levels[CONTRAST] / contrast)[0])
-        return Estimate(value, (max(value - half, 0.0), value + half))
+        reach = NORMAL_95 * float(error(in_pixels[k : k + 1] - level[k] * levels[CONTRAST] / contrast)[0])
+        return Estimate(value, (max(value - reach, 0.0), value + reach))
 
     visible = esf.along[np.abs(esf.distance) < 1.0]
     ends = np.linspace(visible.min(), visible.max(), 101)
     line = polyval(ends, curve.polynomial)
     return EdgeMtf(
         mtf=mtf,
-        lower=lower,
-        upper=upper,
+        lower=np.maximum(mtf - half, 0.0),
+        upper=np.abs(ratio) + half,
         box=box,
         centre_px=(curve.x + box[0], curve.y + box[1]),
         normal_deg=math.degrees(math.atan2(curve.normal[1], curve.normal[0])),
@@ -593,34 +547,6 @@ def _edge_mtf(esf: _Esf, profile: _Profile, uniform_px: float, curve: _Curve, bo
         noise_sd=float(esf.residual.std()),
         overshoot=beyond(int(np.argmax(level)), 1.0, 1.0),
         undershoot=beyond(int(np.argmin(level)), 0.0, -1.0),
-        distance_px=profile.distances,
-        profile=(profile.values @ means - dark) / contrast,
+        distance_px=distance_px,
+        profile=(values @ means - dark) / contrast,
     )
-
-
-def _without_noise(
-    modulus: FloatArray, along: FloatArray, across: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the modulus without the share of noise in it, and the ends of its 95 % interval.
-
-    `along` and `across` are the standard errors in the direction of the complex value and at right angles to it.
-    """
-    from scipy.special import chndtrinc, i0e, i1e
-
-    known = along > 0.0
-    sd = np.where(known, along, 1.0)
-    # With the same error in both directions the modulus has Rice's distribution.
-    seen = np.sqrt(np.maximum(modulus**2 - across**2 + along**2, 0.0)) / sd
-    true = np.linspace(0.0, 30.0, 3001)
-    half = true**2 / 4.0
-    mean = math.sqrt(math.pi / 2.0) * ((1 + 2 * half) * i0e(half) + 2 * half * i1e(half))
-    few = seen < 29.0
-    value = np.where(few, np.interp(seen, mean, true), seen - 0.5 / np.maximum(seen, 1.0))
-    lower, upper = value - NORMAL_95, value + NORMAL_95
-    for end, least, p in ((lower, 0.0, 0.975), (upper, 2.0 * math.log(2.0), 0.025)):
-        squares = np.maximum(seen[few] ** 2, least)
-        # Below its quantile without signal, 0 is the end; the inverse gives some tiny number.
-        is_above = squares > -2.0 * math.log(1.0 - p)
-        end[few] = np.where(is_above, np.sqrt(np.nan_to_num(chndtrinc(squares, 2.0, p))), 0.0)
-    value, lower, upper = (np.where(known, one * sd, modulus) for one in (value, lower, upper))
-    return value, np.minimum(lower, value), np.maximum(upper, value)

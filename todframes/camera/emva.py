@@ -39,33 +39,14 @@ from todframes.camera.noise3d import (
 from todframes.parameters import Progress, counted
 from todframes.recordings.recording import Recording, RecordingWarning
 
-QUANTISATION_VARIANCE = 1.0 / 12.0
-"""Variance of rounding, in steps². A step is 1 DN, or more if the values have gaps: 12 bits in files of 16."""
-
 LEAST_DARK_VARIANCE = 0.24
 """Temporal dark variance in steps² below which rounding decides it. EMVA 1288 release 4.0 linear."""
-
-LEAST_DARK_SD = 0.4
-"""Dark noise in steps that is then stated, as a bound. EMVA 1288 release 4.0 linear."""
 
 LARGEST_ROUNDING = 0.5
 """Largest error of rounding in steps, and so of the standard deviation of a pattern that no noise smooths."""
 
-FITTED = 0.7
-"""Part of the saturation signal up to which gain and responsivity are fitted. EMVA 1288 release 4.0 linear."""
-
 LINEAR = (0.05, 0.95)
 """Parts of the saturation signal between which the linearity error is measured. EMVA 1288 release 4.0 linear."""
-
-SATURATED_VARIANCE = 0.8
-"""Temporal variance beyond saturation, relative to the largest: by noise alone, a pair of 64 x 64 pixels falls to
-that once in 10¹⁰; behind a full well or the end of the scale it falls to nearly nothing."""
-
-FEWEST_BENT, LEAST_RANGE = 4, 0.2
-"""Number of stacks, and range of their signals relative to the largest, from which a bend is told from scatter."""
-
-FEWEST_OF_SERIES = 3
-"""Number of stacks with as many frames from which they are the series of photon transfer."""
 
 DRAWS = 4000
 """Number of draws of the pivotal quantities; the ends of an interval then vary by 2 % of its half-width."""
@@ -76,22 +57,6 @@ SEED = 1288
 MISFIT_PROBABILITY = 0.01
 """Probability of a scatter about the line of photon transfer by noise alone, below which K's interval widens."""
 
-LARGEST_GAIN_ERROR = 0.02
-"""Relative standard error of a widened gain, above which there is a warning. The three public reference sets have
-0.007, 0.003 and, for a camera with an offset at faint light, 0.03."""
-
-WARNED_BEND, LARGEST_BEND = 0.05, 0.5
-"""Relative change of the gain by a bent response above which there is a warning, and the largest one that
-intervals take in. The camera of a public reference set has 0.047."""
-
-LARGEST_DRIFT = 0.01
-"""Change of a stack's mean from its first frame to its last, relative to the signal, above which there is a
-warning: the mean of the stack is then up to half of it away from the light that was measured."""
-
-LARGEST_UNEVENNESS = 1.2
-"""PRNU relative to that without a smooth surface, above which there is a warning. Light that falls by 3 % to the
-corners does that to a PRNU of 0.8 %. The public reference sets have 1.5 to 1.8, as it changes by 1.3 to 5 %."""
-
 LINES = {
     "row_noise_electrons": "tv",
     "column_noise_electrons": "th",
@@ -100,15 +65,8 @@ LINES = {
 }
 """Keys of a SENSOR.toml for what rows and columns have in common, and the parts of the noise that they are."""
 
-MIXED_SIGNAL = 0.02
-"""Least step between frames of a stack, relative to the signal, by which two exposures are mixed. Lamps flicker by
-less; exposures that are closer than this bias the noise by less than their distance."""
-
 MIXED_ERRORS = 10.0
 """The same in standard errors of a frame's mean, and in standard deviations of the frames on either side."""
-
-MIXED_SD = 0.5
-"""The same in standard deviations of a pixel over time, which counts for faint and dark frames."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -394,7 +352,7 @@ def measure_emva(
     else:
         most = math.inf if full_scale is None else full_scale - points[0].dark.mean
     good = [one for one in points if one.signal_dn > 0.0 and not one.is_saturated]
-    good = [one for one in good if one.signal_dn <= FITTED * most] or good
+    good = [one for one in good if one.signal_dn <= 0.7 * most] or good  # as EMVA 1288 release 4.0 linear has it
     fitted = [one for one in good if one in series] or good
     points = [structs.replace(one, is_fitted=one in fitted) for one in points]
     numbers, warnings = _evaluated(
@@ -502,7 +460,8 @@ def _check_exposure(
     within = max(float(np.std(one)) for one in groups)
     signal = 0.0 if darkest is None else abs(float(np.median(means)) - darkest)
     sd = math.sqrt(temporal)
-    least = (MIXED_SIGNAL * signal, MIXED_SD * sd, MIXED_ERRORS * sd / math.sqrt(n_pixels), MIXED_ERRORS * within)
+    # Lamps flicker by less than 2 % of the signal; half the noise of a pixel counts for faint and dark frames.
+    least = (0.02 * signal, 0.5 * sd, MIXED_ERRORS * sd / math.sqrt(n_pixels), MIXED_ERRORS * within)
     if steps.max() > max(least):
         low, high = (float(one.mean()) for one in groups)
         raise DataError(
@@ -532,7 +491,7 @@ def _with_common_frames(stacks: Sequence[S]) -> list[S]:
     The others are stacks of many frames for the spatial measurement, which the standard takes on its own.
     """
     ((n_frames, count),) = Counter(one.n_frames for one in stacks).most_common(1)
-    return [one for one in stacks if one.n_frames == n_frames or count < FEWEST_OF_SERIES]
+    return [one for one in stacks if one.n_frames == n_frames or count < 3]
 
 
 def _saturation(points: Sequence[TransferPoint]) -> int | None:
@@ -543,9 +502,8 @@ def _saturation(points: Sequence[TransferPoint]) -> int | None:
     variances = [one.bright.temporal for one in points]
     most = max(variances)
     index = variances.index(most)
-    is_reached = any(
-        one.bright.temporal < SATURATED_VARIANCE * most or one.is_saturated for one in points[index + 1 :]
-    )
+    # By noise alone, the variance of a pair of 64 x 64 pixels falls to 0.8 of the largest once in 10¹⁰.
+    is_reached = any(one.bright.temporal < 0.8 * most or one.is_saturated for one in points[index + 1 :])
     return index if is_reached else None
 
 
@@ -605,7 +563,8 @@ def _evaluated(
 
     step = math.gcd(*(one.step for one in (*of_dark, *(point.bright for point in points))))
     darkest = min(of_dark, key=lambda one: (one.exposure_ms or 0.0, -one.n_frames))
-    of_darkest, rounding = drawn[id(darkest)].temporal, QUANTISATION_VARIANCE * step**2
+    # A step is 1 DN, or more if the values have gaps, as 12 bits in files of 16.
+    of_darkest, rounding = drawn[id(darkest)].temporal, 1.0 / 12.0 * step**2
     dark_noise = _estimate(_root(of_darkest - rounding) / gain, 1.0 / to_faint)
     of_bright, of_spatial_dark = drawn[id(spatial.bright)], drawn[id(spatial.dark)]
     dsnu = _estimate(_root(of_spatial_dark.spatial) / gain, 1.0 / to_faint)
@@ -615,7 +574,7 @@ def _evaluated(
         for power, slope in enumerate(slopes, 1)
     ]
     if darkest.temporal < LEAST_DARK_VARIANCE * step**2:
-        largest = LEAST_DARK_SD * step / float(gain[0])
+        largest = 0.4 * step / float(gain[0])  # The bound of EMVA 1288 release 4.0 linear.
         dark_noise, currents = Estimate(largest, (0.0, largest)), [None, None]
     if spatial.dark.temporal < LEAST_DARK_VARIANCE * step**2:
         reach = LARGEST_ROUNDING * step / float(gain[0])
@@ -726,7 +685,8 @@ def _bend(fitted: Sequence[TransferPoint], errors: FloatArray) -> float:
 
     n = len(fitted)
     signal = np.array([one.signal_dn for one in fitted])
-    if n < FEWEST_BENT or np.ptp(signal) < LEAST_RANGE * signal.max():
+    # With fewer stacks, or nearer ones, scatter looks like a bend.
+    if n < 4 or np.ptp(signal) < 0.2 * signal.max():
         return 0.0
     photons = [one.photons for one in fitted]
     has_photons = all(photons)
@@ -740,7 +700,7 @@ def _bend(fitted: Sequence[TransferPoint], errors: FloatArray) -> float:
     limit = float(stdtrit(n - 2 if has_photons else math.inf, 1.0 - MISFIT_PROBABILITY / 2.0))
     if at_zero <= 0.0 or abs(slope) <= limit * scatter / math.sqrt(float(weights @ x**2)):
         return 0.0
-    largest = LARGEST_BEND / float(signal.max())
+    largest = 0.5 / float(signal.max())
     return float(np.clip((3.0 if has_photons else 1.0) * slope / at_zero, -largest, largest))
 
 
@@ -762,13 +722,14 @@ def _about_gain(
 ) -> Iterator[RecordingWarning]:
     """Yield warnings about the line of photon transfer."""
     error, bent = float(np.std(gain[1:])) / float(gain[0]), abs(to_faint - 1.0)
-    if misfit > 1.0 and error > LARGEST_GAIN_ERROR:
+    # The three public reference sets have 0.007, 0.003 and, with an offset at faint light, 0.03.
+    if misfit > 1.0 and error > 0.02:
         yield RecordingWarning(
             "not_linear",
             f"variances scatter {misfit:.2g} times as much about the line of photon transfer as noise alone: the "
             "camera is not linear, or its values are processed; the intervals are widened by as much",
         )
-    elif bent > WARNED_BEND:
+    elif bent > 0.05:  # a public reference set has 0.047
         yield RecordingWarning(
             "not_linear",
             f"the response is bent, and the gain {100.0 * bent:.2g} % away from that of faint light: the camera "
@@ -805,14 +766,16 @@ def _about_light(points: Sequence[TransferPoint], spatial: TransferPoint) -> Ite
     least = points[-1].signal_dn / 2.0  # fainter stacks count little
     stacks = ((stack, max(at.signal_dn, least)) for at in points for stack in (at.bright, at.dark))
     share, name = max((abs(stack.change) / signal, stack.name) for stack, signal in stacks)
-    if share > LARGEST_DRIFT:
+    if share > 0.01:  # The mean of a stack is up to half of its change away from the light that was measured.
         yield RecordingWarning(
             "drift",
             f"the mean of {name} changes by {100.0 * share:.2g} % of the signal from its first frame to its last: "
             "quantum efficiency, responsivity and linearity are uncertain by half of it; warm lamp and camera up",
         )
     whole, even = _prnu(spatial), _prnu(spatial, of_smooth=False)
-    if whole > LARGEST_UNEVENNESS * even:
+    # Light that falls by 3 % to the corners does that to a PRNU of 0.8 %; the public reference sets have 1.5 to
+    # 1.8.
+    if whole > 1.2 * even:
         yield RecordingWarning(
             "uneven_light",
             f"brightness changes smoothly across the frame: the PRNU of {100.0 * whole:.3g} % contains it, and is "

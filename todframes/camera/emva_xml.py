@@ -18,14 +18,6 @@ from todframes.base._typing import Json
 from todframes.base.errors import DataError
 from todframes.base.reading import read_file
 
-RELEASE = "4.0"
-"""Release of the standard that the written results follow."""
-
-KNOWN_RELEASES = ("3.", "4.")
-"""Beginnings of the releases whose results have these names."""
-
-MAX_XML_MB = 16
-
 
 class Leaf(NamedTuple):
     """A quantity of a result: its section and name, unit, symbol and meaning, and its key in `EmvaNumbers`."""
@@ -63,7 +55,7 @@ def emva_xml(values: Mapping[str, float | int | None]) -> bytes:
     root = ElementTree.Element("results")
     sections = {name: ElementTree.SubElement(root, name) for name in dict.fromkeys(one.section for one in LEAVES)}
     for section, name, unit, symbol, meaning, _ in LEAVES:
-        value = RELEASE if name == "release" else values.get(name)
+        value = "4.0" if name == "release" else values.get(name)
         if value is None:
             continue
         leaf = ElementTree.SubElement(sections[section], name)
@@ -119,7 +111,7 @@ def read_emva_xml(path: Path) -> Json:
 
 
 def _results(path: Path) -> ElementTree.Element:
-    content = read_file(path, most_mb=MAX_XML_MB)
+    content = read_file(path, most_mb=16)
     if b"\0" in content:  # a document type in UTF-16 would pass the next check
         raise DataError(f"{path}: has NUL bytes, as text in UTF-16 has; expected XML in UTF-8")
     if b"<!" in content.replace(b"<!--", b""):  # entities could become any amount of text
@@ -134,7 +126,7 @@ def _results(path: Path) -> ElementTree.Element:
         )
     for name in ("release", "version", "standard"):
         text = (root.findtext(f"info/{name}/Value") or root.findtext(f"info/{name}") or "").strip()
-        if text and not text.startswith(KNOWN_RELEASES):
+        if text and not text.startswith(("3.", "4.")):
             raise DataError(
                 f"{path}: info/{name}: found {text[:40]!r}, expected a release of EMVA 1288 from 3 to 4"
             )

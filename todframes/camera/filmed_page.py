@@ -23,12 +23,6 @@ from todframes.importing.marker_finder import MarkerFinder, SeenEdges
 from todframes.parameters import Progress, counted
 from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning
 
-INNER_SHARE = 0.7
-"""Part of a patch's width and height that is measured; the camera may blur the rest."""
-
-MOST_MOVED_PX = 0.2
-"""Distance of a frame's markers from their median place, from which the frame is left out: its chart has moved."""
-
 ENOUGH_FRAMES = 10
 """Number of frames of the camera's page in one clip after which a film is not searched for a longer one."""
 
@@ -180,7 +174,7 @@ class _SeenFilm:
         pieces, path = self.finder.pieces, self.recording.path
         measured = [one.measured(pieces) for one in edges]
         moved_px = _moved_px(measured)
-        still = [k for k, one in enumerate(moved_px) if one <= MOST_MOVED_PX]
+        still = [k for k, one in enumerate(moved_px) if one <= 0.2]
         moves = f"the chart moves in {len(numbers) - len(still)} of the {len(numbers)} frames that show its page"
         if len(still) < max(2, len(numbers) // 4) and len(numbers) > 1:
             raise DataError(
@@ -297,7 +291,7 @@ def _inner(patch: Patch, geometry: Geometry) -> Region:
     half_px = np.abs(corners_px - middle_px).max(axis=0)
     # Where the corners of the rectangle that encloses the patch lie on it, in units of its own half sides.
     there = (signs * half_px) @ np.linalg.inv(geometry.jacobian(middle)).T / half_mm
-    half_px *= INNER_SHARE / np.abs(there).max()
+    half_px *= 0.7 / np.abs(there).max()  # The camera may blur the rest of a patch.
     left, top = np.ceil(middle_px - half_px).astype(int)
     right, bottom = np.floor(middle_px + half_px).astype(int)
     return int(left), int(top), int(right - left + 1), int(bottom - top + 1)

@@ -35,11 +35,6 @@ if TYPE_CHECKING:
 
 Stacks = Sequence["PathLike | NDArray[Any]"]
 
-MAX_DESCRIPTOR_MB = 4
-
-KNOWN_VERSIONS = ("3.", "4.")
-"""Beginnings of the versions of descriptors that are read; their form has not changed from 3.0 to 4.0."""
-
 NS_PER_MS = 1e6
 
 FIGURES = (
@@ -405,7 +400,7 @@ def _described(path: Path, max_frame_mb: int) -> tuple[list[Stack], list[Stack],
     """
     from todframes.recordings.opening import open_recordings
 
-    text = read_file(path, most_mb=MAX_DESCRIPTOR_MB).decode("utf-8", errors="replace")
+    text = read_file(path, most_mb=4).decode("utf-8", errors="replace")
     folder = resolved(path.parent)
     size: list[int] = []
     described: list[tuple[float, float | None, list[Path]]] = []
@@ -415,7 +410,7 @@ def _described(path: Path, max_frame_mb: int) -> tuple[list[Stack], list[Stack],
         if kind.startswith("#"):
             continue
         if kind == "v":
-            if not values.startswith(KNOWN_VERSIONS):
+            if not values.startswith(("3.", "4.")):  # their form is the same
                 raise DataError(f"{where}: found version {values[:20]!r}, expected one from 3 to 4")
         elif kind == "n":
             size = [round(one) for one in _numbers(where, line, "n bits width height", 3)]

@@ -61,9 +61,6 @@ NYQUIST_CYC_PER_PIXEL = 0.5
 LINE_COLOURS = {"red": COLOURS[5], "green": COLOURS[2], "blue": COLOURS[0], "tangential": COLOURS[4]}
 """Colours of curves; of others they follow in the order of `COLOURS`."""
 
-SHOWN_ROWS = 16
-"""Number of frequencies that are shown, about: every eighth of the Nyquist frequency for slanted edges."""
-
 HOW_MEASURED = (
     "Pixels are sorted by their distance from the edge into bins, whose means are a finely sampled profile; its "
     "derivative has the MTF as its Fourier transform (ISO 12233:2023). Overshoot and undershoot are those of the "
@@ -200,7 +197,7 @@ class Mtf(Content, frozen=True, kw_only=True):
     def tables(self) -> list[Table]:
         """List some frequencies, the edges, and folded all frequencies."""
         whole = self.table()
-        step = max((len(whole.records) - 1) // SHOWN_ROWS, 1)
+        step = max((len(whole.records) - 1) // 16, 1)  # Of slanted edges every eighth of the Nyquist frequency.
         some = replace(whole, file="", records=whole.records[::step])
         return [some, *self._edge_tables(), replace(whole, title="All frequencies").folded()]
 

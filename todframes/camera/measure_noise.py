@@ -41,9 +41,6 @@ if TYPE_CHECKING:
 
 VALUE_UNITS = {"code": "code values", "counts": "counts", "celsius": "°C"}
 
-SHOWN_PERCENTILES = (0.5, 99.5)
-"""Percentiles of an image that are shown darkest and brightest."""
-
 COMBINED = {"dynamic": "tv, th and tvh together", "fixed pattern": "v, h and vh together"}
 
 
@@ -235,7 +232,7 @@ def _draw_means(axes: Axes, measured: Noise3D) -> None:
 
 
 def _draw_image(axes: Axes, image: FloatArray, unit: str) -> None:
-    low, high = np.percentile(image, SHOWN_PERCENTILES)
+    low, high = np.percentile(image, (0.5, 99.5))
     shown = axes.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
     axes.grid(visible=False)
     axes.figure.colorbar(shown, ax=axes, label=unit, format="%.5g")

@@ -35,9 +35,6 @@ RADIAL, DIRECTIONS = "mtf", ("mtf_tangential", "mtf_sagittal")
 BAND = ("mtf_lower", "mtf_upper")
 """Columns of the ends of the 95 % band of `RADIAL`, which a table may have."""
 
-READING_ERROR = 0.01
-"""Error of an MTF without a band: that of a value which was read from a printed curve to two decimals."""
-
 LARGEST_END = 0.05
 """MTF at the last frequency above which a table stops early: what follows may be a visible part of an edge."""
 
@@ -203,7 +200,7 @@ def _check(table: MtfTable, places: Sequence[str], *, may_exceed_1: bool) -> Non
             raise DataError(f"{where} found frequency {frequency:g} after {before:g}, expected ascending ones")
         before = frequency
         for name, values in table.curves.items():
-            value, error = float(values[k]), READING_ERROR
+            value, error = float(values[k]), 0.01  # Without a band: that of a printed curve read to two decimals.
             if name == RADIAL and table.upper is not None and table.lower is not None:
                 low, high = float(table.lower[k]), float(table.upper[k])
                 if not low <= value <= high:

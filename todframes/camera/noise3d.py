@@ -43,9 +43,6 @@ DYNAMIC, STATIC = ("tv", "th", "tvh"), ("v", "h", "vh")
 MOST_SATURATED = 1e-3
 """Largest share of values at the ends of the scale that gives no warning."""
 
-SMALLEST_STEPS = 0.5
-"""Standard deviation in steps of the recording, below which quantisation determines the result."""
-
 DRIFT_ERRORS = 5.0
 """Standard errors of a drift from which it counts."""
 
@@ -482,7 +479,7 @@ def _warnings(noise: Noise3D, gathered: _Gathered) -> Iterator[RecordingWarning]
             f"{100 * saturated:.2g} % of the values are at an end of the scale: their noise is cut; change "
             "exposure or gain, or choose a region",
         )
-    if last.dtype.kind == "u" and of_pixels is not None and of_pixels.sd < SMALLEST_STEPS:
+    if last.dtype.kind == "u" and of_pixels is not None and of_pixels.sd < 0.5:
         yield RecordingWarning(
             "quantised",
             f"the noise of pixels ({of_pixels.sd:.2g}) is below half a step of the recording: rounding decides "

@@ -23,17 +23,8 @@ LUMA, COLOURS = "luma", ("red", "green", "blue")
 LEAST_LENGTH_PX = 40.0
 """Least length of an edge that is found by itself."""
 
-END_PX = 6.0
-"""Length at either end of a found edge that is left out: corners are round there."""
-
 SAME_PX = 6.0
 """Largest distance beside a line of points that belong to the same edge, which may be bent."""
-
-WIDTHS_PX = (32, 24, 18, 13)
-"""Widths beside a found edge, of which the first without other edges is taken."""
-
-MOST_EDGES = 64
-"""Largest number of edges that are found by themselves: the longest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -193,7 +184,7 @@ def find_edges(image: FloatArray) -> list[Box]:
     taken: list[_Segment] = []
     points = [line.points() for line in lines]
     for line in lines:
-        if line.length < LEAST_LENGTH_PX or len(boxes) == MOST_EDGES:
+        if line.length < LEAST_LENGTH_PX or len(boxes) == 64:
             break
         if not any(line.repeats(other) for other in taken):
             taken.append(line)
@@ -225,8 +216,8 @@ def _box(line: _Segment, points: Sequence[FloatArray], shape: tuple[int, ...]) -
     rest = every[np.repeat(farthest >= SAME_PX, counts)]
     is_upright = abs(line.y2 - line.y1) >= abs(line.x2 - line.x1)
     inner = line.points()[[0, -1]]
-    ends = inner + END_PX / line.length * (inner[::-1] - inner)
-    for width in WIDTHS_PX:
+    ends = inner + 6.0 / line.length * (inner[::-1] - inner)  # Corners at the ends of an edge are round.
+    for width in (32, 24, 18, 13):
         margin = np.array([width, 0.0] if is_upright else [0.0, width])
         first = np.maximum(np.ceil(ends.min(0) - margin), 0).astype(int)
         last = np.minimum(np.floor(ends.max(0) + margin), [columns - 1, rows - 1]).astype(int)

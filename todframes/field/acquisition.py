@@ -32,9 +32,6 @@ Limit = Literal["contrast", "resolution", "air"]
 
 Status = Literal["ok", "beyond_curve", "nearer_than_curve", "beyond_air_table", "never_reached"]
 
-PROBABILITIES = (0.5, 0.75, 0.9)
-"""Probabilities at which ranges are reported."""
-
 DRAWS = 1000
 """Number of curves drawn from the errors. An end of a 95 % interval errs by 4 % of its distance to the middle:
 √(0.025 · 0.975 / 1000) / φ(1.96) = 0.085 standard deviations of 1.96."""
@@ -48,17 +45,11 @@ MARGIN = 1.15
 CELLS = 16
 """Number of cells between two points of the curve in which a crossing is searched."""
 
-NEAREST_KM = 1e-3
-"""Shortest range that is reported."""
-
 SEARCH_TIME_CONSTANT_S = 3.4
 """Time constant of search, divided by the probability without time limit (ACQUIRE, as in dstl's RET)."""
 
 LEAST_THERMAL_UM = 3.0
 """Wavelength up to which contrasts are those of reflected light, and from which on those of temperature."""
-
-K_SHOWN = np.geomspace(1.0, 16.0, 17)
-"""Divisors k against which the range of a TOD is shown."""
 
 LIMITS: tuple[Limit, ...] = ("contrast", "resolution", "air")
 
@@ -184,7 +175,7 @@ class Acquisition:
     def probabilities(self) -> tuple[float | None, ...]:
         """Probabilities at which ranges are known; for a TOD they are proportions correct."""
         if self.road == "cycles" or self.curve.psychometric is not None:
-            return PROBABILITIES
+            return (0.5, 0.75, 0.9)
         return (self.own_probability,)
 
     def threshold_curves(self, probability: float | None = None) -> FloatArray:
@@ -373,7 +364,7 @@ class Acquisition:
     def against_k(self) -> tuple[RangeAtK, ...]:
         """Return k, range and 95 % interval for divisors k of a TOD at its own criterion; None off the curve."""
         curves, found = self.threshold_curves(), []
-        for k in K_SHOWN.tolist():
+        for k in np.geomspace(1.0, 16.0, 17).tolist():
             ranges = self.crossing(k, curves)[0]
             interval = self._interval(ranges[1:])
             found.append(RangeAtK(k=k, range_km=_on_curve(float(ranges[0])), range_ci95_km=interval))
@@ -469,7 +460,7 @@ def _prepared(
         draws = np.log(curve.threshold) + errors * np.where(errors < 0.0, *curve.ln_sd)
         betas = betas if curve.psychometric is None else curve.psychometric.betas(errors, rng)
     made = Acquisition(target=target, atmosphere=atmosphere, curve=curve, road=road, draws=draws, betas=betas)
-    if (farthest := _farthest_km(made)) < NEAREST_KM:
+    if (farthest := _farthest_km(made)) < 1e-3:
         raise DataError(
             f"{curve.name}: the target of {target.size_m:g} m is smaller than the curve's smallest detail beyond "
             f"{1e3 * farthest:.2g} m, expected a larger target or a curve of finer detail"

@@ -45,9 +45,6 @@ from todframes.results.wording import interval_phrase, plain
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TABLE_SUFFIX = ".csv"
-"""End of the names of tables; any other path is that of a result."""
-
 EQUATIONS = {
     "tod": "TOD(1/S) = C(R), S = size / (k R): the triangle of size / k at range R is judged as often as asked.",
     "cycles": (
@@ -68,9 +65,6 @@ NO_RANGE = {
 """Reasons for a missing range, by status."""
 
 MOST_CURVES = 7
-
-ABOVE_CONTRAST = 10.0
-"""Highest threshold in the figure of the crossing, divided by the contrast at the target."""
 
 
 class CurveNumbers(Struct, frozen=True, kw_only=True):
@@ -300,7 +294,7 @@ class FieldRange(Content, frozen=True, kw_only=True):
             values += needed[knots <= most].tolist()
         heading = "ΔT (K)" if curve.quantity == "delta_t_k" else "contrast"
         axes.set(yscale="log", xlabel="range (km)", ylabel=f"{heading}, arriving and needed", xlim=(0.0, most))
-        low, high = 0.7 * min(values), min(1.5 * max(values), ABOVE_CONTRAST * float(arriving[0]))
+        low, high = 0.7 * min(values), min(1.5 * max(values), 10.0 * float(arriving[0]))
         axes.set_ylim(low, high)
         plain_ticks(axes.yaxis, [low, high])
         add_legend(axes)
@@ -498,7 +492,7 @@ def _curve(
     where = "the result"
     if not isinstance(result, Result):
         where = in_utf8(str(result))
-        if where.endswith(TABLE_SUFFIX):
+        if where.endswith(".csv"):
             if group or magnification is not None:
                 raise DataError(
                     f"{where}: is a table of one curve in the field, expected no group and no magnification"

@@ -40,21 +40,7 @@ SCHEMA = 1
 
 FOLDER = Path(__file__).with_name("atmospheres")
 
-KOSCHMIEDER = 3.912
-"""−ln 0.02: visibility · extinction of daylight, at a threshold contrast of 2 % (Koschmieder 1924)."""
-
 Wavelength = Annotated[float, Meta(ge=0.1, le=100.0)]
-
-LARGEST_RANGE_KM = 1000.0
-"""Largest range accepted in a table; larger ones are a mistake in the input, such as ranges in m."""
-
-LEAST_DEPTH, LARGEST_DEPTH = 1e-9, 700.0
-"""Least optical depth of a row of a table, whose logarithm is interpolated; largest with a finite exponential."""
-
-VARYING_BANDS_UM = (0.9, 6.0)
-"""Bands between these wavelengths have absorption lines that one extinction cannot describe: from 1 to 20 km the
-effective extinction falls to a fifth in 1–1.7 µm and 3–5 µm, but to 0.61 in 8–12 µm and to 0.85 in 0.4–0.7 µm
-(MODTRAN tables of pyBSM 0.16.1)."""
 
 HAZES = {23.0: 1, 5.0: 2}
 """MODTRAN's code of the haze by the visibility in km."""
@@ -65,9 +51,6 @@ LEAST_HEIGHT_M, MOST_HEIGHT_M = 75.0, 20_000.0
 
 TABLED_UM = (0.3, 14.0)
 """Wavelengths of the tables, in steps of 0.01 µm."""
-
-GROUND_RANGES_KM = (0.5, *range(1, 21), *range(22, 82, 2))
-"""Ranges on the ground at which the tables are read, as far as the horizon."""
 
 LEAST_THERMAL_UM, SCENE_K = 3.0, 300.0
 """Wavelength from which on a band is thermal, and temperature of the scene for its weights."""
@@ -107,7 +90,7 @@ class Atmosphere:
     """
 
     extinction_per_km: Annotated[float, Meta(ge=1e-3, le=100.0)] | None = None
-    range_km: tuple[Annotated[float, Meta(gt=0.0, le=LARGEST_RANGE_KM)], ...] | None = None
+    range_km: tuple[Annotated[float, Meta(gt=0.0, le=1000.0)], ...] | None = None  # ranges in m are beyond
     transmission: tuple[Annotated[float, Meta(gt=0.0, le=1.0)], ...] | None = None
     visibility_km: Annotated[float, Meta(ge=0.01, le=1e3)] | None = None
     relative_humidity: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
@@ -159,7 +142,9 @@ class Atmosphere:
     @property
     def varies_unseen(self) -> bool:
         """Whether one extinction is given for a band in which the effective extinction falls much with range."""
-        low, high = VARYING_BANDS_UM
+        # From 1 to 20 km the effective extinction falls to a fifth in 1–1.7 µm and 3–5 µm, but to 0.61 in 8–12 µm
+        # and to 0.85 in 0.4–0.7 µm (MODTRAN tables of pyBSM 0.16.1).
+        low, high = (0.9, 6.0)
         return not self.is_table and self.band_um is not None and low <= self.band_um[0] < self.band_um[1] <= high
 
     @property
@@ -179,7 +164,7 @@ class Atmosphere:
                 relative_humidity=self.relative_humidity,
                 air_temperature_c=self.air_temperature_c,
             )
-        return KOSCHMIEDER / self.visibility_km
+        return 3.912 / self.visibility_km  # −ln 0.02: a threshold contrast of 2 % (Koschmieder 1924).
 
     def optical_depth(self, range_km: ArrayLike) -> FloatArray:
         """Compute −ln τ at ranges >= 0 of any shape, in km.
@@ -191,7 +176,8 @@ class Atmosphere:
         ranges = np.asarray(range_km, dtype=np.float64)
         if self.range_km is None or self.transmission is None:
             return self.constant_per_km * ranges
-        known, depths = np.array(self.range_km), np.maximum(-np.log(self.transmission), LEAST_DEPTH)
+        # The logarithm of a depth is interpolated.
+        known, depths = np.array(self.range_km), np.maximum(-np.log(self.transmission), 1e-9)
         inside = np.clip(ranges, known[0], known[-1])
         return np.exp(np.interp(np.log(inside), np.log(known), np.log(depths))) * (ranges / inside)
 
@@ -203,7 +189,8 @@ class Atmosphere:
         depth = self.optical_depth(range_km)
         if self.sky_to_ground_ratio is None:
             return -depth
-        return -np.log1p(self.sky_to_ground_ratio * np.expm1(np.minimum(depth, LARGEST_DEPTH)))
+        # From 700 on the exponential is not finite.
+        return -np.log1p(self.sky_to_ground_ratio * np.expm1(np.minimum(depth, 700.0)))
 
 
 def _check_table(ranges: tuple[float, ...], transmission: tuple[float, ...]) -> None:
@@ -319,7 +306,7 @@ def modtran_table(
             "pip install 'todframes[atmosphere]'"
         ) from None
     ranges, transmissions = [], []
-    for ground_km in GROUND_RANGES_KM:
+    for ground_km in (0.5, *range(1, 21), *range(22, 82, 2)):
         try:
             table = load_database_atmosphere(
                 altitude=height_m, ground_range=1000.0 * ground_km, ihaze=HAZES[visibility_km]

@@ -20,12 +20,6 @@ SIZES = ("object_size_mrad", "size_mrad", "size_detectors")
 NAMELESS = "level"
 """Level of counts, whose quantity nobody has named."""
 
-SHOWN_P = (0.3, 0.97)
-"""Proportions correct between which points give the slope of a psychometric function that was not fitted."""
-
-LARGEST_LN_HALVES = 6.0
-"""ln (x/α)^β beyond which an answer says nothing about the curve: 2^−400."""
-
 USUAL_GUESS_RATE = 0.25
 """Guess rate of four orientations."""
 
@@ -196,7 +190,7 @@ def _slope_error(fit: Fit) -> tuple[float, float] | None:
     span = 1.0 - lapse - guess
     trials = np.array([one.n_trials for one in fit.points], dtype=np.float64)
     z = fit.beta * np.log([one.level / fit.alpha for one in fit.points])
-    halves = np.exp(np.minimum(z, LARGEST_LN_HALVES))
+    halves = np.exp(np.minimum(z, 6.0))  # beyond, an answer says nothing
     p = 1.0 - lapse - span * np.exp2(-halves)
     slope = span * np.log(2.0) * halves * np.exp2(-halves)
     known = trials * slope**2 / np.maximum(p * (1.0 - p), np.finfo(float).tiny)
@@ -214,7 +208,7 @@ def _slope_error(fit: Fit) -> tuple[float, float] | None:
 
 def _slope_of_points(fit: Fit) -> float | None:
     """Return β of a Weibull function through computed points, by least squares in ln level."""
-    low, high = SHOWN_P
+    low, high = (0.3, 0.97)
     seen = [(one.level, one.p_correct) for one in fit.points if low < one.p_correct < high]
     if len({level for level, _ in seen}) < 2:
         return None

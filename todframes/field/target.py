@@ -42,9 +42,6 @@ N50_CYCLES: dict[CriterionName, dict[str, float]] = {
 Cycles = Annotated[float, Meta(ge=0.1, le=100.0)]
 """Number of line pairs of a criterion; others are a mistake in the input."""
 
-R46_RESOLUTIONS = 8.0
-"""Size of the critical object of UN R46 in resolutions of the camera (2003/97/EC, Annex I)."""
-
 Divisor = Annotated[float, Meta(ge=0.1, le=100.0)]
 """Divisor k of the target's size; others are a mistake in the input."""
 
@@ -160,7 +157,7 @@ class Target:
         if self.view_deg is None or self.lines is None:
             return None
         resolution_arcmin = 60.0 * self.view_deg / (2.0 * self.lines)
-        seen_deg = R46_RESOLUTIONS * resolution_arcmin / 60.0
+        seen_deg = 8.0 * resolution_arcmin / 60.0
         return self.size_m / math.tan(math.radians(min(seen_deg, 89.0)))
 
     @property

@@ -30,15 +30,6 @@ V50_CYCLES = {"detection": 2.0, "recognition": 7.5, "identification": 13.0}
 FOOTLAMBERT_CD_M2 = 3.426
 """Luminance of a footlambert."""
 
-WEBER_GAIN, EYE_BANDWIDTH_HZ = 240.0, 3.538
-"""Inverse of the eye's internal contrast noise, and temporal bandwidth of eye and display (whale-ir-model)."""
-
-PHOTON_ROOT_TROLANDS_S, PHOTON_BANDWIDTH_HZ = 4.9, 4.75
-"""Constant of the eye's photon noise, and its bandwidth (whale-ir-model)."""
-
-CHANNEL = 2.2
-"""Constant of the eye's channels: exp(−2.2 ln²(f′ / f)) falls to one half over 1.6 octaves."""
-
 NODES = 400
 """Nodes of an integral over frequency."""
 
@@ -131,7 +122,8 @@ def eye_mtf(frequency_cyc_per_mrad: ArrayLike, *, luminance_cd_m2: float, eyes: 
 def channel(frequency: ArrayLike, middle: float, *, settings: TtpSettings | None = None) -> FloatArray:
     """Compute the response of the eye's channel at `middle` to frequencies > 0, in the same unit."""
     log = np.log10 if (settings or TtpSettings()).channel_log == "decimal" else np.log
-    return np.asarray(np.exp(-CHANNEL * log(np.asarray(frequency, dtype=np.float64) / middle) ** 2))
+    # falls to one half over 1.6 octaves
+    return np.asarray(np.exp(-2.2 * log(np.asarray(frequency, dtype=np.float64) / middle) ** 2))
 
 
 def noise_gain_root_hz(luminance_cd_m2: float, *, eyes: int = 2) -> float:
@@ -141,8 +133,10 @@ def noise_gain_root_hz(luminance_cd_m2: float, *, eyes: int = 2) -> float:
     """
     area = math.pi / 4.0 * pupil_mm(luminance_cd_m2, eyes=eyes) ** 2
     footlamberts = luminance_cd_m2 / FOOTLAMBERT_CD_M2
-    photons = PHOTON_ROOT_TROLANDS_S**2 * PHOTON_BANDWIDTH_HZ / (footlamberts * area)
-    return math.sqrt(eyes * WEBER_GAIN**2 * EYE_BANDWIDTH_HZ / (1.0 + photons))
+    # Constant of the eye's photon noise in √(troland s), and its bandwidth in Hz.
+    photons = 4.9**2 * 4.75 / (footlamberts * area)
+    # Inverse of the eye's internal contrast noise, and temporal bandwidth of eye and display.
+    return math.sqrt(eyes * 240.0**2 * 3.538 / (1.0 + photons))
 
 
 def noise_bandwidth(
