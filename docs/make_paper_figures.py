@@ -25,6 +25,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
+from msgspec import structs
 from scipy.optimize import brentq
 
 from sensor_sim.chain.detector_noise import (
@@ -45,10 +46,9 @@ from todframes.observers.laplacian_pyramid import LaplacianPyramid
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import resample
 from todframes.parameters import CurveName
+from todframes.psychometrics.curves import observer_curve, weibull
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
-from todframes.psychometrics.observer_curve import observer_curve
 from todframes.psychometrics.threshold_search import ComputedThreshold
-from todframes.psychometrics.weibull import weibull
 from todframes.scoring.naked_eye import acuity, contrast_threshold, proportion_correct
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
@@ -395,7 +395,7 @@ def curve_fit(
 def fitted_curve(fit: PsychometricFit, level: np.ndarray) -> np.ndarray:
     """The curve of a fit."""
     if fit.observer_curve is not None:
-        return observer_curve(level, **fit.observer_curve._asdict())
+        return observer_curve(level, **structs.asdict(fit.observer_curve))
     return weibull(level, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.guess_rate, lapse_rate=fit.lapse_rate)
 
 

@@ -16,7 +16,7 @@ from sensor_sim.studies.accuracy import STAR_LIKE, Camera
 from sensor_sim.thresholds.curve_plan import full_plan
 from sensor_sim.thresholds.predict import REPLICATES, FoldedChain, Phases, predict_threshold
 from todframes.observers.pyramid import PyramidObserver
-from todframes.psychometrics.weibull import weibull, weibull_level
+from todframes.psychometrics.curves import weibull, weibull_level
 from todframes.results.result import load_result
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.studies.accuracy import measure as estimators

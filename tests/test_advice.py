@@ -9,9 +9,9 @@ import pytest
 from msgspec.structs import replace
 
 import todframes as tod
-from todframes.psychometrics.weibull import weibull
+from todframes.psychometrics.curves import FitPoint, weibull
 from todframes.results.advice import levels_to_add, numerical_errors
-from todframes.results.data import Fit, FitPoint
+from todframes.results.data import Fit
 
 TRUE = {"alpha": 0.1, "beta": 2.0, "guess_rate": 0.25, "lapse_rate": 0.0}
 N_TRIALS = 400

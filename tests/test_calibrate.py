@@ -29,7 +29,7 @@ from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_imag
 from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset
 from todframes.observers.oriented import OrientedObserver
-from todframes.psychometrics.likelihood import CHI2_95
+from todframes.psychometrics.curves import CHI2_95
 from todframes.psychometrics.noise_fit import AnswerTable, NoiseFit, fit_noise, joined
 from todframes.results.result import read_result
 from todframes.scoring.retina_view import Shown, retina_image

@@ -40,8 +40,9 @@ from todframes.jobs.run import Run, open_engine
 from todframes.observers.csf import CsfObserver
 from todframes.observers.interface import Observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.psychometrics.curves import FitPoint
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.data import Fit, FitPoint
+from todframes.results.data import Fit
 from todframes.results.figure_style import new_figure, style
 from todframes.results.result import Result
 from todframes.scoring.score import score_dataset

@@ -56,7 +56,7 @@ from todframes.field.target import find_target
 from todframes.observers.csf import CsfObserver, CsfSettings
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
-from todframes.psychometrics.weibull import weibull
+from todframes.psychometrics.curves import weibull
 from todframes.results.figure_style import COLOURS
 from todframes.web import server
 from todframes.web.pages import error_of

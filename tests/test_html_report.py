@@ -23,8 +23,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from todframes.base.errors import DataError
+from todframes.psychometrics.curves import observer_curve
 from todframes.psychometrics.fit import FitSettings, fit_trials
-from todframes.psychometrics.observer_curve import observer_curve
 from todframes.results.data import Fit
 from todframes.results.figure_style import COLOURS
 from todframes.results.figures import by_field_map, draw_field_map, draw_psychometric

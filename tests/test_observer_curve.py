@@ -16,10 +16,9 @@ from sensor_sim.thresholds.predict import FoldedChain
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import triangle_on
+from todframes.psychometrics.curves import ObserverModel, d_prime_of, observer_curve, weibull
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
-from todframes.psychometrics.observer_curve import ObserverModel, d_prime_of, observer_curve
 from todframes.psychometrics.paired_bootstrap import ratio_draws, threshold_ratio
-from todframes.psychometrics.weibull import weibull
 from todframes.stimulus import Stimulus
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"

@@ -7,8 +7,8 @@ import warnings
 import numpy as np
 import pytest
 
+from todframes.psychometrics.curves import weibull
 from todframes.psychometrics.fit import FitSettings, fit_counts
-from todframes.psychometrics.weibull import weibull
 
 psignifit = pytest.importorskip("psignifit")
 

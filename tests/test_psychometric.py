@@ -17,9 +17,9 @@ from todframes.base.errors import DataError, SettingsError
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import triangle_on
+from todframes.psychometrics.curves import weibull, weibull_level
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
 from todframes.psychometrics.threshold_search import crossing, find_crossing
-from todframes.psychometrics.weibull import weibull, weibull_level
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import Stimulus
 

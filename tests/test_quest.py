@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from todframes.psychometrics.curves import weibull
 from todframes.psychometrics.quest import QuestGrid
-from todframes.psychometrics.weibull import weibull
 
 LEVELS = np.geomspace(0.02, 0.4, 9)
 

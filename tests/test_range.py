@@ -26,7 +26,7 @@ from todframes.field.measured_curve import _slope_error
 from todframes.field.target import FOLDER as TARGETS
 from todframes.field.target import find_target
 from todframes.field.threshold_curve import Psychometric, ThresholdCurve
-from todframes.results.data import FitPoint
+from todframes.psychometrics.curves import FitPoint
 
 A_K, B_MRAD, SIGMA_PER_KM = 0.02, 1.0, 0.2
 NATO = tod.Target(size_m=2.3, delta_t_k=2.0)

@@ -14,8 +14,9 @@ from sensor_sim.chain.sensor import Sensor, sensor_settings
 from sensor_sim.sweeps.goals import Aim
 from todframes.base.errors import SettingsError, argument
 from todframes.field.acquisition_range import FieldRange, acquisition_range, range_words
+from todframes.psychometrics.curves import FitPoint
 from todframes.psychometrics.threshold_search import ComputedThreshold, Status
-from todframes.results.data import Fit, FitPoint
+from todframes.results.data import Fit
 from todframes.results.result import Result
 
 Value = Annotated[float, Meta(gt=0.0, le=1e12)]

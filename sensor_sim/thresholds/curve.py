@@ -24,9 +24,10 @@ from todframes.parameters import (
     SensorFile,
     Tolerance,
 )
+from todframes.psychometrics.curves import FitPoint
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import numerical_errors
-from todframes.results.data import Fit, FitPoint, ResultWarning
+from todframes.results.data import Fit, ResultWarning
 from todframes.results.result import Result, repeatable
 from todframes.results.wording import listed, plain
 from todframes.scoring.error_budget import Step, plan_object

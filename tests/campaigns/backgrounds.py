@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.psychometrics.bootstrap import draw_backgrounds
+from todframes.psychometrics.curves import d_prime_of, observer_curve
 from todframes.psychometrics.fit import FitSettings, fit_trials
-from todframes.psychometrics.observer_curve import d_prime_of, observer_curve
 from todframes.psychometrics.paired_bootstrap import ThresholdRatio, ratio_draws, threshold_ratio
 
 Array = NDArray[np.float64]

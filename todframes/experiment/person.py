@@ -32,9 +32,9 @@ from todframes.frames.trials import FrameReference, Trial, Trials
 from todframes.jobs.run import Run
 from todframes.observers.interface import Observer, Readout
 from todframes.parameters import Free
+from todframes.psychometrics.curves import GUESS_RATE
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
 from todframes.psychometrics.noise_fit import MOST_CERTAIN, AnswerTable, NoiseFit, fit_noise, joined, with_lapses
-from todframes.psychometrics.observer_curve import GUESS_RATE
 from todframes.results.data import Fit, ResultWarning, group_of
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.retina_view import read_trial

@@ -15,7 +15,7 @@ from todframes.base.errors import DataError
 from todframes.base.reading import check_columns, read_table
 from todframes.field.target import Quantity
 from todframes.psychometrics.bootstrap import NORMAL_95
-from todframes.psychometrics.weibull import weibull_level
+from todframes.psychometrics.curves import weibull_level
 
 Pattern = Literal["triangle", "bars"]
 

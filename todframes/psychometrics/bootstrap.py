@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from todframes.base._typing import FloatArray
-from todframes.psychometrics.likelihood import CHI2_95, CurveModel, binomial_loglik
+from todframes.psychometrics.curves import CHI2_95, CurveModel, binomial_loglik
 
 NORMAL_95 = 1.959963984540054
 """Half-width of the central 95 % of a standard normal distribution."""

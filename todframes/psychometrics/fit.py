@@ -34,9 +34,18 @@ from todframes.psychometrics.bootstrap import (
     sets_of_backgrounds,
     threshold_interval,
 )
-from todframes.psychometrics.likelihood import EXTRAPOLATION_FACTOR, SLOPE_RANGE, CurveModel, binomial_loglik
-from todframes.psychometrics.observer_curve import GUESS_RATE, SMALLEST_CEILING, ObserverModel
-from todframes.psychometrics.weibull import WeibullModel
+from todframes.psychometrics.curves import (
+    EXTRAPOLATION_FACTOR,
+    GUESS_RATE,
+    SLOPE_RANGE,
+    SMALLEST_CEILING,
+    CurveModel,
+    CurveParameters,
+    FitPoint,
+    ObserverModel,
+    WeibullModel,
+    binomial_loglik,
+)
 
 Status = Literal["ok", "extrapolated", "never_reached", "always_exceeded", "too_few_levels"]
 MIN_RESAMPLES, MAX_RESAMPLES = 40, 100_000
@@ -106,23 +115,6 @@ class FitSettings:
             )
 
 
-@dataclass(frozen=True, slots=True)
-class LevelCount:
-    """The observed proportion correct at one level."""
-
-    level: float
-    n_trials: int
-    p_correct: float
-
-
-class ObserverCurve(NamedTuple):
-    """Parameters of the observer's curve, as for `observer_curve`; `max_d_prime` is None where d′ has no limit."""
-
-    alpha: float
-    beta: float
-    max_d_prime: float | None
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PsychometricFit:
     """A fitted curve and its threshold, the level where the curve passes `p_correct`.
@@ -152,7 +144,7 @@ class PsychometricFit:
     alpha, beta, guess_rate, lapse_rate : float or None
         Parameters of Weibull's curve, whichever curve the threshold is from.
     n_trials : int
-    points : tuple of LevelCount
+    points : tuple of FitPoint
         The data: level, number of trials and proportion correct.
     points_threshold : float or None
         Level where the points themselves cross the criterion, with no fitted curve; for probabilities, with three
@@ -160,7 +152,7 @@ class PsychometricFit:
         own error: that curve is a convention, which observers do not follow exactly.
     weibull_threshold : float or None
         Threshold of Weibull's curve, None where it has none.
-    observer_curve : ObserverCurve or None
+    observer_curve : CurveParameters or None
         Parameters of the observer's curve, None for `curve="weibull"`.
     """
 
@@ -174,10 +166,10 @@ class PsychometricFit:
     guess_rate: float
     lapse_rate: float | None = None
     n_trials: int
-    points: tuple[LevelCount, ...]
+    points: tuple[FitPoint, ...]
     points_threshold: float | None = None
     weibull_threshold: float | None = None
-    observer_curve: ObserverCurve | None = None
+    observer_curve: CurveParameters | None = None
     threshold_ci95_same_scenes: tuple[float | None, float | None] | None = None
 
 
@@ -308,7 +300,7 @@ def _fit(
 ) -> PsychometricFit:
     """Fit a curve to answers; `backgrounds` are those of the trials of each level."""
     columns = (observed.level, observed.n_trials, observed.p_correct)
-    points = tuple(map(LevelCount, *(column.tolist() for column in columns)))
+    points = tuple(map(FitPoint, *(column.tolist() for column in columns)))
     fit = PsychometricFit(
         curve=curve,
         p_correct=settings.p_correct,
@@ -328,7 +320,7 @@ def _fit(
         return fit
     if curve == "observer":
         alpha, beta, limit = best.parameters
-        fit = replace(fit, observer_curve=ObserverCurve(alpha, beta, limit**-0.5 if limit else None))
+        fit = replace(fit, observer_curve=CurveParameters(alpha, beta, limit**-0.5 if limit else None))
     if fit.threshold is None:
         return fit
     crossing = math.inf

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.psychometrics.likelihood import CHI2_95, binomial_loglik
-from todframes.psychometrics.observer_curve import GUESS_RATE
+from todframes.psychometrics.curves import CHI2_95, GUESS_RATE, binomial_loglik
 
 NoiseStatus = Literal["ok", "noise_free", "at_chance", "too_few_trials"]
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import FloatArray
@@ -18,9 +19,8 @@ from todframes.psychometrics.bootstrap import (
     on_drawn_backgrounds,
     redrawn,
 )
+from todframes.psychometrics.curves import observer_curve, weibull
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, curve_model
-from todframes.psychometrics.observer_curve import observer_curve
-from todframes.psychometrics.weibull import weibull
 
 SAME = 0.01
 """Largest |ln ratio| that counts as a ratio of 1: a person does not notice 1 %, and fitted curves are not more
@@ -139,7 +139,7 @@ def holm(p_values: ArrayLike) -> FloatArray:
 def _fitted(fit: PsychometricFit, level: FloatArray) -> FloatArray:
     """Evaluate the fitted curve at some levels; the mean proportion where none was fitted."""
     if fit.observer_curve is not None:
-        curve = observer_curve(level, **fit.observer_curve._asdict())
+        curve = observer_curve(level, **structs.asdict(fit.observer_curve))
     elif fit.curve == "observer" or fit.alpha is None or fit.beta is None or fit.lapse_rate is None:
         curve = np.full(len(level), sum(point.p_correct * point.n_trials for point in fit.points) / fit.n_trials)
     else:

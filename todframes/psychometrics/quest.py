@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
-from todframes.psychometrics.observer_curve import GUESS_RATE
-from todframes.psychometrics.weibull import weibull
+from todframes.psychometrics.curves import GUESS_RATE, weibull
 
 BEYOND_LEVELS = 3.0
 """Factor by which the thresholds of the grid reach beyond the smallest and the largest level."""

@@ -16,6 +16,7 @@ from msgspec import Meta, Struct, field
 
 from todframes.base.errors import DataError
 from todframes.base.safe_text import in_utf8, visible_json
+from todframes.psychometrics.curves import CurveParameters, FitPoint
 from todframes.results.wording import count, warning_text
 
 if TYPE_CHECKING:
@@ -48,22 +49,6 @@ NULL: Any = field(default_factory=lambda: None)
 
 EMPTY: Any = field(default_factory=lambda: ())
 """Field of a list that may be missing when a result is read, and is written even if it is empty."""
-
-
-class FitPoint(Struct, frozen=True):
-    """The proportion correct at one level; `n_trials` is 0 if it was computed without trials."""
-
-    level: Positive
-    n_trials: int
-    p_correct: Proportion
-
-
-class CurveParameters(Struct, frozen=True):
-    """Parameters of the observer's curve; `max_d_prime` is None where d′ has no limit."""
-
-    alpha: Positive
-    beta: Positive
-    max_d_prime: Positive | None = NULL
 
 
 class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -163,9 +148,6 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     def of_counts(cls, group: Group, level: str, fit: PsychometricFit) -> Fit:
         """Return the record of a psychometric fit."""
         values = {field.name: getattr(fit, field.name) for field in dataclasses.fields(fit)}
-        values["points"] = tuple(FitPoint(*dataclasses.astuple(point)) for point in fit.points)
-        if fit.observer_curve is not None:
-            values["observer_curve"] = CurveParameters(*fit.observer_curve)
         return cls(group=group, level=level, **values)
 
     @classmethod

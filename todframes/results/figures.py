@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from todframes.base._typing import FloatArray, Json
-from todframes.psychometrics.observer_curve import observer_curve
-from todframes.psychometrics.weibull import weibull
+from todframes.psychometrics.curves import observer_curve, weibull
 from todframes.results.data import Fit
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import (

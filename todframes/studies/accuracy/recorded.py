@@ -16,8 +16,8 @@ from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.trials import Trial
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver
+from todframes.psychometrics.curves import weibull
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
-from todframes.psychometrics.weibull import weibull
 from todframes.scoring.plan import plan_score
 from todframes.scoring.retina_view import read_trial, retina_image
 from todframes.scoring.seen_trials import KRONECKER_STEPS_2D

@@ -33,8 +33,8 @@ from todframes.observers.oriented import OrientedObserver, OrientedSettings
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import triangle_on
 from todframes.observers.unknown_place import correct_at_unknown_place
+from todframes.psychometrics.curves import weibull, weibull_level
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
-from todframes.psychometrics.weibull import weibull, weibull_level
 from todframes.scoring.naked_eye import contrast_threshold, proportion_correct
 from todframes.scoring.score import ScoredDataset, score_dataset
 from todframes.stimulus import Orientation, Stimulus, coverage
