@@ -152,7 +152,10 @@ def orientation_weights(shape: tuple[int, int], *, size_px: float, x_px: float, 
     of contrast 0.1 alone has 0.1 in its orientation. Within a pixel all triangles are alike, and the weights are
     0.
     """
-    images = [coverage(shape, size_px=size_px, x_px=x_px, y_px=y_px, orientation=one) for one in ORIENTATIONS]
+    images = [
+        coverage(shape, size_px=size_px, x_px=x_px, y_px=y_px, orientation=orientation)
+        for orientation in ORIENTATIONS
+    ]
     triangles = np.array(images)
     differences = triangles - triangles.mean(axis=0)
     energy = float(np.square(differences).sum()) / 4.0

@@ -133,7 +133,7 @@ class MeasuredPsf:
             sign @ along
             for sign, along in zip(signs, (self.samples.sum(axis=1), self.samples.sum(axis=0)), strict=True)
         )
-        return float(max(abs(one) for one in ends))
+        return float(max(abs(end) for end in ends))
 
     def at(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
         """Return the OTF, complex, at frequencies in cycles per sample that broadcast against each other.
@@ -197,7 +197,7 @@ def read_measured_psf(file: str, folder: Path) -> MeasuredPsf:
     from todframes.recordings.opening import open_recordings
 
     recordings = open_recordings(path_inside(resolved(folder), file, "psf:"))
-    frames = list(islice((frame for one in recordings for frame in one.frames()), 2))
+    frames = list(islice((frame for recording in recordings for frame in recording.frames()), 2))
     if len(frames) != 1:
         raise SettingsError(f"psf: {file} has {'several images' if frames else 'no image'}, expected one")
     values = np.asarray(frames[0].values, dtype=np.float64)

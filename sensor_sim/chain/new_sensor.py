@@ -126,10 +126,10 @@ def new_sensor(
     elif emva is not None:
         from todframes.camera.emva_xml import read_emva_xml
 
-        of_file = {key: one for key, one in read_emva_xml(Path(emva)).items() if key != "model"}
+        of_file = {key: number for key, number in read_emva_xml(Path(emva)).items() if key != "model"}
         source = f"results of EMVA 1288 in {Path(emva).name}"
     given = {"f_number": f_number, "pitch_um": pitch_um, "netd_mk": netd_mk, "exposure_ms": exposure_ms}
-    values = of_file | {key: float(one) for key, one in given.items() if one is not None}
+    values = of_file | {key: float(number) for key, number in given.items() if number is not None}
     is_thermal = thermal or preset == "boson"
     needed = ("f_number", "pitch_um", "netd_mk") if is_thermal else ("f_number", "pitch_um", "quantum_efficiency")
     for key in needed:

@@ -178,7 +178,7 @@ class PatternSampler:
         if self._is_circular:
             return unfolded
         if quarter_turns not in self._turned:
-            fx, fy = (one / self._detector.pitch_mrad for one in self._frequencies)
+            fx, fy = (frequency / self._detector.pitch_mrad for frequency in self._frequencies)
             for _ in range(quarter_turns):
                 fx, fy = -fy, fx
             transfer = pre_sample_mtf(fx, fy, optics=self._optics, detector=self._detector, motion=self._motion)

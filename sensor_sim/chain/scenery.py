@@ -153,8 +153,8 @@ class Scenery:
         """Return the largest contrast of all scenes before the sensor blurs them."""
         found = 0.0
         for size, windows in self.backgrounds.items():
-            for one in windows:
-                middle = (len(one.luminance_cd_m2) - 1) / 2.0
-                local = local_luminance(one.luminance_cd_m2, middle, middle, size * self.pixels_per_detector)
-                found = max(found, float(one.luminance_cd_m2.max()) / local - 1.0)
+            for window in windows:
+                middle = (len(window.luminance_cd_m2) - 1) / 2.0
+                local = local_luminance(window.luminance_cd_m2, middle, middle, size * self.pixels_per_detector)
+                found = max(found, float(window.luminance_cd_m2.max()) / local - 1.0)
         return found

@@ -653,9 +653,9 @@ def sensor_from(
         for name, value in content.items()
         if name in TABLES
     }
-    for table, one, other in _EITHER:
-        if {one, other} <= tables.get(table, {}).keys():
-            raise SettingsError(f"{where}: [{table}]: found {one} and {other}, expected one of them")
+    for table, key, other in _EITHER:
+        if {key, other} <= tables.get(table, {}).keys():
+            raise SettingsError(f"{where}: [{table}]: found {key} and {other}, expected one of them")
     parts: dict[str, Any] = {}
     for table, values in tables.items():
         place = f"{where}: [{table}]"
@@ -712,7 +712,7 @@ def used_keys(sensor: Sensor) -> dict[str, list[str]]:
         part = getattr(sensor, part_of(table, sensor))
         if part is not None:
             follows = _followers(part, sensor)
-            found[table] = [one.name for one in fields(part) if one.name not in follows]
+            found[table] = [parameter.name for parameter in fields(part) if parameter.name not in follows]
     return found
 
 
@@ -759,7 +759,7 @@ def sensor_tables(sensor: Sensor) -> dict[str, Any]:
 def sensor_settings(sensor: Sensor) -> dict[str, Any]:
     """Return the tables and the name of a sensor as plain values, in the order of its attributes, for results."""
     content = {"name": sensor.name} | sensor_tables(sensor)
-    return {one.name: content[one.name] for one in fields(sensor) if one.name in content}
+    return {part.name: content[part.name] for part in fields(sensor) if part.name in content}
 
 
 _NOTHING = {

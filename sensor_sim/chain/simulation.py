@@ -143,9 +143,11 @@ def plan_on_scenes(planned: Sequence[SimulatedTrial], scenery: Scenery) -> list[
         sizes.setdefault(trial.size_detectors, {})[trial.key[1]] = trial.level
     for i, (size, levels) in enumerate(sizes.items()):
         trials = len(planned) // len(sizes) // len(levels)
-        for one in scenery.plan(size, len(levels), trials):
-            key = i, one.level, one.number
-            found.append(SimulatedTrial(key, size, levels[one.level], one.orientation, one.background, one.turn))
+        for view in scenery.plan(size, len(levels), trials):
+            key = i, view.level, view.number
+            found.append(
+                SimulatedTrial(key, size, levels[view.level], view.orientation, view.background, view.turn)
+            )
     return found
 
 
@@ -261,7 +263,7 @@ class Simulator:
         rngs = [self._rng(trial) for trial in trials]
         places = np.array([rng.uniform(-0.5, 0.5, 2) for rng in rngs])
         if self.scenery is not None:
-            places = np.array([self._scene(one.background, one.turn)[0] for one in trials])
+            places = np.array([self._scene(trial.background, trial.turn)[0] for trial in trials])
         samples = np.empty((len(trials), self.field, self.field))
         for orientation in ORIENTATIONS:
             shown = [n for n, trial in enumerate(trials) if trial.orientation is orientation]

@@ -152,7 +152,7 @@ def optics_otf(
 
     It is complex for a measured PSF, whose image may be on one side.
     """
-    fx, fy = (np.asarray(one, float) for one in (frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad))
+    fx, fy = (np.asarray(frequency, float) for frequency in (frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad))
     if optics.mtf is not None:
         return optics.mtf.at(fx * optics.measured_units, fy * optics.measured_units)
     if optics.psf is not None:

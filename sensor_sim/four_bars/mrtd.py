@@ -200,7 +200,7 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
             Column(key=f"{best}_error", header="± ", digits=1, rank=1),
             Column(key="status", rank=2, is_key=True),
         ]
-        return Table.of(title, "bars.csv", columns, [msgspec.structs.asdict(one) for one in self.bars])
+        return Table.of(title, "bars.csv", columns, [msgspec.structs.asdict(bars) for bars in self.bars])
 
     def _tod_table(self) -> Table:
         records: list[Json] = [
@@ -227,13 +227,15 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
         """Return the findings in words."""
         other = "a uniform square of their mean" if self.settings["against"] == "square" else "the background"
         key, (what, unit) = self._keys[0], ("MRTD", " mK") if self._in_mk else ("threshold SNR", "")
-        known = [(getattr(one, key), one.frequency_nyquist) for one in self.bars if getattr(one, key) is not None]
+        known = [
+            (value, bars.frequency_nyquist) for bars in self.bars if (value := getattr(bars, key)) is not None
+        ]
         ends = " and ".join(
             f"{plain(value)}{unit} at {frequency:g} times the Nyquist frequency"
             for value, frequency in dict.fromkeys((known[0], known[-1]) if known else ())
         )
         found = [f"The {what} of the bars is {ends}."] if ends else []
-        unreached = [one.frequency_nyquist for one in self.bars if one.status == "never_reached"]
+        unreached = [bars.frequency_nyquist for bars in self.bars if bars.status == "never_reached"]
         if unreached:
             found.append(f"No contrast is enough from {min(unreached):g} times the Nyquist frequency on.")
         if self.ttp is not None:
@@ -254,23 +256,27 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
         shown: list[float] = []
 
         def line(x: Sequence[float], y: Sequence[float | None], label: str, **style: Any) -> None:
-            known = [(one, other) for one, other in zip(x, y, strict=True) if other is not None]
+            known = [(at, value) for at, value in zip(x, y, strict=True) if value is not None]
             if known:
                 axes.plot(*zip(*known, strict=True), label=label, **style)
                 shown.extend(other for _, other in known)
 
-        of_nyquist = [one.frequency_nyquist for one in self.bars]
-        averaged, best = ([getattr(one, key) for one in self.bars] for key in self._keys)
+        of_nyquist = [bars.frequency_nyquist for bars in self.bars]
+        averaged, best = ([getattr(bars, key) for bars in self.bars] for key in self._keys)
         inverse = [1.0 / float(fit.group["size_detectors"]) for fit in self.tod]
         tod = [fit.delta_t_mk if self._in_mk else fit.threshold for fit in self.tod]
         line(inverse, tod, "TOD", color=INK, marker="^", lw=2.0)
         line(of_nyquist, averaged, "bars, mean over phases", color=COLOURS[0], marker="o")
         line(of_nyquist, best, "bars, best phase", color=COLOURS[2], marker="s")
         line(
-            [SHIFT * one for one in of_nyquist], averaged, f"bars, frequency × {SHIFT:g}", color=COLOURS[0], ls=":"
+            [SHIFT * frequency for frequency in of_nyquist],
+            averaged,
+            f"bars, frequency × {SHIFT:g}",
+            color=COLOURS[0],
+            ls=":",
         )
         if self._in_mk:
-            line(of_nyquist, [one.lloyd_mrtd_mk for one in self.bars], "Lloyd", color=COLOURS[4], ls="--")
+            line(of_nyquist, [bars.lloyd_mrtd_mk for bars in self.bars], "Lloyd", color=COLOURS[4], ls="--")
         axes.axvline(1.0, color=INK, ls=":", lw=0.8)
         axes.set(
             xscale="log",
@@ -291,11 +297,11 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
 
     def _in_k(self, key: str) -> str:
         has_ends, lines = key != "lloyd_mrtd_mk", []
-        for one in self.bars:
-            value, error = getattr(one, key), getattr(one, f"{key}_error", None)
+        for bars in self.bars:
+            value, error = getattr(bars, key), getattr(bars, f"{key}_error", None)
             if value is not None:
                 ends = f",{(value - error) / 1e3!r},{(value + error) / 1e3!r}" if has_ends else ""
-                lines.append(f"{one.frequency_cyc_per_mrad!r},{value / 1e3!r}{ends}")
+                lines.append(f"{bars.frequency_cyc_per_mrad!r},{value / 1e3!r}{ends}")
         head = "frequency_cyc_per_mrad,mrtd_k" + ",ci95_low,ci95_high" * has_ends
         return "\n".join([head, *lines, ""])
 
@@ -493,20 +499,23 @@ def mrtd(
     ):
         check_positive(name, value)
     check_positive(argument.tolerance, tolerance)
-    of_nyquist = sorted(float(one) for one in frequency_nyquist)
+    of_nyquist = sorted(float(frequency) for frequency in frequency_nyquist)
     if not of_nyquist or len(set(of_nyquist)) < len(of_nyquist):
-        listed = ", ".join(f"{one:g}" for one in of_nyquist) or "none"
+        listed = ", ".join(f"{frequency:g}" for frequency in of_nyquist) or "none"
         raise SettingsError(
             f"{argument.frequency_nyquist}: found {listed}, expected one frequency or more, each once"
         )
     nyquist = sensor.detector.nyquist_cyc_per_mrad
-    chains = [BarChain(sensor, judge, one * nyquist, against=against, direction=direction) for one in of_nyquist]
+    chains = [
+        BarChain(sensor, judge, frequency * nyquist, against=against, direction=direction)
+        for frequency in of_nyquist
+    ]
     bars: list[BarsAt] = []
     warnings: tuple[ResultWarning, ...] = ()
-    for one, chain in counted(zip(of_nyquist, chains, strict=True), len(chains), progress):
+    for frequency, chain in counted(zip(of_nyquist, chains, strict=True), len(chains), progress):
         averaged, best = chain.averaged(p_correct, tolerance=tolerance, seed=seed), chain.best(p_correct)
-        bars.append(bars_at(one * nyquist, averaged, best, sensor, lloyd_snr=lloyd_snr))
-        group: Group = {"frequency_nyquist": one}
+        bars.append(bars_at(frequency * nyquist, averaged, best, sensor, lloyd_snr=lloyd_snr))
+        group: Group = {"frequency_nyquist": frequency}
         missed = missed_tolerance(
             averaged.threshold, averaged.numerical_error, tolerance, group=group, exact="lower frequencies"
         )

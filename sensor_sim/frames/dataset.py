@@ -231,15 +231,15 @@ def write_dataset(
     done: list[WrittenFrames | None] = [None] * len(tasks)
     for number, found in run_stored(work, tasks, run):
         done[number] = found
-    written = [one for one in done if one is not None]
-    n_pixels = sum(one.n_pixels for one in written)
-    share = sum(one.n_clipped for one in written) / n_pixels if n_pixels else 0.0
+    written = [batch for batch in done if batch is not None]
+    n_pixels = sum(batch.n_pixels for batch in written)
+    share = sum(batch.n_clipped for batch in written) / n_pixels if n_pixels else 0.0
     if share > LARGEST_CLIPPED_SHARE and not allow_clipping:
         raise SettingsError(
             f"format: {100 * share:.2g} % of the PNG pixels would be clipped, expected at most "
             f"{100 * LARGEST_CLIPPED_SHARE:g} %; lower display.gain, take EXR, or allow clipping"
         )
-    rows = [row for one in written for row in one.rows]
+    rows = [row for batch in written for row in batch.rows]
     if run.store is not None:
         remove_others(folder, {row["frame"] for row in rows})
     n_frames = write_dataset_files(

@@ -155,7 +155,7 @@ def simulate(
     filming = None
     if motion_mrad_per_s is not None or warm_up_frames:
         filming = Filming(float(motion_mrad_per_s or 0.0), warm_up_frames).checked()
-    planned = plan_trials(sizes, [float(one) for one in levels], trials, sensor.level)
+    planned = plan_trials(sizes, [float(level) for level in levels], trials, sensor.level)
     scenery = None
     if background is not None:
         from sensor_sim.chain.scenery import Scenery

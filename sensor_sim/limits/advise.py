@@ -103,7 +103,7 @@ class SensorAdvice(Content, frozen=True, kw_only=True):
             Column(key="change_percent", header="a tenth more changes the threshold by (%)", decimals=1),
             Column(key="error_percent", header="±", digits=1),
         ]
-        records = [structs.asdict(one) for one in self.gains if abs(one.change_percent) >= LEAST_SHOWN_PERCENT]
+        records = [structs.asdict(gain) for gain in self.gains if abs(gain.change_percent) >= LEAST_SHOWN_PERCENT]
         title = f"{self.sensor}: what its numbers change at {self.size_detectors:g} detectors"
         return [Table.of(title, "advice.csv", columns, records)]
 
@@ -112,7 +112,7 @@ class SensorAdvice(Content, frozen=True, kw_only=True):
         angles = f"{plain(self.sizes_mrad[0])} to {plain(self.sizes_mrad[-1])} mrad at the camera"
         sizes = listed(f"{size:g}" for size in self.sizes_detectors)
         found = [self.limits, f"Sizes worth asking for: {sizes} detectors ({angles})."]
-        most = next((one for one in self.gains if one.key not in NOT_FOR_SALE), None)
+        most = next((gain for gain in self.gains if gain.key not in NOT_FOR_SALE), None)
         if most is not None and abs(most.change_percent) > most.error_percent:
             way, change = "more" if most.change_percent < 0.0 else "less", plain(abs(most.change_percent), 2)
             found.append(f"A tenth {way} of {most.key} buys most: the threshold falls by about {change} %.")
@@ -125,8 +125,8 @@ class SensorAdvice(Content, frozen=True, kw_only=True):
 
     def _draw(self, axes: Axes) -> None:
         shown = self.gains[::-1]
-        changes, errors = [one.change_percent for one in shown], [one.error_percent for one in shown]
-        axes.barh([one.key for one in shown], changes, xerr=errors, color=COLOURS[0])
+        changes, errors = [gain.change_percent for gain in shown], [gain.error_percent for gain in shown]
+        axes.barh([gain.key for gain in shown], changes, xerr=errors, color=COLOURS[0])
         axes.axvline(0.0, color=INK, lw=0.8)
         axes.set(xlabel="change of the threshold (%)")
 
@@ -189,9 +189,11 @@ def advise(
     asked["tolerance"] = tolerance
     plan: dict[str, Any] = {"plan": "needed", "places": 1, "progress": lambda _: None}
     scenes = [] if sensor.scene is None else [sensor.scene]
-    found = [one for size in sizes for one in thresholds_at(sensor, scenes, judge, size, **plan, **asked)]
-    shares = [shares_at(one.chain, "snr", one.found.threshold) for one in found]
-    reached = [one.found.threshold is not None for one in found]
+    found = [
+        threshold for size in sizes for threshold in thresholds_at(sensor, scenes, judge, size, **plan, **asked)
+    ]
+    shares = [shares_at(threshold.chain, "snr", threshold.found.threshold) for threshold in found]
+    reached = [threshold.found.threshold is not None for threshold in found]
     mean, sentence = what_limits(sizes, shares, reached, WITHOUT_NOISE if sensor.photons is None else SATURATING)
     worth_asking = [size for size, has_threshold in zip(sizes, reached, strict=True) if has_threshold] or sizes
     middle = worth_asking[len(worth_asking) // 2]
@@ -247,7 +249,7 @@ def _gains(
                     )
                 )
                 break
-    return tuple(sorted(gains, key=lambda one: -abs(one.change_percent)))
+    return tuple(sorted(gains, key=lambda gain: -abs(gain.change_percent)))
 
 
 def _value(sensor: Sensor, key: str) -> float | None:

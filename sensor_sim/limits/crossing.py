@@ -117,8 +117,11 @@ def _bracket(
 
 def _error(tries: list[Try], value: float) -> float:
     """Return the error of a root: that of the threshold nearby, over the slope between its two neighbours."""
-    below = max((one for one in tries if one.value <= value), key=lambda one: one.value)
-    above = min((one for one in tries if one.value >= value and one != below), key=lambda one: one.value)
+    below = max((attempt for attempt in tries if attempt.value <= value), key=lambda attempt: attempt.value)
+    above = min(
+        (attempt for attempt in tries if attempt.value >= value and attempt != below),
+        key=lambda attempt: attempt.value,
+    )
     slope = (above.excess - below.excess) / math.log(above.value / below.value)
     near = max(below.error, above.error)
     return value * (math.hypot(near / abs(slope), PRECISION) if slope else math.inf)

@@ -122,8 +122,8 @@ class SensorLimit(Content, frozen=True, kw_only=True):
             Column(key="status", rank=2),
         ]
         records = [
-            structs.asdict(one) | {"bound": ("least" if one.is_least else "largest") if one.value else None}
-            for one in self.limits
+            structs.asdict(limit) | {"bound": ("least" if limit.is_least else "largest") if limit.value else None}
+            for limit in self.limits
         ]
         title = f"{self.sensor}: {self._words} at which {self._target} is recognised"
         return [Table.of(title, "limit.csv", columns, records)]
@@ -135,24 +135,24 @@ class SensorLimit(Content, frozen=True, kw_only=True):
 
     def sentences(self) -> list[str]:
         """Return the limits in words."""
-        found = [self._sentence(one) for one in self.limits]
+        found = [self._sentence(limit) for limit in self.limits]
         if self.parameter == "light" and self.exposure_ms is not None and self.exposure_ms > LONGEST_EXPOSURE_MS:
             allowed = f"IEC 62676-5 allows {LONGEST_EXPOSURE_MS:g} ms at most"
             found.append(f"The exposure is {self.exposure_ms:g} ms; {allowed}.")
         return found
 
-    def _sentence(self, one: Limit) -> str:
-        what = f"{self._target} at {one.size:g} {'m' if self.parameter == 'range' else 'mrad'}"
+    def _sentence(self, limit: Limit) -> str:
+        what = f"{self._target} at {limit.size:g} {'m' if self.parameter == 'range' else 'mrad'}"
         what = what[0].upper() + what[1:]
-        if one.value is None:
-            does = "is recognised at every" if one.status == "always_recognised" else "is recognised at no"
-            tried = f"from {plain(one.values[0])} to {plain(one.values[-1])}"
+        if limit.value is None:
+            does = "is recognised at every" if limit.status == "always_recognised" else "is recognised at no"
+            tried = f"from {plain(limit.values[0])} to {plain(limit.values[-1])}"
             return f"{what} {does} {self._words} that was tried, {tried}."
-        value = plain(one.value) + (f" ± {one.error:.1g}" if one.error else "") + f" {self.unit}".rstrip()
+        value = plain(limit.value) + (f" ± {limit.error:.1g}" if limit.error else "") + f" {self.unit}".rstrip()
         if self.parameter == "range":
             return f"{what} is recognised up to {value}."
         named = "a luminance" if self.parameter == "light" else self.parameter
-        return f"{what} needs {named} of at {'least' if one.is_least else 'most'} {value}."
+        return f"{what} needs {named} of at {'least' if limit.is_least else 'most'} {value}."
 
     def figures(self) -> list[ReportFigure]:
         """List the threshold against the parameter."""
@@ -160,22 +160,24 @@ class SensorLimit(Content, frozen=True, kw_only=True):
         return [ReportFigure(f"Threshold against {self._words}", note, self._draw, "limit.png")]
 
     def _draw(self, axes: Axes) -> None:
-        for number, one in enumerate(self.limits):
-            known = [(x, y) for x, y in zip(one.values, one.thresholds, strict=True) if y is not None]
+        for number, limit in enumerate(self.limits):
+            known = [(x, y) for x, y in zip(limit.values, limit.thresholds, strict=True) if y is not None]
             if known:
                 colour, marker = curve_style(number, len(self.limits))
                 axes.plot(
                     *zip(*known, strict=True),
-                    label=f"{one.size:g} {'m' if self.parameter == 'range' else 'mrad'}",
+                    label=f"{limit.size:g} {'m' if self.parameter == 'range' else 'mrad'}",
                     color=colour,
                     marker=marker,
                 )
-            if one.value is not None:
-                axes.plot(one.value, self.target, "x", color=INK, ms=9)
+            if limit.value is not None:
+                axes.plot(limit.value, self.target, "x", color=INK, ms=9)
         axes.axhline(self.target, color=INK, ls="--", lw=0.8)
         axes.set(xscale="log", yscale="log", xlabel=self._words, ylabel=f"threshold {self.level}")
-        plain_ticks(axes.xaxis, [value for one in self.limits for value in one.values])
-        plain_ticks(axes.yaxis, [value for one in self.limits for value in one.thresholds if value is not None])
+        plain_ticks(axes.xaxis, [value for limit in self.limits for value in limit.values])
+        plain_ticks(
+            axes.yaxis, [value for limit in self.limits for value in limit.thresholds if value is not None]
+        )
         add_legend(axes)
 
 
@@ -291,7 +293,7 @@ def limit(
 
 
 def _record(size: float, crossing: Crossing, varied: Varied) -> Limit:
-    own = next((one.threshold for one in crossing.tries if one.value == varied.own), None)
+    own = next((attempt.threshold for attempt in crossing.tries if attempt.value == varied.own), None)
     status = "always_recognised" if crossing.is_recognised else "never_recognised"
     return Limit(
         size=size,
@@ -300,8 +302,8 @@ def _record(size: float, crossing: Crossing, varied: Varied) -> Limit:
         error=crossing.error,
         is_least=crossing.is_least,
         own_threshold=own,
-        values=tuple(one.value for one in crossing.tries),
-        thresholds=tuple(one.threshold for one in crossing.tries),
+        values=tuple(attempt.value for attempt in crossing.tries),
+        thresholds=tuple(attempt.threshold for attempt in crossing.tries),
     )
 
 

@@ -105,19 +105,19 @@ class SensorWorth(Content, frozen=True, kw_only=True):
             Column(key="factor", header=f"times {self._of}", digits=3),
             Column(key="factor_ci95", header="95 % interval", interval="factor", digits=3),
         ]
-        records = [structs.asdict(one) for one in self.worth]
+        records = [structs.asdict(worth) for worth in self.worth]
         return [Table.of(f"{self.sensor}: worth in {self._of}", "worth.csv", columns, records)]
 
     def sentences(self) -> list[str]:
         """Return the factors in words."""
-        return [self._sentence(one) for one in self.worth]
+        return [self._sentence(worth) for worth in self.worth]
 
-    def _sentence(self, one: Worth) -> str:
-        at = f"{one.algorithm} at {one.size_detectors:g} detectors"
-        if one.factor is None:
-            return f"{at}: no factor of {self._of} changes the threshold by {plain(one.ratio, 3)}."
-        low, high = ("no limit" if end is None else plain(end, 3) for end in one.factor_ci95)
-        return f"{at}: as good as {plain(one.factor, 3)} times {self._of} ({low} to {high})."
+    def _sentence(self, worth: Worth) -> str:
+        at = f"{worth.algorithm} at {worth.size_detectors:g} detectors"
+        if worth.factor is None:
+            return f"{at}: no factor of {self._of} changes the threshold by {plain(worth.ratio, 3)}."
+        low, high = ("no limit" if end is None else plain(end, 3) for end in worth.factor_ci95)
+        return f"{at}: as good as {plain(worth.factor, 3)} times {self._of} ({low} to {high})."
 
     def figures(self) -> list[ReportFigure]:
         """List the factors against size."""
@@ -125,21 +125,21 @@ class SensorWorth(Content, frozen=True, kw_only=True):
         return [ReportFigure(f"Worth in {self._of}", note, self._draw, "worth.png")]
 
     def _draw(self, axes: Axes) -> None:
-        names = list(dict.fromkeys(one.algorithm for one in self.worth))
+        names = list(dict.fromkeys(worth.algorithm for worth in self.worth))
         for number, name in enumerate(names):
             colour, marker = curve_style(number, len(names))
-            shown = [one for one in self.worth if one.algorithm == name and one.factor is not None]
+            shown = [worth for worth in self.worth if worth.algorithm == name and worth.factor is not None]
             axes.plot(
-                [one.size_detectors for one in shown],
-                [one.factor or math.nan for one in shown],
+                [worth.size_detectors for worth in shown],
+                [worth.factor or math.nan for worth in shown],
                 color=colour,
                 marker=marker,
                 label=name,
             )
-            for one in shown:
-                low, high = one.factor_ci95
+            for worth in shown:
+                low, high = worth.factor_ci95
                 if low is not None and high is not None:
-                    axes.vlines(one.size_detectors, low, high, color=colour)
+                    axes.vlines(worth.size_detectors, low, high, color=colour)
         axes.axhline(1.0, color=INK, ls=":", lw=0.8)
         axes.set(xscale="log", yscale="log", xlabel="size (detectors)", ylabel=f"times {self._of}")
         add_legend(axes)
@@ -253,7 +253,7 @@ def _worth(
     assert ratio.ratio is not None
     ends = ratio.ratio_ci95 or (None, None)
     value, (first, last) = factor(ratio.ratio), (factor(end) for end in ends)
-    known = [one for one in (first, value, last) if one is not None]
+    known = [end for end in (first, value, last) if end is not None]
     return Worth(
         algorithm=algorithm.name,
         size_detectors=size_detectors,

@@ -258,7 +258,10 @@ def literal_answers(sensor: Sensor, size_detectors: float, *, snr: float, contra
     def batch(n: int, rng: np.random.Generator) -> FloatArray:
         stream, right = int(rng.integers(2**32)), np.empty((n, 1))
         orientations = [ORIENTATIONS[turns] for turns in rng.integers(4, size=n)]
-        trials = [SimulatedTrial((stream, 0, k), size_detectors, snr, one) for k, one in enumerate(orientations)]
+        trials = [
+            SimulatedTrial((stream, 0, k), size_detectors, snr, orientation)
+            for k, orientation in enumerate(orientations)
+        ]
         for k, frame in enumerate(simulator.frames(trials)):
             dx, dy = jitter_px * rng.uniform(-1.0, 1.0, 2)
             seen = resample(

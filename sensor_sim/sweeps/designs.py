@@ -239,12 +239,12 @@ def _listed(design: Sequence[Mapping[str, float]], known: Mapping[str, bool]) ->
     keys = list(design[0]) if len(design) else []
     _check(keys, known)
     _check_number(len(design))
-    for number_of_design, one in enumerate(design, 1):
-        if set(one) != set(keys):
+    for number_of_design, row in enumerate(design, 1):
+        if set(row) != set(keys):
             raise SettingsError(
-                f"design {number_of_design}: found keys {', '.join(one)}, expected {', '.join(keys)}"
+                f"design {number_of_design}: found keys {', '.join(row)}, expected {', '.join(keys)}"
             )
-    columns = [_finite([one[key] for one in design], f"design {key}", is_whole=known[key]) for key in keys]
+    columns = [_finite([row[key] for row in design], f"design {key}", is_whole=known[key]) for key in keys]
     return Designs(tuple(keys), np.stack(columns, axis=1))
 
 
@@ -281,7 +281,9 @@ def _with_coupled_netd(sensor: Sensor, base: Sensor) -> Sensor:
     The f-number is focal length / aperture, and the side of a detector its angular width · focal length. The focal
     length cancels: NETD · (aperture · angular width)² stays the same. Measured optics without an aperture keep it.
     """
-    etendue, of_base = ((one.optics.aperture_mm or 1.0) * one.detector.width_mrad for one in (sensor, base))
+    etendue, of_base = (
+        (either.optics.aperture_mm or 1.0) * either.detector.width_mrad for either in (sensor, base)
+    )
     assert base.noise.netd_mk is not None  # `check_coupling`
     netd_mk = base.noise.netd_mk * (of_base / etendue) ** 2
     return replace(sensor, noise=replace(sensor.noise, netd_mk=netd_mk))

@@ -76,13 +76,13 @@ class Aim(NamedTuple):
         known = np.flatnonzero(np.isfinite(threshold))
         known = known[np.argsort(-size_mrad[known])]
         own = {"p_correct": p_correct, "quantity": quantity, "name": SWEEP}
-        unreached = [size for size, one in zip(size_mrad, status, strict=True) if one == "never_reached"]
+        unreached = size_mrad[np.asarray(status) == "never_reached"].tolist()
         try:
             curve = ThresholdCurve.of_sizes(size_mrad[known], threshold[known], unreached_mrad=unreached, **own)
             found = first_range(curve, *self)
         except DataError:
             return DesignRange("too_few_sizes")
-        values = (math.nan if one is None else one for one in (found.range_km, found.at_least_km))
+        values = (math.nan if value is None else value for value in (found.range_km, found.at_least_km))
         return DesignRange(found.status, *values)
 
 
@@ -105,7 +105,7 @@ def chosen_aim(
 def in_words(key: str) -> tuple[str, str]:
     """Return the name and the unit of a key or column: ("aperture", "mm") for optics.aperture_mm."""
     name = key.rpartition(".")[2]
-    ending = next((one for one in UNITS if name.endswith(f"_{one}")), "")
+    ending = next((unit for unit in UNITS if name.endswith(f"_{unit}")), "")
     name = name.removesuffix(f"_{ending}").removesuffix("_sigma")
     return WORDS.get(name, name.replace("_", " ")), UNITS.get(ending, "")
 
@@ -239,7 +239,7 @@ def objectives(
         if OF_RANGE in names and not has_range:
             raise SettingsError(f"{where}: found {OF_RANGE}, which needs a target and an atmosphere")
     found = (*(Objective(name, 1) for name in minimise), *(Objective(name, -1) for name in maximise))
-    if len({one.column for one in found}) < len(found):
+    if len({objective.column for objective in found}) < len(found):
         raise SettingsError(f"{argument.minimise}, {argument.maximise}: found a column twice, expected each once")
     return found
 
@@ -284,11 +284,11 @@ def columns_of(
             )
         ]
         for name, values in (
-            ("", np.array([one.detectors for one in acuities])),
-            ("_error", np.array([one.error for one in acuities])),
+            ("", np.array([acuity.detectors for acuity in acuities])),
+            ("_error", np.array([acuity.error for acuity in acuities])),
         ):
             found |= {f"acuity_detectors{name}": values, f"acuity_mrad{name}": values * pitch}
-        found["acuity_status"] = [one.status for one in acuities]
+        found["acuity_status"] = [acuity.status for acuity in acuities]
     if aim is not None:
         in_k = swept.level == "snr"
         thresholds = swept.delta_t_mk / 1000.0 if in_k else swept.threshold
@@ -298,9 +298,9 @@ def columns_of(
             else aim.range_of(sizes * own, of_design, status, p_correct, "delta_t_k" if in_k else "contrast")
             for own, of_design, status in zip(pitch, thresholds, swept.status, strict=True)
         ]
-        found[OF_RANGE] = [one.range_km for one in ranges]
-        found["range_at_least_km"] = [one.at_least_km for one in ranges]
-        found["range_status"] = [one.status for one in ranges]
+        found[OF_RANGE] = [reach.range_km for reach in ranges]
+        found["range_at_least_km"] = [reach.at_least_km for reach in ranges]
+        found["range_status"] = [reach.status for reach in ranges]
     found["on_front"] = _on_front(found, swept, goals)
     found["n_phases"] = [[number or None for number in of_design] for of_design in swept.n_phases]
     found["reason"] = [[why or None for why in of_design] for of_design in swept.reason]
@@ -312,10 +312,10 @@ def _on_front(found: Columns, swept: Swept, goals: Sequence[Objective]) -> NDArr
     known = has_threshold(np.isfinite(swept.threshold), goals)
     columns = []
     for size in range(len(swept.size_detectors)):
-        own = (np.asarray(found[one.column], dtype=np.float64) for one in goals)
+        own = (np.asarray(found[goal.column], dtype=np.float64) for goal in goals)
         costs = [
-            one.sign * (values if values.ndim == 1 else values[:, size])
-            for one, values in zip(goals, own, strict=True)
+            goal.sign * (values if values.ndim == 1 else values[:, size])
+            for goal, values in zip(goals, own, strict=True)
         ]
         columns.append(front(np.where(known[:, size, None], np.stack(costs, axis=1), np.nan)))
     return np.stack(columns, axis=1)
@@ -325,7 +325,7 @@ def has_threshold(known: NDArray[np.bool_], goals: Sequence[Objective]) -> NDArr
     """Return which designs are compared at each size: those with a threshold there, or anywhere if no goal has a
     value for each size. Both have the shape (designs, sizes).
     """
-    if any(one.column in BY_SIZE for one in goals):
+    if any(goal.column in BY_SIZE for goal in goals):
         return known
     return np.broadcast_to(known.any(axis=1, keepdims=True), known.shape)
 
@@ -333,5 +333,5 @@ def has_threshold(known: NDArray[np.bool_], goals: Sequence[Objective]) -> NDArr
 def _of_rows(values: Any, n_sizes: int) -> list[Any]:
     """Return values of designs, or of designs and sizes, as a column; NaN becomes None."""
     rows = values.tolist() if isinstance(values, np.ndarray) else list(values)
-    of_rows = [one for row in rows for one in (row if isinstance(row, list | tuple) else [row] * n_sizes)]
-    return [None if one != one else one for one in of_rows]
+    of_rows = [value for row in rows for value in (row if isinstance(row, list | tuple) else [row] * n_sizes)]
+    return [None if value != value else value for value in of_rows]

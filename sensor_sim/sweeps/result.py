@@ -108,12 +108,12 @@ class Sweep(Content, frozen=True, kw_only=True):
     @property
     def threshold_column(self) -> str:
         """The column of the thresholds that figures and tables show."""
-        return next(one for one in reversed(BY_SIZE) if one in self.columns)
+        return next(column for column in reversed(BY_SIZE) if column in self.columns)
 
     def column(self, name: str) -> NDArray[Any]:
         """Return the values of a column for each design and size; numbers have NaN where there is none."""
         values = self.columns[name]
-        is_text = any(isinstance(one, str) for one in values)
+        is_text = any(isinstance(value, str) for value in values)
         return np.array(values, object if is_text else np.float64).reshape(self.n_designs, -1)
 
     @cached_property
@@ -140,7 +140,7 @@ class Sweep(Content, frozen=True, kw_only=True):
     @property
     def at_size(self) -> str:
         """The first size, at which designs are ordered if a column of the front has a value for each."""
-        by_size = any(one.column in BY_SIZE for one in self.objectives)
+        by_size = any(objective.column in BY_SIZE for objective in self.objectives)
         return f" at {self.sizes[0]:g} detectors" if by_size else ""
 
     def records(self) -> Iterator[dict[str, Any]]:
@@ -151,7 +151,7 @@ class Sweep(Content, frozen=True, kw_only=True):
         """Return the table of all designs: a row for each design and size."""
         kinds = {"reason": str, "n_phases": int}
         for name, values in self.columns.items():
-            kinds.setdefault(name, next((type(one) for one in values if one is not None), float))
+            kinds.setdefault(name, next((type(value) for value in values if value is not None), float))
         n = len(self.columns["design"])
 
         def blocks() -> Iterator[dict[str, list[Any]]]:
@@ -163,7 +163,7 @@ class Sweep(Content, frozen=True, kw_only=True):
 
     def tables(self) -> list[Table]:
         """List the best designs and the thresholds that there are not."""
-        return [one for one in (self.best(), self.problems()) if one is not None]
+        return [table for table in (self.best(), self.problems()) if table is not None]
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the table of all designs, in parts; `sweep.parquet` needs pyarrow."""
@@ -206,7 +206,7 @@ class Sweep(Content, frozen=True, kw_only=True):
                 Column(key="range_status", rank=2, is_key=True),
             ]
         thresholds, n = self.columns[self.threshold_column], len(sizes)
-        of_design = [one.key for one in columns if one.key in self.columns]
+        of_design = [column.key for column in columns if column.key in self.columns]
         records = [
             {key: self.columns[key][row * n] for key in of_design}
             | {f"at_{place}": thresholds[row * n + place] for place in range(n)}
@@ -241,7 +241,8 @@ class Sweep(Content, frozen=True, kw_only=True):
         found = [self._answer()]
         if len(self.objectives) > 1:
             names = listed(
-                f"{'low' if one.sign > 0 else 'high'} {in_words(one.column)[0]}" for one in self.objectives
+                f"{'low' if objective.sign > 0 else 'high'} {in_words(objective.column)[0]}"
+                for objective in self.objectives
             )
             number = int(self.on_front[:, 0].sum())
             found.append(f"{count(number, 'design')} on the trade-off front of {names}.")
@@ -396,7 +397,7 @@ def draw_range_map(axes: Axes, result: Sweep) -> None:
     values = result.column(OF_RANGE)[:, 0] if OF_RANGE in result.columns else np.empty(0)
     if not np.isfinite(values).any():
         raise DataError("plot_range_map: found no range, expected a target and an atmosphere, and smaller sizes")
-    statuses = [RANGE_MARKS.get(one, IMPOSSIBLE) for one in result.column("range_status")[:, 0]]
+    statuses = [RANGE_MARKS.get(status, IMPOSSIBLE) for status in result.column("range_status")[:, 0]]
     _draw_cells(axes, result, values, np.array(statuses, object), heading(OF_RANGE), best=-1.0)
 
 
@@ -477,7 +478,7 @@ def draw_front(axes: Axes, result: Sweep, size: int) -> None:
     """Draw all designs over the first two objectives at one size, and those on the trade-off front."""
     if len(result.objectives) < 2:
         raise DataError("plot_front: found one column, expected two or more to be low or high")
-    first, second = (one.column for one in result.objectives[:2])
+    first, second = (objective.column for objective in result.objectives[:2])
     x, y = result.column(second)[:, size], result.column(first)[:, size]
     has = np.isfinite(x) & np.isfinite(y) & result.has_threshold[:, size]
     is_on = result.on_front[:, size]

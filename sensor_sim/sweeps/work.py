@@ -243,24 +243,24 @@ def run_sweep(base: Base, designs: Designs, sizes: Sequence[float], work: SweepW
     rows = [[results[index] for index in of_design] for of_design in plan.places.tolist()]
 
     def numbers(name: str) -> FloatArray:
-        return np.array([[getattr(one, name) for one in row] for row in rows], np.float64)
+        return np.array([[getattr(threshold, name) for threshold in row] for row in rows], np.float64)
 
     def of_sensors(value: Callable[[Sensor], float | None]) -> FloatArray:
-        return np.array([None if one is None else value(one) for one in plan.sensors], np.float64)
+        return np.array([None if sensor is None else value(sensor) for sensor in plan.sensors], np.float64)
 
     return Swept(
         designs=designs,
         size_detectors=tuple(sizes),
-        pitch_mrad=of_sensors(lambda one: one.detector.pitch_mrad),
-        netd_mk=of_sensors(lambda one: one.noise.netd_mk),
+        pitch_mrad=of_sensors(lambda sensor: sensor.detector.pitch_mrad),
+        netd_mk=of_sensors(lambda sensor: sensor.noise.netd_mk),
         mk_per_snr=of_sensors(
-            lambda one: None if one.noise.netd_mk is None else float(delta_t_mk(1.0, noise=one.noise))
+            lambda sensor: None if sensor.noise.netd_mk is None else float(delta_t_mk(1.0, noise=sensor.noise))
         ),
         threshold=numbers("threshold"),
         numerical_error=numbers("numerical_error"),
-        n_phases=[[one.n_phases for one in row] for row in rows],
-        status=[[one.status for one in row] for row in rows],
-        reason=[[one.reason or plan.reasons.get(n, "") for one in row] for n, row in enumerate(rows)],
+        n_phases=[[threshold.n_phases for threshold in row] for row in rows],
+        status=[[threshold.status for threshold in row] for row in rows],
+        reason=[[threshold.reason or plan.reasons.get(n, "") for threshold in row] for n, row in enumerate(rows)],
         n_computed=len(plan.chains),
         level=base.sensor.level,
     )

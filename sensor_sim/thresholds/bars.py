@@ -197,7 +197,10 @@ class BarChain:
         scores = self.scores(
             (x[:, None] + along).ravel(), (y[:, None] + along).ravel(), displacement.reshape(-1, 1, 2)
         )
-        by_place = (one.reshape(shape).transpose(0, 2, 1, 3).reshape(len(x) * len(y), -1) for one in scores)
+        by_place = (
+            of_orientation.reshape(shape).transpose(0, 2, 1, 3).reshape(len(x) * len(y), -1)
+            for of_orientation in scores
+        )
         return BarScores(*by_place), np.outer(weight, weight).ravel() / 4.0
 
     def _at_places(
@@ -210,8 +213,8 @@ class BarChain:
         for _ in range(MOST_EXCHANGES):
             of_place = BarScores(scores.signal[best], scores.noise[best])
 
-            def at_level(level: float, one: BarScores = of_place) -> float:
-                return float(self.proportion(one, level) @ weights)
+            def at_level(level: float, at_places: BarScores = of_place) -> float:
+                return float(self.proportion(at_places, level) @ weights)
 
             status, snr = crossing(at_level, p_correct, near=None, slope=math.nan)
             better = int(np.argmax(self.proportion(scores, math.inf if snr is None else snr) @ weights))
@@ -240,7 +243,7 @@ class BarChain:
                     places, shift=rng.random(2), first=rng.random(2), jitter=self.jitter_detectors
                 )
                 parts.append(self.scores(lattice.x, lattice.y, lattice.displacement))
-            scores = BarScores(*(np.stack(one) for one in zip(*parts, strict=True)))
+            scores = BarScores(*(np.stack(part) for part in zip(*parts, strict=True)))
             mean = find_threshold(partial(self._of_each, scores), p_correct)
             if mean.status != "ok":
                 return ComputedThreshold(mean.status)

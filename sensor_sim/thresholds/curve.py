@@ -250,9 +250,9 @@ def _never_reached(
 
     chain = alike[0].chain
     sensor, reason = chain.sensor, alike[0].found.reason
-    highest = tuple(one.found.highest or 0.0 for one in alike)
-    sizes = listed(f"{one.chain.size_detectors:.4g}" for one in alike)
-    largest = listed(f"{100.0 * one.chain.largest_sample:.2g}" for one in alike)
+    highest = tuple(unreached.found.highest or 0.0 for unreached in alike)
+    sizes = listed(f"{unreached.chain.size_detectors:.4g}" for unreached in alike)
+    largest = listed(f"{100.0 * unreached.chain.largest_sample:.2g}" for unreached in alike)
     smallest = smallest_size(sensor, observer, **asked)
     if smallest is None:
         what = f"No size up to {LADDER_DETECTORS[-1]:g} detectors is enough"

@@ -225,7 +225,7 @@ def _assignments(table: Mapping[str, Any]) -> list[str]:
     lines: list[str] = []
     for name, value in table.items():
         if isinstance(value, list) and _is_tables(value):
-            lines += [f"{name} = [", *(f"  {toml_literal(one)}," for one in value), "]"]
+            lines += [f"{name} = [", *(f"  {toml_literal(part)}," for part in value), "]"]
         elif value is not None:
             lines.append(f"{name} = {toml_literal(value)}")
     return lines
@@ -234,7 +234,7 @@ def _assignments(table: Mapping[str, Any]) -> list[str]:
 def _is_tables(value: object) -> bool:
     """Return whether a value is a table or a list of tables."""
     parts = value if isinstance(value, list) and value else [value]
-    return all(isinstance(one, Mapping) for one in parts)
+    return all(isinstance(part, Mapping) for part in parts)
 
 
 def toml_value(text: str) -> Any:
@@ -299,11 +299,11 @@ def check_whole(name: str, value: Any, least: int, most: int) -> None:
 
 def distinct_numbers(name: str, values: Iterable[float]) -> list[float]:
     """Return values as numbers; raise SettingsError unless there are some, finite and above 0, and each once."""
-    found: list[float] = [convert(one, Positive, name) for one in values]
+    found: list[float] = [convert(item, Positive, name) for item in values]
     if not found:
         raise SettingsError(f"{name}: found no values, expected at least one")
     if len(set(found)) < len(found):
-        shown = ", ".join(f"{one:g}" for one in found)
+        shown = ", ".join(f"{number:g}" for number in found)
         raise SettingsError(f"{name}: found a value twice in {shown}, expected each once")
     return found
 
@@ -399,7 +399,7 @@ def kinds_of(hint: Any) -> tuple[Any, ...]:
     if kind is Annotated:
         return kinds_of(parts[0])
     if kind is Union or kind is UnionType:
-        return tuple(kind for one in parts for kind in kinds_of(one))
+        return tuple(kind for part in parts for kind in kinds_of(part))
     return parts if kind is Literal else (hint,)
 
 
@@ -414,7 +414,9 @@ def _checked(value: Any, hint: Any, limits: msgspec.Meta | None = None) -> Any:
     """Return a value in the type of an annotation; `limits` are those of the annotation around it."""
     kind, parts = _split(hint)
     if kind is Annotated:
-        return _checked(value, parts[0], next((one for one in parts[1:] if isinstance(one, msgspec.Meta)), limits))
+        return _checked(
+            value, parts[0], next((part for part in parts[1:] if isinstance(part, msgspec.Meta)), limits)
+        )
     if kind is Union or kind is UnionType:
         return _of_any(value, hint, limits)
     if kind is float or kind is int:
@@ -431,14 +433,14 @@ def _checked(value: Any, hint: Any, limits: msgspec.Meta | None = None) -> Any:
     elif is_dataclass(kind) and isinstance(value, Mapping):
         return _made(value, kind)
     elif issubclass(kind, Mapping) and isinstance(value, Mapping):
-        return {key: _inside(f".{key}", one, parts[1]) for key, one in value.items()}
+        return {key: _inside(f".{key}", item, parts[1]) for key, item in value.items()}
     elif issubclass(kind, Sequence) and isinstance(value, list | tuple):
         least, most = _lengths(hint, limits)
         if least <= len(value) <= most:
             kinds = parts if least == most == len(parts) else (*parts[:1], Any)[:1] * len(value)
             items = enumerate(zip(value, kinds, strict=True))
             make = list if issubclass(kind, list) else tuple
-            return make(_inside(f"[{number}]", one, of_one) for number, (one, of_one) in items)
+            return make(_inside(f"[{number}]", item, of_one) for number, (item, of_one) in items)
     raise _RefusedError(f"found {_shortened(repr(value))}, expected {_words(hint, limits)}{_advice(value, hint)}")
 
 
@@ -507,7 +509,7 @@ def _words(hint: Any, limits: msgspec.Meta | None) -> str:
     if kind is Annotated:
         return _words(parts[0], parts[1])
     if kind is Union or kind is UnionType:
-        return " or ".join(_words(one, limits) for one in parts if one is not NoneType)
+        return " or ".join(_words(part, limits) for part in parts if part is not NoneType)
     if choices := _choices(hint):
         return "one of " * (len(choices) > 1) + ", ".join(map(str, choices))
     if kind is bool or kind is str:

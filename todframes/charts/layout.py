@@ -390,26 +390,28 @@ class Chart:
             n_borders = 0 if self.markers is None else len(self.markers.borders)
             if any(number >= n_borders for number in page.borders or ()):
                 raise SettingsError(f"{where}: borders: found {page.borders}, expected numbers below {n_borders}")
-            for one in page.triangles:
-                self._check_triangle(one, where)
+            for triangle in page.triangles:
+                self._check_triangle(triangle, where)
             for edge in page.edges:
                 if (edge.ends_mm > (self.page_width_mm, self.page_height_mm)).any():
                     raise SettingsError(f"{where}: found an edge beyond the page, expected its ends on the page")
         if not any(page.triangles for page in self.pages):
             raise SettingsError("pages: found none with triangles, expected at least one")
 
-    def _check_triangle(self, one: Triangle, where: str) -> None:
-        if (self.kind == "thermal") != (one.delta_t_k is not None):
+    def _check_triangle(self, triangle: Triangle, where: str) -> None:
+        if (self.kind == "thermal") != (triangle.delta_t_k is not None):
             name = "delta_t_k" if self.kind == "thermal" else "contrast"
             raise SettingsError(f'{where}: {name} is missing with kind = "{self.kind}"')
-        if one.strength * self.polarity < 0:
+        if triangle.strength * self.polarity < 0:
             raise SettingsError(
-                f"{where}: found {one.strength:g}, expected the sign of polarity = {self.polarity}"
+                f"{where}: found {triangle.strength:g}, expected the sign of polarity = {self.polarity}"
             )
-        if one.x_mm > self.page_width_mm or one.y_mm > self.page_height_mm:
+        if triangle.x_mm > self.page_width_mm or triangle.y_mm > self.page_height_mm:
             raise SettingsError(f"{where}: found a triangle beyond the page, expected its centroid on the page")
         try:
-            _check_equal("size_mm", one.size_mm, one.size_mrad * self.distance_m, "size_mrad and distance_m give")
+            _check_equal(
+                "size_mm", triangle.size_mm, triangle.size_mrad * self.distance_m, "size_mrad and distance_m give"
+            )
         except SettingsError as error:
             raise SettingsError(f"{where}: {error}") from None
 
@@ -451,7 +453,7 @@ def read_chart(path: Path | str) -> Chart:
     path = Path(path)
     if path.is_dir():
         path = path / CHART_FILE
-    content = without_schema(read_toml(path), SCHEMA, [one.name for one in fields(Chart)], str(path))
+    content = without_schema(read_toml(path), SCHEMA, [field.name for field in fields(Chart)], str(path))
     if isinstance(screen := content.get("screen"), dict) and "lut" in screen:
         content["screen"] = screen | {"lut": _lut(screen["lut"], f"{path}: screen.lut")}
     return from_table(content, Chart, str(path))

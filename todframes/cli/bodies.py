@@ -90,17 +90,20 @@ def _table(chart: Chart) -> Table:
 
     records: dict[tuple[float, float], dict[str, Any]] = {}
     for page in chart.pages:
-        for one in page.triangles:
-            record = {"size_mrad": one.size_mrad, "size_mm": one.size_mm, chart.level: one.strength}
-            asked = one.contrast_asked
-            if asked is not None and not math.isclose(asked, one.strength, rel_tol=SHOWN_TOLERANCE):
+        for triangle in page.triangles:
+            record = {"size_mrad": triangle.size_mrad, "size_mm": triangle.size_mm, chart.level: triangle.strength}
+            asked = triangle.contrast_asked
+            if asked is not None and not math.isclose(asked, triangle.strength, rel_tol=SHOWN_TOLERANCE):
                 record["contrast_asked"] = asked
             if chart.screen is not None:
-                record |= {"size_px": one.size_mm / chart.screen.pixel_pitch_mm, "dithered": one.dithered}
+                record |= {
+                    "size_px": triangle.size_mm / chart.screen.pixel_pitch_mm,
+                    "dithered": triangle.dithered,
+                }
             if chart.kind == "thermal":
-                record["side_mm"] = SIDE_PER_SIZE * one.size_mm
+                record["side_mm"] = SIDE_PER_SIZE * triangle.size_mm
             record["triangles"] = 0
-            records.setdefault((one.size_mrad, one.strength), record)["triangles"] += 1
+            records.setdefault((triangle.size_mrad, triangle.strength), record)["triangles"] += 1
     columns = (
         Column(key="size_mrad", header="size, mrad", is_name=True),
         Column(key="size_mm", header="size, mm"),
@@ -120,11 +123,11 @@ def _table(chart: Chart) -> Table:
 
 def _remarks(chart: Chart) -> list[str]:
     """Return sentences about a chart for the terminal."""
-    triangles = [one for page in chart.pages for one in page.triangles]
+    triangles = [triangle for page in chart.pages for triangle in page.triangles]
     if chart.screen is not None:
         minutes = len(chart.pages) * chart.screen.page_duration_s / 60.0
         remarks = [f"play.html shows the pages in {minutes:.1f} minutes."]
-        if any(one.dithered for one in triangles):
+        if any(triangle.dithered for triangle in triangles):
             remarks.append(
                 "Dithered triangles mix pixels of two neighbouring code values, so that their mean luminance has "
                 "the contrast that no code value has. The camera must not resolve single pixels of the monitor."

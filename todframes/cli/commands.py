@@ -99,7 +99,7 @@ def _show_imported(done: Any, given: dict[str, Any], shown: dict[str, Any]) -> N
     if not shown["quiet"]:
         for note in done.notes:
             say(f"note: {note}")
-        for line in warning_lines([ResultWarning(**one._asdict()) for one in done.warnings]):
+        for line in warning_lines([ResultWarning(**warning._asdict()) for warning in done.warnings]):
             say(line)
     trials = f"{count(done.n_trials, 'trial')} from {count(done.n_clips, 'clip')}"
     print_sentences([f"{given['out']}: {done.n_frames} frames in {trials}"])
@@ -129,7 +129,7 @@ def _show_validated(result: Any, given: dict[str, Any], shown: dict[str, Any]) -
         echo(f"{data.path}: {data.n_frames - n_others} frames in {len(data.trials)} trials{others}, {verdict}")
         if "add_sha256" in given:
             frames = [frame for trial in data.trials for frame in trial.frames]
-            n_missing = sum(one.sha256 is None for one in (*frames, *data.trials.unjudged_frames))
+            n_missing = sum(frame.sha256 is None for frame in (*frames, *data.trials.unjudged_frames))
             had = f"{data.n_frames - n_missing} had one, and agree"
             echo(f"{data.path / 'manifest.csv'}: sha256 of {n_missing} frames added; {had}")
     check_strict(result.warnings, shown["strict"])

@@ -136,15 +136,15 @@ def print_content(
 
 def print_sentences(sentences: Iterable[str]) -> None:
     """Print sentences on standard output, each wrapped to the width of the terminal."""
-    for one in sentences:
-        echo(*textwrap.wrap(visible(one), terminal_width()))
+    for sentence in sentences:
+        echo(*textwrap.wrap(visible(sentence), terminal_width()))
 
 
 def warning_lines(warnings: Sequence[ResultWarning]) -> Iterator[str]:
     """Yield a line for each warning, but only for the first groups of those with the same code, and a count."""
     from todframes.results.data import warning_texts
 
-    yield from (f"warning: {one}" for one in warning_texts(warnings))
+    yield from (f"warning: {text}" for text in warning_texts(warnings))
 
 
 def check_strict(warnings: Sequence[ResultWarning], strict: bool) -> None:
@@ -152,7 +152,7 @@ def check_strict(warnings: Sequence[ResultWarning], strict: bool) -> None:
     if strict and warnings:
         from todframes.results.wording import count
 
-        codes = ", ".join(dict.fromkeys(one.code for one in warnings))
+        codes = ", ".join(dict.fromkeys(warning.code for warning in warnings))
         raise DataError(
             f"--strict: found {count(len(warnings), 'warning')} ({codes}), expected none; all output is written"
         )

@@ -106,9 +106,11 @@ class LocatingCommand(click.Command):
         """Parse arguments after `--locate` was given its default value where it has none."""
         options = args[: args.index("--")] if "--" in args else args
         bare = {
-            k for k, one in enumerate(options) if one == "--locate" and not set(args[k + 1 : k + 2]) & {*LOCATE}
+            k
+            for k, option in enumerate(options)
+            if option == "--locate" and not set(args[k + 1 : k + 2]) & {*LOCATE}
         }
-        given = [f"--locate={LOCATE[0]}" if k in bare else one for k, one in enumerate(args)]
+        given = [f"--locate={LOCATE[0]}" if k in bare else option for k, option in enumerate(args)]
         return super().parse_args(ctx, given)
 
 

@@ -37,7 +37,7 @@ def enhancements(*, json: bool) -> None:
                 found.append(find_enhancement(name))
         except SettingsError as error:  # raised by an algorithm of another package
             say(f"left out: {error}")
-    listed = [enhancement_record(one) for one in found]
+    listed = [enhancement_record(algorithm) for algorithm in found]
     if not json:
         print_table(enhancements_table(listed))
         return

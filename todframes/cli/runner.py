@@ -99,17 +99,19 @@ def make_command(name: str, command: Command) -> click.Command:
     parameters, arguments = described.parameters, command.arguments.split()
     if command.also:
         parameters = parameters | {
-            key: one for key, one in read_call(command.also).parameters.items() if key not in parameters
+            key: parameter
+            for key, parameter in read_call(command.also).parameters.items()
+            if key not in parameters
         }
     left_out = {*arguments, *OF_RUNNER, *command.without.split()}
-    made: list[click.Parameter] = [_argument(parameters[one], command) for one in arguments]
+    made: list[click.Parameter] = [_argument(parameters[name], command) for name in arguments]
     if command.files:
         made.append(click.Option(["-o", "--out"], metavar="OUT", help=f"Folder for {command.files}."))
-    for one in parameters.values():
-        if one.name not in left_out:
-            made.append(option(one, parameters))
-            made[-1].required &= one.name in described.parameters
-        if one.name == "observer":
+    for parameter in parameters.values():
+        if parameter.name not in left_out:
+            made.append(option(parameter, parameters))
+            made[-1].required &= parameter.name in described.parameters
+        if parameter.name == "observer":
             made += (each for each in OBSERVER_OPTIONS if each.name not in {*parameters, *left_out})
     made += command.further
     if _opens_dataset(parameters):
@@ -117,7 +119,7 @@ def make_command(name: str, command: Command) -> click.Command:
     made += (_flag(key, text) for key, text in GOING_ON.items() if "store" in parameters)
     made += showing(command.showing, command.details)
     texts = [*described.paragraphs, command.text]
-    texts += (f"{_name(parameters[one])}: {parameters[one].text}" for one in arguments)
+    texts += (f"{_name(parameters[name])}: {parameters[name].text}" for name in arguments)
     if command.files:
         texts.append("Without -o nothing is written.")
     kind = LocatingCommand if "locate" in parameters else click.Command
@@ -200,7 +202,7 @@ class Option(click.Option):
 
     def get_help_extra(self, ctx: click.Context) -> Any:
         """Return what stands in brackets behind the text, without the range."""
-        return {key: one for key, one in super().get_help_extra(ctx).items() if key != "range"}
+        return {key: value for key, value in super().get_help_extra(ctx).items() if key != "range"}
 
 
 def option(parameter: Argument, parameters: Mapping[str, Argument]) -> click.Option:
@@ -295,7 +297,7 @@ def _run(command: Command, **values: Any) -> None:
     """Run a command's call with the values that were given, and show its result."""
     given = {name: value for name, value in values.items() if value is not None and value != ()}
     shown = {name: given.pop(name, False) for name in command.showing.split()}
-    further = {str(one.name): given.pop(str(one.name)) for one in command.further if one.name in given}
+    further = {str(option.name): given.pop(str(option.name)) for option in command.further if option.name in given}
     out, quiet = given.pop("out", None) if command.files else None, shown.get("quiet", False)
     call_name, parameters = _chosen(command, given)
     for name in given.keys() & parameters.keys():
@@ -313,7 +315,9 @@ def _run(command: Command, **values: Any) -> None:
         given.setdefault("observer", parameters["observer"].default)
         observers, fit = make_observers(given, fitted="fit" in parameters, several=several)
         given["observer"] = observers if several else observers[0]
-        given |= {name: one for name, one in (("fit", fit), ("p_correct", fit.p_correct)) if name in parameters}
+        given |= {
+            name: value for name, value in (("fit", fit), ("p_correct", fit.p_correct)) if name in parameters
+        }
     if "examples" in parameters:
         given["examples"] = out is not None
     if "tell" in parameters:

@@ -118,7 +118,9 @@ def read_call(call: str) -> Call:
             where=f"{call}: {argument.arg}",
         )
     above = "\n".join(takewhile(lambda line: line != "Parameters", lines))
-    return Call(tuple(" ".join(one.split()) for one in above.split("\n\n") if one.strip()), found)
+    return Call(
+        tuple(" ".join(paragraph.split()) for paragraph in above.split("\n\n") if paragraph.strip()), found
+    )
 
 
 @cache
@@ -159,7 +161,7 @@ def _texts(lines: Sequence[str]) -> dict[str, str]:
 def _value(kind: Any) -> Value | None:
     """Return how a command line writes a kind of value: the first of a union's that it can write, None if none."""
     if get_origin(kind) in (Union, UnionType):
-        found = [one for one in map(_value, get_args(kind)) if one is not None]
+        found = [value for value in map(_value, get_args(kind)) if value is not None]
         return min(found, key=_order, default=None)
     if get_origin(kind) is Annotated:
         base, form = get_args(kind)

@@ -163,7 +163,7 @@ def strengths(dataset: Dataset, level: FloatArray) -> FloatArray:
 
 
 def _sizes_mrad(trials: Trials) -> FloatArray:
-    return np.array([one.size_mrad for one in trials.stimuli])[trials.stimulus_codes]
+    return np.array([stimulus.size_mrad for stimulus in trials.stimuli])[trials.stimulus_codes]
 
 
 def alike(trials: Trials) -> Iterator[NDArray[np.intp]]:

@@ -240,7 +240,7 @@ def _of_strongest(
         return padded, noise, size_in_px(trial, pitch_mrad) / frames.block_px
 
     peaks = strong_peaks(map(image_of, strongest), reach=n / 2.0 - 2.0)
-    sure = np.array([one.places[0] for one in peaks if len(one.height) and one.height[0] >= CLEAR_LIKELIHOOD])
+    sure = np.array([peak.places[0] for peak in peaks if len(peak.height) and peak.height[0] >= CLEAR_LIKELIHOOD])
     if len(sure) < max(LEAST_CLEAR, len(strongest) / 2.0):
         return None
     middle = np.median(sure, axis=0)  # something else, such as text that changes, may be higher in some trials
@@ -314,7 +314,7 @@ class _Search:
         block_px, size = strong[0].block_px, self.size_px / strong[0].block_px
         images = zip([sample.even for sample in strong], self._noise(strong, size).tolist(), strict=True)
         peaks = strong_peaks(((image, noise, size) for image, noise in images), reach=reach_px / block_px)
-        chosen = chosen_places([one.moved(sample.offset) for one, sample in zip(peaks, strong, strict=True)])
+        chosen = chosen_places([peak.moved(sample.offset) for peak, sample in zip(peaks, strong, strict=True)])
         trials = Trials.of([sample.trial for sample in strong])
         if chosen is not None:
             trials = trials.placed(trials.positions_px + block_px * chosen.places)
@@ -582,7 +582,7 @@ def strong_peaks(images: Iterable[tuple[FloatArray, float, float]], *, reach: fl
             peaks.append(template.peaks(sign * image, contrast=None, noise=noise, reach=reach))
 
     def typical_height(peaks: list[Peaks]) -> float:
-        return float(np.median([one.height[0] if len(one.height) else 0.0 for one in peaks]))
+        return float(np.median([peak.height[0] if len(peak.height) else 0.0 for peak in peaks]))
 
     return max(of_sign.values(), key=typical_height)
 

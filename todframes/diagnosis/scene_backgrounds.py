@@ -41,7 +41,7 @@ def whole_views(trials: Trials, strength: FloatArray, most: int) -> NDArray[np.i
         return np.zeros(0, np.intp)
     of_each = max(MOST_OF_VIEW, most * VIEWED_TIMES // len(usable))
     chosen = [ordered[_evenly(len(ordered), of_each)] for ordered in usable]
-    n_views = int(most * VIEWED_TIMES / np.mean([len(one) for one in chosen]))
+    n_views = int(most * VIEWED_TIMES / np.mean([len(trial) for trial in chosen]))
     return np.concatenate([chosen[k] for k in _evenly(len(chosen), max(n_views, 1))])
 
 

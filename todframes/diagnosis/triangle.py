@@ -62,8 +62,8 @@ class Arrangement(NamedTuple):
 
 
 TURNED = tuple(
-    Arrangement(*one)
-    for one in (
+    Arrangement(*turned)
+    for turned in (
         ("as stated", (0, 1, 2, 3), None, "all {are} as stated", ""),
         ("mirrored", (0, 3, 2, 1), "mirrored", "left and right {are} swapped", "Is the camera mirrored?"),
         ("flipped", (2, 1, 0, 3), "flipped", "up and down {are} swapped", "Are the frames upside down?"),
@@ -81,7 +81,7 @@ TURNED = tuple(
 )  # fmt: skip
 """The eight arrangements of the stated polarity, the more likely ones first."""
 
-ARRANGEMENTS = tuple(one._replace(sign=sign) for one in TURNED for sign in (1, -1))
+ARRANGEMENTS = tuple(turned._replace(sign=sign) for turned in TURNED for sign in (1, -1))
 """All arrangements, of either polarity."""
 
 

@@ -188,13 +188,16 @@ def _triangles(
     """Return conjugate spectra of triangles in the middle of the frame, and their inner products, (4, 4)."""
     at = {"size_px": px_per_mrad * stimulus.size_mrad, "x_px": shape[1] // 2, "y_px": shape[0] // 2}
     triangles = np.array(
-        [stimulus.polarity * coverage(shape, **at, orientation=one, centre=centre) for one in ORIENTATIONS]
+        [
+            stimulus.polarity * coverage(shape, **at, orientation=orientation, centre=centre)
+            for orientation in ORIENTATIONS
+        ]
     ).reshape(4, -1)
     products = triangles @ triangles.T
     if is_single:
         totals = triangles.sum(axis=1)
         products = products - np.outer(totals, totals) / triangles.shape[1]
-    return [np.conj(np.fft.rfft2(one.reshape(shape))) for one in triangles], products
+    return [np.conj(np.fft.rfft2(triangle.reshape(shape))) for triangle in triangles], products
 
 
 def _cross(

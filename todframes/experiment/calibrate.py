@@ -107,11 +107,11 @@ def calibrate(
         if name not in ("lapse", "blur"):
             raise SettingsError(f"free: found {name!r}, expected lapse or blur")
     sessions = read_answers(Path(answers), include_flagged=include_flagged)
-    known = {one.subject for one in sessions}
+    known = {session.subject for session in sessions}
     for subject in subjects:
         if subject not in known:
             raise DataError(f"{answers}: found no subject {subject!r}, expected one of {', '.join(sorted(known))}")
-    sessions = [one for one in sessions if not subjects or one.subject in subjects]
+    sessions = [session for session in sessions if not subjects or session.subject in subjects]
     judges, each_settings = described_each(observer, lambda: _background_of(sessions))
     data = loaded(dataset)
     skips = is_skip(on_error)
@@ -124,7 +124,7 @@ def calibrate(
         kept = {name: value for name, value in own.items() if name not in fitted}
         results.append(FurtherObserver(settings=kept, persons=calibrated.persons, pooled=calibrated.pooled))
     first, *further = results
-    names = observer_names([one.settings for one in results]) if further else [""]
+    names = observer_names([result.settings for result in results]) if further else [""]
     return Result.made(
         "calibrate",
         started,
@@ -135,17 +135,19 @@ def calibrate(
         pooled=first.pooled,
         equal_noise_p_value=each[0].equal_noise_p_value,
         dataset=DatasetRecord.of(data),
-        skipped=tuple(one._asdict() for one in each[0].skipped),
+        skipped=tuple(row._asdict() for row in each[0].skipped),
         observers=tuple(further),
         warnings=tuple(
-            warning for name, one in zip(names, each, strict=True) for warning in of_observer(name, one.warnings())
+            warning
+            for name, calibrated in zip(names, each, strict=True)
+            for warning in of_observer(name, calibrated.warnings())
         ),
     )
 
 
 def _background_of(sessions: Sequence[Session]) -> float:
     """Return the luminance of the monitors' background in cd/m²: the mean over sessions."""
-    found = [one.monitor.background_luminance_cd_m2 for one in sessions]
+    found = [session.monitor.background_luminance_cd_m2 for session in sessions]
     if None in found:
         raise SettingsError(
             "luminance_cd_m2: found background, which is not known: no photometer was read in the experiment; "

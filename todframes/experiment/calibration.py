@@ -198,7 +198,7 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
         """Return what each observer finds, with its name."""
         first = FurtherObserver(settings=self.settings, persons=self.persons, pooled=self.pooled)
         each = [first, *self.observers]
-        return list(zip(observer_names([one.settings for one in each]), each, strict=True))
+        return list(zip(observer_names([calibrated.settings for calibrated in each]), each, strict=True))
 
     def tables(self) -> list[Table]:
         """List the observers compared, the noise of each person and the thresholds; the rest is folded."""
@@ -211,9 +211,9 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
 
     def findings(self) -> list[str]:
         """Return a sentence for each person; of many persons, for the first."""
-        shown = {one.subject for one in self.persons[:MOST_DESCRIBED]} | {None}
+        shown = {person.subject for person in self.persons[:MOST_DESCRIBED]} | {None}
         each = [
-            (name, [one for one in observer.all_persons if one.subject in shown])
+            (name, [person for person in observer.all_persons if person.subject in shown])
             for name, observer in self._each_observer()
         ]
         several = len(each) > 1
@@ -223,33 +223,33 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
             if several
         ]
         for name, persons in each:
-            texts += [f"{name}: " * several + self._sentence(one) for one in persons]
+            texts += [f"{name}: " * several + self._sentence(person) for person in persons]
         if (more := len(self.persons) - MOST_DESCRIBED) > 0:
             text = f"{count(more, 'more person')} {'is' if more == 1 else 'are'} in the table."
             texts.insert(len(texts) - (self.pooled is not None), text)
         return texts
 
-    def _sentence(self, one: PersonResult) -> str:
-        who = TOGETHER.capitalize() if one.subject is None else f"Person {_printable(one.subject)}"
-        name, value, ends = "internal noise", one.internal_noise, one.internal_noise_ci95
-        if one.efficiency_ci95 is not None:
-            name, value, ends = "efficiency", one.efficiency, one.efficiency_ci95
+    def _sentence(self, person: PersonResult) -> str:
+        who = TOGETHER.capitalize() if person.subject is None else f"Person {_printable(person.subject)}"
+        name, value, ends = "internal noise", person.internal_noise, person.internal_noise_ci95
+        if person.efficiency_ci95 is not None:
+            name, value, ends = "efficiency", person.efficiency, person.efficiency_ci95
         interval = interval_phrase(ends)
         if value is None:
             known = "" if interval == "open" else f" (95 % interval {interval})"
-            return f"{who}: no {name}{known}: {NO_NOISE.get(one.status, one.status)}."
+            return f"{who}: no {name}{known}: {NO_NOISE.get(person.status, person.status)}."
         text = f"{who}: {name} {plain(value)} (95 % interval {interval})"
-        if one.lapse_rate_ci95 is not None:
-            text += f", lapses {plain(one.lapse_rate, 2)} ({interval_phrase(one.lapse_rate_ci95, 2)})"
-        if one.template_blur_samples_ci95 is not None:
-            blur = interval_phrase(one.template_blur_samples_ci95)
-            text += f", template blur {plain(one.template_blur_samples)} samples ({blur})"
-        text += f", from {count(one.n_trials, 'trial')}"
-        if one.n_flagged:
+        if person.lapse_rate_ci95 is not None:
+            text += f", lapses {plain(person.lapse_rate, 2)} ({interval_phrase(person.lapse_rate_ci95, 2)})"
+        if person.template_blur_samples_ci95 is not None:
+            blur = interval_phrase(person.template_blur_samples_ci95)
+            text += f", template blur {plain(person.template_blur_samples)} samples ({blur})"
+        text += f", from {count(person.n_trials, 'trial')}"
+        if person.n_flagged:
             fate = "flagged, but counted" if self.settings.get("include_flagged") else "left out"
-            each = " and ".join(f"{n} {FLAGS[flag]}" for flag, n in one.n_flagged.items())
-            text += f"; {count(sum(one.n_flagged.values()), 'answer')} {fate}: {each}"
-        return f"{text}.{one.equivalence if one.subject is not None else ''}"
+            each = " and ".join(f"{n} {FLAGS[flag]}" for flag, n in person.n_flagged.items())
+            text += f"; {count(sum(person.n_flagged.values()), 'answer')} {fate}: {each}"
+        return f"{text}.{person.equivalence if person.subject is not None else ''}"
 
     def printed(self) -> list[str]:
         """Return all sentences."""
@@ -264,7 +264,7 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
         if has_tod_curve(self.fits):
             note = tod_note(self.fits) + " Symbols: the person, by the counts alone; lines: the fitted model."
             found.append(ReportFigure("Person and model", note, partial(_draw_persons, pairs=pairs)))
-        for one in self.persons:
+        for person in self.persons:
             fits = [
                 replace(
                     own,
@@ -273,16 +273,16 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
                     observer_curve=None if model is None else model.observer_curve,
                 )
                 for own, model in pairs
-                if own.group[SUBJECT] == one.subject
+                if own.group[SUBJECT] == person.subject
             ]
-            curves = f"curves: the fitted model{' without lapses' if one.lapse_rate else ''}"
-            found += psychometric_figures(fits, {}, of=f"Answers of {one.subject}", curves=curves)
+            curves = f"curves: the fitted model{' without lapses' if person.lapse_rate else ''}"
+            found += psychometric_figures(fits, {}, of=f"Answers of {person.subject}", curves=curves)
         return [found[0]._replace(file="calibration.png"), *found[1:]] if found else []
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the tables, the figure as SVG and the observers' settings."""
-        tables = {one.file: one.csv().encode() for one in self._own_tables()}
-        drawn = {one.file.replace(".png", ".svg"): one.svg() for one in self.figures() if one.file}
+        tables = {table.file: table.csv().encode() for table in self._own_tables()}
+        drawn = {figure.file.replace(".png", ".svg"): figure.svg() for figure in self.figures() if figure.file}
         return {**tables, **drawn, **self._settings_files(), **super().files()}
 
     def _settings_files(self) -> dict[str, bytes]:
@@ -305,14 +305,14 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
                     files[prefix + file] = self._toml(self.settings | one.settings, person).encode()
         return files
 
-    def _toml(self, settings: Record, one: PersonResult) -> str:
+    def _toml(self, settings: Record, person: PersonResult) -> str:
         values = {name: value for name, value in settings.items() if name not in NOT_OF_OBSERVER}
-        name = "internal_noise" if one.efficiency is None else "efficiency"
-        values[name] = getattr(one, name)
-        if one.template_blur_samples_ci95 is not None:
-            values["template_blur_samples"] = one.template_blur_samples
+        name = "internal_noise" if person.efficiency is None else "efficiency"
+        values[name] = getattr(person, name)
+        if person.template_blur_samples_ci95 is not None:
+            values["template_blur_samples"] = person.template_blur_samples
         how = f"todframes score DATASET --observer {settings.get('observer')} --observer-settings FILE"
-        return toml_text(values, comment=f"{self._sentence(one)}\n{how}")
+        return toml_text(values, comment=f"{self._sentence(person)}\n{how}")
 
 
 def noise_table(persons: Sequence[PersonResult]) -> Table:
@@ -321,11 +321,11 @@ def noise_table(persons: Sequence[PersonResult]) -> Table:
     Of noise and efficiency it has what was fitted, and so of lapses and blur.
     """
     records: list[Record] = [
-        {one.key: getattr(person, one.key) for one in NOISE_COLUMNS}
+        {column.key: getattr(person, column.key) for column in NOISE_COLUMNS}
         | {SUBJECT: person.subject or TOGETHER, "n_flagged": sum(person.n_flagged.values()) or None}
         for person in persons
     ]
-    is_efficiency = any(one.efficiency_ci95 is not None for one in persons)
+    is_efficiency = any(person.efficiency_ci95 is not None for person in persons)
     kept, other = ("efficiency", "internal_noise") if is_efficiency else ("internal_noise", "efficiency")
     empty = [f"{other}_ci95"]
     for key in ("lapse_rate", "template_blur_samples"):
@@ -341,12 +341,12 @@ def observers_table(each_observer: Sequence[tuple[str, FurtherObserver]]) -> Tab
     names = [name for name, _ in each_observer]
     keys = ("internal_noise", "efficiency", "aic", "deviance", "n_cells", "deviance_p_value")
     records: list[Record] = []
-    for persons in zip(*(one.all_persons for _, one in each_observer), strict=True):
+    for persons in zip(*(person.all_persons for _, person in each_observer), strict=True):
         least = min(map(_aic, persons))
         records += [
-            {SUBJECT: one.subject or TOGETHER, "observer": name, "aic_difference": _aic(one) - least}
-            | {key: getattr(one, key) for key in keys}
-            for name, one in zip(names, persons, strict=True)
+            {SUBJECT: person.subject or TOGETHER, "observer": name, "aic_difference": _aic(person) - least}
+            | {key: getattr(person, key) for key in keys}
+            for name, person in zip(names, persons, strict=True)
         ]
     columns = (
         Column(key=SUBJECT, header="person", is_name=True),
@@ -362,15 +362,17 @@ def observers_table(each_observer: Sequence[tuple[str, FurtherObserver]]) -> Tab
     return Table.of("Which observer explains the answers better", "observers.csv", columns, records)
 
 
-def _aic(one: PersonResult) -> float:
-    assert one.aic is not None  # older results have one observer
-    return one.aic
+def _aic(person: PersonResult) -> float:
+    assert person.aic is not None  # older results have one observer
+    return person.aic
 
 
 def _comparison(names: Sequence[str], persons: Sequence[PersonResult]) -> str:
     """Return a sentence on which observer explains a person better."""
-    (best, name), (second, _), *_ = sorted((_aic(one), name) for one, name in zip(persons, names, strict=True))
-    each = ", ".join(f"{plain(_aic(one), 5)} for {name}" for one, name in zip(persons, names, strict=True))
+    (best, name), (second, _), *_ = sorted(
+        (_aic(person), name) for person, name in zip(persons, names, strict=True)
+    )
+    each = ", ".join(f"{plain(_aic(person), 5)} for {name}" for person, name in zip(persons, names, strict=True))
     who = "all together" if persons[0].subject is None else f"person {_printable(persons[0].subject)}"
     if second - best < UNDECIDED:
         return f"The answers of {who} do not decide between the observers: AIC {each}."
@@ -383,7 +385,7 @@ def _comparison(names: Sequence[str], persons: Sequence[PersonResult]) -> str:
 
 def own_and_model(fits: Sequence[Fit], persons: Sequence[PersonResult]) -> list[tuple[Fit, Fit | None]]:
     """Return each threshold of a person with that of the fitted model; None where no noise is known."""
-    predicted = {tuple(fit.group.values()): fit for one in persons for fit in one.predicted}
+    predicted = {tuple(fit.group.values()): fit for person in persons for fit in person.predicted}
     return [(fit, predicted.get(tuple(fit.group.values()))) for fit in fits]
 
 

@@ -92,7 +92,7 @@ class SeenDataset(Dataset):
     def has_frame(self, frame: FrameReference) -> bool:
         """Return whether the files of the frame exist."""
         trial, _ = self.originals[frame.path]
-        return all(self.shown.has_frame(one) for one in trial.frames)
+        return all(self.shown.has_frame(frame_shown) for frame_shown in trial.frames)
 
     def open(self, frame: FrameReference, *, verify: bool = False) -> FrameSource:
         """Show the frame on the monitor again; raise FrameError if it has changed or cannot be used."""
@@ -338,7 +338,7 @@ def _changed(observer: Observer, changes: dict[str, Any]) -> Observer:
 
 def noise_grid(answered: Sequence[AnsweredTrials]) -> FloatArray:
     """Return ln of the internal noises to try: from hardly any wrong answers to guesses in all trials."""
-    strengths = np.concatenate([one.strengths() for one in answered])
+    strengths = np.concatenate([answers.strengths() for answers in answered])
     most = float(strengths.max())
     if not most > 0.0:
         raise DataError("the model sees no difference between the four triangles in any trial; look at the frames")
@@ -367,15 +367,15 @@ class Calibrated:
         """Return warnings about persons whom the model does not describe, and about persons who differ."""
         name = self.fitted.replace("_", " ")
         found = []
-        for one in self.persons:
-            p_value = one.deviance_p_value
+        for person in self.persons:
+            p_value = person.deviance_p_value
             if p_value is not None and p_value < SURPRISING:
                 message = (
                     f"the model with one {name} does not describe these answers (deviance "
-                    f"{one.deviance:.3g} in {one.n_cells} cells, p = {p_value:.2g}); compare the "
+                    f"{person.deviance:.3g} in {person.n_cells} cells, p = {p_value:.2g}); compare the "
                     "thresholds of each group with those of the model"
                 )
-                found.append(_surprising("poor_fit", message, p_value, subject=str(one.subject)))
+                found.append(_surprising("poor_fit", message, p_value, subject=str(person.subject)))
         p_value = self.equal_noise_p_value
         if p_value is not None and p_value < SURPRISING:
             message = (
@@ -419,7 +419,7 @@ def calibrate_persons(
         for session in sessions
     ]
     ln_noise = noise_grid(answered)
-    tables = [one.table(ln_noise, blurs) for one in answered]
+    tables = [group.table(ln_noise, blurs) for group in answered]
     fixed = fit_settings.lapse_rate or 0.0
     lapse_rates = (0.0, fit_settings.lapse_rate_max) if "lapse" in free else (fixed, fixed)
 
@@ -450,16 +450,16 @@ def calibrate_persons(
         flags: Counter[str] = sum((Counter(flagged(sessions[k].rows)) for k in members), Counter())
         return _person_result(subject, is_correct, dict(flags), fit, predicted, equal, setting, 1 + len(set(free)))
 
-    subjects = list(dict.fromkeys(one.subject for one in answered))
+    subjects = list(dict.fromkeys(answers.subject for answers in answered))
     persons = tuple(
-        fitted(subject, [k for k, one in enumerate(answered) if one.subject == subject], number)
+        fitted(subject, [k for k, answers in enumerate(answered) if answers.subject == subject], number)
         for number, subject in enumerate(subjects, 1)
     )
     pooled = p_value = None
     if len(persons) > 1:
         pooled = fitted(None, range(len(answered)), 0)
         p_value = _equal_noise(persons, pooled, 1 + len(set(free)))
-    skipped = tuple(skipped for one in answered for skipped in one.skipped)
+    skipped = tuple(skipped for answers in answered for skipped in answers.skipped)
     return Calibrated(persons, pooled, tuple(own), p_value, skipped, setting)
 
 
@@ -476,7 +476,7 @@ def _person_result(
     is_known, (low, high) = fit.status == "ok", fit.noise_ci95
     values: Json = {NOISE: fit.noise, f"{NOISE}_ci95": (low, high)}
     if setting == EFFICIENCY:
-        efficiency, *ends = (None if one is None else one**-2 for one in (fit.noise, high, low))
+        efficiency, *ends = (None if noise is None else noise**-2 for noise in (fit.noise, high, low))
         values = {f"{NOISE}_ci95": (None, None), EFFICIENCY: efficiency, f"{EFFICIENCY}_ci95": tuple(ends)}
     return PersonResult(
         subject=subject,
@@ -519,7 +519,7 @@ def model_difference(
 def _equal_noise(persons: Sequence[PersonResult], pooled: PersonResult, n_parameters: int) -> float:
     from scipy.stats import chi2
 
-    ratio = 2.0 * (sum(one.log_likelihood for one in persons) - pooled.log_likelihood)
+    ratio = 2.0 * (sum(person.log_likelihood for person in persons) - pooled.log_likelihood)
     return float(chi2.sf(max(ratio, 0.0), n_parameters * (len(persons) - 1)))
 
 
@@ -527,8 +527,8 @@ def cells_of(answered: Sequence[AnsweredTrials]) -> NDArray[np.intp]:
     """Return a number for each trial, the same for those of the same session, group and level."""
     keys = [
         (number, *key)
-        for number, one in enumerate(answered)
-        for key in zip(one.trials.group_codes.tolist(), one.trials.levels.tolist(), strict=True)
+        for number, answers in enumerate(answered)
+        for key in zip(answers.trials.group_codes.tolist(), answers.trials.levels.tolist(), strict=True)
     ]
     numbers: dict[tuple[float, ...], int] = {}
     return np.array([numbers.setdefault(key, len(numbers)) for key in keys], np.intp)
@@ -552,5 +552,5 @@ def _model_curve(
         p = table.at(np.log([noise]), np.log([fit.blur]))[:, 0, 0]
         return fit_trials(levels, p, curve="observer", settings=of_model, rng=np.random.default_rng(0))
 
-    low, high = (None if one is None else curve(one).threshold for one in fit.noise_ci95)
+    low, high = (None if end is None else curve(end).threshold for end in fit.noise_ci95)
     return replace(curve(fit.noise), p_correct=settings.p_correct, threshold_ci95=(low, high))

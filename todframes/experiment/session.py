@@ -350,8 +350,8 @@ class Sitting:
                 "pixel_pitch_mrad": display.pitch_mrad,
                 "width_px": material.frame_px[0],
                 "height_px": material.frame_px[1],
-                "smallest_contrast": min(one.low for one in material.contrasts),
-                "largest_contrast": max(one.high for one in material.contrasts),
+                "smallest_contrast": min(contrasts.low for contrasts in material.contrasts),
+                "largest_contrast": max(contrasts.high for contrasts in material.contrasts),
             },
             "device_pixel_ratio": None if self.record.monitor is None else self._monitor.device_pixel_ratio,
             "time_limit_ms": self.record.time_limit_ms,
@@ -391,7 +391,7 @@ class Sitting:
     def _look_ahead(self, shown: CurrentTrial) -> None:
         """Begin to make the pictures of the trials that follow a right and a wrong answer."""
         orientation = shown.picture.trial.orientation
-        wrong = next(one for one in ORIENTATIONS if one is not orientation)
+        wrong = next(other for other in ORIENTATIONS if other is not orientation)
         ahead = {}
         for response in (orientation, wrong):
             following = self._order.next([*self._file.rows, _row(shown, response, LEAST_RESPONSE_MS)])
@@ -403,7 +403,7 @@ class Sitting:
 
     def _after(self, row: TrialRow) -> None:
         """Begin a break after an answer if it is time, and write the counts then and at the end."""
-        n_main, every = sum(one.phase == "main" for one in self._file.rows), self.record.break_every
+        n_main, every = sum(answer.phase == "main" for answer in self._file.rows), self.record.break_every
         following = self._order.next(self._file.rows)
         self._is_break = bool(every) and row.phase == "main" and n_main % every == 0 and following is not None
         if self._is_break or following is None:
@@ -445,7 +445,11 @@ def _row(
 def frames_sha256(dataset: Dataset, trial: Trial) -> str:
     """Return the checksum of the file of a trial's frame; of several, that of the lines of their checksums."""
     each = [frame_sha256(dataset.frame_path(frame)) for frame in trial.frames]
-    return each[0] if len(each) == 1 else hashlib.sha256("".join(f"{one}\n" for one in each).encode()).hexdigest()
+    return (
+        each[0]
+        if len(each) == 1
+        else hashlib.sha256("".join(f"{checksum}\n" for checksum in each).encode()).hexdigest()
+    )
 
 
 def _now() -> str:
@@ -540,7 +544,9 @@ def _records_in(folder: Path, shown: ShownDataset) -> list[tuple[Path, SessionRe
         return []
     if not folder.is_dir():
         raise OutputError(f"{folder}: is a file, expected a folder for answers, or a new name")
-    if not (folder / DESCRIPTION_FILE).exists() and any(not one.name.startswith(".") for one in folder.iterdir()):
+    if not (folder / DESCRIPTION_FILE).exists() and any(
+        not file.name.startswith(".") for file in folder.iterdir()
+    ):
         raise OutputError(f"{folder}: holds other files, expected a folder of answers, an empty one or a new name")
     records = read_records(folder)
     for path, record in records:

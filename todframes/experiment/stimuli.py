@@ -134,7 +134,7 @@ def shown_codes(contrast: FloatArray, monitor: Monitor, seed: int) -> NDArray[np
         return np.searchsorted(middles, luminance).astype(np.uint8)
     shift = divmod(seed % TILE**2, TILE)
     codes = dithered(np.roll(luminance, shift, (0, 1)), of_code)
-    return np.roll(codes, [-one for one in shift], (0, 1)).astype(np.uint8)
+    return np.roll(codes, [-step for step in shift], (0, 1)).astype(np.uint8)
 
 
 def shown_contrast(codes: NDArray[np.uint8], monitor: Monitor) -> FloatArray:

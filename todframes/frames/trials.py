@@ -116,7 +116,7 @@ class Trials(Sequence[Trial]):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Trials):
             return NotImplemented
-        return len(self) == len(other) and all(one == two for one, two in zip(self, other, strict=True))
+        return len(self) == len(other) and all(left == right for left, right in zip(self, other, strict=True))
 
     def __hash__(self) -> int:
         return hash(self.numbers.tobytes())
@@ -192,7 +192,9 @@ class Trials(Sequence[Trial]):
     @property
     def quarter_turns(self) -> NDArray[np.intp]:
         """Orientation of each trial, an index into `ORIENTATIONS`."""
-        return np.array([one.quarter_turns for one in self._table["orientation"].tolist()], np.intp)
+        return np.array(
+            [orientation.quarter_turns for orientation in self._table["orientation"].tolist()], np.intp
+        )
 
     @property
     def stimuli(self) -> tuple[Stimulus, ...]:

@@ -82,7 +82,9 @@ class PoolEngine(ABC):
                     continue
                 except DeadWorkerError:
                     # All that waited for the process look the same.
-                    items_in_flight = [item for one in list(in_flight.values()) or [batch] for _, item in one]
+                    items_in_flight = [
+                        item for waiting in list(in_flight.values()) or [batch] for _, item in waiting
+                    ]
                     where, last = work.name(items_in_flight[0]), work.name(items_in_flight[-1])
                     if len(items_in_flight) > 1:
                         where = f"one of {len(items_in_flight)} parts of the work, from {where} to {last}"

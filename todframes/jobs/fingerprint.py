@@ -56,8 +56,8 @@ def _parts(value: object) -> Iterator[bytes]:
         case tuple() | list() | set() | frozenset():
             items = sorted(value, key=repr) if isinstance(value, set | frozenset) else value
             yield f"sequence {len(items)} ".encode()
-            for one in items:
-                yield from _parts(one)
+            for item in items:
+                yield from _parts(item)
         case _:
             yield from _parts(type(value))
             yield from _parts(_attributes(value))
@@ -66,7 +66,7 @@ def _parts(value: object) -> Iterator[bytes]:
 def _attributes(value: Any) -> dict[str, object]:
     """Return the attributes of an object; for an observer its settings, which determine everything else."""
     if dataclasses.is_dataclass(value):
-        return {one.name: getattr(value, one.name) for one in dataclasses.fields(value)}
+        return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     settings = getattr(value, "settings", None)
     return {"settings": settings} if dataclasses.is_dataclass(settings) else vars(value)
 

@@ -124,8 +124,8 @@ def _redrawn_answers(
     n_all = n.sum()
     p = np.array(
         [
-            (n * one.p_correct + CURVE_TRIALS * curve) / (n + CURVE_TRIALS)
-            for one, curve in zip(series, curves, strict=True)
+            (n * observed.p_correct + CURVE_TRIALS * curve) / (n + CURVE_TRIALS)
+            for observed, curve in zip(series, curves, strict=True)
         ]
     )
     p = (n_all * p + PLUS_TRIALS * (1 + guess_rate) / 2) / (n_all + PLUS_TRIALS)
@@ -178,7 +178,7 @@ def _redrawn_probabilities(
     stretch = np.broadcast_to(stretch, (size, len(n_trials)))
     unbiased = math.sqrt(n_all / max(n_all - FREE_PARAMETERS, 1))
     unit = np.sqrt(curves * (1 - curves))
-    trials = [one.trials or [] for one in series]
+    trials = [observed.trials or [] for observed in series]
     answers = [np.array([of_series[level] for of_series in trials]) for level in range(len(n_trials))]
     residuals = np.concatenate(
         [(a - curves[:, [k]]) / np.maximum(unit[:, [k]], 1e-300) for k, a in enumerate(answers)], axis=1
@@ -242,15 +242,17 @@ def on_drawn_backgrounds(
     mean of all of its trials. Levels with answers of 0 and 1 have trials of the fitted curve besides, or levels
     without errors would not vary.
     """
-    curve_trials = 0 if any(one.are_probabilities for one in series) else CURVE_TRIALS
+    curve_trials = 0 if any(observed.are_probabilities for observed in series) else CURVE_TRIALS
     drawn = np.empty((len(series), len(weights), len(backgrounds)))
     for level, numbers in enumerate(backgrounds):
         n, most = len(numbers), weights.shape[1]
         n_drawn = weights @ np.bincount(numbers, minlength=most)
-        for k, one in enumerate(series):
-            assert one.trials is not None
-            sums = weights @ np.bincount(numbers, one.trials[level], minlength=most)
-            means = np.divide(sums, n_drawn, out=np.full(len(weights), one.p_correct[level]), where=n_drawn > 0.0)
+        for k, observed in enumerate(series):
+            assert observed.trials is not None
+            sums = weights @ np.bincount(numbers, observed.trials[level], minlength=most)
+            means = np.divide(
+                sums, n_drawn, out=np.full(len(weights), observed.p_correct[level]), where=n_drawn > 0.0
+            )
             drawn[k, :, level] = (n * means + curve_trials * curves[k, level]) / (n + curve_trials)
     return np.clip(drawn, 0.0, 1.0)
 

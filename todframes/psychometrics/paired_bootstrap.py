@@ -87,11 +87,11 @@ def ratio_draws(
         model = curve_model(observed, fit.curve, settings)
         ln_thresholds.append(model.thresholds_within_reach(model.fit_many(answers, tolerance=tolerance)))
     found = []
-    for one, other in pairs:
-        fit, reference = fits[one], fits[other]
+    for number, other in pairs:
+        fit, reference = fits[number], fits[other]
         ratio = _quotient(fit.threshold, reference.threshold)
         with np.errstate(invalid="ignore"):
-            difference = ln_thresholds[one] - ln_thresholds[other]
+            difference = ln_thresholds[number] - ln_thresholds[other]
         ln_ratios = np.nan_to_num(difference, nan=0.0, posinf=np.inf, neginf=-np.inf)
         if ratio is not None:
             ln_ratios = math.log(ratio) + (ln_ratios - math.log(ratio)) * widening

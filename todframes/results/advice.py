@@ -80,7 +80,7 @@ def _wider(aperture_sd_deg: float | None) -> str:
 def _is_too_wide(fit: Fit, aperture_sd_deg: float | None) -> bool:
     """Return whether levels leave a threshold open upwards, and the triangle's edges lie outside the aperture."""
     size_mrad = fit.group.get("size_mrad")
-    strongest = max((one.level for one in fit.points), default=math.inf)
+    strongest = max((point.level for point in fit.points), default=math.inf)
     is_open = fit.status == "never_reached" or (fit.threshold or 0.0) > strongest
     if aperture_sd_deg is None or not isinstance(size_mrad, float) or not is_open:
         return False

@@ -403,7 +403,7 @@ class Content(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the content of the files besides figures, page and JSON, by name: tables as CSV, and others."""
-        return {one.file: one.csv().encode() for one in self.tables() if one.file}
+        return {table.file: table.csv().encode() for table in self.tables() if table.file}
 
     def found_in(self, folder: Path) -> None:
         """Take what stands beside the JSON in its folder, when it is asked for."""

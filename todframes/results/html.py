@@ -47,11 +47,13 @@ _NOT_OF_PAGE = re.compile(r"\s*<(metadata|style)\b.*?</\1>", re.DOTALL)
 def page(title: str, name: str, result: Head, data: Content) -> str:
     """Return the HTML page of a result and what was measured: the answer first, and folded how it was made."""
     of_data = data.tables()
-    shown = [one for one in of_data if not one.is_folded]
-    details = [replace(one, title=f"{one.title}: details", file="").folded() for one in shown if one.has_details]
-    folded = [*details, *(one for one in of_data if one.is_folded), tables.settings(result, data).folded()]
+    shown = [table for table in of_data if not table.is_folded]
+    details = [
+        replace(table, title=f"{table.title}: details", file="").folded() for table in shown if table.has_details
+    ]
+    folded = [*details, *(table for table in of_data if table.is_folded), tables.settings(result, data).folded()]
     examples: Sequence[Example] = getattr(data, "examples", None) or ()
-    whole = [one for one in examples if any(picture.name == "whole" for picture in one.pictures)]
+    whole = [example for example in examples if any(picture.name == "whole" for picture in example.pictures)]
     run_time = [] if result.run_time_s is None else [f"Run time {plain(result.run_time_s)} s."]
     content = {
         "title": title,
@@ -60,8 +62,8 @@ def page(title: str, name: str, result: Head, data: Content) -> str:
         "verdict": data.sentences(),
         "warnings": [*warning_texts(result.warnings)],
         "figures": figure_items(data.figures()),
-        "tables_shown": [table_item(one.without_details()) for one in shown],
-        "examples": _examples([one for one in examples if one not in whole]),
+        "tables_shown": [table_item(table.without_details()) for table in shown],
+        "examples": _examples([example for example in examples if example not in whole]),
         "without": _examples(whole),
         "remarks": run_time + data.remarks(),
         "details": [*map(table_item, folded)],
@@ -93,11 +95,13 @@ def figure_items(drawn: Sequence[ReportFigure]) -> list[Json]:
     with style():
         return [
             {
-                "svg": inline_svg(one.figure(), name=f"figure-{number}", label=_shown(f"{one.title}. {one.note}")),
-                "title": one.title,
-                "note": one.note,
+                "svg": inline_svg(
+                    drawing.figure(), name=f"figure-{number}", label=_shown(f"{drawing.title}. {drawing.note}")
+                ),
+                "title": drawing.title,
+                "note": drawing.note,
             }
-            for number, one in enumerate(drawn[:MOST_FIGURES], 1)
+            for number, drawing in enumerate(drawn[:MOST_FIGURES], 1)
         ]
 
 
@@ -109,23 +113,27 @@ def table_item(table: Table) -> Json:
 def _examples(examples: Sequence[Example]) -> list[Json]:
     """List the examples by group, with a row of pictures for each algorithm."""
     groups: dict[str, Json] = {}
-    for one in examples:
-        label = group_phrase(one.group)
+    for example in examples:
+        label = group_phrase(example.group)
         groups.setdefault(label, {"label": label, "rows": []})["rows"].append(
-            {"algorithm": one.algorithm or "", "about": _about_example(one), "tiles": [*map(_tile, one.pictures)]}
+            {
+                "algorithm": example.algorithm or "",
+                "about": _about_example(example),
+                "tiles": [*map(_tile, example.pictures)],
+            }
         )
     return list(groups.values())
 
 
-def _about_example(one: Example) -> str:
+def _about_example(example: Example) -> str:
     parts = [
-        f"apex {one.orientation}" if one.orientation else "",
-        f"{level_name(one.level)} {plain(one.strength)}" if one.strength is not None else "",
-        f"P(correct) {plain(one.p_correct, 2)}" if one.p_correct is not None else "",
-        f"{plain(one.width_mrad)} mrad wide" if one.width_mrad is not None else "",
-        f"mean of {one.n_frames} frames" if (one.n_frames or 1) > 1 else "",
-        f"scene {one.scene}" if one.scene else "",
-        one.frame or "",
+        f"apex {example.orientation}" if example.orientation else "",
+        f"{level_name(example.level)} {plain(example.strength)}" if example.strength is not None else "",
+        f"P(correct) {plain(example.p_correct, 2)}" if example.p_correct is not None else "",
+        f"{plain(example.width_mrad)} mrad wide" if example.width_mrad is not None else "",
+        f"mean of {example.n_frames} frames" if (example.n_frames or 1) > 1 else "",
+        f"scene {example.scene}" if example.scene else "",
+        example.frame or "",
     ]
     return ", ".join(part for part in parts if part)
 
@@ -157,7 +165,8 @@ def notebook_page(sentences: Sequence[str], shown: Sequence[Table], figures: Seq
     name = f"tod-{zlib.crc32((text + content).encode()):08x}"
     with style():
         svg = "".join(
-            inline_svg(one.figure(), name=name, label=_shown(f"{one.title}. {one.note}")) for one in figures[:1]
+            inline_svg(first.figure(), name=name, label=_shown(f"{first.title}. {first.note}"))
+            for first in figures[:1]
         )
     paper = "--paper: var(--jp-layout-color0, Canvas); max-width: 40rem"
     return f'<div style="{paper}">{text}{content}{svg}</div>'
@@ -175,7 +184,7 @@ def inline_svg(figure: Figure, *, name: str, label: str) -> str:
     """
     import matplotlib as mpl
 
-    for patch in (figure.patch, *(one.patch for axes in figure.axes for one in (axes, *axes.child_axes))):
+    for patch in (figure.patch, *(patched.patch for axes in figure.axes for patched in (axes, *axes.child_axes))):
         patch.set(facecolor="none", edgecolor="none")
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
         _, _, drawing = svg_file(figure).decode().partition("<svg")

@@ -54,7 +54,7 @@ def rerun(result: Result[Any] | ResultFile) -> dict[str, tuple[Any, Any]]:
     given = {key: _read(key, value) for key, value in before.call.items() if key in known}
     if "examples" in known:
         given["examples"] = False
-    old, new = (dict(_leaves(msgspec.to_builtins(one.data))) for one in (before, found(**given)))
+    old, new = (dict(_leaves(msgspec.to_builtins(result.data))) for result in (before, found(**given)))
     keys = [key for key in old | new if old.get(key) != new.get(key)]
     return {key: (old.get(key), new.get(key)) for key in keys}
 
@@ -66,13 +66,15 @@ def _read(name: str, value: Any) -> Any:
     if isinstance(value, str) and "://" in value:
         raise DataError(f"{name}: {value} is a URL, which is not opened for a result; call again")
     if name == "observer":
-        return [_observer(one) for one in value] if isinstance(value, list) else _observer(value)
+        return [_observer(item) for item in value] if isinstance(value, list) else _observer(value)
     if name == "enhance":
         from todframes.base.user_code import registered
 
-        for one in [value] if isinstance(value, str) else value:
-            if one.partition(":")[0] not in registered("todframes.enhancements"):
-                raise DataError(f"{name}: {one} is code of your own or a network, which a result does not run")
+        for algorithm in [value] if isinstance(value, str) else value:
+            if algorithm.partition(":")[0] not in registered("todframes.enhancements"):
+                raise DataError(
+                    f"{name}: {algorithm} is code of your own or a network, which a result does not run"
+                )
     if name == "fit" and value is not None:
         from todframes.psychometrics.fit import FitSettings
 
@@ -80,31 +82,31 @@ def _read(name: str, value: Any) -> Any:
     if name == "patches" and value is not None:
         return {tuple(box): level for box, level in value}
     if isinstance(value, list):
-        return tuple(_read(f"{name}[{number}]", one) for number, one in enumerate(value))
+        return tuple(_read(f"{name}[{number}]", item) for number, item in enumerate(value))
     return value
 
 
 def _observer(value: Any) -> Any:
     """Return an observer by the name or the settings that a result has."""
     name, settings = (value, None) if isinstance(value, str) else (value["observer"], value)
-    if any(":" in one for one in name.split(",")):
+    if any(":" in part for part in name.split(",")):
         raise DataError(f"observer: {name} is code of your own, which a result does not run; call again")
     if settings is None:
         return name
     from todframes.observers.interface import find_observer
 
     kind: Any = find_observer(name)
-    return kind(kind.settings_type(**{key: one for key, one in settings.items() if key != "observer"}))
+    return kind(kind.settings_type(**{key: setting for key, setting in settings.items() if key != "observer"}))
 
 
 def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Yield each number and text of a result with its key in JSON, but for what differs from run to run."""
     if isinstance(value, Mapping | list | tuple):
-        items = value.items() if isinstance(value, Mapping) else ((f"[{n}]", one) for n, one in enumerate(value))
-        for name, one in items:
+        items = value.items() if isinstance(value, Mapping) else ((f"[{n}]", item) for n, item in enumerate(value))
+        for name, item in items:
             if name not in OF_TIME:
                 yield from _leaves(
-                    one, f"{key}{name}" if str(name).startswith("[") else f"{key}.{name}".strip(".")
+                    item, f"{key}{name}" if str(name).startswith("[") else f"{key}.{name}".strip(".")
                 )
     else:
         yield key, value

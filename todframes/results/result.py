@@ -216,7 +216,7 @@ class Result(Head, Generic[C], frozen=True, kw_only=True):
         """Return the findings and warnings as sentences, a line each, as the page states them."""
         from todframes.results.wording import warning_text
 
-        warnings = (f"warning: {warning_text(one.group, one.message)}" for one in self.warnings)
+        warnings = (f"warning: {warning_text(warning.group, warning.message)}" for warning in self.warnings)
         return "\n".join([*self.data.sentences(), *warnings])
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -272,7 +272,7 @@ class Result(Head, Generic[C], frozen=True, kw_only=True):
         """
         files: dict[str, bytes | Iterable[bytes]] = {
             **self.data.files(),
-            **{one.file: one.png() for one in self.data.figures() if one.file},
+            **{drawn.file: drawn.png() for drawn in self.data.figures() if drawn.file},
             self.data.page_file: self.to_html().encode(),
         }
         return files | {self.data.json_file: json_file(self._object() | {"files": sorted(files)})}
@@ -383,10 +383,10 @@ def _written(value: Any) -> Any:
     if kind == "FitSettings":
         return _written(asdict(value))
     if isinstance(value, Mapping):
-        pairs = [[_written(key), _written(one)] for key, one in value.items()]
+        pairs = [[_written(key), _written(item)] for key, item in value.items()]
         return dict(pairs) if all(isinstance(key, str) for key in value) else pairs
     if isinstance(value, np.ndarray | np.generic) and value.ndim < 2:
         return _written(value.tolist())
     if isinstance(value, Sequence) and len(value) <= LARGEST_LIST:
-        return [_written(one) for one in value]
+        return [_written(item) for item in value]
     return f"{NOT_WRITTEN}{type(value).__name__}"

@@ -142,7 +142,7 @@ class LongRecords(Sequence[Mapping[str, Any]]):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Sequence):
             return NotImplemented
-        return len(self) == len(other) and all(one == two for one, two in zip(self, other, strict=True))
+        return len(self) == len(other) and all(left == right for left, right in zip(self, other, strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +164,7 @@ class Table:
         cls, title: str, file: str, columns: Iterable[Column | str], records: Iterable[Mapping[str, Any]]
     ) -> Table:
         """Return a table; a column given as text is its key, with all else by default."""
-        made = (Column(key=one) if isinstance(one, str) else one for one in columns)
+        made = (Column(key=column) if isinstance(column, str) else column for column in columns)
         return cls(title, file, tuple(made), records if isinstance(records, LongRecords) else tuple(records))
 
     def folded(self) -> Table:
@@ -178,16 +178,20 @@ class Table:
     @property
     def has_details(self) -> bool:
         """Whether a column is a detail."""
-        return any(one.is_detail for one in self.columns)
+        return any(column.is_detail for column in self.columns)
 
     def without_empty_columns(self, *but: str) -> Table:
         """Return the table without the columns in which no record has a value; columns named in `but` are kept."""
         used = {key for record in self.records for key, value in record.items() if value is not None}
-        return replace(self, columns=tuple(one for one in self.columns if one.key in used or one.key in but))
+        return replace(
+            self, columns=tuple(column for column in self.columns if column.key in used or column.key in but)
+        )
 
     def without_details(self) -> Table:
         """Return the table with details in its file only, as a terminal shows it by default."""
-        columns = (replace(one, in_file_only=one.in_file_only or one.is_detail) for one in self.columns)
+        columns = (
+            replace(column, in_file_only=column.in_file_only or column.is_detail) for column in self.columns
+        )
         return replace(self, columns=tuple(columns))
 
     def is_numeric(self, column: Column) -> bool:
@@ -201,7 +205,7 @@ class Table:
     def rows(self, columns: Sequence[Column]) -> list[list[str]]:
         """Return the cells of some columns as text for a reader, row by row."""
         return [
-            ["< " * bool(record.get(one.bound_if)) + one.text(record.get(one.key)) for one in columns]
+            ["< " * bool(record.get(column.bound_if)) + column.text(record.get(column.key)) for column in columns]
             for record in self.records
         ]
 
@@ -213,7 +217,7 @@ class Table:
         """Yield the CSV in parts, the rows of long records in blocks."""
         yield csv_text([[name for column in self.columns for name in column.names]])
         if isinstance(self.records, LongRecords):
-            kinds = {one.key: self.records.kinds[one.key] for one in self.columns}
+            kinds = {column.key: self.records.kinds[column.key] for column in self.columns}
             for block in self.records.blocks():
                 columns = (_fields(block[key], kind) for key, kind in kinds.items())
                 yield csv_text(zip(*columns, strict=True))
@@ -225,9 +229,9 @@ class Table:
 
     def markdown(self) -> str:
         """Return the shown columns as a table in GitHub's Markdown."""
-        shown = [one for one in self.columns if not one.in_file_only]
-        rule = ["---:" if self.is_numeric(one) else "---" for one in shown]
-        lines = [[one.heading for one in shown], rule, *self.rows(shown)]
+        shown = [column for column in self.columns if not column.in_file_only]
+        rule = ["---:" if self.is_numeric(column) else "---" for column in shown]
+        lines = [[column.heading for column in shown], rule, *self.rows(shown)]
         return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
     @property
@@ -237,16 +241,17 @@ class Table:
 
     def html(self, caption_id: str = "") -> str:
         """Return the shown columns of the first rows as an HTML `table` element; its caption has the given id."""
-        shown = [one for one in self.columns if not one.in_file_only]
-        kinds = [' class="number"' if self.is_numeric(one) else "" for one in shown]
+        shown = [column for column in self.columns if not column.in_file_only]
+        kinds = [' class="number"' if self.is_numeric(column) else "" for column in shown]
         heads = "".join(
-            f'<th scope="col"{kind}>{markup(one.heading)}</th>' for one, kind in zip(shown, kinds, strict=True)
+            f'<th scope="col"{kind}>{markup(column.heading)}</th>'
+            for column, kind in zip(shown, kinds, strict=True)
         )
         body = []
         for row in replace(self, records=self.records[:LONGEST_TABLE]).rows(shown):
             first, *others = (
-                f' data-label="{markup(one.heading)}"{kind}>{markup(text)}'
-                for one, kind, text in zip(shown, kinds, row, strict=True)
+                f' data-label="{markup(column.heading)}"{kind}>{markup(text)}'
+                for column, kind, text in zip(shown, kinds, row, strict=True)
             )
             cells = "".join(f"<td{cell}</td>" for cell in others)
             body.append(f'<tr><th scope="row"{first}</th>{cells}</tr>')
@@ -283,17 +288,21 @@ class Table:
         from rich.table import Table as RichTable
         from rich.text import Text
 
-        shown = [one for one in self.columns if not one.in_file_only and (one.is_name or one.is_detail == details)]
+        shown = [
+            column
+            for column in self.columns
+            if not column.in_file_only and (column.is_name or column.is_detail == details)
+        ]
         while True:
             rows = [list(map(visible, row)) for row in self.rows(shown)]
             cells = list(zip(*rows, strict=True)) or [()] * len(shown)
             least, most = zip(*map(_widths, shown, cells), strict=True)
             # Each column has two letters of padding; one letter is between columns and one at each end.
             room = width - sum(least) - 3 * len(shown) - 1
-            rank = max(one.rank for one in shown)
+            rank = max(column.rank for column in shown)
             if room >= 0 or not rank:
                 break
-            shown = [one for one in shown if one.rank < rank]
+            shown = [column for column in shown if column.rank < rank]
         # Cells are Text, not str: names are data, and rich would read brackets in them as markup.
         table = RichTable(box=SIMPLE_HEAD)
         # Short columns get their full width first; then long texts, the longest before the others.
@@ -325,10 +334,10 @@ def _widths(column: Column, cells: Iterable[str]) -> tuple[int, int]:
     text_width = LEAST_TEXT_WIDTH if column.is_name else LEAST_WORD_WIDTH
     least = max(
         (
-            min(cell_len(one), text_width)
-            if column.wraps or (column.interval and "," in one)  # "from 0.2, open above"
-            else cell_len(one)
-            for one in cells
+            min(cell_len(cell), text_width)
+            if column.wraps or (column.interval and "," in cell)  # "from 0.2, open above"
+            else cell_len(cell)
+            for cell in cells
         ),
         default=0,
     )

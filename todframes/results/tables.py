@@ -37,7 +37,7 @@ RATE_COLUMNS = {"gamma": "guess_rate", "delta": "lapse_rate"}
 
 ALGORITHM = Column(key="algorithm", is_name=True, wraps=True)
 
-TAKEN = {"threshold", "level", *(one.key for one in THRESHOLD_COLUMNS)}
+TAKEN = {"threshold", "level", *(column.key for column in THRESHOLD_COLUMNS)}
 """Column names in use; a group column with one of these names is renamed."""
 
 
@@ -64,7 +64,10 @@ def group_record(group: Group, taken: Collection[str] = TAKEN) -> Record:
 def thresholds(fits: Sequence[Fit], title: str = "") -> Table:
     """Make the table of thresholds, a row each; columns without any value are left out."""
     computed = not any(fit.n_trials for fit in fits)
-    names = ["threshold", *(one.key for one in THRESHOLD_COLUMNS if one.key != "n_trials" or not computed)]
+    names = [
+        "threshold",
+        *(column.key for column in THRESHOLD_COLUMNS if column.key != "n_trials" or not computed),
+    ]
     records = [
         group_record(fit.group) | {name: getattr(fit, RATE_COLUMNS.get(name, name)) for name in names}
         for fit in fits
@@ -73,7 +76,7 @@ def thresholds(fits: Sequence[Fit], title: str = "") -> Table:
     heading = Column(key="threshold", header=threshold_heading(fits[0].level) if fits else "")
     title = title or f"Thresholds at {f'{100 * fits[0].p_correct:g}' if fits else '?'} % correct"
     table = Table.of(title, "thresholds.csv", [*groups, heading, *THRESHOLD_COLUMNS], records)
-    always = ["threshold", *(one.key for one in groups), *([] if computed else ["threshold_ci95"])]
+    always = ["threshold", *(column.key for column in groups), *([] if computed else ["threshold_ci95"])]
     return table.without_empty_columns(*always)
 
 
@@ -101,7 +104,10 @@ def answers(fits: Sequence[Fit]) -> Table | None:
     records = [
         group_record(fit.group)
         | {"from_level": fit.answers_from_level, "shown": shown.value, "n_answers": round(sum(row))}
-        | {f"answered_{one.value}": 100.0 * n / sum(row) for one, n in zip(ORIENTATIONS, row, strict=True)}
+        | {
+            f"answered_{orientation.value}": 100.0 * n / sum(row)
+            for orientation, n in zip(ORIENTATIONS, row, strict=True)
+        }
         for fit in fits
         for shown, row in zip(ORIENTATIONS, fit.answers or (), strict=False)
         if sum(row)
@@ -112,7 +118,10 @@ def answers(fits: Sequence[Fit]) -> Table | None:
         *group_columns(fits[0].group),
         Column(key="from_level", header=f"from {level_heading(fits[0].level)}", digits=EXACT),
         Column(key="shown"),
-        *(Column(key=f"answered_{one.value}", header=f"{one.value} (%)", decimals=0) for one in ORIENTATIONS),
+        *(
+            Column(key=f"answered_{orientation.value}", header=f"{orientation.value} (%)", decimals=0)
+            for orientation in ORIENTATIONS
+        ),
         Column(key="n_answers", header="trials", rank=1),
     ]
     return Table.of("Answers by orientation shown", "answers.csv", columns, records)
@@ -163,7 +172,7 @@ def settings(head: Head, content: Content) -> Table:
     }
     made = {name: value for name, value in made.items() if value is not None}
     made |= _flat(content.settings, "settings.")
-    made |= _flat({name: one for name, one in head.call.items() if name not in content.settings}, "call.")
+    made |= _flat({name: value for name, value in head.call.items() if name not in content.settings}, "call.")
     # Values are texts, because this table shows all digits on screen too.
     return _names_and_values("Settings, seed and versions", "settings.csv", made)
 

@@ -136,7 +136,7 @@ class Thresholds(Content, frozen=True, kw_only=True):
             found += [tables.records_table(title, file, rows)] if rows else []
         found += [self.plan_table()] if self.plan or any(fit.plan for fit in self.fits) else []
         found += [tables.dataset(self.dataset)] if isinstance(self.dataset, DatasetRecord) else []
-        return [one.folded() for one in found]
+        return [table.folded() for table in found]
 
     def plan_table(self) -> Table:
         """Return the table of what was kept and left out."""
@@ -149,10 +149,10 @@ class Thresholds(Content, frozen=True, kw_only=True):
     def cautions(self) -> list[str]:
         """Return the cautions that a reader of the thresholds must know."""
         texts = []
-        of_each = [one for one in self.located or () if one.get("n_located") is not None]
+        of_each = [located for located in self.located or () if located.get("n_located") is not None]
         if of_each:
-            n_located, n_trials = (sum(one[key] for one in of_each) for key in ("n_located", "n_trials"))
-            faint = [one["group"] for one in of_each if one["n_located"] < one["n_trials"]]
+            n_located, n_trials = (sum(located[key] for located in of_each) for key in ("n_located", "n_trials"))
+            faint = [located["group"] for located in of_each if located["n_located"] < located["n_trials"]]
             where = f" (at {group_phrases(faint)})" if faint and faint[0] else ""
             rest = f"; the others{where} are too faint and have the position of their group" if faint else ""
             texts.append(f"{n_located} of {n_trials} trials were located one by one{rest}.")
@@ -161,7 +161,7 @@ class Thresholds(Content, frozen=True, kw_only=True):
         if places is not None:
             texts.append(unknown_place(places))
         if data is not None and data.motion_mrad is not None:
-            gazes = {one.get("gaze") for one in self._each_settings()}
+            gazes = {settings.get("gaze") for settings in self._each_settings()}
             looks = " or ".join(look for gaze, look in GAZES.items() if gaze in gazes)
             texts.append(
                 f"Within a trial the triangle moves, by up to {plain(data.motion_mrad)} mrad from its mean place; "
@@ -202,8 +202,8 @@ class Thresholds(Content, frozen=True, kw_only=True):
 
     def notes(self) -> list[str]:
         """Return remarks on the frames: where triangles were found, what was skipped, what is not physical."""
-        found = [f"located: {group_phrase(one['group'])}: {_where(one)}" for one in self.located or ()]
-        found += [f"skipped: {one['error']}" for one in self.skipped]
+        found = [f"located: {group_phrase(located['group'])}: {_where(located)}" for located in self.located or ()]
+        found += [f"skipped: {skipped['error']}" for skipped in self.skipped]
         return [*found, *(f"note: {text}" for text in self._negative() if self.fits)]
 
     def _negative(self) -> list[str]:

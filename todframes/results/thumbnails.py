@@ -69,7 +69,7 @@ def pictures(
     others mid-grey is 0, and `scale` is the value of white.
     """
     reach_px = reach_px_of(observer, stimulus, pixel_pitch_mrad)
-    display = np.mean([_crop(one, reach_px) for one in shown], axis=0)
+    display = np.mean([_crop(thumbnail, reach_px) for thumbnail in shown], axis=0)
     display = _reduced(display, DISPLAY_SIDE_PX, np.mean)
     white = max(1.0, float(display.max())) if white is None else white
     light = np.clip((1.0 + display) / (1.0 + white), 0.0, 1.0)

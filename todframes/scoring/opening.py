@@ -38,7 +38,9 @@ def described_each(
 ) -> tuple[list[Observer], list[Json]]:
     """Return observers, several also named as "pyramid,csf", and their settings, as `described` does for one."""
     asked = observer.split(",") if isinstance(observer, str) else observer
-    each = [described(one, find_background) for one in (asked if isinstance(asked, Sequence) else [asked])]
+    each = [
+        described(observer, find_background) for observer in (asked if isinstance(asked, Sequence) else [asked])
+    ]
     if not each:
         raise SettingsError("observer: found none, expected one or several")
     return [judge for judge, _ in each], [settings for _, settings in each]
@@ -110,7 +112,7 @@ def opened(
     judges, each_settings = described_each(observer, lambda: _background_of(data))
     way: Locate | None = "group" if locate is True else locate or None
     data, more, warnings = _located(data, judges[0], way, on_error, progress)
-    known = [_knowing_background(*one, data) for one in zip(judges, each_settings, strict=True)]
+    known = [_knowing_background(*pair, data) for pair in zip(judges, each_settings, strict=True)]
     return Opened(data, [judge for judge, _ in known], [own for _, own in known], way, more, warnings)
 
 

@@ -154,7 +154,9 @@ def _weigh(
     # Without internal noise the smallest difference may decide.
     if not shown or readout is None or not readout.noise_covariance.any():
         return whole
-    images = np.array([retina_image(one, widest, (dx, dy)) for one in shown for dx, dy in displaced.tolist()])
+    images = np.array(
+        [retina_image(shown_trials, widest, (dx, dy)) for shown_trials in shown for dx, dy in displaced.tolist()]
+    )
     weights = readout.deviations if missing is None else missing.kept
     bounds: dict[str, float] = {}
     full = False

@@ -93,7 +93,7 @@ class Shown(NamedTuple):
     def background_luminance_cd_m2(self) -> float:
         """Mean over the frames of the luminance that contrast refers to; NaN if a patch was made from contrast."""
         each = [patch.background_luminance_cd_m2 for patch in self.patches]
-        return sum(math.nan if one is None else one for one in each) / len(each)
+        return sum(math.nan if frame is None else frame for frame in each) / len(each)
 
     def with_gaze_fixed(self, trial: Trial, frame_pitch_mrad: float) -> Shown:
         """Return frames that were read with a tracked gaze as seen with a fixed one.

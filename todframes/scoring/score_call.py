@@ -195,7 +195,7 @@ def _explained(
 
         missing = explain_missing(data, scored, judge, decisions=decisions, seed=seed)
         explained = {explanation.group: explanation for explanation in missing}
-    hints = [ResultWarning(**hint._asdict()) for one in explained.values() for hint in one.hints]
+    hints = [ResultWarning(**hint._asdict()) for explanation in explained.values() for hint in explanation.hints]
     fits = (fit_record(data, group_fit, explained.get(group_fit.group)) for group_fit in scored.fits)
     return tuple(fits), hints
 

@@ -105,12 +105,12 @@ def triangles(folder: Path) -> int:
     rng = np.random.default_rng(75)
     rows: list[list[object]] = [["dataset", "size_px", "centre", "noise_sd", "threshold_contrast"]]
     n_frames = 0
-    for one in SETS:
-        templates = np.array([_template(one, each.value) for each in ORIENTATIONS])
+    for triangle_set in SETS:
+        templates = np.array([_template(triangle_set, each.value) for each in ORIENTATIONS])
         threshold = ideal_threshold(templates)
-        name = f"{one.centre}_{one.size_px:g}px"
-        rows.append([name, one.size_px, one.centre, NOISE_SD, f"{threshold:.6g}"])
-        n_frames += _write_set(folder / name, one, templates, threshold, rng)
+        name = f"{triangle_set.centre}_{triangle_set.size_px:g}px"
+        rows.append([name, triangle_set.size_px, triangle_set.centre, NOISE_SD, f"{threshold:.6g}"])
+        n_frames += _write_set(folder / name, triangle_set, templates, threshold, rng)
     (folder / "truths.csv").write_text(csv_text(rows), encoding="utf-8")
     return n_frames
 
@@ -133,16 +133,21 @@ def ideal_threshold(templates: FloatArray) -> float:
     return float(brentq(excess, 1e-6, 100.0, xtol=1e-12))
 
 
-def _template(one: TriangleSet, orientation: str) -> FloatArray:
+def _template(triangle_set: TriangleSet, orientation: str) -> FloatArray:
     middle = (SIDE_PX - 1) / 2.0
     shape = (SIDE_PX, SIDE_PX)
     return coverage(
-        shape, size_px=one.size_px, x_px=middle, y_px=middle, orientation=orientation, centre=one.centre
+        shape,
+        size_px=triangle_set.size_px,
+        x_px=middle,
+        y_px=middle,
+        orientation=orientation,
+        centre=triangle_set.centre,
     )
 
 
 def _write_set(
-    folder: Path, one: TriangleSet, templates: FloatArray, threshold: float, rng: np.random.Generator
+    folder: Path, triangle_set: TriangleSet, templates: FloatArray, threshold: float, rng: np.random.Generator
 ) -> int:
     """Write a dataset of one set; return the number of frames. Code values are proportional to light."""
     (folder / "frames").mkdir(parents=True)
@@ -156,12 +161,12 @@ def _write_set(
         name = f"frames/c{contrast}_{orientation}_{repetition}.png"
         seen = contrast * templates[which] + rng.normal(0.0, NOISE_SD, templates[which].shape)
         write_frame(folder / name, 0.5 * (1.0 + seen), pixel_type="uint16")
-        size_mrad = one.size_px * display.pitch_mrad
+        size_mrad = triangle_set.size_px * display.pitch_mrad
         rows.append({"frame": name, "orientation": orientation, "size_mrad": size_mrad, "contrast": contrast})
     return write_dataset_files(
         folder,
         rows,
         display=table_of_display(display, folder),
         experiment=Experiment(level="contrast", group_by=("size_mrad",)),
-        comment=f"Triangles by their {one.centre} in white noise; the ideal threshold is in ../truths.csv. CC0",
+        comment=f"Triangles by their {triangle_set.centre} in white noise; ideal threshold: ../truths.csv. CC0",
     )

@@ -144,10 +144,10 @@ def timed(scenes: Sequence[SceneResult]) -> list[str]:
     texts = []
     for scene in scenes:
         parts = [
-            f"{'at least ' * one.at_least}{plain(one.ratio)} times less at "
-            f"{plain(100 * one.threshold_error, 1)} % error{' (extrapolated)' * one.extrapolated}"
-            for one in scene.speed_ratios
-            if one.ratio is not None
+            f"{'at least ' * speed.at_least}{plain(speed.ratio)} times less at "
+            f"{plain(100 * speed.threshold_error, 1)} % error{' (extrapolated)' * speed.extrapolated}"
+            for speed in scene.speed_ratios
+            if speed.ratio is not None
         ]
         if parts and len(scene.estimators) > 1:
             first, last = scene.estimators[0].label, scene.estimators[-1].label
@@ -171,12 +171,12 @@ def scene_tables(scene: SceneResult) -> list[Table]:
             Column(key="slope", rank=3),
             *(
                 Column(key=key, header=key, rank=1 if key.startswith("CPU") else 0)
-                for one in scene.estimators[:1]
-                for at in one.cpu_s_at
+                for estimator in scene.estimators[:1]
+                for at in estimator.cpu_s_at
                 for key in _at_names(at)
             ),
         ],
-        [_estimator_record(one, scene.estimators[0]) for one in scene.estimators],
+        [_estimator_record(estimator, scene.estimators[0]) for estimator in scene.estimators],
     )
     variants = Table.of(
         f"{scene.heading}: one thing changed about the closed form",
@@ -189,7 +189,9 @@ def scene_tables(scene: SceneResult) -> list[Table]:
         ],
         scene.variants,
     )
-    budgets = [{"estimator": one.label} | point for one in scene.estimators for point in one.points]
+    budgets = [
+        {"estimator": estimator.label} | point for estimator in scene.estimators for point in estimator.points
+    ]
     found = [estimators, *([variants] if scene.variants else [])]
     if budgets:
         found.append(records_table(f"{scene.heading}: budgets", f"{scene.name}_budgets.csv", budgets).folded())
@@ -202,15 +204,15 @@ def _at_names(at: Record) -> tuple[str, str]:
     return f"CPU (s) at {percent}", f"times less at {percent}"
 
 
-def _estimator_record(one: Estimator, first: Estimator) -> Record:
+def _estimator_record(estimator: Estimator, first: Estimator) -> Record:
     """Return an estimator's row: its largest budget, the slope of its error, CPU times for some errors."""
-    last = one.points[-1] if one.points else {}
-    slope = None if one.slope is None else f"{one.slope:.2f}"
-    if slope is not None and one.slope_standard_error is not None:
-        slope += f" ± {one.slope_standard_error:.2f}"
-    record: Record = {"estimator": one.label, **last, "slope": slope}
+    last = estimator.points[-1] if estimator.points else {}
+    slope = None if estimator.slope is None else f"{estimator.slope:.2f}"
+    if slope is not None and estimator.slope_standard_error is not None:
+        slope += f" ± {estimator.slope_standard_error:.2f}"
+    record: Record = {"estimator": estimator.label, **last, "slope": slope}
     bases = {at["threshold_error"]: at["cpu_s"] for at in first.cpu_s_at}
-    for at in one.cpu_s_at:
+    for at in estimator.cpu_s_at:
         cpu_s, base = at["cpu_s"], bases.get(at["threshold_error"])
         time_name, ratio_name = _at_names(at)
         if cpu_s is not None:
@@ -261,11 +263,11 @@ def draw_errors(axes: Axes, scene: SceneResult) -> None:
 def scene_runs(scene: SceneResult) -> dict[str, list[tuple[float, float]]]:
     """Return CPU time and relative threshold error at each budget of each estimator, if both are above 0."""
     runs = {
-        one.label: [
+        estimator.label: [
             (point["cpu_s"], point["threshold_error"])
-            for point in one.points
+            for point in estimator.points
             if point["cpu_s"] > 0 and point["threshold_error"] > 0
         ]
-        for one in scene.estimators
+        for estimator in scene.estimators
     }
     return {label: pairs for label, pairs in runs.items() if pairs}

@@ -184,8 +184,9 @@ def outcome_table(outcomes: Sequence[Outcome], *, documented: bool = False) -> T
         ),
     ]
     records = [
-        {"group": one.case.group} | dict(zip(TABLE_HEADERS, cells(one, documented=documented), strict=True))
-        for one in outcomes
+        {"group": outcome.case.group}
+        | dict(zip(TABLE_HEADERS, cells(outcome, documented=documented), strict=True))
+        for outcome in outcomes
     ]
     return Table.of("Extreme inputs", "stability.csv", columns, records)
 
