@@ -26,9 +26,6 @@ Image = NDArray[np.floating]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-CONTEXT = ("judged", "frame_rate_hz")
-"""Names of the keyword parameters that an algorithm of clips may have and users do not set."""
-
 REFERENCE = "none"
 """Name of the algorithm that leaves frames as they are."""
 
@@ -299,7 +296,7 @@ def described(name: str, spec: str, function: Callable[..., Any], where: str) ->
         kinds = {}
     declaration = getattr(function, DECLARATION, Declaration())
     named = [one for one in signature[1:] if one.kind in (one.KEYWORD_ONLY, one.POSITIONAL_OR_KEYWORD)]
-    context = tuple(one.name for one in named if declaration.clip and one.name in CONTEXT)
+    context = tuple(one.name for one in named if declaration.clip and one.name in ("judged", "frame_rate_hz"))
     return Enhancement(
         name=name,
         spec=spec,

@@ -32,12 +32,6 @@ Smoothing = Annotated[
     meaning("side in px of the Gaussian that frames are smoothed with to be registered; wider in noise"),
 ]
 
-ECC_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-6)
-"""Iterations of ECC, and the change of its correlation below which it ends."""
-
-SURE_CORRELATION = 5.0
-"""Correlation after ECC, in standard deviations of that of two frames of noise, from which frames are alike."""
-
 _of_clips = partial(algorithm, clip=True, each_channel=True, writes=False)
 """Declare an algorithm of clips of code values that takes one channel at a time and does not write into it."""
 
@@ -170,15 +164,15 @@ def _ecc_warp(reference: Image, frame: Image, motion: Motion, smoothing_px: int)
     There is no motion if ECC finds none, or one that brings no more into agreement than the noise of two frames.
     """
     start, everywhere = np.eye(2, 3, dtype=np.float32), np.ones(frame.shape, np.uint8)
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-6)
     try:
         kind = getattr(cv2, f"MOTION_{motion.upper()}")
-        correlation, warp = cv2.findTransformECC(
-            reference, frame, start, kind, ECC_CRITERIA, everywhere, smoothing_px
-        )
+        correlation, warp = cv2.findTransformECC(reference, frame, start, kind, criteria, everywhere, smoothing_px)
     except cv2.error:  # it does not converge
         return np.eye(2, 3)
     common = cv2.warpAffine(everywhere, warp, frame.shape[::-1], flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
-    is_sure = correlation > SURE_CORRELATION * correlation_of_noise(max(int(common.sum()), 1), smoothing_px)
+    # Five standard deviations of the correlation of two frames of noise.
+    is_sure = correlation > 5.0 * correlation_of_noise(max(int(common.sum()), 1), smoothing_px)
     return np.asarray(warp, np.float64) if is_sure else np.eye(2, 3)
 
 

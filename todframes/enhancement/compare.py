@@ -65,15 +65,6 @@ from todframes.scoring.seen_trials import RATIO_STREAMS, Scoring, SeenTrial, See
 from todframes.scoring.work import see_trials
 from todframes.stimulus import ORIENTATIONS
 
-PSNR_STEP_DB, SSIM_STEP = 0.1, 0.005
-"""Largest changes of PSNR and SSIM that count as no change."""
-
-SIGNIFICANCE = 0.05
-"""Corrected p-value below which a difference of thresholds is reported."""
-
-RESAMPLES_PER_COMPARISON = 80
-"""Resamples for each ratio: the smallest p-value, 2 / resamples, is half of 5 % even after Holm's correction."""
-
 Gains = Mapping[tuple[float | str, ...], float]
 """Contrast gains by group."""
 
@@ -263,7 +254,7 @@ def _difference(value: float | None, reference: float | None) -> float | None:
 
 def _disagreeing(changes: Mapping[str, float | None], verdict: str) -> tuple[str, ...]:
     """List those of PSNR and SSIM that contradict the observer's verdict."""
-    steps = {"psnr": PSNR_STEP_DB, "ssim": SSIM_STEP}
+    steps = {"psnr": 0.1, "ssim": 0.005}  # Up to these changes of PSNR and SSIM there is none.
     opinions = {
         name: NO_DIFFERENCE if abs(change) < steps[name] else "better" if change > 0 else "worse"
         for name, change in changes.items()
@@ -383,7 +374,8 @@ def _ratios(
     trials, groups = scored[0].trials, [fit.group for fit in scored[0].fits]
     several, others = len(groups) > 1, range(1, len(scored))
     n_comparisons = len(others) * (len(groups) + several)
-    resamples = max(fit_settings.resamples, min(RESAMPLES_PER_COMPARISON * n_comparisons, MAX_RESAMPLES))
+    # The smallest p-value, 2 / resamples, is then half of 5 % even after Holm's correction.
+    resamples = max(fit_settings.resamples, min(80 * n_comparisons, MAX_RESAMPLES))
     settings = replace(fit_settings, resamples=resamples)
     # All series of a group at once: each is drawn and fitted only once.
     pairs = [(k, 0) for k in others] + [(k, k + len(plain)) for k in others if plain]
@@ -421,7 +413,7 @@ def _ratios(
     for own, own_draws, own_gains in zip(ratios, draws[-len(others) :], gains[1:], strict=True):
         p_values = [next(corrected) for _ in own]
         verdicts = [
-            NO_DIFFERENCE if p >= SIGNIFICANCE else "better" if ratio.is_lower else "worse"
+            NO_DIFFERENCE if p >= 0.05 else "better" if ratio.is_lower else "worse"
             for ratio, p in zip(own, p_values, strict=True)
         ]
         if several and {"better", "worse"} <= set(verdicts):

@@ -92,12 +92,6 @@ ALGORITHM = Column(key="algorithm", is_name=True, wraps=True)
 MOST_COMPARED, MOST_GROUPS, MOST_GROUPS_OF_CURVES = 12, 24, 6
 """Largest numbers of algorithms and groups in a figure, and of groups whose psychometric functions are drawn."""
 
-SAME_GAIN, SURE_GAIN = 0.1, 3.0
-"""Relative difference of two contrast gains that counts as none, and standard errors beyond which it is sure."""
-
-SAME_AT_EDGE = 0.02
-"""Relative difference of an algorithm's factors at the edge of a frame and around the triangle that is none."""
-
 
 class Ratio(Struct, frozen=True, kw_only=True):
     """An algorithm's threshold divided by that of the reference, in one group or, without `group`, in all.
@@ -597,7 +591,7 @@ def not_proportional(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ..
             assert near.gain is not None and top.gain is not None
             difference = abs(near.gain - top.gain)
             error = math.hypot(near.gain_standard_error or 0.0, top.gain_standard_error or 0.0)
-            if difference <= SAME_GAIN * top.gain or difference <= SURE_GAIN * error:
+            if difference <= 0.1 * top.gain or difference <= 3.0 * error:
                 continue  # no more than is usual, or than the errors allow
             message = (
                 f"its gain of contrast is {plain(near.gain)} ± {plain(near.gain_standard_error, 1)} near the "
@@ -613,7 +607,7 @@ def edge_brightness(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...
     """Return a warning for each algorithm that makes the edge of frames brighter or darker than the background."""
     found = []
     for one in algorithms:
-        if one.edge_factor is not None and abs(one.edge_factor - 1.0) > SAME_AT_EDGE:
+        if one.edge_factor is not None and abs(one.edge_factor - 1.0) > 0.02:
             kind = "brighter" if one.edge_factor > 1.0 else "darker"
             message = (
                 "compared with what surrounds the triangle, it makes the outermost pixels of a frame "

@@ -21,9 +21,6 @@ from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Shown, retina_image
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, coverage
 
-RING_SIZES = (1.3, 2.0)
-"""Inner and outer end of the ring that the triangle's contrast is measured against, in sizes of the triangle."""
-
 LEAST_GAIN = 1e-6
 """Smallest gain that counts as one: below it the contrast after the algorithm is rounding."""
 
@@ -79,7 +76,7 @@ def _ring_weights(side: int, size_px: float, orientation: Orientation, centre: C
     """Return the weights of a triangle's mean minus that of the ring around it: (side, side)."""
     middle: dict[str, Any] = {"x_px": side // 2, "y_px": side // 2, "orientation": orientation, "centre": centre}
     inside, hole, whole = (
-        coverage((side, side), size_px=factor * size_px, **middle) for factor in (1.0, *RING_SIZES)
+        coverage((side, side), size_px=factor * size_px, **middle) for factor in (1.0, 1.3, 2.0)
     )
     ring = whole - hole
     return np.asarray(inside / inside.sum() - ring / ring.sum())

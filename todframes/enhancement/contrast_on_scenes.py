@@ -24,18 +24,12 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.frames.trials import Trials
 
-MEASURED_ON_SCENES = 48
-"""Number of trials of a level, in the mean, whose contrast is measured on scenes."""
-
 MOST_LEVELS = 40
 """Largest number of levels whose contrasts are found together."""
 
 FEW_SCENES, MOST_BLOCKS = 4, 50
 """Number of scenes from which errors are those of scenes, not of views; largest number of parts that are left out
 in turn."""
-
-LEAST_SPREAD = 0.1
-"""Least share of a − q over the levels, in root mean square, that nothing which stays open can look like."""
 
 NOTHING = 1e-9
 """Share of the largest eigenvalue up to which one is rounding."""
@@ -71,7 +65,7 @@ def views_to_measure(trials: Trials) -> NDArray[np.intp] | None:
     if not views:
         return None
     trials_a_view = np.mean([len(rows) for rows in views])
-    most = max(round(MEASURED_ON_SCENES * len(np.unique(trials.levels)) / trials_a_view), 2)
+    most = max(round(48 * len(np.unique(trials.levels)) / trials_a_view), 2)
     chosen = np.linspace(0, len(views) - 1, min(most, len(views))).round().astype(np.intp)
     return np.concatenate([views[k] for k in chosen])
 
@@ -142,7 +136,8 @@ def _contrasts(
         of_sides, of_opposite = np.concatenate([one, 0.0 * one]), np.concatenate([0.0 * one, one])
         others = np.column_stack([of_sides, free])
         left = of_opposite - others @ np.linalg.lstsq(others, of_opposite)[0]
-        is_shape_known = left @ left > LEAST_SPREAD**2 * (one @ one)
+        # Nothing that stays open can look like a tenth of a − q.
+        is_shape_known = left @ left > 0.1**2 * (one @ one)
         share = left @ seen / (left @ left) if is_shape_known else sharp_share / (1.0 - sharp_share)
         contrast[:, k] = (1.0 + float(share)) * apart[:, k]
     return contrast

@@ -31,12 +31,6 @@ from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Placement, Shown, place_grid
 
-LONGEST_INTERVAL = 1.5
-"""Interval between frames of a clip, in the median of those taken together, from which frames are missing."""
-
-WINDOW_PX = 11
-"""Side of the Gaussian window of SSIM in pixels: 3.5 standard deviations of 1.5 pixels on either side."""
-
 EVERY = slice(None)
 
 
@@ -440,7 +434,7 @@ def squared_error_and_ssim(
     from skimage.metrics import structural_similarity  # its mean_squared_error loads all of scipy.stats
 
     error = float(np.mean(np.square(reference - image)))
-    if min(image.shape) < WINDOW_PX:
+    if min(image.shape) < 11:  # the side of the Gaussian window, 3.5 standard deviations of 1.5 pixels
         return error, None
     ssim = structural_similarity(
         reference, image, data_range=data_range, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
@@ -455,7 +449,7 @@ def check_warm_up_there(dataset: Dataset, trial: Trial, algorithms: Sequence[Enh
     if n_before >= needed:
         references = (*trial.warm_up[n_before - needed :], *trial.frames)
         intervals_s = np.diff([frame.time_s for frame in references if frame.time_s is not None])
-        if len(intervals_s) and intervals_s.max() > LONGEST_INTERVAL * (usual_s := float(np.median(intervals_s))):
+        if len(intervals_s) and intervals_s.max() > 1.5 * (usual_s := float(np.median(intervals_s))):
             after = references[int(np.argmax(intervals_s)) + 1]
             raise FrameError(
                 dataset.frame_path(after),

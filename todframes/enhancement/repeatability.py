@@ -21,9 +21,6 @@ SAME_PICTURE = 1e-3
 """Largest difference of two pictures, in units of their mean luminance, that counts as none: rounding of 16-bit
 numbers, and less contrast than a triangle needs to be seen."""
 
-MOST_COMPARED_PX = 2**18
-"""Largest number of pixels of a picture that are kept for comparison: evenly spread."""
-
 
 class RepeatedFrames:
     """The first two trials of a dataset, shown after each algorithm several times during a comparison.
@@ -60,7 +57,7 @@ class RepeatedFrames:
             with suppress(DataError):  # the comparison itself reports what cannot be used
                 for spec, pictures in self._reader.pictures(self._dataset, trial):
                     n_px = math.prod(pictures[0].values.shape[:2])
-                    spread = slice(None, None, math.ceil(math.sqrt(n_px / MOST_COMPARED_PX)))
+                    spread = slice(None, None, math.ceil(math.sqrt(n_px / 2**18)))
                     found[spec, trial.number] = [picture.luminance(spread, spread) for picture in pictures]
         return found
 

@@ -28,46 +28,15 @@ from todframes.importing.windows import clipped, field_reach_px, window_about
 from todframes.parameters import Progress, counted
 from todframes.recordings.recording import GAP, Recording, RecordingWarning
 
-SLACK_PX = 16
-"""Distance that a triangle may move within a trial."""
-
 SIZE_MARGIN = 1.1
 """Factor by which a window is larger than a triangle needs, so that triangles of one size have windows of one
 size."""
 
-MOST_RESIDUAL_PX = 0.3
-"""Residual of the markers' edges from which the places of triangles are doubtful."""
-
 LARGEST_ROLL_DEGREES = 30.0
 """Largest angle between a triangle and the nearest of the four orientations."""
 
-MOST_ERROR_PX = 0.1
-"""Standard error of the triangles' places from which there is a warning."""
-
-RISE_PER_SQUARE = 0.4
-"""Relative rise of a threshold of the pyramid by triangles that are misplaced, per square of arcmin on the
-display: the largest that was measured for sharp triangles of 2 and 4 mrad, up to 0.4 arcmin."""
-
 MOST_LENS_STRETCH = 1.03
 """Stretch by the lens from which a triangle is another one."""
-
-REPORTED_STRETCH = 1.05
-"""Ratio of the largest to the smallest scale that is reported; a chart tilted by 18° has it."""
-
-EQUAL_SCALES = 1.02
-"""Ratio of the magnifications of two recordings up to which they count as one; thresholds change by less."""
-
-SAME_PLACE = 0.1
-"""Distance of two places of the chart in the field, in diagonals of the frame, up to which they are one."""
-
-LEAST_ZOOM, NOTICED_ZOOM = 0.03, 0.003
-"""Relative changes of the chart's size in the picture: of a zoom, and from which on it has begun."""
-
-MOST_MOVED = 0.03
-"""Motion of the chart besides that by a zoom, in diagonals of the frame, from which it is no zoom."""
-
-FEWEST_INTERVALS = 8
-"""Number of intervals between frames from which it is seen whether they vary."""
 
 MOST_OFF_MULTIPLE, MOST_OFF = 0.2, 0.1
 """Distance of an interval from a whole multiple of the usual one, relative to that, from which no missing frames
@@ -79,14 +48,8 @@ MOST_TRANSITION = 3
 MOST_SOLVED = 16
 """Frames of a recording, from its beginning to its end, from which its lens is solved."""
 
-LARGEST_CLOCK_ERROR = 0.1
-"""Relative difference of the pages' duration in a film from that of the chart, from which there is a warning."""
-
 FEWEST_PAGE_CHANGES = 3
 """Number of changes to the next page from which the duration of pages is measured."""
-
-MOST_UNEVEN_CHANGES = 0.2
-"""Largest share of page changes at other intervals at which a program, not a person, has turned the pages."""
 
 
 @dataclass(slots=True)
@@ -372,7 +335,7 @@ class ChartSource:
         whole = window_about(x_px, y_px, reach_px)
         window = clipped(whole, shape)
         report.n_cut += window != whole
-        held = clipped(window_about(x_px, y_px, reach_px + SLACK_PX), shape)
+        held = clipped(window_about(x_px, y_px, reach_px + 16), shape)  # so far a triangle may move within a trial
         return Placed(x_px, y_px, size_px, orientation, window, held, number)
 
     def field_places(self) -> dict[int, dict[str, str]]:
@@ -381,7 +344,7 @@ class ChartSource:
         for clip in (clip for report in self.reports for clip in report.clips):
             for group in groups:
                 here, there = ([each[name] for name in FIELD_PLACE] for each in (clip, group[0]))
-                if math.dist(here, there) < SAME_PLACE * clip["frame_mrad"]:
+                if math.dist(here, there) < 0.1 * clip["frame_mrad"]:
                     group.append(clip)
                     break
             else:
@@ -460,7 +423,7 @@ class ChartSource:
         if screen is None or found_s is None or rate is None:
             return
         ratio = found_s / screen.page_duration_s
-        if abs(ratio - 1.0) > LARGEST_CLOCK_ERROR:
+        if abs(ratio - 1.0) > 0.1:
             yield RecordingWarning(
                 "clock",
                 f"pages follow each other every {found_s:.3g} s by the times of the frames, but the chart shows "
@@ -479,7 +442,7 @@ class ChartSource:
                 "the markers' edges determine neither a flat chart nor one behind a lens, so that it is not known "
                 "how far triangles are placed wrong; film the chart larger, sharper and with less noise",
             )
-        elif residual > MOST_RESIDUAL_PX:
+        elif residual > 0.3:
             yield RecordingWarning(
                 "residual",
                 f"triangles may be placed wrong by {max(error_px, residual):.2g} px (rms), "
@@ -487,7 +450,7 @@ class ChartSource:
                 f"{residual:.2g} px off a flat chart behind {lens}: the chart is bent, or the frames are noisy or "
                 "blurred; film the chart larger, or nearer to the middle of the frame",
             )
-        elif error_px > MOST_ERROR_PX:
+        elif error_px > 0.1:
             n_markers = len(self._markers.all_centres_mm)
             chart = "a chart with markers along its borders," if n_markers == len(CORNERS) else "the chart"
             yield RecordingWarning(
@@ -582,7 +545,7 @@ class ChartSource:
             numbers = ", ".join(map(str, lost[:8])) + ", …" * (len(lost) > 8)
             yield f"pages with triangles that were not found: {len(lost)} of the chart's {len(pages)} ({numbers})"
         least, most = min(scales, key=scales.__getitem__), max(scales, key=scales.__getitem__)
-        if (ratio := scales[most] / scales[least]) > EQUAL_SCALES:
+        if (ratio := scales[most] / scales[least]) > 1.02:  # below, thresholds change by less
             yield (
                 f"{most} shows the chart {ratio:.3g} times as large as {least}: triangles of one size are "
                 "displayed with several, and share a curve; import recordings one by one for a curve each"
@@ -643,7 +606,7 @@ def _of_view(report: RecordingReport) -> Iterator[RecordingWarning]:
             f"{100 * (by_lens - 1):.2g} %, so they are not the triangles that the observer expects; film the "
             "chart nearer to the middle of the frame",
         )
-    elif stretch > REPORTED_STRETCH:
+    elif stretch > 1.05:  # a chart tilted by 18° has it
         yield RecordingWarning(
             "tilted",
             f"triangles are stretched by {100 * (stretch - 1):.2g} %, as in a view at "
@@ -654,7 +617,8 @@ def _of_view(report: RecordingReport) -> Iterator[RecordingWarning]:
 def _rise_words(shift_mrad: float) -> str:
     """Return what misplaced triangles do to a threshold; `shift_mrad` is an angle on the display."""
     shift_arcmin = math.degrees(shift_mrad / 1e3) * 60.0
-    share = RISE_PER_SQUARE * min(shift_arcmin, 1.0) ** 2
+    # The largest that was measured for sharp triangles of 2 and 4 mrad, up to 0.4 arcmin.
+    share = 0.4 * min(shift_arcmin, 1.0) ** 2
     return f"which raises thresholds by up to {100 * share:.2g} %" + " and more" * (shift_arcmin > 1.0)
 
 
@@ -676,10 +640,12 @@ def zoom_begin(centres_mm: FloatArray, geometries: Sequence[Geometry], shape: tu
     start, noise = np.median(scales[first]), np.std(scales[first]) / np.median(scales[first])
     changes = scales / start
     moved = np.linalg.norm(places - np.median(places[first], axis=0) * changes[:, None], axis=1)
-    zoomed = (np.abs(changes - 1.0) > LEAST_ZOOM) & (moved < MOST_MOVED * math.hypot(*shape))
+    # A chart that moves by 3 % of the frame's diagonal besides is carried.
+    zoomed = (np.abs(changes - 1.0) > 0.03) & (moved < 0.03 * math.hypot(*shape))
     if not zoomed.any():
         return None
-    still = np.abs(changes[: zoomed.argmax()] - 1.0) <= max(NOTICED_ZOOM, 5.0 * noise)
+    # It has begun from a change of 0.3 %.
+    still = np.abs(changes[: zoomed.argmax()] - 1.0) <= max(0.003, 5.0 * noise)
     return int(np.flatnonzero(still)[-1]) + 1 if still.any() else 0
 
 
@@ -698,7 +664,8 @@ def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> floa
     if usual_s < 2.0 * frame_s:
         return None
     regular_s = [one for one in steps_s if abs(one - usual_s) <= 1.5 * frame_s]
-    return fmean(regular_s) if len(regular_s) >= (1.0 - MOST_UNEVEN_CHANGES) * len(steps_s) else None
+    # With more at other intervals a person, not a program, has turned the pages.
+    return fmean(regular_s) if len(regular_s) >= 0.8 * len(steps_s) else None
 
 
 def rate_varies(intervals_s: FloatArray) -> bool:
@@ -707,7 +674,7 @@ def rate_varies(intervals_s: FloatArray) -> bool:
     Where frames are missing, an interval is a whole multiple of the usual one, and the next one is the usual one
     again.
     """
-    if len(intervals_s) < FEWEST_INTERVALS or not (intervals_s > 0.0).all():
+    if len(intervals_s) < 8 or not (intervals_s > 0.0).all():
         return False
     multiples = intervals_s / np.median(intervals_s)
     is_off = np.abs(multiples - np.maximum(np.rint(multiples), 1.0)) > MOST_OFF_MULTIPLE

@@ -27,12 +27,6 @@ EDGE_FRAMES = 3
 REFERENCE_FRAMES = 7
 """Frames of a clip whose median share the edge frames are compared with."""
 
-MOST_OF_OTHER = 0.03
-"""Share of another page, beyond the median, from which a frame is left out: 3 % of a triangle's contrast."""
-
-SCATTER = 6.0
-"""The same limit in median deviations of the shares; noise alone hardly reaches it."""
-
 RECENT_INTERVALS = 4
 """Number of the latest intervals between frames, of which the shortest is the frame rate if it is longer than the
 mean: at 15 % dropped frames at random, as many in a row are missing once in 2,000."""
@@ -184,7 +178,8 @@ def _without_other(
     ids, other_ids = marker_ids(clip.page, key), marker_ids(other, key)
     shares = np.array([share_of_other(one, ids, other_ids) for one in known])
     middle = float(np.median(shares))
-    most = middle + max(MOST_OF_OTHER, SCATTER * float(np.median(np.abs(shares - middle))))
+    # 3 % of a triangle's contrast, or six median deviations, which noise alone hardly reaches.
+    most = middle + max(0.03, 6.0 * float(np.median(np.abs(shares - middle))))
     bad = [k for k, frame in enumerate(frames) if share_of_other(frame.modules, ids, other_ids) > most]
     if not bad:
         return frames

@@ -30,7 +30,6 @@ POLARITY_WORDS = {"1": "1", "+1": "1", "pos": "1", "-1": "-1", "neg": "-1"}
 """Polarities by the words for them in names of files, in small letters."""
 
 _FIELD = re.compile(r"\{([^{}]*)\}|(\*)")
-_NUMBER = r"[+-]?[0-9]+(?:[.,p][0-9]+)?(?:e[+-]?[0-9]+)?"
 
 
 class FramesFound(NamedTuple):
@@ -160,7 +159,7 @@ def _expression(pattern: str, level: str) -> re.Pattern[str]:
 def _expected(name: str, level: str) -> str:
     """Return the regular expression of a column's values in names of files."""
     if name in (*NUMBERS, level):
-        return _NUMBER
+        return r"[+-]?[0-9]+(?:[.,p][0-9]+)?(?:e[+-]?[0-9]+)?"
     words = {"orientation": ORIENTATION_WORDS, "polarity": POLARITY_WORDS}.get(name)
     if words is None:
         return "[^/]+?"

@@ -18,9 +18,6 @@ from todframes.base.errors import DataError
 from todframes.importing.lens import Lens
 from todframes.stimulus import ORIENTATIONS, Orientation, vertices
 
-SIDE_STEPS = 16
-"""Steps in which a side of a triangle is followed where a lens bends it; its bulge is then known to 1/256."""
-
 
 class View(NamedTuple):
     """The local geometry of a chart in a frame, about a place on the chart.
@@ -178,7 +175,7 @@ def place_triangle(
     would be off by the second order of the perspective. A lens bends the sides, which are then followed in steps.
     """
     corners_mm = np.asarray(vertices(size=size_mm, orientation=orientation, x=x_mm, y=y_mm))
-    steps = 1 if geometry.lens is None else SIDE_STEPS
+    steps = 1 if geometry.lens is None else 16  # A side's bulge is then known to 1/256.
     shares = np.arange(steps)[:, None, None] / steps
     outline_mm = (corners_mm + shares * (np.roll(corners_mm, -1, axis=0) - corners_mm)).swapaxes(0, 1)
     outline = geometry.to_px(outline_mm.reshape(-1, 2))

@@ -48,12 +48,6 @@ from todframes.parameters import (
 from todframes.recordings.opening import open_recordings
 from todframes.recordings.recording import GAP, Recording, RecordingWarning, code_range, natural_order
 
-LARGEST_TIME_ERROR = 0.1
-"""Relative difference of the trials' time from the integration time, above which it is reported."""
-
-LARGEST_IMBALANCE = 3.0
-"""Ratio of the numbers of trials of two orientations at one level that is reported."""
-
 CAUSES: Mapping[str, str] = {"position_scatter": "shake", "turned": "rolled"}
 """Warnings of recordings that explain what the frames of the dataset show."""
 
@@ -407,7 +401,7 @@ def _of_design(
         )
     for (size, level), of_orientation in numbers.items():
         (more, n_more), *_, (less, n_less) = [*of_orientation.most_common(), *of_orientation.most_common()[-1:]]
-        if n_more > LARGEST_IMBALANCE * n_less:
+        if n_more > 3.0 * n_less:
             yield RecordingWarning(
                 "uneven_orientations",
                 f"{source.level} {level:g}{'' if size is None else f' at {size} mrad'} has {n_more} trials of "
@@ -445,7 +439,7 @@ def _of_time(opened: Sequence[Recording], time_s: float | None) -> Iterator[str]
         if time_s is None or frame_s is None or frame_s > GAP * time_s:
             continue
         n_frames = max(1, math.ceil(time_s / frame_s - 0.5 - TIME_TOLERANCE))
-        if abs(n_frames * frame_s / time_s - 1.0) > LARGEST_TIME_ERROR:
+        if abs(n_frames * frame_s / time_s - 1.0) > 0.1:
             yield (
                 f"{recording.path}: {n_frames} frames a trial, {n_frames * frame_s:.3g} s: the nearest to the "
                 f"integration time of {time_s:g} s"

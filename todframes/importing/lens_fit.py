@@ -28,9 +28,6 @@ TRIED: tuple[tuple[LensModel, int], ...] = (("polynomial", 1), ("polynomial", 7)
 before. More are tried only if the first one explains something, as it does for any lens: where it does not, others
 would follow what shifts edges in another way, such as a colour mosaic."""
 
-FIRST: tuple[tuple[LensModel, int], ...] = (("polynomial", 1), ("polynomial", 2), ("fisheye", 1))
-"""Models and numbers of coefficients that are tried before a recording has been read."""
-
 USUAL: dict[LensModel, tuple[float, ...]] = {
     "polynomial": (math.inf, 0.1, 0.02, 0.02, 0.05, 0.002, 0.002),
     "fisheye": (math.inf, 0.02, 0.02, 0.05, 0.02),
@@ -38,20 +35,8 @@ USUAL: dict[LensModel, tuple[float, ...]] = {
 """Standard deviations of the coefficients among lenses, in the order of `PARAMETERS`: edges that do not
 determine a coefficient leave it near 0."""
 
-MOST_WEIGHINGS, WEIGHED = 5, 0.5
-"""Number of times that coefficients are weighed against the usual ones, and the ratio of an edge's variance to the
-one weighed with from which they are not weighed again: a model of fewer coefficients may leave far more than edges
-are off."""
-
 LEAST_ERROR_PX = 0.01
 """Error of an edge that remains however many frames are averaged: pixels are no points."""
-
-LEAST_LEFT = 0.05
-"""Least share of the variance of an edge's error that counts as left by a fit: below it, nothing is seen of it."""
-
-LARGEST_CONDITION = 1e12
-"""Largest ratio of the squared precisions of two combinations of coefficients: beyond, the edges determine
-none."""
 
 USEFUL = 0.9
 """Residual with another coefficient relative to that without, below which it is used while a recording is read."""
@@ -226,9 +211,8 @@ def solve(
         scores = gradients - design @ (influence @ gradients)
         normal = np.einsum("vni,vnj->ij", scores, scores) + np.diag(weights)
         scale = np.sqrt(np.diagonal(normal))
-        if free and (
-            not (scale > 0.0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > LARGEST_CONDITION
-        ):
+        # Beyond, the edges determine none.
+        if free and (not (scale > 0.0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > 1e12):
             return None
         covariance = np.linalg.inv(normal)
         known = weights * np.array(lens.coefficients[:free]) if lens is not None else weights
@@ -266,7 +250,8 @@ def first_fits(pieces: Pieces, measured: Sequence[MeasuredEdges], shape: tuple[i
     """
     rows, columns = shape[:2]
     fits = [solve(pieces, measured, None, 0)]
-    for model, free in FIRST:
+    tried: tuple[tuple[LensModel, int], ...] = (("polynomial", 1), ("polynomial", 2), ("fisheye", 1))
+    for model, free in tried:
         fits.append(solve(pieces, measured, Lens.ideal(model, (rows, columns)), free))
     return sorted((fit for fit in fits if fit is not None), key=lambda fit: fit.residual_px / USEFUL**fit.free)
 
@@ -308,12 +293,13 @@ def choose_lens(
         )
         fit = None
         variance_px2 = before.edge_variance_px2 if before is not None else 0.0
-        for _ in range(MOST_WEIGHINGS):
+        for _ in range(5):
             again = solve(pieces, starts, start, free, edge_variance_px2=variance_px2)
             if again is None:
                 break
             fit = again
-            if before is None or fit.edge_variance_px2 > WEIGHED * variance_px2:
+            # A model of fewer coefficients may leave far more than edges are off.
+            if before is None or fit.edge_variance_px2 > 0.5 * variance_px2:
                 break
             variance_px2 = fit.edge_variance_px2
         if fit is not None:
@@ -372,7 +358,8 @@ def _variance(pieces: Pieces, fit: LensFit, placed: Sequence[tuple[int, Places]]
         hat = np.linalg.pinv(fit.influence[k]) @ fit.influence[k]
         hat += of_pieces.T @ fit.covariance @ of_pieces / len(fit.geometries)
         explained = np.diagonal(by_edge(by_edge(hat).T)) / pieces.per_edge
-        of_edges = (by_edge(own + shared) ** 2 / np.maximum(1.0 - explained, LEAST_LEFT)).sum(axis=-1)
+        # Below, nothing is seen of an edge's error.
+        of_edges = (by_edge(own + shared) ** 2 / np.maximum(1.0 - explained, 0.05)).sum(axis=-1)
         # An error that an edge has in all frames is not seen in what is left if the lens can follow it.
         by_piece = np.einsum("tij,jn->tin", by_view, influence) + net @ (fit.covariance @ of_pieces)
         of_edges += LEAST_ERROR_PX**2 * (by_edge(by_piece) ** 2).sum(axis=-1)

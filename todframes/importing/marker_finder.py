@@ -54,36 +54,15 @@ ALONG = ((np.arange(PIECES * POINTS) + 0.5) / (PIECES * POINTS) - 0.5) * EDGE
 ACROSS = np.linspace(-PROFILE_REACH, PROFILE_REACH, 2 * PROFILE_STEPS + 1)
 """Points along an edge, from its middle in units of its length, and samples across it, in modules."""
 
-BESIDE_WHITE = 1.5
-"""Distance from an edge, in modules, of the page beside the white border."""
-
 BLURS = np.geomspace(0.02, 2.0, 100)
 """Widths of a blur in modules, standard deviations, among which that of a frame is interpolated."""
 
-_STEP = PROFILE_REACH / PROFILE_STEPS
-RISES = (2.0 * ndtr(_STEP / BLURS) - 1.0) / (2.0 * ndtr(PROFILE_REACH / BLURS) - 1.0)
+RISES = (2.0 * ndtr(PROFILE_REACH / PROFILE_STEPS / BLURS) - 1.0) / (2.0 * ndtr(PROFILE_REACH / BLURS) - 1.0)
 """Rise of an edge with each of these blurs over its two middle steps, relative to that of its profile."""
 
 MOST_STEPS, CONVERGED_PX = 8, 0.02
 """Number of adjustments of a homography, and the motion of the edges after which there is no further one: each
 leaves a small part of the motion that it corrects."""
-
-FIRST_BORDER = len(CORNERS) * (N_DIGITS - 1)
-"""Difference between the id of a marker along the borders in the joint dictionary, and its number on the page."""
-
-ENOUGH_MARKERS = 3
-"""Number of markers that a search has to find; the places of others follow from these, and their edges show if
-they are there."""
-
-LARGEST_RESIDUAL = 0.2
-"""Residual of the edges, in modules, above which the markers do not belong to one chart."""
-
-LEAST_CONTRAST_IN_ERRORS = 3.0
-"""Least difference of a marker's white and black modules, in standard deviations of its black ones."""
-
-LEAST_SHARE = 0.3
-"""Least contrast of the edges of a marker along the borders, relative to the markers in the corners: the light may
-fall off, and noise where there is no marker has none."""
 
 SAMPLES, SAMPLED = 3, 0.5
 """Samples along a module's side that are averaged to its value, and the part of the side that they cover."""
@@ -94,9 +73,6 @@ MOST_WRONG_BITS = 1
 NEAR, LEAST_NEAR = 0.2, 0.5
 """Distance of an edge from where it is looked for, in modules, up to which it counts for the lens while a
 recording is read; and the least share of such edges, without which all count."""
-
-NO_BETTER = 0.9
-"""Residual of the edges relative to that before, above which a lens is not estimated again."""
 
 CORRECTIONS, MOST_CORRECTED = 3, 0.25
 """Steps in which the shift of an edge is found that a profile with its neighbours would show as measured; and the
@@ -194,7 +170,7 @@ class MarkerFinder:
         for _ in range(MOST_STEPS):
             assert self._last is not None
             again = self._sighting(grey, self._last)
-            if again is None or again.geometry.residual_px > NO_BETTER * seen.geometry.residual_px:
+            if again is None or again.geometry.residual_px > 0.9 * seen.geometry.residual_px:
                 break
             seen = again
             self._recent = [seen.edges]
@@ -245,7 +221,7 @@ class MarkerFinder:
             known = sorted(corners)
             n_corners = sum(k < len(CORNERS) for k in known)
             self.most_found = max(self.most_found, n_corners)
-            if len(known) < ENOUGH_MARKERS:
+            if len(known) < 3:  # the places of others follow from three
                 continue
             best: Sighting | None = None
             for start in self._starts(known, np.array([corners[k] for k in known]), grey.shape):
@@ -296,7 +272,7 @@ class MarkerFinder:
             digit, corner = divmod(int(marker), len(CORNERS))
             if digit < N_DIGITS and corner == len(CORNERS) - 1:  # its marker carries the key
                 self.key = digit
-            corners.setdefault(corner if digit < N_DIGITS else int(marker) - FIRST_BORDER, places)
+            corners.setdefault(corner if digit < N_DIGITS else int(marker) - len(CORNERS) * (N_DIGITS - 1), places)
         return corners
 
     def _sighting(self, grey: NDArray[np.float32], start: Geometry) -> Sighting | None:
@@ -347,7 +323,7 @@ def _bits(modules: FloatArray) -> NDArray[np.bool_] | None:
     """Return which modules of a marker are white, (7, 7); None without contrast."""
     black = modules[_BORDER]
     white = float(np.sort(modules[~_BORDER])[-3:].mean())
-    if not white - black.mean() > LEAST_CONTRAST_IN_ERRORS * black.std():
+    if not white - black.mean() > 3.0 * black.std():
         return None
     return np.asarray(modules > (white + black.mean()) / 2.0)
 
@@ -393,7 +369,7 @@ class MarkerEdges:
         self._module_mm = module_mm
         # (marker, edge, point along the edge, place across it, x and y)
         self._places_mm = middles[..., None, :] + (ACROSS * module_mm)[:, None] * outwards[:, :, None, None]
-        self._outside_mm = middles + BESIDE_WHITE * module_mm * outwards[:, :, None]
+        self._outside_mm = middles + 1.5 * module_mm * outwards[:, :, None]  # The page beside the white border.
         pieces_mm = middles.reshape(-1, POINTS, 2).mean(axis=1)
         self.pieces = Pieces(
             pieces_mm,
@@ -427,7 +403,7 @@ class MarkerEdges:
     def belong(self, geometry: Geometry) -> bool:
         """Return whether the residual of a geometry is small enough for markers of one chart."""
         module_px = geometry.scale_px_per_mm(self.pieces.middle_mm) * self._module_mm
-        return geometry.residual_px <= LARGEST_RESIDUAL * module_px
+        return geometry.residual_px <= 0.2 * module_px
 
     def _shifts_px(
         self, grey: NDArray[np.float32], geometry: Geometry, hidden: NDArray[np.bool_]
@@ -448,7 +424,8 @@ class MarkerEdges:
         of_corners = contrast[: len(CORNERS)]
         if not (of_corners > 0.0).all():
             return None
-        is_edge = contrast > LEAST_SHARE * float(np.median(of_corners))
+        # The light may fall off; noise where there is no marker has no contrast.
+        is_edge = contrast > 0.3 * float(np.median(of_corners))
         is_edge[: len(CORNERS)] = True
         with np.errstate(divide="ignore", invalid="ignore"):  # for markers that are not there
             shift = _shift_per_module(profiles)
