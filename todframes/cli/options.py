@@ -126,7 +126,7 @@ def make_observers(
 
     from todframes.base.reading import check_keys, from_table, read_toml
     from todframes.cli.console import prints_go_to_stderr
-    from todframes.observers.interface import find_observer, observers_with, settings_file
+    from todframes.observers.interface import observer_named, observers_with, setting_names, settings_file
     from todframes.psychometrics.fit import FitSettings
 
     names, path = asked.pop("observer"), asked.pop("observer_settings", None)
@@ -136,8 +136,8 @@ def make_observers(
     of_file = {} if path is None else read_toml(settings_file(path))
     table = of_file | _set(asked, "internal_noise", "p_correct")
     with prints_go_to_stderr():
-        kinds = [find_observer(name) for name in names]
-    of_observers = [[field.name for field in fields(kind.settings_type)] for kind in kinds]
+        defaults = [observer_named(name) for name in names]
+    of_observers = [setting_names(one.settings_type) for one in defaults]
     of_fit = [field.name for field in fields(FitSettings) if fitted or field.name == "p_correct"]
     known = list(dict.fromkeys([*sum(of_observers, []), *of_fit]))  # noqa: RUF017 - they are few
 
@@ -152,10 +152,11 @@ def make_observers(
                     f"{where}: {key} is a setting of {', '.join(others)}; {', '.join(names)} has none{instead}"
                 )
         check_keys(table, known, where)
-        observers = [
-            kind(from_table({k: v for k, v in table.items() if k in own}, kind.settings_type, where))
-            for kind, own in zip(kinds, of_observers, strict=True)
-        ]
+        observers = []
+        for default, own in zip(defaults, of_observers, strict=True):
+            given = {k: v for k, v in table.items() if k in own}
+            read = from_table(given, default.settings_type, where)
+            observers.append(type(default)(default.settings, **{k: getattr(read, k) for k in given}))
         return observers, from_table({k: v for k, v in table.items() if k in of_fit}, FitSettings, where)
 
     try:

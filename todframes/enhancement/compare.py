@@ -171,7 +171,8 @@ def compare_observers(
         gains = contrast_gains(responses)
         # The reference after plain gains of contrast; groups whose gain is not known stay as they are.
         groups, codes = seen[0].trials.groups, seen[0].trials.group_codes
-        each = [np.array([of_one.get(group, 1.0) for group in groups])[codes] for of_one in gains[1:] if expected]
+        is_linear = expected and not np.isnan(seen[0]["deviations"]).any()
+        each = [np.array([of_one.get(group, 1.0) for group in groups])[codes] for of_one in gains[1:] if is_linear]
         once = replace(fit_settings, resamples=0)
         plain = [fit(seen[0].amplified(gain), fit_settings=once) for gain in each]
         ratios = _ratios(dataset, scored, plain, gains, seed, fit_settings)
@@ -369,7 +370,7 @@ def _ratios(
     """Compare each algorithm with the reference: once a group, and once over all groups if there are several.
 
     `plain` are the reference's trials after a plain gain of contrast, as large as that of each other algorithm;
-    there are none if answers were drawn. The same scenes are drawn in all groups.
+    there are none if answers were drawn or the observer is not linear. The same scenes are drawn in all groups.
     """
     trials, groups = scored[0].trials, [fit.group for fit in scored[0].fits]
     several, others = len(groups) > 1, range(1, len(scored))

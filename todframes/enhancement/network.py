@@ -93,7 +93,7 @@ class Network:
         def run(picture: Picture) -> Picture:
             taken = picture[..., ::-1] if order == "bgr" else picture
             given = np.asarray(black + (white - black) * taken, np.float32)
-            (answer,) = self._model.apply(given, layout, inputs or {}, constant_channel)
+            (answer,) = self.model.apply(given, layout, inputs or {}, constant_channel)
             found = (np.moveaxis(answer, 0, 2) if layout == "nchw" else answer) - np.float32(black)
             found = found[trimmed : len(found) - trimmed, trimmed : found.shape[1] - trimmed]
             return np.asarray((found[..., ::-1] if order == "bgr" else found) / np.float32(white - black))
@@ -118,7 +118,8 @@ class Network:
         return greys[0] if len(greys) == 1 else np.stack(greys, axis=-1)
 
     @cached_property
-    def _model(self) -> Model:
+    def model(self) -> Model:
+        """The network that ONNX Runtime runs; SettingsError if its version is another one."""
         if (found := runtime_version()) != self.version:
             raise SettingsError(f"ONNX Runtime: found version {found}, expected {self.version}")
         return read_model(self.content)
@@ -142,27 +143,39 @@ def settings_beside(path: Path, kinds: Mapping[str, Any]) -> dict[str, Any]:
     return {name: convert(value, kinds[name], f"{beside}: {name}") for name, value in table.items()}
 
 
-def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -> tuple[Network, dict[str, Any]]:
-    """Try a network in another process, and return it with all settings of `Network.enhanced`.
+def examined(
+    network: Network, values: Mapping[str, Any], path: Path, where: str, *, answers: int = 0
+) -> tuple[Network, Found]:
+    """Try a network in another process; return it with all its weights, and what the model has shown.
 
-    Settings in `values` that are None are as the model has them. Its weights may lie in files beside `path`;
-    messages about settings begin with `where`. Raises DataError if it cannot be read or run, or is no network of
-    one picture that gives one picture, and SettingsError if a setting contradicts the model, or has to be given
-    because the model does not say it.
+    `values` are its settings by name; those that are None are as the model has them. Its weights may lie in files
+    beside `path`; messages about settings begin with `where`. With `answers` it is a classifier of so many values.
+    Raises DataError if it cannot be read or run, or is no network of one picture that gives one picture or so many
+    values, and SettingsError if a setting contradicts the model, or has to be given because the model does not say
+    it.
     """
-    shared = {name: values[name] for name in ProbeRequest.__struct_fields__} | {"inputs": values["inputs"] or {}}
+    taken = [name for name in ProbeRequest.__struct_fields__ if name in values]
+    shared = {name: values[name] for name in taken} | {"inputs": values["inputs"] or {}, "answers": answers}
     try:
         if values["black"] == values["white"]:
             raise SettingsError(f"black and white: found {values['black']:g} for both, expected two values")
         version = runtime_version()
         properties, content = probe(network.content, path.parent, ProbeRequest(**shared))
-        resolved = _resolved(values, properties)
     except SettingsError as error:
         raise SettingsError(f"{where}: {error}") from None
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
     size = properties.rows, properties.columns
-    return replace(network, content=content, version=version, size=size, lost_px=properties.lost_px), resolved
+    return replace(network, content=content, version=version, size=size, lost_px=properties.lost_px), properties
+
+
+def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -> tuple[Network, dict[str, Any]]:
+    """Try a network of pictures as `examined` does, and return it with all settings of `Network.enhanced`."""
+    network, properties = examined(network, values, path, where)
+    try:
+        return network, _resolved(values, properties)
+    except SettingsError as error:
+        raise SettingsError(f"{where}: {error}") from None
 
 
 def _resolved(values: Mapping[str, Any], properties: Found) -> dict[str, Any]:

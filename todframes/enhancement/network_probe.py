@@ -212,6 +212,8 @@ class ProbeRequest(msgspec.Struct, frozen=True):
     white: float = 1.0
     inputs: dict[str, float] = {}
     constant_channel: float | None = None
+    answers: int = 0
+    """Number of values that it gives for a picture, a classifier; 0: it gives a picture."""
 
 
 class Found(msgspec.Struct, frozen=True, tag=True):
@@ -219,7 +221,8 @@ class Found(msgspec.Struct, frozen=True, tag=True):
 
     `rows` and `columns` are those of its pictures; None if it takes any size that is a multiple of `multiple_px`.
     `scale` is the number of output pixels for one input pixel along each axis. `lost_px` is the number of input
-    pixels at each side of a picture that have no output.
+    pixels at each side of a picture that have no output. `gives_probabilities` states whether the values of a
+    classifier are positive and sum to 1.
     """
 
     layout: Layout
@@ -229,6 +232,7 @@ class Found(msgspec.Struct, frozen=True, tag=True):
     multiple_px: int
     scale: float
     lost_px: int
+    gives_probabilities: bool = False
 
 
 class _Works(msgspec.Struct, frozen=True, tag=True):
@@ -285,7 +289,7 @@ def examine(model: Model, request: ProbeRequest) -> Found:
     n_outputs = len(model.session.get_outputs())
     if n_outputs != 1:
         raise DataError(f"has {n_outputs} outputs, expected one")
-    tried = partial(_scale_and_loss, model, request, layout, channels)
+    tried = partial(_classes if request.answers else _scale_and_loss, model, request, layout, channels)
     if rows is not None and columns is not None:
         return Found(layout, channels, rows, columns, 1, *tried(rows, columns))
     problem: DataError | None = None
@@ -294,15 +298,15 @@ def examine(model: Model, request: ProbeRequest) -> Found:
         side = multiple * max(1, SIDE_PX // multiple) + (multiple if multiple < SIDE_PX else 0)
         try:
             # Unequal sides show a network that cuts off borders or exchanges axes.
-            scale, lost = tried(rows or side, columns or side + multiple)
+            shown = tried(rows or side, columns or side + multiple)
             # Other sides show whether it is the same there.
             sides = rows or side + 3 * multiple, columns or side + 2 * multiple
-            if lost and tried(*sides) != (scale, lost):
+            if shown[1] and tried(*sides) != shown:
                 raise DataError("loses another number of pixels for pictures of another size")
         except DataError as error:
             problem = problem or error
             continue
-        return Found(layout, channels, rows, columns, multiple, scale, lost)
+        return Found(layout, channels, rows, columns, multiple, *shown)
     assert problem is not None
     raise problem
 
@@ -384,14 +388,7 @@ def _scale_and_loss(
     model: Model, request: ProbeRequest, layout: Layout, channels: int, rows: int, columns: int
 ) -> tuple[float, int]:
     """Run a picture and return output pixels for one input pixel, and input pixels that each side loses."""
-    ramp = np.linspace(0.25, 0.75, rows * columns).reshape(rows, columns, 1)
-    values = request.black + (request.white - request.black) * np.repeat(ramp, channels, axis=2)
-    try:
-        shape = model.apply(values.astype(np.float32), layout, request.inputs, request.constant_channel).shape
-    except MemoryError:
-        raise DataError(f"needs more memory than there is for {rows} × {columns} pixels") from None
-    except Exception as error:
-        raise DataError(f"fails with a picture of {rows} × {columns} ({reason(error)})") from None
+    shape = _run(model, request, layout, channels, rows, columns).shape
     sides = shape[2:] if layout == "nchw" else shape[1:3]
     if len(shape) != 4 or shape[0] != 1 or shape[1 if layout == "nchw" else 3] not in (1, 3) or 0 in shape:
         raise DataError(
@@ -414,6 +411,34 @@ def _scale_and_loss(
         likely = candidates[: (request.border_px or 0) + 1]
         lost = next((one for one in likely if sides[0] % (rows - 2 * one) == 0), 0)
     return sides[0] / (rows - 2 * lost), lost
+
+
+def _classes(
+    model: Model, request: ProbeRequest, layout: Layout, channels: int, rows: int, columns: int
+) -> tuple[float, int, bool]:
+    """Run a picture through a classifier and return (1, 0, whether its values are probabilities)."""
+    values = _run(model, request, layout, channels, rows, columns)
+    if values.size != request.answers:
+        raise DataError(
+            f"gives values of shape {_shown(values.shape)}, expected {request.answers}, one for each answer"
+        )
+    if not np.isfinite(values).all():
+        raise DataError("gives values that are NaN or infinite, expected finite ones")
+    return 1.0, 0, bool(values.min() >= 0.0 and abs(float(values.sum()) - 1.0) <= 1e-4)  # of half precision, too
+
+
+def _run(
+    model: Model, request: ProbeRequest, layout: Layout, channels: int, rows: int, columns: int
+) -> NDArray[np.float32]:
+    """Return what a network gives for a small picture; DataError if it fails."""
+    ramp = np.linspace(0.25, 0.75, rows * columns).reshape(rows, columns, 1)
+    values = request.black + (request.white - request.black) * np.repeat(ramp, channels, axis=2)
+    try:
+        return model.apply(values.astype(np.float32), layout, request.inputs, request.constant_channel)
+    except MemoryError:
+        raise DataError(f"needs more memory than there is for {rows} × {columns} pixels") from None
+    except Exception as error:
+        raise DataError(f"fails with a picture of {rows} × {columns} ({reason(error)})") from None
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.observers.decision import answer_probabilities
-from todframes.observers.interface import Observer, Readout, find_observer
+from todframes.observers.interface import Observer, Readout, observer_named
 from todframes.observers.retina import RetinaGrid, triangle_on
 from todframes.stimulus import CIRCLE_PER_SIZE, ORIENTATIONS, Orientation, Stimulus
 
@@ -57,7 +57,7 @@ def check_observer(mine: str | type[Observer] | Observer) -> list[str]:
     >>> tod.check_observer("pyramid")
     []
     """
-    named: Any = find_observer(mine) if isinstance(mine, str) else mine
+    named: Any = observer_named(mine) if isinstance(mine, str) else mine
     kind = named if isinstance(named, type) else type(named)
     if not issubclass(kind, Observer):
         return [f"{kind.__name__} is no subclass of todframes.Observer."]

@@ -11,7 +11,7 @@ import hashlib
 import math
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache, cached_property, partial, wraps
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Concatenate, Literal, NamedTuple, ParamSpec, TypeVar, cast
@@ -29,6 +29,11 @@ from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Centre, Orientation, Stimulus
 
 ENTRY_POINT_GROUP = "todframes.observers"
+
+FILE_GROUP = "todframes.observer_files"
+"""Entry-point group of functions that return the observer in a file; its name is that of the entry point, `:` and
+the file."""
+
 SECOND_ORDER = 20.0
 
 SETTINGS_FOLDER = Path(__file__).with_name("settings")
@@ -391,6 +396,18 @@ class Observer:
         """Largest displacement of the grid along x and y in a trial, in retina samples: the setting, or 0."""
         return float(getattr(self.settings, "position_jitter_samples", 0.0))
 
+    @property
+    def own_name(self) -> str:
+        """Name in results of an observer that is in a file. Default: empty, it is that of the class."""
+        return ""
+
+    def pixel_offset(self, stimulus: Stimulus) -> tuple[float, float] | None:  # noqa: ARG002
+        """Return the vector (x, y), in samples, from the middle of what it looks at to that of its grid, if its
+        samples are to be pixels of frames: the grid then moves by half a pixel at most, so that it divides none.
+        Default: None, the middle of the grid lies on the triangle, wherever pixels are.
+        """
+        return None
+
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
         """Return the retina samples that the observer looks at."""
         raise NotImplementedError
@@ -398,6 +415,25 @@ class Observer:
     def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
         """Answer a retina image of shape (side, side) once, with internal noise drawn from `rng`."""
         raise NotImplementedError
+
+    def expected_answers(self, contrast: FloatArray, stimulus: Stimulus) -> FloatArray | None:  # noqa: ARG002
+        """Compute the probability of each answer to a retina image, (4,), in the order of `ORIENTATIONS`.
+
+        An observer that is not linear may have it, so that no answers are drawn. Default: None, they are drawn.
+        """
+        return None
+
+    @property
+    def knows_probabilities(self) -> bool:
+        """Whether the observer has `expected_answers`."""
+        return type(self).expected_answers is not Observer.expected_answers
+
+    def on_display(self, display: Any, find_background: Callable[[], float]) -> Observer:  # noqa: ARG002
+        """Return the observer of frames on a display, whose background in cd/m² the function finds.
+
+        Default: itself, it does not depend on the pixels or code values of the display.
+        """
+        return self
 
     @keeps_last(4)
     def readout(self, stimulus: Stimulus) -> Readout | None:
@@ -496,6 +532,8 @@ def find_observer(name: str) -> type[Observer]:
     """
     if ":" in name:
         module, _, class_name = name.partition(":")
+        if module in registered(FILE_GROUP):
+            raise SettingsError(f"observer: {name!r} is an observer in a file, expected the name of a class")
         kind = import_named(module, class_name, f"observer: {name!r}")
     else:
         entries = registered(ENTRY_POINT_GROUP)
@@ -507,6 +545,26 @@ def find_observer(name: str) -> type[Observer]:
     if isinstance(kind, type) and issubclass(kind, Observer):
         return kind
     raise SettingsError(f"observer: {name!r}: found no observer, expected a subclass of todframes.Observer")
+
+
+def observer_named(name: str) -> Observer:
+    """Return the observer with a given name and its default settings: that of `find_observer`, or the one in a
+    file after the name of an entry point of the group `todframes.observer_files`: "onnx:classifier.onnx".
+    """
+    head, _, file = name.partition(":")
+    if file and head in (readers := registered(FILE_GROUP)):
+        try:
+            read: Callable[[str], Observer] = readers[head].load()
+        except (ImportError, AttributeError) as error:
+            raise SettingsError(f"observer: {name!r} cannot be loaded ({error})") from None
+        return read(file)
+    kind = find_observer(name)
+    return kind(kind.settings_type())
+
+
+def setting_names(settings: Any) -> list[str]:
+    """Return the names of the settings of an observer; fields that its dataclass does not show are none."""
+    return [field.name for field in fields(settings) if field.repr]
 
 
 def observers_with(setting: str) -> list[str]:
@@ -537,18 +595,24 @@ def described(
     function that returns the background of a display in cd/m², it is `adapted` to it.
     """
     if isinstance(observer, str):
-        kind, name = find_observer(observer), observer
-        observer = kind(kind.settings_type())
+        name, observer = observer, observer_named(observer)
     else:
         name = _name(type(observer))
         if not isinstance(observer, Observer):
             raise SettingsError(f"observer: found {name}, expected an object of a subclass of todframes.Observer")
+        name = observer.own_name or name
     if find_background is not None:
         observer = adapted(observer, find_background)
+    return observer, {"observer": name, **settings_json(observer)}
+
+
+def settings_json(observer: Observer) -> Json:
+    """Return the settings of an observer as JSON values."""
     settings = getattr(observer, "settings", None)
-    values = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else {}
-    as_json = {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
-    return observer, {"observer": name, **as_json}
+    if not is_dataclass(settings) or isinstance(settings, type):
+        return {}
+    values = {name: getattr(settings, name) for name in setting_names(settings)}
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
 
 
 def _name(kind: type) -> str:

@@ -90,7 +90,9 @@ def _observer(value: Any) -> Any:
     """Return an observer by the name or the settings that a result has."""
     name, settings = (value, None) if isinstance(value, str) else (value["observer"], value)
     if any(":" in part for part in name.split(",")):
-        raise DataError(f"observer: {name} is code of your own, which a result does not run; call again")
+        raise DataError(
+            f"observer: {name} is code of your own or a network, which a result does not run; call again"
+        )
     if settings is None:
         return name
     from todframes.observers.interface import find_observer

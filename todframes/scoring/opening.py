@@ -18,7 +18,7 @@ from todframes.diagnosis.inspection import inspect, records
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset, dataset_warnings, load_dataset
 from todframes.frames.trials import Trial
-from todframes.observers.interface import Observer, described
+from todframes.observers.interface import Observer, described, settings_json
 from todframes.parameters import Gaze, OnError, Progress
 from todframes.results.data import DatasetRecord, ResultWarning, group_of
 from todframes.stimulus import Centre
@@ -112,7 +112,7 @@ def opened(
     judges, each_settings = described_each(observer, lambda: _background_of(data))
     way: Locate | None = "group" if locate is True else locate or None
     data, more, warnings = _located(data, judges[0], way, on_error, progress)
-    known = [_knowing_background(*pair, data) for pair in zip(judges, each_settings, strict=True)]
+    known = [_knowing_dataset(*pair, data) for pair in zip(judges, each_settings, strict=True)]
     return Opened(data, [judge for judge, _ in known], [own for _, own in known], way, more, warnings)
 
 
@@ -146,8 +146,13 @@ def _located(
     return data, {"located": located}, warnings
 
 
-def _knowing_background(judge: Observer, settings: Json, data: Dataset) -> tuple[Observer, Json]:
-    """Return an observer and its settings with the spectrum of the frames, if its ideal template asks for it."""
+def _knowing_dataset(judge: Observer, settings: Json, data: Dataset) -> tuple[Observer, Json]:
+    """Return an observer and its settings with what it asks for: the display, or, for an ideal template, the
+    spectrum of the frames.
+    """
+    on_display = judge.on_display(data.display, lambda: _background_of(data))
+    if on_display is not judge:
+        judge, settings = on_display, settings | settings_json(on_display)
     own: Any = getattr(judge, "settings", None)
     if settings.get("external_noise_spectrum") != "frames" or own.template != "ideal":
         return judge, settings

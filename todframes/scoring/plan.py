@@ -99,12 +99,14 @@ def plan_score(
     trials = Trials.of(trials)
     of_stimulus = dict(trials.by_stimulus())
     pitch, places = dataset.display.pitch_mrad, dataset.experiment.places
-    if name == "full" or not expected or places > 1:
+    if name == "full" or not expected or places > 1 or observer.knows_probabilities:
         plans = {stimulus: StimulusPlan(full_observer=name == "full") for stimulus in of_stimulus}
         if name == "full":
             why = f"as {argument.plan} full asks"
         elif not expected:
             why = "answers are drawn with noise on every neuron"
+        elif places == 1:
+            why = "the observer gives probabilities of its answers, no weights of the retina"
         else:
             why = f"the triangle may be at any of {places} places, whose scores are compared whole"
         return ScorePlan(observer, plans, name == "full", (Step("everything", True, why),), pitch)

@@ -95,6 +95,18 @@ class Shown(NamedTuple):
         each = [patch.background_luminance_cd_m2 for patch in self.patches]
         return sum(math.nan if frame is None else frame for frame in each) / len(each)
 
+    def on_pixels(self, grid: RetinaGrid, offset_samples: tuple[float, float]) -> Shown:
+        """Return the frames with the grid moved by an offset, then by half a pixel at most, so that samples begin
+        where pixels do.
+        """
+        sample_px = grid.pitch_mrad / self.pixel_pitch_mrad
+        to_middle = (sample_px - 1.0) / 2.0  # from the middle of a sample's first pixel
+        xs, ys = (
+            tuple(math.ceil(at + offset * sample_px - to_middle - 0.5) + to_middle for at in along)
+            for along, offset in zip((self.x_px, self.y_px), offset_samples, strict=True)
+        )
+        return self._replace(x_px=xs, y_px=ys)
+
     def with_gaze_fixed(self, trial: Trial, frame_pitch_mrad: float) -> Shown:
         """Return frames that were read with a tracked gaze as seen with a fixed one.
 

@@ -58,7 +58,7 @@ class ScoredDataset:
 
     `displacement_samples`, (n, 2), are displacements of the retina along x and y; NaN if a trial had several.
     `scores` and `probabilities`, (n, 4), are noise-free inner products with the templates and the probability of
-    each answer, averaged over displacements; NaN if the observer is not linear. `answers` are those drawn, or the
+    each answer, averaged over displacements; NaN if the observer has none. `answers` are those drawn, or the
     most probable ones, indices into `ORIENTATIONS`; `p_correct` is 1 or 0 if answers were drawn.
     """
 
@@ -285,7 +285,8 @@ their largest standard error if the place is unknown, else 0."""
 def _decided(plan: ScorePlan, seen: SeenTrials) -> tuple[NDArray[Any], FloatArray]:
     """Return a row of `_DECIDED` for each trial, and the probability of the correct answer with each displacement.
 
-    Probabilities are NaN if the observer is not linear, and displacements if there are several.
+    Probabilities are NaN if answers are drawn of an observer that is not linear, and displacements if there are
+    several.
     """
     displaced, n_places = seen["displacement_samples"], seen["place_scores"].shape[2]
     n, n_displacements, _ = displaced.shape
@@ -298,6 +299,9 @@ def _decided(plan: ScorePlan, seen: SeenTrials) -> tuple[NDArray[Any], FloatArra
     for stimulus, members in seen.trials.by_stimulus():
         readout = plan.observer_of(stimulus).readout(stimulus)
         if readout is None:
+            expected = seen["probabilities"][members]
+            table["probabilities"][members] = expected.mean(axis=1)
+            p_each[members] = np.take_along_axis(expected, correct[members, None, None], axis=2)[..., 0]
             continue
         table["bound"][members] = readout.place_bound(n_places) if n_places else readout.non_gaussian_bound
         at_a_time = 4096  # the work on each takes 500 bytes a displacement

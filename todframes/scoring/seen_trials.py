@@ -40,13 +40,15 @@ class SeenTrial(NamedTuple):
 
     `displacement_samples`, (d, 2), are displacements of the retina along x and y. `scores` and `deviations`, (d,
     4), are noise-free inner products with the templates, and their deviations from their mean, computed without
-    cancellation; NaN if the observer is not linear. At an unknown place the answer is drawn from `place_scores`,
-    (d, place, 4), later, for all trials.
+    cancellation; NaN if the observer is not linear. Then `probabilities`, (d, 4), are its expected answers; NaN if
+    it is linear or has none. At an unknown place the answer is drawn from `place_scores`, (d, place, 4), later,
+    for all trials.
     """
 
     displacement_samples: FloatArray
     scores: FloatArray
     deviations: FloatArray
+    probabilities: FloatArray
     answer: int
     n_negative: int
     background_luminance_cd_m2: float
@@ -146,9 +148,9 @@ def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> Tr
             f"observer: it is not linear, and the triangle may be at any of {places} places: expected a linear "
             "one, whose scores at different places can be compared"
         )
-    if readout is None and scoring.decisions == "expected":
-        raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
     observer = scoring.plan.observer_of(trial.stimulus)
+    if readout is None and scoring.decisions == "expected" and not observer.knows_probabilities:
+        raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
     displaced = _displacements(scoring, trial, observer.position_jitter_samples)
     grid = observer.grid(trial.stimulus) if readout is None else readout.grid
     offsets = np.zeros((0, 2))
@@ -172,9 +174,12 @@ def see(
         started = time.perf_counter()
         answer = NO_ANSWER
         at_places = np.empty((len(displaced), len(viewing.offsets), 4))
-        if readout is None:
-            scores = deviations = np.full((len(displaced), 4), np.nan)
-        else:
+        scores = deviations = probabilities = np.full((len(displaced), 4), np.nan)
+        if (offset := viewing.observer.pixel_offset(trial.stimulus)) is not None:
+            shown = shown.on_pixels(viewing.grid, offset)
+        if readout is None and scoring.decisions == "expected":
+            probabilities = _expected_answers(viewing, shown, trial)
+        elif readout is not None:
             scores, deviations = _scores(readout, shown, displaced)
             if len(viewing.offsets):
                 at_places = _scores(readout, shown, viewing.reached_samples)[0].reshape(at_places.shape)
@@ -187,7 +192,17 @@ def see(
         seconds = reading_s + time.perf_counter() - started
         background = shown.background_luminance_cd_m2
         seen.append(
-            SeenTrial(displaced, scores, deviations, answer, shown.n_negative, background, seconds, at_places)
+            SeenTrial(
+                displaced,
+                scores,
+                deviations,
+                probabilities,
+                answer,
+                shown.n_negative,
+                background,
+                seconds,
+                at_places,
+            )
         )
     return seen
 
@@ -211,6 +226,13 @@ def _displacements(scoring: Scoring, trial: Trial, jitter: float) -> FloatArray:
     shifts = np.random.default_rng(np.random.SeedSequence(scoring.seed, spawn_key=key)).random((REPLICATES, 1, 2))
     evenly = (shifts + np.arange(scoring.displacements)[:, None] * KRONECKER_STEPS_2D) % 1.0
     return np.asarray(jitter * (2.0 * evenly.reshape(-1, 2) - 1.0))
+
+
+def _expected_answers(viewing: TrialViewing, shown: Shown, trial: Trial) -> FloatArray:
+    """Return the probabilities of the answers of an observer that is not linear, (d, 4)."""
+    images = (retina_image(shown, viewing.grid, (dx, dy)) for dx, dy in viewing.displacement_samples.tolist())
+    expected = [viewing.observer.expected_answers(image, trial.stimulus) for image in images]
+    return np.array(expected, np.float64)
 
 
 def _scores(readout: Readout, shown: Shown, displacement_samples: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,0 +1,1 @@
+"""Machines that look: neural networks in files as observers."""
