@@ -39,7 +39,6 @@ from .importing.file_names import FramesFound as FramesFound
 from .importing.file_names import new_dataset as new_dataset
 from .importing.importing import Imported as Imported
 from .importing.importing import import_recordings as import_recordings
-from .machines.network_observer import NetworkObserver as NetworkObserver
 from .observers.checking import check_observer as check_observer
 from .observers.csf import CsfObserver as CsfObserver
 from .observers.decision import answer_probabilities as answer_probabilities

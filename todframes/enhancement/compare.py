@@ -43,13 +43,13 @@ from todframes.frames.trials import Trial, Trials
 from todframes.jobs.run import Run
 from todframes.observers.interface import Observer, Readout
 from todframes.parameters import CurveName, Decisions, Gaze, PlanName
-from todframes.psychometrics.bootstrap import draw_backgrounds, sets_of_backgrounds
 from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings
-from todframes.psychometrics.paired_bootstrap import RatioDraws, holm, ratio_draws, threshold_ratio
+from todframes.psychometrics.paired_bootstrap import RatioDraws, holm, threshold_ratio
 from todframes.results.data import Example, group_of
 from todframes.results.thumbnails import ExamplePatch, pictures
 from todframes.results.wording import evenly
 from todframes.scoring.examples import example_of, nearest_trial
+from todframes.scoring.paired import paired_ratios
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.records import fit_record
 from todframes.scoring.retina_view import retina_image, to_mean_place_px
@@ -61,7 +61,7 @@ from todframes.scoring.score import (
     settings_of_experiment,
     usable_trials,
 )
-from todframes.scoring.seen_trials import RATIO_STREAMS, Scoring, SeenTrial, SeenTrials, see, trial_viewing
+from todframes.scoring.seen_trials import Scoring, SeenTrial, SeenTrials, see, trial_viewing
 from todframes.scoring.work import see_trials
 from todframes.stimulus import ORIENTATIONS
 
@@ -372,37 +372,14 @@ def _ratios(
     `plain` are the reference's trials after a plain gain of contrast, as large as that of each other algorithm;
     there are none if answers were drawn or the observer is not linear. The same scenes are drawn in all groups.
     """
-    trials, groups = scored[0].trials, [fit.group for fit in scored[0].fits]
+    groups = [fit.group for fit in scored[0].fits]
     several, others = len(groups) > 1, range(1, len(scored))
     n_comparisons = len(others) * (len(groups) + several)
     # The smallest p-value, 2 / resamples, is then half of 5 % even after Holm's correction.
     resamples = max(fit_settings.resamples, min(80 * n_comparisons, MAX_RESAMPLES))
     settings = replace(fit_settings, resamples=resamples)
-    # All series of a group at once: each is drawn and fitted only once.
     pairs = [(k, 0) for k in others] + [(k, k + len(plain)) for k in others if plain]
-    drawn, backgrounds = None, trials.scene_numbers
-    if backgrounds is not None:
-        stream = np.random.SeedSequence(seed, spawn_key=(RATIO_STREAMS, len(groups)))
-        backgrounds = sets_of_backgrounds(backgrounds)
-        drawn = draw_backgrounds(int(backgrounds.max()) + 1, resamples, np.random.default_rng(stream))
-    of_groups = []
-    for number, group in enumerate(groups):
-        rows = trials.indices_of_group(group)
-        of_group = None if backgrounds is None else backgrounds[rows]
-        if of_group is not None and len(np.unique(of_group)) < 2:
-            of_group = None  # a single background says nothing of others
-        of_groups.append(
-            ratio_draws(
-                trials.levels[rows],
-                np.array([one.p_correct[rows] for one in (*scored, *plain)]),
-                [one.fits[number].fit for one in (*scored, *plain)],
-                pairs=pairs,
-                settings=settings,
-                rng=np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(RATIO_STREAMS, number))),
-                backgrounds=of_group,
-                drawn_backgrounds=drawn,
-            )
-        )
+    of_groups = paired_ratios((*scored, *plain), pairs, seed=seed, settings=settings)
     draws = list(zip(*of_groups, strict=True))
     ratios = [
         [threshold_ratio([one]) for one in own] + ([threshold_ratio(own)] if several else [])

@@ -164,6 +164,31 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         )
 
 
+class Efficiency(Struct, frozen=True, kw_only=True):
+    """The efficiency of an observer relative to another one on the same trials, one object of `efficiencies`.
+
+    Attributes
+    ----------
+    relative_to : str
+        The other observer.
+    group : dict
+        Values that the trials share, as in `fits`.
+    threshold : float or None
+        Threshold of the other observer; None if there is none.
+    efficiency : float or None
+        (Threshold of the other ÷ that of the observer)², the ratio of the signal energies; None if one of them has
+        no threshold.
+    efficiency_ci95 : (float or None, float or None) or None
+        95 % interval; an end is None if the data leave it open.
+    """
+
+    relative_to: str
+    group: Group
+    threshold: Positive | None = NULL
+    efficiency: Positive | None = NULL
+    efficiency_ci95: Interval | None = NULL
+
+
 def group_of(dataset: Dataset, values: Sequence[float | str]) -> Group:
     """Return the values of a group by the names of the columns that group the dataset's trials."""
     return dict(zip(dataset.experiment.group_by, values, strict=True))

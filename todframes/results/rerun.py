@@ -65,7 +65,7 @@ def _read(name: str, value: Any) -> Any:
         raise DataError(f"{name}: was {value.removeprefix(NOT_WRITTEN)}, which a result does not hold; call again")
     if isinstance(value, str) and "://" in value:
         raise DataError(f"{name}: {value} is a URL, which is not opened for a result; call again")
-    if name == "observer":
+    if name in ("observer", "relative_to"):
         return [_observer(item) for item in value] if isinstance(value, list) else _observer(value)
     if name == "enhance":
         from todframes.base.user_code import registered

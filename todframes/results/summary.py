@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from todframes.results.data import Fit
+from todframes.results.data import Efficiency, Fit
 from todframes.results.wording import group_phrase, interval_phrase, level_name, listed, phrase, plain, unit_of
 
 MOST_DESCRIBED_CURVES = 6
@@ -126,6 +126,17 @@ def _sizes(fits: Sequence[Fit], size: str | None) -> str:
     """Return the sizes of fits in words, with their unit once: "1.5, 2 and 3 detectors"."""
     assert size is not None
     return f"{listed(f'{fit.group[size]:.15g}' for fit in fits)} {unit_of(size)}"
+
+
+def efficiencies(found: Sequence[Efficiency]) -> list[str]:
+    """Return a sentence about the efficiency relative to each other observer: its range over all groups."""
+    texts = []
+    for name in dict.fromkeys(one.relative_to for one in found):
+        known = [one.efficiency for one in found if one.relative_to == name and one.efficiency is not None]
+        ends = listed(dict.fromkeys(f"{plain(end)}" for end in (min(known), max(known)))) if known else "not known"
+        between = "between " if ends.count(" and ") else ""
+        texts.append(f"Its efficiency relative to {name} is {between}{ends}.")
+    return texts
 
 
 def remarks(fits: Sequence[Fit]) -> list[str]:

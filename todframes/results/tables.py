@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
-from todframes.results.data import Content, DatasetRecord, Fit, Group, Head, Record
+from todframes.results.data import Content, DatasetRecord, Efficiency, Fit, Group, Head, Record
 from todframes.results.table import EXACT, Column, Table, field_text
 from todframes.results.wording import column_heading, group_phrase, level_heading, path_name, threshold_heading
 from todframes.stimulus import ORIENTATIONS
@@ -97,6 +97,20 @@ def points(fits: Sequence[Fit]) -> Table | None:
         Column(key="p_correct", header="proportion correct"),
     ]
     return Table.of("Points of the psychometric functions", "points.csv", columns, records)
+
+
+def efficiencies(found: Sequence[Efficiency]) -> Table:
+    """Make the table of efficiencies, a row for each group and each other observer."""
+    taken = {"relative_to", "threshold", "efficiency", "efficiency_ci95"}
+    records = [{name: getattr(one, name) for name in taken} | group_record(one.group, taken) for one in found]
+    columns = [
+        Column(key="relative_to", is_name=True, wraps=True),
+        *group_columns(found[0].group, taken),
+        Column(key="threshold", header="its threshold"),
+        Column(key="efficiency", digits=3),
+        Column(key="efficiency_ci95", header="95 % interval", interval="efficiency", digits=3),
+    ]
+    return Table.of("Efficiency", "efficiency.csv", columns, records)
 
 
 def answers(fits: Sequence[Fit]) -> Table | None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 from todframes.base.errors import DataError
 from todframes.base.safe_text import without_quote
 from todframes.results import summary, tables
-from todframes.results.data import EMPTY, PNG_SIGNATURE, Content, DatasetRecord, Example, Fit, Record
+from todframes.results.data import EMPTY, PNG_SIGNATURE, Content, DatasetRecord, Efficiency, Example, Fit, Record
 from todframes.results.table import LongRecords, Table
 from todframes.results.wording import count, group_phrase, group_phrases, plain, unknown_place
 
@@ -61,6 +61,8 @@ class Thresholds(Content, frozen=True, kw_only=True):
         on, single positions are known to 0.09 mrad.
     examples : tuple of Example or None
         With `-o`: pictures of trials near threshold.
+    efficiencies : tuple of Efficiency or None
+        With `--relative-to`: the efficiency relative to each other observer in each group.
     from_store : int or None
         Number of results that an earlier, interrupted run had computed.
     """
@@ -72,6 +74,7 @@ class Thresholds(Content, frozen=True, kw_only=True):
     negative_luminance_pixels: int | None = None
     located: tuple[Record, ...] | None = None
     examples: tuple[Example, ...] | None = None
+    efficiencies: tuple[Efficiency, ...] | None = None
     from_store: int | None = None
 
     inference: ClassVar[str] = "Intervals"
@@ -121,6 +124,7 @@ class Thresholds(Content, frozen=True, kw_only=True):
     def tables(self) -> list[Table]:
         """List the thresholds, the answers of groups without one, and folded tables of what is behind them."""
         found = [self.table()] if self.thresholds else []
+        found += [tables.efficiencies(self.efficiencies)] if self.efficiencies else []
         if (answers := tables.answers(self.fits)) is not None:
             found.append(answers.extra() if len(answers.records) > MOST_ANSWERS else answers)
         return [*found, *self.tables_behind()]
@@ -144,7 +148,7 @@ class Thresholds(Content, frozen=True, kw_only=True):
 
     def findings(self) -> list[str]:
         """Return what was found in words, the answer first."""
-        return summary.findings(self.thresholds)
+        return [*summary.findings(self.thresholds), *summary.efficiencies(self.efficiencies or ())]
 
     def cautions(self) -> list[str]:
         """Return the cautions that a reader of the thresholds must know."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ from todframes.parameters import (
     Decisions,
     Gaze,
     ObserverName,
+    ObserverNames,
     OnError,
     PlanName,
     Progress,
@@ -31,7 +33,7 @@ from todframes.parameters import (
 )
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import levels_to_add, numerical_errors
-from todframes.results.data import Fit, ResultWarning
+from todframes.results.data import Fit, ResultWarning, observer_names
 from todframes.results.result import Result, repeatable
 from todframes.scoring.error_budget import plan_object
 from todframes.scoring.opening import each_once, in_memory, inspected, is_skip, opened
@@ -60,6 +62,7 @@ def score(
     workers: Count = 1,
     cluster: Cluster | Engine | None = None,
     store: Store | Path | str | None = None,
+    relative_to: ObserverNames | Observer | Sequence[str | Observer] = (),
     examples: bool = True,
     progress: Progress | None = None,
 ) -> Result[Thresholds]:
@@ -73,7 +76,7 @@ def score(
         The return value of `load_dataset` is taken as well.
     observer : str or Observer
         Observer by name: pyramid, informative, oriented, csf or another that is registered; or MODULE:CLASS, a
-        class of your own, whose code is run.
+        class of your own, whose code is run; or onnx:FILE, a network of four outputs, which is run.
 
         An object is taken as well: `PyramidObserver(internal_noise=0.25)`.
     decisions : {"expected", "sampled"}
@@ -109,10 +112,16 @@ def score(
     store : path, optional
         Folder for the results of finished trials, so that an interrupted run can be continued. It is written from
         the first finished trials on. The caller has to remove it.
+    relative_to : str, Observer, or sequence of them
+        Other observers, with their default settings, that look at the same frames: the result has the efficiency
+        relative to each, (its threshold ÷ the observer's threshold)².
+
+        Objects are taken as well.
     examples : bool
         Also draw a triangle at threshold, for the page.
     progress : function of two ints, optional
-        Called with the number of trials that are done, and of all; finding positions counts apart.
+        Called with the number of trials that are done, and of all; finding positions and further observers count
+        apart.
 
     Returns
     -------
@@ -138,13 +147,16 @@ def score(
     from todframes.scoring.score import fitted_curve, score_dataset
 
     fit = fit or FitSettings()
-    data, (judge,), (settings,), way, more, placed_wrong = opened(
-        dataset, [observer], gaze=gaze, locate=locate, on_error=on_error, progress=progress
+    others = relative_to.split(",") if isinstance(relative_to, str) else relative_to
+    asked = [observer, *(others if isinstance(others, Sequence) else [others])]
+    data, judges, each_settings, way, more, placed_wrong = opened(
+        dataset, asked, gaze=gaze, locate=locate, on_error=on_error, progress=progress
     )
+    judge, settings = judges[0], each_settings[0]
     with opened_run(workers, cluster, store, progress) as run:
-        scored = score_dataset(
+        how = partial(
+            score_dataset,
             data,
-            judge,
             decisions=decisions,
             curve=curve,
             seed=seed,
@@ -154,6 +166,12 @@ def score(
             skip_bad_frames=is_skip(on_error),
             run=run,
         )
+        scored, *beside = [how(observer=each) for each in judges]
+    if beside:
+        from todframes.scoring.paired import efficiencies
+
+        named = list(zip(observer_names(each_settings)[1:], beside, strict=True))
+        more["efficiencies"] = efficiencies(data, scored, named, seed=seed, fit_settings=fit)
     if examples:
         from todframes.scoring.examples import examples as drawn
 
