@@ -9,6 +9,8 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from todframes.enhancement.network_probe import Found, ProbeRequest, examine, read_model, with_weights
+
 Side = int | str
 
 ANY: tuple[Side, ...] = ("n", 1, "h", "w")
@@ -35,6 +37,12 @@ def save(
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
     path.write_bytes(model.SerializeToString())
     return path
+
+
+def tried_here(content: bytes, folder: Path, request: ProbeRequest) -> tuple[Found, bytes]:
+    """Try a network in this process, as `probe` does in another one, which takes half a second."""
+    whole = with_weights(content, folder)
+    return examine(read_model(whole), request), whole
 
 
 def node(kind: str, sources: str, target: str, **attributes: object) -> onnx.NodeProto:
@@ -158,3 +166,25 @@ def with_weights_in(path: Path, location: str, *, length: str = "36", offset: st
     for key, value in (("location", location), ("offset", offset), ("length", length)):
         tensor.external_data.add(key=key, value=value)
     return save(path, [convolution("x", "k", "y", 3)], tensors=[tensor])
+
+
+def correlator(
+    path: Path, templates: np.ndarray, *, layout: str = "nchw", channels: int = 1, last: str = ""
+) -> Path:
+    """Write a network whose values are inner products of a picture with templates, (n, rows, columns)."""
+    n, rows, columns = templates.shape
+    weights = np.repeat(templates[:, None] / channels, channels, axis=1)
+    shape = (1, channels, rows, columns)
+    if layout == "nhwc":
+        weights, shape = np.moveaxis(weights, 1, 3), (1, rows, columns, channels)
+    nodes = [node("Reshape", "x shape", "flat"), node("MatMul", "flat w", "s" if last else "y")]
+    nodes += [node(last, "s", "y")] if last else []
+    values = {"shape": np.array([1, -1]), "w": weights.reshape(n, -1).T.astype(np.float32)}
+    return save(path, nodes, values, shape=shape)
+
+
+def searching(path: Path, templates: np.ndarray) -> Path:
+    """Write a network for pictures of any size: the largest magnitude of each template's correlation."""
+    nodes = [node("Conv", "x k", "c", kernel_shape=templates.shape[1:]), node("Abs", "c", "a")]
+    nodes += [node("GlobalMaxPool", "a", "m"), node("Flatten", "m", "y")]
+    return save(path, nodes, {"k": templates[:, None].astype(np.float32)})

@@ -55,7 +55,7 @@ todframes scenes: BACKGROUNDS --size-mrad --contrast -o --places --place-step-mr
     --blur-px --windows --frames --turns --dim --display --range --seed --max-frame-mb --quiet
 todframes score: DATASET -o --tolerance --explain --verbose --json --quiet --strict --decisions --curve
     --plan --seed --locate --gaze --on-error --max-frame-mb --workers --cluster --restart --keep-store
-    --observer --internal-noise --p-correct --set --observer-settings
+    --relative-to --observer --internal-noise --p-correct --set --observer-settings
 todframes stability: --json --markdown --quiet
 todframes validate: DATASET --add-sha256 --max-frame-mb --strict --json
 sensor-sim advise: SENSOR --tolerance --seed -o --json --quiet --observer --internal-noise --p-correct --set

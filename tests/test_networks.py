@@ -27,6 +27,7 @@ from networks import (
     node,
     of_each_channel,
     save,
+    tried_here,
     weighted,
     with_weights_in,
 )
@@ -40,19 +41,14 @@ from todframes.enhancement.algorithm import Enhancement
 from todframes.enhancement.compare import parts_of
 from todframes.enhancement.finding import find_enhancement, plain_value
 from todframes.enhancement.memory_meter import MemoryMeter
-from todframes.enhancement.network_probe import Found, ProbeRequest, examine, probe, read_model, with_weights
+from todframes.enhancement.network_probe import Found, ProbeRequest, probe, with_weights
 from todframes.jobs.fingerprint import fingerprint
 
 
 @pytest.fixture(autouse=True)
 def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Try networks in this process, unless a test takes `probe` again: another one takes half a second."""
-
-    def tried(content: bytes, folder: Path, request: ProbeRequest) -> tuple[Found, bytes]:
-        whole = with_weights(content, folder)
-        return examine(read_model(whole), request), whole
-
-    monkeypatch.setattr(network, "probe", tried)
+    monkeypatch.setattr(network, "probe", tried_here)
 
 
 def found(path: Path, more: str = "") -> Enhancement:

@@ -170,7 +170,7 @@ def score(
     if beside:
         from todframes.scoring.paired import efficiencies
 
-        named = list(zip(observer_names(each_settings)[1:], beside, strict=True))
+        named = list(zip(observer_names(each_settings[1:]), beside, strict=True))
         more["efficiencies"] = efficiencies(data, scored, named, seed=seed, fit_settings=fit)
     if examples:
         from todframes.scoring.examples import examples as drawn
