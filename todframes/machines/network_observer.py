@@ -138,7 +138,7 @@ class NetworkObserver(Observer):
         todframes.base.errors.DataError: net.onnx: No such file or directory
         """
         path, where = Path(path), f"observer 'onnx:{path}'"
-        kinds = {one.name: kind for one, kind in settings_of(NetworkSettings) if one.repr}
+        kinds = {setting.name: kind for setting, kind in settings_of(NetworkSettings) if setting.repr}
         content = read_network(path)
         try:
             asked = NetworkSettings(**settings_beside(path, kinds) | changes)

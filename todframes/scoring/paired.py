@@ -40,8 +40,8 @@ def paired_ratios(
         of_groups.append(
             ratio_draws(
                 trials.levels[rows],
-                np.array([one.p_correct[rows] for one in scored]),
-                [one.fits[number].fit for one in scored],
+                np.array([series.p_correct[rows] for series in scored]),
+                [series.fits[number].fit for series in scored],
                 pairs=pairs,
                 settings=settings,
                 rng=np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(RATIO_STREAMS, number))),
