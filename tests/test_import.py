@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import todframes as tod
-from todframes.base.errors import DataError, OutputError, SettingsError
+from todframes.base.errors import DataError, SettingsError
 from todframes.charts.layout import marker_bits, marker_ids, write_chart
 from todframes.cli.console import run
 from todframes.cli.main import cli
@@ -352,13 +352,6 @@ def test_values_without_a_white_need_a_range(tmp_path: Path, chart: Path, pages:
         and np.allclose(kelvin[0][top : top + height, left : left + width], back, atol=5e-5, rtol=0)
         for top, left in zip(tops, lefts, strict=True)
     )
-
-
-def test_a_dataset_is_never_replaced(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
-    path = saved(tmp_path, film_of([pages[0]]))
-    imported(path, chart, integration_time_s=0.01)
-    with pytest.raises(OutputError, match="is not empty"):
-        imported(path, chart, integration_time_s=0.01)
 
 
 # Schedules ---------------------------------------------------------------------------------------------------

@@ -86,12 +86,6 @@ def test_box_and_gaussian_are_those_of_the_package(tmp_path: Path) -> None:
     assert np.abs(found(path).run(image)[0] - ours).max() < 1e-6
 
 
-def test_a_network_of_one_channel_takes_those_of_a_colour_by_themselves(tmp_path: Path) -> None:
-    image, algorithm = picture(channels=3), found(blur(tmp_path / "box.onnx", box()))
-    each = [algorithm.run(np.ascontiguousarray(image[..., k]))[0] for k in range(3)]
-    assert np.array_equal(algorithm.run(image)[0], np.stack(each, axis=-1))
-
-
 def test_grey_comes_back_from_three_channels_as_luminance_and_bgr_is_turned(tmp_path: Path) -> None:
     gains = np.array([0.5, 1.0, 2.0], np.float32)
     path = save(
@@ -104,13 +98,6 @@ def test_grey_comes_back_from_three_channels_as_luminance_and_bgr_is_turned(tmp_
         assert np.allclose(algorithm.run(image)[0], of_grey, atol=1e-6)
         colour = picture(channels=3)
         assert np.allclose(algorithm.run(colour)[0], colour * of_channels, atol=1e-6)
-
-
-def test_scale_is_read_from_the_model(tmp_path: Path) -> None:
-    algorithm, image = found(finer(tmp_path / "m.onnx", 3)), picture()
-    assert algorithm.magnification == 3.0
-    mean = ndimage.uniform_filter(image, 3, mode="constant")
-    assert np.abs(algorithm.run(image)[0] - np.kron(mean, np.ones((3, 3)))).max() < 1e-6
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not report it")

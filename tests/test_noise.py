@@ -83,28 +83,6 @@ def test_zero_noise_is_zero():
     np.testing.assert_array_equal(displayed_noise(pattern, total_sd=0.0, noise=PAPER, rng=rng), 0.0)
 
 
-def test_fixed_pattern_belongs_to_the_seed():
-    first = unit_fixed_pattern((8, 8), noise=PAPER, seed=7)
-    again = unit_fixed_pattern((8, 8), noise=PAPER, seed=np.random.SeedSequence(7))
-    other = unit_fixed_pattern((8, 8), noise=PAPER, seed=8)
-    for one, same, another in zip(first, again, other, strict=True):
-        np.testing.assert_array_equal(one, same)
-        assert (one != another).all()
-
-
-@pytest.mark.parametrize("distribution", ["uniform", "gaussian"])
-def test_mean_over_many_images_is_the_fixed_pattern(distribution):
-    noise = Noise(distribution=distribution, fixed_pattern_ratio=0.4, frames_integrated=6)
-    pattern = unit_fixed_pattern((16, 16), noise=noise, seed=3)
-    rng = np.random.default_rng(4)
-    images = np.stack([displayed_noise(pattern, total_sd=2.0, noise=noise, rng=rng) for _ in range(1000)])
-    dynamic, static, *_ = sample_parts(noise, total_sd=2.0)
-    # Five standard errors of 256 means, and of the variance of 256,000 draws (κ <= 3).
-    assert np.abs(images.mean(axis=0) - static * pattern.own).max() < 5 * dynamic / math.sqrt(1000)
-    variance = np.var(images, axis=0, ddof=1).mean()
-    assert abs(variance / dynamic**2 - 1) < 5 * math.sqrt(2 / 256_000)
-
-
 def test_total_over_sensors_has_the_standard_deviation_asked_for():
     rng = np.random.default_rng(5)
     patterns = [unit_fixed_pattern((16, 16), noise=PAPER, seed=seed) for seed in range(400)]

@@ -281,12 +281,6 @@ def test_a_turned_image_has_the_turned_activity(name: str, variant: dict) -> Non
 # The pyramid observer itself.
 
 
-def test_a_constant_added_changes_nothing(observer: PyramidObserver) -> None:
-    readout = observer.readout(Stimulus(1.0))
-    image = np.random.default_rng(2).normal(size=(readout.grid.side,) * 2)
-    assert np.allclose(readout.scores(image + 5.0), readout.scores(image), rtol=0.0, atol=1e-12)
-
-
 @pytest.mark.parametrize("size_samples", [0.01, 0.3, 0.5698])
 @pytest.mark.parametrize("polarity", [1, -1])
 def test_a_triangle_within_one_sample_looks_the_same_to_all_templates(size_samples: float, polarity: int) -> None:
@@ -377,14 +371,6 @@ def test_acuity_inverts_the_contrast_threshold() -> None:
     assert acuity(observer, contrast=contrast).threshold == pytest.approx(0.7, rel=1e-3)
 
 
-def test_threshold_follows_noise() -> None:
-    """Signal and internal noise scaled together change nothing."""
-    at = {"size_mrad": 1.5, "nodes": 4}
-    quiet = proportion_correct(PyramidObserver(internal_noise=0.25), contrast=0.05, **at)
-    assert quiet == pytest.approx(proportion_correct(PyramidObserver(), contrast=0.1, **at), rel=1e-9)
-    assert 0.5 < quiet < 0.99
-
-
 @pytest.mark.slow
 def test_criterion_is_met_at_the_threshold() -> None:
     found = contrast_threshold(PyramidObserver(), size_mrad=1.0, p_correct=0.9)
@@ -429,11 +415,6 @@ def test_bad_settings(name: str, changes: dict, message: str) -> None:
 def test_too_large_a_triangle_says_so() -> None:
     with pytest.raises(SettingsError, match=r"^size_mrad: found 1000 mrad at the eye, expected at most 348\.2"):
         PyramidObserver().grid(Stimulus(1000.0))
-
-
-def test_unknown_observer_names_the_nearest() -> None:
-    with pytest.raises(SettingsError, match="unknown key 'piramid'; the nearest valid one is 'pyramid'"):
-        find_observer("piramid")
 
 
 @pytest.mark.parametrize("size", [0.0, -1.0, np.nan])

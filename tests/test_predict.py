@@ -323,48 +323,6 @@ def test_proportion_correct_goes_from_a_quarter_up(observer):
     assert np.all(np.diff(proportions) > 0)
 
 
-# Trend --------------------------------------------------------------------------------------------------------
-
-
-def acuity_mrad(observer: Observer, *, pitch_mrad: float, blur_width_mrad: float, pixels: int) -> float:
-    """Size in the scene that is seen right 3 times of 4 without detector noise.
-
-    The detectors' width and the display's magnification stay; `blur_width_mrad` is the optics' equivalent
-    width, area over peak, √(2π)·σ of a Gaussian as the pitch is that of the held sample.
-    """
-    from scipy.optimize import brentq
-
-    sigma = blur_width_mrad / math.sqrt(2 * math.pi)
-    sensor = Sensor(
-        optics=Optics(aperture_mm=1e9, wavelength_um=1.0, blur_sigma_mrad=sigma),
-        detector=Detector(pitch_mrad=pitch_mrad, width_mrad=0.05),
-        display=display(pixels, 1500.0),
-    )
-
-    def excess(size_mrad: float) -> float:
-        chain = FoldedChain(sensor, observer, size_mrad / pitch_mrad)
-        return chain.proportion_correct(phases_of(chain, 7), math.inf) - 0.75
-
-    return brentq(excess, 0.12, 1.0, xtol=1e-3)
-
-
-@pytest.mark.slow
-def test_under_sampled_sensors_respond_to_the_pitch_more_than_to_the_optics(observer):
-    """Pitch and optics blur of the same equivalent width, each made a quarter wider in turn.
-
-    For a sensor whose optics are wider than four pitches it is the other way round.
-    """
-    for pitch, blur in ((0.1, 0.1), (0.05, 0.2)):
-        acuity, coarser, blurred = (
-            acuity_mrad(observer, pitch_mrad=wider * pitch, blur_width_mrad=more * blur, pixels=pixels)
-            for wider, more, pixels in ((1.0, 1.0, 4), (1.25, 1.0, 5), (1.0, 1.25, 4))
-        )
-        low, high = sorted((coarser / acuity, blurred / acuity))
-        # The root is sought to 0.5 % of the smallest size.
-        assert 1.0 < low < 1.15 < high
-        assert (high == coarser / acuity) == (pitch == blur)
-
-
 # Published ----------------------------------------------------------------------------------------------------
 
 

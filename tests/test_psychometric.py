@@ -14,14 +14,9 @@ from scipy import optimize
 from scipy.special import xlogy
 
 from todframes.base.errors import DataError, SettingsError
-from todframes.observers.decision import answer_probability
-from todframes.observers.pyramid import PyramidObserver
-from todframes.observers.retina import triangle_on
 from todframes.psychometrics.curves import weibull, weibull_level
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
 from todframes.psychometrics.threshold_search import crossing, find_crossing
-from todframes.scoring.naked_eye import contrast_threshold
-from todframes.stimulus import Stimulus
 
 POINT = FitSettings(resamples=0)
 LEVELS = np.geomspace(0.5, 2.0, 7)
@@ -362,45 +357,6 @@ def test_counts_are_checked(level, n_correct, n_trials, message):
 def test_trials_are_checked(p, message):
     with pytest.raises(DataError, match=message):
         fit_trials([1.0, 2.0], [0.5, p], rng=generator())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("curve", ["observer", "weibull"])
-@pytest.mark.parametrize(("size_mrad", "lowest", "highest"), [(0.6, 0.5, 2.0), (1.0, 0.35, 2.0), (1.0, 0.8, 1.3)])
-@pytest.mark.weekly
-def test_interval_of_expected_decisions_is_honest_for_the_real_observer(
-    size_mrad: float, lowest: float, highest: float, curve: str
-) -> None:
-    """The true threshold is in the interval of the observer's curve, and of Weibull's, which it does not follow.
-
-    300 experiments of 28 trials at each of 7 levels, displacements drawn. A true coverage of 95 % gives 92 % or
-    more of 300 in all but 1 % of such tests.
-    """
-    observer = PyramidObserver()
-    truth = contrast_threshold(observer, size_mrad=size_mrad).threshold
-    readout = observer.readout(Stimulus(size_mrad))
-    rng = np.random.default_rng(5)
-    signals = []
-    for _ in range(1500):
-        dx, dy = rng.uniform(-0.5, 0.5, 2)
-        triangle = triangle_on(readout.grid, size_mrad, x=dx, y=dy)
-        signals.append(readout.score_deviations(triangle))
-    levels = truth * np.geomspace(lowest, highest, 7)
-    p_correct = np.stack(
-        [
-            answer_probability(level * np.array(signals), readout.noise_covariance, 0, tolerance=1e-9)
-            for level in levels
-        ]
-    )
-    settings, level = FitSettings(resamples=200), np.repeat(levels, 28)
-    held = 0
-    for _ in range(300):
-        trials = p_correct[np.arange(7)[:, None], rng.integers(1500, size=(7, 28))]
-        fit = fit_trials(level, trials.ravel(), curve=curve, settings=settings, rng=rng)
-        low, high = fit.threshold_ci95
-        held += low <= truth <= high
-        assert curve == "weibull" or low < fit.threshold < high
-    assert held >= 0.92 * 300
 
 
 @pytest.mark.parametrize(("saturates", "most_calls"), [(True, 12), (False, 40)])

@@ -43,11 +43,6 @@ def test_posterior_is_the_product_of_the_likelihoods_in_any_order():
     assert math.isclose(found.sum(), 1.0, rel_tol=1e-12)
 
 
-def test_without_answers_all_functions_are_equally_probable():
-    grid = QuestGrid.of_levels(LEVELS)
-    np.testing.assert_allclose(grid.posterior(np.zeros(9), np.zeros(9)), 1.0 / grid.alpha.size, rtol=1e-12)
-
-
 def test_expected_entropy_is_that_of_a_loop_over_answers():
     grid = QuestGrid.of_levels(LEVELS)
     found = grid.expected_entropy(grid.posterior(*counts(ANSWERS, 9)))

@@ -88,22 +88,6 @@ def test_variances_of_electronics_and_display_add():
     np.testing.assert_allclose(in_turn[24:30], together[24:30, 4], rtol=1e-12)
 
 
-@given(SIGMA, SIGMA, st.integers(1, 8), st.integers(1, 12))
-def test_rows_sum_to_one_or_less_and_light_to_what_was_there_or_less(electronics, display, pixels, n):
-    matrix = matrix_of(n, electronics=electronics, display=display, pixels=pixels)
-    assert matrix.shape == (n * pixels, n)
-    assert matrix.min() >= 0.0
-    assert matrix.sum(axis=1).max() <= 1.0 + 1e-14
-    assert matrix.sum(axis=0).max() <= pixels * (1.0 + 1e-14)
-
-
-def test_away_from_the_border_nothing_is_lost():
-    matrix = matrix_of(11, display=3.0)
-    # Nine standard deviations are 27 pixels: rows and columns from there on reach no border.
-    np.testing.assert_allclose(matrix.sum(axis=1)[27:-27], 1.0, rtol=1e-14)
-    np.testing.assert_allclose(matrix.sum(axis=0)[5], 6.0, rtol=1e-14)
-
-
 # Place
 
 

@@ -26,10 +26,7 @@ from todframes import __version__
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli as todframes_cli
-from todframes.cli.options import parts
-from todframes.cli.signature import Value
 from todframes.observers.pyramid import PyramidObserver
-from todframes.parameters import Form
 
 BAD_DATA, BAD_SETTINGS = 1, 2
 
@@ -363,13 +360,6 @@ def test_slip_of_the_pen_in_an_exponent(sensor_sim, sensor_file, tmp_path, comma
 
 
 # Bad usage ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("text", ["", "2,", "2,big"])
-def test_lists_of_numbers(text):
-    value = Value(float, Form("N[,N…]", separator=","), is_list=True)
-    with pytest.raises(SettingsError, match=f"^--snr: found '{text}', expected numbers with commas between them$"):
-        parts(text, "--snr", value)
 
 
 @pytest.mark.parametrize(

@@ -203,17 +203,6 @@ def test_bytes_depend_on_the_seed_and_not_on_the_workers(tmp_path, frame_format)
     assert len({*map(one.get, frames), *map(other.get, frames)}) == 2 * len(frames)
 
 
-def test_a_trial_does_not_depend_on_the_others():
-    simulator = Simulator(SENSOR, SIZE, seed=3)
-    trials = plan_trials([SIZE], [1.0, 2.0], 5)
-    together = list(simulator.frames(trials))
-    alone = [frame for trial in reversed(trials) for frame in Simulator(SENSOR, SIZE, seed=3).frames([trial])]
-    for a, b in zip(together, reversed(alone), strict=True):
-        # Sums over places are BLAS products whose order of terms may depend on how many places there are.
-        np.testing.assert_allclose(a.luminance_cd_m2, b.luminance_cd_m2, rtol=1e-12)
-        assert (a.x_px, a.y_px) == (b.x_px, b.y_px)
-
-
 # Datasets -----------------------------------------------------------------------------------------------------
 
 

@@ -172,20 +172,20 @@ def test_spectrum_of_a_displaced_triangle(centre: str) -> None:
     assert moved == pytest.approx(still * np.exp(-2j * np.pi * (fx * x + fy * y)), rel=1e-13)
 
 
-@pytest.mark.parametrize("size", [0.0, -1.0, np.nan, np.inf])
-def test_bad_size(size: float) -> None:
-    with pytest.raises(SettingsError, match="size: found"):
-        coverage((3, 3), size_px=size, x_px=1.0, y_px=1.0, orientation=Orientation.UP)
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        *(({"size_px": size}, "size: found") for size in (0.0, -1.0, np.nan, np.inf)),
+        ({"orientation": "north"}, "orientation: found 'north', expected up, right, down, left"),
+        ({"centre": "middle"}, "centre: found 'middle'"),
+    ],
+)
+def test_a_triangle_that_cannot_be_is_refused(changes: dict, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        coverage((9, 9), **{"size_px": 4.0, "x_px": 4.0, "y_px": 4.0, "orientation": "up"} | changes)
 
 
 def test_orientations_have_names() -> None:
     of_names, of_members = ([coverage((9, 9), size_px=4.0, x_px=4.0, y_px=4.0, orientation=one) for one in each]
                             for each in (["up", "right", "down", "left"], Orientation))  # fmt: skip
     assert np.array_equal(of_names, of_members)
-    with pytest.raises(SettingsError, match="orientation: found 'north', expected up, right, down, left"):
-        coverage((9, 9), size_px=4.0, x_px=4.0, y_px=4.0, orientation="north")
-
-
-def test_bad_centre() -> None:
-    with pytest.raises(SettingsError, match="centre: found 'middle'"):
-        vertices(size=1.0, orientation=Orientation.UP, centre="middle")  # type: ignore[arg-type]

@@ -23,7 +23,7 @@ import todframes as tod
 from sensor_sim.chain.measured import MeasuredPsf
 from sensor_sim.chain.sensor import TABLES, Optics, PhotonNoise, part_of, sensor_from
 from sensor_sim.cli import cli
-from sensor_sim.sweeps.designs import Base, grid, latin_hypercube, make_designs, numeric_keys, parse_range
+from sensor_sim.sweeps.designs import Base, grid, latin_hypercube, make_designs, numeric_keys
 from sensor_sim.sweeps.goals import acuity, front
 from sensor_sim.sweeps.result import draw_map
 from sensor_sim.sweeps.sweep import missed_tolerance
@@ -197,24 +197,6 @@ def test_latin_hypercube_has_one_design_in_each_part() -> None:
     assert not np.array_equal(designs.values, latin_hypercube(vary, KNOWN, n=40, seed=4).values)
 
 
-@pytest.mark.parametrize(
-    ("text", "match"),
-    [
-        ("5:5:3", "found '5:5:3', a range of zero width"),
-        ("9:5:3", "found '9:5:3', a range that falls"),
-        ("0:5:3:log", "expected FROM above 0 with log"),
-        ("1:5:1", "expected N of 2 or more"),
-        ("1:5:2.5", "expected FROM:TO:N"),
-        ("1", "expected FROM:TO:N"),
-        ("", "expected FROM:TO:N"),
-        ("nan:5:3", "expected finite numbers"),
-    ],
-)
-def test_bad_ranges(text: str, match: str) -> None:
-    with pytest.raises(SettingsError, match=match):
-        parse_range(text, "vary optics.aperture_mm")
-
-
 def bad(capsys: pytest.CaptureFixture[str], *arguments: object, status: int = 2) -> str:
     """Return the one line of an error of the command."""
     assert run(cli, ["sweep", str(CAMERA), "--size-detectors", "4", *map(str, arguments)]) == status
@@ -236,6 +218,12 @@ VARIED = ("--vary", "noise.netd_mk=1:3:3")
         (("--vary", "noise.distribution=1:2:2"), "unknown key 'noise.distribution'"),
         (("--vary", "optics.aperture_mm"), "--vary: found 'optics.aperture_mm', expected KEY=FROM:TO:N"),
         (("--vary", "optics.aperture_mm=50:200"), "expected a number of values N"),
+        (("--vary", "optics.aperture_mm=5:5:3"), "found '5:5:3', a range of zero width"),
+        (("--vary", "optics.aperture_mm=9:5:3"), "found '9:5:3', a range that falls"),
+        (("--vary", "optics.aperture_mm=0:5:3:log"), "expected FROM above 0 with log"),
+        (("--vary", "optics.aperture_mm=1:5:1"), "expected N of 2 or more"),
+        (("--vary", "optics.aperture_mm=1:5:2.5"), "expected FROM:TO:N"),
+        (("--vary", "optics.aperture_mm=nan:5:3"), "expected finite numbers"),
         (("--vary", "optics.aperture_mm=1:2:2000000"), "designs: found 2000000, expected at most 100000"),
         (("--vary", "noise.frames_integrated=1:3:7"), "some values are the same whole number"),
         ((*VARIED, *VARIED), "found noise.netd_mk twice"),

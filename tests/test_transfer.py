@@ -68,13 +68,6 @@ def test_diffraction_keeps_its_digits_next_to_the_cut_off(power):
     assert unit_diffraction(1.0 - e) == pytest.approx(expected, rel=1e-12)
 
 
-def test_diffraction_is_continuous_where_the_series_takes_over():
-    # 2 arccos x = 1 at cos(1/2); the slope there is (4/π)√(1 − x²) < 0.62.
-    x = math.cos(0.5)
-    left, right = unit_diffraction([x - 1e-13, x + 1e-13])
-    assert 0.0 < left - right < 1.3e-13
-
-
 @pytest.mark.parametrize("frequency", [0.0, 0.31, 0.8, 1.4, 2.5])
 def test_diffraction_is_the_transform_of_the_airy_pattern(frequency):
     # Hankel transform back: psf(r) = 2π ∫ H(f) J₀(2πfr) f df, with f = 2 sin θ for the root at the cut-off.
@@ -130,16 +123,6 @@ SENSOR = Sensor(
         blur_sigma_px=2.0,
     ),
 )
-
-
-def test_stages_multiply_to_the_two_products():
-    of = stages(np.linspace(0.0, 60.0, 241), sensor=SENSOR)
-    np.testing.assert_allclose(
-        of["pre_sample"], of["diffraction"] * of["optics_blur"] * of["detector"], atol=1e-15
-    )
-    np.testing.assert_allclose(of["post_sample"], of["hold"] * of["electronics"] * of["display"], atol=1e-15)
-    assert all(transfer[0] == 1.0 for transfer in of.values())
-    np.testing.assert_array_equal(of["pre_sample"][220:], 0.0)  # cut-off 55 cycles/mrad
 
 
 def test_what_follows_sampling_is_that_of_a_displayed_point():

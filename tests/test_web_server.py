@@ -140,6 +140,9 @@ REFUSED = {
     "no token": ({"X-Token": None}, 403),
     "an empty token": ({"X-Token": ""}, 403),
     "a wrong token": ({"X-Token": TOKEN[:-1] + "x"}, 403),
+    "the first part of the token": ({"X-Token": TOKEN[:-1]}, 403),
+    "the last part of the token": ({"X-Token": TOKEN[1:]}, 403),
+    "the token and more": ({"X-Token": TOKEN + "x"}, 403),
     "a token with letters beyond ASCII": ({"X-Token": "\xe9"}, 403),
     "a cookie of another page": ({"X-Token": None, "Cookie": f"todframes-1={TOKEN}"}, 403),
     "a broken cookie": ({"X-Token": None, "Cookie": '="; todframes'}, 403),
@@ -183,7 +186,9 @@ def test_a_first_visit_gets_a_cookie_that_only_this_page_has(running, caplog):
     assert running.ask("GET", "/static/server.js", headers=localhost)[0] == 200
 
 
-@pytest.mark.parametrize("token", ["", "wrong", TOKEN + "x", "%00", f"wrong&token={TOKEN}x"])
+@pytest.mark.parametrize(
+    "token", ["", "wrong", TOKEN[:-1], TOKEN[1:], TOKEN + "x", "%00", f"wrong&token={TOKEN}x"]
+)
 def test_a_first_visit_with_a_wrong_token_gets_no_cookie(running, token):
     status, answer, _ = running.ask("GET", f"/?token={token}", headers={"Host": running.host})
     assert (status, answer["set-cookie"]) == (403, None)
@@ -194,6 +199,8 @@ PATHS = [
     "/static/%2e%2e/pages.py",
     "/static/..%2fpages.py",
     "/static/..%5cpages.py",
+    "/static/%252e%252e/pages.py",
+    "/static/base%252ecss",
     "/static//base.css",
     "//etc/passwd",
     "/static/%2fetc%2fpasswd",
@@ -214,9 +221,12 @@ def test_only_listed_files_are_served(running, path):
 def test_the_shared_files_are_those_of_the_package(running):
     folder = Path(server.__file__).parent / "static"
     for name in ("base.css", "server.js", "icon.svg", "uplot/uPlot.iife.min.js", "uplot/uPlot.min.css"):
-        status, answer, body = running.ask("GET", f"/static/{name.rpartition('/')[2]}")
-        assert (status, body) == (200, (folder / name).read_bytes())
-        assert answer["content-type"].startswith(("text/css", "text/javascript", "image/svg+xml"))
+        path = f"/static/{name.rpartition('/')[2]}"
+        for asked in (path, path.replace("s", "%73").replace(".", "%2E")):  # percent-encoding is undone, once
+            status, answer, body = running.ask("GET", asked)
+            assert (status, body) == (200, (folder / name).read_bytes())
+            assert answer["content-type"].startswith(("text/css", "text/javascript", "image/svg+xml"))
+            assert running.ask("GET", asked, headers={"Host": running.host})[0] == 403
 
 
 def test_long_answers_are_compressed_where_the_browser_takes_them_so(running):
