@@ -109,18 +109,40 @@ def _no_waiting_for_disks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", lambda _: None)
 
 
-@pytest.fixture
-def todframes(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
-    """Run a command, no terminal at its end; gives exit status, standard output and standard error."""
+Command = Callable[..., tuple[int, str, str]]
+"""Function that runs a command, no terminal at its end; gives exit status, standard output and standard error."""
+
+
+def _command(program: Any, capsys: pytest.CaptureFixture[str]) -> Command:
     from todframes.cli.console import run
-    from todframes.cli.main import cli
 
     def call(*arguments: object) -> tuple[int, str, str]:
         capsys.readouterr()
-        status = run(cli, [str(argument) for argument in arguments])
+        status = run(program, [str(argument) for argument in arguments])
         return status, *capsys.readouterr()
 
     return call
+
+
+@pytest.fixture
+def todframes(capsys: pytest.CaptureFixture[str]) -> Command:
+    from todframes.cli.main import cli
+
+    return _command(cli, capsys)
+
+
+@pytest.fixture
+def sensor_sim(capsys: pytest.CaptureFixture[str]) -> Command:
+    from sensor_sim.cli import cli
+
+    return _command(cli, capsys)
+
+
+def error_line(ended: tuple[int, str, str], status: int = 2) -> str:
+    """Return the line of an error, which is all that a command has printed."""
+    found, out, err = ended
+    assert (found, out, err.count("\n")) == (status, "", 1), err
+    return err
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from conftest import error_line
 from matplotlib.figure import Figure
 
 from todframes.base.errors import DataError
@@ -566,8 +567,7 @@ def test_command_writes_beside_the_result_or_elsewhere(results, pages, todframes
 def test_files_that_are_no_results(todframes, tmp_path: Path, content: bytes, wanted: str) -> None:
     path = tmp_path / "result.json"
     path.write_bytes(content)
-    status, out, err = todframes("report", path)
-    assert (status, out, err.count("\n")) == (1, "", 1)
+    err = error_line(todframes("report", path), status=1)
     assert err.startswith(f"error: {path}: ") and re.search(wanted, err)
     assert list(tmp_path.iterdir()) == [path]
 
@@ -586,8 +586,7 @@ def test_settings_that_are_nested_deep(results, todframes, tmp_path: Path, depth
 
 @pytest.mark.parametrize(("name", "wanted"), [("no.json", "no such file"), ("", "is a folder")])
 def test_file_that_is_not_there(todframes, tmp_path: Path, name: str, wanted: str) -> None:
-    status, out, err = todframes("report", tmp_path / name)
-    assert (status, out, err.count("\n")) == (1, "", 1) and wanted in err
+    assert wanted in error_line(todframes("report", tmp_path / name), status=1)
 
 
 @pytest.mark.usefixtures("blank_pictures")
@@ -601,9 +600,7 @@ def test_places_that_cannot_be_written(results, todframes, tmp_path: Path) -> No
         (path / "report.html", "Not a directory"),
         ("", "is a folder"),
     ):
-        status, out, err = todframes("report", path, "-o", place)
-        assert (status, out, err.count("\n")) == (2, "", 1)
-        assert wanted in err
+        assert wanted in error_line(todframes("report", path, "-o", place))
     assert list(tmp_path.iterdir()) == [path]
     assert path.read_bytes() == encode(results["fit"])
 

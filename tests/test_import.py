@@ -13,12 +13,11 @@ import cv2
 import filmed_chart as film
 import numpy as np
 import pytest
+from conftest import error_line
 
 import todframes as tod
 from todframes.base.errors import DataError, SettingsError
 from todframes.charts.layout import marker_bits, marker_ids, write_chart
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.importing.chart_source import page_duration_s
 from todframes.importing.clips import (
     Clip,
@@ -611,18 +610,14 @@ def test_times_in_words(text: str | float, expected: float | None) -> None:
     assert checked_time(text) == (None if expected is None else pytest.approx(expected))
 
 
-def test_the_command(tmp_path: Path, chart: Path, pages: list[np.ndarray], capsys) -> None:
-    path = saved(tmp_path, film_of([pages[0]] * 3))
-    command = ["import", str(path), "--chart", str(chart), "-o", str(tmp_path / "d")]
-    assert run(cli, [*command, "--frames-per-second", "30"]) == 0
-    shown = capsys.readouterr()
-    assert "3 frames in 1 trial from 1 clip" in shown.out
-    assert "note: " in shown.err
-    assert run(cli, [*command, "--range", "5"]) == 2
-    assert capsys.readouterr().err == "error: --range: found '5', expected numbers as LOW:HIGH\n"
+def test_the_command(tmp_path: Path, chart: Path, pages: list[np.ndarray], todframes) -> None:
+    path, out = saved(tmp_path, film_of([pages[0]] * 3)), ("-o", tmp_path / "d")
+    command = ["import", path, "--chart", chart, *out]
+    status, printed, notes = todframes(*command, "--frames-per-second", "30")
+    assert status == 0 and "3 frames in 1 trial from 1 clip" in printed and "note: " in notes
+    message = error_line(todframes(*command, "--range", "5"))
+    assert message == "error: --range: found '5', expected numbers as LOW:HIGH\n"
     for found, sources in (("neither", []), ("both", ["--chart", "a.toml", "--schedule", "none.csv"])):
-        assert run(cli, ["import", str(path), *sources, "-o", str(tmp_path / "d")]) == 2
         expected = f"found {found}, expected one of --chart and --schedule, which says what is shown"
-        assert capsys.readouterr().err == f"error: import: {expected}\n"
-    assert run(cli, ["import", str(tmp_path / "none.mkv"), "--chart", str(chart), "-o", str(tmp_path / "e")]) == 1
-    assert capsys.readouterr().err.count("\n") == 1
+        assert error_line(todframes("import", path, *sources, *out)) == f"error: import: {expected}\n"
+    error_line(todframes("import", tmp_path / "none.mkv", "--chart", chart, *out), status=1)

@@ -12,13 +12,11 @@ import pytest
 from scipy.signal import fftconvolve
 
 import sensor_sim as ss
-from sensor_sim import cli
 from sensor_sim.chain.sampling import TriangleSampler, sample_image
 from sensor_sim.chain.sensor import sensor_settings, sensor_toml
 from sensor_sim.chain.transfer import aperture_mtf, motion_mtf, obscured_mtf, optics_mtf
 from sensor_sim.thresholds.matched import matched_settings
 from todframes.base.errors import SettingsError
-from todframes.cli.console import run
 from todframes.stimulus import ORIENTATIONS, coverage
 
 STAR_LIKE = Path(__file__).parent.parent / "sample_frames" / "star_like.toml"
@@ -235,14 +233,13 @@ WRONG_OPTICS = {
 
 
 @pytest.mark.parametrize(("measured", "optics", "message"), WRONG_OPTICS.values(), ids=WRONG_OPTICS.keys())
-def test_wrong_measured_optics_are_one_clear_line(tmp_path, capsys, measured, optics, message):
+def test_wrong_measured_optics_are_one_clear_line(tmp_path, sensor_sim, measured, optics, message):
     if isinstance(measured, list):
         write_table(tmp_path, measured)
     else:
         write_psf(tmp_path / "psf.tif", measured)
-    assert run(cli.cli, ["curve", str(sensor_file(tmp_path, optics)), "--size-detectors", "4"]) in (1, 2)
-    out, error = capsys.readouterr()
-    assert re.fullmatch(rf"error: .*{message}.*\n", error) and not out
+    status, out, error = sensor_sim("curve", sensor_file(tmp_path, optics), "--size-detectors", "4")
+    assert status in (1, 2) and re.fullmatch(rf"error: .*{message}.*\n", error) and not out
 
 
 def test_a_threshold_states_what_may_lie_beyond_its_table(tmp_path):

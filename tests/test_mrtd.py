@@ -9,15 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import error_line
 
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor
-from sensor_sim.cli import cli
 from sensor_sim.four_bars.mrtd import lloyd_mrtd_mk, sensor_ttp
 from sensor_sim.thresholds import bars
 from todframes.base.errors import SettingsError
-from todframes.cli.console import run
 from todframes.field.ttp import TtpSettings, at_the_eye, contrast_threshold, cycles_of_contrast
 
 CAMERA = Path(__file__).parent.parent / "sample_frames" / "star_like.toml"
@@ -108,11 +107,12 @@ def test_table_is_a_curve_that_range_reads(found, tmp_path):
 
 
 @pytest.mark.slow
-def test_command_prints_what_the_call_returns(found, capsys, tmp_path):
+def test_command_prints_what_the_call_returns(found, sensor_sim, tmp_path):
     arguments = ["mrtd", CAMERA, "--frequency-nyquist", "1.2,1,2", "--size-detectors", 6, "--tolerance", 0.05]
     out = tmp_path / "out"
-    assert run(cli, [*map(str, arguments), "--json", "-o", str(out), "--quiet"]) == 0
-    printed = json.loads(capsys.readouterr().out)
+    status, printed, _ = sensor_sim(*arguments, "--json", "-o", out, "--quiet")
+    printed = json.loads(printed)
+    assert status == 0
     written = json.loads((out / "result.json").read_text())
     assert {*written.pop("files"), "result.json"} == {file.name for file in out.iterdir()} and written == printed
     called = json.loads(found.to_json())
@@ -163,10 +163,9 @@ def test_settings_that_make_no_curve(changes, message):
     assert message in str(error.value)
 
 
-def test_camera_that_counts_photons_is_refused(capsys, tmp_path):
+def test_camera_that_counts_photons_is_refused(sensor_sim, tmp_path):
     text = ss.new_sensor(preset="emva_basler", focal_length_mm=25.0, f_number=2.8, pitch_um=3.45)
     (tmp_path / "camera.toml").write_text(text)
-    assert run(cli, ["mrtd", str(tmp_path / "camera.toml"), "-o", str(tmp_path / "out")]) == 2
-    message = capsys.readouterr().err
+    message = error_line(sensor_sim("mrtd", tmp_path / "camera.toml", "-o", tmp_path / "out"))
     assert message == "error: sensor: found one that counts photons, expected one whose level is an SNR\n"
     assert not (tmp_path / "out").exists()

@@ -11,11 +11,9 @@ import pytest
 
 import sensor_sim as ss
 import todframes as tod
-from sensor_sim import cli
 from sensor_sim.chain.sensor import EXPLAINED, NOISE_MODELS, TABLES
 from todframes.base.errors import DataError, SettingsError
 from todframes.camera.emva_xml import emva_xml
-from todframes.cli.console import run
 from todframes.display.display_files import find_display
 
 
@@ -25,10 +23,10 @@ def test_every_key_is_explained():
     assert keys == EXPLAINED.keys()
 
 
-def test_a_thermal_camera(tmp_path, capsys):
+def test_a_thermal_camera(tmp_path, sensor_sim):
     options = ["--thermal", "--netd-mk", "50", "--pitch-um", "12", "--f-number", "1.0", "--focal-length-mm", "35"]
-    assert run(cli.cli, ["new", *options]) == 0
-    text = capsys.readouterr().out
+    status, text, _ = sensor_sim("new", *options)
+    assert status == 0
     (tmp_path / "new.toml").write_text(text, encoding="utf-8")
     sensor = ss.load_sensor(tmp_path / "new.toml")
     assert sensor.optics.aperture_mm == 35.0 and sensor.noise.netd_mk == 50.0

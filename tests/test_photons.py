@@ -10,18 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from camera_texts import DISPLAY, LENS, PHOTONS, PIXELS
+from conftest import error_line
 from overlaps import weights_at
 from test_predict import assert_frames_have_the_threshold, seen_frames
 
 import sensor_sim as ss
 import todframes as tod
-from sensor_sim import cli
 from sensor_sim.chain.photons import PhotonCamera, background_electrons, contrast_variance, photopic_efficiency
 from sensor_sim.chain.sensor import sensor_settings, sensor_toml
 from sensor_sim.thresholds.curve_plan import full_plan
 from sensor_sim.thresholds.predict import FoldedChain
 from todframes.base.errors import SettingsError
-from todframes.cli.console import run
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.results.wording import column_heading, group_phrase, group_phrases
@@ -223,13 +222,11 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("before", "after", "message"), WRONG.values(), ids=WRONG.keys())
-def test_a_wrong_setting_is_one_clear_line(tmp_path, capsys, before, after, message):
+def test_a_wrong_setting_is_one_clear_line(tmp_path, sensor_sim, before, after, message):
     assert before in CAMERA
     path = tmp_path / "camera.toml"
     path.write_text(CAMERA.replace(before, after), encoding="utf-8")
-    assert run(cli.cli, ["curve", str(path), "--size-detectors", "3"]) == 2
-    out, error = capsys.readouterr()
-    assert re.fullmatch(rf"error: .*{message}.*\n", error) and not out
+    assert re.fullmatch(rf"error: .*{message}.*\n", error_line(sensor_sim("curve", path, "--size-detectors", "3")))
 
 
 def test_levels_of_another_kind_are_refused(tmp_path):

@@ -12,11 +12,10 @@ from xml.etree import ElementTree
 import cv2
 import numpy as np
 import pytest
+from conftest import error_line
 
 import todframes as tod
 from todframes.charts.layout import Chart, Triangle, page_of, read_chart
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.importing.schedule import read_schedule
 
 MM_PER_POINT = 25.4 / 72.0
@@ -190,17 +189,14 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("kind", "option"), REFUSED)
-def test_what_cannot_be_printed_or_cut_is_one_line(kind: str, option: str, tmp_path: Path, capsys) -> None:
+def test_what_cannot_be_printed_or_cut_is_one_line(kind: str, option: str, tmp_path: Path, todframes) -> None:
     place = tmp_path / "chart"
-    given = ["--distance-m=10", "--sizes-mrad=1", option, "-o", str(place)]
-    assert run(cli, ["chart", f"--for={kind}", *given]) == 2
-    out, error = capsys.readouterr()
-    assert REFUSED[kind, option] in error
-    assert not out and error.count("\n") == 1
+    given = ["--distance-m=10", "--sizes-mrad=1", option, "-o", place]
+    assert REFUSED[kind, option] in error_line(todframes("chart", f"--for={kind}", *given))
     assert not place.exists()
 
 
-def test_wrong_tables_of_reflectances(tmp_path: Path, capsys) -> None:
+def test_wrong_tables_of_reflectances(tmp_path: Path, todframes) -> None:
     table = tmp_path / "measured.csv"
     for text, message in (
         ("code_value,reflectance\n0,0.1\n255,0.1\n", "with rising code_value and reflectance"),
@@ -209,9 +205,9 @@ def test_wrong_tables_of_reflectances(tmp_path: Path, capsys) -> None:
         ("code,reflectance\n", "column 'code_value' is missing"),
     ):
         table.write_text(text, encoding="utf-8")
-        given = ["--distance-m=10", "--sizes-mrad=1", f"--reflectances={table}", "-o", str(tmp_path / "c")]
-        assert run(cli, ["chart", "--for=print", *given]) == 2
-        assert message in capsys.readouterr().err
+        given = ["--distance-m=10", "--sizes-mrad=1", f"--reflectances={table}", "-o", tmp_path / "c"]
+        status, _, error = todframes("chart", "--for=print", *given)
+        assert status == 2 and message in error
 
 
 @pytest.fixture(scope="module")
@@ -277,11 +273,9 @@ def test_the_same_chart_is_the_same_bytes(plates, tmp_path: Path) -> None:
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
 
 
-def test_commands_say_what_to_do(tmp_path: Path, capsys) -> None:
+def test_commands_say_what_to_do(tmp_path: Path, todframes) -> None:
     given = ["--distance-m=10", "--sizes-mrad=1", "--repeats=1"]
-    assert run(cli, ["chart", "--for=print", *given, "--paper=a4", "-o", str(tmp_path / "a")]) == 0
-    shown = capsys.readouterr().out
-    assert "2 sheets" in shown and "at 100 %" in shown and "0.4037" in shown
-    assert run(cli, ["chart", "--for=thermal", *given, "--delta-t-k=0.5", "-o", str(tmp_path / "b")]) == 0
-    shown = capsys.readouterr().out
-    assert "4 settings" in shown and "15.20" in shown and "schedule.csv" in shown
+    status, shown, _ = todframes("chart", "--for=print", *given, "--paper=a4", "-o", tmp_path / "a")
+    assert status == 0 and "2 sheets" in shown and "at 100 %" in shown and "0.4037" in shown
+    status, shown, _ = todframes("chart", "--for=thermal", *given, "--delta-t-k=0.5", "-o", tmp_path / "b")
+    assert status == 0 and "4 settings" in shown and "15.20" in shown and "schedule.csv" in shown

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from conftest import error_line
 from scipy.special import ndtri
 
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.sweeps.goals import Aim
 from todframes.base.reading import shipped_names
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.field.acquisition import TaskRange, acquire, cycles_ratio, transfer_probability, with_search
 from todframes.field.acquisition_range import range_words
 from todframes.field.atmosphere import FOLDER as AIRS
@@ -234,12 +234,11 @@ def test_air_that_ends_before_the_curve_begins(threshold_k, status, least_km, mo
     assert bounds == pytest.approx(np.array([least_km, most_km]), rel=1e-12, nan_ok=True)
 
 
-def test_a_tod_whose_criterion_is_unknown_has_no_nan(tmp_path, air, capsys) -> None:
+def test_a_tod_whose_criterion_is_unknown_has_no_nan(tmp_path, air, todframes) -> None:
     path = tmp_path / "tod.csv"
     path.write_text("size_mrad,delta_t_k\n4,0.02\n2,0.05\n1,0.2\n")
-    assert run(cli, ["range", str(path), "--target", "nato", "--atmosphere", str(air), "--k", "3"]) == 0
-    shown = capsys.readouterr().out
-    assert "nan" not in shown and "At the criterion, k 3: " in shown
+    status, shown, _ = todframes("range", path, "--target", "nato", "--atmosphere", air, "--k", "3")
+    assert status == 0 and "nan" not in shown and "At the criterion, k 3: " in shown
 
 
 def test_a_curve_that_falls_counts_as_level() -> None:
@@ -428,7 +427,7 @@ def air(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_terminal_of_80_columns_shows_each_status(air, tmp_path, monkeypatch, capsys) -> None:
+def test_a_terminal_of_80_columns_shows_each_status(air, tmp_path, monkeypatch, todframes) -> None:
     """Also beside an interval and two bounds, which need the room: no row is without an explanation."""
     reached = json.loads(of_fits().to_json())["fits"][1:3]
     ends = {**reached[0], "group": {"object_size_mrad": 0.25}, "status": "never_reached", "threshold": None}
@@ -438,9 +437,10 @@ def test_a_terminal_of_80_columns_shows_each_status(air, tmp_path, monkeypatch, 
     target = tmp_path / "target.toml"
     target.write_text("schema = 1\n[target]\nsize_m = 2.3\ncontrast = 0.14\n")
     monkeypatch.setenv("COLUMNS", "80")
-    assert run(cli, ["range", str(path), "--target", str(target), "--atmosphere", str(air), "--k", "3"]) == 0
-    shown = capsys.readouterr().out.split("\n\n")[0]
-    assert all(word in shown for word in ("interval", "least", "most", "beyond curve", "ok"))
+    status, shown, _ = todframes("range", path, "--target", target, "--atmosphere", air, "--k", "3")
+    assert status == 0 and all(
+        word in shown.split("\n\n")[0] for word in ("interval", "least", "most", "beyond curve", "ok")
+    )
 
 
 def test_units_of_a_table_are_those_of_its_header(table, tmp_path) -> None:
@@ -598,15 +598,11 @@ BAD_TABLES = [
 
 
 @pytest.mark.parametrize(("text", "status", "message"), BAD_TABLES)
-def test_a_bad_table_is_one_line(text, status, message, tmp_path, air, capsys) -> None:
-    import re
-
+def test_a_bad_table_is_one_line(text, status, message, tmp_path, air, todframes) -> None:
     path = tmp_path / "bad.csv"
     path.write_text(text)
-    assert run(cli, ["range", str(path), "--target", "nato", "--atmosphere", str(air)]) == status
-    shown = capsys.readouterr()
-    assert shown.out == "" and shown.err.count("\n") == 1
-    assert re.search(message, shown.err), shown.err
+    error = error_line(todframes("range", path, "--target", "nato", "--atmosphere", air), status)
+    assert re.search(message, error), error
 
 
 @pytest.mark.parametrize(

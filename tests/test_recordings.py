@@ -29,8 +29,6 @@ import todframes as tod
 from todframes.base.errors import DataError
 from todframes.camera.noise3d import measure_noise
 from todframes.camera.slanted_edges import measure_mtf
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.recordings import radiometric
 from todframes.recordings.arrays import memory_recording
 from todframes.recordings.opening import ENTRY_POINT_GROUP, open_recordings
@@ -868,12 +866,12 @@ def test_folders_whose_names_are_no_utf_8_are_read(tmp_path):
 @pytest.mark.slow
 @pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have names in Unicode")
-def test_results_name_folders_that_are_no_utf_8(tmp_path, make_dataset):
+def test_results_name_folders_that_are_no_utf_8(tmp_path, make_dataset, todframes):
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
     shutil.copytree(make_dataset(contrasts=(0.1, 0.9)).path, folder)
     np.save(folder / "a.npy", RNG.random((3, 20, 20)))
-    for command in (["score", str(folder), "--set", "resamples=0"], ["noise", str(folder / "a.npy")]):
-        assert run(cli, [*command, "--quiet", "-o", str(tmp_path / command[0])]) == 0
+    for command in (["score", folder, "--set", "resamples=0"], ["noise", folder / "a.npy"]):
+        assert todframes(*command, "--quiet", "-o", tmp_path / command[0])[0] == 0
         assert r"caf\\udce9" in (tmp_path / command[0] / "result.json").read_text()
 
 

@@ -14,12 +14,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from conftest import error_line
 from scipy.special import ndtr
 
 import sensor_sim as ss
 import todframes as tod
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.results.result import KINDS, Result, read_result
 
 CAMERA = Path(__file__).parents[1] / "sample_frames" / "staring_camera.toml"
@@ -189,13 +188,12 @@ def can_be_read_by_those_who_do_not_see_it(root: ElementTree.Element) -> None:
         assert drawing.get("role") == "img" and drawing.get("aria-label")
 
 
-def test_a_page_has_its_date_and_the_title_that_is_given(capsys, tmp_path: Path) -> None:
+def test_a_page_has_its_date_and_the_title_that_is_given(todframes, tmp_path: Path) -> None:
     result = tod.fit_counts([1.0, 2.0], [20, 40], [40, 40], fit=tod.FitSettings(resamples=0))
     assert re.fullmatch("20[0-9]{2}-[01][0-9]-[0-3][0-9]", result.date)
     assert f'<p class="about">{result.date}</p>' in result.to_html()
     (tmp_path / "result.json").write_bytes(result.to_json())
-    assert run(cli, ["report", str(tmp_path / "result.json"), "--title", "Camera 3 & lens"]) == 0
-    capsys.readouterr()
+    assert todframes("report", tmp_path / "result.json", "--title", "Camera 3 & lens")[0] == 0
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert f'<p class="about">Camera 3 &amp; lens, {result.date}</p>' in page
 
@@ -204,7 +202,7 @@ def test_a_page_has_its_date_and_the_title_that_is_given(capsys, tmp_path: Path)
 @pytest.mark.parametrize(
     "command", [*OF_RECORDINGS, "range", *(pytest.param(one, marks=pytest.mark.slow) for one in LONG)]
 )
-def test_files_of_a_result_make_it_again(result_of, command: str, tmp_path: Path, capsys) -> None:
+def test_files_of_a_result_make_it_again(result_of, command: str, tmp_path: Path, todframes) -> None:
     result = result_of(command)
     result.save(tmp_path / "out")
     files = {one.name for one in (tmp_path / "out").iterdir()}
@@ -219,8 +217,7 @@ def test_files_of_a_result_make_it_again(result_of, command: str, tmp_path: Path
     assert tod.load_result(tmp_path / "out" / result.data.json_file) == result
     page = (tmp_path / "out" / result.data.page_file).read_text(encoding="utf-8")
     assert page == result.to_html()
-    assert run(cli, ["report", str(tmp_path / "out" / result.data.json_file)]) == 0
-    capsys.readouterr()
+    assert todframes("report", tmp_path / "out" / result.data.json_file)[0] == 0
     again = (tmp_path / "out" / result.data.page_file).read_text(encoding="utf-8")
     # Images of a recording are not in the JSON; all else is.
     assert again.partition("<figure>")[0] == page.partition("<figure>")[0]
@@ -235,21 +232,21 @@ def test_a_result_is_repeated_from_what_its_call_was_given(result_of, command: s
     assert tod.rerun(path) == {}
 
 
-def test_rerun_says_what_is_not_the_same_or_is_gone(capsys, tmp_path: Path) -> None:
+def test_rerun_says_what_is_not_the_same_or_is_gone(todframes, tmp_path: Path) -> None:
     recording, path = tmp_path / "a.npy", tmp_path / "result.json"
     frames = np.random.default_rng(1).normal(100.0, 2.0, (4, 8, 8))
     np.save(recording, frames)
     path.write_bytes(tod.noise(recording, region=(0, 0, 4, 8)).to_json())
-    assert run(cli, ["rerun", str(path)]) == 0
-    assert capsys.readouterr().out == f"{path}: the repeated run has the same numbers\n"
+    assert todframes("rerun", path)[:2] == (0, f"{path}: the repeated run has the same numbers\n")
     np.save(recording, frames + 1.0)
-    assert run(cli, ["rerun", str(path)]) == 1
-    out, err = capsys.readouterr()
-    assert "noise.mean: " in out and re.fullmatch(r"error: .*: [0-9]+ values? of the repeated run .*\n", err)
+    status, out, err = todframes("rerun", path)
+    assert (
+        status == 1
+        and "noise.mean: " in out
+        and re.fullmatch(r"error: .*: [0-9]+ values? of the repeated run .*\n", err)
+    )
     recording.unlink()
-    assert run(cli, ["rerun", str(path)]) == 1
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and "a.npy" in err
+    assert "a.npy" in error_line(todframes("rerun", path), status=1)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from conftest import error_line
 from PIL import Image
 from test_import import rows_of
 
@@ -26,8 +27,6 @@ from todframes.backdrops.views import (
     turned,
     turned_place,
 )
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.display.display import Display, LuminanceTable
 from todframes.display.display_files import find_display
 from todframes.frames.position import candidate_places
@@ -190,16 +189,16 @@ def test_places_are_on_the_stated_grid(folder: Path, tmp_path: Path) -> None:
     assert all(len(one) == 1 for one in places.values()) and len(places) == 2 * 2 * 8
 
 
-def test_the_same_seed_gives_the_same_dataset(folder: Path, tmp_path: Path, capsys) -> None:
+def test_the_same_seed_gives_the_same_dataset(folder: Path, tmp_path: Path, todframes) -> None:
     asked = [folder, "--size-mrad", "3", "--contrast", "0.2,0.4", "--trials", "4", "--seed", "5", "--turns", "1"]
     for name in ("a", "b"):
-        assert run(cli, ["scenes", *map(str, asked), "-o", str(tmp_path / name)]) == 0
+        status, out, err = todframes("scenes", *asked, "-o", tmp_path / name)
+        assert status == 0 and "8 frames with 2 scenes" in out
+        assert "note: 4 trials of each size and contrast are no" in err
     files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*") if path.is_file())
     assert len(files) == 3 + 8
     for file in files:
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
-    text = capsys.readouterr()
-    assert "8 frames with 2 scenes" in text.out and "note: 4 trials of each size and contrast are no" in text.err
 
 
 def test_a_name_that_a_spreadsheet_would_compute_is_a_text_in_the_manifest(folder: Path, tmp_path: Path) -> None:
@@ -401,9 +400,8 @@ def test_what_frames_on_scenes_show_is_measured(on_scenes: Path) -> None:
 
 
 @pytest.mark.slow
-def test_triangles_are_not_looked_for_in_texture(on_scenes: Path, capsys) -> None:
-    assert run(cli, ["score", str(on_scenes), "--locate"]) == 2
-    assert "--locate: the dataset has scenes" in capsys.readouterr().err
+def test_triangles_are_not_looked_for_in_texture(on_scenes: Path, todframes) -> None:
+    assert "--locate: the dataset has scenes" in error_line(todframes("score", on_scenes, "--locate"))
 
 
 @pytest.mark.slow

@@ -8,12 +8,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from conftest import error_line
 
 import todframes as tod
 from todframes.base.errors import OutputError, SettingsError
 from todframes.charts.layout import Chart, page_of, read_chart
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.display.dither import TILE, blue_noise, dithered
 
 PITCH_MM = 0.25
@@ -221,21 +220,18 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("more", [[], ["--display=reference_sdr"]])
-def test_a_missing_pitch_is_told_by_its_option(more: list[str], tmp_path: Path, capsys) -> None:
-    given = ["--distance-m=10", "--sizes-mrad=1", *more, "-o", str(tmp_path / "chart")]
-    assert run(cli, ["chart", "--for=screen", *given]) == 2
-    assert capsys.readouterr().err == "error: --pixel-pitch-mm is missing\n"
+def test_a_missing_pitch_is_told_by_its_option(more: list[str], tmp_path: Path, todframes) -> None:
+    given = ["--distance-m=10", "--sizes-mrad=1", *more, "-o", tmp_path / "chart"]
+    assert error_line(todframes("chart", "--for=screen", *given)) == "error: --pixel-pitch-mm is missing\n"
 
 
 @pytest.mark.parametrize("option", REFUSED)
-def test_what_a_monitor_cannot_show_is_one_line(option: str, tmp_path: Path, capsys) -> None:
+def test_what_a_monitor_cannot_show_is_one_line(option: str, tmp_path: Path, todframes) -> None:
     place = tmp_path / "chart"
     given = ["--distance-m=10", "--sizes-mrad=1", "--contrasts=0.2", "--pixel-pitch-mm=0.25"]
     given += ["--width-px=640", "--height-px=480", "--repeats=1"]
-    assert run(cli, ["chart", "--for=screen", *given, option, "-o", str(place)]) == 2
-    out, error = capsys.readouterr()
+    error = error_line(todframes("chart", "--for=screen", *given, option, "-o", place))
     assert REFUSED[option] in error and error.startswith("error: ")
-    assert not out and error.count("\n") == 1
     assert not place.exists()
 
 

@@ -18,8 +18,6 @@ from sensor_sim.chain.reconstruction import axis_matrix, display_signal
 from sensor_sim.chain.sampling import field_sampler
 from sensor_sim.chain.scenery import Scenery
 from sensor_sim.chain.simulation import Filming, SimulatedTrial, Simulator
-from sensor_sim.cli import cli
-from todframes.cli.console import run
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 CAMERA = ss.load_sensor("sample_frames/staring_camera.toml")
@@ -118,19 +116,13 @@ def test_noise_of_photons_follows_the_scene(images: Path, tmp_path: Path) -> Non
         pytest.param(["--motion", "0", "--warm-up", "1"], id="clips", marks=pytest.mark.slow),
     ],
 )
-def test_simulated_scenes_have_no_false_warning(images: Path, tmp_path: Path, capsys, more) -> None:
+def test_simulated_scenes_have_no_false_warning(images: Path, tmp_path: Path, sensor_sim, more) -> None:
     asked = ["--size-detectors", "4", "--snr", "2,8", "--trials", "24", *more]
     out = tmp_path / "out"
-    assert (
-        run(
-            cli,
-            ["simulate", "sample_frames/staring_camera.toml", *asked, "--background", str(images), "-o", str(out)],
-        )
-        == 0
-    )
-    said = capsys.readouterr()
-    assert "note" not in said.err
-    assert re.fullmatch(r".*: \d+ frames with 3 scenes\n", said.out)
+    camera = "sample_frames/staring_camera.toml"
+    status, printed, notes = sensor_sim("simulate", camera, *asked, "--background", images, "-o", out)
+    assert status == 0 and "note" not in notes
+    assert re.fullmatch(r".*: \d+ frames with 3 scenes\n", printed)
     data = tod.load_dataset(out)
     assert {data.trials.views[code].scene for code in data.trials.view_codes} == {"scene_0", "scene_1", "scene_2"}
     assert len({data.trials.views[code] for code in data.trials.view_codes}) == 24

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import error_line
 
 from todframes.base.errors import SettingsError
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.studies.stability import case as stability
 from todframes.studies.stability.case import (
     ENTRY_POINT_GROUP,
@@ -121,25 +120,24 @@ def few_cases(monkeypatch) -> None:
 
 
 @pytest.mark.usefixtures("few_cases")
-def test_command_ends_with_1_and_names_what_falls_short(capsys) -> None:
-    assert run(cli, ["stability"]) == 1
-    shown = capsys.readouterr()
-    assert re.search(r"^ *short +2 … 4 \(2\) +closed form +2 … 4\.0004 \(2\) +4\.0 +6 *$", shown.out, re.MULTILINE)
-    assert shown.err == ("error: stability: 1 case falls short: some: short (found 4.0 digits, expected 6)\n")
+def test_command_ends_with_1_and_names_what_falls_short(todframes) -> None:
+    status, out, err = todframes("stability")
+    assert status == 1
+    assert re.search(r"^ *short +2 … 4 \(2\) +closed form +2 … 4\.0004 \(2\) +4\.0 +6 *$", out, re.MULTILINE)
+    assert err == "error: stability: 1 case falls short: some: short (found 4.0 digits, expected 6)\n"
 
 
-def test_command_ends_with_0_where_all_hold(monkeypatch, capsys) -> None:
+def test_command_ends_with_0_where_all_hold(monkeypatch, todframes) -> None:
     monkeypatch.setattr(stability, "find_cases", lambda: [EXACT])
-    assert run(cli, ["stability"]) == 0
-    shown = capsys.readouterr()
-    assert shown.err == ""
-    assert re.search(r"^1 cases?, \d+\.\d\d s$", shown.out, re.MULTILINE)
+    status, out, err = todframes("stability")
+    assert (status, err) == (0, "") and re.search(r"^1 cases?, \d+\.\d\d s$", out, re.MULTILINE)
 
 
 @pytest.mark.usefixtures("few_cases")
-def test_json_is_one_object(capsys) -> None:
-    assert run(cli, ["stability", "--json"]) == 1
-    result = json.loads(capsys.readouterr().out)
+def test_json_is_one_object(todframes) -> None:
+    status, out, _ = todframes("stability", "--json")
+    result = json.loads(out)
+    assert status == 1
     assert (result["schema"], result["command"]) == (1, "stability")
     assert result["run_time_s"] >= 0
     assert result["cases"] == [
@@ -150,9 +148,8 @@ def test_json_is_one_object(capsys) -> None:
     ]  # fmt: skip
 
 
-def test_json_or_page(capsys) -> None:
-    assert run(cli, ["stability", "--json", "--markdown"]) == 2
-    assert "expected one of them" in capsys.readouterr().err
+def test_json_or_page(todframes) -> None:
+    assert "expected one of them" in error_line(todframes("stability", "--json", "--markdown"))
 
 
 # The page
@@ -174,10 +171,9 @@ def test_page_counts_the_cases() -> None:
 
 
 @pytest.mark.usefixtures("few_cases")
-def test_markdown_has_a_row_for_each_case(capsys) -> None:
-    assert run(cli, ["stability", "--markdown"]) == 1
-    page = capsys.readouterr().out
-    assert "## Some" in page
+def test_markdown_has_a_row_for_each_case(todframes) -> None:
+    status, page, _ = todframes("stability", "--markdown")
+    assert status == 1 and "## Some" in page
     assert "| exact | 1.5 | closed form | 1.5 | ≥ 12 | 6 |" in page
     assert "| short | 2 … 4 (2) | closed form | 2 … 4.0004 (2) | 4 | 6 |" in page
 

@@ -15,6 +15,7 @@ from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
+from conftest import error_line
 from matplotlib.figure import Figure
 from msgspec import structs
 
@@ -22,7 +23,6 @@ import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.measured import MeasuredPsf
 from sensor_sim.chain.sensor import TABLES, Optics, PhotonNoise, part_of, sensor_from
-from sensor_sim.cli import cli
 from sensor_sim.sweeps.designs import Base, grid, latin_hypercube, make_designs, numeric_keys
 from sensor_sim.sweeps.goals import acuity, front
 from sensor_sim.sweeps.result import draw_map
@@ -30,7 +30,6 @@ from sensor_sim.sweeps.sweep import missed_tolerance
 from sensor_sim.sweeps.work import SweepWork, plan_sweep, run_sweep
 from sensor_sim.thresholds.sharing import Kept, as_computed
 from todframes.base.errors import SettingsError
-from todframes.cli.console import run
 from todframes.jobs.run import Run
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 
@@ -197,15 +196,6 @@ def test_latin_hypercube_has_one_design_in_each_part() -> None:
     assert not np.array_equal(designs.values, latin_hypercube(vary, KNOWN, n=40, seed=4).values)
 
 
-def bad(capsys: pytest.CaptureFixture[str], *arguments: object, status: int = 2) -> str:
-    """Return the one line of an error of the command."""
-    assert run(cli, ["sweep", str(CAMERA), "--size-detectors", "4", *map(str, arguments)]) == status
-    captured = capsys.readouterr()
-    assert not captured.out
-    (line,) = captured.err.splitlines()
-    return line
-
-
 VARIED = ("--vary", "noise.netd_mk=1:3:3")
 
 
@@ -239,8 +229,8 @@ VARIED = ("--vary", "noise.netd_mk=1:3:3")
         ),
     ],
 )
-def test_bad_commands_give_one_line(capsys, arguments: tuple[str, ...], expected: str) -> None:
-    assert expected in bad(capsys, *arguments)
+def test_bad_commands_give_one_line(sensor_sim, arguments: tuple[str, ...], expected: str) -> None:
+    assert expected in error_line(sensor_sim("sweep", CAMERA, "--size-detectors", "4", *arguments))
 
 
 @pytest.mark.parametrize(
@@ -254,10 +244,10 @@ def test_bad_commands_give_one_line(capsys, arguments: tuple[str, ...], expected
         ("name\nbest\n", "found no key"),
     ],
 )
-def test_bad_files_of_designs_give_one_line(capsys, tmp_path: Path, content: str, expected: str) -> None:
+def test_bad_files_of_designs_give_one_line(sensor_sim, tmp_path: Path, content: str, expected: str) -> None:
     path = tmp_path / "designs.csv"
     path.write_text(content)
-    line = bad(capsys, "--design", path, status=1)
+    line = error_line(sensor_sim("sweep", CAMERA, "--size-detectors", "4", "--design", path), status=1)
     assert line.startswith(f"error: {path}")
     assert expected in line
 
@@ -478,12 +468,13 @@ def test_impossible_and_never_reached_designs_look_different_on_the_map() -> Non
     assert [len(one.get_offsets()) for one in axes.collections] == [1, 2, 0, 0]
 
 
-def test_command_is_the_call(capsys, tmp_path: Path) -> None:
+def test_command_is_the_call(sensor_sim, tmp_path: Path) -> None:
     path = tmp_path / "designs.csv"
     path.write_text("name,optics.aperture_mm,display.pixels_per_detector\nsmall,60,2\nlarge,220,2\n")
     arguments = ["sweep", CAMERA, "--design", path, "--size-detectors", "4", "--tolerance", ROUGH, "--json"]
-    assert run(cli, list(map(str, arguments))) == 0
-    made = json.loads(capsys.readouterr().out)
+    status, out, _ = sensor_sim(*arguments)
+    made = json.loads(out)
+    assert status == 0
     call = json.loads(ss.sweep(CAMERA, design=path, size_detectors=[4], tolerance=ROUGH).to_json())
     assert made["columns"]["name"] == ["small", "large"]
     assert made["columns"] == call["columns"]
@@ -497,11 +488,10 @@ def test_command_is_the_call(capsys, tmp_path: Path) -> None:
         pytest.param("1", "take larger sizes", marks=pytest.mark.slow),
     ],
 )
-def test_designs_without_a_threshold_at_the_first_size_have_the_reason(capsys, sizes, advice) -> None:
+def test_designs_without_a_threshold_at_the_first_size_have_the_reason(sensor_sim, sizes, advice) -> None:
     arguments = ["--vary", "noise.netd_mk=10:20:2", "--size-detectors", sizes, "--tolerance", ROUGH]
-    assert run(cli, ["sweep", str(CAMERA), *map(str, arguments)]) == 0
-    out = capsys.readouterr().out
-    assert "Best designs" not in out and "hide its direction, even without noise" in out
+    status, out, _ = sensor_sim("sweep", CAMERA, *arguments)
+    assert status == 0 and "Best designs" not in out and "hide its direction, even without noise" in out
     assert f"No design has a threshold ΔT at 1 detectors, which orders designs; {advice}." in out
 
 
