@@ -1,13 +1,13 @@
-"""A web server that misbehaves about one file: endless, slow, compressed, cut and moved answers."""
+"""A web server that counts its requests, and misbehaves: endless, slow, compressed, cut and moved answers."""
 
 from __future__ import annotations
 
 import socket
 import threading
 import zlib
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
@@ -20,10 +20,11 @@ NEIGHBOUR_PORT = 0
 
 
 class Asked(NamedTuple):
-    """A request: the connection, the server, and the file that is asked for."""
+    """A request: the connection, the server, the request's head, and the file that is asked for."""
 
     connection: socket.socket
     server: Server
+    head: str
     content: bytes
 
     def send(self, *lines: str, body: bytes = b"", status: str = "200 OK") -> None:
@@ -31,40 +32,42 @@ class Asked(NamedTuple):
         head = "\r\n".join([f"HTTP/1.1 {status}", *lines, "", ""])
         self.connection.sendall(head.encode() + body)
 
+    def send_whole(self) -> None:
+        """Send the file with its length and tag, as a good server does; a request of its head gets no more."""
+        tag = [f"ETag: {self.server.tag.format(hash(self.content))}"] if self.server.tag else []
+        body = b"" if self.head.startswith("HEAD") else self.content
+        self.send(length(self.content), *tag, body=body)
+
     def endless(self, piece: bytes, pause_s: float = 0.0) -> None:
         """Send a piece again and again, until the client has gone."""
         while not self.server.closing.wait(pause_s) if pause_s else not self.server.closing.is_set():
             self.connection.sendall(piece)
 
-    def hold(self) -> None:
-        """Keep the connection open, and silent."""
-        self.connection.settimeout(LONGEST_S)
-        with suppress(TimeoutError):
-            self.connection.recv(1)
 
-
-Answer = Callable[[Asked], None]
+Answer = Callable[[Asked], object]
+"""Function that answers a request; the connection is kept if it returns something true."""
 
 
 class Server:
-    """A web server of a folder that misbehaves about one file.
+    """A web server of a folder, below its name, so that a path-style client of S3 finds a bucket.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder that it serves below its name, so that a path-style client of S3 finds a bucket.
-    target : str
-        End of the name of the file that it misbehaves about.
-    answer : function of Asked
-        How it answers requests for this file.
+    `failing` are the answers to the next requests for files whose names end so; `asked` counts requests by their
+    method and name.
     """
 
-    def __init__(self, folder: Path, target: str, answer: Answer) -> None:
-        self.folder, self.target, self.answer = folder, target, answer
+    def __init__(
+        self, folder: Path, failing: Mapping[str, Iterable[Answer]] | None = None, host: str = "127.0.0.1"
+    ) -> None:
+        self.folder, self.tag = folder, '"{}"'
+        self.failing = {name: iter(answers) for name, answers in (failing or {}).items()}
         self.closing = threading.Event()
-        self.asked: list[str] = []
-        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.asked: Counter[tuple[str, str]] = Counter()
+        self.n_connections = 0
+        self._listening = socket.create_server(
+            (host, 0), family=socket.AF_INET6 if ":" in host else socket.AF_INET
+        )
         self.port = self._listening.getsockname()[1]
+        self.url = f"http://{f'[{host}]' if ':' in host else host}:{self.port}"
         self._threads = [threading.Thread(target=self._accept)]
         self._open: set[socket.socket] = set()
 
@@ -86,41 +89,42 @@ class Server:
         with suppress(OSError):
             while True:
                 connection, _ = self._listening.accept()
+                self.n_connections += 1
                 self._open.add(connection)
                 self._threads.append(threading.Thread(target=self._serve, args=(connection,)))
                 self._threads[-1].start()
 
     def _serve(self, connection: socket.socket) -> None:
         with suppress(OSError), connection:
-            while request := _request(connection):
-                method, name = request
-                self.asked.append(f"{method} {name}")
-                path = self.folder / name.lstrip("/").partition("?")[0]
-                asked = Asked(connection, self, path.read_bytes() if path.is_file() else b"")
-                if "list-type" in name:
-                    asked.send("Content-Length: 0", status="403 Forbidden")  # each frame is then asked for
-                elif path.name.endswith(self.target):
-                    self.answer(asked)
-                    if self.answer not in KEPT_OPEN:
+            while head := _request(connection):
+                method, address, _ = head.split(" ", 2)
+                address, _, query = address.partition("?")
+                name = unquote(address).lstrip("/")
+                self.asked[method, name] += 1
+                path = self.folder / name
+                asked = Asked(connection, self, head, path.read_bytes() if path.is_file() else b"")
+                failing = (answers for end, answers in self.failing.items() if str(path).endswith(end))
+                if "list-type" in query:
+                    status(asked, "403 Forbidden")  # each frame is then asked for
+                elif answer := next(next(failing, iter(())), None):
+                    if not answer(asked):
                         break
                 elif asked.content:
-                    body = asked.content if method == "GET" else b""
-                    asked.send(f"Content-Length: {len(asked.content)}", 'ETag: "1"', body=body)
+                    asked.send_whole()
                 else:
-                    asked.send("Content-Length: 0", status="404 Not Found")
+                    status(asked, "404 Not Found")
         self._open.discard(connection)
 
 
-def _request(connection: socket.socket) -> tuple[str, str] | None:
-    """Return method and path of the next request; None at the end."""
+def _request(connection: socket.socket) -> str:
+    """Return the head of the next request; nothing at the end."""
     head = b""
     while b"\r\n\r\n" not in head:
         piece = connection.recv(65536)
         if not piece:
-            return None
+            return ""
         head += piece
-    method, name, _ = head.decode("latin-1").split(" ", 2)
-    return method, unquote(name)
+    return head.decode("latin-1")
 
 
 def chunk(data: bytes) -> bytes:
@@ -208,13 +212,25 @@ def part(asked: Asked) -> None:
     asked.send(where, length(half), body=half, status="206 Partial Content")
 
 
-def status(asked: Asked, line: str) -> None:
-    words = f"{SECRET} {line}".encode()
-    asked.send(length(words), body=words, status=line)
+def status(asked: Asked, line: str) -> bool:
+    """An error as S3 words it; its message repeats what the client said of itself."""
+    code = {"403": "AccessDenied", "404": "NoSuchKey"}.get(line[:3], "InternalError")
+    (said, *_) = [one for one in asked.head.splitlines() if one.startswith("Authorization")] or ["nobody"]
+    words = f"<Error><Code>{code}</Code><Message>denied to {said} {SECRET}</Message></Error>".encode()
+    asked.send(length(words), body=b"" if asked.head.startswith("HEAD") else words, status=line)
+    return True
 
 
-def closes(_: Asked) -> None:
-    pass
+def cut(asked: Asked) -> None:
+    """The first half of what the length says."""
+    asked.send(length(asked.content), body=asked.content[: len(asked.content) // 2])
+
+
+def silent(asked: Asked) -> None:
+    """Keep the connection open until the client has gone."""
+    asked.connection.settimeout(LONGEST_S)
+    with suppress(TimeoutError):
+        asked.connection.recv(1)
 
 
 def moved(asked: Asked, place: str) -> None:
@@ -223,36 +239,10 @@ def moved(asked: Asked, place: str) -> None:
     asked.send(f"Location: {place}", "Content-Length: 0", status="302 Found")
 
 
-def moved_here(asked: Asked) -> None:
+def moved_here(asked: Asked) -> bool:
     """Send to the same file on the same server, once."""
-    n = sum("manifest.csv" in one for one in asked.server.asked)
-    if n % 2:
+    if sum(n for (_, name), n in asked.server.asked.items() if "manifest.csv" in name) % 2:
         asked.send("Location: ?again", "Content-Length: 0", status="307 Temporary Redirect")
     else:
         asked.send(length(asked.content), body=asked.content)
-
-
-ANSWERS: dict[str, Answer] = {
-    "endless chunks": endless_chunks,
-    "endless until it closes": endless_until_close,
-    "ten gigabytes": ten_gigabytes,
-    "gzip bomb": gzip_bomb,
-    "gzip bomb called deflate": partial(gzip_bomb, encoding="deflate"),
-    "endless trailers": endless_trailers,
-    "endless continue": endless_continue,
-    "a byte every 5 s": slow_body,
-    "a byte of a header every 2 s": slow_headers,
-    "cut without a length": cut_without_length,
-    "longer length": longer_length,
-    "text called gzip": no_gzip,
-    "a part": part,
-    "status 203 Non-Authoritative": partial(status, line="203 Non-Authoritative"),
-    **{
-        f"moved to {place}": partial(moved, place=place)
-        for place in (
-            *("http://127.0.0.1:PORT/secret.csv", "http://localhost:OWN/secret.csv"),
-            *("https://127.0.0.1:OWN/x", "file:///etc/passwd", "?endless"),
-        )
-    },
-}
-KEPT_OPEN = (moved_here,)
+    return True

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-import socket
 import subprocess
 import sys
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from itertools import count
+from functools import partial
+from itertools import count, repeat
 from pathlib import Path
-from urllib.parse import unquote
 
 import pytest
 import servers
@@ -33,79 +29,12 @@ pytest.importorskip("aiohttp", reason="http:// needs the extra remote")
 
 KEY, SECRET = "AKIA0TESTKEY00000001", "very/secret+words0123456789"
 NUMBERS = count()
-
-
-class Web(ThreadingHTTPServer):
-    """A web server of a folder that counts its requests, and that can be told to fail."""
-
-    def __init__(self, folder: Path, host: str = "127.0.0.1") -> None:
-        self.folder = folder
-        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        self.asked: Counter[tuple[str, str]] = Counter()
-        self.tag = '"{}"'
-        self.failing: dict[str, list[int | str]] = {}
-        """What happens to the next requests for a file: a status, "cut" or "silent"."""
-        self.released = threading.Event()
-        super().__init__((host, 0), _Handler)
-
-    @property
-    def url(self) -> str:
-        return f"http://127.0.0.1:{self.server_port}"
-
-
-class _Handler(BaseHTTPRequestHandler):
-    server: Web
-    protocol_version = "HTTP/1.1"
-
-    def do_HEAD(self) -> None:
-        self.do_GET()
-
-    def do_GET(self) -> None:
-        server, name = self.server, unquote(self.path).lstrip("/")
-        server.asked[self.command, name] += 1
-        path, todo = server.folder / name, server.failing.get(name)
-        failure = todo.pop(0) if todo else None
-        if failure == "silent":
-            server.released.wait()
-            self.close_connection = True
-            return
-        status = failure if isinstance(failure, int) else 200 if path.is_file() else 404
-        content = path.read_bytes() if status == 200 else self._error(status)
-        self.send_response(status)
-        self.send_header("Content-Length", str(len(content)))
-        if status == 200 and server.tag:
-            self.send_header("ETag", server.tag.format(hash(content)))
-        self.end_headers()
-        if self.command == "GET":
-            self.wfile.write(content[: len(content) // 2] if failure == "cut" else content)
-        self.close_connection = failure == "cut"
-
-    def _error(self, status: int) -> bytes:
-        """An error as S3 words it; its message repeats what the client said of itself."""
-        code = {403: "AccessDenied", 404: "NoSuchKey", 500: "InternalError"}[status]
-        said = self.headers.get("Authorization", "nobody")
-        return f"<Error><Code>{code}</Code><Message>denied to {said} {SECRET}</Message></Error>".encode()
-
-    def log_message(self, *_: object) -> None:
-        pass
-
-
-@contextmanager
-def serving(server: Web) -> Iterator[Web]:
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-    try:
-        yield server
-    finally:
-        server.released.set()
-        server.shutdown()
-        thread.join()
-        server.server_close()
+FORBIDDEN, BROKEN = (partial(servers.status, line=line) for line in ("403 Forbidden", "500 Broken"))
 
 
 @pytest.fixture
-def web(tmp_path: Path) -> Iterator[Web]:
-    with serving(Web(tmp_path)) as server:
+def web(tmp_path: Path) -> Iterator[servers.Server]:
+    with servers.Server(tmp_path) as server:
         yield server
 
 
@@ -230,9 +159,9 @@ def test_a_failure_is_one_line(make_dataset, upload, url, environment, problem) 
 @pytest.mark.parametrize(
     ("failures", "problem"),
     [
-        ([403], "access denied"),
-        ([500] * 9, "cannot be read (OSError)"),
-        (["silent"] * 9, "the server did not answer in time"),
+        ([FORBIDDEN], "access denied"),
+        ([BROKEN] * 9, "cannot be read (OSError)"),
+        ([servers.silent] * 9, "the server did not answer in time"),
     ],
 )
 @pytest.mark.usefixtures("s3_environment")
@@ -241,7 +170,7 @@ def test_s3_that_fails_is_one_line_without_its_words(make_dataset, web, monkeypa
     monkeypatch.setenv("AWS_ENDPOINT_URL", web.url)
     monkeypatch.setattr(remote, "READ_S", 0.2)
     make_dataset()
-    web.failing["dataset/dataset.toml"] = failures
+    web.failing["dataset/dataset.toml"] = iter(failures)
     url = "s3://dataset/dataset.toml"
     with pytest.raises(RemoteError) as caught:
         content_of(remote.RemotePath(url))
@@ -252,10 +181,10 @@ def test_s3_that_fails_is_one_line_without_its_words(make_dataset, web, monkeypa
 @pytest.mark.parametrize(
     ("failures", "problem"),
     [
-        ([403], "access denied"),
-        ([500], "cannot be read (ClientResponseError, 500)"),
-        (["silent"] * 3, "the server did not answer in time"),
-        (["cut"] * 3, "the server did not answer in time, or closed the connection"),
+        ([FORBIDDEN], "access denied"),
+        ([BROKEN], "cannot be read (ClientResponseError, 500)"),
+        ([servers.silent] * 3, "the server did not answer in time"),
+        ([servers.cut] * 3, "the server did not answer in time, or closed the connection"),
     ],
 )
 def test_a_web_server_that_fails_is_one_line(make_dataset, web, monkeypatch, failures, problem) -> None:
@@ -264,7 +193,7 @@ def test_a_web_server_that_fails_is_one_line(make_dataset, web, monkeypatch, fai
     forget_connections()
     data = load_dataset(f"{web.url}/{make_dataset().path.name}")
     frame = data.trials[0].frames[0]
-    web.failing[f"dataset/{frame.path}"] = failures
+    web.failing[f"dataset/{frame.path}"] = iter(failures)
     with pytest.raises(RemoteError) as caught:
         data.open(frame)
     assert str(caught.value).startswith(f"{data.path}/{frame.path}: {problem}")
@@ -278,7 +207,7 @@ def test_a_connection_that_breaks_is_tried_again(make_dataset, web, monkeypatch,
     monkeypatch.setattr(remote, "WAIT_S", 0.01)
     made = make_dataset()
     path = remote.RemotePath("s3://dataset" if scheme == "s3" else f"{web.url}/dataset") / "manifest.csv"
-    web.failing["dataset/manifest.csv"] = ["cut", "cut"]
+    web.failing["dataset/manifest.csv"] = iter([servers.cut] * 2)
     assert content_of(path) == made.manifest_file.read_bytes()
     assert web.asked["GET", "dataset/manifest.csv"] == 3
 
@@ -288,26 +217,29 @@ TOO_LONG = "longer than 1 MB, the limit for such files"
 NO_LENGTH = "does not state how long the file is"
 COMPRESSED = "the server sends it compressed"
 LATE = "did not arrive within 300 s"
-MISBEHAVING = {
-    "endless chunks": NO_LENGTH,
-    "endless until it closes": NO_LENGTH,
-    "ten gigabytes": TOO_LONG,
-    "gzip bomb": COMPRESSED,
-    "gzip bomb called deflate": COMPRESSED,
-    "endless trailers": NO_LENGTH,
-    "endless continue": LATE,
-    "a byte every 5 s": LATE,
-    "a byte of a header every 2 s": LATE,
-    "cut without a length": NO_LENGTH,
-    "longer length": "closed the connection",
-    "text called gzip": COMPRESSED,
-    "a part": "found status 206 of HTTP, expected 200",
-    "status 203 Non-Authoritative": "found status 203 of HTTP, expected 200",
-    "moved to http://127.0.0.1:PORT/secret.csv": MOVED,
-    "moved to http://localhost:OWN/secret.csv": MOVED,
-    "moved to https://127.0.0.1:OWN/x": MOVED,
-    "moved to file:///etc/passwd": MOVED,
-    "moved to ?endless": "TooManyRedirects, 302|closed the connection",
+MISBEHAVING: dict[str, tuple[servers.Answer, str]] = {
+    "endless chunks": (servers.endless_chunks, NO_LENGTH),
+    "endless until it closes": (servers.endless_until_close, NO_LENGTH),
+    "ten gigabytes": (servers.ten_gigabytes, TOO_LONG),
+    "gzip bomb": (servers.gzip_bomb, COMPRESSED),
+    "gzip bomb called deflate": (partial(servers.gzip_bomb, encoding="deflate"), COMPRESSED),
+    "endless trailers": (servers.endless_trailers, NO_LENGTH),
+    "endless continue": (servers.endless_continue, LATE),
+    "a byte every 5 s": (servers.slow_body, LATE),
+    "a byte of a header every 2 s": (servers.slow_headers, LATE),
+    "cut without a length": (servers.cut_without_length, NO_LENGTH),
+    "longer length": (servers.longer_length, "closed the connection"),
+    "text called gzip": (servers.no_gzip, COMPRESSED),
+    "a part": (servers.part, "found status 206 of HTTP, expected 200"),
+    "status 203": (partial(servers.status, line="203 Other"), "found status 203 of HTTP, expected 200"),
+    "moved endlessly": (partial(servers.moved, place="?endless"), "TooManyRedirects, 302|closed the connection"),
+    **{
+        f"moved to {place}": (partial(servers.moved, place=place), MOVED)
+        for place in (
+            *("http://127.0.0.1:PORT/secret.csv", "http://localhost:OWN/secret.csv"),
+            *("https://127.0.0.1:OWN/x", "file:///etc/passwd"),
+        )
+    },
 }
 
 
@@ -319,41 +251,39 @@ def neighbour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[serve
     monkeypatch.setattr(remote, "WAIT_S", 0.01)
     monkeypatch.setattr(servers, "BOMB", servers.bomb(64))
     forget_connections()
-    with servers.Server(tmp_path, "none", servers.closes) as server:
+    with servers.Server(tmp_path) as server:
         monkeypatch.setattr(servers, "NEIGHBOUR_PORT", server.port)
         yield server
 
 
-@pytest.mark.parametrize("name", MISBEHAVING)
+@pytest.mark.parametrize(("answer", "message"), MISBEHAVING.values(), ids=MISBEHAVING)
 @pytest.mark.slow
-def test_what_a_web_server_sends_has_limits(make_dataset, tmp_path, neighbour, name) -> None:
+def test_what_a_web_server_sends_has_limits(make_dataset, tmp_path, neighbour, answer, message) -> None:
     """Of size and time, and no part is taken for the whole; what is elsewhere is not asked for."""
     make_dataset()
-    with servers.Server(tmp_path, "dataset.toml", servers.ANSWERS[name]) as server:
+    with servers.Server(tmp_path, {"dataset.toml": repeat(answer)}) as server:
         started = time.monotonic()
-        with pytest.raises((SettingsError, RemoteError), match=MISBEHAVING[name]) as caught:
-            load_dataset(f"http://127.0.0.1:{server.port}/dataset")
+        with pytest.raises((SettingsError, RemoteError), match=message) as caught:
+            load_dataset(f"{server.url}/dataset")
         assert time.monotonic() - started < 20.0
     assert servers.SECRET not in str(caught.value)
-    assert neighbour.asked == []
+    assert not neighbour.asked
 
 
 @pytest.mark.usefixtures("neighbour", "s3_environment")
 @pytest.mark.parametrize(
-    ("case", "message"),
+    "name",
     [
-        (servers.ANSWERS["endless chunks"], NO_LENGTH),
-        (servers.ANSWERS["ten gigabytes"], TOO_LONG),
-        (servers.ANSWERS["cut without a length"], NO_LENGTH),
-        (servers.ANSWERS["a byte of a header every 2 s"], LATE),
-        (servers.ANSWERS["a byte every 5 s"], LATE),
+        *("endless chunks", "ten gigabytes", "cut without a length"),
+        *("a byte of a header every 2 s", "a byte every 5 s"),
     ],
 )
 @pytest.mark.slow
-def test_what_s3_sends_has_limits(make_dataset, tmp_path, monkeypatch, case, message) -> None:
+def test_what_s3_sends_has_limits(make_dataset, tmp_path, monkeypatch, name) -> None:
     make_dataset()
-    with servers.Server(tmp_path, "dataset.toml", case) as server:
-        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{server.port}")
+    answer, message = MISBEHAVING[name]
+    with servers.Server(tmp_path, {"dataset.toml": repeat(answer)}) as server:
+        monkeypatch.setenv("AWS_ENDPOINT_URL", server.url)
         monkeypatch.setattr(remote, "WHOLE_S", 8)  # to make a client of S3 takes seconds on a busy machine
         with pytest.raises((SettingsError, RemoteError), match=message):
             load_dataset("s3://dataset")
@@ -362,16 +292,16 @@ def test_what_s3_sends_has_limits(make_dataset, tmp_path, monkeypatch, case, mes
 @pytest.mark.usefixtures("neighbour")
 def test_redirections_on_the_same_server_are_followed(make_dataset, tmp_path) -> None:
     made = make_dataset()
-    with servers.Server(tmp_path, "manifest.csv", servers.moved_here) as server:
-        path = remote.RemotePath(f"http://127.0.0.1:{server.port}/dataset/manifest.csv")
+    with servers.Server(tmp_path, {"manifest.csv": repeat(servers.moved_here)}) as server:
+        path = remote.RemotePath(f"{server.url}/dataset/manifest.csv")
         assert content_of(path) == made.manifest_file.read_bytes()
 
 
 def test_a_frame_that_is_too_long_is_skipped(make_dataset, tmp_path) -> None:
     made = make_dataset(contrasts=(0.01, 0.05, 0.2))
     name = made.rows[1]["frame"]
-    with servers.Server(tmp_path, Path(name).name, servers.ten_gigabytes) as server:
-        url = f"http://127.0.0.1:{server.port}/dataset"
+    with servers.Server(tmp_path, {name: repeat(servers.ten_gigabytes)}) as server:
+        url = f"{server.url}/dataset"
         skipped = tod.score(url, on_error="skip", examples=False).skipped
     problem = f"{url}/{name}: cannot be opened: longer than 512 MB, the limit for such files"
     assert skipped == ({"frame": name, "error": problem},)
@@ -380,11 +310,11 @@ def test_a_frame_that_is_too_long_is_skipped(make_dataset, tmp_path) -> None:
 def test_an_address_of_ipv6(make_dataset, tmp_path) -> None:
     make_dataset()
     try:
-        server = Web(tmp_path, "::1")
+        server = servers.Server(tmp_path, host="::1")
     except OSError:
         pytest.skip("this machine has no IPv6")
-    with serving(server):
-        assert load_dataset(f"http://[::1]:{server.server_port}/dataset").n_frames == 8
+    with server:
+        assert load_dataset(f"{server.url}/dataset").n_frames == 8
 
 
 def test_an_opening_is_one_request_and_connections_are_kept(make_dataset, web) -> None:
@@ -393,14 +323,13 @@ def test_an_opening_is_one_request_and_connections_are_kept(make_dataset, web) -
     made.rows[0]["sha256"] = tod.frames.files.frame_sha256(made.frame(0))
     made.save()
     data = load_dataset(f"{web.url}/dataset")
-    frame, connections = data.trials[0].frames[0], set()
-    web.process_request, process = (lambda *one: connections.add(one[1]) or process(*one)), web.process_request
+    frame, before = data.trials[0].frames[0], web.n_connections
     for _ in range(5):
         with data.open(frame, verify=True) as file:
             assert file.read().stored.shape == (file.header.height, file.header.width, 1)
     assert web.asked["GET", f"dataset/{frame.path}"] == 5
     assert {method for method, _ in web.asked} == {"GET"}
-    assert len(connections) <= 1
+    assert web.n_connections <= before + 1
     assert data.has_frame(frame)  # no request: a web server does not list folders
 
 
