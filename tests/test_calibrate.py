@@ -443,37 +443,6 @@ def test_two_observers_on_the_same_answers(two_people, tmp_path: Path, todframes
     assert "internal_noise" in tomllib.loads((out / "observer.toml").read_text())
 
 
-@pytest.mark.weekly
-@pytest.mark.parametrize(
-    ("observer", "noise", "lapses"),
-    [(tod.PyramidObserver(), 0.35, 0.0), (tod.PyramidObserver(), 0.35, 0.03), (tod.CsfObserver(), 0.1, 0.0)],
-)
-def test_intervals_of_simulated_people(two_people, observer, noise: float, lapses: float) -> None:
-    """A thousand people answer 240 of the frames, and guess in a share of them.
-
-    The noise 0.1 of csf is an efficiency of 100, which these small triangles need.
-    """
-    folder, frames = two_people
-    dataset = load_dataset(frames)
-    place = folder.parent / f"all_{type(observer).__name__}_{lapses:g}"
-    sit(dataset, place, up, a_monitor(dataset.display.pitch_mrad))
-    (session,) = read_answers(place)
-    observers, blurs = noise_observers(observer, dataset.trials[0].stimulus, blur_is_free=False)
-    answered = answered_trials(dataset, session, observers)
-    table = answered.table(noise_grid([answered]), blurs)
-    # A guess is right with probability 1/4.
-    p = (1.0 - lapses) * table.at(np.log([noise]))[:, 0, 0] + lapses / 4.0
-    rates, rng = (0.0, 0.05 if lapses else 0.0), np.random.default_rng(5)
-    fits = []
-    for _ in range(1000):
-        rows = rng.permutation(len(p))[:240]
-        fits.append(fitted(table.select(rows), rng.random(240) < p[rows], lapse_rates=rates))
-    covered = np.mean([fit.noise_ci95.low <= noise <= fit.noise_ci95.high for fit in fits])
-    # Four standard deviations of a share of 0.95 in 1000.
-    assert abs(covered - 0.95) < 4.0 * math.sqrt(0.95 * 0.05 / 1000)
-    assert abs(np.mean([math.log(fit.noise / noise) for fit in fits])) < 0.02
-
-
 @pytest.mark.usefixtures("blank_pictures")
 def test_settings_of_a_person_with_a_strange_name(results) -> None:
     """An id comes from a file of the answers: it is no path, and no line of its own in a comment."""

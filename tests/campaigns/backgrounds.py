@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from todframes.psychometrics.bootstrap import draw_backgrounds
 from todframes.psychometrics.curves import d_prime_of, observer_curve
 from todframes.psychometrics.fit import FitSettings, fit_trials
-from todframes.psychometrics.paired_bootstrap import ThresholdRatio, ratio_draws, threshold_ratio
+from todframes.psychometrics.paired_bootstrap import ratio_draws, threshold_ratio
 
 Array = NDArray[np.float64]
 
@@ -57,6 +57,7 @@ KINDS = (
 )
 
 TRUE_RATIO = 0.9
+SETTINGS = FitSettings(resamples=1000)
 
 
 def p_correct(level: Array, ln_threshold: Array) -> Array:
@@ -77,69 +78,34 @@ def true_values(kind: Kind, rng: np.random.Generator) -> tuple[float, float]:
     return math.exp(found[0]), math.exp(found[1] - found[0])
 
 
-class Comparison(NamedTuple):
-    """A simulated comparison: the ratio, and the interval of the threshold without the algorithm, of a group."""
-
-    ratio: ThresholdRatio
-    threshold_ci95: tuple[float | None, float | None] | None
+Ends = tuple[float, float]
 
 
-def comparison(kind: Kind, rng: np.random.Generator, *, resamples: int = 1000) -> Comparison:
-    """Simulate a comparison."""
+def comparison(kind: Kind, rng: np.random.Generator) -> tuple[float, Ends, Ends]:
+    """Simulate a comparison; return the p-value of the ratio, and the intervals of ratio and threshold."""
     scene = np.tile(np.repeat(np.arange(kind.scenes), kind.trials), len(LEVELS))
     level = np.repeat(LEVELS, kind.scenes * kind.trials)
     own = rng.normal(0.0, kind.spread, kind.scenes)
     effect = rng.normal(math.log(TRUE_RATIO), kind.ratio_spread, kind.scenes)
-    settings, drawn = FitSettings(resamples=resamples), draw_backgrounds(kind.scenes, resamples, rng)
+    drawn = draw_backgrounds(kind.scenes, SETTINGS.resamples, rng)
     assert drawn is not None
-    draws = []
+    curve, draws = "weibull" if kind.sampled else "observer", []
     for _ in range(kind.groups):
         noise = rng.normal(0.0, kind.noise, level.size)
         series = np.array([p_correct(level, own[scene] + noise + k * effect[scene]) for k in (0, 1)])
         if kind.sampled:
             series = (rng.random(level.size) < series).astype(np.float64)
-        curve = "weibull" if kind.sampled else "observer"
         quick = FitSettings(resamples=0)
         fits = [fit_trials(level, one, curve=curve, settings=quick, rng=rng) for one in series]
-        draws += ratio_draws(
-            level,
-            series,
-            fits,
-            pairs=[(1, 0)],
-            settings=settings,
-            rng=rng,
-            backgrounds=scene,
-            drawn_backgrounds=drawn,
-        )
-        alone = fit_trials(level, series[0], curve=curve, settings=settings, rng=rng, backgrounds=scene)
-    return Comparison(threshold_ratio(draws), alone.threshold_ci95)
+        how = {"settings": SETTINGS, "rng": rng, "backgrounds": scene}
+        draws += ratio_draws(level, series, fits, pairs=[(1, 0)], drawn_backgrounds=drawn, **how)
+        alone = fit_trials(level, series[0], curve=curve, **how)
+    ratio = threshold_ratio(draws)
+    return ratio.p_value, ends(ratio.ratio_ci95), ends(alone.threshold_ci95)
 
 
-class Covered(NamedTuple):
-    """Numbers of intervals of ratios and of thresholds that hold and of p-values below 5 %; the ratio's width."""
-
-    ratios: int
-    thresholds: int
-    small: int
-    width: float
-
-
-def covered(kind: Kind, n: int, *, seed: int = 1, resamples: int = 1000) -> Covered:
-    """Return how many of n simulated comparisons have intervals that cover the true values."""
-    threshold, ratio = true_values(kind, np.random.default_rng(0))
-    ratios, thresholds, small, widths = 0, 0, 0, []
-    for number in range(n):
-        found = comparison(kind, np.random.default_rng([seed, number]), resamples=resamples)
-        low, high = _ends(found.ratio.ratio_ci95)
-        ratios += low <= ratio <= high
-        small += found.ratio.p_value < 0.05
-        widths.append(math.log(high / low) if low and math.isfinite(high) else math.inf)
-        low, high = _ends(found.threshold_ci95)
-        thresholds += low <= threshold <= high
-    return Covered(ratios, thresholds, small, float(np.median(widths)))
-
-
-def _ends(interval: tuple[float | None, float | None] | None) -> tuple[float, float]:
+def ends(interval: tuple[float | None, float | None] | None) -> Ends:
+    """Return the ends of an interval, open ones as 0 and infinity."""
     low, high = interval or (None, None)
     return low or 0.0, math.inf if high is None else high
 
@@ -155,15 +121,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for kind in KINDS:
         if asked.only not in kind.name:
             continue
-        found = covered(kind, asked.n, seed=asked.seed)
+        threshold, ratio = true_values(kind, np.random.default_rng(0))
+        found = [comparison(kind, np.random.default_rng([asked.seed, number])) for number in range(asked.n)]
+        small = np.mean([p_value < 0.05 for p_value, *_ in found])
+        width = np.median([math.log(high / low) if low else math.inf for _, (low, high), _ in found])
         error = math.sqrt(0.95 * 0.05 / asked.n)
-        shares = found.ratios / asked.n, found.thresholds / asked.n
+        shares = [
+            np.mean([low <= true <= high for low, high in intervals])
+            for true, intervals in zip((ratio, threshold), list(zip(*found, strict=True))[1:], strict=True)
+        ]
         is_good = all(0.93 - 2.0 * error <= share <= 0.97 + 2.0 * error for share in shares)
         status |= not is_good
         print(
             f"{kind.name:34} {100 * shares[0]:5.1f} % ± {100 * error:.1f} of {asked.n} ratios cover, "
-            f"{100 * shares[1]:5.1f} % of thresholds, {100 * found.small / asked.n:.0f} % differ from 1, "
-            f"width {100 * found.width:.1f} %{'' if is_good else '  !'}",
+            f"{100 * shares[1]:5.1f} % of thresholds, {100 * small:.0f} % differ from 1, "
+            f"width {100 * width:.1f} %{'' if is_good else '  !'}",
             flush=True,
         )
     return status

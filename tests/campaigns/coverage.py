@@ -16,7 +16,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,11 +23,12 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from people import a_monitor, sit
 
+from todframes import find_observer
 from todframes.experiment.answers import Session, read_answers
 from todframes.experiment.order import TrialOrder
 from todframes.experiment.person import AnsweredTrials, answered_trials, cells_of, noise_grid, noise_observers
 from todframes.frames.dataset import Dataset, load_dataset
-from todframes.observers.pyramid import PyramidObserver
+from todframes.observers.interface import Observer
 from todframes.parameters import Method
 from todframes.psychometrics.noise_fit import AnswerTable, NoiseFit, fit_noise, with_lapses
 from todframes.stimulus import ORIENTATIONS, Orientation
@@ -36,55 +36,34 @@ from todframes.stimulus import ORIENTATIONS, Orientation
 FRAMES = Path(__file__).parents[2] / "sample_frames" / "naked_eye"
 
 
-class Found(NamedTuple):
-    """Coverage and bias over some people; `bias` is the mean of ln σ̂/σ of those with an estimate."""
-
-    n: int
-    covered: float
-    below: int
-    above: int
-    bias: float
-    bias_error: float
-    spread: float
-    statuses: dict[str, int]
-    small_p: float
-
-
-def summary(fits: Sequence[NoiseFit], noise: float) -> Found:
-    """Compare intervals and estimates with the true noise."""
+def summary(fits: Sequence[NoiseFit], noise: float) -> dict[str, object]:
+    """Return coverage and bias over some people; `bias` is the mean of ln σ̂/σ of those with an estimate."""
     ends = [(one.noise_ci95.low or 0.0, one.noise_ci95.high or math.inf) for one in fits]
     below, above = sum(noise < low for low, _ in ends), sum(noise > high for _, high in ends)
     ratios = np.log([one.noise / noise for one in fits if one.noise is not None])
     p_values = [one.deviance_p_value for one in fits if one.deviance_p_value is not None]
-    return Found(
-        n=len(fits),
-        covered=1.0 - (below + above) / len(fits),
-        below=below,
-        above=above,
-        bias=float(ratios.mean()),
-        bias_error=float(ratios.std() / math.sqrt(len(ratios))),
-        spread=float(ratios.std()),
-        statuses=dict(Counter(one.status for one in fits)),
-        small_p=float(np.mean(np.array(p_values) <= 0.05)) if p_values else math.nan,
-    )
+    of_people = {"n": len(fits), "covered": 1.0 - (below + above) / len(fits), "below": below, "above": above}
+    of_bias = {"bias": float(ratios.mean()), "bias_error": float(ratios.std() / math.sqrt(len(ratios)))}
+    of_bias |= {"spread": float(ratios.std()), "statuses": dict(Counter(one.status for one in fits))}
+    return of_people | of_bias | {"small_p": float(np.mean(np.array(p_values) <= 0.05)) if p_values else math.nan}
 
 
-def tabulated(dataset: Dataset, session: Session) -> tuple[AnsweredTrials, AnswerTable]:
-    """Show a session to the observer and compute its answers."""
-    observers, blurs = noise_observers(PyramidObserver(), dataset.trials[0].stimulus, blur_is_free=False)
+def tabulated(dataset: Dataset, session: Session, observer: Observer) -> tuple[AnsweredTrials, AnswerTable]:
+    """Show a session to an observer and compute its answers."""
+    observers, blurs = noise_observers(observer, dataset.trials[0].stimulus, blur_is_free=False)
     answered = answered_trials(dataset, session, observers)
     return answered, answered.table(noise_grid([answered]), blurs)
 
 
 def redrawn(
-    n: int, *, noise: float, lapses: float, free: bool, method: Method, trials: int, seed: int
+    n: int, *, observer: Observer, noise: float, lapses: float, free: bool, method: Method, trials: int, seed: int
 ) -> Iterator[NoiseFit]:
     """Yield the fit of each person who answers frames of one session, in an order of their own."""
     dataset = load_dataset(FRAMES)
     with TemporaryDirectory() as folder:
         sit(dataset, Path(folder), lambda *_: Orientation.UP, a_monitor(dataset.display.pitch_mrad))
         (session,) = read_answers(folder)
-    answered, table = tabulated(dataset, session)
+    answered, table = tabulated(dataset, session, observer)
     # A lapse is a guess with probability λ, and δ = λ (1 − γ).
     p_correct = with_lapses(table.at(np.log([noise]))[:, 0, 0], 0.75 * lapses)
     cells = cells_of([answered])
@@ -115,7 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("n", type=int, help="number of people")
     parser.add_argument("--method", choices=["constant", "quest"], default="constant")
-    parser.add_argument("--noise", type=float, default=0.35)
+    parser.add_argument("--observer", choices=["pyramid", "csf"], default="pyramid")
+    parser.add_argument("--noise", type=float, default=0.35, help="0.1 of csf, an efficiency of 100")
     parser.add_argument("--lapses", type=float, default=0.0, help="probability of a guess")
     parser.add_argument("--free", choices=["lapse"])
     parser.add_argument("--trials", type=int, default=240)
@@ -123,10 +103,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     asked = vars(parser.parse_args(arguments))
     n, noise = asked.pop("n"), asked["noise"]
     asked["free"] = asked["free"] is not None
-    fits = list(redrawn(n, **asked))
-    found = summary(fits, noise)
+    asked["observer"] = find_observer(asked["observer"])()
+    found = summary(list(redrawn(n, **asked)), noise)
     print(found)
-    return int(not (0.93 <= found.covered <= 0.98 and abs(found.bias) <= 0.02))
+    return int(not (0.93 <= found["covered"] <= 0.98 and abs(found["bias"]) <= 0.02))
 
 
 if __name__ == "__main__":

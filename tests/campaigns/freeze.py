@@ -28,12 +28,10 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import count
 from pathlib import Path
 
+from scenes import SAMPLES, without_times
+
 CASES = Path(__file__).resolve().with_name("freeze_cases.txt").read_text(encoding="utf-8").splitlines()
-SAMPLES = Path(__file__).resolve().parents[2] / "sample_frames"
 NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w])")
-MEASURED = re.compile(
-    r"cpu_s\w*|\w*elapsed\w*|memory_mb|date|time|\w*version\w*|started\w*|run_time_s|saves_s|cpu_ms_per_frame"
-)
 TEXTS = {".json", ".csv", ".toml", ".txt", ".md"}
 
 
@@ -43,15 +41,8 @@ def environment() -> dict[str, str]:
 
 
 def run(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        ["bash", "-c", line],
-        cwd=folder,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=900,
-        check=False,
-    )
+    how = {"cwd": folder, "env": environment(), "capture_output": True, "text": True, "timeout": 900}
+    return subprocess.run(["bash", "-c", line], check=False, **how)
 
 
 def make_inputs(folder: Path) -> None:
@@ -95,21 +86,20 @@ def values_of(path: Path, *, words_only: bool) -> dict[str, object]:
         add_text(found, remarks, words_only=words_only)
         text = shown
     if path.suffix == ".csv":
-        add(found, list(csv.DictReader(text.splitlines())), "row")
+        add(found, without_times(list(csv.DictReader(text.splitlines()))), "row")
         return found
     try:
-        add(found, json.loads(text), "")
+        add(found, without_times(json.loads(text)), "")
     except ValueError:
         add_text(found, text, words_only=words_only)
     return found
 
 
 def add(found: dict[str, object], value: object, key: str) -> None:
-    """Add a value of JSON, or those in it, but for measured times."""
+    """Add a value of JSON, or those in it."""
     if isinstance(value, dict):
         for name, inner in value.items():
-            if not MEASURED.fullmatch(str(name)):
-                add(found, inner, f"{key}.{name}")
+            add(found, inner, f"{key}.{name}")
     elif isinstance(value, list):
         for number, inner in enumerate(value):
             add(found, inner, f"{key}[{number}]")

@@ -7,34 +7,44 @@ python tests/campaigns/fuzz.py 1 --seed 2 --first 4711   # repeat a case
 A case ends well in a result of finite numbers, or in one line on standard error, with status 1 or 2 and nothing
 written. A frame with a checksum has the same numbers, or is refused; an EXR without it may have other numbers with
 the warning `unverified_frames`, a PNG with right checksums another picture. All else is a fault: a traceback, a
-signal, more than 1800 MB, more than 120 s of CPU time. Cases run in child processes, and depend on seed and
-number alone.
+signal, more than 1800 MB, more than 120 s of CPU time. Each case runs in a process of its own, and depends on seed
+and number alone.
 """
 
 from __future__ import annotations
 
 import argparse
-import faulthandler
 import json
 import os
 import re
+import resource
 import shutil
-import subprocess
+import signal
 import sys
 import tempfile
-import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import chdir, suppress
+from importlib import import_module
+from itertools import product
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import scenes
+from click.testing import CliRunner
+
+from sensor_sim.cli import cli as sensor_sim
+from todframes.cli.console import run
+from todframes.cli.main import cli as todframes
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-LONGEST_CASE_S, MOST_MB, LONGEST_LINE = 120.0, 1800, 8020
+COMMANDS = {"todframes": todframes, "sensor_sim": sensor_sim}
+LONGEST_CASE_S, MOST_MB, LONGEST_LINE = 120, 1800, 8020
 ASIDE = re.compile(
     r"libpng (?:error|warning): |\S+: (?:Unexpected end of file|data corrupted at )|warning: |note: |skipped: "
 )
@@ -60,19 +70,16 @@ def truncate(content: bytes, rng: Rng, _: Others) -> bytes:
 def fill_range(content: bytes, rng: Rng, _: Others) -> bytes:
     """Set a range of bytes to one value; often 512 bytes long, a sector of a disk."""
     begin = int(rng.integers(len(content)))
-    length = min(512 if rng.random() < 0.5 else int(rng.integers(1, 5000)), len(content) - begin)
-    return (
-        content[:begin]
-        + bytes([int(rng.choice([0, 255, rng.integers(256)]))]) * length
-        + content[begin + length :]
-    )
+    end = min(begin + (512 if rng.random() < 0.5 else int(rng.integers(1, 5000))), len(content))
+    value = int(rng.choice([0, 255, rng.integers(256)]))
+    return content[:begin] + bytes([value]) * (end - begin) + content[end:]
 
 
 def insert_bytes(content: bytes, rng: Rng, _: Others) -> bytes:
+    """Insert or drop some bytes."""
     begin, length = int(rng.integers(len(content))), int(rng.integers(1, 100))
-    return content[:begin] + (
-        rng.bytes(length) + content[begin:] if rng.random() < 0.5 else content[begin + length :]
-    )
+    inserted, end = (rng.bytes(length), begin) if rng.random() < 0.5 else (b"", begin + length)
+    return content[:begin] + inserted + content[end:]
 
 
 def other_number(content: bytes, rng: Rng, _: Others) -> bytes:
@@ -86,9 +93,9 @@ def other_number(content: bytes, rng: Rng, _: Others) -> bytes:
 def splice_files(content: bytes, rng: Rng, others: Others) -> bytes:
     """Take the first part of a file and the second part of another; or all of another, of any format."""
     other = others[rng.integers(len(others))]
-    return (
-        other if rng.random() < 0.3 else content[: rng.integers(len(content))] + other[rng.integers(len(other)) :]
-    )
+    if rng.random() < 0.3:
+        return other
+    return content[: rng.integers(len(content))] + other[rng.integers(len(other)) :]
 
 
 EXTREME = (
@@ -112,27 +119,16 @@ def change_lines(content: bytes, rng: Rng, others: Others) -> bytes:
     """Drop, repeat, swap or take over lines."""
     lines, strange = content.splitlines(keepends=True), others[rng.integers(len(others))].splitlines(keepends=True)
     place, other = (int(value) for value in rng.integers(len(lines), size=2))
-    lines[place : place + 1] = ([], [lines[place]] * 3, [lines[other]], [strange[0], lines[place]])[
-        rng.integers(4)
-    ]
+    ways = ([], [lines[place]] * 3, [lines[other]], [strange[0], lines[place]])
+    lines[place : place + 1] = ways[rng.integers(4)]
     return b"".join(lines)
 
 
 def strange_letters(content: bytes, rng: Rng, _: Others) -> bytes:
     """Misspell a word, or put in what is no UTF-8, control characters, a byte order mark or deep nesting."""
     place = int(rng.integers(len(content)))
-    put_in = (
-        b"\xff",
-        b"\0",
-        b"\x1b[31m",
-        b"\r",
-        b"\xef\xbb\xbf",
-        "\u202e".encode(),
-        b"[" * 100,
-        b'"',
-        b"\n\n",
-        b"x",
-    )
+    texts = ("\0", "\x1b[31m", "\r", "\ufeff", "\u202e", "[" * 100, '"', "\n\n", "x")
+    put_in = [b"\xff", *(text.encode() for text in texts)]
     if rng.random() < 0.1:
         return content.decode(errors="replace").encode("utf-16")
     return content[:place] + put_in[rng.integers(len(put_in))] + content[place + int(rng.integers(2)) :]
@@ -197,39 +193,37 @@ def recordings(folder: Path) -> None:
     stills.dng(folder / "a.dng", rng.integers(600, 16000, (64, 96)).astype(np.uint16), black=512, white=16383)
 
 
-def targets(folder: Path, run: Callable[..., Ran], only: str) -> list[Target]:
+def targets(folder: Path, only: str) -> list[Target]:
     """Write all files; return those that are damaged, and whose name has a text."""
     from camera_texts import DISPLAY, LENS, PHOTONS, PIXELS
 
     found = []
-    for name, kind in KINDS.items():
-        for is_checked in (False, True):
-            path = folder / f"{name.replace(' ', '_')}{is_checked:d}"
-            frame = path / scenes.write_dataset(path, with_sha256=is_checked, **kind)[3]
-            score = ("todframes", "score", str(path), *QUICK)
-            commands = (score, (*score, "--on-error", "skip"), ("todframes", "validate", str(path)))
-            right = scenes.without_times(json.loads(run(*score).out)["fits"])
-            found.append(
-                Target(f"frame, {name}{', checked' * is_checked}", frame, commands, BYTES, right, is_checked)
-            )
+    for (name, kind), is_checked in product(KINDS.items(), (False, True)):
+        path = folder / f"{name.replace(' ', '_')}{is_checked:d}"
+        frame = path / scenes.write_dataset(path, with_sha256=is_checked, **kind)[3]
+        score = ("todframes", "score", str(path), *QUICK)
+        commands = (score, (*score, "--on-error", "skip"), ("todframes", "validate", str(path)))
+        right = scenes.without_times(json.loads(printed(*score))["fits"])
+        label = f"frame, {name}{', checked' * is_checked}"
+        found.append(Target(label, frame, commands, BYTES, right, is_checked))
     samples = folder / "recordings"
     samples.mkdir()
     recordings(samples)
     (folder / "schedule.csv").write_text("orientation,size_px,contrast\nup,9,0.5\n")
     how = ("--schedule", "schedule.csv", "--range", "0:65535", "--integration-time", "all", "-o", "OUT", "--quiet")
     for path in sorted(samples.iterdir()):
-        commands = (
-            ("todframes", "noise", str(path), "--json", "--quiet"),
-            ("todframes", "import", str(path), *how),
-        )
+        noise = ("todframes", "noise", str(path), "--json", "--quiet")
+        commands = (noise, ("todframes", "import", str(path), *how))
         found.append(Target(f"recording, {path.name}", path, commands, BYTES))
     scenes.write_dataset(folder / "dataset", with_sha256=True)
     look_up = shutil.copytree(folder / "dataset", folder / "look_up")
+    dataset_toml = (look_up / "dataset.toml").read_text(encoding="utf-8")
+    look_up_toml = dataset_toml.replace('eotf = "linear"', 'eotf = "lut"\nlut = "lut.csv"')
     frequencies = "frequency_cyc_per_mrad,mtf\n" + "".join(f"{k},{1 - k / 10}\n" for k in range(11))
     camera = (scenes.SAMPLES / "staring_camera.toml").read_text(encoding="utf-8")
     optics = re.compile(r"(?<=\[optics\]\n).*?(?=\n\[)", re.DOTALL)
     texts = {
-        "dataset/dataset.toml": None, "dataset/manifest.csv": None, "look_up/dataset.toml": scenes.LOOK_UP_TOML,
+        "dataset/dataset.toml": None, "dataset/manifest.csv": None, "look_up/dataset.toml": look_up_toml,
         "look_up/lut.csv": scenes.LOOK_UP_CSV, "observer.toml": scenes.OBSERVER_TOML,
         "counts.csv": scenes.COUNTS_CSV, "thermal.toml": camera, "designs.csv": scenes.DESIGNS_CSV,
         "measured.toml": optics.sub('mtf = "mtf.csv"\n', camera), "mtf.csv": frequencies,
@@ -240,9 +234,9 @@ def targets(folder: Path, run: Callable[..., Ran], only: str) -> list[Target]:
         if text is not None:
             (folder / name).write_text(text, encoding="utf-8")
     simulate = ("--size-detectors", "2", "--snr", "2", "--trials", "1", "--quiet", "-o", "OUT")
-    of_sensor = lambda name: tuple(  # noqa: E731
-        ("sensor_sim", *one)
-        for one in (("mtf", name, "--json"), ("curve", name, *CURVE), ("simulate", name, *simulate))
+    of_sensor = lambda name: (  # noqa: E731
+        *(("sensor_sim", "mtf", name, "--json"), ("sensor_sim", "curve", name, *CURVE)),
+        ("sensor_sim", "simulate", name, *simulate),
     )
     readers = {
         "observer.toml": (("todframes", "score", "dataset", *QUICK, "--observer-settings", "observer.toml"),),
@@ -258,43 +252,75 @@ def targets(folder: Path, run: Callable[..., Ran], only: str) -> list[Target]:
     found = [one for one in found if only in one.name]
     for one in found:
         for command in one.commands:
-            if (ran := run(*command)).status:
-                raise RuntimeError(f"{command}: {ran.err}")
+            printed(*command)
             shutil.rmtree(folder / "OUT", ignore_errors=True)
     return found
+
+
+def prepared(only: str) -> tuple[list[Target], list[str]]:
+    """Return the targets and the modules that their commands import; in a process whose threads end with it."""
+    return targets(Path.cwd(), only), list(sys.modules)
 
 
 # Judging -------------------------------------------------------------------------------------------------------
 
 
+def printed(package: str, *arguments: str) -> str:
+    """Run a command on whole files in this process, which imports what cases need; return its standard output."""
+    return CliRunner().invoke(COMMANDS[package], arguments, catch_exceptions=False).stdout
+
+
 class Ran(NamedTuple):
-    """The end of a command."""
+    """The end of a command: exit status, or minus the number of a signal; CPU time and peak of memory."""
 
     status: int
     out: str
     err: str
+    seconds: float
+    peak_mb: float
+
+
+def ran(package: str, *arguments: str) -> Ran:
+    """Run a command in a child process, where what native libraries print is caught as well."""
+    sys.stdout.flush()
+    child = os.fork()
+    if not child:
+        status = 99
+        try:
+            resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_CASE_S, LONGEST_CASE_S))
+            signal.alarm(10 * LONGEST_CASE_S)
+            for number, name in ((1, "stdout"), (2, "stderr")):
+                os.dup2(os.open(name, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
+            status = run(COMMANDS[package], list(arguments))
+        except BaseException:  # a fault, which is printed
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            os._exit(status)
+    _, status, usage = os.wait4(child, 0)
+    out, err = (Path(name).read_text(encoding="utf-8", errors="replace") for name in ("stdout", "stderr"))
+    seconds = usage.ru_utime + usage.ru_stime
+    return Ran(os.waitstatus_to_exitcode(status), out, err, seconds, usage.ru_maxrss / 1024)
 
 
 def refused(name: str) -> None:
     raise ValueError(f"the JSON holds {name}")
 
 
-def judged(ran: Ran, target: Target, *, is_same: bool, wrote: bool) -> tuple[str, bool]:
+def judged(end: Ran, target: Target, *, is_same: bool, wrote: bool) -> tuple[str, bool]:
     """Return how a command ended, and whether that is a fault."""
-    lines = [line for line in ran.err.splitlines() if not ASIDE.match(line)]
-    if ran.status:
-        is_clear = ran.status in (1, 2) and all(
-            line.startswith("error: ") and line.isprintable() for line in lines
-        )
-        is_clear &= bool(lines) and "out of memory" not in ran.err and max(map(len, lines)) <= LONGEST_LINE
-        is_named = target.name.startswith("text") or target.path.name in ran.err
-        is_fault = (
-            is_same or wrote or not (is_clear and is_named and (len(lines) == 1 or target.right is not None))
-        )
-        return "refused", is_fault
-    if not ran.out.startswith("{"):
+    if end.seconds > LONGEST_CASE_S or end.peak_mb > MOST_MB:
+        return f"{end.seconds:.0f} s, {end.peak_mb:.0f} MB", True
+    lines = [line for line in end.err.splitlines() if not ASIDE.match(line)]
+    if end.status:
+        is_clear = all(line.startswith("error: ") and line.isprintable() for line in lines)
+        is_clear &= bool(lines) and "out of memory" not in end.err and max(map(len, lines)) <= LONGEST_LINE
+        is_clear &= end.status in (1, 2) and (len(lines) == 1 or target.right is not None)
+        is_named = target.name.startswith("text") or target.path.name in end.err
+        return "refused", is_same or wrote or not (is_clear and is_named)
+    if not end.out.startswith("{"):
         return "a result", bool(lines) or (target.is_checked and not is_same)
-    result = json.loads(ran.out, parse_constant=refused)
+    result = json.loads(end.out, parse_constant=refused)
     if target.right is None or is_same:
         return "a result", bool(lines)
     if skipped := result["skipped"]:
@@ -306,72 +332,6 @@ def judged(ran: Ran, target: Target, *, is_same: bool, wrote: bool) -> tuple[str
     return "other numbers", target.is_checked or (is_exr and not is_told)
 
 
-def peak_mb() -> float:
-    status = Path("/proc/self/status").read_text(encoding="utf-8")
-    return int(status.partition("VmHWM:")[2].split()[0]) / 1024
-
-
-def child(seed: int, first: int, stop: int, log: Path, only: str) -> None:
-    """Run cases in this process; what native libraries print is caught as well."""
-    from sensor_sim.cli import cli as sensor_sim
-    from todframes.cli.console import keep_libraries_to_one_thread, run
-    from todframes.cli.main import cli as todframes
-
-    keep_libraries_to_one_thread()
-    seen = os.fdopen(os.dup(2), "w")
-    faulthandler.enable(seen)
-    sys.excepthook = lambda *error: traceback.print_exception(*error, file=seen)
-    packages, streams = {"todframes": todframes, "sensor_sim": sensor_sim}, (Path("stdout"), Path("stderr"))
-    for number, path in zip((1, 2), streams, strict=True):
-        os.dup2(os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND), number)
-
-    def ran(package: str, *arguments: str) -> Ran:
-        for path in streams:
-            os.truncate(path, 0)
-        status = run(packages[package], list(arguments))
-        sys.stdout.flush()
-        sys.stderr.flush()
-        return Ran(status, *(path.read_text(encoding="utf-8", errors="replace") for path in streams))
-
-    chosen = targets(Path.cwd(), ran, only)
-    others = [one.path.read_bytes() for one in chosen] + [
-        b"GIF89a" + bytes(100),
-        b"PK\3\4" + bytes(100),
-        b"%PDF\n",
-    ]
-    with log.open("a", encoding="utf-8") as file:
-        for number in range(first, stop):
-            rng = np.random.default_rng([seed, number])
-            Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")  # count the peak of memory anew
-            target = chosen[rng.integers(len(chosen))]
-            command = target.commands[rng.integers(len(target.commands))]
-            whole = target.path.read_bytes()
-            damaged = target.mutations[rng.integers(len(target.mutations))](whole, rng, others)
-            target.path.write_bytes(damaged)
-            faulthandler.dump_traceback_later(10 * LONGEST_CASE_S, exit=True)
-            started, words = time.process_time(), ""
-            try:
-                end = ran(*command)
-                ending, is_fault = judged(end, target, is_same=damaged == whole, wrote=Path("OUT").exists())
-                words = end.err[-1000:]
-            except BaseException as error:
-                ending, is_fault, words = f"raised {type(error).__name__}", True, traceback.format_exc()[-3000:]
-            faulthandler.cancel_dump_traceback_later()
-            target.path.write_bytes(whole)
-            shutil.rmtree("OUT", ignore_errors=True)
-            peak, seconds = peak_mb(), time.process_time() - started
-            line = (
-                number,
-                f"{target.name}: {command[1]}",
-                ending,
-                is_fault or peak > MOST_MB or seconds > LONGEST_CASE_S,
-                seconds,
-                peak,
-                words,
-            )
-            print(json.dumps(line), file=file, flush=True)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run cases and print counts of their ends. Returns 1 if one is a fault."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -379,38 +339,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--only", default="")
-    parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
     asked = parser.parse_args(arguments)
-    if asked.child:
-        child(asked.seed, asked.first, asked.first + asked.n, asked.child, asked.only)
-        return 0
-    rows: list[list[Any]] = []
-    with tempfile.TemporaryDirectory() as made:
-        while len(rows) < asked.n:
-            log, folder = Path(made) / "log", tempfile.mkdtemp(dir=made)
-            log.write_text("")
-            n = min(asked.n - len(rows), 2000)
-            command = [
-                sys.executable,
-                str(Path(__file__).resolve()),
-                str(n),
-                "--first",
-                str(asked.first + len(rows)),
-            ]
-            command += ["--seed", str(asked.seed), "--only", asked.only, "--child", str(log)]
-            ended = subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False, cwd=folder)
-            found = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
-            if len(found) < n:
-                found.append(
-                    [asked.first + len(rows) + len(found), "its process", "ended", True, 0, 0, ended.stderr]
-                )
-            rows += found
-            print(*(f"FAULT {row}" for row in found if row[3]), sep="\n", flush=True)
-    counts = Counter((row[1].partition(",")[0], row[2]) for row in rows)
+    counts: Counter[tuple[str, str]] = Counter()
+    n_faults, slowest, largest = 0, 0.0, 0.0
+    with tempfile.TemporaryDirectory() as made, chdir(made):
+        with ProcessPoolExecutor(1, get_context("fork")) as pool:
+            chosen, modules = pool.submit(prepared, asked.only).result()
+        for name in modules:  # which each case would import anew
+            with suppress(ImportError):
+                import_module(name)
+        others = [one.path.read_bytes() for one in chosen]
+        others += [b"GIF89a" + bytes(100), b"PK\3\4" + bytes(100), b"%PDF\n"]
+        for number in range(asked.first, asked.first + asked.n):
+            rng = np.random.default_rng([asked.seed, number])
+            target = chosen[rng.integers(len(chosen))]
+            command = target.commands[rng.integers(len(target.commands))]
+            whole = target.path.read_bytes()
+            damaged = target.mutations[rng.integers(len(target.mutations))](whole, rng, others)
+            target.path.write_bytes(damaged)
+            end = ran(*command)
+            ending, is_fault = judged(end, target, is_same=damaged == whole, wrote=Path("OUT").exists())
+            target.path.write_bytes(whole)
+            shutil.rmtree("OUT", ignore_errors=True)
+            if is_fault:
+                print(f"FAULT {number} {target.name}: {command[1]}: {ending}\n{end.err[-3000:]}", flush=True)
+            counts[target.name.partition(",")[0], ending] += 1
+            n_faults += is_fault
+            slowest, largest = max(slowest, end.seconds), max(largest, end.peak_mb)
     print(*(f"{count:7}  {kind}: {ending}" for (kind, ending), count in sorted(counts.items())), sep="\n")
-    print(f"slowest {max(row[4] for row in rows):.1f} s, largest {max(row[5] for row in rows):.0f} MB")
-    n_faults = sum(row[3] for row in rows)
-    print(f"{len(rows)} cases, {n_faults} faults")
+    print(f"slowest {slowest:.1f} s, largest {largest:.0f} MB")
+    print(f"{asked.n} cases, {n_faults} faults")
     return int(n_faults > 0)
 
 

@@ -26,7 +26,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import scenes
 from logged import NO_KEY
@@ -103,14 +103,9 @@ class Processes:
         """Start Python with these arguments; what it says on standard error is in `err`, if it is a client."""
         name = self.err if arguments[0] == LOGGED else Path(os.devnull)
         with name.open("wb") as err:
-            process = subprocess.Popen(
-                [sys.executable, *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=err,
-                env=self._environment,
-                start_new_session=True,
-            )
+            streams: Any = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": err}
+            command = [sys.executable, *arguments]
+            process = subprocess.Popen(command, env=self._environment, start_new_session=True, **streams)
         self._sessions.append(process.pid)
         return process
 
@@ -188,12 +183,8 @@ def kill_repeatedly(command: Command, kills: Sequence[Target], folder: Path, see
     A run that ends before it was killed is compared and begun anew.
     """
     folder.mkdir(parents=True)
-    tally, rng, left, out = (
-        Tally(command.name),
-        random.Random(f"{seed} {command.name}"),
-        list(kills),
-        folder / "out",
-    )
+    tally, rng = Tally(command.name), random.Random(f"{seed} {command.name}")
+    left, out = list(kills), folder / "out"
     first = Processes(folder, command._replace(item_s=0.0), with_cluster=False)
     if _wait(first.start(LOGGED, *command.arguments, "-o", str(folder / "undisturbed"))):
         raise RuntimeError(first.err.read_text())
@@ -228,16 +219,13 @@ def kill_repeatedly(command: Command, kills: Sequence[Target], folder: Path, see
                         status = _wait(client) if target == "scheduler" else None
                         processes.complete()
             status = _wait(client) if status is None else status
-            err, new = (
-                processes.err.read_text(encoding="utf-8", errors="replace"),
-                _lines(processes.log)[n_before:],
-            )
+            err = processes.err.read_text(encoding="utf-8", errors="replace")
+            new = _lines(processes.log)[n_before:]
             done += [one for one in new if one != NO_KEY]
             if again := stored & set(new):
                 tally.faults.append(f"{len(again)} items were done again whose results were in the store")
-            tally.most_lost = max(
-                tally.most_lost, cost := len(set(new) - {NO_KEY} - stored_keys(out)) * (status != 0)
-            )
+            cost = len(set(new) - {NO_KEY} - stored_keys(out)) * (status != 0)
+            tally.most_lost = max(tally.most_lost, cost)
             if cost > command.in_flight * max(sum(tally.kills.values()) - n_killed, 1):
                 tally.faults.append(f"a run has lost {cost} items")
             # A kill can come after the last file was put in place and the store was removed.
@@ -251,9 +239,7 @@ def kill_repeatedly(command: Command, kills: Sequence[Target], folder: Path, see
                 if not left:
                     break
                 shutil.rmtree(out)
-            elif not (status == KILLED and "Traceback" not in err) and not (
-                status == NO_CLUSTER and GONE.match(err)
-            ):
+            elif "Traceback" in err or not (status == KILLED or (status == NO_CLUSTER and GONE.match(err))):
                 tally.faults.append(f"status {status}: {err[-500:]}")
                 break
     finally:

@@ -158,14 +158,12 @@ def main(arguments: Sequence[str]) -> int:
                     said = one.error or f"{one.away_px:.3f} px, stated {one.stated_px:.3f}; {one.codes}"
                     print(f"k1 {one.case.k1:+.3f}, {one.case.width:g} % at {one.case.place:g}: {said}", flush=True)
     placed = [one for one in outcomes if one.away_px >= 0.0]
+    refused = [one for one in outcomes if one.error]
     beyond = [one for one in placed if one.away_px > max(RIGHT_PX, MOST_RATIO * one.stated_px)]
-    refused = sum(bool(one.error) for one in outcomes)
-    narrow = sum(bool(one.error) and one.side_px < LEAST_SIDE_PX for one in outcomes)
-    n_faults = sum(is_fault(one, asked.noise) for one in outcomes)
-    print(f"{len(outcomes)} of {len(cases)} lenses, {len(placed) + refused} with all corners in the frame:")
+    print(f"{len(outcomes)} of {len(cases)} lenses, {len(placed) + len(refused)} with all corners in the frame:")
+    right, narrow = (one.away_px <= RIGHT_PX for one in placed), (one.side_px < LEAST_SIDE_PX for one in refused)
     print(
-        f"right to {RIGHT_PX} px: {sum(one.away_px <= RIGHT_PX for one in placed)}; refused: {refused},"
-        f" {narrow} of them with markers less than {LEAST_SIDE_PX:g} px wide"
+        f"right to {RIGHT_PX} px: {sum(right)}; refused: {len(refused)}, {sum(narrow)} of them with narrow markers"
     )
     silent = sum(not one.codes for one in beyond)
     print(f"misplaced beyond three stated errors: {len(beyond)}, without a warning {silent}")
@@ -173,6 +171,7 @@ def main(arguments: Sequence[str]) -> int:
     ratio = max((one.away_px / one.stated_px for one in placed), default=math.nan)
     print(f"farthest {farthest_px:.3f} px, {ratio:.2f} of stated")
     print("warned:", dict(Counter(code for one in placed for code in one.codes.split(", ") if code)))
+    n_faults = sum(is_fault(one, asked.noise) for one in outcomes)
     print(f"{len(outcomes)} cases, {n_faults} faults")
     return int(bool(n_faults))
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import csv
-import hashlib
-import io
 import json
 import os
+import re
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from todframes.frames.files import write_frame
+from todframes.frames.dataset import Experiment
+from todframes.frames.dataset_files import write_dataset_files
+from todframes.frames.files import frame_sha256, write_frame
 from todframes.stimulus import ORIENTATIONS, coverage
 
 SAMPLES = Path(__file__).parents[2] / "sample_frames"
@@ -22,22 +24,13 @@ PITCH_MRAD = 0.25
 SIZE_MRAD = 2.0
 WHITE, BACKGROUND = 100.0, 50.0  # cd/m²
 
-DATASET_TOML = f"""\
-schema = 1
-
-[display]
-eotf = "linear"
-white_luminance_cd_m2 = {WHITE}
-black_luminance_cd_m2 = 0.0
-pixel_pitch_mrad = {PITCH_MRAD}
-background_luminance_cd_m2 = {BACKGROUND}
-
-[experiment]
-level = "contrast"
-group_by = ["size_mrad"]
-"""
-
-LOOK_UP_TOML = DATASET_TOML.replace('eotf = "linear"', 'eotf = "lut"\nlut = "lut.csv"')
+DISPLAY = {
+    "eotf": "linear",
+    "white_luminance_cd_m2": WHITE,
+    "black_luminance_cd_m2": 0.0,
+    "pixel_pitch_mrad": PITCH_MRAD,
+    "background_luminance_cd_m2": BACKGROUND,
+}
 
 LOOK_UP_CSV = "code_value,luminance_cd_m2\n" + "".join(f"{n / 8},{WHITE * n / 8}\n" for n in range(9))
 
@@ -85,36 +78,24 @@ def write_dataset(
     Returns the names of the frames, in the order of the manifest's rows.
     """
     (path / "frames").mkdir(parents=True)
-    (path / "dataset.toml").write_text(DATASET_TOML, encoding="utf-8")
     rng = np.random.default_rng(1)
     middle = (side_px - 1) / 2
-    rows = []
-    for level in contrasts:
-        for orientation in ORIENTATIONS:
-            place = {"x_px": middle, "y_px": middle, "orientation": orientation}
-            covered = coverage((side_px, side_px), size_px=SIZE_MRAD / PITCH_MRAD, **place)
-            values = BACKGROUND / WHITE * (1.0 + level * covered + noise * rng.standard_normal(covered.shape))
-            name = f"c{level:.4g}_{orientation.value}"
-            for repeat in range(repeats):
-                frame = f"frames/{name}_{repeat}{suffix}"
-                if repeat:
-                    os.link(path / f"frames/{name}_0{suffix}", path / frame)
-                else:
-                    stored = np.repeat(values[..., np.newaxis], n_channels, axis=2)
-                    write_frame(path / frame, stored, pixel_type=pixel_type, compression=compression)
-                    sha256 = hashlib.sha256((path / frame).read_bytes()).hexdigest()
-                row = {
-                    "frame": frame,
-                    "orientation": orientation.value,
-                    "size_mrad": str(SIZE_MRAD),
-                    "contrast": f"{level:.4g}",
-                }
-                rows.append(row | ({"sha256": sha256} if with_sha256 else {}))
-    with (path / "manifest.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    return [row["frame"] for row in rows]
+    rows: list[dict[str, object]] = []
+    for level, orientation in product(contrasts, ORIENTATIONS):
+        size_px = SIZE_MRAD / PITCH_MRAD
+        covered = coverage((side_px, side_px), size_px=size_px, x_px=middle, y_px=middle, orientation=orientation)
+        values = BACKGROUND / WHITE * (1.0 + level * covered + noise * rng.standard_normal(covered.shape))
+        stored = np.repeat(values[..., np.newaxis], n_channels, axis=2)
+        names = [f"frames/c{level:.4g}_{orientation.value}_{repeat}{suffix}" for repeat in range(repeats)]
+        write_frame(path / names[0], stored, pixel_type=pixel_type, compression=compression)
+        for name in names[1:]:
+            os.link(path / names[0], path / name)
+        row = {"orientation": orientation.value, "size_mrad": SIZE_MRAD, "contrast": f"{level:.4g}"}
+        row |= {"sha256": frame_sha256(path / names[0])} if with_sha256 else {}
+        rows += [{"frame": name} | row for name in names]
+    experiment = Experiment(level="contrast", group_by=("size_mrad",))
+    write_dataset_files(path, rows, display=DISPLAY, experiment=experiment, comment="")
+    return [str(row["frame"]) for row in rows]
 
 
 def write_recording(path: Path, *, n_frames: int = 600, side_px: int = 200) -> None:
@@ -130,35 +111,33 @@ def write_recording(path: Path, *, n_frames: int = 600, side_px: int = 200) -> N
     )
 
 
+MEASURED = re.compile(
+    r"cpu_s\w*|\w*elapsed\w*|memory_mb|date|time|\w*version\w*|started\w*|run_time_s|saves_s|seconds|from_store"
+    r"|cpu_ms_per_frame"
+)
+"""Pattern of keys of what is measured anew in each run."""
+
+
 def without_times(value: Any) -> Any:
-    """Return a result as read from JSON without what tells time, or how often it was interrupted."""
+    """Return a result as read from JSON without measured times, and without how often it was interrupted."""
     if isinstance(value, dict):
-        kept = {key: one for key, one in value.items() if key != "from_store" and not _tells_time(key)}
-        return {key: without_times(one) for key, one in kept.items()}
-    if isinstance(value, list):
-        return [without_times(one) for one in value]
-    return value
-
-
-def _tells_time(key: str) -> bool:
-    return key in ("seconds", "saves_s") or key.endswith(("run_time_s", "cpu_s", "cpu_ms_per_frame", "memory_mb"))
+        return {key: without_times(inner) for key, inner in value.items() if not MEASURED.fullmatch(str(key))}
+    return [without_times(inner) for inner in value] if isinstance(value, list) else value
 
 
 def content(folder: Path) -> dict[str, Any]:
-    """Return the files of a result or dataset by name, without what tells time and without hidden files.
+    """Return the files of a result or dataset by name, without measured times and without hidden files.
 
     `report.html` prints the run time, so only its presence counts.
     """
-    found: dict[str, Any] = {}
+    contents: dict[str, Any] = {}
     for path in sorted(folder.rglob("*")):
-        name = path.relative_to(folder)
-        if path.is_file() and not any(part.startswith(".todframes-staging") for part in name.parts):
-            found[name.as_posix()] = path.read_bytes()
-    for name in {"result.json", "import.json"} & found.keys():
-        found[name] = without_times(json.loads(found[name]))
-    if "report.html" in found:
-        found["report.html"] = b""
-    if "compare.csv" in found:
-        rows = list(csv.DictReader(io.StringIO(found["compare.csv"].decode())))
-        found["compare.csv"] = [without_times(row) for row in rows]
-    return found
+        name = path.relative_to(folder).as_posix()
+        if not path.is_file() or ".todframes-staging" in name:
+            continue
+        contents[name] = b"" if name == "report.html" else path.read_bytes()
+        if name in ("result.json", "import.json"):
+            contents[name] = without_times(json.loads(contents[name]))
+        elif name == "compare.csv":
+            contents[name] = without_times(list(csv.DictReader(contents[name].decode().splitlines())))
+    return contents

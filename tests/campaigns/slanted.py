@@ -16,6 +16,7 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,9 +51,8 @@ LOW = 12
 def interpolated(noise: np.ndarray) -> np.ndarray:
     """Noise of every other pixel, as in a mosaic of colours, and its means between."""
     seen = np.indices(noise.shape).sum(0) % 2 == 0
-    return np.where(
-        seen, noise, convolve(noise * seen, [[0, 0.25, 0], [0.25, 0, 0.25], [0, 0.25, 0]], mode="mirror")
-    )
+    means = convolve(noise * seen, [[0, 0.25, 0], [0.25, 0, 0.25], [0, 0.25, 0]], mode="mirror")
+    return np.where(seen, noise, means)
 
 
 SHARED: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
@@ -64,70 +64,47 @@ SHARED: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
 """Cameras whose pixels share noise: a picture of an edge and independent noise."""
 
 
-class Edges(NamedTuple):
+class Edge(NamedTuple):
     """Largest bias up to the Nyquist frequency with its standard error, and coverage over all its frequencies."""
 
-    name: str
     bias: float
     bias_error: float
     covered: float
     low_covered: float
-    mtf50_covered: float
-    noiseless: float
     least_width: float
 
-    def line(self) -> str:
-        return (
-            f"{self.name:28} bias {100 * self.bias:+.2f} ± {100 * self.bias_error:.2f} %, without noise "
-            f"{100 * self.noiseless:.2f} %, band holds {100 * self.covered:.1f} %, "
-            f"at low frequencies {100 * self.low_covered:.1f} %, that of MTF50 {100 * self.mtf50_covered:.1f} %, "
-            f"least width {self.least_width:.1e}"
-        )
 
-
-def repeated(name: str, angle_deg: float, n: int, *, noise: float, seed: int, shared: str = "none") -> Edges:
-    """Measure an edge with new noise n times."""
+def repeated(name: str, angle_deg: float, n: int, *, noise: float, seed: int, shared: str) -> Edge:
+    """Measure an edge with new noise n times, and print a line."""
     optics = OPTICS[name]
     is_level = abs((angle_deg + 90) % 180 - 90) > 45
     shape = (SHORT_PX, LONG_PX) if is_level else (LONG_PX, SHORT_PX)
     image = edge_image(shape, angle_deg, optics, low=0.2, high=0.2 + CONTRAST)
     box = (0, 0, shape[1], shape[0])
-    f = FREQUENCY_CYC_PER_PIXEL[1 : NYQUIST + 1]
-    truth = true_mtf(f, optics, angle_deg)
+    truth = true_mtf(FREQUENCY_CYC_PER_PIXEL[1 : NYQUIST + 1], optics, angle_deg)
     fine = np.linspace(0.0, 1.0, 10_001)
     mtf50 = float(fine[np.argmax(true_mtf(fine, optics, angle_deg) < 0.5)])
-    found: list[EdgeMtf] = []
+    measured: list[EdgeMtf] = []
     for number in range(n):
         rng = np.random.default_rng([seed, number])
-        found.append(measure_edge(SHARED[shared](image, rng.normal(0.0, noise * CONTRAST, shape)), box))
-    mtf, low, high = (
-        np.array([getattr(one, end)[1 : NYQUIST + 1] for one in found]) for end in ("mtf", "lower", "upper")
-    )
-    bias = mtf.mean(0) - truth
+        measured.append(measure_edge(SHARED[shared](image, rng.normal(0.0, noise * CONTRAST, shape)), box))
+    curves = [[getattr(one, end)[1 : NYQUIST + 1] for one in measured] for end in ("mtf", "lower", "upper")]
+    mtf, low, high = np.array(curves)
+    bias, held = mtf.mean(0) - truth, (low <= truth) & (truth <= high)
     k = int(np.argmax(np.abs(bias)))
-    held = (low <= truth) & (truth <= high)
-    ends = [one.mtf50_cyc_per_pixel.ci95 for one in found if one.mtf50_cyc_per_pixel is not None]
-    return Edges(
-        name=f"{name}, {angle_deg:g}°",
-        bias=float(bias[k]),
-        bias_error=float(mtf[:, k].std() / math.sqrt(n)),
-        covered=float(held.mean()),
-        low_covered=float(held[:, :LOW].mean()),
-        mtf50_covered=float(np.mean([(a or 0.0) <= mtf50 <= (b or 1.0) for a, b in ends])),
-        noiseless=float(np.abs(measure_edge(image, box).mtf[1 : NYQUIST + 1] - truth).max()),
-        least_width=float((high - low).min()),
+    errors = float(bias[k]), float(mtf[:, k].std() / math.sqrt(n))
+    edge = Edge(*errors, float(held.mean()), float(held[:, :LOW].mean()), float((high - low).min()))
+    ends = [one.mtf50_cyc_per_pixel.ci95 for one in measured if one.mtf50_cyc_per_pixel is not None]
+    mtf50_covered = np.mean([(a or 0.0) <= mtf50 <= (b or 1.0) for a, b in ends])
+    noiseless = np.abs(measure_edge(image, box).mtf[1 : NYQUIST + 1] - truth).max()
+    print(
+        f"{f'{name}, {angle_deg:g}°':28} bias {100 * edge.bias:+.2f} ± {100 * edge.bias_error:.2f} %, "
+        f"without noise {100 * noiseless:.2f} %, band holds {100 * edge.covered:.1f} %, "
+        f"at low frequencies {100 * edge.low_covered:.1f} %, that of MTF50 {100 * mtf50_covered:.1f} %, "
+        f"least width {edge.least_width:.1e}",
+        flush=True,
     )
-
-
-def campaign(n: int, *, noise: float, seed: int, only: str = "", shared: str = "none") -> list[Edges]:
-    """Measure all edges and print a line for each."""
-    found = []
-    for name in OPTICS:
-        for angle_deg in ANGLES_DEG:
-            if only in f"{name}, {angle_deg:g}°":
-                found.append(repeated(name, angle_deg, n, noise=noise, seed=seed, shared=shared))
-                print(found[-1].line(), flush=True)
-    return found
+    return edge
 
 
 NOISES = ("pixels", "by light", "rows", "columns", "dead", "shading", "8 bits", *SHARED)
@@ -144,22 +121,17 @@ def smooth_edge(rng: np.random.Generator) -> tuple[np.ndarray, str]:
     kind = str(rng.choice(NOISES))
     sd = CONTRAST * float(rng.choice([0.002, 0.01, 0.02, 0.05, 0.1]))
     noise = rng.normal(0.0, sd, shape)
-    if kind in SHARED:
-        image = SHARED[kind](image, noise)
-    elif kind == "by light":
-        image = image + noise * np.sqrt(np.maximum(image, 0.0) / 0.8)
+    if kind == "by light":
+        noise *= np.sqrt(np.maximum(image, 0.0) / 0.8)
     elif kind in ("rows", "columns"):
-        lines = rng.normal(0.0, sd, (shape[0], 1) if kind == "rows" else (1, shape[1]))
-        image = image + noise / 2 + lines
-    elif kind == "dead":
-        n = int(rng.integers(1, 12))
-        image = image + noise
-        image[rng.integers(0, shape[0], n), rng.integers(0, shape[1], n)] = rng.choice([0.0, 1.0])
+        noise = noise / 2 + rng.normal(0.0, sd, (shape[0], 1) if kind == "rows" else (1, shape[1]))
     elif kind == "shading":
         y, x = np.indices(shape) / max(shape)
-        image = image * (1.0 + 0.15 * (x - 0.5) - 0.1 * (y - 0.5) ** 2) + noise
-    else:
-        image = image + noise
+        image *= 1.0 + 0.15 * (x - 0.5) - 0.1 * (y - 0.5) ** 2
+    image = SHARED.get(kind, SHARED["none"])(image, noise)
+    if kind == "dead":
+        n = int(rng.integers(1, 12))
+        image[rng.integers(0, shape[0], n), rng.integers(0, shape[1], n)] = rng.choice([0.0, 1.0])
     if kind == "8 bits":
         image = np.round(60.0 * image) / 60.0
     name = f"{shape[1]} x {shape[0]}, {angle_deg:.1f}°, {kind}, noise {sd / CONTRAST:g}, radius {radius_px:.0f}"
@@ -225,11 +197,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     asked = parser.parse_args(arguments)
     if asked.smooth or asked.torn:
         return int(refusals(asked.n, seed=asked.seed, are_torn=asked.torn) > 0.01 * asked.n * asked.torn)
-    found = campaign(asked.n, noise=asked.noise, seed=asked.seed, only=asked.only, shared=asked.shared)
-    covered, low = (float(np.mean([getattr(one, name) for one in found])) for name in ("covered", "low_covered"))
-    print(f"{len(found)} edges: the band holds {100 * covered:.1f} %, at low frequencies {100 * low:.1f} %")
-    is_biased = any(abs(one.bias) > 0.005 + 4 * one.bias_error for one in found)
-    has_width = all(one.least_width > 1e-6 for one in found)
+    how = {"noise": asked.noise, "seed": asked.seed, "shared": asked.shared}
+    edges = [one for one in product(OPTICS, ANGLES_DEG) if asked.only in "{}, {:g}°".format(*one)]
+    measured = [repeated(*edge, asked.n, **how) for edge in edges]
+    covered, low = (
+        float(np.mean([getattr(one, name) for one in measured])) for name in ("covered", "low_covered")
+    )
+    print(f"{len(measured)} edges: the band holds {100 * covered:.1f} %, at low frequencies {100 * low:.1f} %")
+    is_biased = any(abs(one.bias) > 0.005 + 4 * one.bias_error for one in measured)
+    has_width = all(one.least_width > 1e-6 for one in measured)
     return int(is_biased or not has_width or not 0.93 <= covered <= 0.97)
 
 
