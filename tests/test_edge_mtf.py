@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from edges import diffraction, edge_image, gaussian, true_mtf
-from scipy.ndimage import convolve, uniform_filter
+from scipy.ndimage import uniform_filter
 from scipy.special import ndtr
 
 import todframes as tod
@@ -174,31 +174,6 @@ def test_dead_pixels_on_the_edge_change_nothing_that_noise_would_not():
     changed = np.abs(found.mtf - alive.mtf)[to_nyquist]
     assert (changed < 0.125 * (alive.upper - alive.lower)[to_nyquist]).all()
     assert found.noise_sd == pytest.approx(alive.noise_sd, rel=0.01)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "kernel",
-    [
-        np.full((3, 3), 1 / 3),
-        # Interpolation of one of two pixels, as in a mosaic of colours.
-        np.array([[0.0, 0.35, 0.0], [0.35, 0.71, 0.35], [0.0, 0.35, 0.0]]),
-    ],
-    ids=["smoothed", "interpolated"],
-)
-def test_the_band_knows_of_noise_that_neighbours_share(kernel):
-    """Coverage below 0.19 cycles/pixel, where such noise does up to three times as much as independent noise."""
-    optics = gaussian(0.6)
-    image = edge_image((100, 72), 4.0, optics)
-    truth = true_mtf(FREQUENCY_CYC_PER_PIXEL[1:13], optics, 4.0)
-    held = []
-    for number in range(24):
-        noise = convolve(np.random.default_rng([9, number]).normal(0.0, 0.012, image.shape), kernel)
-        found = measure_edge(image + noise, whole(image))
-        held.append((found.lower[1:13] <= truth) & (truth <= found.upper[1:13]))
-    # Some 24 x 3 independent values: a standard error of 0.026. With weights that fall with the lag it is 0.81 and
-    # 0.87.
-    assert np.mean(held) > 0.89
 
 
 def test_a_saturated_edge_and_a_box_outside_are_one_line(tmp_path, capsys):

@@ -349,16 +349,6 @@ def test_answers_that_say_nothing_are_flagged_and_their_trials_shown_again(datas
     assert sum(counts[:, 2].sum() for _, counts in read_counts(count_file(out, "P1"))) == 1
 
 
-def test_flagged_answers_count_where_they_are_asked_for(dataset, out):
-    design = SessionDesign(trials=4, practice=0, seed=5, include_flagged=True)
-    with begun(dataset, out, subject="P1", design=design) as sitting:
-        for _ in range(4):
-            said = sitting.answer(sitting.trial()["number"], Orientation.UP, 5.0)
-    assert (said["step"], len(said["summary"])) == ("done", 1)
-    assert sum(counts[:, 2].sum() for _, counts in read_counts(count_file(out, "P1"))) == 4
-    assert {row.flag for row in sitting.rows} == {"too_fast"}
-
-
 def test_a_session_that_was_stopped_stays_and_goes_on_only_if_it_is_named(dataset, out):
     with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
         with pytest.raises(StepError, match="at the step consent, which cannot be stopped"):
