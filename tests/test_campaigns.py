@@ -39,6 +39,7 @@ def campaign(script: str, *arguments: object) -> tuple[int, str, str]:
         ("kills.py 1 --long 160", "kills: 1 of the client"),
         ("slanted.py 40 --only gaussian_0.8,_5", "1 edges: the band holds 9"),
         ("slanted.py 40 --only gaussian_0.8,_5 --shared interpolated", "1 edges: the band holds 9"),
+        ("slanted.py 40 --only gaussian_0.8,_5 --shared smoothed", "1 edges: the band holds 9"),
         ("backdrops.py clean 8 --seed 2", "0 of 8 good datasets have a warning"),
         ("backgrounds.py 40 --only 8_scenes,_effects_differ", "of 40 ratios cover"),
         ("coverage.py 400", "'covered': 0.9"),
