@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+from functools import cache
+
 import numpy as np
 import pytest
 from edges import diffraction, edge_image, gaussian, true_mtf
@@ -9,12 +13,19 @@ from scipy.optimize import brentq
 
 import sensor_sim as ss
 import todframes as tod
+from sensor_sim.limits.ideal_camera import ideal_camera_of
+from todframes.base.errors import SettingsError
+from todframes.observers.interface import described
 
 SINC_10 = brentq(lambda f: np.sinc(f) - 0.1, 0.5, 1.0)
 """Frequency in cycles/pixel at which a square pixel alone passes 10 %."""
 
 LENS_10 = brentq(lambda f: float(diffraction(1.0).mtf(f)) - 0.1, 0.5, 1.0)
 """The same of a lens alone, in units of its cut-off."""
+
+
+STAR_LIKE = ss.load_sensor("sample_frames/star_like.toml")
+OBSERVER = described("pyramid", lambda: 50.0)[0]
 
 
 @pytest.mark.parametrize("sigma_px", [0.7, 0.4])
@@ -50,18 +61,11 @@ def test_a_pattern_at_mtf10_beyond_nyquist_appears_where_it_is_said():
     assert found.mtf10_cyc_per_mrad == pytest.approx(SINC_10 / 0.2, rel=1e-4)
 
 
-def ideal(*, pitch_mrad: float, aperture_mm: float = 1e5, width_mrad: float | None = None) -> ss.Sensor:
-    display = ss.SensorDisplay(
-        pixels_per_detector=6,
-        pixel_pitch_mm=0.25,
-        viewing_distance_mm=350.0,
-        blur_sigma_px=2.0,
-        background_luminance_cd_m2=50.0,
-    )
+def ideal(*, pitch_mrad: float, width_mrad: float | None = None, aperture_mm: float = 1e5) -> ss.Sensor:
     return ss.Sensor(
         optics=ss.Optics(aperture_mm=aperture_mm, wavelength_um=1.0),
-        detector=ss.Detector(pitch_mrad=pitch_mrad, width_mrad=pitch_mrad if width_mrad is None else width_mrad),
-        display=display,
+        detector=ss.Detector(pitch_mrad=pitch_mrad, width_mrad=width_mrad or pitch_mrad),
+        display=STAR_LIKE.display,
     )
 
 
@@ -94,3 +98,53 @@ def test_a_table_has_the_numbers_that_it_can(tmp_path, unit, rows, expected):
     assert numbers == tuple(one if one is None else pytest.approx(one) for one in expected)
     assert found.effective_width_px is None and found.mtf10_ci95 is None
     assert any("effective" in one for one in result.sentences()) is (expected[1] is not None)
+
+
+@cache
+def acuity(sensor, seed=1):
+    return ideal_camera_of(sensor, OBSERVER, p_correct=0.75, seed=seed)
+
+
+def test_acuity_is_that_of_a_line_through_many_sizes():
+    """The page on the paper has 3.11 ± 0.02 detectors, with finer lattices and nine sizes about the acuity."""
+    found, other = acuity(STAR_LIKE), acuity(STAR_LIKE, seed=2)
+    assert found.size_detectors == pytest.approx(3.11, rel=0.01 + 0.02 / 3.11)  # waves, and its error
+    largest = math.hypot(found.ideal_pitch_error_mrad, other.ideal_pitch_error_mrad)
+    assert abs(other.ideal_pitch_mrad - found.ideal_pitch_mrad) < largest
+    assert "a pitch of 0.0757 ± 0.001 mrad: 100 pixels are 90 effective" in found.sentence()
+
+
+def test_all_is_the_same_in_detectors():
+    """The ideal camera is itself at any pitch; optics and detectors twice as wide change nothing."""
+    for pitch_mrad in (0.01, 3.0):
+        itself = acuity(ideal(pitch_mrad=pitch_mrad))
+        assert itself.ideal_pitch_mrad == pytest.approx(pitch_mrad, rel=1e-4)  # lenses differ at 1e5 mm
+    optics = replace(STAR_LIKE.optics, aperture_mm=110.0, blur_sigma_mrad=0.02)
+    twice = acuity(replace(STAR_LIKE, optics=optics, detector=ss.Detector(pitch_mrad=0.1362, width_mrad=0.1362)))
+    assert twice.effective_share == pytest.approx(acuity(STAR_LIKE).effective_share, rel=1e-6)
+    assert twice.ideal_pitch_mrad == pytest.approx(2.0 * acuity(STAR_LIKE).ideal_pitch_mrad, rel=1e-6)
+
+
+def test_an_ideal_camera_of_the_stated_pitch_has_the_acuity_of_the_sensor():
+    soft = acuity(replace(STAR_LIKE, optics=replace(STAR_LIKE.optics, blur_sigma_mrad=0.06)))
+    assert soft.effective_share < 0.5
+    coarse = acuity(ideal(pitch_mrad=soft.ideal_pitch_mrad))
+    assert coarse.size_mrad == pytest.approx(soft.size_mrad, rel=1e-3)  # twice the precision of the roots
+
+
+def test_effective_pixels_go_with_the_light():
+    camera = ss.Sensor(
+        optics=ss.Optics(f_number=2.0, focal_length_mm=8.0, wavelength_um=0.55),
+        detector=ss.Detector(pitch_um=5.6),
+        display=STAR_LIKE.display,
+        photons=ss.PhotonNoise(quantum_efficiency=0.5, dark_noise_electrons=10.0, exposure_ms=20.0),
+        scene=ss.Scene(luminance_cd_m2=1.0),
+    )
+    bright, dim, dark = (acuity(replace(camera, scene=ss.Scene(luminance_cd_m2=one))) for one in (1.0, 0.1, 1e-4))
+    assert dim.effective_share < 0.9 * bright.effective_share
+    assert dark is None  # contrast 1 is recognised at no size
+
+
+def test_advice_refuses_a_criterion_of_guesses():
+    with pytest.raises(SettingsError, match=r"p_correct: found 0\.2, expected"):
+        ss.advise("sample_frames/star_like.toml", p_correct=0.2)

@@ -138,6 +138,7 @@ def test_what_a_tenth_more_buys_follows_closed_forms(photon_camera):
         assert photon[key] == pytest.approx(photon["scene.luminance_cd_m2"], abs=1e-6)
     assert advice.internal + advice.detector + advice.sampling == pytest.approx(1.0)
     assert "buys most" in advice.data.sentences()[-1]
+    assert advice.data.ideal_camera.sentence() in advice.data.sentences()
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Advice before a curve: what limits a sensor, the sizes worth asking for, and which number of it buys most."""
+"""Advice before a curve: what limits a sensor, sizes worth asking for, its acuity, and which number buys most."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from msgspec import Struct, structs
 
 from sensor_sim.chain.sensor import Sensor, part_of, sensor_of, sensor_settings
+from sensor_sim.limits.ideal_camera import IdealCamera, ideal_camera_of
 from sensor_sim.limits.varied import find_varied, threshold_of
 from sensor_sim.sweeps.designs import FILL_FACTOR, numeric_keys
 from sensor_sim.thresholds.curve import thresholds_at
@@ -77,6 +78,8 @@ class SensorAdvice(Content, frozen=True, kw_only=True):
         Size for which the gains hold.
     gains : tuple of Gain
         The numbers of the sensor, the one that changes most first.
+    ideal_camera : IdealCamera or None
+        The acuity, and the ideal camera with the same; None if no size is recognised.
     """
 
     sensor: str
@@ -88,6 +91,7 @@ class SensorAdvice(Content, frozen=True, kw_only=True):
     sizes_mrad: tuple[float, ...]
     size_detectors: float
     gains: tuple[Gain, ...]
+    ideal_camera: IdealCamera | None = None
 
     @property
     def name(self) -> str:
@@ -112,6 +116,7 @@ class SensorAdvice(Content, frozen=True, kw_only=True):
         angles = f"{plain(self.sizes_mrad[0])} to {plain(self.sizes_mrad[-1])} mrad at the camera"
         sizes = listed(f"{size:g}" for size in self.sizes_detectors)
         found = [self.limits, f"Sizes worth asking for: {sizes} detectors ({angles})."]
+        found += [] if self.ideal_camera is None else [self.ideal_camera.sentence()]
         most = next((gain for gain in self.gains if gain.key not in NOT_FOR_SALE), None)
         if most is not None and abs(most.change_percent) > most.error_percent:
             way, change = "more" if most.change_percent < 0.0 else "less", plain(abs(most.change_percent), 2)
@@ -209,6 +214,7 @@ def advise(
         sizes_mrad=tuple(size * sensor.detector.pitch_mrad for size in worth_asking),
         size_detectors=middle,
         gains=_gains(sensor, judge, middle, progress, asked),
+        ideal_camera=ideal_camera_of(sensor, judge, p_correct=p_correct, seed=seed),
     )
 
 

@@ -1,0 +1,106 @@
+"""The ideal camera with the acuity of a sensor: square detectors side by side, without other blur and noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from msgspec import Struct
+
+from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor
+from sensor_sim.limits.crossing import Crossing, Try, find_crossing
+from sensor_sim.limits.varied import LARGEST_DETECTORS, OWN_DETECTORS, SMALLEST_DETECTORS
+from sensor_sim.thresholds.curve_plan import coarse_plan
+from sensor_sim.thresholds.predict import FoldedChain
+from todframes.observers.interface import Observer
+from todframes.results.wording import plain
+from todframes.scoring.error_budget import half_width_95
+
+SHARP_CUT_OFF = 1e4
+"""Cut-off of the ideal optics in cycles per detector: they pass more than 0.9995 of 3 cycles per detector."""
+
+WAVES = 0.01
+"""Largest relative error because the proportion correct rises with the size in waves, as the edges of the triangle
+pass those of detectors."""
+
+
+class IdealCamera(Struct, frozen=True, kw_only=True):
+    """The ideal camera with the acuity of a sensor, on the same display.
+
+    Attributes
+    ----------
+    size_detectors, size_mrad : float
+        Smallest size that is recognised: without detector noise, or at contrast 1 in the light of the scene.
+    ideal_size_detectors : float
+        That of the ideal camera, in its own detectors, whatever their pitch.
+    ideal_pitch_mrad, ideal_pitch_error_mrad : float
+        Pitch of the ideal camera with the acuity of the sensor, and half of its 95 % interval.
+    effective_share : float
+        Pitch of the sensor over that pitch: the effective pixels among its pixels, along a line.
+    """
+
+    size_detectors: float
+    size_mrad: float
+    ideal_size_detectors: float
+    ideal_pitch_mrad: float
+    ideal_pitch_error_mrad: float
+    effective_share: float
+
+    def sentence(self) -> str:
+        """Return the acuity and the ideal camera in words."""
+        size = f"{plain(self.size_detectors, 3)} detectors or {plain(self.size_mrad, 3)} mrad"
+        pitch = f"{plain(self.ideal_pitch_mrad, 3)} ± {plain(self.ideal_pitch_error_mrad, 1)} mrad"
+        effective = f"100 pixels are {100.0 * self.effective_share:.0f} effective"
+        return f"The acuity, {size}, is that of an ideal camera with a pitch of {pitch}: {effective}."
+
+
+def idealised(sensor: Sensor) -> Sensor:
+    """Return the ideal camera of the same pitch and display."""
+    pitch_mrad = sensor.detector.pitch_mrad
+    return replace(
+        sensor,
+        optics=Optics(aperture_mm=SHARP_CUT_OFF / pitch_mrad, wavelength_um=1.0),
+        detector=Detector(pitch_mrad=pitch_mrad, width_mrad=pitch_mrad),
+        electronics=Electronics(),
+        noise=Noise(),
+        motion=None,
+        photons=None,
+        scene=None,
+    )
+
+
+def ideal_camera_of(sensor: Sensor, observer: Observer, *, p_correct: float, seed: int) -> IdealCamera | None:
+    """Return the ideal camera with the acuity of a sensor; None if no size is recognised.
+
+    A display shows the detectors of all pitches at the same angle, so an ideal camera has the same acuity in
+    detectors at any pitch: the pitch follows from the ratio.
+    """
+    own, ideal = (_acuity(one, observer, p_correct, seed) for one in (sensor, idealised(sensor)))
+    if own.value is None or ideal.value is None:
+        return None
+    errors = [(one.error or 0.0) / one.value for one in (own, ideal) if one.value is not None]
+    pitch_mrad, share = sensor.detector.pitch_mrad, ideal.value / own.value
+    return IdealCamera(
+        size_detectors=own.value,
+        size_mrad=own.value * pitch_mrad,
+        ideal_size_detectors=ideal.value,
+        ideal_pitch_mrad=pitch_mrad / share,
+        ideal_pitch_error_mrad=math.hypot(*errors, WAVES, WAVES) * pitch_mrad / share,
+        effective_share=share,
+    )
+
+
+def _acuity(sensor: Sensor, observer: Observer, p_correct: float, seed: int) -> Crossing:
+    """Find the size in detectors at which a triangle is just recognised, without noise or at contrast 1."""
+
+    def at_size(size: float) -> Try:
+        chain = FoldedChain(sensor, observer, size, coarse_plan(sensor, observer, size))
+        level = chain.largest_level if sensor.photons is None else min(1.0, chain.largest_level)
+        values = np.array(
+            [chain.proportion_correct(one, level) for one in chain.replicates(chain.lattices[1], seed)]
+        )
+        return Try(size, p_correct - float(values.mean()), half_width_95(values), None)
+
+    low, high = SMALLEST_DETECTORS, LARGEST_DETECTORS
+    return find_crossing(at_size, OWN_DETECTORS, low=low, high=high, larger_is_better=True)
