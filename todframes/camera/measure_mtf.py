@@ -474,13 +474,11 @@ def _result(
     numbers = {
         "source": source,
         "unit": table.unit,
-        "frequency": frequency.tolist(),
-        "mtf": mtf.tolist(),
-        "mtf_lower": None if band is None else band[0].tolist(),
-        "mtf_upper": None if band is None else band[1].tolist(),
-        "others": {
-            name.removeprefix("mtf_"): curve.tolist() for name, curve in table.curves.items() if name != RADIAL
-        },
+        "frequency": frequency,
+        "mtf": mtf,
+        "mtf_lower": table.lower,
+        "mtf_upper": table.upper,
+        "others": {name.removeprefix("mtf_"): one for name, one in table.curves.items() if name != RADIAL},
         "mtf50": falls_to(0.5, frequency, mtf),
         "mtf50_ci95": None if band is None else [falls_to(0.5, frequency, end) for end in band],
         "mtf10": resolution.mtf10,

@@ -71,6 +71,9 @@ Gains = Mapping[tuple[float | str, ...], float]
 MOST_GROUPS, MOST_ALGORITHMS = 2, 6
 """Largest numbers of groups and algorithms of the examples."""
 
+SAME_QUALITY = {"psnr": 0.1, "ssim": 0.005}
+"""Changes of PSNR in dB, and of SSIM, that count as none up to that."""
+
 
 class AlgorithmResult(NamedTuple):
     """An algorithm, the scores of all trials after it, and their comparison with those of the reference."""
@@ -98,15 +101,11 @@ def compare_observers(
     """Show every trial to observers as it is and after each algorithm, and compare the thresholds of each.
 
     Frames are decoded and enhanced once for all observers, which look at the same point of the triangle, and for
-    all their gazes, by default that of the dataset. Comes back for each gaze of each observer: one result for each
-    algorithm, the reference, `none`, first. The default screen is the dataset's display with a white of 1, without
-    clipping. Other parameters are those of `score_dataset`; all algorithms have one plan, made from frames before
-    and after enhancement. With the same plan, one observer and one gaze, the scores and fits of the reference are
-    those of `score_dataset`, number for number.
-
-    Raises FrameError or DataError if a row or frame is bad, or an algorithm fails on a frame; if bad frames are
-    skipped, the trial is skipped for all algorithms instead. Raises SettingsError if an algorithm is given twice,
-    there are no resamples, a setting does not suit the observer, or observers look at different points.
+    all their gazes, by default that of the dataset. For each gaze of each observer comes back a result for each
+    algorithm, the reference, `none`, first. The default screen is the dataset's display with a white of 1. Other
+    parameters, and errors, are those of `score_dataset`; all algorithms have one plan, made from frames before and
+    after enhancement, and a trial that is skipped is skipped for all. With the same plan, one observer and one
+    gaze, the scores and fits of the reference are those of `score_dataset`, number for number.
     """
     if len({observer.centre for observer in observers}) > 1:
         centres = ", ".join(observer.centre for observer in observers)
@@ -154,7 +153,7 @@ def compare_observers(
             screen,
             sorted(measured),
             gazes,
-            _parts(plans[1:]),
+            [(plan.observer, plan.whole_frames, sorted(map(repr, plan.stimuli.items()))) for plan in plans[1:]],
             repeated.fingerprint,
         ),
         with_references=True,
@@ -189,11 +188,6 @@ def parts_of(algorithms: Sequence[Enhancement]) -> list[object]:
     return [(algorithm.spec, algorithm.function, dict(algorithm.values)) for algorithm in algorithms]
 
 
-def _parts(plans: Sequence[ScorePlan]) -> list[object]:
-    """Return what the scores of further observers and gazes depend on; nothing if there are none."""
-    return [(plan.observer, plan.whole_frames, sorted(map(repr, plan.stimuli.items()))) for plan in plans]
-
-
 def _records(
     dataset: Dataset,
     algorithms: Sequence[Enhancement],
@@ -207,15 +201,25 @@ def _records(
     """Yield the records of algorithms as one observer judges them, the reference first."""
     scenes, names = scored[0].trials.scene_numbers, [algorithm.name for algorithm in algorithms]
     black, white = screen.luminance_range
-    psnr_before: float | None = None
-    ssim_before: float | None = None
+    before: dict[str, float | None] = {}
     for k, (algorithm, own, of_algorithm) in enumerate(zip(algorithms, scored, ratios, strict=True)):
         columns = np.reshape(measured[k], (-1, len(FrameMeasurements._fields))).T
         errors, ssims, edges, clipped, cpu_s, memory = (column[~np.isnan(column)] for column in columns)
-        psnr, ssim = _psnr_db(_mean(errors), data_range=white - black), _mean(ssims)
-        if not k:
-            psnr_before, ssim_before = psnr, ssim
-        changes = {"psnr": _difference(psnr, psnr_before), "ssim": _difference(ssim, ssim_before)}
+        error, ssim, cpu_mean_s = (
+            math.fsum(one) / len(one) if len(one) else None for one in (errors, ssims, cpu_s)
+        )
+        psnr = 10.0 * math.log10((white - black) ** 2 / error) if error else None
+        quality = {"psnr": psnr, "ssim": ssim}
+        before = before or quality
+        changes = {
+            name: after - reference
+            for (name, after), reference in zip(quality.items(), before.values(), strict=True)
+            if after is not None and reference is not None
+        }
+        opinions = {
+            name: NO_DIFFERENCE if abs(change) < SAME_QUALITY[name] else "better" if change > 0 else "worse"
+            for name, change in changes.items()
+        }
         verdict = of_algorithm[-1].verdict if of_algorithm else None
         yield Algorithm(
             name=algorithm.name if names.count(algorithm.name) == 1 else algorithm.spec,
@@ -236,32 +240,17 @@ def _records(
             ),
             n_scenes=None if scenes is None else int(scenes.max()) + 1,
             psnr_db=psnr,
-            psnr_change_db=changes["psnr"],
+            psnr_change_db=changes.get("psnr"),
             ssim=ssim,
-            ssim_change=changes["ssim"],
-            disagrees=() if verdict is None else _disagreeing(changes, verdict),
+            ssim_change=changes.get("ssim"),
+            disagrees=tuple(name for name, one in opinions.items() if one != verdict) if verdict else (),
             edge_factor=float(np.median(edges)),
             repeat_difference=repeated.differences[algorithm.spec],
             n_clipped=int(clipped.sum()),
             cpu_s=round(math.fsum(cpu_s), 4),
-            cpu_ms_per_frame=round(1e3 * (_mean(cpu_s) or 0.0), 3),
+            cpu_ms_per_frame=round(1e3 * (cpu_mean_s or 0.0), 3),
             memory_mb=round(float(memory.max()), 1) if memory.size else None,
         )
-
-
-def _difference(value: float | None, reference: float | None) -> float | None:
-    return None if value is None or reference is None else value - reference
-
-
-def _disagreeing(changes: Mapping[str, float | None], verdict: str) -> tuple[str, ...]:
-    """List those of PSNR and SSIM that contradict the observer's verdict."""
-    steps = {"psnr": 0.1, "ssim": 0.005}  # Up to these changes of PSNR and SSIM there is none.
-    opinions = {
-        name: NO_DIFFERENCE if abs(change) < steps[name] else "better" if change > 0 else "worse"
-        for name, change in changes.items()
-        if change is not None
-    }
-    return tuple(name for name, opinion in opinions.items() if opinion != verdict)
 
 
 class _SeenTrial(NamedTuple):
@@ -438,17 +427,6 @@ def _beyond(
 def _of_gain(gain: float, draws: Sequence[RatioDraws]) -> dict[str, Any]:
     ratio = threshold_ratio(draws)
     return {"contrast_gain": gain, "beyond_gain": ratio.ratio, "beyond_gain_ci95": ratio.ratio_ci95}
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    return math.fsum(values) / len(values) if len(values) else None
-
-
-def _psnr_db(squared_error: float | None, *, data_range: float) -> float | None:
-    """Convert a mean squared error to a peak signal-to-noise ratio in dB; None if the error is 0 or not known."""
-    if not squared_error:
-        return None
-    return 10.0 * math.log10(data_range**2 / squared_error)
 
 
 def compare_examples(

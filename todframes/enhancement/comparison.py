@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -282,12 +282,14 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
 
     def findings(self) -> list[str]:
         """Return a sentence for each algorithm, as stored when the result was made."""
-        verdict = [self.verdict] if isinstance(self.verdict, str) else list(map(str, self.verdict))
-        return verdict or super().findings()
+        return self._verdicts() or super().findings()
 
     def printed(self) -> list[str]:
         """Return the verdicts and the cautions."""
-        return [*([self.verdict] if isinstance(self.verdict, str) else self.verdict), *self.cautions()]
+        return [*self._verdicts(), *self.cautions()]
+
+    def _verdicts(self) -> list[str]:
+        return [self.verdict] if isinstance(self.verdict, str) else list(map(str, self.verdict))
 
     def notes(self) -> list[str]:
         """Return what was skipped, and how many values an algorithm clipped."""
@@ -542,7 +544,7 @@ def _beyond_gain(one: Algorithm, ratio: Ratio) -> list[str]:
     """
     if ratio.verdict not in ("better", "mixed") or ratio.beyond_gain is None or ratio.beyond_gain_ci95 is None:
         return []
-    if not_proportional([one]):
+    if any(not_proportional([one])):
         return [
             "Whether it does more than amplify stays open: its contrast gain near the threshold is not that at "
             "the highest level"
@@ -575,12 +577,11 @@ def _signed(value: float | None, form: str) -> str:
     return f"{value or 0.0:+{form}}".replace("-", "−")
 
 
-def not_proportional(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:
-    """Return a warning where an algorithm's gain of contrast is another at threshold than at the highest level.
+def not_proportional(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]:
+    """Yield a warning where an algorithm's gain of contrast is another at threshold than at the highest level.
 
     A comparison with a plain gain, which has the gain of the highest level, then compares with a wrong one.
     """
-    found = []
     for one in algorithms:
         for fit, response, ratio in zip(one.fits, one.contrast_responses, one.ratios, strict=False):
             points = [point for point in response.points if point.gain is not None and point.gain > 0.0]
@@ -599,13 +600,13 @@ def not_proportional(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ..
                 "which takes the latter, does not hold; see the table of the contrast before and after"
             )
             group = {"algorithm": one.name} | fit.group
-            found.append(_warning("not_proportional", group, message, near.gain, top.gain))
-    return tuple(found)
+            yield ResultWarning(
+                code="not_proportional", group=group, message=message, found=near.gain, expected=top.gain
+            )
 
 
-def edge_brightness(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:
-    """Return a warning for each algorithm that makes the edge of frames brighter or darker than the background."""
-    found = []
+def edge_brightness(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]:
+    """Yield a warning for each algorithm that makes the edge of frames brighter or darker than the background."""
     for one in algorithms:
         if one.edge_factor is not None and abs(one.edge_factor - 1.0) > 0.02:
             kind = "brighter" if one.edge_factor > 1.0 else "darker"
@@ -615,13 +616,14 @@ def edge_brightness(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...
                 "beyond the frame as black. Contrast refers to what surrounds the triangle. If triangles lie near "
                 "the edge, take larger frames, or let the algorithm mirror them"
             )
-            found.append(_warning("edge_brightness", {"algorithm": one.name}, message, one.edge_factor, 1.0))
-    return tuple(found)
+            group: Group = {"algorithm": one.name}
+            yield ResultWarning(
+                code="edge_brightness", group=group, message=message, found=one.edge_factor, expected=1.0
+            )
 
 
-def not_repeatable(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]:
-    """Return a warning for each algorithm that gave different pictures of the same frame."""
-    found = []
+def not_repeatable(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]:
+    """Yield a warning for each algorithm that gave different pictures of the same frame."""
     for one in algorithms:
         if one.repeat_difference:
             message = (
@@ -630,9 +632,7 @@ def not_repeatable(algorithms: Sequence[Algorithm]) -> tuple[ResultWarning, ...]
                 "ratio holds for this run alone. Give it a fixed seed, declare it with clip if it needs earlier "
                 "frames, and leave its files as they are"
             )
-            found.append(_warning("not_repeatable", {"algorithm": one.name}, message, one.repeat_difference, 0.0))
-    return tuple(found)
-
-
-def _warning(code: str, group: Group, message: str, found: float | None, expected: float | None) -> ResultWarning:
-    return ResultWarning(code=code, group=group, message=message, found=found, expected=expected)
+            group: Group = {"algorithm": one.name}
+            yield ResultWarning(
+                code="not_repeatable", group=group, message=message, found=one.repeat_difference, expected=0.0
+            )

@@ -71,12 +71,10 @@ class AlgorithmDisplay:
 class EnhancedImage:
     """The picture that a display shows of a frame after an algorithm.
 
-    `values`, (rows, columns, channels), are code values of `display`; of an algorithm of luminance they are cd/m²
-    on a display that shows them as they are. There are `magnification` pixels for one of the frame along each
-    axis. `n_clipped` is the number of values beyond the display's range, `cpu_s` the algorithm's own processor
-    time in seconds, and `memory_mb` the memory that it needed, None if it was not measured. `still` are pictures
-    before and after an algorithm of clips that show how it changes the background; None: the frame and this
-    picture.
+    `values`, (rows, columns, channels), are code values of `display`, with `magnification` pixels for one of the
+    frame along each axis. `n_clipped` is the number of values beyond the display's range, `cpu_s` the algorithm's
+    own processor time, and `memory_mb` the memory that it needed, None if not measured. `still` are pictures
+    before and after an algorithm of clips that show how it changes the background; None: frame and picture.
     """
 
     display: Display
@@ -239,8 +237,7 @@ class DecodedFrame:
 class FrameMeasurements(NamedTuple):
     """The measurements of a frame after an algorithm; others are those of `EnhancedImage` and `looked_at`.
 
-    `squared_error`, in (cd/m²)², and `ssim` compare the displayed luminance with the frame without noise; None if
-    there is none with as many pixels.
+    `squared_error`, in (cd/m²)², and `ssim` compare it with the frame without noise, None without that.
     """
 
     squared_error: float | None

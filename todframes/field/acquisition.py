@@ -14,17 +14,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from msgspec import Struct, structs
 from numpy.typing import ArrayLike
 
-from todframes.base._typing import FloatArray
+from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.field.atmosphere import Atmosphere
 from todframes.field.target import Target
 from todframes.field.threshold_curve import ThresholdCurve
+from todframes.results.data import as_read
 
 Road = Literal["tod", "cycles"]
 
@@ -204,7 +205,9 @@ class Acquisition:
         if end <= knots[0]:
             is_seen = self.ln_contrast(end) >= ln_threshold[:, 0]
             return np.where(is_seen, np.inf, 0.0), float(knots[0]), end
-        first = self._first_crossing(knots, ln_threshold, _divided(knots[knots < end], end))
+        edges = np.append(knots[knots < end], end)
+        cells = np.linspace(edges[:-1], edges[1:], CELLS, endpoint=False, axis=1)
+        first = self._first_crossing(knots, ln_threshold, np.append(cells.ravel(), end))
         if np.isfinite(first[0]) and first[0] > 0.0:
             from scipy.optimize import brentq
 
@@ -379,10 +382,9 @@ def _task_curve(
     limited_by: tuple[Limit, ...],
 ) -> TaskCurve:
     """Return the record of a probability and the ends of its band."""
-    numbers = dict(zip(("probability", "low", "high"), probability, strict=True))
-    numbers |= {"range_km": ranges, "bound": bound}
-    known: Any = {name: None if one is None else tuple(one.tolist()) for name, one in numbers.items()}
-    return TaskCurve(task=task, limited_by=limited_by, **known)
+    numbers: Json = dict(zip(("probability", "low", "high"), probability, strict=True))
+    numbers |= {"task": task, "range_km": ranges, "bound": bound, "limited_by": limited_by}
+    return as_read(numbers, TaskCurve)
 
 
 def _on_curve(range_km: float) -> float | None:
@@ -398,13 +400,6 @@ def _weights(knots: FloatArray, points: FloatArray) -> FloatArray:
     weights[cell - 1, columns] = 1.0 - share
     weights[cell, columns] = share
     return weights
-
-
-def _divided(knots: FloatArray, end: float) -> FloatArray:
-    """Return ranges from the first knot to the end, with `CELLS` cells between two of them."""
-    edges = np.append(knots, end)
-    cells = np.linspace(edges[:-1], edges[1:], CELLS, endpoint=False, axis=1)
-    return np.append(cells.ravel(), end)
 
 
 def acquire(

@@ -457,22 +457,16 @@ def acquisition_range(
     acquired = acquire(curve, aim, air, rng=np.random.default_rng(seed))
     curve, needed = acquired.curve, np.exp(acquired.threshold_curves())
     against_k = acquired.against_k() if acquired.road == "tod" else ()
-    band = None if curve.ln_sd is None else np.quantile(needed[1:], (0.025, 0.975), axis=0).tolist()
     numbers: Json = {
         "road": acquired.road,
         "equation": EQUATIONS[acquired.road],
         "target": aim,
         "atmosphere": air,
-        "curve": {
-            "name": curve.name,
-            "pattern": curve.pattern,
-            "quantity": curve.quantity,
-            "per_mrad": curve.per_mrad.tolist(),
-            "threshold": curve.threshold.tolist(),
-            "ln_threshold_sd": None if curve.ln_sd is None else curve.ln_sd.tolist(),
-            "p_correct": curve.p_correct,
-            "needed": needed[0].tolist(),
-            "needed_ci95": band,
+        "curve": {name: getattr(curve, name) for name in CurveNumbers.__struct_fields__ if hasattr(curve, name)}
+        | {
+            "ln_threshold_sd": curve.ln_sd,
+            "needed": needed[0],
+            "needed_ci95": None if curve.ln_sd is None else np.quantile(needed[1:], (0.025, 0.975), axis=0),
         },
         "criteria": acquired.criteria,
         "r46_distance_m": aim.r46_distance_m,

@@ -57,15 +57,13 @@ class RecordingReport:
     """The content of a recording: numbers of frames, kept or left out for each reason, and its clips.
 
     `n_without_markers` are frames in which the four markers were not found, or one cannot be read in more than
-    `MOST_TRANSITION` frames in a row; `n_transition` those with markers of two pages or with a share of another
-    page, `n_other_page` those with the chart's key but a page that it does not have, `n_rolled` those turned too
-    far, `n_camera_page` those of a page without triangles. `n_doubled` are equal to the frame before, bit by bit,
-    and kept. `n_off_frame` and `n_cut` count triangles that do not lie on the frame, and windows that its border
-    cuts. `page_duration_s` is the mean time from a page to the next by the times of the frames, None if not
-    regular. `frame_rate_varies`: the intervals between frames are longer without missing frames. `place_error_px`
-    is the standard error of the triangles' places, `size_error` that of their sizes, relative, and `lens` the lens
-    that they were placed through; None for one that bends nothing. `lens_unsolved`: the edges of the markers fit
-    none, an ideal one included.
+    `MOST_TRANSITION` frames in a row; `n_transition` those with markers or a share of two pages, `n_other_page`
+    those with a page that the chart does not have, `n_camera_page` those of a page without triangles. `n_doubled`
+    frames equal the one before and are kept. `n_off_frame` and `n_cut` count triangles off the frame, and windows
+    that its border cuts. `page_duration_s` is the mean time from a page to the next, None if not regular.
+    `place_error_px` is the standard error of the triangles' places, `size_error` that of their sizes, relative,
+    and `lens` that which they were placed through, None if it bends nothing. `lens_unsolved`: the markers' edges
+    fit none.
     """
 
     path: str
@@ -104,11 +102,10 @@ class RecordingReport:
 
 
 class ChartSource:
-    """Source of clips from recordings of a chart: chart.toml, or its folder.
+    """Source of clips from recordings of a chart; arguments are those of `ScheduleSource`.
 
-    `pitch_mrad` is the visual angle of a pixel of the display. Each frame of a clip brings along `warm_up_frames`
-    recorded frames from before it. `corrections` of triangles, by their numbers, are known at the end of a
-    recording. Raises SettingsError if the chart cannot be read or has no markers.
+    `corrections` of triangles, by their numbers, are known at the end of a recording. Raises SettingsError if the
+    chart cannot be read or has no markers.
     """
 
     def __init__(
@@ -180,12 +177,7 @@ class ChartSource:
             report.n_frames += 1
             if frame.time_s is not None:
                 times_s.append(frame.time_s)
-            middle = len(frame.values) // 2  # a row in the middle nearly always differs
-            if (
-                last is not None
-                and np.array_equal(last[middle], frame.values[middle])
-                and np.array_equal(last, frame.values)
-            ):
+            if last is not None and np.array_equal(last, frame.values):
                 report.n_doubled += 1
             else:
                 seen = finder.look(frame.values)
@@ -207,10 +199,10 @@ class ChartSource:
             if not film.runs or film.runs[-1].page != page:
                 film.runs.append(_Run(page, frame.time_s))
             film.charts.append(_SeenChart(film.runs[-1], seen.geometry, seen.edges, self._n_placed, frame.source))
-            sizes_mm = [one.size_mm for one in self.chart.pages[page].triangles]
+            triangles = zip(self.chart.pages[page].triangles, placed, strict=True)
             parts = tuple(
-                self._part(frame.values.shape, one, size_mm, report, number)
-                for number, (size_mm, one) in enumerate(zip(sizes_mm, placed, strict=True), self._n_placed)
+                self._part(frame.values.shape, seen_there, one.size_mm, report, number)
+                for number, (one, seen_there) in enumerate(triangles, self._n_placed)
             )
             self._n_placed += len(placed)
             yield ClipFrame(page, frame.time_s, frame.source, frame.values, parts, seen.modules, before)
@@ -580,8 +572,7 @@ class _Run:
 
 
 class _SeenChart(NamedTuple):
-    """The chart in one frame: its run, its geometry as far as known then, its edges, the number of its first
-    triangle, and the frame's name."""
+    """The chart in one frame, with its geometry as far as known then, and the number of its first triangle."""
 
     run: _Run
     geometry: Geometry
@@ -623,11 +614,10 @@ def _rise_words(shift_mrad: float) -> str:
 
 
 def zoom_begin(centres_mm: FloatArray, geometries: Sequence[Geometry], shape: tuple[int, int]) -> int | None:
-    """Return the number of the first frame in which a lens zooms; None if it does not.
+    """Return the number of the first frame in which a lens zooms; None if it does not, or the chart was moved.
 
     `centres_mm`, (4, 2), are corners of an area on the chart, one after the other; `geometries` are the chart in
-    the frames, in the order of time. None also if the chart has been moved in the frame: its size in the picture
-    then says nothing of the zoom. `shape` are the rows and columns of a frame.
+    the frames, in the order of time; `shape` are the rows and columns of a frame.
     """
     if len(geometries) < 2:
         return None
@@ -650,12 +640,11 @@ def zoom_begin(centres_mm: FloatArray, geometries: Sequence[Geometry], shape: tu
 
 
 def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> float | None:
-    """Return the mean time from the start of a page to that of the next in a film, in seconds.
+    """Return the mean time from the start of a page to that of the next in a film, in seconds, without pauses.
 
-    `starts` are the page and the time in seconds of the first frame of each run of frames that show one page;
-    `frame_s` is the interval from frame to frame, by which each time may be off. None with fewer than
-    `FEWEST_PAGE_CHANGES`, with less than two frames of a page (they may be photographs), or if they are not
-    regular: a person has turned the pages. Single pauses count for nothing.
+    `starts` are the page and the time of the first frame of each run of frames that show one page; `frame_s` is
+    the interval between frames. None with fewer than `FEWEST_PAGE_CHANGES`, with less than two frames of a page
+    (they may be photographs), or if a person has turned the pages.
     """
     steps_s = [after_s - s for (page, s), (after, after_s) in pairwise(starts) if after == page + 1]
     if len(steps_s) < FEWEST_PAGE_CHANGES:
@@ -669,10 +658,9 @@ def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> floa
 
 
 def rate_varies(intervals_s: FloatArray) -> bool:
-    """Return whether the frame rate of a film varies: longer intervals do not come from missing frames alone.
+    """Return whether the frame rate of a film varies.
 
-    Where frames are missing, an interval is a whole multiple of the usual one, and the next one is the usual one
-    again.
+    Where frames are missing, an interval is a whole multiple of the usual one, and the next is the usual again.
     """
     if len(intervals_s) < 8 or not (intervals_s > 0.0).all():
         return False

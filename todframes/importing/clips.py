@@ -43,9 +43,8 @@ class Placed(NamedTuple):
     """A triangle in a recorded frame.
 
     `x_px` and `y_px` are its centroid in the frame, None if it is not known; `size_px` is √(area). `window` are
-    the rows and columns that the observer needs; `held`, those about them in which the window of a trial may lie,
-    since the triangle may move within it. `number` is by what the source knows the place, which it may know better
-    at the end of a recording.
+    the rows and columns that the observer needs; `held`, those in which the window of a trial may lie, since the
+    triangle may move within it. By `number` the source knows the place, perhaps better at a recording's end.
     """
 
     x_px: float | None
@@ -191,10 +190,9 @@ def _without_other(
 def share_of_other(modules: FloatArray, ids: tuple[int, ...], other_ids: tuple[int, ...]) -> float:
     """Estimate the share of another page in a frame, from the modules in which the markers of the two differ.
 
-    `modules`, (4, 7, 7), are the values in those of the four markers; `ids` are the markers of the page that the
-    frame shows, `other_ids` those of the other page. Returns the largest share among the markers, which the change
-    of a display that is read line by line reaches at different times; about 0 for a clean frame, up to what blur
-    spreads from module to module. 0 if the markers are the same.
+    `modules`, (4, 7, 7), are the values in the four markers; `ids` are those of the page that the frame shows.
+    Returns the largest share among the markers, which a display that changes line by line reaches at different
+    times; about 0 for a clean frame. 0 if the markers are the same.
     """
     shares = [0.0]
     for values, marker, other in zip(modules, ids, other_ids, strict=True):
@@ -217,12 +215,11 @@ class TrialEnd(NamedTuple):
 
 
 class Integration:
-    """The division of a clip's frames into trials of the observer's integration time.
+    """The division of a clip's frames into trials of the observer's integration time; without it, of one trial.
 
-    Each frame is shown until the next one. The interval between frames may vary: where it is far from the mean,
-    the latest one counts. Frames are missing where it is longer, by `GAP`, than one of the latest and the mean.
-    Without an integration time a clip is one trial, and so is each still without a time. Without a mean interval
-    from frame to frame, `frame_s`, each frame is a trial if there is an integration time.
+    Each frame is shown until the next one. Where the interval between frames is far from the mean, `frame_s`, the
+    latest one counts. Frames are missing where it is longer, by `GAP`, than one of the latest and the mean.
+    Without a mean interval each frame is a trial if there is an integration time.
     """
 
     def __init__(self, time_s: float | None, frame_s: float | None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -182,12 +182,11 @@ def _values(texts: Mapping[str, str], level: str, where: str) -> dict[str, str]:
     return values
 
 
-def _files(folder: Path, pattern: str) -> Iterator[str]:
-    """Yield the paths of the files that a pattern may mean, relative to the folder: numbers in their order."""
-    fixed = _FIELD.split(pattern)[0].rpartition("/")[0]
-    found = []
-    for parent, folders, files in os.walk(folder / fixed):
+def _files(folder: Path, pattern: str) -> list[str]:
+    """Return the paths of the files that a pattern may mean, relative to the folder: numbers in their order."""
+    found: set[str] = set()
+    for parent, folders, files in os.walk(folder / _FIELD.split(pattern)[0].rpartition("/")[0]):
         folders[:] = [name for name in folders if not name.startswith(".")]
         inside = os.path.relpath(parent, folder)
-        found += [Path(inside, name).as_posix() for name in files if not name.startswith(".")]
-    yield from natural_order(set(found) - {SETTINGS_FILE, MANIFEST_FILE})
+        found |= {Path(inside, name).as_posix() for name in files if not name.startswith(".")}
+    return natural_order(found - {SETTINGS_FILE, MANIFEST_FILE})

@@ -63,11 +63,10 @@ class TrialFrame(NamedTuple):
 class ImportedTrial:
     """Frames of one triangle that the observer integrates, with its places in the windows.
 
-    `window` and `start_px` are the window and the triangle's place in the first frame, `last_window` is that of
-    the last one. `run` is the name of the run of frames without a gap, of one triangle in one window, that the
-    trial is from. The first `n_warm_up` of `frames` are frames of warm-up, which only the first trial of a run
-    has; `places_px`, `sizes_px` and `numbers` are those of the others. `n_before` is the number of frames in the
-    run before the trial.
+    `window` and `start_px` are the window and the triangle's place in the first frame. `run` is the name of the
+    run of frames without a gap, of one triangle in one window. The first `n_warm_up` of `frames` are frames of
+    warm-up, which only the first trial of a run has; `places_px`, `sizes_px` and `numbers` are those of the
+    others. `n_before` is the number of frames in the run before the trial.
     """
 
     name: str
@@ -131,17 +130,14 @@ def merged_sizes(sizes: list[float]) -> list[float]:
 
 
 class TrialDivision:
-    """The division of clips into trials, whose windows are written, also those of trials that turn out not to be
-    whole.
+    """The division of clips into trials of the integration time, without one a trial a clip; windows are written.
 
     All frames of a trial have the same window of the recorded frames, as they have on the display: if the triangle
     moves there within the integration time, the eye sees it blurred, and so does the observer. If it is `steady`,
-    the window follows the triangle by whole pixels instead. Frames of warm-up have the window of the trial's first
-    frame. Without an integration time, each clip is a trial.
+    the window follows the triangle by whole pixels instead.
 
-    `trials` have the whole integration time. `n_moved` counts trials left out since the triangle went farther than
-    a window may, or off the frame, and `n_before` has the number of trials with each number of frames before them
-    in their run.
+    `n_moved` counts trials left out since the triangle went farther than a window may, or off the frame, and
+    `n_before` has the number of trials with each number of frames before them in their run.
     """
 
     def __init__(
@@ -186,9 +182,11 @@ class TrialDivision:
                 self._open = {
                     index: self._begun(clip, frame, index, number) for index in range(len(frame.triangles))
                 }
-                for trial in self._open.values():
-                    if trial is not None and not trial.n_before:
-                        self._warm_up(trial, frame, scale)
+                has_times = all(before.time_s is not None for before in frame.before)
+                for trial in (one for one in self._open.values() if one is not None and not one.n_before):
+                    for k, before in enumerate(frame.before if has_times else ()):
+                        self._add(trial, f"before_{k:03d}", before, trial.window, scale)
+                    trial.n_before = trial.n_warm_up = len(frame.before) if has_times else 0
             for index, placed in enumerate(frame.triangles):
                 self._take(frame, index, placed, scale)
         self._end(clip, integration.is_whole)
@@ -199,8 +197,7 @@ class TrialDivision:
         if placed is None:
             return None
         which = f"_{index + 1}" if len(frame.triangles) > 1 else ""
-        before, n_before = self._before.get(index), 0
-        window = placed.window
+        before, n_before, window = self._before.get(index), 0, placed.window
         # A triangle that lies between two pixels may have a window that differs by one.
         if before is not None and np.abs(np.subtract(before.last_window, window)).max() < MARGIN_PX:
             run, window = before.run, before.last_window
@@ -218,14 +215,6 @@ class TrialDivision:
             start_px=(placed.x_px or 0.0, placed.y_px or 0.0),
             n_before=n_before,
         )
-
-    def _warm_up(self, trial: ImportedTrial, frame: ClipFrame, scale: CodeRange) -> None:
-        """Write the windows of the recorded frames before a trial, its frames of warm-up, if they have times."""
-        if any(before.time_s is None for before in frame.before):
-            return
-        for number, before in enumerate(frame.before):
-            self._add(trial, f"before_{number:03d}", before, trial.window, scale)
-        trial.n_before = trial.n_warm_up = len(frame.before)
 
     def _take(self, frame: ClipFrame, index: int, placed: Placed | None, scale: CodeRange) -> None:
         """Write the window of a triangle, unless its trial has ended early or does now."""

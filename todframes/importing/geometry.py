@@ -23,8 +23,7 @@ class View(NamedTuple):
     """The local geometry of a chart in a frame, about a place on the chart.
 
     `turn_degrees` is the direction in the frame of the chart's upward direction, clockwise from up. `stretch` is
-    the ratio of the largest to the smallest scale among all directions: 1 for a chart seen squarely, and 1 / cos φ
-    for one that is tilted by φ, far away.
+    the ratio of the largest to the smallest scale among all directions: 1 / cos φ for a far chart tilted by φ.
     """
 
     scale_px_per_mm: float
@@ -39,8 +38,7 @@ class Geometry:
 
     `homography`, (3, 3), maps homogeneous chart coordinates in millimetres to pixels of an ideal picture, and
     `lens` these to pixels of the frame; None if they are the same. `residual_px` is the root mean square distance
-    of the points that the homography was fitted to from where it puts them, per degree of freedom; 0 for four
-    points.
+    of the fitted points from where it puts them, per degree of freedom; 0 for four points.
     """
 
     homography: FloatArray
@@ -96,7 +94,7 @@ class Geometry:
             scale_px_per_mm=math.sqrt(abs(determinant)),
             turn_degrees=math.degrees(math.atan2(-b, d)),
             is_mirrored=determinant < 0.0,
-            stretch=stretch_of(self.jacobian(place_mm)),
+            stretch=float(np.linalg.cond(self.jacobian(place_mm))),
         )
 
     def direction_mrad(self, place_mm: ArrayLike, *, middle_px: FloatArray, distance_m: float) -> FloatArray:
@@ -112,25 +110,14 @@ class Geometry:
 
     def lens_stretch(self, place_mm: ArrayLike) -> float:
         """Return the stretch by the lens alone about a place on the chart; 1 for none."""
-        if self.lens is None:
-            return 1.0
-        return stretch_of(self.lens.jacobian(self.ideal_px(place_mm)[None])[0])
-
-
-def stretch_of(jacobian: FloatArray) -> float:
-    """Return the ratio of the largest to the smallest scale of a linear map, shape (2, 2), in any direction."""
-    (a, b), (c, d) = jacobian.tolist()
-    # Singular values of a matrix: the sum and the difference of those of its turning and its mirroring part.
-    turning, mirroring = math.hypot(a + d, c - b) / 2.0, math.hypot(a - d, c + b) / 2.0
-    return (turning + mirroring) / abs(turning - mirroring)
+        lens = self.lens
+        return 1.0 if lens is None else float(np.linalg.cond(lens.jacobian(self.ideal_px(place_mm)[None])[0]))
 
 
 def fit_geometry(places_mm: ArrayLike, places_px: ArrayLike) -> Geometry:
-    """Fit the homography that maps places on a chart to pixels, (n, 2) each, with the least sum of squared
-    distances.
+    """Fit the homography that maps four or more places on a chart to pixels, (n, 2) each, by least squares.
 
-    At least four places are needed, no three of four on a line. Raises DataError if they do not determine a
-    homography.
+    Raises DataError if they do not determine a homography, as three of four on a line do not.
     """
     import cv2
 

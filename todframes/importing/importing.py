@@ -205,7 +205,8 @@ def import_recordings(
         writer = WindowWriter(folder, store, clip=is_clipped)
         division = TrialDivision(source.described, time_s, steady=steady, write=writer)
         for number, (recording, scale) in enumerate(zip(opened, scales, strict=True)):
-            division.take(source.frames(recording, number), scale, _interval_s(recording))
+            rate = recording.frames_per_second
+            division.take(source.frames(recording, number), scale, None if rate is None else 1.0 / rate)
         if not division.trials:
             raise DataError(source.why_nothing() or _why_no_trial(division, source, time_s))
         for trial in division.trials:
@@ -305,11 +306,6 @@ def checked_time(integration_time_s: float | str) -> float | None:
     return time_s
 
 
-def _interval_s(recording: Recording) -> float | None:
-    rate = recording.frames_per_second
-    return None if rate is None else 1.0 / rate
-
-
 def _why_no_trial(division: TrialDivision, source: Source, time_s: float | None) -> str:
     if division.n_moved:
         return "in every trial the triangle moves farther than a window may; hold the camera still"
@@ -341,14 +337,13 @@ def _of_trials(
         )
     if time_s is not None:
         for recording in opened:
-            interval_s = _interval_s(recording)
-            if interval_s is None:
+            if (rate := recording.frames_per_second) is None:
                 yield RecordingWarning(
                     "no_times",
                     f"{recording.path}: has no times, so each frame is a trial of its own; "
                     f"{argument.frames_per_second} or a times.csv in their folder gives them",
                 )
-            elif interval_s > GAP * time_s:
+            elif (interval_s := 1.0 / rate) > GAP * time_s:
                 yield RecordingWarning(
                     "slow_frames",
                     f"{recording.path}: frames are {interval_s:.3g} s apart, more than the integration time of "
@@ -435,8 +430,8 @@ def _of_frames(dataset: Dataset, said: Collection[str]) -> Iterator[RecordingWar
 def _of_time(opened: Sequence[Recording], time_s: float | None) -> Iterator[str]:
     """Yield the time of the trials if whole frames do not make up the integration time."""
     for recording in opened:
-        frame_s = _interval_s(recording)
-        if time_s is None or frame_s is None or frame_s > GAP * time_s:
+        rate = recording.frames_per_second
+        if time_s is None or rate is None or (frame_s := 1.0 / rate) > GAP * time_s:
             continue
         n_frames = max(1, math.ceil(time_s / frame_s - 0.5 - TIME_TOLERANCE))
         if abs(n_frames * frame_s / time_s - 1.0) > 0.1:

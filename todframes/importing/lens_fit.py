@@ -125,11 +125,10 @@ def corner_pieces(corners_mm: FloatArray) -> Pieces:
 class LensFit:
     """A lens, and the geometries of the frames that it was solved from.
 
-    `shown` states which edges each frame shows, (frame, n); all else is 0 for others. `influence` has, for each
-    frame, the pseudo-inverse of its design, (9, n); `left_px` what is left of the edges'
-    distances, (frame, n). `gradients` are the derivatives of the edges by the coefficients, (frame, n, free), and
-    `scores` those that the homographies do not explain; `covariance` is that of the coefficients for edges with an
-    error of 1 px.
+    `shown` states which edges each frame shows, (frame, n); all else is 0 for others. `influence` has the
+    pseudo-inverse of each frame's design, (9, n); `left_px` what is left of the edges' distances, (frame, n).
+    `gradients` are the derivatives of the edges by the coefficients, (frame, n, free), and `scores` those that the
+    homographies do not explain; `covariance` is that of the coefficients for edges with an error of 1 px.
     """
 
     lens: Lens | None
@@ -142,11 +141,6 @@ class LensFit:
     scores: FloatArray
     covariance: FloatArray
     weights: FloatArray
-
-    @property
-    def n_pieces(self) -> int:
-        """Number of edges that a frame shows."""
-        return int(self.shown.any(axis=0).sum())
 
     @property
     def mean_square_px2(self) -> float:
@@ -163,7 +157,7 @@ class LensFit:
     @property
     def criterion(self) -> float:
         """Bayesian information criterion; a coefficient counts as far as the edges determine it."""
-        n_pieces = self.n_pieces
+        n_pieces = int(self.shown.any(axis=0).sum())
         n_determined = self.free - float(np.diagonal(self.covariance) @ self.weights)
         return float(n_pieces) * math.log(self.mean_square_px2) + n_determined * math.log(n_pieces)
 

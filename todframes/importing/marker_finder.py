@@ -111,16 +111,12 @@ class Sighting(NamedTuple):
 
 
 class MarkerFinder:
-    """Finder of a chart's markers in a sequence of frames.
+    """Finder of a chart's markers, by the places of their centres, (n, 2): clockwise corners, then borders.
 
-    `centres_mm`, (n, 2), are the places of the markers' centres on the chart: top left, top right, bottom right,
-    bottom left, then those along the borders.
-
-    `n_searched` counts the frames that were searched whole, and `most_found` is the largest number of corners of
-    the chart of which one frame showed a marker. `misfit_px` is how far markers that were found, with those in all
-    corners, lie off a flat chart behind a lens, if none fits: the least of all frames, root mean square. `key` is
-    that of the chart in the present frame if it was searched and the marker that carries the key was found.
-    Markers of another chart are no sighting where they stand at other places.
+    `n_searched` counts the frames that were searched whole; `most_found` is the largest number of corners with a
+    marker in a frame; `misfit_px` is how far markers in all corners lie off a flat chart behind a lens, if none
+    fits: the least of all frames, root mean square. `key` is that of the chart in the present frame if a search
+    has found the marker that carries it.
     """
 
     def __init__(self, centres_mm: FloatArray, side_mm: float) -> None:
@@ -211,11 +207,15 @@ class MarkerFinder:
     def _search(self, grey: NDArray[np.float32]) -> Sighting | None:
         """Search the whole frame, and its mirror image unless something was found the right way round before.
 
-        Where a lens bends the chart, an edge half a module beside the line on which it is looked for is missed, or
-        another one is taken for it. So the edges are looked for through each lens that the corners may show.
+        Where a lens bends the chart, edges are missed beside the lines on which they are looked for. So they are
+        looked for through each lens that the corners may show.
         """
         self.n_searched += 1
-        eight_bits = _eight_bits(grey)
+        # The range of the values, without the outermost percent, in 8 bits.
+        step = max(1, math.isqrt(grey.size // 50_000))
+        low, high = np.percentile(grey[::step, ::step], [1.0, 99.0])
+        spread = np.float32(255.0 / max(float(high - low), 1e-30))
+        eight_bits = np.clip((grey - low) * spread, 0.0, 255.0).astype(np.uint8)
         for way in self._ways:
             corners = self._detected(eight_bits, *way)
             known = sorted(corners)
@@ -456,7 +456,10 @@ class MarkerEdges:
         inside = turned[..., at.astype(int)].reshape(len(profiles), 4, PIECES, POINTS).mean(axis=3)[..., None]
         middle = PROFILE_STEPS
         rise = (profiles[..., middle + 1] - profiles[..., middle - 1])[..., None] / (white - black)
-        interpolated_px2 = _interpolation_px2(places_px).reshape(*length_px.shape, POINTS, -1).mean(axis=-2)
+        # The variance, along profiles, of the weights of linear interpolation.
+        part, along = places_px % 1.0, places_px[..., [-1], :] - places_px[..., [0], :]
+        interpolated_px2 = (part * (1.0 - part) * along**2).sum(axis=-1) / (along**2).sum(axis=-1)
+        interpolated_px2 = interpolated_px2.reshape(*length_px.shape, POINTS, -1).mean(axis=-2)
         blur_px2 = (np.interp(-rise[..., 0], -RISES, BLURS) * length_px) ** 2 - interpolated_px2[..., middle]
         blur_px2 = np.maximum(float(np.median(blur_px2)) + interpolated_px2, 0.0)
         blur = np.clip(np.sqrt(blur_px2) / length_px[..., None], BLURS[0], BLURS[-1])
@@ -493,13 +496,6 @@ def _profiles(grey: NDArray[np.float32], places_px: FloatArray) -> tuple[FloatAr
     profiles = _sampled(grey, places_px).reshape(*shape, -1).mean(axis=3)
     across = np.linalg.norm(places_px[..., -1, :] - places_px[..., 0, :], axis=-1)
     return profiles, across.reshape(shape).mean(axis=3) / (2.0 * PROFILE_REACH)
-
-
-def _interpolation_px2(places_px: FloatArray) -> FloatArray:
-    """Return the variance, along profiles of places, (…, place, 2), of the weights of linear interpolation."""
-    part = places_px - np.floor(places_px)
-    along = places_px[..., [-1], :] - places_px[..., [0], :]
-    return np.asarray((part * (1.0 - part) * along**2).sum(axis=-1) / (along**2).sum(axis=-1))
 
 
 def _levels(profiles: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -548,11 +544,3 @@ def _grey(frame: NDArray[Any]) -> NDArray[np.float32]:
     grey = frame if frame.ndim == 2 else frame.mean(axis=2, dtype=np.float32)
     grey = np.ascontiguousarray(grey, np.float32)
     return grey if frame.dtype.kind in "ui" or np.isfinite(grey).all() else np.nan_to_num(grey, posinf=0, neginf=0)
-
-
-def _eight_bits(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Spread the range of the values, without the outermost percent, over 8 bits."""
-    step = max(1, math.isqrt(grey.size // 50_000))
-    low, high = np.percentile(grey[::step, ::step], [1.0, 99.0])
-    spread = 255.0 / max(float(high - low), 1e-30)
-    return np.asarray(np.clip((grey - low) * np.float32(spread), 0.0, 255.0).astype(np.uint8))

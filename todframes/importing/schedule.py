@@ -37,11 +37,10 @@ SCHEDULE_COLUMNS = ("file", "start_s", "end_s", "orientation", *SIZE_COLUMNS, "x
 class ScheduledTrial:
     """One row of a schedule: a part of a recording and the triangle that it shows.
 
-    `where` is the schedule's path and the line, for messages. `file` is the recording as written, None: the only
-    one there is. The part has 0 <= start_s < end_s, both None: all of the recording. `orientation` and the
-    centroid, None if unknown, are those in the recorded frames. Sizes are √(area) > 0, in mrad at the camera or in
-    its pixels; one of them is given. `level` is > 0. `polarity` is 1 for brighter and -1 for darker (thermal:
-    warmer and colder) than the background. `other` are the remaining columns, as written.
+    `where` is the schedule's path and the line. `file` is the recording as written, None: the only one. Without
+    times the part is all of the recording. `orientation` and the centroid are those in the recorded frames. Sizes
+    are √(area), in mrad at the camera or in its pixels; one of them is given. `polarity` is 1 for brighter and -1
+    for darker than the background. `other` are the remaining columns, as written.
     """
 
     where: str
@@ -59,12 +58,10 @@ class ScheduledTrial:
 
 
 def read_schedule(path: Path, *, level: str = "contrast") -> tuple[ScheduledTrial, ...]:
-    """Read and check a schedule, whose stimulus strength has the column `level`; return its rows, at least one.
+    """Read a schedule, whose stimulus strength has the column `level`; return its rows, at least one.
 
-    The columns `orientation`, a size and the level are needed. `file` is needed unless there is one recording.
-    `start_s` and `end_s`, `x_px` and `y_px`, and `polarity` are optional, and may be empty in a row. Raises
-    DataError if the file cannot be read, a column is missing, a value is wrong, or two rows use the same part of a
-    file.
+    The columns `orientation`, a size and the level are needed. DataError if the file cannot be read, a column is
+    missing, a value is wrong, or two rows use the same part of a file.
     """
     header, rows = read_table(path)
     _check_header(header, level, path)
@@ -84,10 +81,8 @@ def assign_recordings(
     ends as written. Raises DataError if a name fits no recording or several, or is missing and there are several.
     """
     real_paths = {os.path.realpath(path): number for number, path in enumerate(paths)}
-    by_name: dict[str | None, int] = {}
-    for trial in trials:
-        if trial.file not in by_name:
-            by_name[trial.file] = _recording(trial, paths, real_paths, schedule.parent)
+    first_rows = {trial.file: trial for trial in reversed(trials)}
+    by_name = {file: _recording(row, paths, real_paths, schedule.parent) for file, row in first_rows.items()}
     return tuple(by_name[trial.file] for trial in trials)
 
 

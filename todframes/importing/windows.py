@@ -88,17 +88,22 @@ def write_window(folder: Path, window: RecordedWindow, *, clip: bool) -> Written
     With `clip`, code values are clipped to [0, 1], as a display with this transfer function does. Raises
     OutputError if the file cannot be written.
     """
-    path = folder / window.name
+    import cv2
+
+    path, values = folder / window.name, window.values
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".png":
-        content = encoded_png(window.values)
+        # Noise does not compress; run lengths find what does in a fraction of the time.
+        options = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
+        shown = np.ascontiguousarray(values if values.ndim == 2 else values[..., ::-1])
+        content = cv2.imencode(".png", shown, options)[1].tobytes()
         try:
             path.write_bytes(content)
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
-        return WrittenWindow(hashlib.sha256(content).hexdigest(), window.values.size, 0)
+        return WrittenWindow(hashlib.sha256(content).hexdigest(), values.size, 0)
     low, high = window.scale.low, window.scale.high
-    code = ((window.values.astype(np.float64) - low) / (high - low)).astype(np.float32)
+    code = ((values.astype(np.float64) - low) / (high - low)).astype(np.float32)
     n_beyond = int(np.count_nonzero((code < 0.0) | (code > 1.0)))
     write_frame(path, np.clip(code, 0.0, 1.0) if clip else code, pixel_type="float", compression="zips")
     return WrittenWindow(frame_sha256(path), code.size, n_beyond)
@@ -138,16 +143,3 @@ class WindowWriter:
             return None
         self._store.n_used += is_there
         return written if is_there else None
-
-
-def encoded_png(values: NDArray[Any]) -> bytes:
-    """Return the bytes of a PNG file with these values, uint8 or uint16, (rows, columns) or (rows, columns, 3)."""
-    import cv2
-
-    # Noise does not compress; run lengths find what does in a fraction of the time.
-    options = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
-    shown = values if values.ndim == 2 else values[..., ::-1]
-    done, content = cv2.imencode(".png", np.ascontiguousarray(shown), options)
-    if not done:
-        raise OutputError(f"a window of shape {values.shape} cannot be encoded as PNG")
-    return content.tobytes()

@@ -452,8 +452,11 @@ def json_file(content: object) -> bytes:
 
 
 def as_read(values: object, kind: type[T]) -> T:
-    """Return values as they are read from their JSON, to equal what is loaded: what is not finite becomes None."""
-    return msgspec.json.decode(msgspec.json.encode(values), type=kind)
+    """Return values as they are read from their JSON, to equal what is loaded: what is not finite becomes None.
+
+    Arrays become lists.
+    """
+    return msgspec.json.decode(msgspec.json.encode(values, enc_hook=lambda array: array.tolist()), type=kind)
 
 
 def decode(content: bytes, where: str, kind: type[S]) -> S:
