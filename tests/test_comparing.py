@@ -24,7 +24,7 @@ from todframes.enhancement.comparison import (
     Ratio,
     comparison,
     comparisons,
-    edge_brightness,
+    frame_warnings,
     not_proportional,
 )
 from todframes.enhancement.contrast_gain import MEASURED_TRIALS, measured_trials
@@ -286,7 +286,7 @@ def test_the_edge_of_a_frame_does_not_set_its_contrast(make_dataset, background)
     # Of 188 pixels of the ring, 184 keep two thirds of their light, and four corners four ninths; white is 2 · 50.
     expected = [1.0, 1.0, (184 * 2 / 3 + 4 * 4 / 9) / 188, 2.0]
     assert [one.edge_factor for one in found] == pytest.approx(expected, rel=1e-4)  # 16 bits
-    dark, bright = edge_brightness(found)
+    dark, bright = frame_warnings(found)
     assert "it makes the outermost pixels of a frame 34 % darker, as" in dark.message
     assert "100 % brighter" in bright.message
 

@@ -42,8 +42,8 @@ from todframes.recordings.recording import Recording, RecordingWarning
 LEAST_DARK_VARIANCE = 0.24
 """Temporal dark variance in steps² below which rounding decides it. EMVA 1288 release 4.0 linear."""
 
-LARGEST_ROUNDING = 0.5
-"""Largest error of rounding in steps, and so of the standard deviation of a pattern that no noise smooths."""
+ROUNDING_VARIANCE = 1.0 / 12.0
+"""Variance of rounding in steps². A step is 1 DN, or more if the values have gaps: 12 bits in files of 16."""
 
 LINEAR = (0.05, 0.95)
 """Parts of the saturation signal between which the linearity error is measured. EMVA 1288 release 4.0 linear."""
@@ -233,35 +233,35 @@ class EmvaNumbers(Struct, frozen=True, kw_only=True):
     exposure_ms: float | None
     system_gain: float
     system_gain_ci95: Ends | None
-    quantum_efficiency: float | None
-    quantum_efficiency_ci95: Ends | None
-    responsivity: float | None
-    responsivity_ci95: Ends | None
+    quantum_efficiency: float | None = None
+    quantum_efficiency_ci95: Ends | None = None
+    responsivity: float | None = None
+    responsivity_ci95: Ends | None = None
     dark_noise: float
     dark_noise_ci95: Ends | None
     dark_noise_dn: float
     dark_noise_dn_ci95: Ends | None
-    dark_current: float | None
-    dark_current_ci95: Ends | None
-    dark_current_from_variance: float | None
-    dark_current_from_variance_ci95: Ends | None
+    dark_current: float | None = None
+    dark_current_ci95: Ends | None = None
+    dark_current_from_variance: float | None = None
+    dark_current_from_variance_ci95: Ends | None = None
     dsnu: float
     dsnu_ci95: Ends | None
     prnu: float
     prnu_ci95: Ends | None
-    saturation_electrons: float | None
-    saturation_electrons_ci95: Ends | None
-    saturation_photons: float | None
-    saturation_photons_ci95: Ends | None
-    sensitivity_threshold: float | None
-    sensitivity_threshold_ci95: Ends | None
-    background_electrons: float | None
-    background_electrons_ci95: Ends | None
+    saturation_electrons: float | None = None
+    saturation_electrons_ci95: Ends | None = None
+    saturation_photons: float | None = None
+    saturation_photons_ci95: Ends | None = None
+    sensitivity_threshold: float | None = None
+    sensitivity_threshold_ci95: Ends | None = None
+    background_electrons: float | None = None
+    background_electrons_ci95: Ends | None = None
     background_cd_m2: float | None = None
     lines_electrons: dict[str, float] = {}
     rounding_variance_dn2: float
-    snr_max: float | None
-    dynamic_range: float | None
+    snr_max: float | None = None
+    dynamic_range: float | None = None
     linearity_percent: tuple[float, float] | None
     is_saturation_reached: bool
     bright: Variances
@@ -563,71 +563,75 @@ def _evaluated(
 
     step = math.gcd(*(one.step for one in (*of_dark, *(point.bright for point in points))))
     darkest = min(of_dark, key=lambda one: (one.exposure_ms or 0.0, -one.n_frames))
-    # A step is 1 DN, or more if the values have gaps, as 12 bits in files of 16.
-    of_darkest, rounding = drawn[id(darkest)].temporal, 1.0 / 12.0 * step**2
-    dark_noise = _estimate(_root(of_darkest - rounding) / gain, 1.0 / to_faint)
     of_bright, of_spatial_dark = drawn[id(spatial.bright)], drawn[id(spatial.dark)]
-    dsnu = _estimate(_root(of_spatial_dark.spatial) / gain, 1.0 / to_faint)
-    slopes = [_slope_over_time(of_dark, name, rng) for name in ("mean", "temporal")]
-    currents = [
-        None if slope is None else _estimate(slope / gain**power, to_faint**-power)
-        for power, slope in enumerate(slopes, 1)
-    ]
-    if darkest.temporal < LEAST_DARK_VARIANCE * step**2:
-        largest = 0.4 * step / float(gain[0])  # The bound of EMVA 1288 release 4.0 linear.
-        dark_noise, currents = Estimate(largest, (0.0, largest)), [None, None]
-    if spatial.dark.temporal < LEAST_DARK_VARIANCE * step**2:
-        reach = LARGEST_ROUNDING * step / float(gain[0])
-        dsnu = Estimate(dsnu.value, (max(dsnu.value - reach, 0.0), dsnu.value + reach))
-    signal = of_bright.mean - of_spatial_dark.mean
-    prnu = 100.0 * _root(of_bright.spatial - of_spatial_dark.spatial) / signal
-    to_even = 1.0 / (1.0 + bend * spatial.signal_dn / 3.0)
-
-    electrons, capacity = _capacity(series, saturated, most, gain, to_faint, response)
-    least_electrons = np.sqrt(of_darkest) / gain + 0.5
-    warnings = (
-        *_about_gain(fitted, misfit, gain, to_faint),
-        *_about_dark(of_dark, darkest, step),
-        *_about_light(points, spatial),
-        *_about_saturation(saturated, most, bits),
-    )
-    of_background = None
+    prnu = _root(of_bright.spatial - of_spatial_dark.spatial) / (of_bright.mean - of_spatial_dark.mean)
+    least_electrons = np.sqrt(drawn[id(darkest)].temporal) / gain + 0.5
+    figures = {
+        "system_gain": _estimate(gain, to_faint),
+        "prnu": _estimate(100.0 * prnu, 1.0 / (1.0 + bend * spatial.signal_dn / 3.0)),
+        **_dark_figures(of_dark, darkest, spatial.dark, drawn, gain, to_faint, step, rng),
+        **_capacity(series, saturated, most, gain, to_faint, response),
+    }
+    if response is not None:
+        figures["quantum_efficiency"] = _estimate(response / gain, 1.0 / to_faint)
+        figures["responsivity"] = _estimate(response)
+        figures["sensitivity_threshold"] = _estimate(least_electrons / (response / gain))
     if background is not None:
         signal_dn = next(one.signal_dn for one in points if one.bright.name == str(background.recording.path))
-        of_background = _estimate(signal_dn / gain, 1.0 / to_faint)
-    figures: dict[str, Estimate | None] = {
-        "system_gain": _estimate(gain, to_faint),
-        "quantum_efficiency": None if response is None else _estimate(response / gain, 1.0 / to_faint),
-        "responsivity": None if response is None else _estimate(response),
-        "dark_noise": dark_noise,
-        "dark_noise_dn": _estimate(np.sqrt(of_darkest)),
-        "dark_current": currents[0],
-        "dark_current_from_variance": currents[1],
-        "dsnu": dsnu,
-        "prnu": _estimate(prnu, to_even),
-        "saturation_electrons": electrons,
-        "saturation_photons": capacity,
-        "sensitivity_threshold": None if response is None else _estimate(least_electrons / (response / gain)),
-        "background_electrons": of_background,
-    }
-    values: dict[str, Any] = {name: None if one is None else one.value for name, one in figures.items()}
-    values |= {f"{name}_ci95": None if one is None else one.ci95 for name, one in figures.items()}
+        figures["background_electrons"] = _estimate(signal_dn / gain, 1.0 / to_faint)
+    values: dict[str, Any] = {name: one.value for name, one in figures.items()}
+    values |= {f"{name}_ci95": one.ci95 for name, one in figures.items()}
+    if electrons := figures.get("saturation_electrons"):
+        values["snr_max"] = math.sqrt(electrons.value)
+        values["dynamic_range"] = electrons.value / float(least_electrons[0])
     numbers = EmvaNumbers(
         source=source,
         bits=bits,
         exposure_ms=spatial.bright.exposure_ms,
         **values,
         lines_electrons={key: sd / float(gain[0]) for key, sd in spatial.dark.lines_dn().items()},
-        rounding_variance_dn2=rounding,
-        snr_max=None if electrons is None else math.sqrt(electrons.value),
-        dynamic_range=None if electrons is None else electrons.value / float(least_electrons[0]),
+        rounding_variance_dn2=ROUNDING_VARIANCE * step**2,
         linearity_percent=_linearity(series, most),
         is_saturation_reached=saturated is not None,
         bright=spatial.bright,
         dark=spatial.dark,
         points=tuple(points),
     )
+    warnings = (
+        *_about_gain(fitted, misfit, gain, to_faint),
+        *_about_dark(of_dark, darkest, step),
+        *_about_light(points, spatial),
+        *_about_saturation(saturated, most, bits),
+    )
     return numbers, warnings
+
+
+def _dark_figures(
+    of_dark: Sequence[StackNoise],
+    darkest: StackNoise,
+    spatial: StackNoise,
+    drawn: Mapping[int, _Draws],
+    gain: FloatArray,
+    to_faint: float,
+    step: int,
+    rng: np.random.Generator,
+) -> dict[str, Estimate]:
+    """Return the figures of dark frames: noise, nonuniformity, and current with three exposures and more."""
+    variance, largest = drawn[id(darkest)].temporal, 0.4 * step / float(gain[0])
+    dsnu = _estimate(_root(drawn[id(spatial)].spatial) / gain, 1.0 / to_faint)
+    if spatial.temporal < LEAST_DARK_VARIANCE * step**2:  # a pattern that no noise smooths is rounded
+        reach = 0.5 * step / float(gain[0])
+        dsnu = Estimate(dsnu.value, (max(dsnu.value - reach, 0.0), dsnu.value + reach))
+    figures = {"dark_noise_dn": _estimate(np.sqrt(variance)), "dsnu": dsnu}
+    if darkest.temporal < LEAST_DARK_VARIANCE * step**2:  # the bound of EMVA 1288 release 4.0 linear
+        return figures | {"dark_noise": Estimate(largest, (0.0, largest))}
+    noise = _root(variance - ROUNDING_VARIANCE * step**2)
+    figures["dark_noise"] = _estimate(noise / gain, 1.0 / to_faint)
+    for name, quantity, power in (("dark_current", "mean", 1), ("dark_current_from_variance", "temporal", 2)):
+        slope = _slope_over_time(of_dark, quantity, rng)
+        if slope is not None:
+            figures[name] = _estimate(slope / gain**power, to_faint**-power)
+    return figures
 
 
 def _gain(fitted: Sequence[TransferPoint], drawn: Mapping[int, _Draws]) -> tuple[FloatArray, float, float, float]:
@@ -808,18 +812,20 @@ def _capacity(
     gain: FloatArray,
     to_faint: float,
     response: FloatArray | None,
-) -> tuple[Estimate | None, Estimate | None]:
-    """Return the saturation capacity in electrons and in photons.
+) -> dict[str, Estimate]:
+    """Return the saturation capacity in electrons and in photons, as far as it is known.
 
     With photons it is their number at the saturation point, times the quantum efficiency; otherwise the signal
     there by the gain.
     """
     photons = None if saturated is None else points[saturated].photons
     if photons is not None and response is not None:
-        return _estimate(photons * (response / gain)), Estimate(photons)
+        electrons = _estimate(photons * (response / gain))
+        return {"saturation_electrons": electrons, "saturation_photons": Estimate(photons)}
     if not math.isfinite(most):
-        return None, None
-    return _estimate(most / gain, 1.0 / to_faint), None if response is None else _estimate(most / response)
+        return {}
+    of_photons = {} if response is None else {"saturation_photons": _estimate(most / response)}
+    return {"saturation_electrons": _estimate(most / gain, 1.0 / to_faint), **of_photons}
 
 
 def _slope_over_time(of_dark: Sequence[StackNoise], quantity: str, rng: np.random.Generator) -> FloatArray | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
+from functools import partial
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,10 @@ from numpy.typing import ArrayLike
 from todframes.base.errors import SettingsError, argument
 from todframes.base.seeds import Rng, seed_of
 from todframes.display.display import Display
+from todframes.enhancement.compare import compare_examples, compare_observers
+from todframes.enhancement.comparison import JudgedBy, comparisons, frame_warnings, not_proportional, thresholds_of
+from todframes.enhancement.enhanced_frame import AlgorithmDisplay
+from todframes.enhancement.finding import find_enhancement
 from todframes.frames.dataset import Dataset
 from todframes.jobs.run import opened_run
 from todframes.jobs.work import Engine
@@ -37,6 +42,8 @@ from todframes.results.data import observer_names
 from todframes.results.result import Result, repeatable
 from todframes.scoring.error_budget import plan_object
 from todframes.scoring.opening import each_once, gazes_of, in_memory, inspected, is_skip, of_observer, opened
+from todframes.scoring.records import trials_table
+from todframes.scoring.score import fitted_curve
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store
@@ -151,20 +158,6 @@ def compare(
     [None, 'no difference shown']
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from todframes.enhancement.compare import compare_examples, compare_observers
-    from todframes.enhancement.comparison import (
-        JudgedBy,
-        comparisons,
-        edge_brightness,
-        not_proportional,
-        not_repeatable,
-        thresholds_of,
-    )
-    from todframes.enhancement.enhanced_frame import AlgorithmDisplay
-    from todframes.enhancement.finding import find_enhancement
-    from todframes.scoring.records import trials_table
-    from todframes.scoring.score import fitted_curve
-
     fit = fit or FitSettings()
     if isinstance(enhance, str) or not isinstance(enhance, Iterable):
         enhance = [enhance]
@@ -177,7 +170,6 @@ def compare(
     )
     screen = AlgorithmDisplay(data.display, white, allow_clipping)
     each_settings = [own | {"gaze": own_gaze} for own in of_judges for own_gaze in gazes]
-    judge, settings = judges[0], each_settings[0]
     with opened_run(workers, cluster, store, progress) as run:
         results, *others = compare_observers(
             data,
@@ -205,13 +197,14 @@ def compare(
         for (name, of_each), own in zip(judged, each_settings, strict=True)
     ]
     if examples:
-        more["examples"] = compare_examples(data, results, judge, screen)
+        more["examples"] = compare_examples(data, results, judges[0], screen)
     black, peak = screen.luminance_range
-    record, shown_wrong = inspected(data, reference.trials, judge.centre)
+    scored = [({"algorithm": one.enhancement.spec}, one.scored) for one in results]
+    record, shown_wrong = inspected(data, reference.trials, judges[0].centre)
     return Result.made(
         "compare",
         started,
-        settings=settings
+        settings=each_settings[0]
         | asdict(fit)
         | {"decisions": decisions, "curve": fitted_curve(curve, decisions), "locate": way}
         | {"plan": plan, "white": white, "allow_clipping": allow_clipping},
@@ -225,18 +218,13 @@ def compare(
         dataset=record,
         warnings=(
             *each_once(*placed_wrong(reference), *shown_wrong, *advice[0], *not_proportional(compared)),
-            *edge_brightness(compared),
-            *not_repeatable(compared),
+            *frame_warnings(compared),
             *sum(advice[1:], ()),
         ),
         negative_luminance_pixels=reference.n_negative,
         from_store=run.n_from_store,
         **more,
-    ).holding(
-        make_trials=lambda: trials_table(
-            data, [({"algorithm": one.enhancement.spec}, one.scored) for one in results]
-        )
-    )
+    ).holding(make_trials=partial(trials_table, data, scored))
 
 
 def compare_frames(

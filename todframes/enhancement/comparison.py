@@ -605,9 +605,10 @@ def not_proportional(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]
             )
 
 
-def edge_brightness(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]:
-    """Yield a warning for each algorithm that makes the edge of frames brighter or darker than the background."""
+def frame_warnings(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]:
+    """Yield warnings about algorithms that change the edge of frames otherwise, or a frame otherwise each time."""
     for one in algorithms:
+        group: Group = {"algorithm": one.name}
         if one.edge_factor is not None and abs(one.edge_factor - 1.0) > 0.02:
             kind = "brighter" if one.edge_factor > 1.0 else "darker"
             message = (
@@ -616,15 +617,9 @@ def edge_brightness(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]:
                 "beyond the frame as black. Contrast refers to what surrounds the triangle. If triangles lie near "
                 "the edge, take larger frames, or let the algorithm mirror them"
             )
-            group: Group = {"algorithm": one.name}
             yield ResultWarning(
                 code="edge_brightness", group=group, message=message, found=one.edge_factor, expected=1.0
             )
-
-
-def not_repeatable(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]:
-    """Yield a warning for each algorithm that gave different pictures of the same frame."""
-    for one in algorithms:
         if one.repeat_difference:
             message = (
                 f"its pictures of the same frame differ by up to {plain(100.0 * one.repeat_difference, 2)} % of "
@@ -632,7 +627,6 @@ def not_repeatable(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]:
                 "ratio holds for this run alone. Give it a fixed seed, declare it with clip if it needs earlier "
                 "frames, and leave its files as they are"
             )
-            group: Group = {"algorithm": one.name}
             yield ResultWarning(
                 code="not_repeatable", group=group, message=message, found=one.repeat_difference, expected=0.0
             )

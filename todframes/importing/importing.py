@@ -174,31 +174,21 @@ def import_recordings(
     OutputError
         If `out` cannot be written.
     """
-    check_source(chart, schedule)
+    check_source(chart, schedule, level=level, ifov_mrad=ifov_mrad)
     time_s = checked_time(integration_time_s)
     convert(warm_up_frames, WarmUpFrames, argument.warm_up_frames)
-    if schedule is None and level is not None:
-        raise SettingsError(f"{argument.level}: is given but not used with a chart, which states its levels")
-    if schedule is None and ifov_mrad is not None:
-        raise SettingsError(
-            f"{argument.ifov_mrad}: is given but not used with a chart, whose markers give the scale"
-        )
-    if ifov_mrad is not None:
-        check_positive(argument.ifov_mrad, ifov_mrad)
     shown = find_display(display)
-    pitch_mrad = shown.display.pitch_mrad
+    pitch_mrad, is_clipped = shown.display.pitch_mrad, shown.display.eotf != "linear"
     opened = open_for_import(
         recordings, schedule, level=level, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb
     )
     reading: dict[str, Any] = {"pitch_mrad": pitch_mrad, "progress": progress, "warm_up_frames": warm_up_frames}
-    source: Source
-    if schedule is None:
-        source = ChartSource(Path(str(chart)), **reading)
-    else:
-        level = level or DEFAULT_LEVEL
-        source = ScheduleSource(Path(schedule), opened, ifov_mrad=ifov_mrad, level=level, **reading)
+    if schedule is not None:
+        reading |= {"ifov_mrad": ifov_mrad, "level": level or DEFAULT_LEVEL}
+    source = (
+        ScheduleSource(Path(schedule), opened, **reading) if schedule else ChartSource(Path(str(chart)), **reading)
+    )
     scales = [code_range(one, value_range) for one in opened]
-    is_clipped = shown.display.eotf != "linear"
     with continued(new_folder, str(out), restart=restart, keep_store=keep_store, tell=tell) as (folder, store):
         if store.is_begun:
             store.tell(f"{len(store)} windows are there from an earlier run; going on with the others")
@@ -240,24 +230,34 @@ def import_recordings(
             notes=(*source.notes(), *_of_time(opened, time_s), *_of_warm_up(division, warm_up_frames)),
             warnings=warnings,
         )
-        report = {
-            "version": __version__,
-            **{name: getattr(imported, name) for name in ("n_frames", "n_trials", "n_clips")},
-            "from_store": store.n_used,
-            "warnings": [warning._asdict() for warning in warnings],
-            "found": source.report(),
-        }
-        text = json.dumps(report, indent=1, ensure_ascii=False) + "\n"
+        report: dict[str, Any] = {"version": __version__}
+        report |= {name: getattr(imported, name) for name in ("n_frames", "n_trials", "n_clips")}
+        report |= {"from_store": store.n_used, "warnings": [one._asdict() for one in warnings]}
+        text = json.dumps(report | {"found": source.report()}, indent=1, ensure_ascii=False) + "\n"
         (folder / REPORT_FILE).write_text(in_utf8(text), encoding="utf-8")
     return imported
 
 
-def check_source(chart: PathLike | None, schedule: PathLike | None) -> None:
-    """Raise SettingsError unless exactly one of both says what recordings show."""
+def check_source(
+    chart: PathLike | None,
+    schedule: PathLike | None,
+    *,
+    level: str | None = None,
+    ifov_mrad: float | None = None,
+) -> None:
+    """Raise SettingsError unless exactly one of both says what recordings show, or for what a chart determines."""
     if (chart is None) == (schedule is None):
         found = "neither" if chart is None else "both"
         expected = f"expected one of {argument.chart} and {argument.schedule}, which says what is shown"
         raise SettingsError(f"import: found {found}, {expected}")
+    if schedule is None and level is not None:
+        raise SettingsError(f"{argument.level}: is given but not used with a chart, which states its levels")
+    if schedule is None and ifov_mrad is not None:
+        raise SettingsError(
+            f"{argument.ifov_mrad}: is given but not used with a chart, whose markers give the scale"
+        )
+    if ifov_mrad is not None:
+        check_positive(argument.ifov_mrad, ifov_mrad)
 
 
 def open_for_import(
