@@ -206,6 +206,7 @@ def some_recorded() -> StudyScene:
     return replace(whole, trials=whole.trials[::3], converged_nodes=(3, 4))
 
 
+SLOW = pytest.mark.slow
 SCENES = {
     "naked eye": lambda: NakedEye("eye", "", "", "contrast", 0.6, converged_nodes=(6, 8)),
     "external noise": lambda: CAMERA,
@@ -215,7 +216,7 @@ SCENES = {
 }
 
 
-@pytest.fixture(scope="module", params=SCENES)
+@pytest.fixture(scope="module", params=["naked eye", *(pytest.param(one, marks=SLOW) for one in [*SCENES][1:])])
 def scene(request) -> StudyScene:
     return SCENES[request.param]()
 
@@ -226,7 +227,6 @@ def converged(scene) -> Converged:
 
 
 @pytest.mark.every_case
-@pytest.mark.slow
 def test_every_monte_carlo_has_the_converged_mean(scene, converged):
     """Its trials' own P(correct) where it is one level; recorded frames through the fit of their mean."""
     for estimator in scene.estimators(converged)[:3]:
@@ -242,7 +242,6 @@ def test_every_monte_carlo_has_the_converged_mean(scene, converged):
 
 
 @pytest.mark.every_case
-@pytest.mark.slow
 def test_closed_form_goes_to_the_converged_value(scene, converged):
     for closed_form in scene.estimators(converged)[3:]:
         assert isinstance(closed_form, Quadrature)
@@ -260,7 +259,6 @@ def test_closed_form_goes_to_the_converged_value(scene, converged):
 
 
 @pytest.mark.every_case
-@pytest.mark.slow
 def test_variants_change_little(scene, converged):
     estimates = {label: run(np.random.default_rng(3)) for label, run in scene.variants(converged).items()}
     reference, *_ = estimates.values()

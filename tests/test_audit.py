@@ -14,7 +14,7 @@ from todframes import compare, score
 from todframes.frames.dataset import load_dataset
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.data import DatasetRecord
-from todframes.results.result import load_result
+from todframes.results.result import load_result, read_result
 from todframes.results.tables import dataset as dataset_table
 from todframes.results.tables import thresholds
 
@@ -89,6 +89,44 @@ def test_a_look_up_table_is_whole_in_the_result_and_short_on_the_page(make_datas
     values = {row["name"]: row["value"] for row in dataset_table(record).records}
     assert values["display.lut.code_value"] == "256 values from 0.0 to 1.0"
     assert values["display.lut.luminance_cd_m2"] == "256 values from 0.0 to 100.0"
+
+
+GROUP = {"group": {"size_mrad": 2.0}, "x_px": 15.5, "y_px": 20.25, "moved_px": None, "standard_error_px": 0.02}
+
+
+@pytest.mark.parametrize(
+    ("dataset", "others", "caution"),
+    [
+        ({"experiment": {"places": 4}}, {}, "one of 4 places"),
+        (
+            {"motion_mrad": 0.5},
+            {"settings": {"gaze": "tracked"}},
+            "up to 0.500 mrad from its mean place; the gaze f",
+        ),
+        ({"n_scenes": 1}, {}, "All trials are on one scene: "),
+        ({"n_scenes": 7}, {}, "take the 7 scenes as drawn from many"),
+        ({"n_scenes": 2, "experiment": {"group_by": ["scene"]}}, {}, " of a scene hold for it, and nothing is"),
+        ({}, {"located": [GROUP | {"n_located": 6, "n_trials": 9}]}, "6 of 9 trials were located one by one"),
+    ],
+)
+def test_a_result_says_what_its_thresholds_hold_for(results, dataset, others, caution) -> None:
+    made = results["score"] | others
+    made["dataset"] |= dataset
+    text = " ".join(read_result(json.dumps(made).encode(), "result").summary().split())
+    assert caution in text
+
+
+def test_positions_found_are_in_words(results) -> None:
+    moved = GROUP | {"moved_px": [0.5, -0.25]}
+    unseen = GROUP | {"standard_error_px": None}
+    made = results["score"] | {"located": [GROUP, moved, unseen]}
+    assert [
+        one for one in read_result(json.dumps(made).encode(), "result").data.notes() if "located: " in one
+    ] == [
+        "located: 2 mrad: x_px 15.50, y_px 20.25 (± 0.02 px)",
+        "located: 2 mrad: +0.50 in x, -0.25 in y from the manifest's positions (± 0.02 px)",
+        "located: 2 mrad: no triangle stands out near the manifest's positions, which stay",
+    ]
 
 
 @pytest.mark.usefixtures("blank_pictures")

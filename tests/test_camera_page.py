@@ -145,7 +145,6 @@ def test_import_leaves_the_page_out_and_finds_the_triangles(folder, recording, t
             assert float(row[name]) == pytest.approx(float(other[name]), abs=0.05)
 
 
-@pytest.mark.slow
 def test_mtf_of_a_film_is_that_of_the_camera(folder, recording, capsys) -> None:
     assert run(cli, ["mtf", str(recording), "--chart", str(folder / "chart.toml"), "--quiet"]) == 0
     assert "MTF50" in capsys.readouterr().out
@@ -187,7 +186,6 @@ def test_a_lens_that_distorts_moves_no_edge_out_of_its_box(folder, tmp_path) -> 
     assert noise.transfer.nonlinearity < 0.003
 
 
-@pytest.mark.slow
 def test_frames_that_move_are_left_out_and_motion_all_the_time_is_refused(folder, recording, tmp_path) -> None:
     frames = np.load(recording)[:3]
     some = np.concatenate([np.roll(frames[:1], 2, axis=2), frames])

@@ -33,6 +33,7 @@ from todframes.experiment.answers import (
 )
 from todframes.experiment.monitor import MonitorError
 from todframes.experiment.order import TrialOrder
+from todframes.experiment.run_experiment import SessionProgress
 from todframes.experiment.served_page import experiment_app
 from todframes.experiment.session import SessionDesign, StepError, frames_sha256, open_sitting
 from todframes.experiment.stimuli import shown_codes, trial_image
@@ -718,3 +719,14 @@ def test_the_command_tells_what_is_wrong_in_one_line(dataset, out, todframes):
     ):
         found, _, error = todframes("experiment", dataset.path, "-o", out, *options)
         assert (found, error.count("\n")) == (status, 1) and message in error
+
+
+def test_the_command_says_how_far_the_session_is(dataset, out, todframes, monkeypatch):
+    def run_experiment(_, *, tell, **__):
+        tell("Open this page")
+        return SessionProgress("P1", 5, 8, 1)
+
+    monkeypatch.setattr("todframes.experiment.run_experiment.run_experiment", run_experiment)
+    status, printed, _ = todframes("experiment", dataset.path, "-o", out)
+    told = f"{out}: subject P1, 5 of 8 trials, 1 with a flag; the same command goes on"
+    assert (status, printed.splitlines()) == (0, ["Open this page", told])
