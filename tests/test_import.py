@@ -269,6 +269,25 @@ def test_frames_of_another_chart_among_the_right_ones(
     assert (found["n_frames"], found["n_without_markers"], found["clips"][0]["n_frames"]) == (5, 1, 3)
 
 
+@pytest.mark.parametrize(
+    ("code", "message", "n_pages", "settings", "views"),
+    [
+        ("turned_too_far", "2 frames are turned too far", 8, {}, [(0, {})] * 6 + [(0, {"degrees": 37.0})] * 2),
+        ("unknown_page", "2 frames show a page that ", 1, {}, [(0, {})] * 6 + [(1, {})] * 2),
+        ("moved", "1 trials were left out", 8, {}, [(0, {})] * 5 + [(0, {"shift": (50.0, 0.0)})] * 4),
+        ("short_clips", "1 of 2 clips are shorter than the integration", 8, {}, [(0, {})] * 6 + [(1, {})]),
+        ("slow_frames", "frames are 0.5 s apart, more", 8, {"frames_per_second": 2.0}, [(0, {}), (1, {})]),
+    ],
+)
+def test_frames_that_are_left_out_or_alone_are_told(
+    tmp_path: Path, chart: Path, code, message, n_pages, settings, views
+) -> None:
+    write_chart(chart, replace(CHART, pages=CHART.pages[:n_pages]))
+    frames = [film.filmed(CHART, page, film.camera(scale=0.4, **view)) for page, view in views]
+    done, _ = imported(saved(tmp_path, film_of(frames)), chart, **settings)
+    assert message in {one.code: one.message for one in done.warnings}[code]
+
+
 def test_edges_that_determine_no_lens_are_told(tmp_path: Path, chart: Path, pages, monkeypatch) -> None:
     """Least squares may not converge; then nothing is known of the places' error, and that is said."""
     monkeypatch.setattr("todframes.importing.chart_source.choose_lens", lambda *_: None)
