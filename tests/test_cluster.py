@@ -300,8 +300,12 @@ def test_a_batch_that_kills_its_workers_again_and_again_is_named(local: ClusterE
 
 
 @contextlib.contextmanager
-def scheduler_process(*worker_options: str) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """A scheduler in a process of its own, and a worker if there are options for one: its address and process."""
+def scheduler_process(
+    *worker_options: str, connect_s: float = 60.0
+) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """A scheduler in a process of its own that listens, and a worker if there are options for one: its address and
+    process. A busy machine takes its time to start them.
+    """
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     address = f"tcp://127.0.0.1:{port}"
@@ -310,7 +314,14 @@ def scheduler_process(*worker_options: str) -> Iterator[tuple[str, subprocess.Po
     if worker_options:
         processes.append(_dask("worker", address, "--nthreads", "1", *worker_options))
     try:
-        yield address, processes[0]
+        deadline = time.monotonic() + 60.0
+        while time.monotonic() < deadline:
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
+                break
+            time.sleep(0.05)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(cluster, "CONNECT_S", connect_s)
+            yield address, processes[0]
     finally:
         for process in processes:
             process.kill()  # a worker whose scheduler is gone does not end when it is asked to
@@ -421,9 +432,8 @@ def test_a_worker_without_the_package_or_of_another_version_is_one_line(tmp_path
 
 
 @dask
-def test_a_scheduler_without_workers_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    with scheduler_process() as (address, _):
-        monkeypatch.setattr(cluster, "CONNECT_S", 4.0)
+def test_a_scheduler_without_workers_is_one_line() -> None:
+    with scheduler_process(connect_s=4.0) as (address, _):
         message = f"^{address}: the scheduler has no workers"
         with pytest.raises(ClusterError, match=message), open_engine(address, 1):
             pass

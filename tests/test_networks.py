@@ -123,6 +123,14 @@ def test_tiles_have_no_seams(tmp_path: Path, size, rows: int, columns: int) -> N
     assert np.abs(without.run(image)[0] - whole).max() > 1e-2  # the test would see seams
 
 
+@pytest.mark.parametrize("overlap_px", [0, 1, 2])
+def test_tiles_of_hardly_any_overlap_add_up(overlap_px: int) -> None:
+    """Of a function whose pixels depend on themselves alone: a single common pixel is the mean of two tiles."""
+    image = picture(101, 70)[..., None]
+    tiled = network.in_tiles(lambda tile: 2.0 * tile, image, tile=(48, 40), overlap_px=overlap_px)
+    assert np.allclose(tiled, 2.0 * image, rtol=0.0, atol=1e-6)  # 32 bits
+
+
 @pytest.mark.every_case
 @pytest.mark.parametrize(
     ("pads", "size", "settings"),
