@@ -235,11 +235,11 @@ def moving_coverage(corners: FloatArray, shape: tuple[int, int]) -> FloatArray:
     edge that moves by v covers v·n more of each pixel for each length of it there, n its outward normal. Along a
     piece of an edge within one pixel an affine motion is linear, so its value at the middle is its mean.
     """
-    found = np.zeros((7, *shape))
+    total = np.zeros((7, *shape))
     first, stop = _touched_box(corners, shape)
     if (stop <= first).any():
-        return found
-    box = found[:, first[1] : stop[1], first[0] : stop[0]]
+        return total
+    box = total[:, first[1] : stop[1], first[0] : stop[0]]
     corners = corners - first + 0.5
     columns, rows = stop - first
     box[0] = _polygon_coverage(corners, (rows, columns))
@@ -263,17 +263,17 @@ def moving_coverage(corners: FloatArray, shape: tuple[int, int]) -> FloatArray:
     moments = (right, down, right * x, right * y, down * x, down * y)
     for image, moment in zip(box[1:], moments, strict=True):
         image[:] = np.bincount(place, moment, columns * rows).reshape(rows, columns)
-    return found
+    return total
 
 
 def triangle_coverage(corners: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Compute the exact fraction of each pixel's area that any triangle covers: the first of `moving_coverage`."""
-    found = np.zeros(shape)
+    area = np.zeros(shape)
     first, stop = _touched_box(corners, shape)
     if (stop > first).all():
         columns, rows = stop - first
-        found[first[1] : stop[1], first[0] : stop[0]] = _polygon_coverage(corners - first + 0.5, (rows, columns))
-    return found
+        area[first[1] : stop[1], first[0] : stop[0]] = _polygon_coverage(corners - first + 0.5, (rows, columns))
+    return area
 
 
 def _touched_box(corners: FloatArray, shape: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -165,13 +165,13 @@ def displayed_noise(
     in the paper, not the mean of separate draws: `distribution` is that of the displayed sample.
     """
     parts = sample_parts(noise, total_sd=total_sd)
-    found = draw(pattern.own.shape, sd=parts.own_noise, distribution=noise.distribution, rng=rng)
-    found += parts.own_pattern * pattern.own
+    noise_drawn = draw(pattern.own.shape, sd=parts.own_noise, distribution=noise.distribution, rng=rng)
+    noise_drawn += parts.own_pattern * pattern.own
     for sd, fixed_sd, lines in (
         (parts.row_noise, parts.row_pattern, pattern.rows),
         (parts.column_noise, parts.column_pattern, pattern.columns),
     ):
         if sd > 0.0:
-            found += sd * rng.standard_normal(lines.shape)
-        found += fixed_sd * lines
-    return found
+            noise_drawn += sd * rng.standard_normal(lines.shape)
+        noise_drawn += fixed_sd * lines
+    return noise_drawn

@@ -212,8 +212,8 @@ def read_measured_psf(file: str, folder: Path) -> MeasuredPsf:
         raise SettingsError(f"psf: {file} has a value of {values.min():.3g}, expected none below 0")
     if not abs(total - 1.0) <= LARGEST_SUM_ERROR:
         raise SettingsError(f"psf: {file} has the sum {total:.4g}, expected 1: divide all values by it")
-    found = MeasuredPsf(file=file, shape=values.shape, data=(values / total).tobytes())
-    x, y = found.centroid
+    psf = MeasuredPsf(file=file, shape=values.shape, data=(values / total).tobytes())
+    x, y = psf.centroid
     if max(abs(x), abs(y)) > LARGEST_SHIFT_SAMPLES:
         raise SettingsError(
             f"psf: {file} has its centroid {x:.1f} samples right of and {y:.1f} below its middle, expected at "
@@ -225,10 +225,10 @@ def read_measured_psf(file: str, folder: Path) -> MeasuredPsf:
             f"psf: {file} has {100.0 * (1.0 - inner):.2g} % of its light in the outermost samples, expected at "
             f"most {100.0 * LARGEST_SUM_ERROR:g} %: it is cut off"
         )
-    if (at_end := found.end_otf) > LARGEST_END:
+    if (at_end := psf.end_otf) > LARGEST_END:
         raise SettingsError(
             f"psf: {file} passes {at_end:.2g} at half a cycle per sample, expected at most {LARGEST_END:g}: its "
             "samples are too coarse for the point, and what is beyond may change a sample at an edge by "
             f"{at_end / math.pi:.2g} of the triangle's signal"
         )
-    return found
+    return psf

@@ -127,10 +127,10 @@ class SensorMtf(Content, frozen=True, kw_only=True):
             f"At the Nyquist frequency, {plain(nyquist)} cycles/mrad, the MTF is {plain(before)} before sampling "
             f"and {plain(behind)} behind it; the optics pass nothing above {plain(cut_off)} cycles/mrad."
         ]
-        found = Resolution(
+        resolution = Resolution(
             self.mtf10_cyc_per_mrad, self.resolution_limit_cyc_per_mrad, self.aliased_from_cyc_per_mrad
         )
-        return sentences + found.sentences("cycles/mrad", nyquist)
+        return sentences + resolution.sentences("cycles/mrad", nyquist)
 
     def figures(self) -> list[ReportFigure]:
         """List the transfer of all stages up to three times the Nyquist frequency."""
@@ -193,7 +193,7 @@ def mtf(sensor: Sensor | SensorFile) -> Result[SensorMtf]:
     cut_off, nyquist = sensor.optics.cut_off_cyc_per_mrad, sensor.detector.nyquist_cyc_per_mrad
     frequency = np.linspace(0.0, min(1.05 * cut_off, 10.0 * nyquist), POINTS)
     fine = np.linspace(0.0, frequency[-1], FINE_POINTS)
-    found = Resolution.of(fine, stages(fine, sensor=sensor)["pre_sample"], nyquist)
+    resolution = Resolution.of(fine, stages(fine, sensor=sensor)["pre_sample"], nyquist)
     return Result.made(
         "sensor-mtf",
         started,
@@ -202,8 +202,8 @@ def mtf(sensor: Sensor | SensorFile) -> Result[SensorMtf]:
         nyquist_cyc_per_mrad=nyquist,
         frequency_cyc_per_mrad=frequency.tolist(),
         mtf={name: values.tolist() for name, values in stages(frequency, sensor=sensor).items()},
-        mtf10_cyc_per_mrad=found.mtf10,
-        resolution_limit_cyc_per_mrad=found.limit,
-        effective_pitch_mrad=None if found.limit is None else 0.5 / found.limit,
-        aliased_from_cyc_per_mrad=found.aliased_from,
+        mtf10_cyc_per_mrad=resolution.mtf10,
+        resolution_limit_cyc_per_mrad=resolution.limit,
+        effective_pitch_mrad=None if resolution.limit is None else 0.5 / resolution.limit,
+        aliased_from_cyc_per_mrad=resolution.aliased_from,
     )

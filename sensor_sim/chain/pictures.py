@@ -143,15 +143,15 @@ def write_stages(folder: Path, sensor: Sensor, trial: SimulatedTrial, *, seed: i
     from todframes.frames.files import write_frame
 
     folder.mkdir()
-    found = trial_stages(sensor, trial, seed=seed)
-    for name, image in found.items():
+    shown = trial_stages(sensor, trial, seed=seed)
+    for name, image in shown.items():
         grey = np.clip((image - BLACK) / (WHITE - BLACK), 0.0, 1.0)
         write_frame(folder / f"{name}.png", grey, pixel_type="uint8")
     label = "SNR" if sensor.level == "snr" else "contrast"
     what = f"size {trial.size_detectors:g} detectors, {label} {trial.level:g}, apex {trial.orientation}"
     with style():
         figure = Figure(figsize=(10.0, 5.6), layout="constrained")
-        for axes, (name, image) in zip(figure.subplots(2, 4).flat, found.items(), strict=False):
+        for axes, (name, image) in zip(figure.subplots(2, 4).flat, shown.items(), strict=False):
             axes.imshow(image, cmap="gray", vmin=BLACK, vmax=WHITE, interpolation="nearest")
             axes.set_title(STAGE_TITLES[name], fontsize="medium")
         for axes in figure.axes:

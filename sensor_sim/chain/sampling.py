@@ -301,10 +301,10 @@ class FourBarSampler(PatternSampler):
         super().__init__(sensor, bars, field_detectors, period_detectors)
 
     def _limit(self, share: float) -> str:
-        found = 1.0 / self._bars.bar_width
-        if (least := found / share) > 1.0:
+        limit = 1.0 / self._bars.bar_width
+        if (least := limit / share) > 1.0:
             return ""
-        return f"{argument.frequency_nyquist}: found {found:.3g}, expected more than {least:.3g}"
+        return f"{argument.frequency_nyquist}: found {limit:.3g}, expected more than {least:.3g}"
 
     def _spectrum(self, frequency_x: FloatArray, frequency_y: FloatArray) -> ComplexArray:
         return self._bars.spectrum(frequency_x, frequency_y)

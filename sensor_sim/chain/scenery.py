@@ -105,8 +105,8 @@ class Scenery:
             range_name="background_range",
             note=note,
         )
-        found = {size: tuple(windows) for size, windows in zip(sizes_detectors, drawn, strict=True)}
-        return cls(sensor, found, pixels_per_detector, TURNS[:turns], seed)
+        backgrounds = {size: tuple(windows) for size, windows in zip(sizes_detectors, drawn, strict=True)}
+        return cls(sensor, backgrounds, pixels_per_detector, TURNS[:turns], seed)
 
     def plan(self, size_detectors: float, n_levels: int, trials: int) -> list[PlannedTrial]:
         """Plan the trials of one size, level by level."""
@@ -151,10 +151,10 @@ class Scenery:
 
     def largest_contrast(self) -> float:
         """Return the largest contrast of all scenes before the sensor blurs them."""
-        found = 0.0
+        largest = 0.0
         for size, windows in self.backgrounds.items():
             for window in windows:
                 middle = (len(window.luminance_cd_m2) - 1) / 2.0
                 local = local_luminance(window.luminance_cd_m2, middle, middle, size * self.pixels_per_detector)
-                found = max(found, float(window.luminance_cd_m2.max()) / local - 1.0)
-        return found
+                largest = max(largest, float(window.luminance_cd_m2.max()) / local - 1.0)
+        return largest

@@ -707,13 +707,13 @@ def part_of(table: str, sensor: Sensor) -> str:
 
 def used_keys(sensor: Sensor) -> dict[str, list[str]]:
     """Return the keys of each table that mean something for a sensor, without those that follow from others."""
-    found = {}
+    keys = {}
     for table in TABLES:
         part = getattr(sensor, part_of(table, sensor))
         if part is not None:
             follows = _followers(part, sensor)
-            found[table] = [parameter.name for parameter in fields(part) if parameter.name not in follows]
-    return found
+            keys[table] = [parameter.name for parameter in fields(part) if parameter.name not in follows]
+    return keys
 
 
 def _followers(part: object, sensor: Sensor) -> tuple[str, ...]:
@@ -742,18 +742,18 @@ def _followers(part: object, sensor: Sensor) -> tuple[str, ...]:
 
 def sensor_tables(sensor: Sensor) -> dict[str, Any]:
     """Return the tables of a sensor as plain values, as a `SENSOR.toml` has them; unused keys are left out."""
-    found: dict[str, Any] = {}
+    tables: dict[str, Any] = {}
     for table, names in used_keys(sensor).items():
         part = part_of(table, sensor)
         values = {name: _plain(getattr(getattr(sensor, part), name)) for name in names}
         model = {"model": "photon"} if part == "photons" else {}
         # A NETD that is not known is null in results; other keys that say nothing are left out.
-        found[table] = model | {
+        tables[table] = model | {
             name: value
             for name, value in values.items()
             if (value is not None or name == "netd_mk") and not (name in _NOTHING and value == _NOTHING[name])
         }
-    return found
+    return tables
 
 
 def sensor_settings(sensor: Sensor) -> dict[str, Any]:

@@ -137,7 +137,7 @@ def plan_trials(
 
 def plan_on_scenes(planned: Sequence[SimulatedTrial], scenery: Scenery) -> list[SimulatedTrial]:
     """Return the same numbers of presentations of each size and level, on scenes in their turns."""
-    found = []
+    planned_trials = []
     sizes: dict[float, dict[int, float]] = {}
     for trial in planned:
         sizes.setdefault(trial.size_detectors, {})[trial.key[1]] = trial.level
@@ -145,10 +145,10 @@ def plan_on_scenes(planned: Sequence[SimulatedTrial], scenery: Scenery) -> list[
         trials = len(planned) // len(sizes) // len(levels)
         for view in scenery.plan(size, len(levels), trials):
             key = i, view.level, view.number
-            found.append(
+            planned_trials.append(
                 SimulatedTrial(key, size, levels[view.level], view.orientation, view.background, view.turn)
             )
-    return found
+    return planned_trials
 
 
 class Simulator:
@@ -233,7 +233,7 @@ class Simulator:
         angle = rng.uniform(0.0, 2.0 * math.pi)
         travel = self.filming.travel_detectors(self.sensor)
         places = middle + travel[:, None] * (math.cos(angle), math.sin(angle))
-        level, found = single_frame_level(self.sensor, trial.level), []
+        level, frames = single_frame_level(self.sensor, trial.level), []
         for x, y in places.tolist():
             (sample,) = self.sampler.samples(x, y, orientation=trial.orientation)
             if self.camera is not None:
@@ -241,8 +241,8 @@ class Simulator:
             if scene is not None:
                 sample += scene
             self._add_noise(sample, level, rng)
-            found.append(self._displayed(sample, x, y))
-        return found
+            frames.append(self._displayed(sample, x, y))
+        return frames
 
     def _rng(self, trial: SimulatedTrial) -> np.random.Generator:
         """Return the random stream of a trial."""

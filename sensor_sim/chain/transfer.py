@@ -87,8 +87,8 @@ def obscured_mtf(relative_frequency: ArrayLike, *, obscuration_ratio: float) -> 
     outer = np.arccos(np.clip((distance**2 + 1.0 - ratio**2) / (2.0 * distance), -1.0, 1.0))
     inner = np.arccos(np.clip((distance**2 + ratio**2 - 1.0) / (2.0 * distance * ratio), -1.0, 1.0))
     in_common = (outer + ratio**2 * inner - distance * np.sin(outer)) / np.pi
-    found = of_disc(x) - 2.0 * in_common + ratio**2 * of_disc(x / ratio)
-    return np.asarray(np.where(x < 1.0, found / (1.0 - ratio**2), 0.0))
+    transfer = of_disc(x) - 2.0 * in_common + ratio**2 * of_disc(x / ratio)
+    return np.asarray(np.where(x < 1.0, transfer / (1.0 - ratio**2), 0.0))
 
 
 @lru_cache(maxsize=64)
@@ -224,13 +224,13 @@ def pre_sample_mtf(
 
     Hogervorst et al. 2001, section 3.6.
     """
-    found = optics_otf(frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad, optics=optics)
+    transfer = optics_otf(frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad, optics=optics)
     if motion is not None:
-        found = found * motion_mtf(frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad, motion=motion)
+        transfer = transfer * motion_mtf(frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad, motion=motion)
     if not optics.mtf_includes_detector:
-        found = found * box_mtf(frequency_x_cyc_per_mrad, width=detector.width_mrad)
-        found = found * box_mtf(frequency_y_cyc_per_mrad, width=detector.width_mrad)
-    return found
+        transfer = transfer * box_mtf(frequency_x_cyc_per_mrad, width=detector.width_mrad)
+        transfer = transfer * box_mtf(frequency_y_cyc_per_mrad, width=detector.width_mrad)
+    return transfer
 
 
 def motion_mtf(

@@ -234,19 +234,19 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
             f"{plain(value)}{unit} at {frequency:g} times the Nyquist frequency"
             for value, frequency in dict.fromkeys((known[0], known[-1]) if known else ())
         )
-        found = [f"The {what} of the bars is {ends}."] if ends else []
+        texts = [f"The {what} of the bars is {ends}."] if ends else []
         unreached = [bars.frequency_nyquist for bars in self.bars if bars.status == "never_reached"]
         if unreached:
-            found.append(f"No contrast is enough from {min(unreached):g} times the Nyquist frequency on.")
+            texts.append(f"No contrast is enough from {min(unreached):g} times the Nyquist frequency on.")
         if self.ttp is not None:
             per_mrad = self.ttp.cyc_per_mrad
             sizes = ", ".join(f"{task} {v50 / per_mrad:.3g}" for task, v50 in self.ttp.v50_cycles.items())
-            found.append(
+            texts.append(
                 f"TTP: a target of {self.ttp.delta_t_k:g} K, shown at contrast {self.ttp.contrast:g}, has V = "
                 f"{self.ttp.cyc_per_mrad:.4g} for each mrad of its size. Half of the observers need, in mrad: "
                 f"{sizes}."
             )
-        return [*found, f"The display without bars shows {other}."]
+        return [*texts, f"The display without bars shows {other}."]
 
     def figures(self) -> list[ReportFigure]:
         """List MRTD and TOD on one axis, as in Figure 7 of the paper."""
@@ -343,9 +343,9 @@ def bars_at(
     nyquists = frequency_cyc_per_mrad / sensor.detector.nyquist_cyc_per_mrad
     has_netd = sensor.noise.netd_mk is not None
     values: dict[str, Any] = {}
-    for prefix, found in (("", averaged), ("best_", best)):
-        values[f"{prefix}status"] = found.status
-        for name, snr in (("", found.threshold), ("_error", found.numerical_error)):
+    for prefix, computed in (("", averaged), ("best_", best)):
+        values[f"{prefix}status"] = computed.status
+        for name, snr in (("", computed.threshold), ("_error", computed.numerical_error)):
             values[f"{prefix}threshold_snr{name}"] = snr
             in_mk = None if snr is None or not has_netd else float(delta_t_mk(snr, noise=sensor.noise))
             values[f"{prefix}mrtd_mk{name}"] = in_mk

@@ -184,12 +184,12 @@ class SimulationWork(StoredWork[list[SimulatedTrial], WrittenFrames]):
 
     def decode(self, encoded: bytes) -> WrittenFrames | None:
         """Return the result that `encode` got; None if a frame is missing or has changed."""
-        found = msgspec.json.decode(encoded, type=WrittenFrames)
+        written = msgspec.json.decode(encoded, type=WrittenFrames)
         try:
-            is_there = all(frame_sha256(self.folder / row["frame"]) == row["sha256"] for row in found.rows)
+            is_there = all(frame_sha256(self.folder / row["frame"]) == row["sha256"] for row in written.rows)
         except FrameError:
             return None
-        return found if is_there else None
+        return written if is_there else None
 
 
 def write_dataset(

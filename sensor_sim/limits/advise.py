@@ -115,13 +115,13 @@ class SensorAdvice(Content, frozen=True, kw_only=True):
         """Return the advice in words."""
         angles = f"{plain(self.sizes_mrad[0])} to {plain(self.sizes_mrad[-1])} mrad at the camera"
         sizes = listed(f"{size:g}" for size in self.sizes_detectors)
-        found = [self.limits, f"Sizes worth asking for: {sizes} detectors ({angles})."]
-        found += [] if self.ideal_camera is None else [self.ideal_camera.sentence()]
+        texts = [self.limits, f"Sizes worth asking for: {sizes} detectors ({angles})."]
+        texts += [] if self.ideal_camera is None else [self.ideal_camera.sentence()]
         most = next((gain for gain in self.gains if gain.key not in NOT_FOR_SALE), None)
         if most is not None and abs(most.change_percent) > most.error_percent:
             way, change = "more" if most.change_percent < 0.0 else "less", plain(abs(most.change_percent), 2)
-            found.append(f"A tenth {way} of {most.key} buys most: the threshold falls by about {change} %.")
-        return found
+            texts.append(f"A tenth {way} of {most.key} buys most: the threshold falls by about {change} %.")
+        return texts
 
     def figures(self) -> list[ReportFigure]:
         """List the changes as bars."""
@@ -194,11 +194,11 @@ def advise(
     asked["tolerance"] = tolerance
     plan: dict[str, Any] = {"plan": "needed", "places": 1, "progress": lambda _: None}
     scenes = [] if sensor.scene is None else [sensor.scene]
-    found = [
+    thresholds = [
         threshold for size in sizes for threshold in thresholds_at(sensor, scenes, judge, size, **plan, **asked)
     ]
-    shares = [shares_at(threshold.chain, "snr", threshold.found.threshold) for threshold in found]
-    reached = [threshold.found.threshold is not None for threshold in found]
+    shares = [shares_at(threshold.chain, "snr", threshold.found.threshold) for threshold in thresholds]
+    reached = [threshold.found.threshold is not None for threshold in thresholds]
     mean, sentence = what_limits(sizes, shares, reached, WITHOUT_NOISE if sensor.photons is None else SATURATING)
     worth_asking = [size for size, has_threshold in zip(sizes, reached, strict=True) if has_threshold] or sizes
     middle = worth_asking[len(worth_asking) // 2]

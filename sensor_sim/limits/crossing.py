@@ -76,9 +76,9 @@ def find_crossing(
     if larger_is_better is not None:
         ends = (ends[0], first) if larger_is_better is is_recognised else (first, ends[1])
     bracket = _bracket(excess, first, *ends)
-    found = sorted(tries.values())
+    ordered = sorted(tries.values())
     if bracket is None:
-        return Crossing(None, None, is_least=True, is_recognised=is_recognised, tries=tuple(found))
+        return Crossing(None, None, is_least=True, is_recognised=is_recognised, tries=tuple(ordered))
     below, above = bracket
     is_least = excess(below) > 0.0
     if is_whole:

@@ -135,11 +135,11 @@ class SensorLimit(Content, frozen=True, kw_only=True):
 
     def sentences(self) -> list[str]:
         """Return the limits in words."""
-        found = [self._sentence(limit) for limit in self.limits]
+        texts = [self._sentence(limit) for limit in self.limits]
         if self.parameter == "light" and self.exposure_ms is not None and self.exposure_ms > LONGEST_EXPOSURE_MS:
             allowed = f"IEC 62676-5 allows {LONGEST_EXPOSURE_MS:g} ms at most"
-            found.append(f"The exposure is {self.exposure_ms:g} ms; {allowed}.")
-        return found
+            texts.append(f"The exposure is {self.exposure_ms:g} ms; {allowed}.")
+        return texts
 
     def _sentence(self, limit: Limit) -> str:
         what = f"{self._target} at {limit.size:g} {'m' if self.parameter == 'range' else 'mrad'}"

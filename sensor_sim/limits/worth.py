@@ -219,7 +219,7 @@ def worth(
     def threshold_at(value: float, size_detectors: float) -> tuple[float | None, float]:
         return threshold_of(varied.sensor_at(value), judge, size_detectors, **asked)
 
-    found = []
+    records = []
     for algorithm, ratio in counted(ratios, len(ratios), progress):
         size = _size_detectors(ratio, sensor, where)
         before, _ = threshold_at(varied.own, size)
@@ -232,7 +232,7 @@ def worth(
             crossing = varied.crossing(lambda value: Try.of(value, *threshold_at(value, size), wanted * before))
             return None if crossing.value is None else crossing.value / varied.own
 
-        found.append(_worth(algorithm, ratio, size, factor))
+        records.append(_worth(algorithm, ratio, size, factor))
     return Result.made(
         "worth",
         started,
@@ -242,7 +242,7 @@ def worth(
         parameter=varied.name,
         unit=varied.unit,
         own_value=varied.own,
-        worth=tuple(found),
+        worth=tuple(records),
     )
 
 

@@ -60,7 +60,7 @@ def numeric_keys(sensor: Sensor, observer_settings: type) -> dict[str, bool]:
     They are the keys that mean something for this sensor, and those of the observer's settings, whose type is that
     of None if it has none.
     """
-    found = {FILL_FACTOR: False}
+    keys = {FILL_FACTOR: False}
     used = used_keys(sensor)
     if observer_settings is not NoneType:
         used["observer"] = [field.name for field in fields(observer_settings)]
@@ -70,8 +70,8 @@ def numeric_keys(sensor: Sensor, observer_settings: type) -> dict[str, bool]:
         for name in names:
             kinds = kinds_of(hints[name])
             if int in kinds or float in kinds:
-                found[f"{table}.{name}"] = float not in kinds
-    return found
+                keys[f"{table}.{name}"] = float not in kinds
+    return keys
 
 
 def parse_range(text: str, where: str) -> Range:
@@ -86,24 +86,24 @@ def parse_range(text: str, where: str) -> Range:
     try:
         low, high, *more = parts
         n = int(more.pop(0)) if more else None
-        found = Range(float(low), float(high), n, spacing)
+        parsed = Range(float(low), float(high), n, spacing)
         if more:
             raise ValueError(text)
     except ValueError:
         expected = "FROM:TO:N or FROM:TO:N:log, such as 50:200:7"
         raise SettingsError(f"{where}: found {text!r}, expected {expected}") from None
     shown = f"{where}: found {text!r}"
-    if not (math.isfinite(found.low) and math.isfinite(found.high)):
+    if not (math.isfinite(parsed.low) and math.isfinite(parsed.high)):
         raise SettingsError(f"{shown}, expected finite numbers")
-    if found.low == found.high:
+    if parsed.low == parsed.high:
         raise SettingsError(f"{shown}, a range of zero width; expected FROM below TO")
-    if found.low > found.high:
+    if parsed.low > parsed.high:
         raise SettingsError(f"{shown}, a range that falls; expected FROM below TO")
-    if is_log and found.low <= 0.0:
+    if is_log and parsed.low <= 0.0:
         raise SettingsError(f"{shown}, expected FROM above 0 with log")
     if n is not None and n < 2:
         raise SettingsError(f"{shown}, expected N of 2 or more")
-    return found
+    return parsed
 
 
 def grid(vary: Mapping[str, str | Sequence[float]], known: Mapping[str, bool]) -> Designs:

@@ -79,11 +79,11 @@ class Aim(NamedTuple):
         unreached = size_mrad[np.asarray(status) == "never_reached"].tolist()
         try:
             curve = ThresholdCurve.of_sizes(size_mrad[known], threshold[known], unreached_mrad=unreached, **own)
-            found = first_range(curve, *self)
+            first = first_range(curve, *self)
         except DataError:
             return DesignRange("too_few_sizes")
-        values = (math.nan if value is None else value for value in (found.range_km, found.at_least_km))
-        return DesignRange(found.status, *values)
+        values = (math.nan if value is None else value for value in (first.range_km, first.at_least_km))
+        return DesignRange(first.status, *values)
 
 
 def chosen_aim(
@@ -134,16 +134,16 @@ class Criterion(NamedTuple):
         given, a value is no number > 0, or NETD is not known for the one in mK.
         """
         given = {"snr": snr, "delta_t_mk": delta_t_mk}
-        found = [cls(level, value) for level, value in given.items() if value is not None]
-        if not found:
+        criteria = [cls(level, value) for level, value in given.items() if value is not None]
+        if not criteria:
             return None
-        if len(found) > 1:
+        if len(criteria) > 1:
             raise SettingsError("acuity: found an SNR and a ΔT, expected one of them")
-        level, value = found[0]
+        level, value = criteria[0]
         check_positive(f"acuity_{level}", value)
         if level == "delta_t_mk" and not has_netd:
             raise SettingsError("acuity_delta_t_mk: needs noise.netd_mk of the sensor")
-        return found[0]
+        return criteria[0]
 
 
 class Acuity(NamedTuple):
@@ -238,10 +238,10 @@ def objectives(
             raise SettingsError(f"{where}: found {names[0]}, which needs an SNR or ΔT for the acuity")
         if OF_RANGE in names and not has_range:
             raise SettingsError(f"{where}: found {OF_RANGE}, which needs a target and an atmosphere")
-    found = (*(Objective(name, 1) for name in minimise), *(Objective(name, -1) for name in maximise))
-    if len({objective.column for objective in found}) < len(found):
+    goals = (*(Objective(name, 1) for name in minimise), *(Objective(name, -1) for name in maximise))
+    if len({objective.column for objective in goals}) < len(goals):
         raise SettingsError(f"{argument.minimise}, {argument.maximise}: found a column twice, expected each once")
-    return found
+    return goals
 
 
 def columns_of(
@@ -260,20 +260,23 @@ def columns_of(
     """
     designs, sizes = swept.designs, np.array(swept.size_detectors)
     n_designs, pitch = len(designs.values), swept.pitch_mrad
-    found: dict[str, Any] = {"design": range(1, n_designs + 1)}
+    columns: dict[str, Any] = {"design": range(1, n_designs + 1)}
     if designs.names is not None:
-        found[NAME_COLUMN] = designs.names
+        columns[NAME_COLUMN] = designs.names
     for key, values in zip(designs.keys, designs.values.T, strict=True):
-        found[key] = [int(value) for value in values] if key in whole_keys else values
+        columns[key] = [int(value) for value in values] if key in whole_keys else values
     if couple_netd:
-        found["netd_mk"] = swept.netd_mk
-    found["size_detectors"] = np.broadcast_to(sizes, swept.threshold.shape)
-    found["size_scene_mrad"] = pitch[:, None] * sizes
-    found["status"] = swept.status
-    found |= {f"threshold_{swept.level}": swept.threshold, f"threshold_{swept.level}_error": swept.numerical_error}
+        columns["netd_mk"] = swept.netd_mk
+    columns["size_detectors"] = np.broadcast_to(sizes, swept.threshold.shape)
+    columns["size_scene_mrad"] = pitch[:, None] * sizes
+    columns["status"] = swept.status
+    columns |= {
+        f"threshold_{swept.level}": swept.threshold,
+        f"threshold_{swept.level}_error": swept.numerical_error,
+    }
     if np.isfinite(swept.mk_per_snr).any():
-        found["delta_t_mk"] = swept.delta_t_mk
-        found["delta_t_mk_error"] = swept.numerical_error * swept.mk_per_snr[:, None]
+        columns["delta_t_mk"] = swept.delta_t_mk
+        columns["delta_t_mk_error"] = swept.numerical_error * swept.mk_per_snr[:, None]
     if criterion is not None:
         in_mk = criterion.level == "delta_t_mk"
         levels = criterion.value / (swept.mk_per_snr if in_mk else np.ones(n_designs))
@@ -287,8 +290,8 @@ def columns_of(
             ("", np.array([acuity.detectors for acuity in acuities])),
             ("_error", np.array([acuity.error for acuity in acuities])),
         ):
-            found |= {f"acuity_detectors{name}": values, f"acuity_mrad{name}": values * pitch}
-        found["acuity_status"] = [acuity.status for acuity in acuities]
+            columns |= {f"acuity_detectors{name}": values, f"acuity_mrad{name}": values * pitch}
+        columns["acuity_status"] = [acuity.status for acuity in acuities]
     if aim is not None:
         in_k = swept.level == "snr"
         thresholds = swept.delta_t_mk / 1000.0 if in_k else swept.threshold
@@ -298,13 +301,13 @@ def columns_of(
             else aim.range_of(sizes * own, of_design, status, p_correct, "delta_t_k" if in_k else "contrast")
             for own, of_design, status in zip(pitch, thresholds, swept.status, strict=True)
         ]
-        found[OF_RANGE] = [reach.range_km for reach in ranges]
-        found["range_at_least_km"] = [reach.at_least_km for reach in ranges]
-        found["range_status"] = [reach.status for reach in ranges]
-    found["on_front"] = _on_front(found, swept, goals)
-    found["n_phases"] = [[number or None for number in of_design] for of_design in swept.n_phases]
-    found["reason"] = [[why or None for why in of_design] for of_design in swept.reason]
-    return {name: _of_rows(values, len(sizes)) for name, values in found.items()}
+        columns[OF_RANGE] = [reach.range_km for reach in ranges]
+        columns["range_at_least_km"] = [reach.at_least_km for reach in ranges]
+        columns["range_status"] = [reach.status for reach in ranges]
+    columns["on_front"] = _on_front(columns, swept, goals)
+    columns["n_phases"] = [[number or None for number in of_design] for of_design in swept.n_phases]
+    columns["reason"] = [[why or None for why in of_design] for of_design in swept.reason]
+    return {name: _of_rows(values, len(sizes)) for name, values in columns.items()}
 
 
 def _on_front(found: Columns, swept: Swept, goals: Sequence[Objective]) -> NDArray[np.bool_]:

@@ -223,8 +223,8 @@ class Sweep(Content, frozen=True, kw_only=True):
         if not designs:
             return None
         records = [
-            {"status": pair[0], "thresholds": len(found), "first_design": found[0], "reason": pair[1]}
-            for pair, found in sorted(designs.items(), key=lambda item: -len(item[1]))[:ROWS_SHOWN]
+            {"status": pair[0], "thresholds": len(numbers), "first_design": numbers[0], "reason": pair[1]}
+            for pair, numbers in sorted(designs.items(), key=lambda item: -len(item[1]))[:ROWS_SHOWN]
         ]
         columns = [
             Column(key="status", is_key=True),
@@ -238,35 +238,35 @@ class Sweep(Content, frozen=True, kw_only=True):
     def sentences(self) -> list[str]:
         """Return the findings in words, the best design first."""
         known = self.known
-        found = [self._answer()]
+        texts = [self._answer()]
         if len(self.objectives) > 1:
             names = listed(
                 f"{'low' if objective.sign > 0 else 'high'} {in_words(objective.column)[0]}"
                 for objective in self.objectives
             )
             number = int(self.on_front[:, 0].sum())
-            found.append(f"{count(number, 'design')} on the trade-off front of {names}.")
-        found.append(
+            texts.append(f"{count(number, 'design')} on the trade-off front of {names}.")
+        texts.append(
             f"{count(self.n_designs, 'design')} at {count(known.shape[1], 'size')}: {int(known.sum())} of "
             f"{known.size} thresholds found, from {count(self.n_computed, 'computation')}."
         )
         impossible = np.flatnonzero(self.column("status")[:, 0] == IMPOSSIBLE)
         if impossible.size:
             why = f"design {impossible[0] + 1}: {self.column('reason')[impossible[0], 0]}"
-            found.append(f"{count(impossible.size, 'design')} cannot be made or computed; the first is {why}.")
+            texts.append(f"{count(impossible.size, 'design')} cannot be made or computed; the first is {why}.")
         beyond = self.column("range_at_least_km")[:, 0] if OF_RANGE in self.columns else np.empty(0)
         beyond = beyond[np.isfinite(beyond)]
         if beyond.size:
-            found.append(
+            texts.append(
                 f"The range of {count(beyond.size, 'design')} is beyond the smallest size, at "
                 f"{plain(float(beyond.max()))} km or more; add smaller sizes."
             )
         if "places" in self.settings:
-            found.append(unknown_place(self.settings["places"]))
+            texts.append(unknown_place(self.settings["places"]))
         if self._misses_coupling:
             text = "The NETD is the same for all apertures and detectors, so a smaller one costs no signal; with "
-            found.append(f"{text}{argument.couple_netd} it follows f-number² / area.")
-        return found
+            texts.append(f"{text}{argument.couple_netd} it follows f-number² / area.")
+        return texts
 
     def _answer(self) -> str:
         """Return the sentence about the design that is best by the first objective, or why there is none."""
@@ -300,20 +300,22 @@ class Sweep(Content, frozen=True, kw_only=True):
         """List the figures, the most important first."""
         names = [in_words(self.keys[number])[0] for number in varied(self)]
         others = len(names) > 2
-        found = []
+        figures = []
         if len(self.objectives) > 1:
             note = (
                 f"Grey: all designs; coloured: those that no other one beats in all of "
                 f"{listed(in_words(one.column)[0] for one in self.objectives)}."
             )
             draw = partial(draw_front, result=self, size=0)
-            found.append(ReportFigure(f"Trade-off{self.at_size}", note, draw, "front.png"))
+            figures.append(ReportFigure(f"Trade-off{self.at_size}", note, draw, "front.png"))
         if len(names) > 1 and OF_RANGE in self.columns and np.isfinite(self.column(OF_RANGE)).any():
             note = (
                 f"Range over {names[0]} and {names[1]}. Dotted: beyond the smallest size; crossed: never reached;"
                 " hatched once: none for another reason." + " The longest over the others that vary." * others
             )
-            found.append(ReportFigure("Map of range", note, partial(draw_range_map, result=self), "range_map.png"))
+            figures.append(
+                ReportFigure("Map of range", note, partial(draw_range_map, result=self), "range_map.png")
+            )
         if len(names) > 1:
             seen = np.flatnonzero(self.known.any(axis=0)).tolist()
             note = (
@@ -323,17 +325,17 @@ class Sweep(Content, frozen=True, kw_only=True):
             for size in evenly(seen, MOST_MAPS):
                 draw = partial(draw_map, result=self, size=size)
                 file = "map.png" if size == seen[0] else ""
-                found.append(ReportFigure(f"Map at {self.sizes[size]:g} detectors", note, draw, file))
+                figures.append(ReportFigure(f"Map at {self.sizes[size]:g} detectors", note, draw, file))
         elif names:
             draw = partial(draw_lines, result=self)
-            found.append(
+            figures.append(
                 ReportFigure(f"Threshold against {names[0]}", "A line for each size.", draw, "by_key.png")
             )
         if (self.known.sum(axis=1) > 1).any():
             note = f"Threshold against 1 / size of up to {MOST_CURVES} designs"
             note += f", coloured by {names[0]}." if names else "."
-            found.append(ReportFigure("TOD curves", note, partial(draw_curves, result=self), "tod_curves.png"))
-        return found
+            figures.append(ReportFigure("TOD curves", note, partial(draw_curves, result=self), "tod_curves.png"))
+        return figures
 
     def plot_tod(self, ax: Axes | None = None) -> Axes:
         """Draw the TOD curves of the designs, coloured by the first varied key; returns the axes."""

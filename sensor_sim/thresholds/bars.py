@@ -230,7 +230,7 @@ class BarChain:
 
         More places are taken until the relative half-width of the 95 % interval is below the tolerance.
         """
-        found = ComputedThreshold("never_reached")
+        computed = ComputedThreshold("never_reached")
         for places in PLACES:
             if math.gcd(places, self.sensor.display.pixels_per_detector) > 1:
                 continue
@@ -248,10 +248,10 @@ class BarChain:
             if mean.status != "ok":
                 return ComputedThreshold(mean.status)
             error = half_width_95(mean.deviations)
-            found = ComputedThreshold(mean.status, mean.threshold, mean.threshold * error)
+            computed = ComputedThreshold(mean.status, mean.threshold, mean.threshold * error)
             if error <= tolerance:
                 break
-        return found
+        return computed
 
     def _of_each(self, scores: BarScores, snr: float) -> FloatArray:
         """Return P(correct) of each replicate of scores, (replicates, places, displacements), at an SNR."""

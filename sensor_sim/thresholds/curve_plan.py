@@ -399,8 +399,8 @@ class _CurvePlanner:
             return self.full.noise(weights) / level**2
         rows, columns = line_covariance(weights)
         variance = self.variance
-        found = variance.white * noise_covariance(weights) + variance.row * rows + variance.column * columns
-        return found / level**2
+        covariance = variance.white * noise_covariance(weights) + variance.row * rows + variance.column * columns
+        return covariance / level**2
 
     def _find_covariance(self, p_correct: float) -> None:
         """Find the covariance of the scores near threshold, the level there and the slope of P(correct)."""

@@ -159,8 +159,8 @@ def covariance_at(
         return internal + phases.noise[:, None] / value**2 if level == "snr" else internal / value**2
     assert phases.of_light is not None
     of_term = [variance.row / value**2, variance.column / value**2, variance.per_signal / value]
-    found = np.einsum("t,...tij->...ij", np.array([*of_term, variance.per_squared_signal]), phases.of_light)
-    return np.asarray(found + (internal + phases.noise[:, None] * variance.white) / value**2)
+    covariance = np.einsum("t,...tij->...ij", np.array([*of_term, variance.per_squared_signal]), phases.of_light)
+    return np.asarray(covariance + (internal + phases.noise[:, None] * variance.white) / value**2)
 
 
 class FoldedChain:
@@ -482,7 +482,7 @@ def predicted_on_lattices(
             progress(half / REPLICATES)
         phases = pooled(parts)
         n_phases = sum(part.signal[..., 0].size for part in phases)
-        found = find_threshold(
+        crossing_found = find_threshold(
             partial(chain.proportions, phases, level=level, n_replicates=REPLICATES, check=check),
             p_correct,
             most=chain.largest_level,
@@ -490,20 +490,28 @@ def predicted_on_lattices(
             slope=slope,
         )
         progress(half)
-        if found.status != "ok":
-            never = chain.unreached(p_correct, seed, places, level) if found.status == "never_reached" else None
-            other = PredictedThreshold(found.status, size_detectors=chain.size_detectors, n_phases=n_phases)
+        if crossing_found.status != "ok":
+            never = (
+                chain.unreached(p_correct, seed, places, level)
+                if crossing_found.status == "never_reached"
+                else None
+            )
+            other = PredictedThreshold(
+                crossing_found.status, size_detectors=chain.size_detectors, n_phases=n_phases
+            )
             return never or other, {}
-        near, slope = found.threshold, found.slope
-        threshold = found.threshold
-        error, left_out = half_width_95(found.deviations), bound / found.slope
-        on_places[places] = found
+        near, slope = crossing_found.threshold, crossing_found.slope
+        threshold = crossing_found.threshold
+        error, left_out = half_width_95(crossing_found.deviations), bound / crossing_found.slope
+        on_places[places] = crossing_found
         if known is not None and places in known.on_places:
             reference = known.on_places[places]
             apart = reference.deviations - reference.deviations.mean()
             variance = float(apart @ apart)
-            share = float(found.deviations @ apart) / variance if variance > 0.0 else 0.0
-            by_ratio = half_width_95(found.deviations - share * reference.deviations) + abs(share) * known.error
+            share = float(crossing_found.deviations @ apart) / variance if variance > 0.0 else 0.0
+            by_ratio = (
+                half_width_95(crossing_found.deviations - share * reference.deviations) + abs(share) * known.error
+            )
             if by_ratio + left_out <= tolerance:
                 threshold *= (known.threshold / reference.threshold) ** share
                 error = by_ratio
@@ -517,5 +525,5 @@ def predicted_on_lattices(
         levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, n_points)).tolist()
         points = tuple((value, chain.proportion_correct(parts[0], value, level=level)) for value in levels)
     error = (error + left_out) * threshold
-    predicted = PredictedThreshold(found.status, threshold, error, chain.size_detectors, n_phases, points)
+    predicted = PredictedThreshold(crossing_found.status, threshold, error, chain.size_detectors, n_phases, points)
     return if_known(predicted), on_places

@@ -299,25 +299,25 @@ def check_whole(name: str, value: Any, least: int, most: int) -> None:
 
 def distinct_numbers(name: str, values: Iterable[float]) -> list[float]:
     """Return values as numbers; raise SettingsError unless there are some, finite and above 0, and each once."""
-    found: list[float] = [convert(item, Positive, name) for item in values]
-    if not found:
+    numbers: list[float] = [convert(item, Positive, name) for item in values]
+    if not numbers:
         raise SettingsError(f"{name}: found no values, expected at least one")
-    if len(set(found)) < len(found):
-        shown = ", ".join(f"{number:g}" for number in found)
+    if len(set(numbers)) < len(numbers):
+        shown = ", ".join(f"{number:g}" for number in numbers)
         raise SettingsError(f"{name}: found a value twice in {shown}, expected each once")
-    return found
+    return numbers
 
 
-def check_keys(found: Iterable[str], known: Iterable[str], where: str) -> None:
+def check_keys(keys: Iterable[str], known: Iterable[str], where: str) -> None:
     """Raise SettingsError, which names the nearest known key, if a key is not known."""
-    if problem := _unknown_key(found, known):
+    if problem := _unknown_key(keys, known):
         raise SettingsError(f"{where}: {problem}")
 
 
-def _unknown_key(found: Iterable[str], known: Iterable[str]) -> str:
+def _unknown_key(keys: Iterable[str], known: Iterable[str]) -> str:
     """Return the message about the first unknown key; "" if all are known."""
     known = {key.lower(): key for key in known}
-    for key in found:
+    for key in keys:
         if key not in known.values():
             nearest = difflib.get_close_matches(str(key)[:LONGEST_SHOWN].lower(), known, n=1, cutoff=0.0)
             hint = f"; the nearest valid one is {known[nearest[0]]!r}" if nearest else ""

@@ -36,7 +36,7 @@ def one_line(text: str) -> str:
 
 def visible_json(text: str) -> str:
     """Return JSON in which characters that a terminal would obey are escaped; its values are the same."""
-    return _UNESCAPED_BY_JSON.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+    return _UNESCAPED_BY_JSON.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 
 
 def csv_text(rows: Iterable[Iterable[object]]) -> str:
@@ -72,9 +72,9 @@ def without_quote(text: str) -> str:
 def without_secrets(text: str) -> str:
     """Return a text in which URLs have no user name, password, parameter, query or fragment."""
 
-    def without_user(found: re.Match[str]) -> str:
-        is_container = found["scheme"].lower() in CONTAINER_BEFORE_AT
-        return found[0] if is_container else f"{found['scheme']}:{found['slashes']}…@"
+    def without_user(match: re.Match[str]) -> str:
+        is_container = match["scheme"].lower() in CONTAINER_BEFORE_AT
+        return match[0] if is_container else f"{match['scheme']}:{match['slashes']}…@"
 
     return _QUERY.sub(r"\1…", _USER.sub(without_user, text)) if ":/" in text else text
 

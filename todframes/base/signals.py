@@ -152,7 +152,7 @@ def _handle(handler: Callable[..., None]) -> dict[int, Any]:
     if threading.current_thread() is not threading.main_thread():
         return {}
     before = {number: signal.getsignal(number) for number in SIGNALS}
-    before = {number: found for number, found in before.items() if found not in (signal.SIG_IGN, None)}
+    before = {number: handler for number, handler in before.items() if handler not in (signal.SIG_IGN, None)}
     for number in before:
         signal.signal(number, handler)
     return before

@@ -74,12 +74,12 @@ def import_named(module: str, name: str, where: str) -> Any:
     """
     try:
         search_last([os.getcwd()])  # noqa: PTH109 - a text, as the finder has them
-        found: Any = importlib.import_module(module)
+        named: Any = importlib.import_module(module)
     except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
         raise SettingsError(f"{where}: module {module!r} cannot be imported ({in_words(error)})") from None
-    if not hasattr(found, name):
-        check_keys([name], [key for key, value in vars(found).items() if callable(value)], f"{where}: {module}")
-    return getattr(found, name)
+    if not hasattr(named, name):
+        check_keys([name], [key for key, value in vars(named).items() if callable(value)], f"{where}: {module}")
+    return getattr(named, name)
 
 
 def in_words(error: BaseException) -> str:

@@ -264,8 +264,8 @@ def _of_display(name: str) -> dict[str, Any]:
     """Return the settings of a monitor that a display of `find_display` gives."""
     display = find_display(name).display
     shared = {field.name for field in fields(Screen)} - {"background_luminance_cd_m2"}
-    found = {name: getattr(display, name) for name in shared & {field.name for field in fields(Display)}}
+    values = {name: getattr(display, name) for name in shared & {field.name for field in fields(Display)}}
     if display.lut is not None:
-        found["white_luminance_cd_m2"] = float(display.lut.luminance_cd_m2[-1])
-        found["black_luminance_cd_m2"] = float(display.lut.luminance_cd_m2[0])
-    return {name: value for name, value in found.items() if value is not None}
+        values["white_luminance_cd_m2"] = float(display.lut.luminance_cd_m2[-1])
+        values["black_luminance_cd_m2"] = float(display.lut.luminance_cd_m2[0])
+    return {name: value for name, value in values.items() if value is not None}

@@ -67,7 +67,7 @@ def _with_options(message: str) -> str:
     subject, is_one, rest = re.sub(r"^(chart|screen|print|thermal): ", "", message).partition(":")
     named = {name: option for name, option in options.items() if "_" in name or name == "contrasts"}
     text = options.get(subject, subject) + is_one + rest
-    return re.sub(rf"(?<![-\w])({'|'.join(named)})\b", lambda found: named[found[1]], text)
+    return re.sub(rf"(?<![-\w])({'|'.join(named)})\b", lambda match: named[match[1]], text)
 
 
 def _paper_mm(paper: str) -> tuple[float, float]:
@@ -160,11 +160,11 @@ def experiment(given: dict[str, Any], *_: object) -> None:
             reading.close()
             echo(address)
 
-        found = run_experiment(data, tell=tell, warn=say, progress=advance, **given)
-    rest = "" if found.n_answered == found.n_trials else "; the same command goes on"
-    flagged = f", {found.n_flagged} with a flag" if found.n_flagged else ""
-    answered = f"{found.n_answered} of {found.n_trials} trials"
-    echo(f"{given['answers']}: subject {found.subject}, {answered}{flagged}{rest}")
+        result = run_experiment(data, tell=tell, warn=say, progress=advance, **given)
+    rest = "" if result.n_answered == result.n_trials else "; the same command goes on"
+    flagged = f", {result.n_flagged} with a flag" if result.n_flagged else ""
+    answered = f"{result.n_answered} of {result.n_trials} trials"
+    echo(f"{given['answers']}: subject {result.subject}, {answered}{flagged}{rest}")
 
 
 def noise(given: dict[str, Any], shown: dict[str, Any], out: str | None) -> None:

@@ -25,14 +25,14 @@ def parts(text: str, option: str, value: Value) -> Sequence[Any]:
     """
     kind, form = value.kind, value.form
     try:
-        found = [kind(part) for part in text.split(form.separator)]
+        values = [kind(part) for part in text.split(form.separator)]
     except ValueError:
-        found = []
-    if not found or value.length not in (None, len(found)):
+        values = []
+    if not values or value.length not in (None, len(values)):
         noun = "whole numbers" if kind is int else "numbers"
         how = "with commas between them" if value.length is None else f"as {form.metavar}"
         raise SettingsError(f"{option}: found {text!r}, expected {noun} {how}")
-    return tuple(found) if value.length else found
+    return tuple(values) if value.length else values
 
 
 class Assigned(click.ParamType):  # type: ignore[type-arg]  # click 8.2 takes none

@@ -30,14 +30,14 @@ def enhancements(*, json: bool) -> None:
     )
     from todframes.results.data import SCHEMA
 
-    found = []
+    algorithms = []
     for name in enhancement_names():
         try:
             with prints_go_to_stderr():
-                found.append(find_enhancement(name))
+                algorithms.append(find_enhancement(name))
         except SettingsError as error:  # raised by an algorithm of another package
             say(f"left out: {error}")
-    listed = [enhancement_record(algorithm) for algorithm in found]
+    listed = [enhancement_record(algorithm) for algorithm in algorithms]
     if not json:
         print_table(enhancements_table(listed))
         return

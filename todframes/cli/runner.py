@@ -284,7 +284,7 @@ def _default(default: Any) -> str:
 
 def _for_commands(text: str, parameters: Mapping[str, Argument]) -> str:
     """Return a text of a call with options in place of the names of its parameters."""
-    return re.sub(r"`(\w+)`", lambda found: flag_of(found[1]) if found[1] in parameters else found[0], text)
+    return re.sub(r"`(\w+)`", lambda match: flag_of(match[1]) if match[1] in parameters else match[0], text)
 
 
 def _opens_dataset(parameters: Mapping[str, Argument]) -> bool:

@@ -106,10 +106,10 @@ def read_call(call: str) -> Call:
     defaults: list[ast.expr | None] = [None] * (len(arguments) - len(node.args.defaults))
     with_defaults = [*zip(arguments, [*defaults, *node.args.defaults], strict=True)]
     with_defaults += zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)
-    found = {}
+    described = {}
     for argument, default in with_defaults:
         text, _, default_text = texts.get(argument.arg, "").partition(" Default: ")
-        found[argument.arg] = Argument(
+        described[argument.arg] = Argument(
             name=argument.arg,
             annotation=ast.unparse(argument.annotation or ast.Constant(None)),
             default=REQUIRED if default is None else _constant(default, source),
@@ -119,7 +119,7 @@ def read_call(call: str) -> Call:
         )
     above = "\n".join(takewhile(lambda line: line != "Parameters", lines))
     return Call(
-        tuple(" ".join(paragraph.split()) for paragraph in above.split("\n\n") if paragraph.strip()), found
+        tuple(" ".join(paragraph.split()) for paragraph in above.split("\n\n") if paragraph.strip()), described
     )
 
 
@@ -134,8 +134,8 @@ def _constant(node: ast.expr, source: str) -> Any:
     """Return the value of a default: a literal, or a constant of its module or of `parameters`."""
     if not isinstance(node, ast.Name):
         return ast.literal_eval(node)
-    found = re.search(rf"^{node.id} = ([-\d(\"'].*)$", source, re.MULTILINE)
-    return getattr(parameters, node.id, UNREAD) if found is None else ast.literal_eval(found[1])
+    constant = re.search(rf"^{node.id} = ([-\d(\"'].*)$", source, re.MULTILINE)
+    return getattr(parameters, node.id, UNREAD) if constant is None else ast.literal_eval(constant[1])
 
 
 def _texts(lines: Sequence[str]) -> dict[str, str]:
@@ -161,8 +161,8 @@ def _texts(lines: Sequence[str]) -> dict[str, str]:
 def _value(kind: Any) -> Value | None:
     """Return how a command line writes a kind of value: the first of a union's that it can write, None if none."""
     if get_origin(kind) in (Union, UnionType):
-        found = [value for value in map(_value, get_args(kind)) if value is not None]
-        return min(found, key=_order, default=None)
+        values = [value for value in map(_value, get_args(kind)) if value is not None]
+        return min(values, key=_order, default=None)
     if get_origin(kind) is Annotated:
         base, form = get_args(kind)
         inner = _value(base)

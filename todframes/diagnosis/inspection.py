@@ -345,24 +345,24 @@ class GroupTriangle(NamedTuple):
         images = Images.of(even, given, known=known, hole=hole, view=view)
         middle = share @ stated
         apart = stated - middle
-        found = fitted(images, first_guess(images, size))
+        triangle = fitted(images, first_guess(images, size))
         if np.abs(apart).max() > 1e-3:  # a twentieth of what fits of single frames resolve
-            even = aligned(even, found, given, apart)
+            even = aligned(even, triangle, given, apart)
             images = Images.of(even, given, known=known, hole=hole, view=view)
-            found = fit(images, found.shape, found.shown)
+            triangle = fit(images, triangle.shape, triangle.shown)
         scenes, of_noise_alone = None, images
         if view is not None:
-            scenes = SceneParts.of(even, found, images, given, view)
+            scenes = SceneParts.of(even, triangle, images, given, view)
             even, of_noise_alone = scenes.even, images._replace(background=np.zeros_like(images.background))
-        each = of_trials(found, of_noise_alone, even, given)
+        each = of_trials(triangle, of_noise_alone, even, given)
         excess = np.maximum(np.square(share) @ (np.square(each.away) - np.square(each.error)), 0.0)
-        of_noise = found.errors[:4]
-        alone = float(of_noise[0]) / math.sqrt(found.larger)
-        signal = abs(found.shape.amplitude) / alone if alone > 0.0 else math.inf
+        of_noise = triangle.errors[:4]
+        alone = float(of_noise[0]) / math.sqrt(triangle.larger)
+        signal = abs(triangle.shape.amplitude) / alone if alone > 0.0 else math.inf
         # Equal frames may leave a contrast by rounding: luminance has single precision, 6e-8 of itself.
-        if abs(found.shape.amplitude) * level.max() <= 1e-6:
+        if abs(triangle.shape.amplitude) * level.max() <= 1e-6:
             signal = 0.0
-        return cls(images, found, each, middle, np.sqrt(np.square(of_noise) + excess), signal, scenes, block_px)
+        return cls(images, triangle, each, middle, np.sqrt(np.square(of_noise) + excess), signal, scenes, block_px)
 
     @property
     def size_ratio(self) -> float:
@@ -379,8 +379,8 @@ def _of_triangle(
     of_group: GroupTriangle, samples: Sequence[TrialSample], level: FloatArray, size: float, scenes: Sequence[str]
 ) -> dict[str, Any]:
     """Measure the triangle; lengths are in blocks until the end."""
-    images, found, each, _, error, signal, parts, block_px = of_group
-    shape = found.shape
+    images, triangle, each, _, error, signal, parts, block_px = of_group
+    shape = triangle.shape
     turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
     known = images.weight > 0.0
     polarity = samples[0].trial.stimulus.polarity
@@ -406,7 +406,7 @@ def _of_triangle(
     off_level = clear_level & (np.abs(each.away[:, 0]) > OFF_LEVEL * amplitude)
     ranked = np.sort(each.likeness, axis=1)
     clear_turn = ranked[:, 3] - ranked[:, 2] > 8.0 * each.likeness_error
-    shown = np.array(found.shown)[turns]
+    shown = np.array(triangle.shown)[turns]
     # Where levels are wrong, so are the backgrounds, and no single trial is clear.
     level_scatter = None if parts is None else _scatter(each.away[:, :1], each.error[:, :1])
     return measured | {
@@ -417,9 +417,9 @@ def _of_triangle(
         "size_ratio_error": of_group.size_ratio * float(error[3]) if is_whole else None,
         "size_scatter": _scatter(each.away[clear_place, 3:], each.error[clear_place, 3:]),
         "turned_rad": shape.turn_rad,
-        "turned_error_rad": float(found.errors[4]),
+        "turned_error_rad": float(triangle.errors[4]),
         "blur_px": block_px * math.sqrt(max(shape.variance, 0.0)),
-        "shown_as": next(turned.name for turned in TURNED if turned.shown == found.shown),
+        "shown_as": next(turned.name for turned in TURNED if turned.shown == triangle.shown),
         "wrong_orientation": int((clear_turn & (each.likeness.argmax(axis=1) != shown)).sum()),
         "n_orientation": int(clear_turn.sum()),
         "wrong_level": int(off_level.sum()),
@@ -511,10 +511,10 @@ def _unevenness(
 
 def records(dataset: Dataset, inspections: Sequence[Inspection]) -> list[dict[str, Any]]:
     """Return inspections as plain values for JSON; the group's values have the names of their columns."""
-    found = []
+    each = []
     for inspection in inspections:
         values = asdict(inspection)
         values["group"] = dict(zip(dataset.experiment.group_by, inspection.group, strict=True))
         values |= values.pop("stimulus")
-        found.append({name: value for name, value in values.items() if value is not None})
-    return found
+        each.append({name: value for name, value in values.items() if value is not None})
+    return each

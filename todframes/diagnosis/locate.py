@@ -635,9 +635,9 @@ def chosen_places(peaks: list[Peaks]) -> TrialPlaces | None:
             return None
     is_own = likely >= 0.5
     share = np.where(is_own, scatter**2 / both[each, best], 0.0)
-    found = mean + share[:, None] * (places[each, best] - mean)
+    shrunk = mean + share[:, None] * (places[each, best] - mean)
     error = np.sqrt(np.where(is_own, share * variance[each, best], scatter**2))
-    return TrialPlaces(found, error, is_own, mean, scatter)
+    return TrialPlaces(shrunk, error, is_own, mean, scatter)
 
 
 def _scatter(places: FloatArray, variance: FloatArray, middle: FloatArray) -> tuple[FloatArray, float]:

@@ -103,14 +103,14 @@ class SceneParts(NamedTuple):
 
     @classmethod
     def of(
-        cls, windows: FloatArray, found: TriangleFit, images: Images, given: Given, view: NDArray[np.intp]
+        cls, windows: FloatArray, triangle: TriangleFit, images: Images, given: Given, view: NDArray[np.intp]
     ) -> SceneParts:
         """Separate windows by the mean triangles, or by the fitted one if only their differences are known."""
         assert images.of_view is not None
         triangles = images.triangles
         if not images.has_triangle:
             triangles = np.zeros_like(images.triangles)
-            subtract(triangles, -found.picture.images[list(found.shown)], found.square)
+            subtract(triangles, -triangle.picture.images[list(triangle.shown)], triangle.square)
         shown = given.level[:, None, None] * triangles[given.turns]
         backgrounds, noise = _parted(windows - shown, images.of_view, view)
         return cls(view, backgrounds, shown + noise, noise)

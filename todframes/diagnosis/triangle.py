@@ -489,31 +489,31 @@ class TrialEstimates(NamedTuple):
     spectrum: FloatArray
 
 
-def of_trials(found: TriangleFit, images: Images, frames: FloatArray, given: Given) -> TrialEstimates:
+def of_trials(triangle: TriangleFit, images: Images, frames: FloatArray, given: Given) -> TrialEstimates:
     """Estimate what each trial shows, for frames as in `Images.of`."""
     level, noise, turns = given
-    weight = found.square.of(images.weight)
-    shown = np.array(found.shown)[turns]
-    slopes = np.tensordot(OF_TRIAL, found.picture.slopes, (1, 1)).swapaxes(0, 1)
+    weight = triangle.square.of(images.weight)
+    shown = np.array(triangle.shown)[turns]
+    slopes = np.tensordot(OF_TRIAL, triangle.picture.slopes, (1, 1)).swapaxes(0, 1)
     design = _without_background(slopes, weight)
     steps = np.linalg.pinv(design.swapaxes(1, 2)) * np.sqrt(weight).ravel()
     per_level = (frames - images.background) / level[:, None, None]
-    models = found.picture.images[shown]
-    cut = found.square.of(per_level)
+    models = triangle.picture.images[shown]
+    cut = triangle.square.of(per_level)
     left = (cut - models).reshape(len(frames), -1)
-    differ = (found.picture.images - found.picture.images.mean(axis=0)) * weight
-    subtract(per_level, models, found.square)
+    differ = (triangle.picture.images - triangle.picture.images.mean(axis=0)) * weight
+    subtract(per_level, models, triangle.square)
     relative = noise / level
     per_level /= relative[:, None, None]
     freedom = max(1.0 - 5.0 / len(frames), 0.2)
-    spectrum = noise_spectrum(per_level, images.weight, found.square.side) / freedom
-    shaped = steps.reshape(4, 4, found.square.side, -1)
+    spectrum = noise_spectrum(per_level, images.weight, triangle.square.side) / freedom
+    shaped = steps.reshape(4, 4, triangle.square.side, -1)
     errors = np.sqrt(filter_variances(shaped, spectrum))
     likeness_error = math.sqrt(float(filter_variances(differ, spectrum).mean()))
     likeness = cut.reshape(len(frames), -1) @ differ.reshape(4, -1).T
     # A stretched triangle has more energy in some orientations, which is not likeness: half of it counts, as in a
     # sum of squares.
-    energy = (np.square(found.picture.images) * weight).sum(axis=(1, 2))
+    energy = (np.square(triangle.picture.images) * weight).sum(axis=(1, 2))
     likeness -= (energy - energy.mean()) / 2.0
     return TrialEstimates(
         np.einsum("kpi,ki->kp", steps[shown], left),
@@ -524,7 +524,7 @@ def of_trials(found: TriangleFit, images: Images, frames: FloatArray, given: Giv
     )
 
 
-def aligned(frames: FloatArray, found: TriangleFit, given: Given, apart: FloatArray) -> FloatArray:
+def aligned(frames: FloatArray, triangle: TriangleFit, given: Given, apart: FloatArray) -> FloatArray:
     """Return frames, (trial, n, n), as if their triangles were at one place and of one size.
 
     The picture of the fit where a triangle is said to be is replaced by the picture at the place of the fit.
@@ -534,12 +534,12 @@ def aligned(frames: FloatArray, found: TriangleFit, given: Given, apart: FloatAr
     moved, n = frames.copy(), frames.shape[-1]
     # The places apart have blurred the first fit.
     by_places = float(np.square(apart[:, :2]).mean())
-    shape = found.shape._replace(variance=max(found.shape.variance - by_places, 0.0))
-    pictures = [_blurred(shape, found.square, n, turn) for turn in found.shown]
+    shape = triangle.shape._replace(variance=max(triangle.shape.variance - by_places, 0.0))
+    pictures = [_blurred(shape, triangle.square, n, turn) for turn in triangle.shown]
     for frame, strength, turn, (dx, dy, larger) in zip(moved, given.level, given.turns, apart, strict=True):
         own = shape._replace(x=shape.x + dx, y=shape.y + dy, map=math.exp(larger) * shape.map)
-        there = _blurred(own, found.square, n, found.shown[turn])
-        subtract(frame, strength * (there - pictures[turn]), found.square)
+        there = _blurred(own, triangle.square, n, triangle.shown[turn])
+        subtract(frame, strength * (there - pictures[turn]), triangle.square)
     return moved
 
 
@@ -561,7 +561,7 @@ def first_guess(images: Images, size: float) -> Shape:
         return _stated(images, size)
     mean = np.average(images.triangles, axis=0, weights=counts) * np.sqrt(images.weight)
     spectrum = np.fft.rfft2(mean)
-    best, found = -1.0, Shape.upright(1.0, 0.0, 0.0, size)
+    best, guess = -1.0, Shape.upright(1.0, 0.0, 0.0, size)
     for factor in (1.0, *np.geomspace(0.25, 5.0, 11)):
         tried = factor * size
         if tried > n / 1.6 or tried < 1.0:
@@ -576,8 +576,8 @@ def first_guess(images: Images, size: float) -> Shape:
         if abs(height) > (1.02 if factor != 1.0 else 1.0) * best:
             best = abs(height)
             x, y = float(column + edge - n // 2), float(row + edge - n // 2)
-            found = Shape.upright(math.copysign(1.0, height), x, y, tried)
-    return found
+            guess = Shape.upright(math.copysign(1.0, height), x, y, tried)
+    return guess
 
 
 def _stated(images: Images, size: float) -> Shape:
@@ -593,11 +593,11 @@ def _stated(images: Images, size: float) -> Shape:
 
 def fitted(images: Images, start: Shape) -> TriangleFit:
     """Fit a triangle, and take another arrangement of the orientations if it certainly fits the frames better."""
-    found = fit(images, start)
+    triangle = fit(images, start)
     counts = np.diag(images.information)
     stated = np.flatnonzero(counts)
     if len(stated) < 2:
-        return found
+        return triangle
     square = Square.about(start, len(images.weight))
     differ = differences(start, square, images.weight)
     like = np.einsum("ayx,byx->ab", square.of(images.triangles), differ, optimize=True)
@@ -608,7 +608,7 @@ def fitted(images: Images, start: Shape) -> TriangleFit:
     }
     best = max(gain, key=lambda shown: gain[shown])
     if gain[best] <= 0.0:
-        return found
+        return triangle
     other = fit(images, start, best)
     left = images.triangles.copy()
     subtract(left, other.picture.images[list(best)], other.square)
@@ -618,4 +618,4 @@ def fitted(images: Images, start: Shape) -> TriangleFit:
     variances = filter_variances(moved, noise_spectrum(whitened, images.weight, square.side))
     is_certain = gain[best] > 5.0 * math.sqrt(float(variances.sum()))
     # A triangle turned by 25° is one turned by -90° and by 5° back.
-    return other if is_certain and abs(other.shape.turn_rad) < math.radians(8.0) else found
+    return other if is_certain and abs(other.shape.turn_rad) < math.radians(8.0) else triangle

@@ -210,8 +210,8 @@ def counted_rows(rows: Iterable[TrialRow], *, include_flagged: bool) -> tuple[Tr
 
 def flagged(rows: Iterable[TrialRow]) -> dict[Flag, int]:
     """Return the number of main trials with each flag that occurs, in the order of `Flag`."""
-    found = Counter(row.flag for row in rows if row.phase == "main")
-    return {flag: found[flag] for flag in get_args(Flag) if found[flag]}
+    flags = Counter(row.flag for row in rows if row.phase == "main")
+    return {flag: flags[flag] for flag in get_args(Flag) if flags[flag]}
 
 
 def columns(level: str, group_by: tuple[str, ...]) -> tuple[str, ...]:
@@ -296,11 +296,11 @@ def read_rows(path: Path, dataset: ShownDataset) -> tuple[TrialRow, ...]:
         raise DataError(f"{path}: not CSV of UTF-8 ({error})") from None
     if not lines:
         return ()
-    found = tuple(without_quote(name) for name in lines[0])
-    if found == tuple(name for name in expected if name != "flag"):
-        expected = found
-    if found != expected:
-        raise DataError(f"{path}: found the columns {', '.join(found)}, expected {', '.join(expected)}")
+    names = tuple(without_quote(name) for name in lines[0])
+    if names == tuple(name for name in expected if name != "flag"):
+        expected = names
+    if names != expected:
+        raise DataError(f"{path}: found the columns {', '.join(names)}, expected {', '.join(expected)}")
     made: list[TrialRow] = []
     for line, fields in enumerate(lines[1:], 2):
         where = f"{path}, line {line}"

@@ -147,10 +147,10 @@ def calibrate(
 
 def _background_of(sessions: Sequence[Session]) -> float:
     """Return the luminance of the monitors' background in cd/m²: the mean over sessions."""
-    found = [session.monitor.background_luminance_cd_m2 for session in sessions]
-    if None in found:
+    backgrounds = [session.monitor.background_luminance_cd_m2 for session in sessions]
+    if None in backgrounds:
         raise SettingsError(
             "luminance_cd_m2: found background, which is not known: no photometer was read in the experiment; "
             "expected a number"
         )
-    return math.fsum(one for one in found if one is not None) / len(found)
+    return math.fsum(one for one in backgrounds if one is not None) / len(backgrounds)

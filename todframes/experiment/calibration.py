@@ -260,10 +260,10 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
         from todframes.results.figure import ReportFigure
         from todframes.results.figures import has_tod_curve, psychometric_figures, tod_note
 
-        found, pairs = [], own_and_model(self.fits, self.persons)
+        listed, pairs = [], own_and_model(self.fits, self.persons)
         if has_tod_curve(self.fits):
             note = tod_note(self.fits) + " Symbols: the person, by the counts alone; lines: the fitted model."
-            found.append(ReportFigure("Person and model", note, partial(_draw_persons, pairs=pairs)))
+            listed.append(ReportFigure("Person and model", note, partial(_draw_persons, pairs=pairs)))
         for person in self.persons:
             fits = [
                 replace(
@@ -276,8 +276,8 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
                 if own.group[SUBJECT] == person.subject
             ]
             curves = f"curves: the fitted model{' without lapses' if person.lapse_rate else ''}"
-            found += psychometric_figures(fits, {}, of=f"Answers of {person.subject}", curves=curves)
-        return [found[0]._replace(file="calibration.png"), *found[1:]] if found else []
+            listed += psychometric_figures(fits, {}, of=f"Answers of {person.subject}", curves=curves)
+        return [listed[0]._replace(file="calibration.png"), *listed[1:]] if listed else []
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the tables, the figure as SVG and the observers' settings."""

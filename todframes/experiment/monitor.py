@@ -176,41 +176,41 @@ def viewing_distance_mm(*, pixel_pitch_mm: float, pixel_pitch_mrad: float) -> fl
     return pixel_pitch_mm / (2.0 * math.tan(pixel_pitch_mrad / 2000.0))
 
 
-def calibrated(found: Calibration, *, background: float, dither: bool) -> Monitor:
+def calibrated(calibration: Calibration, *, background: float, dither: bool) -> Monitor:
     """Make the monitor of a person's measures.
 
     `background` is the largest luminance of the background over that of white: it becomes that of the next code
     below. Raises MonitorError if the browser resamples what it shows, because pixels of the page are not whole
     device pixels, or a measure is missing or cannot be right.
     """
-    if found.device_pixel_ratio not in (1.0, 2.0, 3.0, 4.0):
+    if calibration.device_pixel_ratio not in (1.0, 2.0, 3.0, 4.0):
         raise MonitorError(
             "scaling",
-            f"a pixel of the page is {found.device_pixel_ratio:.4g} pixels of the monitor, so the browser would "
-            "resample the frames; set the zoom of the page to 100 % (Ctrl and 0), and the scale of the display to "
-            "a whole number",
+            f"a pixel of the page is {calibration.device_pixel_ratio:.4g} pixels of the monitor, so the browser "
+            "would resample the frames; set the zoom of the page to 100 % (Ctrl and 0), and the scale of the "
+            "display to a whole number",
         )
-    pitch = found.pixel_pitch_mm
-    if pitch is None and found.pixels_per_card is not None and found.pixels_per_card > 0:
-        pitch = CARD_WIDTH_MM / found.pixels_per_card
+    pitch = calibration.pixel_pitch_mm
+    if pitch is None and calibration.pixels_per_card is not None and calibration.pixels_per_card > 0:
+        pitch = CARD_WIDTH_MM / calibration.pixels_per_card
     if pitch is None:
         raise MonitorError("calibration", "pixels_per_card, pixel_pitch_mm: found none of them, expected one > 0")
-    for name, value in (("pixel_pitch_mm", pitch), ("viewing_distance_mm", found.viewing_distance_mm)):
+    for name, value in (("pixel_pitch_mm", pitch), ("viewing_distance_mm", calibration.viewing_distance_mm)):
         low, high = RANGES[name]
         if not low <= value <= high:
             raise MonitorError(
                 "calibration", f"{name}: found {value:.4g} mm, expected {low:g} to {high:g} mm; measure again"
             )
-    gamma = found.gamma
-    if gamma is None and (code := found.half_tone_code) is not None:
+    gamma = calibration.gamma
+    if gamma is None and (code := calibration.half_tone_code) is not None:
         if not 0.0 < code < N_CODES - 1:
             raise MonitorError(
                 "calibration", f"half_tone_code: found {code!r}, expected 0 to 255, without these two"
             )
         gamma = math.log(0.5) / math.log(code / (N_CODES - 1))  # the rows have half the luminance of white
     try:
-        if found.photometer:
-            gamma, luminance = None, luminance_of_readings(found.photometer)
+        if calibration.photometer:
+            gamma, luminance = None, luminance_of_readings(calibration.photometer)
         elif gamma is not None:
             luminance = luminance_of_gamma(gamma)
         else:
@@ -225,21 +225,21 @@ def calibrated(found: Calibration, *, background: float, dither: bool) -> Monito
             "white) and white; take another background",
         )
     relative = float(luminance[background_code])
-    white_cd_m2 = max(cd_m2 for _, cd_m2 in found.photometer) if found.photometer else None
+    white_cd_m2 = max(cd_m2 for _, cd_m2 in calibration.photometer) if calibration.photometer else None
     return Monitor(
         pixel_pitch_mm=pitch,
-        viewing_distance_mm=found.viewing_distance_mm,
-        pixel_pitch_mrad=2000.0 * math.atan(pitch / found.viewing_distance_mm / 2.0),  # seen straight on
+        viewing_distance_mm=calibration.viewing_distance_mm,
+        pixel_pitch_mrad=2000.0 * math.atan(pitch / calibration.viewing_distance_mm / 2.0),  # seen straight on
         background_code=background_code,
         background_relative=relative,
         background_luminance_cd_m2=None if white_cd_m2 is None else relative * white_cd_m2,
         gamma=gamma,
-        lut=tuple(sorted(found.photometer)) if found.photometer else None,
+        lut=tuple(sorted(calibration.photometer)) if calibration.photometer else None,
         black_relative=float(luminance[0]),
         dither=dither,
-        device_pixel_ratio=found.device_pixel_ratio,
-        screen_px=found.screen_px,
-        viewport_px=found.viewport_px,
+        device_pixel_ratio=calibration.device_pixel_ratio,
+        screen_px=calibration.screen_px,
+        viewport_px=calibration.viewport_px,
     )
 
 

@@ -193,12 +193,12 @@ class AnsweredTrials:
 
     def strengths(self) -> FloatArray:
         """Compute the largest d′ between two answers of each trial, with an internal noise of 1: (trial,)."""
-        found = np.empty(len(self.trials))
+        strengths = np.empty(len(self.trials))
         for rows, readouts in self._by_stimulus():
             variance = np.diagonal(readouts[0].noise_covariance)
             sd = np.sqrt(variance + variance[[1, 2, 3, 0]] - 2.0 * readouts[0].noise_covariance[0, [1]])
-            found[rows] = np.ptp(self.deviations[rows, 0], axis=-1).mean(axis=-1) / sd.min()
-        return found
+            strengths[rows] = np.ptp(self.deviations[rows, 0], axis=-1).mean(axis=-1) / sd.min()
+        return strengths
 
     def table(self, ln_noise: FloatArray, blurs: FloatArray) -> AnswerTable:
         """Compute P(correct) of each trial for some internal noises, averaged over displacements."""
@@ -239,10 +239,10 @@ def answered_trials(
     planned = plan_score(seen, seen.trials, _changed(observers[-1], {NOISE: PLANNED_NOISE}))
     plans = [replace(planned, observer=observer) for observer in observers]
     scoring = Scoring(seen, plans[0], "expected", seed, displacements=DISPLACEMENTS)
-    found: dict[int, FloatArray] = {}
+    shown_to: dict[int, FloatArray] = {}
 
     def collect(row: int, seen: _Seen) -> None:
-        found[row] = seen.deviations
+        shown_to[row] = seen.deviations
 
     skipped = see_trials(
         scoring,
@@ -253,14 +253,14 @@ def answered_trials(
         skip_bad_frames=skip_bad_frames,
         run=run or Run(),
     )
-    rows = np.array(sorted(found), np.intp)
+    rows = np.array(sorted(shown_to), np.intp)
     trials = check_seen(dataset, seen.trials.select(rows), skipped)
     answers = session.main_rows()
     return AnsweredTrials(
         subject=session.subject,
         trials=trials,
         is_correct=np.array([answers[row].is_correct for row in rows]),
-        deviations=np.array([found[row] for row in rows]),
+        deviations=np.array([shown_to[row] for row in rows]),
         readouts={stimulus: [_readout(plan, stimulus) for plan in plans] for stimulus in trials.stimuli},
         skipped=tuple(skipped),
     )
@@ -366,7 +366,7 @@ class Calibrated:
     def warnings(self) -> tuple[ResultWarning, ...]:
         """Return warnings about persons whom the model does not describe, and about persons who differ."""
         name = self.fitted.replace("_", " ")
-        found = []
+        warnings = []
         for person in self.persons:
             p_value = person.deviance_p_value
             if p_value is not None and p_value < SURPRISING:
@@ -375,15 +375,15 @@ class Calibrated:
                     f"{person.deviance:.3g} in {person.n_cells} cells, p = {p_value:.2g}); compare the "
                     "thresholds of each group with those of the model"
                 )
-                found.append(_surprising("poor_fit", message, p_value, subject=str(person.subject)))
+                warnings.append(_surprising("poor_fit", message, p_value, subject=str(person.subject)))
         p_value = self.equal_noise_p_value
         if p_value is not None and p_value < SURPRISING:
             message = (
                 f"the persons do not have the same {name} (p = {p_value:.2g}); that of all together is a "
                 "mean of them, and its interval does not describe how they differ"
             )
-            found.append(_surprising("persons_differ", message, p_value))
-        return tuple(found)
+            warnings.append(_surprising("persons_differ", message, p_value))
+        return tuple(warnings)
 
 
 def _surprising(code: str, message: str, p_value: float, **group: float | str) -> ResultWarning:
@@ -507,13 +507,13 @@ def model_difference(
     Model and person are equal within a margin, at a level of 5 %, if this interval lies within it: two one-sided
     tests in each group, all of which have to hold. The standard error is that of the model's probabilities.
     """
-    found = []
+    differences = []
     for rows in groups:
         p, n = p_model[rows], len(rows)
         difference = float(np.mean(is_correct[rows] - p))
         reach = Z_90 * float(np.sqrt(np.sum(p * (1.0 - p)))) / n
-        found.append((difference, (difference - reach, difference + reach)))
-    return max(found, key=lambda one: max(-one[1][0], one[1][1]))
+        differences.append((difference, (difference - reach, difference + reach)))
+    return max(differences, key=lambda one: max(-one[1][0], one[1][1]))
 
 
 def _equal_noise(persons: Sequence[PersonResult], pooled: PersonResult, n_parameters: int) -> float:

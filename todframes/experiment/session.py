@@ -206,7 +206,7 @@ class Sitting:
                 self._write(replace(self.record, consent=agreed))
             return self._state()
 
-    def calibrate(self, found: Calibration) -> Json:
+    def calibrate(self, calibration: Calibration) -> Json:
         """Keep the calibration of the monitor.
 
         Raises MonitorError if the monitor cannot show the trials as they are; StepError if the person has not
@@ -215,7 +215,7 @@ class Sitting:
         with self._lock:
             if self.record.monitor is None or self._file.rows:
                 self._expect("monitor")
-            monitor = calibrated(found, background=self.record.background, dither=self.record.dither)
+            monitor = calibrated(calibration, background=self.record.background, dither=self.record.dither)
             check_shows(
                 monitor,
                 frame_px=self._material.frame_px,
@@ -364,10 +364,10 @@ class Sitting:
         """Return the labels and texts of the last screen."""
         answers = counted_rows(self._file.rows, include_flagged=self.record.include_flagged)
         n_flagged = sum(flagged(self._file.rows).values())
-        found = [("Correct", f"{sum(row.is_correct for row in answers)} of {len(answers)}")]
+        lines = [("Correct", f"{sum(row.is_correct for row in answers)} of {len(answers)}")]
         if n_flagged and not self.record.include_flagged:
-            found.append(("Left out", f"{n_flagged}: too fast, or given while this page was not in front"))
-        return found
+            lines.append(("Left out", f"{n_flagged}: too fast, or given while this page was not in front"))
+        return lines
 
     def _answered(self, row: TrialRow) -> Json:
         flag = None if self.record.include_flagged else row.flag

@@ -117,28 +117,28 @@ def read_contrast(
         if is_small
         else np.empty((bottom - top, right - left, len(file.header.channels)), file.stored_type)
     )
-    found = LuminanceFound()
+    seen = LuminanceFound()
     with _data_errors_of(file):
         for band in file.bands() if whole else file.bands(rows=decoded[0], columns=decoded[1]):
             luminance = display.luminance(band.values)
             begin, end = band.first_row, band.first_row + len(luminance)
-            found.add(luminance)
+            seen.add(luminance)
             if rule == "border":
-                found.average(border_values(luminance, top=begin == first_row, bottom=end == stop_row))
+                seen.average(border_values(luminance, top=begin == first_row, bottom=end == stop_row))
             elif rule == "frame_mean":
-                found.average(luminance)
+                seen.average(luminance)
             elif surround is not None:
                 surround.add(luminance, begin, band.first_column)
             if begin < bottom and end > top:
                 part = (luminance if is_small else band.stored)[max(top - begin, 0) : bottom - begin]
                 kept[max(begin - top, 0) : end - top] = part[:, left - band.first_column :][:, : right - left]
-        background = surround.surface() if surround is not None else _background(rule, found, frame)
-        check_contrast(found.largest, background)
+        background = surround.surface() if surround is not None else _background(rule, seen, frame)
+        check_contrast(seen.largest, background)
     if is_small:
         contrast = displayed_contrast(kept, background, top, left)
-        return ContrastPatch(contrast, top, left, found.n_negative, None, luminance_at_triangle(background))
+        return ContrastPatch(contrast, top, left, seen.n_negative, None, luminance_at_triangle(background))
     to_contrast = partial(_contrast, display, background)
-    return ContrastPatch(kept, top, left, found.n_negative, to_contrast, luminance_at_triangle(background))
+    return ContrastPatch(kept, top, left, seen.n_negative, to_contrast, luminance_at_triangle(background))
 
 
 def check_pixels(file: FrameSource, display: Display, frame: FrameReference, triangle: TrianglePlace) -> None:
@@ -150,25 +150,23 @@ def check_pixels(file: FrameSource, display: Display, frame: FrameReference, tri
     rule = display.background_luminance_cd_m2
     (first_row, stop_row), all_columns = file.clip(None, None)
     window = surround_window(triangle, rows=(first_row, stop_row), columns=all_columns)
-    surround, found = SurroundSums(triangle, window), LuminanceFound()
+    surround, seen = SurroundSums(triangle, window), LuminanceFound()
     with _data_errors_of(file):
         for band in file.bands():
             begin, end = band.first_row, band.first_row + len(band.stored)
             code = band.values
-            found.add(display.luminance(np.stack([code.min(axis=(0, 1)), code.max(axis=(0, 1))])[:, None]))
+            seen.add(display.luminance(np.stack([code.min(axis=(0, 1)), code.max(axis=(0, 1))])[:, None]))
             if rule == "border":
                 ring = border_values(code, top=begin == first_row, bottom=end == stop_row)
-                found.average(display.luminance(ring[None]))
+                seen.average(display.luminance(ring[None]))
             elif rule == "frame_mean":
-                found.average(display.luminance(code))
+                seen.average(display.luminance(code))
             elif rule == "surround":
                 rows = _shared((begin, end), window.rows)
                 left, right = (at - band.first_column for at in window.columns)
                 part = code[rows[0] - begin : rows[1] - begin, left:right]
                 surround.add(display.luminance(part), rows[0], window.columns[0])
-        check_contrast(
-            found.largest, surround.surface() if rule == "surround" else _background(rule, found, frame)
-        )
+        check_contrast(seen.largest, surround.surface() if rule == "surround" else _background(rule, seen, frame))
 
 
 @contextmanager
@@ -201,11 +199,11 @@ class LuminanceFound:
         self.n_averaged += luminance.size
 
 
-def _background(rule: float | BackgroundRule, found: LuminanceFound, frame: FrameReference) -> float:
+def _background(rule: float | BackgroundRule, seen: LuminanceFound, frame: FrameReference) -> float:
     if rule == "column":
         assert frame.background_luminance_cd_m2 is not None  # the manifest was checked for it
         return frame.background_luminance_cd_m2
-    return found.sum / found.n_averaged if isinstance(rule, str) else rule
+    return seen.sum / seen.n_averaged if isinstance(rule, str) else rule
 
 
 Background = float | Surface

@@ -421,18 +421,18 @@ class Manifest:
             )
         self.other_frames.setdefault(index, []).append(frame)
 
-    def check_columns(self, found: Mapping[str, object]) -> None:
+    def check_columns(self, columns: Mapping[str, object]) -> None:
         """Raise DataError if a column is missing."""
         needed = ["frame", "orientation", "size_mrad", self.experiment.level, *self.experiment.group_by]
         if self.needs_background:
             needed.append(BACKGROUND_COLUMN)
         if self.experiment.places > 1:
             needed += [*PLACE_COLUMNS, "x_px", "y_px"]
-        check_columns(found, needed, self.path)
-        if ("x_px" in found) != ("y_px" in found):
+        check_columns(columns, needed, self.path)
+        if ("x_px" in columns) != ("y_px" in columns):
             raise DataError(f"{self.path}: found one of the columns x_px and y_px, expected both or none")
         for name, needs in ((CLIP_COLUMN, TIME_COLUMN), (JUDGED_COLUMN, CLIP_COLUMN)):
-            if name in found and needs not in found:
+            if name in columns and needs not in columns:
                 raise DataError(f"{self.path}: found the column {name} without {needs}, expected both or none")
 
     def _trial(self, row: Mapping[str, str], where: str, row_number: int) -> Trial:
@@ -506,12 +506,12 @@ class Manifest:
 
     def _is_judged(self, row: Mapping[str, str], where: str) -> bool:
         """Return whether a row's frame is in a trial; otherwise it only comes before one in its clip."""
-        found = (row.get(JUDGED_COLUMN) or "1").strip()
-        if found not in ("0", "1"):
-            raise DataError(f"{where}: {JUDGED_COLUMN}: found {found!r}, expected 1 or 0")
-        if found == "0" and not row[CLIP_COLUMN].strip():
+        text = (row.get(JUDGED_COLUMN) or "1").strip()
+        if text not in ("0", "1"):
+            raise DataError(f"{where}: {JUDGED_COLUMN}: found {text!r}, expected 1 or 0")
+        if text == "0" and not row[CLIP_COLUMN].strip():
             raise DataError(f"{where}: {JUDGED_COLUMN}: found 0 without a clip, expected the clip it belongs to")
-        return found == "1"
+        return text == "1"
 
     def _frame_path(self, frame: str, where: str) -> str:
         if self.folder is None:

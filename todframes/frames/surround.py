@@ -242,8 +242,8 @@ class _SurroundBlocks(NamedTuple):
         for values, known in ((means, self.around), (means.T, self.around.T)):
             bend = values[2:] - 2.0 * values[1:-1] + values[:-2]
             bends.append(bend[known[2:] & known[1:-1] & known[:-2]])
-        found = np.concatenate(bends)
-        return 1.4826 * _median(np.abs(found)) / math.sqrt(6.0) if found.size else 0.0
+        all_bends = np.concatenate(bends)
+        return 1.4826 * _median(np.abs(all_bends)) / math.sqrt(6.0) if all_bends.size else 0.0
 
     def extent(self, means: FloatArray) -> tuple[Range, Range]:
         """Return the rows and the columns of blocks that belong to the background."""
@@ -417,6 +417,6 @@ def _block_means(
 ) -> FloatArray:
     """Return the mean luminance of each block; `edges` are those of rows and of columns, in pixels / `scale`."""
     y, x = (np.floor(scale * edge + 0.5).astype(np.intp) for edge in edges)
-    found = luminance(slice(y[0], y[-1]), slice(x[0], x[-1]))
-    sums = np.add.reduceat(np.add.reduceat(found, x[:-1] - x[0], axis=1), y[:-1] - y[0], axis=0)
+    pixels = luminance(slice(y[0], y[-1]), slice(x[0], x[-1]))
+    sums = np.add.reduceat(np.add.reduceat(pixels, x[:-1] - x[0], axis=1), y[:-1] - y[0], axis=0)
     return np.asarray(sums / (np.diff(y)[:, None] * np.diff(x)))

@@ -24,10 +24,10 @@ def fingerprint(*values: object) -> bytes:
     functions count by name and by their code, see `code_fingerprint`, which raises TypeError if that is in no
     file.
     """
-    found = hashlib.sha256(code_fingerprint(__name__))
+    digest = hashlib.sha256(code_fingerprint(__name__))
     for part in _parts(values):
-        found.update(part)
-    return found.digest()
+        digest.update(part)
+    return digest.digest()
 
 
 def _parts(value: object) -> Iterator[bytes]:
@@ -78,13 +78,13 @@ def code_fingerprint(module: str) -> bytes:
     imports from other packages do not count.
     """
     top = module.partition(".")[0]
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     file = getattr(sys.modules.get(top), "__file__", None)
     if file is None or not Path(file).is_file():
         raise TypeError(f"the code of {module} is in no file")
     files = sorted(Path(file).parent.rglob("*.py")) if Path(file).name == "__init__.py" else [Path(file)]
     if top == __name__.partition(".")[0]:
-        found.update(repr([(name, importlib.metadata.version(name)) for name in PACKAGES]).encode())
+        digest.update(repr([(name, importlib.metadata.version(name)) for name in PACKAGES]).encode())
     for path in files:
-        found.update(path.name.encode() + hashlib.sha256(path.read_bytes()).digest())
-    return found.digest()
+        digest.update(path.name.encode() + hashlib.sha256(path.read_bytes()).digest())
+    return digest.digest()

@@ -420,9 +420,9 @@ def _checked_score(score: ArrayLike) -> FloatArray:
     return scores
 
 
-def reject(bad: NDArray[np.bool_], found: NDArray[Any], name: str, expected: str) -> None:
+def reject(bad: NDArray[np.bool_], values: NDArray[Any], name: str, expected: str) -> None:
     """Raise SettingsError for the first of some values that is bad."""
     if bad.any():
         place = tuple(int(index) for index in np.argwhere(bad)[0])
         where = f"[{', '.join(map(str, place))}]" if place else ""
-        raise SettingsError(f"{name}{where} is {found[place]:g}, expected {expected}")
+        raise SettingsError(f"{name}{where} is {values[place]:g}, expected {expected}")

@@ -83,10 +83,10 @@ def _equivalent_luminance(luminance: float, pupil_mm: float) -> float:
     """Return the luminance that lights the retina as much through its natural pupil, by iteration. A step leaves
     less than a third of the error, since the area of a pupil falls as L^-0.3 at most.
     """
-    found = luminance
+    equivalent = luminance
     for _ in range(40):
-        found = luminance * (pupil_mm / pupil_diameter_mm(found)) ** 2
-    return found
+        equivalent = luminance * (pupil_mm / pupil_diameter_mm(equivalent)) ** 2
+    return equivalent
 
 
 def _sensitivity(frequency: FloatArray, luminance: float) -> FloatArray:

@@ -569,15 +569,15 @@ def setting_names(settings: Any) -> list[str]:
 
 def observers_with(setting: str) -> list[str]:
     """Return the names of the registered observers that have a setting; those that cannot be loaded have none."""
-    found = []
+    judges = []
     for name in registered(ENTRY_POINT_GROUP):
         try:
             kind = find_observer(name)
         except SettingsError:
             continue
         if setting in [field.name for field in fields(kind.settings_type)]:
-            found.append(name)
-    return found
+            judges.append(name)
+    return judges
 
 
 def settings_file(name: Path | str) -> Path:

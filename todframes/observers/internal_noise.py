@@ -121,7 +121,7 @@ def _of_answer(score: FloatArray, covariance: FloatArray, cumulant: FloatArray, 
 def _fourth_derivatives(b: FloatArray, rho: FloatArray) -> dict[_Order, FloatArray]:
     """Compute ∂⁴Φ₃ of limits b (..., 3) with correlations rho (..., 3, 3), by the order in each limit."""
     limit = np.moveaxis(b, -1, 0)
-    found: dict[_Order, FloatArray] = {}
+    derivatives: dict[_Order, FloatArray] = {}
     mixed: dict[tuple[int, int], list[FloatArray]] = {}  # of i and j: ∂_i ∂_j, ∂_i² ∂_j, ∂_i³ ∂_j
     for i, j in PAIRS:
         k = 3 - i - j
@@ -141,9 +141,9 @@ def _fourth_derivatives(b: FloatArray, rho: FloatArray) -> dict[_Order, FloatArr
                 -of_pair * (p * third + f * at_third),
                 of_pair * ((p**2 - precision) * third + (2.0 * p - f * u) * f * at_third),
             ]
-            found[_order(x, x, x, y)] = mixed[x, y][2]
-            found[_order(x, x, y, k)] = of_pair * (f * u - p) * at_third / left
-        found[_order(i, i, j, j)] = of_pair * (
+            derivatives[_order(x, x, x, y)] = mixed[x, y][2]
+            derivatives[_order(x, x, y, k)] = of_pair * (f * u - p) * at_third / left
+        derivatives[_order(i, i, j, j)] = of_pair * (
             (pull[i] * pull[j] + r * precision) * third
             + (pull[i] * fall[j] + pull[j] * fall[i] - fall[i] * fall[j] * u) * at_third
         )
@@ -154,8 +154,8 @@ def _fourth_derivatives(b: FloatArray, rho: FloatArray) -> dict[_Order, FloatArr
             last, before = by_i[-1], by_i[-2]
             across = rho[..., i, j] * mixed[i, j][n] + rho[..., i, k] * mixed[i, k][n]
             by_i.append(-limit[i] * last - n * before - across)
-        found[_order(i, i, i, i)] = by_i[-1]
-    return found
+        derivatives[_order(i, i, i, i)] = by_i[-1]
+    return derivatives
 
 
 def _both_below(limit: FloatArray, rho: FloatArray, i: int, j: int, k: int) -> FloatArray:

@@ -120,8 +120,8 @@ def _independent(score: FloatArray, covariance: FloatArray, last_alike: int) -> 
         alike = below[:, -1:] ** (last_alike - 1)
         others = _product_of_others(below) * alike
         others[:, -1] *= last_alike
-        found = reach[:, 0] * np.einsum("rpnk,rpn,n->rk", density, others, weight)
-        probability[rows] = found / found.sum(axis=-1, keepdims=True)
+        integral = reach[:, 0] * np.einsum("rpnk,rpn,n->rk", density, others, weight)
+        probability[rows] = integral / integral.sum(axis=-1, keepdims=True)
     return probability
 
 

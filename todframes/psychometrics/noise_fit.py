@@ -223,9 +223,9 @@ class _NoiseSearch:
 
         if not free.any():
             return theta, -loss(theta[free])
-        found = minimize(loss, theta[free], bounds=bounds[free], method="L-BFGS-B")
-        theta[free] = found.x
-        return theta, -float(found.fun)
+        top = minimize(loss, theta[free], bounds=bounds[free], method="L-BFGS-B")
+        theta[free] = top.x
+        return theta, -float(top.fun)
 
     def interval(self, axis: int, best: FloatArray, most: float) -> Interval:
         """Bound a parameter by the profile likelihood; an end is None if the likelihood stays high up to the

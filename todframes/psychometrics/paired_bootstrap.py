@@ -86,7 +86,7 @@ def ratio_draws(
     for fit, observed, answers in zip(fits, series, drawn, strict=True):
         model = curve_model(observed, fit.curve, settings)
         ln_thresholds.append(model.thresholds_within_reach(model.fit_many(answers, tolerance=tolerance)))
-    found = []
+    draws = []
     for number, other in pairs:
         fit, reference = fits[number], fits[other]
         ratio = _quotient(fit.threshold, reference.threshold)
@@ -97,8 +97,8 @@ def ratio_draws(
             ln_ratios = math.log(ratio) + (ln_ratios - math.log(ratio)) * widening
         is_convention = fit.curve == "weibull"
         of_points = _quotient(fit.points_threshold, reference.points_threshold) if is_convention else None
-        found.append(RatioDraws(ratio, of_points, ln_ratios))
-    return found
+        draws.append(RatioDraws(ratio, of_points, ln_ratios))
+    return draws
 
 
 def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
@@ -118,7 +118,7 @@ def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
     p_value = min(1.0, 2 * (min(below, above) + 1) / (n + 1))
     if ratio is None:
         return ThresholdRatio(None, None, p_value, below > above)
-    estimates = [math.log(found) for found in (ratio, points_ratio) if found is not None]
+    estimates = [math.log(estimate) for estimate in (ratio, points_ratio) if estimate is not None]
     if any(estimate * (above - below) < 0 for estimate in estimates):
         p_value = 1.0
     low, high = interval_of_draws(ln_ratios, estimates)

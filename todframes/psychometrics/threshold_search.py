@@ -44,11 +44,11 @@ class ComputedThreshold:
 T = TypeVar("T", bound=ComputedThreshold)
 
 
-def if_known(found: T) -> T:
+def if_known(computed: T) -> T:
     """Return the threshold, or its absence if its numerical error is above `LARGEST_ERROR`."""
-    if found.threshold is None or (found.numerical_error or 0.0) <= LARGEST_ERROR * found.threshold:
-        return found
-    return replace(found, status=TOO_UNCERTAIN, threshold=None, numerical_error=None)
+    if computed.threshold is None or (computed.numerical_error or 0.0) <= LARGEST_ERROR * computed.threshold:
+        return computed
+    return replace(computed, status=TOO_UNCERTAIN, threshold=None, numerical_error=None)
 
 
 def crossing(

@@ -40,15 +40,15 @@ class NoReaderError(FrameError):
 
 def readers() -> dict[str, RecordingReader]:
     """Return the registered readers by name, in the order in which they are asked; SettingsError if one fails."""
-    entries, found = registered(ENTRY_POINT_GROUP), {}
+    entries, loaded = registered(ENTRY_POINT_GROUP), {}
     for name in (*sorted(entries.keys() - OWN_READERS), *OWN_READERS):
         try:
-            found[name] = entries[name].load()
+            loaded[name] = entries[name].load()
         except KeyError:
             raise SettingsError(f"reader {name}: is not registered; install todframes again") from None
         except Exception as error:  # whatever a package does when it is imported
             raise SettingsError(f"reader {name}: cannot be imported ({in_words(error)})") from None
-    return found
+    return loaded
 
 
 def paths_of(paths: PathLike | Sequence[PathLike]) -> list[Path]:
@@ -76,19 +76,19 @@ def open_recordings(
     given = paths_of(paths)
     if not given:
         raise DataError("recordings: found no path, expected at least one")
-    found: list[Recording] = []
+    recordings: list[Recording] = []
     kinds = {path: "folder" if path.is_dir() else _kind(path) for path in given}
     sequences: dict[str, list[Path]] = defaultdict(list)
     for path, kind in kinds.items():
         sequences[kind].append(path)
     for path, kind in kinds.items():
         if kind == "folder":
-            found += _folder(path, frames_per_second, max_frame_mb)
+            recordings += _folder(path, frames_per_second, max_frame_mb)
         elif not _joins(kind):
-            found.append(_opened(kind, [path], None, frames_per_second, max_frame_mb))
+            recordings.append(_opened(kind, [path], None, frames_per_second, max_frame_mb))
         elif path == sequences[kind][0]:
-            found.append(_opened(kind, sequences[kind], None, frames_per_second, max_frame_mb))
-    return tuple(found)
+            recordings.append(_opened(kind, sequences[kind], None, frames_per_second, max_frame_mb))
+    return tuple(recordings)
 
 
 def one_recording(
@@ -104,11 +104,11 @@ def one_recording(
     """
     if isinstance(source, np.ndarray):
         return memory_recording(source, frames_per_second=frames_per_second)
-    found = open_recordings(source, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
-    if len(found) != 1:
-        names = ", ".join(str(recording.path) for recording in found[:3])
-        raise DataError(f"{where}: found {len(found)} recordings ({names} …), expected one")
-    return found[0]
+    recordings = open_recordings(source, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
+    if len(recordings) != 1:
+        names = ", ".join(str(recording.path) for recording in recordings[:3])
+        raise DataError(f"{where}: found {len(recordings)} recordings ({names} …), expected one")
+    return recordings[0]
 
 
 def _folder(folder: Path, frames_per_second: float | None, max_frame_mb: int) -> list[Recording]:

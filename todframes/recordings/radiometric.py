@@ -224,9 +224,9 @@ def _next_container(file: BinaryIO, place: int) -> int | None:
     """Return where the next container begins, from a place on; None if there is none."""
     overlap = len(FFF_STARTS[0]) - 1
     while chunk := _bytes_at(file, place, 2**16):
-        found = [at for start in FFF_STARTS if (at := chunk.find(start)) >= 0]
-        if found:
-            return place + min(found)
+        starts = [at for start in FFF_STARTS if (at := chunk.find(start)) >= 0]
+        if starts:
+            return place + min(starts)
         if len(chunk) <= overlap:
             break
         place += len(chunk) - overlap

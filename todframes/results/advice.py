@@ -96,7 +96,7 @@ def levels_to_add(fits: Sequence[Fit], aperture_sd_deg: float | None = None) -> 
 
     Nothing is said about other curves that stay near chance at all levels: stronger ones are not known to help.
     """
-    found = []
+    warnings = []
     for fit in fits:
         levels: list[float] = []
         if _is_too_wide(fit, aperture_sd_deg):
@@ -117,10 +117,10 @@ def levels_to_add(fits: Sequence[Fit], aperture_sd_deg: float | None = None) -> 
             advice = f"add levels near {near}" if levels else "show more trials"
         shown = [point.level for point in fit.points]
         message = f"{reason}; {advice}"
-        found.append(
+        warnings.append(
             ResultWarning(code="levels_to_add", group=fit.group, message=message, found=shown, expected=levels)
         )
-    return tuple(found)
+    return tuple(warnings)
 
 
 def numerical_errors(fits: Sequence[Fit], tolerance: float | None) -> tuple[ResultWarning, ...]:
@@ -128,7 +128,7 @@ def numerical_errors(fits: Sequence[Fit], tolerance: float | None) -> tuple[Resu
 
     Without a tolerance the error is not compared with one.
     """
-    found = []
+    warnings = []
     for fit in fits:
         error = fit.threshold_numerical_error or fit.threshold_displacement_error
         warning = missed_tolerance(fit.threshold, error, tolerance, group=fit.group, exact="larger sizes")
@@ -139,8 +139,8 @@ def numerical_errors(fits: Sequence[Fit], tolerance: float | None) -> tuple[Resu
             message += "smaller errors"
             warning = ResultWarning(code="numerical_error", group=fit.group, message=message, expected=tolerance)
         if warning is not None:
-            found.append(warning)
-    return tuple(found)
+            warnings.append(warning)
+    return tuple(warnings)
 
 
 def missed_tolerance(

@@ -151,15 +151,17 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         return cls(group=group, level=level, **values)
 
     @classmethod
-    def of_computed(cls, group: Group, level: str, p_correct: float, found: ComputedThreshold, **more: Any) -> Fit:
+    def of_computed(
+        cls, group: Group, level: str, p_correct: float, computed: ComputedThreshold, **more: Any
+    ) -> Fit:
         """Return the record of a threshold that was computed without trials, with `more` of its values."""
         return cls(
             group=group,
             level=level,
             p_correct=p_correct,
-            status=found.status,
-            threshold=found.threshold,
-            threshold_numerical_error=found.numerical_error,
+            status=computed.status,
+            threshold=computed.threshold,
+            threshold_numerical_error=computed.numerical_error,
             **more,
         )
 

@@ -67,12 +67,12 @@ NO_THRESHOLD_MARKERS = {"never_reached": "x", "always_exceeded": "v"}
 
 def pictures(fits: Sequence[Fit]) -> list[ReportFigure]:
     """List the figures of thresholds, the most important first."""
-    found = tod_figures(fits, {}, "tod_curve.png")
+    listed = tod_figures(fits, {}, "tod_curve.png")
     for number, (label, of_map) in enumerate(evenly(list(by_field_map(fits).items()), MOST_MAPS)):
         draw = partial(draw_field_map, fits=of_map)
         file = "" if number else "field_map.png"
-        found.append(ReportFigure(f"Map of the field{label}", _field_note(of_map), draw, file))
-    return found + psychometric_figures(fits, {}, "psychometric.png")
+        listed.append(ReportFigure(f"Map of the field{label}", _field_note(of_map), draw, file))
+    return listed + psychometric_figures(fits, {}, "psychometric.png")
 
 
 def tod_figures(fits: Sequence[Fit], styles: Styles, file: str = "") -> list[ReportFigure]:

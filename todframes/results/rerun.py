@@ -49,12 +49,12 @@ def rerun(result: Result[Any] | ResultFile) -> dict[str, tuple[Any, Any]]:
     if not before.call:
         raise DataError(f"{before.command}: the result does not hold what its call was given; run it again")
     module, _, name = KINDS[before.command].call.partition(":")
-    found = getattr(import_module(module), name)
-    known = signature(found).parameters
+    call = getattr(import_module(module), name)
+    known = signature(call).parameters
     given = {key: _read(key, value) for key, value in before.call.items() if key in known}
     if "examples" in known:
         given["examples"] = False
-    old, new = (dict(_leaves(msgspec.to_builtins(result.data))) for result in (before, found(**given)))
+    old, new = (dict(_leaves(msgspec.to_builtins(result.data))) for result in (before, call(**given)))
     keys = [key for key in old | new if old.get(key) != new.get(key)]
     return {key: (old.get(key), new.get(key)) for key in keys}
 

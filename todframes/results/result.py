@@ -63,8 +63,8 @@ class Kind(NamedTuple):
     def content_class(self) -> type[Content]:
         """The class of the content."""
         *module, name = self.content.split(":")
-        found: type[Content] = getattr(import_module(*module or [self.call.partition(":")[0]]), name)
-        return found
+        kind: type[Content] = getattr(import_module(*module or [self.call.partition(":")[0]]), name)
+        return kind
 
 
 KINDS = {

@@ -99,13 +99,13 @@ def points(fits: Sequence[Fit]) -> Table | None:
     return Table.of("Points of the psychometric functions", "points.csv", columns, records)
 
 
-def efficiencies(found: Sequence[Efficiency]) -> Table:
+def efficiencies(of_pairs: Sequence[Efficiency]) -> Table:
     """Make the table of efficiencies, a row for each group and each other observer."""
     taken = {"relative_to", "threshold", "efficiency", "efficiency_ci95"}
-    records = [{name: getattr(one, name) for name in taken} | group_record(one.group, taken) for one in found]
+    records = [{name: getattr(one, name) for name in taken} | group_record(one.group, taken) for one in of_pairs]
     columns = [
         Column(key="relative_to", is_name=True, wraps=True),
-        *group_columns(found[0].group, taken),
+        *group_columns(of_pairs[0].group, taken),
         Column(key="threshold", header="its threshold"),
         Column(key="efficiency", digits=3),
         Column(key="efficiency_ci95", header="95 % interval", interval="efficiency", digits=3),

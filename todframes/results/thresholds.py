@@ -123,24 +123,24 @@ class Thresholds(Content, frozen=True, kw_only=True):
 
     def tables(self) -> list[Table]:
         """List the thresholds, the answers of groups without one, and folded tables of what is behind them."""
-        found = [self.table()] if self.thresholds else []
-        found += [tables.efficiencies(self.efficiencies)] if self.efficiencies else []
+        listed = [self.table()] if self.thresholds else []
+        listed += [tables.efficiencies(self.efficiencies)] if self.efficiencies else []
         if (answers := tables.answers(self.fits)) is not None:
-            found.append(answers.extra() if len(answers.records) > MOST_ANSWERS else answers)
-        return [*found, *self.tables_behind()]
+            listed.append(answers.extra() if len(answers.records) > MOST_ANSWERS else answers)
+        return [*listed, *self.tables_behind()]
 
     def tables_behind(self) -> list[Table]:
         """List the folded tables: points of the curves, frames left out, positions, plan and dataset."""
         points = tables.points(self.thresholds)
-        found = [] if points is None else [points]
+        listed = [] if points is None else [points]
         for title, file, rows in (
             ("Frames left out", "skipped.csv", self.skipped),
             ("Positions found", "located.csv", self.located),
         ):
-            found += [tables.records_table(title, file, rows)] if rows else []
-        found += [self.plan_table()] if self.plan or any(fit.plan for fit in self.fits) else []
-        found += [tables.dataset(self.dataset)] if isinstance(self.dataset, DatasetRecord) else []
-        return [table.folded() for table in found]
+            listed += [tables.records_table(title, file, rows)] if rows else []
+        listed += [self.plan_table()] if self.plan or any(fit.plan for fit in self.fits) else []
+        listed += [tables.dataset(self.dataset)] if isinstance(self.dataset, DatasetRecord) else []
+        return [table.folded() for table in listed]
 
     def plan_table(self) -> Table:
         """Return the table of what was kept and left out."""
@@ -206,9 +206,11 @@ class Thresholds(Content, frozen=True, kw_only=True):
 
     def notes(self) -> list[str]:
         """Return remarks on the frames: where triangles were found, what was skipped, what is not physical."""
-        found = [f"located: {group_phrase(located['group'])}: {_where(located)}" for located in self.located or ()]
-        found += [f"skipped: {skipped['error']}" for skipped in self.skipped]
-        return [*found, *(f"note: {text}" for text in self._negative() if self.fits)]
+        remarks = [
+            f"located: {group_phrase(located['group'])}: {_where(located)}" for located in self.located or ()
+        ]
+        remarks += [f"skipped: {skipped['error']}" for skipped in self.skipped]
+        return [*remarks, *(f"note: {text}" for text in self._negative() if self.fits)]
 
     def _negative(self) -> list[str]:
         n = self.negative_luminance_pixels

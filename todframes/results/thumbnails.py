@@ -74,15 +74,15 @@ def pictures(
     display = _reduced(display, DISPLAY_SIDE_PX, np.mean)
     white = max(1.0, float(display.max())) if white is None else white
     light = np.clip((1.0 + display) / (1.0 + white), 0.0, 1.0)
-    found = [Thumbnail("display", png(255.0 * linear_to_srgb(light)), white)]
+    made = [Thumbnail("display", png(255.0 * linear_to_srgb(light)), white)]
     width_mrad = (2 * reach_px + 1) * pixel_pitch_mrad
     reach = min(round(width_mrad / 2.0 / observer.grid(stimulus).pitch_mrad), retina.shape[0] // 2)
-    found.append(_signed("retina", _reduced(_about_middle(retina, reach, 1.0), RETINA_SIDE_PX, np.mean)))
+    made.append(_signed("retina", _reduced(_about_middle(retina, reach, 1.0), RETINA_SIDE_PX, np.mean)))
     bands = observer.activity(retina)
     parts = [_about_middle(band, reach, (retina.shape[0] - 1) / max(band.shape[0] - 1, 1)) for band in bands]
     strongest = sorted(range(len(parts)), key=lambda k: -float(np.abs(parts[k]).max()))[:MOST_BANDS]
-    found += [_signed(f"band {k}", _reduced(parts[k], RETINA_SIDE_PX, _peak)) for k in sorted(strongest)]
-    return width_mrad, tuple(found)
+    made += [_signed(f"band {k}", _reduced(parts[k], RETINA_SIDE_PX, _peak)) for k in sorted(strongest)]
+    return width_mrad, tuple(made)
 
 
 def _crop(shown: ExamplePatch, reach_px: int) -> FloatArray:

@@ -77,8 +77,8 @@ def contrast_threshold(
         return _Responses.to(judge, size_mrad, places=places).proportion_correct(contrast)
 
     # Displacements hardly change the response to triangles of hundreds of samples.
-    found = _refined(threshold, NODES if size_samples < 200.0 else (3, 4, *NODES))
-    return _with_step_error(found, observer, size_mrad, proportion_of, p_correct)
+    computed = _refined(threshold, NODES if size_samples < 200.0 else (3, 4, *NODES))
+    return _with_step_error(computed, observer, size_mrad, proportion_of, p_correct)
 
 
 def acuity(
@@ -103,12 +103,12 @@ def acuity(
         return _Responses.to(judge, size_mrad, places=places).proportion_correct(contrast)
 
     # Each step of this search computes a new readout and its displacements.
-    found = _refined(threshold, NODES[:-2])
-    return _with_step_error(found, observer, SPAN * (found.threshold or 1.0), proportion_of, p_correct)
+    computed = _refined(threshold, NODES[:-2])
+    return _with_step_error(computed, observer, SPAN * (computed.threshold or 1.0), proportion_of, p_correct)
 
 
 def _with_step_error(
-    found: ComputedThreshold,
+    computed: ComputedThreshold,
     observer: Observer,
     largest_mrad: float,
     proportion: Callable[[Observer, float], float],
@@ -122,8 +122,8 @@ def _with_step_error(
     is the difference from a retina of s times the pitch, divided by |1 - s²| (Richardson). A quarter of the pitch
     leaves next to nothing. A threshold with too large an error is none.
     """
-    if found.threshold is None or observer.with_retina_step(1.0) is None:
-        return if_known(found)
+    if computed.threshold is None or observer.with_retina_step(1.0) is None:
+        return if_known(computed)
     step, other = 1.0, None
     for tried in STEPS:  # the first that is not costly, or the last that the observer allows
         with suppress(SettingsError):
@@ -134,12 +134,14 @@ def _with_step_error(
             if side <= COSTLY_SIDE:
                 break
     if other is None:
-        return replace(found, numerical_error=None)
-    below, at, above = (proportion(other, factor * found.threshold) for factor in (1.0 / SPAN, 1.0, SPAN))
-    slope = (above - below) / ((SPAN - 1.0 / SPAN) * found.threshold)
+        return replace(computed, numerical_error=None)
+    below, at, above = (proportion(other, factor * computed.threshold) for factor in (1.0 / SPAN, 1.0, SPAN))
+    slope = (above - below) / ((SPAN - 1.0 / SPAN) * computed.threshold)
     change = abs(at - p_correct) / slope if slope > 0.0 else math.inf
     left = step**2 if step > FINE_STEP else 0.0
-    return if_known(replace(found, numerical_error=change / abs(1.0 - left) + (found.numerical_error or 0.0)))
+    return if_known(
+        replace(computed, numerical_error=change / abs(1.0 - left) + (computed.numerical_error or 0.0))
+    )
 
 
 def _refined(threshold: Callable[[int], ComputedThreshold], nodes_to_try: Sequence[int]) -> ComputedThreshold:

@@ -140,8 +140,8 @@ def _located(
 
     def warnings(scored: ScoredDataset) -> tuple[ResultWarning, ...]:
         thresholds = {fit.group: fit.fit.threshold for fit in scored.fits}
-        found = location_warnings(data, locations, thresholds)
-        return tuple(ResultWarning(**warning._asdict()) for warning in found)
+        warned = location_warnings(data, locations, thresholds)
+        return tuple(ResultWarning(**warning._asdict()) for warning in warned)
 
     return data, {"located": located}, warnings
 

@@ -79,13 +79,13 @@ def efficiencies(
     settings = replace(fit_settings, resamples=max(fit_settings.resamples, 1))
     pairs = [(0, number) for number in range(1, len(others) + 1)]
     of_groups = paired_ratios([own, *(scored for _, scored in others)], pairs, seed=seed, settings=settings)
-    found = []
+    records = []
     for number, (name, scored) in enumerate(others):
         for fit, draws in zip(scored.fits, of_groups, strict=True):
             ratio = threshold_ratio([draws[number]])
             ends = (None, None) if ratio.ratio_ci95 is None else ratio.ratio_ci95
             high, low = (None if end is None else end**-2.0 for end in ends)
-            found.append(
+            records.append(
                 Efficiency(
                     relative_to=name,
                     group=group_of(dataset, fit.group),
@@ -94,4 +94,4 @@ def efficiencies(
                     efficiency_ci95=None if ratio.ratio is None or not fit_settings.resamples else (low, high),
                 )
             )
-    return tuple(found)
+    return tuple(records)

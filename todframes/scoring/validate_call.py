@@ -63,11 +63,11 @@ def validate(
     if add_sha256:
         check_writable(data)
     sha256_of: dict[str, str] = {}
-    found: list[dict[str, str]] = []
+    problems: list[dict[str, str]] = []
     good: list[int] = []
 
     def add(frame: str, error: str, kind: str) -> None:
-        found.append({"frame": frame, "error": error})
+        problems.append({"frame": frame, "error": error})
         if problem is not None:
             problem(error, kind)
 
@@ -79,17 +79,17 @@ def validate(
             add(str(error.path), str(error), error.problem)
         if not wrong:
             good.append(index)
-        if add_sha256 and not found:
+        if add_sha256 and not problems:
             missing = [frame for frame in trial.frames if frame.sha256 is None]
             sha256_of |= {frame.path: frame_sha256(data.frame_path(frame)) for frame in missing}
     for frame in data.trials.unjudged_frames:
         for error in unjudged_problems(data, frame):
             add(str(error.path), str(error), error.problem)
-        if add_sha256 and not found and frame.sha256 is None:
+        if add_sha256 and not problems and frame.sha256 is None:
             sha256_of[frame.path] = frame_sha256(data.frame_path(frame))
-    if add_sha256 and not found:
+    if add_sha256 and not problems:
         write_sha256(data, sha256_of)
         data = load_dataset(data.path, max_frame_mb=data.max_frame_mb)
     record, warnings = inspected(data, data.trials.select(good))
-    checked = Thresholds(dataset=record, skipped=tuple(found))
+    checked = Thresholds(dataset=record, skipped=tuple(problems))
     return Result.made("validate", started, warnings=warnings, data=checked)

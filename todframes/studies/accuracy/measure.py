@@ -204,12 +204,12 @@ def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], StudyScene]]:
     """Return the functions that make the scenes of these names, or all registered scenes if no name is given;
     SettingsError if there is no scene of a name, or it cannot be imported.
     """
-    found = registered(ENTRY_POINT_GROUP)
-    check_keys(names, found, argument.scene)
+    entries = registered(ENTRY_POINT_GROUP)
+    check_keys(names, entries, argument.scene)
     scenes = {}
-    for name in names or found:
+    for name in names or entries:
         try:
-            scenes[name] = cast("Callable[[], StudyScene]", found[name].load())
+            scenes[name] = cast("Callable[[], StudyScene]", entries[name].load())
         except (ImportError, AttributeError) as error:
             raise SettingsError(f"{argument.scene}: {name!r} cannot be loaded ({error})") from None
     return scenes

@@ -192,10 +192,10 @@ def scene_tables(scene: SceneResult) -> list[Table]:
     budgets = [
         {"estimator": estimator.label} | point for estimator in scene.estimators for point in estimator.points
     ]
-    found = [estimators, *([variants] if scene.variants else [])]
+    listed = [estimators, *([variants] if scene.variants else [])]
     if budgets:
-        found.append(records_table(f"{scene.heading}: budgets", f"{scene.name}_budgets.csv", budgets).folded())
-    return found
+        listed.append(records_table(f"{scene.heading}: budgets", f"{scene.name}_budgets.csv", budgets).folded())
+    return listed
 
 
 def _at_names(at: Record) -> tuple[str, str]:

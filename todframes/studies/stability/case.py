@@ -70,8 +70,8 @@ class Outcome(NamedTuple):
 
 def find_cases() -> list[Case]:
     """List the cases of all installed packages, those of todframes first."""
-    found = sorted(registered(ENTRY_POINT_GROUP).values(), key=lambda entry: entry.name != "todframes")
-    return [case for entry in found for case in entry.load()()]
+    entries = sorted(registered(ENTRY_POINT_GROUP).values(), key=lambda entry: entry.name != "todframes")
+    return [case for entry in entries for case in entry.load()()]
 
 
 def run_case(case: Case) -> Outcome:
