@@ -210,8 +210,8 @@ def test_the_curve_is_the_observer_s_for_its_probabilities_only(make_dataset) ->
 def test_levels_of_size_give_the_acuity(make_dataset) -> None:
     by_size = {"level": "size_mrad", "group_by": []}
     made = make_dataset(sizes_mrad=(0.9, 1.2, 1.7, 2.4), contrasts=(0.1,), repeats=2, experiment=by_size)
-    (fit,) = score(made.path, PyramidObserver()).fits
-    assert fit.group == ()
+    (fit,) = score(made.path, PyramidObserver(), tolerance=0.5).fits
+    assert fit.group == () and 0.0 < fit.numerical_error <= 0.5 * fit.fit.threshold
     assert fit.fit.status == "ok"
     assert 1.2 < fit.fit.threshold < 2.4
     assert fit.fit.observer_curve.beta > 1.3  # larger triangles are clearer by more than their size
