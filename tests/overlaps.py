@@ -1,6 +1,8 @@
-"""Overlaps of the intervals of two axes, by comparing every pair of them, and weights on detectors from them."""
+"""Overlaps: polygons clipped at lines, intervals of two axes by comparing every pair, and weights on detectors."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,3 +42,15 @@ def weights_at(sensor: ss.Sensor, readout: Readout, field: int, x: float, y: flo
     on_display = rows.T @ readout.deviations @ columns
     pixels = shown.pixels_per_detector
     return on_display.reshape(4, field, pixels, field, pixels).sum(axis=(2, 4)).reshape(4, -1)
+
+
+def clipped(polygon: list, axis: int, edge: Any, sign: int) -> list:
+    """Return the part of a polygon beyond an edge, or (sign −1) before it, in whatever numbers it has."""
+    kept = []
+    for p, q in zip(polygon, polygon[1:] + polygon[:1], strict=True):
+        a, b = sign * (p[axis] - edge), sign * (q[axis] - edge)
+        if a >= 0:
+            kept.append(p)
+        if a * b < 0:
+            kept.append(tuple(u + a / (a - b) * (v - u) for u, v in zip(p, q, strict=True)))
+    return kept

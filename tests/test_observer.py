@@ -12,11 +12,10 @@ import pytest
 
 import todframes as tod
 from todframes.base.errors import SettingsError
-from todframes.observers.decision import answer_probabilities
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
-from todframes.observers.retina import RetinaGrid, triangle_on
+from todframes.observers.retina import RetinaGrid
 from todframes.scoring.naked_eye import acuity, contrast_threshold, proportion_correct
 from todframes.stimulus import Orientation, Stimulus
 
@@ -312,34 +311,6 @@ def test_more_bands_and_a_wider_field_change_nothing_that_matters() -> None:
         few = contrast_threshold(PyramidObserver(), size_mrad=size).threshold
         many = contrast_threshold(PyramidObserver(wide), size_mrad=size).threshold
         assert few == pytest.approx(many, rel=1e-5)
-
-
-N_DRAWS = 100_000
-
-
-@pytest.fixture(scope="module")
-def drawn_noise(observer: PyramidObserver) -> np.ndarray:
-    """Scores of the noise alone: uniform on every neuron, through the four templates, shape (draw, 4)."""
-    templates = flat_templates(observer, Stimulus(1.0))
-    half_width, rng = observer.settings.internal_noise / 2.0, np.random.default_rng(11)
-    draws = [rng.uniform(-half_width, half_width, (500, templates.shape[1])) @ templates.T for _ in range(200)]
-    return np.concatenate(draws)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("contrast", [0.03, 0.08, 0.14, 0.2, 0.28])
-def test_literal_monte_carlo_agrees_with_the_closed_form(
-    observer: PyramidObserver, drawn_noise: np.ndarray, contrast: float
-) -> None:
-    """10⁵ draws a point, P from 0.3 to 0.98: scores of the bands plus those of the noise, the largest wins."""
-    stimulus = Stimulus(1.0)
-    readout = observer.readout(stimulus)
-    seen = contrast * triangle_on(readout.grid, 1.0, x=0.2)
-    expected = answer_probabilities(readout.score_deviations(seen), readout.noise_covariance)[0]
-    assert 0.3 < expected < 0.99
-    answers = (observer.literal_scores(seen, stimulus) + drawn_noise).argmax(axis=1)
-    standard_error = np.sqrt(expected * (1.0 - expected) / N_DRAWS)
-    assert abs((answers == 0).mean() - expected) < 4.0 * standard_error + readout.non_gaussian_bound
 
 
 def test_literal_noise_is_on_every_neuron(observer: PyramidObserver) -> None:

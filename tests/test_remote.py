@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import error_line
 
 import todframes as tod
 from todframes.base import remote
@@ -168,10 +169,8 @@ def test_a_temporary_folder_that_cannot_take_a_copy_is_named(monkeypatch, is_ful
 )
 def test_a_url_with_a_secret_is_refused_unseen(todframes, url) -> None:
     for command in ("score", "validate"):
-        status, out, err = todframes(command, url)
-        assert (status, out) == (1, "")
-        assert err.startswith("error: dataset: found a URL ") and err.count("\n") == 1
-        assert SECRET not in err
+        err = error_line(todframes(command, url), 1)
+        assert err.startswith("error: dataset: found a URL ") and SECRET not in err
     with pytest.raises(DataError, match="found a URL ") as caught:
         tod.score(url)
     assert SECRET not in str(caught.value)
@@ -317,13 +316,11 @@ def test_a_lost_connection_ends_the_run_even_if_bad_frames_are_skipped(make_data
 
 def test_checksums_are_missed_and_cannot_be_added(make_dataset, upload, todframes) -> None:
     url = upload(make_dataset().path)
-    status, out, err = todframes("validate", url)
+    status, _, err = todframes("validate", url)
     assert status == 0 and "8 of 8 frames are EXR without a sha256" in err
     assert "validate FOLDER --add-sha256` on a local copy" in err
-    status, out, err = todframes("validate", url, "--add-sha256")
-    assert (status, out) == (2, "")
+    err = error_line(todframes("validate", url, "--add-sha256"))
     assert err.startswith(f"error: {url}/manifest.csv: cannot be written, it is behind a URL")
-    assert err.count("\n") == 1
     with pytest.raises(OutputError, match="cannot be written, it is behind a URL"):
         write_sha256(load_dataset(url), {"frames/x.exr": "0" * 64})
 
@@ -339,13 +336,14 @@ def test_only_names_tell_which_frames_have_checksums(make_dataset, upload, monke
 
 
 @pytest.mark.parametrize(
-    ("url", "problem"),
-    [("nosuch://lab/archive", "no file system is known as nosuch://"), ("memory://lab/none", "no such file")],
+    ("url", "status", "problem"),
+    [
+        ("nosuch://lab/archive", 1, "no file system is known as nosuch://"),
+        ("memory://lab/none", 2, "no such file"),
+    ],
 )
-def test_what_cannot_be_reached_is_one_line(todframes, url, problem) -> None:
-    status, out, err = todframes("score", url)
-    assert status > 0 and out == "" and err.count("\n") == 1
-    assert err.startswith(f"error: {url}/dataset.toml: {problem}")
+def test_what_cannot_be_reached_is_one_line(todframes, url, status, problem) -> None:
+    assert error_line(todframes("score", url), status).startswith(f"error: {url}/dataset.toml: {problem}")
 
 
 @pytest.mark.parametrize(
@@ -361,9 +359,10 @@ def test_a_package_that_is_missing_is_named(todframes, monkeypatch, scheme, reme
         raise ImportError("Please install gcsfs to access Google Storage")
 
     monkeypatch.setattr(fsspec, "get_filesystem_class", missing)
-    status, out, err = todframes("score", f"{scheme}://lab/archive")
-    assert (status, out) == (1, "")
-    where = f"{scheme}://lab/archive/dataset.toml"
+    err, where = (
+        error_line(todframes("score", f"{scheme}://lab/archive"), 1),
+        f"{scheme}://lab/archive/dataset.toml",
+    )
     assert err == f"error: {where}: needs a package for {scheme}:// that is not installed: {remedy}\n"
 
 

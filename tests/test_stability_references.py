@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from mpmath import mpf
 from numpy.typing import NDArray
+from overlaps import clipped
 
 from sensor_sim.studies.stability import BELOW_CUT_OFF
 from todframes.studies.stability.case import MPMATH, Case, digits_kept, find_cases
@@ -147,18 +148,6 @@ def of_independent(d_primes: Sequence[float]) -> list[mpf]:
 
 def fixed(x) -> int:
     return int(mpmath.nint(mpmath.ldexp(x, BITS)))
-
-
-def clipped(polygon, axis: int, edge, sign: int):
-    """What of a polygon lies beyond an edge, or (sign −1) before it."""
-    kept = []
-    for p, q in zip(polygon, polygon[1:] + polygon[:1], strict=True):
-        a, b = sign * (p[axis] - edge), sign * (q[axis] - edge)
-        if a >= 0:
-            kept.append(p)
-        if a * b < 0:
-            kept.append(tuple(u + a / (a - b) * (v - u) for u, v in zip(p, q, strict=True)))
-    return kept
 
 
 def triangle(side: int, size) -> Image:

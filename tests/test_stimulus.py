@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from overlaps import clipped
 
 from todframes.base.errors import SettingsError
 from todframes.stimulus import (
@@ -25,29 +26,12 @@ orientations = st.sampled_from(ORIENTATIONS)
 
 
 def clipped_area(corners: list[tuple[Fraction, Fraction]], row: int, column: int) -> Fraction:
-    """Area of a polygon within a pixel by Sutherland–Hodgman clipping in rational numbers."""
-    half = Fraction(1, 2)
-    for axis, bound, sign in (
-        (0, column - half, 1),
-        (0, column + half, -1),
-        (1, row - half, 1),
-        (1, row + half, -1),
-    ):
-        clipped = []
-        for here, there in zip(corners, corners[1:] + corners[:1], strict=True):
-            a, b = sign * (here[axis] - bound), sign * (there[axis] - bound)
-            if a >= 0:
-                clipped.append(here)
-            if a * b < 0:
-                t = a / (a - b)
-                clipped.append(tuple(p + t * (q - p) for p, q in zip(here, there, strict=True)))
-        corners = clipped
-        if not corners:
-            return Fraction(0)
-    twice = sum(
-        (p[0] * q[1] - q[0] * p[1] for p, q in zip(corners, corners[1:] + corners[:1], strict=True)), Fraction(0)
-    )
-    return abs(twice) / 2
+    """Area of a polygon within a pixel, in rational numbers."""
+    for axis, middle in enumerate((column, row)):
+        for sign in (1, -1):
+            corners = clipped(corners, axis, middle - sign * Fraction(1, 2), sign)
+    after = corners[1:] + corners[:1]
+    return abs(sum((p[0] * q[1] - q[0] * p[1] for p, q in zip(corners, after, strict=True)), Fraction(0))) / 2
 
 
 def test_published_proportions() -> None:

@@ -1,11 +1,7 @@
-"""Whole curves against the literal Monte Carlo, and simulated frames against an oversampled FFT chain."""
+"""Whole curves against the import of their libraries, and frames against an oversampled FFT chain."""
 
 from __future__ import annotations
 
-import copy
-import math
-import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +11,11 @@ from sensor_sim.chain.reconstruction import axis_matrix, display_signal
 from sensor_sim.chain.sampling import TriangleSampler
 from sensor_sim.chain.sensor import Sensor, load_sensor
 from sensor_sim.chain.transfer import optics_mtf
-from sensor_sim.studies.accuracy import literal_answers
-from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
-from todframes.observers.pyramid import PyramidObserver
-from todframes.psychometrics.fit import FitSettings, fit_counts
 from todframes.stimulus import Orientation, coverage
 
 SENSOR = Path(__file__).parents[2] / "sample_frames" / "star_like.toml"
 SIZES = (3.5, 4.0, 5.0, 6.0, 8.0)
-STANDARD_ERROR = 0.01
-# A 95 % interval of ± 1.96 standard errors of 1 % each.
-TOLERANCE = 1.96 * STANDARD_ERROR
+TOLERANCE = 0.02
 CURVES = f"""
 from sensor_sim.thresholds.curve_plan import plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
@@ -39,29 +29,6 @@ for size in {SIZES}:
         chain.noise_covariance = scale**2 * chain.noise_covariance
         predict_threshold(chain, tolerance={TOLERANCE})
 """
-
-
-def literal_s(chain: FoldedChain, threshold: float) -> float:
-    """CPU time of the literal Monte Carlo for a threshold at 1 % standard error.
-
-    The cost of a trial is measured: draw a frame, look at it, noise on every neuron, decide. So is the variance of
-    the threshold that a Weibull curve through 7 levels gives, half to twice the threshold, 300 answers at each.
-    """
-    rng = np.random.default_rng(1)
-    draw = literal_answers(chain.sensor, chain.size_detectors, snr=threshold)
-    draw(1, rng)
-    started = time.process_time()
-    draw(20, rng)
-    per_trial_s = (time.process_time() - started) / 20
-    levels, n_trials = threshold * np.geomspace(0.5, 2.0, 7), np.full(7, 300)
-    phases = chain.phases(13, np.random.default_rng(0))
-    p = np.array([chain.proportion_correct(phases, level) for level in levels])
-    fits = [
-        fit_counts(levels, rng.binomial(n_trials, p), n_trials, settings=FitSettings(resamples=0), rng=rng)
-        for _ in range(200)
-    ]
-    spread = np.std([math.log(fit.threshold) for fit in fits if fit.threshold is not None])
-    return float(per_trial_s * n_trials.sum() * (spread / STANDARD_ERROR) ** 2)
 
 
 def oversampled_frame_s(sensor: Sensor, field: int, size: float) -> tuple[float, float]:
@@ -114,37 +81,16 @@ def exact_frame_s(sensor: Sensor, field: int, size: float) -> float:
 
 
 def rows() -> list[Row]:
-    """All ratios of this file."""
-    sensor, observer = load_sensor(SENSOR), PyramidObserver()
+    """All ratios of this file; `todframes accuracy` compares curves with the literal Monte Carlo."""
+    sensor = load_sensor(SENSOR)
     curves = process("-c", CURVES)
     imports = min(process("-c", "import numpy, scipy.optimize").wall_s for _ in range(5))
-    literal = 0.0
-    for size in SIZES:
-        chain = FoldedChain(sensor, observer, size)
-        for scale in (1.0, 0.5):
-            with_noise = copy.copy(chain)
-            with_noise.noise_covariance = scale**2 * chain.noise_covariance
-            found = predict_threshold(with_noise, tolerance=TOLERANCE)
-            assert found.threshold is not None
-            literal += literal_s(with_noise, found.threshold)
-    middle = SIZES[2]
-    one_literal = literal_s(FoldedChain(sensor, observer, middle), 1.37)
-    again = []
-    for number in range(20):
-        blur = 2.0 + 0.01 * number
-        changed = replace(sensor, display=replace(sensor.display, blur_sigma_px=blur))
-        started = time.perf_counter()
-        predict_threshold(FoldedChain(changed, observer, middle), tolerance=TOLERANCE)
-        again.append(time.perf_counter() - started)
     ours = exact_frame_s(sensor, 16, 4.0)
     theirs, error = oversampled_frame_s(sensor, 16, 4.0)
-    of_curve = f"curve, 5 sizes × 2 noise levels ({curves.cpu_s:.1f} s CPU), literal Monte Carlo ÷ it, at 1 %"
-    of_change = "threshold after one parameter changed ÷ literal Monte Carlo, at 1 %, median of 20"
+    of_curve = f"curve, 5 sizes × 2 noise levels ({curves.cpu_s:.1f} s CPU), whole process ÷ its imports"
     of_frames = f"frames a second, 16 × 16 × 6 px ({1 / ours:.0f}), times the 8× oversampled FFT chain"
     return [
-        Row(of_curve, literal / curves.cpu_s, ">= 2000"),
-        Row("the same, whole process ÷ import numpy, scipy.optimize", curves.wall_s / imports, "<= 8"),
-        Row(of_change, sorted(again)[10] / one_literal, "<= 0.01"),
+        Row(of_curve, curves.wall_s / imports, "<= 8"),
         Row(of_frames, theirs / ours, ">= 10"),
         Row("largest error of that chain's samples (ours: rounding)", error, "> ours"),
     ]
