@@ -24,7 +24,6 @@ UNIFORM_EXCESS_KURTOSIS = -1.2
 
 class SampleParts(NamedTuple):
     """Standard deviations of the independent parts of one displayed sample; their squares add up to the total's.
-
     What a detector has by itself, new in each frame or fixed, and what all of its row, or of its column, have in
     common. Lines are Gaussian.
     """
@@ -56,20 +55,17 @@ class UnitPattern(NamedTuple):
 
 
 def k_factor(noise: Noise) -> float:
-    """Return the dynamic noise of a single frame divided by the total noise of the integrated sample.
-
-    σ_tot² = σ_dyn²/n + (ratio·σ_dyn)² with n frames: k = σ_dyn/σ_tot, 1.7496 at ratio 0.4 and 6 frames.
-
-    Hogervorst et al. 2001, section 8.2, below eq. 4 (printed as 1.75).
+    """Return the dynamic noise of a single frame divided by the total noise of the integrated sample. σ_tot² =
+    σ_dyn²/n + (ratio·σ_dyn)² with n frames: k = σ_dyn/σ_tot, 1.7496 at ratio 0.4 and 6 frames. Hogervorst et al.
+    2001, section 8.2, below eq. 4 (printed as 1.75).
     """
     return 1.0 / math.hypot(1.0 / math.sqrt(noise.frames_integrated), noise.fixed_pattern_ratio)
 
 
 def sample_parts(noise: Noise, *, total_sd: float) -> SampleParts:
-    """Return all independent parts of a displayed sample's total standard deviation (1/SNR).
-
-    Of the parts of three-dimensional noise these are tvh, vh, tv, v, th and h (D'Agostino & Webb 1991). Lines are
-    parts of the dynamic noise and of the fixed pattern (Hogervorst et al. 2001, section 8.2, below eq. 4).
+    """Return all independent parts of a displayed sample's total standard deviation (1/SNR). Of the parts of
+    three-dimensional noise these are tvh, vh, tv, v, th and h (D'Agostino & Webb 1991). Lines are parts of the
+    dynamic noise and of the fixed pattern (Hogervorst et al. 2001, section 8.2, below eq. 4).
     """
     single_frame = k_factor(noise) * total_sd
     dynamic = single_frame / math.sqrt(noise.frames_integrated)
@@ -95,21 +91,17 @@ def line_shares(noise: Noise) -> LineShares:
 
 def delta_t_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
     """Convert a signal-to-noise ratio to a temperature difference in mK, of the same shape: ΔT = SNR · NETD / k.
-
     The SNR is the signal of a large triangle over the standard deviation of one displayed sample. NETD is the
     noise of a single frame, so NETD / k is that of the displayed sample: more frames integrated and less fixed
-    pattern lower ΔT at the same SNR. SettingsError if the sensor has no NETD.
-
-    Hogervorst et al. 2001, section 8.2, the text below eq. 4.
+    pattern lower ΔT at the same SNR. SettingsError if the sensor has no NETD. Hogervorst et al. 2001, section 8.2,
+    the text below eq. 4.
     """
     return np.asarray(snr, dtype=np.float64) * (_netd_mk(noise) / k_factor(noise))
 
 
 def delta_t_as_printed_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
     """Convert as `delta_t_mk`, by eq. 4 as printed: ΔT = SNR · NETD · k, k² times the other, which rises with more
-    frames.
-
-    Hogervorst et al. 2001, eq. 4.
+    frames. Hogervorst et al. 2001, eq. 4.
     """
     return np.asarray(snr, dtype=np.float64) * (_netd_mk(noise) * k_factor(noise))
 
@@ -121,9 +113,8 @@ def _netd_mk(noise: Noise) -> float:
 
 
 def excess_kurtosis(noise: Noise) -> float:
-    """Return the excess kurtosis of what detectors have by themselves in a displayed sample.
-
-    It is that of the noise and of the pattern, weighted by their squared variances.
+    """Return the excess kurtosis of what detectors have by themselves in a displayed sample. It is that of the
+    noise and of the pattern, weighted by their squared variances.
     """
     parts = sample_parts(noise, total_sd=1.0)
     own = parts.own_noise**2 + parts.own_pattern**2
@@ -135,9 +126,8 @@ def excess_kurtosis(noise: Noise) -> float:
 def draw(
     shape: int | tuple[int, ...], *, sd: float, distribution: Distribution, rng: np.random.Generator
 ) -> FloatArray:
-    """Draw independent noise of zero mean and standard deviation `sd`; uniform noise reaches to ±√3 sd.
-
-    Hogervorst et al. 2001, section 3.3 and footnote 1; the mean is on the display's background.
+    """Draw independent noise of zero mean and standard deviation `sd`; uniform noise reaches to ±√3 sd. Hogervorst
+    et al. 2001, section 3.3 and footnote 1; the mean is on the display's background.
     """
     if distribution == "gaussian":
         return rng.normal(0.0, sd, shape)
@@ -146,9 +136,8 @@ def draw(
 
 
 def unit_fixed_pattern(shape: tuple[int, int], *, noise: Noise, seed: int | np.random.SeedSequence) -> UnitPattern:
-    """Draw the sensor's fixed pattern, each part of standard deviation 1 over all sensors.
-
-    It is drawn once per sensor: the same seed and shape give the same pattern, whatever frames are made of it.
+    """Draw the sensor's fixed pattern, each part of standard deviation 1 over all sensors. It is drawn once per
+    sensor: the same seed and shape give the same pattern, whatever frames are made of it.
     """
     rng = np.random.default_rng(seed)
     own = draw(shape, sd=1.0, distribution=noise.distribution, rng=rng)
@@ -159,10 +148,9 @@ def displayed_noise(
     pattern: UnitPattern, *, total_sd: float, noise: Noise, rng: np.random.Generator
 ) -> FloatArray:
     """Draw the noise of one displayed image in units of a large triangle's signal: a new dynamic part and the
-    sensor's fixed pattern. `total_sd` is 1/SNR.
-
-    The dynamic part is one draw of the named distribution with the standard deviation that integration leaves, as
-    in the paper, not the mean of separate draws: `distribution` is that of the displayed sample.
+    sensor's fixed pattern. `total_sd` is 1/SNR. The dynamic part is one draw of the named distribution with the
+    standard deviation that integration leaves, as in the paper, not the mean of separate draws: `distribution` is
+    that of the displayed sample.
     """
     parts = sample_parts(noise, total_sd=total_sd)
     noise_drawn = draw(pattern.own.shape, sd=parts.own_noise, distribution=noise.distribution, rng=rng)

@@ -37,10 +37,9 @@ BEYOND_ENDS = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredMtf:
-    """The MTF of a table: 1 at frequency 0, monotone cubic between its frequencies, 0 beyond its end.
-
-    `frequency` ascends from 0 in the `unit`. `tangential` is the MTF along x and `sagittal` that along y, the same
-    if the table is radial. `file` is its name as a SENSOR.toml has it.
+    """The MTF of a table: 1 at frequency 0, monotone cubic between its frequencies, 0 beyond its end. `frequency`
+    ascends from 0 in the `unit`. `tangential` is the MTF along x and `sagittal` that along y, the same if the
+    table is radial. `file` is its name as a SENSOR.toml has it.
     """
 
     file: str
@@ -96,7 +95,6 @@ class MeasuredMtf:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredPsf:
     """The image of a point: samples of the point spread function, whose rows run down and columns to the right.
-
     `data` are the samples as 64-bit floats, row by row; their sum is 1. `file` is its name as a SENSOR.toml has
     it.
     """
@@ -136,10 +134,8 @@ class MeasuredPsf:
         return float(max(abs(end) for end in ends))
 
     def at(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
-        """Return the OTF, complex, at frequencies in cycles per sample that broadcast against each other.
-
-        Each of x and y has few different values, whose lattice is computed. Beyond ½ along an axis there is
-        nothing.
+        """Return the OTF, complex, at frequencies in cycles per sample that broadcast against each other. Each of
+        x and y has few different values, whose lattice is computed. Beyond ½ along an axis there is nothing.
         """
         x_at, y_at = self.centroid
         rows, columns = (np.arange(n) - (n - 1) / 2.0 for n in self.shape)
@@ -155,10 +151,9 @@ class MeasuredPsf:
 
 
 def read_measured_mtf(file: str, folder: Path) -> MeasuredMtf:
-    """Return the MTF in a table beside a SENSOR.toml.
-
-    SettingsError if the table stops early or its frequencies are beyond all cameras; DataError if it lies in
-    another folder or `todframes.camera.mtf_table.read_mtf_table` refuses it.
+    """Return the MTF in a table beside a SENSOR.toml. SettingsError if the table stops early or its frequencies
+    are beyond all cameras; DataError if it lies in another folder or `todframes.camera.mtf_table.read_mtf_table`
+    refuses it.
     """
     from todframes.camera.mtf_table import DIRECTIONS, LARGEST_END, RADIAL, read_mtf_table
 
@@ -188,10 +183,9 @@ def read_measured_mtf(file: str, folder: Path) -> MeasuredMtf:
 
 
 def read_measured_psf(file: str, folder: Path) -> MeasuredPsf:
-    """Return the image of a point in a file beside a SENSOR.toml, normalised to the sum of 1.
-
-    SettingsError if it has colours or negative values, is not normalised, off centre, cut off or too coarse;
-    DataError or FrameError if it lies in another folder or cannot be read.
+    """Return the image of a point in a file beside a SENSOR.toml, normalised to the sum of 1. SettingsError if it
+    has colours or negative values, is not normalised, off centre, cut off or too coarse; DataError or FrameError
+    if it lies in another folder or cannot be read.
     """
     from todframes.camera.mtf_table import LARGEST_END
     from todframes.recordings.opening import open_recordings

@@ -46,11 +46,10 @@ MOST_DRAWN = 1e18
 
 
 class ContrastVariance(NamedTuple):
-    """Variance of a displayed sample in units of squared contrast.
-
-    `white` is that of a pixel by itself, where there is no triangle; `row` and `column` that of what the pixels of
-    a line have in common. `per_signal` and `per_squared_signal` are added to `white` for each unit of signal (the
-    contrast times the covered share), and of its square.
+    """Variance of a displayed sample in units of squared contrast. `white` is that of a pixel by itself, where
+    there is no triangle; `row` and `column` that of what the pixels of a line have in common. `per_signal` and
+    `per_squared_signal` are added to `white` for each unit of signal (the contrast times the covered share), and
+    of its square.
     """
 
     white: float
@@ -86,10 +85,8 @@ def photons_per_lux_s_um2(sensor: Sensor) -> float:
 
 
 def background_electrons(sensor: Sensor) -> float:
-    """Return the mean electrons that the background's light frees in a pixel in one exposure.
-
-    SettingsError if the light has no luminance at the wavelength, the electrons are too many, or the full well
-    lies below the scene.
+    """Return the mean electrons that the background's light frees in a pixel in one exposure. SettingsError if the
+    light has no luminance at the wavelength, the electrons are too many, or the full well lies below the scene.
     """
     photons, scene = _photons_of(sensor), sensor.scene
     assert scene is not None  # every sensor with photons has one
@@ -114,9 +111,8 @@ def background_electrons(sensor: Sensor) -> float:
 
 
 def _electrons_of_light(sensor: Sensor) -> float:
-    """Return the electrons of the background by lens, light and quantum efficiency.
-
-    The illuminance of its image is π·τ·L / (4 N²), for a distant scene behind a good lens.
+    """Return the electrons of the background by lens, light and quantum efficiency. The illuminance of its image
+    is π·τ·L / (4 N²), for a distant scene behind a good lens.
     """
     photons, optics = _photons_of(sensor), sensor.optics
     assert sensor.scene is not None and optics.aperture_mm is not None  # checked by `Sensor`
@@ -169,10 +165,9 @@ class PhotonCamera:
         self.offset += photons.column_pattern_electrons * rng.standard_normal((1, field))
 
     def contrast(self, signal: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return the contrast that the camera reports for a signal: contrast times covered share.
-
-        It is that of the mean of frames in electrons, as they follow from the converter's numbers. The offset of
-        the converter lies so high that noise never falls below 0.
+        """Return the contrast that the camera reports for a signal: contrast times covered share. It is that of
+        the mean of frames in electrons, as they follow from the converter's numbers. The offset of the converter
+        lies so high that noise never falls below 0.
         """
         photons, rows, columns = self.photons, (signal.shape[0], 1), (1, signal.shape[1])
         light = np.maximum(self.electrons * (1.0 + signal) * self.response, 0.0)

@@ -27,12 +27,9 @@ MOST_EXAMPLES = 4
 
 
 def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[str, FloatArray]:
-    """Return one trial at each stage of Figure 1 of the paper, in units of a large triangle's signal.
-
-    "a_input", "b_optics" and "c_detector_response" lie on a scene grid of 8 pixels a detector, "d_samples" and
-    "e_noise" have one pixel a detector, "f_hold" and "g_display" the display's pixels.
-
-    Hogervorst et al. 2001, Figure 1.
+    """Return one trial at each stage of Figure 1 of the paper, in units of a large triangle's signal. "a_input",
+    "b_optics" and "c_detector_response" lie on a scene grid of 8 pixels a detector, "d_samples" and "e_noise" have
+    one pixel a detector, "f_hold" and "g_display" the display's pixels. Hogervorst et al. 2001, Figure 1.
     """
     simulator = Simulator(sensor, trial.size_detectors, seed=seed)
     ((x, y),), (samples,) = simulator.samples([trial], noise=False)

@@ -27,12 +27,9 @@ ALIAS_FREE_SIGMA_PX = 1.5
 
 
 def gaussian_kernel(sigma_px: float) -> FloatArray:
-    """Return non-negative, symmetric weights of sum 1 and variance σ² at whole pixels −m … m.
-
-    The kernel is cut at 9 standard deviations, where a weight is below 1e-17 of the middle one. Below 1e-8 pixels
-    it is the single weight 1.
-
-    Hogervorst et al. 2001, eq. 2, for pixels.
+    """Return non-negative, symmetric weights of sum 1 and variance σ² at whole pixels −m … m. The kernel is cut at
+    9 standard deviations, where a weight is below 1e-17 of the middle one. Below 1e-8 pixels it is the single
+    weight 1. Hogervorst et al. 2001, eq. 2, for pixels.
     """
     if sigma_px < 1e-8:
         return np.ones(1)
@@ -57,12 +54,9 @@ def _sampled_gaussian(squares: FloatArray, exponent: float) -> FloatArray:
 
 
 def axis_matrix(n_detectors: int, *, display: SensorDisplay, electronics: Electronics) -> FloatArray:
-    """Return the matrix of sample & hold and post-sample blur along one axis, (pixels, detectors).
-
-    Outside of the field the signal is zero: rows sum to 1 where the blur does not reach beyond it. Electronics and
-    display spot are both Gaussian: their variances add.
-
-    Hogervorst et al. 2001, sections 3.4 and 3.5.
+    """Return the matrix of sample & hold and post-sample blur along one axis, (pixels, detectors). Outside of the
+    field the signal is zero: rows sum to 1 where the blur does not reach beyond it. Electronics and display spot
+    are both Gaussian: their variances add. Hogervorst et al. 2001, sections 3.4 and 3.5.
     """
     per_detector = display.pixels_per_detector
     n_px = n_detectors * per_detector
@@ -82,9 +76,8 @@ def display_signal(samples: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 def _product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Compute a @ b by blocks of rows so small that BLAS starts no threads.
-
-    When other work keeps the processors busy, threads wait for each other far longer than the product takes.
+    """Compute a @ b by blocks of rows so small that BLAS starts no threads. When other work keeps the processors
+    busy, threads wait for each other far longer than the product takes.
     """
     block = max(1, MAX_PRODUCT // (b.shape[-2] * b.shape[-1]))
     stack = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])

@@ -140,7 +140,6 @@ class PatternSampler:
 
     def _prepare_spectrum(self, last: float) -> None:
         """Compute the spectrum up to `last` cycles per period: [folded x][replica in y, folded y][replica in x].
-
         Real samples need folded x frequencies from 0 to half of the period only, and none beyond `last`. The
         upright pattern is its own mirror image, and its spectrum at −f is conjugate to that at f, so a quarter of
         the plane is computed.
@@ -213,10 +212,9 @@ class PatternSampler:
         return np.rot90(upright, -orientation.quarter_turns, axes=(1, 2))
 
     def _band_limited(self, seen: ComplexArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Sum the waves of upright patterns at these places: (places, field, field).
-
-        Places are counted from the field's first detector, so that all replicas of a frequency are alike there.
-        The field is a part of the period: products of matrices take less time than a fast Fourier transform.
+        """Sum the waves of upright patterns at these places: (places, field, field). Places are counted from the
+        field's first detector, so that all replicas of a frequency are alike there. The field is a part of the
+        period: products of matrices take less time than a fast Fourier transform.
         """
         turn, first = -2j * np.pi / self.period, -(self._field - 1) / 2.0
         x, y = x - first, y - first
@@ -243,10 +241,8 @@ class PatternSampler:
 
 
 class TriangleSampler(PatternSampler):
-    """Detector samples of triangles of one size, √(area), at any place and orientation.
-
-    SettingsError if the size is not a positive number, or the triangle, displaced by half a detector, reaches
-    beyond the field.
+    """Detector samples of triangles of one size, √(area), at any place and orientation. SettingsError if the size
+    is not a positive number, or the triangle, displaced by half a detector, reaches beyond the field.
     """
 
     def __init__(
@@ -271,9 +267,8 @@ class TriangleSampler(PatternSampler):
 
     def _covered_area(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Compute the share of each active area that an upright triangle covers, exactly: (places, field, field).
-
-        Each half of the triangle is slope·t wide at the depth t below the apex. The area beyond a column's
-        edge, at u from the axis, is ∫ (slope·t − u)⁺ dt over the row, a difference of squares.
+        Each half of the triangle is slope·t wide at the depth t below the apex. The area beyond a column's edge,
+        at u from the axis, is ∫ (slope·t − u)⁺ dt over the row, a difference of squares.
         """
         height, slope = HEIGHT_PER_SIZE * self._size, SIDE_PER_SIZE / HEIGHT_PER_SIZE / 2.0
         place = np.arange(self._field) - (self._field - 1) / 2.0
@@ -318,7 +313,6 @@ class FourBarSampler(PatternSampler):
 
 def field_detectors(sensor: Sensor, size_detectors: float, sizes: float = FIELD_SIZES) -> int:
     """Return the number of detectors along each side of a pattern's field: four sizes and a margin, or `sizes`.
-
     The observer looks at about four sizes of a triangle. SettingsError if the size is not a positive number, or
     the field is too large to compute.
     """
@@ -408,12 +402,11 @@ def sample_image(
     y_detectors: float = 0.0,
     motion: Motion | None = None,
 ) -> FloatArray:
-    """Compute the detector samples, (field, field), of any scene, by FFT.
-
-    The scene is constant over each pixel and repeats with the image's sides. Its spectrum, the pixels' sinc
-    included, is summed up to the optics' cut-off: exact for such a scene, at any ratio of the pitches. (x, y) is
-    the place of the image's middle, in detectors from the middle of the field. SettingsError if the image is
-    smaller than the field, or the optics pass too many frequencies.
+    """Compute the detector samples, (field, field), of any scene, by FFT. The scene is constant over each pixel
+    and repeats with the image's sides. Its spectrum, the pixels' sinc included, is summed up to the optics'
+    cut-off: exact for such a scene, at any ratio of the pitches. (x, y) is the place of the image's middle, in
+    detectors from the middle of the field. SettingsError if the image is smaller than the field, or the optics
+    pass too many frequencies.
     """
     check_positive("pixel_pitch_mrad", pixel_pitch_mrad)
     pixel = pixel_pitch_mrad / detector.pitch_mrad

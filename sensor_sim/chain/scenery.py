@@ -70,11 +70,10 @@ class Scenery:
         farthest_detectors: float = 0.0,
         note: Callable[[str], None],
     ) -> Scenery:
-        """Decode images and draw a window of each for each size.
-
-        Pictures are taken to be sRGB; with a range, values are proportional to light. `farthest_detectors` is how
-        far a triangle moves from the middle of its field. DataError or FrameError if an image cannot be read, or
-        all are too small, even or saturated; some of these are left out.
+        """Decode images and draw a window of each for each size. Pictures are taken to be sRGB; with a range,
+        values are proportional to light. `farthest_detectors` is how far a triangle moves from the middle of its
+        field. DataError or FrameError if an image cannot be read, or all are too small, even or saturated; some of
+        these are left out.
         """
         if not 1.0 <= pixels_per_detector <= MOST_PIXELS_PER_DETECTOR:
             raise SettingsError(
@@ -127,10 +126,9 @@ class Scenery:
     def contrast(
         self, size_detectors: float, background: int, turn: str, *, field: int, matrix: FloatArray
     ) -> FloatArray:
-        """Compute the contrast of a scene at the detectors, (field, field), without triangle and noise.
-
-        It refers to the local luminance: the mean, on the display, over the circle through the triangle's corners.
-        `matrix` is that of `axis_matrix`.
+        """Compute the contrast of a scene at the detectors, (field, field), without triangle and noise. It refers
+        to the local luminance: the mean, on the display, over the circle through the triangle's corners. `matrix`
+        is that of `axis_matrix`.
         """
         sensor, display = self.sensor, self.sensor.display
         x, y = self.place(size_detectors, background, turn)

@@ -642,10 +642,8 @@ def sensor_from(
     measured: Mapping[str, MeasuredMtf | MeasuredPsf] | None = None,
 ) -> Sensor:
     """Return the checked settings of the tables of a `SENSOR.toml`; the errors of `load_sensor` begin with
-    `where`.
-
-    Measured files lie in `folder`, or are among those `measured`, by their keys such as "mtf", that have been
-    read; without a folder, no file is read.
+    `where`. Measured files lie in `folder`, or are among those `measured`, by their keys such as "mtf", that have
+    been read; without a folder, no file is read.
     """
     content = without_schema(content, SCHEMA, ["name", *TABLES], where)
     tables = {

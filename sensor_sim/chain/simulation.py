@@ -44,9 +44,8 @@ MotionSpeed = Annotated[float, Meta(ge=0.0, le=1e6)]
 
 
 class Filming(NamedTuple):
-    """The frames of a clip: the triangle's motion in the scene, and the frames that come before the trial.
-
-    A trial has as many frames as the eye integrates, evenly in `INTEGRATION_TIME_S`.
+    """The frames of a clip: the triangle's motion in the scene, and the frames that come before the trial. A trial
+    has as many frames as the eye integrates, evenly in `INTEGRATION_TIME_S`.
     """
 
     motion_mrad_per_s: float = 0.0
@@ -92,10 +91,9 @@ def single_frame_level(sensor: Sensor, level: float) -> float:
 
 
 class SimulatedTrial(NamedTuple):
-    """A presentation: size, level and orientation of the triangle. `key` seeds its random stream.
-
-    `level` is a signal-to-noise ratio, or a contrast for a camera that counts photons. `background` is the number
-    of the scene's window, and `turn` how it is turned; None: an even background.
+    """A presentation: size, level and orientation of the triangle. `key` seeds its random stream. `level` is a
+    signal-to-noise ratio, or a contrast for a camera that counts photons. `background` is the number of the
+    scene's window, and `turn` how it is turned; None: an even background.
     """
 
     key: tuple[int, int, int]
@@ -117,10 +115,8 @@ class SimulatedFrame(NamedTuple):
 def plan_trials(
     sizes_detectors: Sequence[float], levels: Sequence[float], trials: int, level_name: str = "snr"
 ) -> list[SimulatedTrial]:
-    """Plan `trials` presentations of each size at each level, with the orientations in turn.
-
-    SettingsError if a list is empty, a value is not a positive number or occurs twice, or there are no trials or
-    too many.
+    """Plan `trials` presentations of each size at each level, with the orientations in turn. SettingsError if a
+    list is empty, a value is not a positive number or occurs twice, or there are no trials or too many.
     """
     for name, values in ((argument.size_detectors, sizes_detectors), (getattr(argument, level_name), levels)):
         for value in distinct_numbers(name, values):
@@ -152,14 +148,11 @@ def plan_on_scenes(planned: Sequence[SimulatedTrial], scenery: Scenery) -> list[
 
 
 class Simulator:
-    """Source of frames of one sensor for triangles of one size, √(area) in detectors, in any order.
-
-    Each trial draws from its own random stream, so a frame depends on the seed and its trial alone. The fixed
-    pattern is drawn once: the seed stands for the sensor. Without `scenery` the background is even; without
-    `filming` a trial is one frame, as the eye averages it.
-
-    SettingsError if the optics pass too little or too much for the field, its frame has more pixels than may be
-    read, or the triangle moves too far.
+    """Source of frames of one sensor for triangles of one size, √(area) in detectors, in any order. Each trial
+    draws from its own random stream, so a frame depends on the seed and its trial alone. The fixed pattern is
+    drawn once: the seed stands for the sensor. Without `scenery` the background is even; without `filming` a trial
+    is one frame, as the eye averages it. SettingsError if the optics pass too little or too much for the field,
+    its frame has more pixels than may be read, or the triangle moves too far.
     """
 
     def __init__(
@@ -218,10 +211,9 @@ class Simulator:
         return SimulatedFrame(display.background_luminance_cd_m2 * (1.0 + display.gain * signal), x_px, y_px)
 
     def clip(self, trial: SimulatedTrial) -> list[SimulatedFrame]:
-        """Return the frames of a trial's clip as displayed: those of warm-up, then those of the trial.
-
-        The triangle moves evenly in a random direction, over a scene that stands still. Its mean place in the
-        trial is that of a single frame.
+        """Return the frames of a trial's clip as displayed: those of warm-up, then those of the trial. The
+        triangle moves evenly in a random direction, over a scene that stands still. Its mean place in the trial is
+        that of a single frame.
         """
         assert self.filming is not None
         rng = self._rng(trial)
@@ -257,7 +249,6 @@ class Simulator:
 
     def samples(self, trials: Sequence[SimulatedTrial], *, noise: bool = True) -> tuple[FloatArray, FloatArray]:
         """Return the triangles' random places on the detectors, (trial, 2), and samples, (trial, field, field).
-
         Samples are in units of a large triangle's signal; for a camera that counts photons they are contrasts.
         """
         rngs = [self._rng(trial) for trial in trials]
@@ -280,7 +271,6 @@ class Simulator:
 
     def _scene_signal(self, background: int, turn: str) -> tuple[tuple[float, float], FloatArray]:
         """Return the place of a scene and its triangle on the detectors, and the scene in units of the signal.
-
         Where levels are signal-to-noise ratios, the display shows the scene with its own contrast at any gain.
         """
         assert self.scenery is not None

@@ -22,13 +22,9 @@ from todframes.base._typing import ComplexArray, FloatArray
 
 def diffraction_mtf(frequency_cyc_per_mrad: ArrayLike, *, wavelength_um: float, aperture_mm: float) -> FloatArray:
     """Return the modulation transfer of a diffraction-limited circular aperture, exactly 0 at and beyond the
-    cut-off.
-
-    With x the radial frequency over the cut-off, aperture_mm / wavelength_um cycles/mrad, and u = 2 arccos x, eq.
-    1 is (u − sin u) / π; both terms are nearly equal near the cut-off, so their difference is summed as a series
-    there.
-
-    Hogervorst et al. 2001, eq. 1.
+    cut-off. With x the radial frequency over the cut-off, aperture_mm / wavelength_um cycles/mrad, and u = 2
+    arccos x, eq. 1 is (u − sin u) / π; both terms are nearly equal near the cut-off, so their difference is summed
+    as a series there. Hogervorst et al. 2001, eq. 1.
     """
     x = np.abs(np.asarray(frequency_cyc_per_mrad, dtype=np.float64)) / (aperture_mm / wavelength_um)
     # arccos x = 2 arcsin √((1 − x)/2), without arccos's loss of digits at 1.
@@ -45,23 +41,17 @@ def _u_minus_sin_u_series(u: FloatArray) -> FloatArray:
 
 
 def gaussian_mtf(frequency: ArrayLike, *, sigma: float) -> FloatArray:
-    """Return the modulation transfer of a Gaussian blur of standard deviation `sigma`: exp(−2π²σ²f²).
-
-    It describes optics, electronics or display spot; `sigma` is in the reciprocal unit of the (radial) frequency.
-    Other tools give a width b with the transfer exp(−πb²f²): σ = b/√(2π).
-
-    Hogervorst et al. 2001, eq. 2.
+    """Return the modulation transfer of a Gaussian blur of standard deviation `sigma`: exp(−2π²σ²f²). It describes
+    optics, electronics or display spot; `sigma` is in the reciprocal unit of the (radial) frequency. Other tools
+    give a width b with the transfer exp(−πb²f²): σ = b/√(2π). Hogervorst et al. 2001, eq. 2.
     """
     return np.asarray(np.exp(-2.0 * (np.pi * sigma * np.asarray(frequency, dtype=np.float64)) ** 2))
 
 
 def box_mtf(frequency: ArrayLike, *, width: float) -> FloatArray:
-    """Return the transfer along one axis of a mean over `width`: sin(πwf)/(πwf), signed.
-
-    It describes the active width of a detector, and with the pitch for `width` sample & hold. In two dimensions
-    the transfer is exactly the product of the axes.
-
-    Hogervorst et al. 2001, sections 3.2 and 3.4.
+    """Return the transfer along one axis of a mean over `width`: sin(πwf)/(πwf), signed. It describes the active
+    width of a detector, and with the pitch for `width` sample & hold. In two dimensions the transfer is exactly
+    the product of the axes. Hogervorst et al. 2001, sections 3.2 and 3.4.
     """
     return np.sinc(width * np.asarray(frequency, dtype=np.float64))
 
@@ -71,12 +61,9 @@ DEFOCUS_NODES, DEFOCUS_FREQUENCIES = 96, 2049
 
 
 def obscured_mtf(relative_frequency: ArrayLike, *, obscuration_ratio: float) -> FloatArray:
-    """Return the modulation transfer of an annular aperture at a frequency over the cut-off.
-
-    It is the area that two annuli of outer radius 1 have in common at the distance 2x, over that of one: the areas
-    that the outer discs, the inner discs, and an outer and an inner one have in common.
-
-    O'Neill, J. Opt. Soc. Am. 46 (1956) 285.
+    """Return the modulation transfer of an annular aperture at a frequency over the cut-off. It is the area that
+    two annuli of outer radius 1 have in common at the distance 2x, over that of one: the areas that the outer
+    discs, the inner discs, and an outer and an inner one have in common. O'Neill, J. Opt. Soc. Am. 46 (1956) 285.
     """
     x, ratio = np.abs(np.asarray(relative_frequency, dtype=np.float64)), obscuration_ratio
 
@@ -93,11 +80,10 @@ def obscured_mtf(relative_frequency: ArrayLike, *, obscuration_ratio: float) -> 
 
 @lru_cache(maxsize=64)
 def _defocused(obscuration_ratio: float, defocus_waves: float) -> Any:
-    """Return the transfer of a defocused, perhaps annular aperture as a cubic spline over [0, 1].
-
-    At the frequency s over the cut-off, the path difference across two apertures that are displaced by ±s is
-    4·W·s·x, so that the transfer is the mean of cos(8πWsx) over what they have in common. Between the places where
-    its height has a root, sin(θ) for x takes the roots away.
+    """Return the transfer of a defocused, perhaps annular aperture as a cubic spline over [0, 1]. At the frequency
+    s over the cut-off, the path difference across two apertures that are displaced by ±s is 4·W·s·x, so that the
+    transfer is the mean of cos(8πWsx) over what they have in common. Between the places where its height has a
+    root, sin(θ) for x takes the roots away.
     """
     from scipy.interpolate import CubicSpline
 
@@ -136,7 +122,6 @@ def aperture_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) ->
 
 def optics_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) -> FloatArray:
     """Return aperture × Gaussian blur, in the shape of the frequency; exactly 0 at and beyond the cut-off.
-
     Hogervorst et al. 2001, section 3.1.
     """
     aperture = aperture_mtf(radial_frequency_cyc_per_mrad, optics=optics)
@@ -149,7 +134,6 @@ def optics_otf(
     frequency_x_cyc_per_mrad: ArrayLike, frequency_y_cyc_per_mrad: ArrayLike, *, optics: Optics
 ) -> FloatArray | ComplexArray:
     """Return the transfer of the optics, modelled or measured, at frequencies that broadcast against each other.
-
     It is complex for a measured PSF, whose image may be on one side.
     """
     fx, fy = (np.asarray(frequency, float) for frequency in (frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad))
@@ -167,10 +151,8 @@ def looks_the_same_when_turned(optics: Optics, motion: Motion | None) -> bool:
 
 
 def blur_mrad(optics: Optics, motion: Motion | None) -> float:
-    """Return the standard deviation of the blur on top of diffraction: how far light strays from its place.
-
-    For measured optics, and those with a defocus, it is that of the Gaussian with the same frequency of half
-    transfer.
+    """Return the standard deviation of the blur on top of diffraction: how far light strays from its place. For
+    measured optics, and those with a defocus, it is that of the Gaussian with the same frequency of half transfer.
     """
     of_motion = (
         0.0 if motion is None else math.hypot(motion.smear_mrad / math.sqrt(12.0), motion.jitter_sigma_mrad)
@@ -196,12 +178,11 @@ def band_limit_cyc_per_mrad(optics: Optics) -> float:
 
 
 def sharpness_bound(optics: Optics, *, width_mrad: float) -> float:
-    """Return a bound on the change that the optics make to the mean over a square of a scene within [0, 1].
-
-    Moving the scene by u changes it by at most (|u_x| + |u_y|)/width, and by at most 1. The mean of that over
-    the Gaussian is 2√(2/π)·σ/width. Over the Airy pattern, whose energy beyond r is J₀² + J₁² at πcr, c the
-    cut-off, it is at most √2/v · (1 + 2/π·ln(1 + v)) with v = πc·width. For measured optics, an obscuration or
-    defocus there is no bound.
+    """Return a bound on the change that the optics make to the mean over a square of a scene within [0, 1]. Moving
+    the scene by u changes it by at most (|u_x| + |u_y|)/width, and by at most 1. The mean of that over the
+    Gaussian is 2√(2/π)·σ/width. Over the Airy pattern, whose energy beyond r is J₀² + J₁² at πcr, c the cut-off,
+    it is at most √2/v · (1 + 2/π·ln(1 + v)) with v = πc·width. For measured optics, an obscuration or defocus
+    there is no bound.
     """
     if not optics.is_modelled or optics.obscuration_ratio > 0.0 or optics.defocus_waves > 0.0:
         return math.inf
@@ -219,10 +200,8 @@ def pre_sample_mtf(
     motion: Motion | None = None,
 ) -> FloatArray | ComplexArray:
     """Return optics × motion × detector at frequencies that broadcast against each other, in the broadcast shape.
-
-    It is complex for a measured PSF. A measured MTF that includes the detector has its active width.
-
-    Hogervorst et al. 2001, section 3.6.
+    It is complex for a measured PSF. A measured MTF that includes the detector has its active width. Hogervorst et
+    al. 2001, section 3.6.
     """
     transfer = optics_otf(frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad, optics=optics)
     if motion is not None:
@@ -243,14 +222,11 @@ def motion_mtf(
 
 
 def stages(frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor) -> dict[str, FloatArray]:
-    """Return every stage's transfer along x, in the order of the signal chain, and the two products.
-
-    The stages are "diffraction" (with obscuration and defocus) and "optics_blur", or "measured_optics"; "motion"
-    if there is some; "detector" unless a measured MTF includes it; "hold", "electronics", "display". "pre_sample"
-    is the product of those before "hold" and "post_sample" that of the others; the paper's post-sampling MTF
-    leaves "hold" out.
-
-    Hogervorst et al. 2001, section 3.
+    """Return every stage's transfer along x, in the order of the signal chain, and the two products. The stages
+    are "diffraction" (with obscuration and defocus) and "optics_blur", or "measured_optics"; "motion" if there is
+    some; "detector" unless a measured MTF includes it; "hold", "electronics", "display". "pre_sample" is the
+    product of those before "hold" and "post_sample" that of the others; the paper's post-sampling MTF leaves
+    "hold" out. Hogervorst et al. 2001, section 3.
     """
     frequency = np.asarray(frequency_cyc_per_mrad, dtype=np.float64)
     optics, detector, along_y = sensor.optics, sensor.detector, np.zeros_like(frequency)

@@ -307,13 +307,10 @@ class SensorMrtd(Content, frozen=True, kw_only=True):
 
 
 def lloyd_mrtd_mk(frequency_cyc_per_mrad: ArrayLike, sensor: Sensor, *, snr: float) -> FloatArray:
-    """Compute MRTD in mK by the literature's form: (π²/8) · SNR · NETD · (f / MTF) · √(α β / (t_e F)).
-
-    α = β is the width of a detector and t_e F the number of frames that the eye integrates. MTF is that of all
-    stages, the eye left out; where it is 0 the MRTD is infinite. Fixed pattern noise, sampling and the length of
-    the bars have no part in it.
-
-    Lloyd 1975, Thermal Imaging Systems, as quoted by later sources.
+    """Compute MRTD in mK by the literature's form: (π²/8) · SNR · NETD · (f / MTF) · √(α β / (t_e F)). α = β is
+    the width of a detector and t_e F the number of frames that the eye integrates. MTF is that of all stages, the
+    eye left out; where it is 0 the MRTD is infinite. Fixed pattern noise, sampling and the length of the bars have
+    no part in it. Lloyd 1975, Thermal Imaging Systems, as quoted by later sources.
     """
     noise = sensor.noise
     f = np.asarray(frequency_cyc_per_mrad, dtype=np.float64)
@@ -362,7 +359,6 @@ def sensor_ttp(
     sensor: Sensor, *, delta_t_k: float, width_deg: float, eye_time_s: float, settings: TtpSettings
 ) -> Ttp:
     """Compute TTP of a sensor with NETD for a target that the display shows at the contrast of its gain.
-
     CTF_sys(f) = CTF(f / M) / MTF(f) · √(1 + α² σ²), M being the magnification and σ² the noise in a channel of the
     eye: the density of the dynamic noise of a frame, (gain · NETD / ΔT)² · pitch² · frame time, times the
     bandwidths of channel, eye, hold and display along x and y. The frame time is `eye_time_s` over the frames

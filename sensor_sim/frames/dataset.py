@@ -61,7 +61,6 @@ class Written:
 
 def white_luminance_cd_m2(sensor: Sensor, levels: Sequence[float]) -> float:
     """Return the luminance of PNG code value 1: above that of the brightest triangle in the strongest noise.
-
     Uniform noise reaches to √3 standard deviations of either of its parts, and no blur adds to that. Gaussian
     noise, that of photons and that of lines are given four.
     """
@@ -88,10 +87,9 @@ class WrittenFrames(NamedTuple):
 
 @dataclass(frozen=True)
 class SimulationWork(StoredWork[list[SimulatedTrial], WrittenFrames]):
-    """The drawing and writing of frames, an item is a list of trials of one size.
-
-    `folder` is the staging folder of the dataset, by its real path, which other processes have too, and
-    `white_cd_m2` the luminance of code value 1. Scenery and filming are those of `Simulator`.
+    """The drawing and writing of frames, an item is a list of trials of one size. `folder` is the staging folder
+    of the dataset, by its real path, which other processes have too, and `white_cd_m2` the luminance of code value
+    1. Scenery and filming are those of `Simulator`.
     """
 
     folder: Path
@@ -205,7 +203,6 @@ def write_dataset(
     run: Run | None = None,
 ) -> Written:
     """Write frames, `manifest.csv` and `dataset.toml` into a folder that is empty, or holds frames of the store.
-
     EXR is half float in cd/m² and keeps luminance unclipped, below zero included. PNG has 16 bits, linear from 0
     cd/m² to `white_luminance_cd_m2`; SettingsError if more than 1 % of its pixels would be clipped and this is not
     allowed. The bytes do not depend on the engine of `run`; its store states what an earlier run has written.

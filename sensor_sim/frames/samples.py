@@ -11,9 +11,8 @@ from sensor_sim.frames.dataset import write_dataset
 
 
 def staring_camera(folder: Path) -> int:
-    """Make the paper's second experiment: a simulated staring camera with noise, 16-bit EXR in cd/m².
-
-    The file of the sensor is written beside the folder. Return the number of frames.
+    """Make the paper's second experiment: a simulated staring camera with noise, 16-bit EXR in cd/m². The file of
+    the sensor is written beside the folder. Return the number of frames.
     """
     settings = files("sensor_sim.explorer").joinpath("presets", f"{folder.name}.toml")
     beside = folder.with_suffix(".toml")

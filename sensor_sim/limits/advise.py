@@ -221,10 +221,9 @@ def advise(
 def _gains(
     sensor: Sensor, observer: Observer, size_detectors: float, progress: Progress | None, asked: dict[str, Any]
 ) -> tuple[Gain, ...]:
-    """Return what a tenth more of each number changes, the largest first; empty if the size has no threshold.
-
-    The trials of all sensors have the same places, so the errors of two thresholds cancel in part; they are stated
-    as if they did not.
+    """Return what a tenth more of each number changes, the largest first; empty if the size has no threshold. The
+    trials of all sensors have the same places, so the errors of two thresholds cancel in part; they are stated as
+    if they did not.
     """
     asked = asked | {"in_mk": sensor.level == "snr" and sensor.noise.netd_mk is not None}
     before, error = threshold_of(sensor, observer, size_detectors, **asked)

@@ -35,7 +35,6 @@ class Try(NamedTuple):
 
 class Crossing(NamedTuple):
     """The value at which the threshold is the target, and half of its 95 % interval; all values that were tried.
-
     `value` is None if none was found between the ends of the range. `is_least` states that larger values are
     recognised, `is_recognised` that the first value was.
     """
@@ -57,7 +56,6 @@ def find_crossing(
     is_whole: bool = False,
 ) -> Crossing:
     """Find the value nearest to `start` at which the excess changes its sign, by steps of a factor and by Brent.
-
     The range is from `low` to `high`, both > 0. Of whole numbers it is the outermost one that is recognised. Both
     directions are tried unless it is known whether larger values are better.
     """

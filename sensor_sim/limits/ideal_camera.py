@@ -71,10 +71,9 @@ def idealised(sensor: Sensor) -> Sensor:
 
 
 def ideal_camera_of(sensor: Sensor, observer: Observer, *, p_correct: float, seed: int) -> IdealCamera | None:
-    """Return the ideal camera with the acuity of a sensor; None if no size is recognised.
-
-    A display shows the detectors of all pitches at the same angle, so an ideal camera has the same acuity in
-    detectors at any pitch: the pitch follows from the ratio.
+    """Return the ideal camera with the acuity of a sensor; None if no size is recognised. A display shows the
+    detectors of all pitches at the same angle, so an ideal camera has the same acuity in detectors at any pitch:
+    the pitch follows from the ratio.
     """
     own, ideal = (_acuity(one, observer, p_correct, seed) for one in (sensor, idealised(sensor)))
     if own.value is None or ideal.value is None:

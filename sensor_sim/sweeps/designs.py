@@ -55,10 +55,9 @@ class Designs(NamedTuple):
 
 
 def numeric_keys(sensor: Sensor, observer_settings: type) -> dict[str, bool]:
-    """Return the keys that can be varied, and for each whether its values are whole numbers.
-
-    They are the keys that mean something for this sensor, and those of the observer's settings, whose type is that
-    of None if it has none.
+    """Return the keys that can be varied, and for each whether its values are whole numbers. They are the keys
+    that mean something for this sensor, and those of the observer's settings, whose type is that of None if it has
+    none.
     """
     keys = {FILL_FACTOR: False}
     used = used_keys(sensor)
@@ -215,10 +214,9 @@ def make_designs(
     sample: int | None,
     seed: int,
 ) -> Designs:
-    """Return the designs that a call or command asks for, in one of three ways.
-
-    SettingsError if it asks in none of them or in several, or for a design that `grid` or `latin_hypercube`
-    refuses; DataError if a file of designs is refused.
+    """Return the designs that a call or command asks for, in one of three ways. SettingsError if it asks in none
+    of them or in several, or for a design that `grid` or `latin_hypercube` refuses; DataError if a file of designs
+    is refused.
     """
     if design is None:
         if not vary:
@@ -276,9 +274,8 @@ def check_coupling(sensor: Sensor, keys: Iterable[str]) -> None:
 
 
 def _with_coupled_netd(sensor: Sensor, base: Sensor) -> Sensor:
-    """Return a sensor with the NETD that follows from a base: NETD ∝ (f-number)² / (area of a detector).
-
-    The f-number is focal length / aperture, and the side of a detector its angular width · focal length. The focal
+    """Return a sensor with the NETD that follows from a base: NETD ∝ (f-number)² / (area of a detector). The
+    f-number is focal length / aperture, and the side of a detector its angular width · focal length. The focal
     length cancels: NETD · (aperture · angular width)² stays the same. Measured optics without an aperture keep it.
     """
     etendue, of_base = (

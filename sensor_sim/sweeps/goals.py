@@ -42,7 +42,6 @@ SWEEP = "the sweep"
 
 class DesignRange(NamedTuple):
     """Range of a design; NaN unless `status` is "ok". `at_least_km` is a bound where the curve ends before it.
-
     `status` is that of `todframes.field.acquisition.TaskRange`, or "too_few_sizes" for less than two thresholds.
     """
 
@@ -148,7 +147,6 @@ class Criterion(NamedTuple):
 
 class Acuity(NamedTuple):
     """Smallest size whose threshold is at most the criterion, with the numerical error of its 95 % interval.
-
     `status` is "ok", "never_reached" if no size computed reaches the criterion, "always_exceeded" if the smallest
     one does, or "too_few_sizes" if there is no threshold beside the crossing. Only with "ok" is there a size.
     """

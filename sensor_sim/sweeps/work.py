@@ -215,10 +215,9 @@ def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> SweepPla
 
 
 def _order(unique: Sequence[tuple[Sensor, Changes]]) -> list[int]:
-    """Return the order of sensors in which neighbours share most.
-
-    Samples depend on what is before the detectors, weights on what is behind them. A few observers, and the
-    weights of a few displays, stay in memory while the samples change.
+    """Return the order of sensors in which neighbours share most. Samples depend on what is before the detectors,
+    weights on what is behind them. A few observers, and the weights of a few displays, stay in memory while the
+    samples change.
     """
     before: dict[Any, int] = {}
     behind: dict[Any, int] = {}

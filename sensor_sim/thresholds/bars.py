@@ -66,10 +66,9 @@ class BarScores(NamedTuple):
 
 
 class BarChain:
-    """A sensor and an observer of four bars, folded into weights on the detectors.
-
-    The frequency of the bars is that in the scene. SettingsError if the observer has no `detection`, so judges
-    triangles only, the sensor counts photons, or the frequency is out of range.
+    """A sensor and an observer of four bars, folded into weights on the detectors. The frequency of the bars is
+    that in the scene. SettingsError if the observer has no `detection`, so judges triangles only, the sensor
+    counts photons, or the frequency is out of range.
     """
 
     def __init__(
@@ -126,9 +125,8 @@ class BarChain:
         )
 
     def scores(self, x: FloatArray, y: FloatArray, displacement: FloatArray) -> BarScores:
-        """Compute the scores, (rows · columns, displacements), of bars with the retina's middle on a lattice.
-
-        x and y are places of the retina's middle, in detectors from the field's middle; `displacement`, (rows ·
+        """Compute the scores, (rows · columns, displacements), of bars with the retina's middle on a lattice. x
+        and y are places of the retina's middle, in detectors from the field's middle; `displacement`, (rows ·
         columns, displacements, 2), is that of the retina against the bars along x and y, in detectors, row after
         row.
         """
@@ -157,7 +155,6 @@ class BarChain:
 
     def best(self, p_correct: float) -> ComputedThreshold:
         """Compute the threshold where the bars lie best on the detectors, a mean over displacements of the retina.
-
         The error is the change from the last refinement's neighbour, and from fewer displacements.
         """
         nodes = 2 + math.ceil(8.0 * self.jitter_detectors)
@@ -185,9 +182,8 @@ class BarChain:
         return best
 
     def _on_places(self, x: FloatArray, y: FloatArray, nodes: int) -> tuple[BarScores, FloatArray]:
-        """Return the scores of bars on a lattice of places, and the weights of the retina's displacements.
-
-        The scores have shape (rows · columns, nodes²), the weights (nodes²,).
+        """Return the scores of bars on a lattice of places, and the weights of the retina's displacements. The
+        scores have shape (rows · columns, nodes²), the weights (nodes²,).
         """
         at, weight = np.polynomial.legendre.leggauss(nodes)
         along = self.jitter_detectors * at
@@ -226,9 +222,8 @@ class BarChain:
     def averaged(
         self, p_correct: float, *, tolerance: float = 2e-3, seed: int = 1, check: Callable[[], None] = lambda: None
     ) -> ComputedThreshold:
-        """Compute the threshold of P(correct) averaged over all places of the bars on the detectors.
-
-        More places are taken until the relative half-width of the 95 % interval is below the tolerance.
+        """Compute the threshold of P(correct) averaged over all places of the bars on the detectors. More places
+        are taken until the relative half-width of the 95 % interval is below the tolerance.
         """
         computed = ComputedThreshold("never_reached")
         for places in PLACES:

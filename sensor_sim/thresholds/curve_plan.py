@@ -179,11 +179,9 @@ def plan_curve(
     level: Level = "snr",
     shared: Shared = NOTHING,
 ) -> CurvePlan:
-    """Plan the computation of a threshold.
-
-    The plan "needed" leaves out the parts that the threshold does not need, whose omission may take half of the
-    relative `tolerance`; "full" leaves out none. SettingsError if the observer is not linear, or the size or field
-    is out of range.
+    """Plan the computation of a threshold. The plan "needed" leaves out the parts that the threshold does not
+    need, whose omission may take half of the relative `tolerance`; "full" leaves out none. SettingsError if the
+    observer is not linear, or the size or field is out of range.
     """
     if name == "full":
         full = full_plan(sensor, observer.with_extra_level(), size_detectors, shared)
@@ -390,9 +388,8 @@ class _CurvePlanner:
         return np.asarray((weights @ samples[..., None])[..., 0])
 
     def _noise(self, weights: FloatArray, level: float | None = None) -> FloatArray:
-        """Return the covariance of the detectors' noise over the squared contrast; by default, near threshold.
-
-        A triangle's own photons are left out.
+        """Return the covariance of the detectors' noise over the squared contrast; by default, near threshold. A
+        triangle's own photons are left out.
         """
         level = self.near_level if level is None else level
         if self.variance is None:
@@ -594,16 +591,14 @@ class _CurvePlanner:
 
 
 def _less_first(weights: FloatArray) -> FloatArray:
-    """Return the weights, (..., 4, n), of the score differences that decide on the first answer.
-
-    Absolute values of the four would cancel in the differences of the scores.
+    """Return the weights, (..., 4, n), of the score differences that decide on the first answer. Absolute values
+    of the four would cancel in the differences of the scores.
     """
     return weights - weights[..., :1, :]
 
 
 def _beyond(change: float, shorter: int, period: int) -> float:
     """Return a bound on the change between a period and an endless one, from that between a shorter and this one.
-
     The tails of the repetitions fall with the cube of the period, as those of the Airy pattern do (Watson 1944,
     section 13.75), and what they do to the scores at least as fast.
     """

@@ -32,12 +32,11 @@ def is_unblurred(sensor: Sensor) -> bool:
 
 
 class Folding:
-    """Weights on a retina, (answers, side, side), to be folded onto detectors for any place of the retina.
-
-    The first `n` are folded, onto a square of `field` × `field` detectors, with the precision `dtype`. Retina
-    samples that never see the field while the retina's middle is within `reach_detectors` of the field's, along
-    each axis, are dropped. With `merge_pixels`, pixels that must be alike count as one. `key` is everything that
-    the weights depend on besides their places.
+    """Weights on a retina, (answers, side, side), to be folded onto detectors for any place of the retina. The
+    first `n` are folded, onto a square of `field` × `field` detectors, with the precision `dtype`. Retina samples
+    that never see the field while the retina's middle is within `reach_detectors` of the field's, along each axis,
+    are dropped. With `merge_pixels`, pixels that must be alike count as one. `key` is everything that the weights
+    depend on besides their places.
     """
 
     def __init__(
@@ -80,7 +79,6 @@ class Folding:
 
     def _on_axis(self, places: FloatArray) -> Iterator[tuple[slice, slice, NDArray[Any]]]:
         """Yield what retina samples see of some detectors of an axis: the detectors, the samples, and the shares.
-
         The shares are (detectors · places, samples). Elsewhere they are 0.
         """
         share, integral = self._held
@@ -101,9 +99,8 @@ class Folding:
             yield some, samples, (width * np.diff(up_to, axis=-1)).astype(self.dtype).reshape(-1, stop - first)
 
     def weights_by_row(self, places_x: FloatArray, places_y: FloatArray) -> NDArray[Any]:
-        """Return the weights at all places on a lattice: (places_y, places_x, n, field²), in `dtype`.
-
-        Places are those of the retina's middle, in detectors from the field's middle.
+        """Return the weights at all places on a lattice: (places_y, places_x, n, field²), in `dtype`. Places are
+        those of the retina's middle, in detectors from the field's middle.
         """
         side, field, n_x, n_y = self.grid.side, self.field, len(places_x), len(places_y)
         on_columns = np.zeros((self.n, side, field, n_x), dtype=self.dtype)

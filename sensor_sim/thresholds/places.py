@@ -49,7 +49,6 @@ HIGHER = 1.3
 
 class UnknownPlaceChain(FoldedChain):
     """A sensor and a linear observer that looks for triangles of one size at several places, at least 2.
-
     SettingsError if the observer is not linear, or the noise is not the same at all places or not independent.
     """
 

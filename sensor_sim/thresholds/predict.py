@@ -70,14 +70,12 @@ STEP = 0.02
 
 
 class Lattice(NamedTuple):
-    """Places of the retina's middle on the detectors, on a square grid, and displacements of the retina there.
-
-    The weights depend on the retina's middle alone: its place is the triangle's on the detectors plus its own
+    """Places of the retina's middle on the detectors, on a square grid, and displacements of the retina there. The
+    weights depend on the retina's middle alone: its place is the triangle's on the detectors plus its own
     displacement, and repeats with the detectors. So a grid covers one detector evenly, and the triangle's place is
-    the difference of the two.
-
-    `x` and `y` are columns and rows of the grid, in detectors from the field's middle; `displacement`, (places²,
-    displacements, 2), is that of the retina along x and y, in detectors, at each place, row after row.
+    the difference of the two. `x` and `y` are columns and rows of the grid, in detectors from the field's middle;
+    `displacement`, (places², displacements, 2), is that of the retina along x and y, in detectors, at each place,
+    row after row.
     """
 
     x: FloatArray
@@ -87,10 +85,8 @@ class Lattice(NamedTuple):
     @classmethod
     def at(cls, places: int, *, shift: FloatArray, first: FloatArray, jitter: float) -> Lattice:
         """Return a lattice of places × places that is shifted as a whole, by `shift` along x and y in the distance
-        of two.
-
-        `first`, in [0, 1), is the start of the low-discrepancy sequence of displacements, which has both signs,
-        and `jitter` the largest displacement along each axis, in detectors.
+        of two. `first`, in [0, 1), is the start of the low-discrepancy sequence of displacements, which has both
+        signs, and `jitter` the largest displacement along each axis, in detectors.
         """
         grid = np.arange(places) / places - 0.5
         x, y = (grid + along / places for along in shift)
@@ -108,12 +104,11 @@ class Lattice(NamedTuple):
 
 
 class Phases(NamedTuple):
-    """Signals and noise of the trials of one orientation, `correct`, as scores of the folded observer.
-
-    `signal`, (places, displacements, 4), are the score deviations that a triangle of amplitude 1 causes, and
-    `noise`, (places, 4, 4), is the covariance of the scores under detector noise of deviation 1. For cameras that
-    count photons, `of_light`, (places, displacements, 4, 4, 4), has the covariances from noise of variance 1 that
-    rows, and columns, have in common, and from noise whose variance is the triangle's signal, and its square.
+    """Signals and noise of the trials of one orientation, `correct`, as scores of the folded observer. `signal`,
+    (places, displacements, 4), are the score deviations that a triangle of amplitude 1 causes, and `noise`,
+    (places, 4, 4), is the covariance of the scores under detector noise of deviation 1. For cameras that count
+    photons, `of_light`, (places, displacements, 4, 4, 4), has the covariances from noise of variance 1 that rows,
+    and columns, have in common, and from noise whose variance is the triangle's signal, and its square.
     """
 
     signal: FloatArray
@@ -150,10 +145,9 @@ def pooled(replicates: Sequence[Sequence[Phases]]) -> list[Phases]:
 def covariance_at(
     level: Level, value: float, internal: FloatArray, phases: Phases, variance: ContrastVariance | None = None
 ) -> FloatArray:
-    """Return the covariance of the scores over the square of the triangle's contrast, at a value of the level.
-
-    Its shape is (places, 1 or displacements, 4, 4). `internal` is that of the internal noise. With `variance`, of
-    a sample of a camera that counts photons, the value is a contrast, whatever the level.
+    """Return the covariance of the scores over the square of the triangle's contrast, at a value of the level. Its
+    shape is (places, 1 or displacements, 4, 4). `internal` is that of the internal noise. With `variance`, of a
+    sample of a camera that counts photons, the value is a contrast, whatever the level.
     """
     if variance is None:
         return internal + phases.noise[:, None] / value**2 if level == "snr" else internal / value**2
@@ -164,10 +158,9 @@ def covariance_at(
 
 
 class FoldedChain:
-    """A sensor and a linear observer folded into weights on the detectors, for triangles of one size.
-
-    The plan, by default that of `plan_curve`, has the parts of the computation that are left out. SettingsError if
-    the observer is not linear, or the size or field is out of range.
+    """A sensor and a linear observer folded into weights on the detectors, for triangles of one size. The plan, by
+    default that of `plan_curve`, has the parts of the computation that are left out. SettingsError if the observer
+    is not linear, or the size or field is out of range.
     """
 
     def __init__(
@@ -255,9 +248,8 @@ class FoldedChain:
     def unreached(
         self, p_correct: float, seed: int, places: int | None = None, level: Level = "snr"
     ) -> PredictedThreshold | None:
-        """Return the record of a criterion that is not reached at the largest level; None if it is.
-
-        One replicate, by default of the first lattice, is enough where P(correct) stays far below.
+        """Return the record of a criterion that is not reached at the largest level; None if it is. One replicate,
+        by default of the first lattice, is enough where P(correct) stays far below.
         """
         for n in (1, REPLICATES):
             parts = self.replicates(self.lattices[0] if places is None else places, seed, n)
@@ -274,11 +266,10 @@ class FoldedChain:
         return None
 
     def non_gaussian_bound(self, level: float | None = None) -> float:
-        """Return a bound on the error in P(correct) from taking all noise as Gaussian.
-
-        It is of first order in the excess kurtosis: that of the sum of internal and detector noise is at most the
-        larger one of its two parts, of which the first is that of `Readout.non_gaussian_bound`. For a camera that
-        counts photons it includes their skewness and the rounding of the converter, at the contrast `level`.
+        """Return a bound on the error in P(correct) from taking all noise as Gaussian. It is of first order in the
+        excess kurtosis: that of the sum of internal and detector noise is at most the larger one of its two parts,
+        of which the first is that of `Readout.non_gaussian_bound`. For a camera that counts photons it includes
+        their skewness and the rounding of the converter, at the contrast `level`.
         """
         if self.variance is not None:
             of_photons = self._photon_bound(1.0 if level is None else level)
@@ -292,12 +283,11 @@ class FoldedChain:
         return max(self.readout.non_gaussian_bound, of_detectors)
 
     def _photon_bound(self, contrast: float) -> float:
-        """Bound the error in P(correct) because photons are counted and rounded, for a triangle in the middle.
-
-        The Edgeworth terms of a score difference with the skewness γ are γ/6 · He₂(x) φ(x), at most 0.3990 γ/6,
-        and γ²/72 · He₅(x) φ(x), at most 2.308 γ²/72; three differences decide. Rounding noise that is Gaussian
-        with σ digital numbers shifts its mean by at most ε/π, with ε = exp(−2π²σ²), and changes its variance
-        by at most (4σ² + 1/π²) ε: the first terms of the Fourier series of the rounding.
+        """Bound the error in P(correct) because photons are counted and rounded, for a triangle in the middle. The
+        Edgeworth terms of a score difference with the skewness γ are γ/6 · He₂(x) φ(x), at most 0.3990 γ/6, and
+        γ²/72 · He₅(x) φ(x), at most 2.308 γ²/72; three differences decide. Rounding noise that is Gaussian with σ
+        digital numbers shifts its mean by at most ε/π, with ε = exp(−2π²σ²), and changes its variance by at most
+        (4σ² + 1/π²) ε: the first terms of the Fourier series of the rounding.
         """
         assert self.sensor.photons is not None and self.variance is not None
         photons, electrons, variance = self.sensor.photons, background_electrons(self.sensor), self.variance
@@ -332,10 +322,9 @@ class FoldedChain:
     def proportion_correct(
         self, phases: Sequence[Phases], value: float, contrast: float = 1.0, *, level: Level = "snr"
     ) -> float:
-        """Return the mean P(correct) over trials at a value of the level, for photons a contrast.
-
-        An infinite SNR means no detector noise. `contrast` is that of the triangle, in units of the contrast that
-        the sensor's gain gives it.
+        """Return the mean P(correct) over trials at a value of the level, for photons a contrast. An infinite SNR
+        means no detector noise. `contrast` is that of the triangle, in units of the contrast that the sensor's
+        gain gives it.
         """
         return float(self.proportions(phases, value, level, contrast=contrast)[0])
 
@@ -349,9 +338,8 @@ class FoldedChain:
         n_replicates: int = 1,
         check: Callable[[], None] = lambda: None,
     ) -> FloatArray:
-        """Return the mean P(correct), as above, over the trials of each replicate and all orientations.
-
-        `check` is called every few milliseconds; it may raise an exception.
+        """Return the mean P(correct), as above, over the trials of each replicate and all orientations. `check` is
+        called every few milliseconds; it may raise an exception.
         """
         internal = self.noise_covariance / contrast**2
         of_orientations = []
@@ -371,10 +359,9 @@ Progress = Callable[[float], None]
 
 
 class PooledThreshold(NamedTuple):
-    """A threshold over several replicates; if its status is not "ok", the numbers are NaN.
-
-    `threshold` is that of the mean P(correct) of all replicates, and `slope` dP / d ln level there; `deviations`
-    are ln of each replicate's threshold over that of all.
+    """A threshold over several replicates; if its status is not "ok", the numbers are NaN. `threshold` is that of
+    the mean P(correct) of all replicates, and `slope` dP / d ln level there; `deviations` are ln of each
+    replicate's threshold over that of all.
     """
 
     status: Status
@@ -391,10 +378,9 @@ def find_threshold(
     near: float | None = None,
     slope: float = math.nan,
 ) -> PooledThreshold:
-    """Find the level at which the mean P(correct) of several replicates is `p_correct`.
-
-    `of_each` returns P(correct) of each replicate at a level. The search begins `near` a level, with the slope
-    dP / d ln level there; beyond `most` the threshold is never reached.
+    """Find the level at which the mean P(correct) of several replicates is `p_correct`. `of_each` returns
+    P(correct) of each replicate at a level. The search begins `near` a level, with the slope dP / d ln level
+    there; beyond `most` the threshold is never reached.
     """
     status, threshold = crossing(lambda level: float(of_each(level).mean()), p_correct, near=near, slope=slope)
     if threshold is not None and threshold > most:
@@ -409,12 +395,11 @@ def find_threshold(
 
 @dataclass(frozen=True, slots=True)
 class PredictedThreshold(ComputedThreshold):
-    """A threshold computed for a sensor.
-
-    `threshold` is an SNR, or a contrast if that was varied. `numerical_error` is the half-width of
-    its 95 % interval over replicates plus the bound on the plan's omissions. `n_phases` is the number of trials
-    averaged over. `points` are pairs of SNR and proportion correct around the threshold. `reason` says why there
-    is none, with the status "impossible" or "never_reached"; `highest` is then the largest proportion correct.
+    """A threshold computed for a sensor. `threshold` is an SNR, or a contrast if that was varied.
+    `numerical_error` is the half-width of its 95 % interval over replicates plus the bound on the plan's
+    omissions. `n_phases` is the number of trials averaged over. `points` are pairs of SNR and proportion correct
+    around the threshold. `reason` says why there is none, with the status "impossible" or "never_reached";
+    `highest` is then the largest proportion correct.
     """
 
     size_detectors: float = math.nan
@@ -430,9 +415,8 @@ def predict_threshold(chain: FoldedChain, **search: Any) -> PredictedThreshold:
 
 
 class KnownThreshold(NamedTuple):
-    """A threshold that is known more exactly than few places give it, and another one is `near`.
-
-    Lattices with the same places have nearly the same error at both, so that their ratio corrects it.
+    """A threshold that is known more exactly than few places give it, and another one is `near`. Lattices with the
+    same places have nearly the same error at both, so that their ratio corrects it.
     """
 
     threshold: float
@@ -457,13 +441,12 @@ def predicted_on_lattices(
     known: KnownThreshold | None = None,
     progress: Progress = lambda _: None,
 ) -> tuple[PredictedThreshold, dict[int, PooledThreshold]]:
-    """Compute a threshold, with more and more places until its error falls below the tolerance.
-
-    Returns it, and what each number of places gave. The error is the relative half-width of the 95 % interval;
-    `n_points` is the number of points of the psychometric function to return. `check` is called every few
-    milliseconds, and may raise an exception; `progress` with the share of the longest possible computation that
-    was just done. Trials at a `known` threshold have nearly the same error, as far as the estimates of both go
-    together from replicate to replicate.
+    """Compute a threshold, with more and more places until its error falls below the tolerance. Returns it, and
+    what each number of places gave. The error is the relative half-width of the 95 % interval; `n_points` is the
+    number of points of the psychometric function to return. `check` is called every few milliseconds, and may
+    raise an exception; `progress` with the share of the longest possible computation that was just done. Trials at
+    a `known` threshold have nearly the same error, as far as the estimates of both go together from replicate to
+    replicate.
     """
     check_positive(argument.tolerance, tolerance)
     ladder = chain.lattices

@@ -51,11 +51,9 @@ NAMES = ("the observer's internal noise", "detector noise", "sampling")
 
 
 def decision_shares(phases: Sequence[Phases], internal: FloatArray, detector: Sequence[FloatArray]) -> Shares:
-    """Return the shares of the variance of the score differences that decide.
-
-    The trials of each orientation are those of a triangle of contrast 1. `internal`, (4, 4), is the covariance of
-    the internal noise on the scores over the square of the triangle's contrast, and `detector` that of the
-    detectors' noise, for each orientation.
+    """Return the shares of the variance of the score differences that decide. The trials of each orientation are
+    those of a triangle of contrast 1. `internal`, (4, 4), is the covariance of the internal noise on the scores
+    over the square of the triangle's contrast, and `detector` that of the detectors' noise, for each orientation.
     """
     shares = []
     for part, of_detectors in zip(phases, detector, strict=True):
@@ -83,9 +81,8 @@ def what_limits(
     reached: Sequence[bool],
     strongest: str = WITHOUT_NOISE,
 ) -> tuple[Shares, str]:
-    """Return the mean shares of the sizes that reach their threshold, and what limits a curve in one sentence.
-
-    If none has one, the means are over all sizes. `strongest` is the signal, in words, that sizes without one had.
+    """Return the mean shares of the sizes that reach their threshold, and what limits a curve in one sentence. If
+    none has one, the means are over all sizes. `strongest` is the signal, in words, that sizes without one had.
     """
     chosen = [share for share, has_threshold in zip(shares, reached, strict=True) if has_threshold] or list(shares)
     mean = Shares(*np.mean(chosen, axis=0).tolist())

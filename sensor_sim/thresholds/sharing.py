@@ -23,9 +23,8 @@ OVERHEAD_BYTES = 1000
 
 
 class Kept(Generic[T]):
-    """Values by key, up to a number of bytes; those not used for the longest time are dropped first.
-
-    With 0 bytes nothing is kept. `check` is called whenever a value is asked for; it may raise an exception.
+    """Values by key, up to a number of bytes; those not used for the longest time are dropped first. With 0 bytes
+    nothing is kept. `check` is called whenever a value is asked for; it may raise an exception.
     """
 
     def __init__(self, most_bytes: int, check: Callable[[], None] = lambda: None) -> None:
@@ -73,7 +72,6 @@ class Shared:
     @classmethod
     def of(cls, most_bytes: int, check: Callable[[], None] = lambda: None) -> Shared:
         """Return a `Shared` that keeps up to so many bytes: 40 % each of samples and weights, 10 % of others.
-
         `check` is that of `Kept`.
         """
         return cls(*(Kept(most_bytes * percent // 100, check) for percent in (10, 40, 40, 10)))
@@ -85,7 +83,6 @@ NOTHING = Shared()
 
 def as_computed(sensor: Sensor) -> Sensor:
     """Return a sensor with the same thresholds, with defaults for all settings that do not change these.
-
     Thresholds in SNR do not depend on the noise but for the shares of rows and columns; those of photons do.
     """
     display = replace(sensor.display, background_luminance_cd_m2=1.0)

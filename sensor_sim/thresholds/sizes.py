@@ -57,7 +57,6 @@ def sizes_in_detectors(
     seed: int = 1,
 ) -> list[float]:
     """Return sizes in detectors: those asked for, or the smallest one that has a threshold and the next ones.
-
     Observer, by default `pyramid`, and criterion are for sizes that are chosen; if none has a threshold, they are
     the largest. SettingsError if angles are given too, a size is not a positive number or is there twice, or an
     angle is too large to compute.

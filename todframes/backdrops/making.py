@@ -331,9 +331,8 @@ class _Stage(NamedTuple):
         return self.polarity < 0 or brightest > encoder.white_cd_m2 * (1.0 + 1e-9)
 
     def room_for(self, luminance_cd_m2: FloatArray, layout: Layout) -> float:
-        """Return how many times stronger the strongest triangle on a window could be without clipping.
-
-        It stays within black and white of the display at all places and in all orientations.
+        """Return how many times stronger the strongest triangle on a window could be without clipping. It stays
+        within black and white of the display at all places and in all orientations.
         """
         scene = self.dimmed(luminance_cd_m2)
         rows, columns = np.arange(scene.shape[0])[:, None], np.arange(scene.shape[1])
@@ -366,7 +365,6 @@ def _views(
     backgrounds: Sequence[Background], turns: Sequence[str], layout: Layout, seed: np.random.SeedSequence
 ) -> dict[tuple[int, str], _View]:
     """Draw the place of the triangle on each background, within half a pixel; it is turned as the background is.
-
     All places are used equally often as far as possible. If they fill no square, each turn has a place of its own.
     """
     rng = np.random.default_rng(seed)

@@ -54,10 +54,9 @@ class SceneFile(NamedTuple):
 
 
 class SceneImage(NamedTuple):
-    """A frame of a recording, counted from 0, as luminance of shape (rows, columns).
-
-    `at_end` marks the pixels with a channel at black, white or an end of the display's LUT, or beyond. `used` is
-    the share of the range from black to white that the values of the frame are spread over.
+    """A frame of a recording, counted from 0, as luminance of shape (rows, columns). `at_end` marks the pixels
+    with a channel at black, white or an end of the display's LUT, or beyond. `used` is the share of the range from
+    black to white that the values of the frame are spread over.
     """
 
     scene: str
@@ -76,12 +75,10 @@ def open_scenes(
     max_frame_mb: int = 256,
     note: Callable[[str], None] | None = None,
 ) -> list[SceneFile]:
-    """Open the files of scenes; each image file, film or array is a scene with the name of its file.
-
-    `paths` are files, folders, and "skimage" or "skimage:camera,brick" for photographs of scikit-image. `note` is
-    called with a remark about files of a folder that are no recordings, and with the warnings of recordings.
-    Raises SettingsError, which names the argument `range_name`, if values have no black and white and no range is
-    given.
+    """Open the files of scenes; each image file, film or array is a scene with the name of its file. `paths` are
+    files, folders, and "skimage" or "skimage:camera,brick" for photographs of scikit-image. `note` is called with
+    a remark about files of a folder that are no recordings, and with the warnings of recordings. Raises
+    SettingsError, which names the argument `range_name`, if values have no black and white and no range is given.
     """
     given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if not given:
@@ -148,7 +145,6 @@ def _opened(path: Path, max_frame_mb: int) -> Recording:
 
 def decoded_images(file: SceneFile, display: Display, *, frames: int) -> Iterator[SceneImage]:
     """Yield frames of a scene, so many at most, spread evenly over its recording, as luminance on a display.
-
     Recorded values beyond black and white, or beyond the ends of the display's LUT, are shown as these.
     """
     recording, (low, high) = file.recording, (file.scale.low, file.scale.high)
@@ -167,9 +163,8 @@ def decoded_images(file: SceneFile, display: Display, *, frames: int) -> Iterato
 
 
 class Encoder:
-    """The inverse of a display: luminance to code values of 16 bits.
-
-    Raises SettingsError if the luminance of the display does not rise with the code value.
+    """The inverse of a display: luminance to code values of 16 bits. Raises SettingsError if the luminance of the
+    display does not rise with the code value.
     """
 
     def __init__(self, display: Display) -> None:
@@ -203,7 +198,6 @@ def turned_place(x_px: float, y_px: float, turn: str) -> tuple[float, float]:
 
 def local_luminance(luminance_cd_m2: FloatArray, x_px: float, y_px: float, size_px: float) -> float:
     """Return the mean luminance, in cd/m², in the circle through the corners of a triangle, before it is added.
-
     Pixels at the circle count by the share of a pixel that lies within, along the radius.
     """
     shape = (luminance_cd_m2.shape[0], luminance_cd_m2.shape[1])
@@ -211,10 +205,8 @@ def local_luminance(luminance_cd_m2: FloatArray, x_px: float, y_px: float, size_
 
 
 class Layout(NamedTuple):
-    """The geometry of frames with triangles of one size, in pixels.
-
-    `reach_px` is the distance from each place to the edges that the observer needs, `step_px` that of neighbouring
-    places.
+    """The geometry of frames with triangles of one size, in pixels. `reach_px` is the distance from each place to
+    the edges that the observer needs, `step_px` that of neighbouring places.
     """
 
     size_px: float
@@ -270,13 +262,12 @@ def draw_backgrounds(
     range_name: str = "value_range",
     note: Callable[[str], None],
 ) -> list[list[Background]]:
-    """Draw windows of each scene for each layout, and leave out scenes that are unfit for one of them.
-
-    Those of each layout come from the same scenes in the same order: at most `windows` of each of at most `frames`
-    frames of a film. `rng_of` returns the stream of the windows' places by the numbers of file and layout.
-    `room_for` returns how many times stronger the triangles on a window could be and still be shown by the
-    display; windows with less than 1 are not taken. `note` is called with a remark about each scene that is left
-    out, or whose values hardly differ. If all scenes are unfit, the UnfitSceneError of the first is raised.
+    """Draw windows of each scene for each layout, and leave out scenes that are unfit for one of them. Those of
+    each layout come from the same scenes in the same order: at most `windows` of each of at most `frames` frames
+    of a film. `rng_of` returns the stream of the windows' places by the numbers of file and layout. `room_for`
+    returns how many times stronger the triangles on a window could be and still be shown by the display; windows
+    with less than 1 are not taken. `note` is called with a remark about each scene that is left out, or whose
+    values hardly differ. If all scenes are unfit, the UnfitSceneError of the first is raised.
     """
     of_layouts: list[list[Background]] = [[] for _ in layouts]
     first: UnfitSceneError | None = None
@@ -318,7 +309,6 @@ def draw_windows(
     room_for: Callable[[FloatArray, Layout], float] | None = None,
 ) -> Iterator[Background]:
     """Yield windows of an image at random places where it is neither black nor white, nor without any contrast.
-
     With `room_for`, as in `draw_backgrounds`, the display can show the triangles on them, too. Raises
     UnfitSceneError if the image is smaller than a window, or has too few such places.
     """
@@ -387,7 +377,6 @@ class PlannedTrial(NamedTuple):
 
 def plan(n_backgrounds: int, turns: Sequence[str], n_levels: int, trials: int) -> list[PlannedTrial]:
     """Plan the trials of one size: backgrounds in turn, each in all turns and, relative to it, all orientations.
-
     After `balanced(…)` trials of a level, each background has been shown in each turn as often as in any other,
     and with each orientation of the triangle, relative to it and on the display, as often as with any other.
     """
@@ -409,7 +398,6 @@ def balanced(n_backgrounds: int, turns: Sequence[str]) -> int:
 
 def own_orientation(luminance_cd_m2: FloatArray, x_px: float, y_px: float, size_px: float) -> NDArray[np.float64]:
     """Return the contrasts of the orientations that a background has by itself, in the order of `ORIENTATIONS`.
-
     The background's contrast is multiplied by triangles of the four orientations, each without the mean of the
     four, in units of a triangle's own product. A triangle of contrast 0.1 alone has 0.1 in its orientation. The
     sum is 0; the largest is the contrast of the triangle that would answer as the background does.

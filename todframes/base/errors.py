@@ -60,9 +60,8 @@ def is_in_command() -> bool:
 
 @contextmanager
 def in_command(is_command: bool = True) -> Iterator[None]:
-    """Let messages name options for the time of a `with` statement, or arguments if this is no command.
-
-    The fields of a page that a command serves have the names of arguments.
+    """Let messages name options for the time of a `with` statement, or arguments if this is no command. The fields
+    of a page that a command serves have the names of arguments.
     """
     before = _is_command.set(is_command)
     try:

@@ -208,10 +208,9 @@ def _names(folder: Path) -> set[str]:
 
 @contextmanager
 def _hidden(hidden: Path, name: str, going: Going | None = None, kept: Set[str] = frozenset()) -> Iterator[Path]:
-    """Make a hidden folder for this run alone, empty except for the lock, and remove it at the end.
-
-    If the run can go on later, what is `kept` may be there at the start, and stays if the run fails and has a
-    store. Another command into the same place leaves the store alone.
+    """Make a hidden folder for this run alone, empty except for the lock, and remove it at the end. If the run can
+    go on later, what is `kept` may be there at the start, and stays if the run fails and has a store. Another
+    command into the same place leaves the store alone.
     """
     lock = _lock(hidden, name)
     stays: Set[str] = frozenset()
@@ -236,9 +235,8 @@ def _hidden(hidden: Path, name: str, going: Going | None = None, kept: Set[str] 
 
 
 def _lock(hidden: Path, name: str) -> BinaryIO | None:
-    """Make and lock a hidden folder.
-
-    Returns the open lock file; None if the file system has no locks: then the file itself is the lock.
+    """Make and lock a hidden folder. Returns the open lock file; None if the file system has no locks: then the
+    file itself is the lock.
     """
     hidden.mkdir(mode=0o700, exist_ok=True)
     if _names(hidden) - {LOCK, STAGED, STORE}:

@@ -189,10 +189,9 @@ def without_schema(content: Mapping[str, Any], schema: int, known: Iterable[str]
 
 
 def toml_text(content: Mapping[str, Any], *, comment: str = "") -> str:
-    """Return a file of settings as TOML: comment, values, tables; a number keeps all its digits.
-
-    A value of None is left out. A list of tables above all tables is one table each; in a table it has a line for
-    each. All other lists and tables are on one line.
+    """Return a file of settings as TOML: comment, values, tables; a number keeps all its digits. A value of None
+    is left out. A list of tables above all tables is one table each; in a table it has a line for each. All other
+    lists and tables are on one line.
     """
     lines = [f"# {line}" for line in comment.splitlines()]
     lines += _assignments({name: value for name, value in content.items() if not _is_tables(value)})

@@ -52,9 +52,8 @@ WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class RemotePath:
-    """A file or folder behind a URL, with as much of the interface of `Path` as readers of datasets need.
-
-    The URL has no password and no query (`location` refuses them), so messages and results may show it.
+    """A file or folder behind a URL, with as much of the interface of `Path` as readers of datasets need. The URL
+    has no password and no query (`location` refuses them), so messages and results may show it.
     """
 
     url: str
@@ -136,9 +135,8 @@ def local_file(path: Location, *, most_mb: int = FRAME_FILE_MB) -> Iterator[Path
 
 
 def list_folder(folder: RemotePath) -> dict[str, str | None] | None:
-    """Return the entity tags of the files of a folder by name; None if it cannot be listed.
-
-    Raises RemoteError if the server cannot be reached. A folder that is missing has no files.
+    """Return the entity tags of the files of a folder by name; None if it cannot be listed. Raises RemoteError if
+    the server cannot be reached. A folder that is missing has no files.
     """
 
     def listed(file_system: Any, **_: Any) -> Any:  # a million names may take longer than a file
@@ -156,9 +154,8 @@ def list_folder(folder: RemotePath) -> dict[str, str | None] | None:
 
 
 def entity_tag(path: RemotePath) -> str | None:
-    """Return the entity tag of a file, which changes when its bytes do; None if it has none, or is missing.
-
-    Raises RemoteError if the server cannot be reached.
+    """Return the entity tag of a file, which changes when its bytes do; None if it has none, or is missing. Raises
+    RemoteError if the server cannot be reached.
     """
     try:
         return _tag(_ask(path, lambda file_system, **limits: file_system.info(path.url, **limits)))

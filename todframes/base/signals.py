@@ -37,9 +37,8 @@ _raised: list[int] = []
 
 
 def interruption_message() -> str:
-    """Return the message of an interrupted run: the last place it has written, or that nothing was written.
-
-    A note about what is kept follows it.
+    """Return the message of an interrupted run: the last place it has written, or that nothing was written. A note
+    about what is kept follows it.
     """
     if written:
         return f"interrupted, but {written[-1]} was written before"
@@ -47,10 +46,9 @@ def interruption_message() -> str:
 
 
 def end_at_once() -> None:
-    """End the process with one line when a signal arrives, without cleaning up.
-
-    This is for the time before a command runs: an exception would be shown as a traceback, or be raised in the
-    middle of an import, where a C extension would print it and continue.
+    """End the process with one line when a signal arrives, without cleaning up. This is for the time before a
+    command runs: an exception would be shown as a traceback, or be raised in the middle of an import, where a C
+    extension would print it and continue.
     """
 
     _handle(_end)
@@ -58,10 +56,9 @@ def end_at_once() -> None:
 
 @contextmanager
 def raised() -> Iterator[None]:
-    """Raise KeyboardInterrupt in the main thread when a signal arrives, after an import that is under way.
-
-    Within an import the exception may be lost: in a callback of the import system, or in a C extension. Elsewhere
-    it is rarely lost, and `raise_again` raises it again.
+    """Raise KeyboardInterrupt in the main thread when a signal arrives, after an import that is under way. Within
+    an import the exception may be lost: in a callback of the import system, or in a C extension. Elsewhere it is
+    rarely lost, and `raise_again` raises it again.
     """
     retries = MOST_RETRIES
 
@@ -91,7 +88,6 @@ def raise_again() -> None:
 @contextmanager
 def held_back() -> Iterator[Callable[[], None]]:
     """Defer signals to the end of the block. Yields a function that runs the handler of a signal that has arrived.
-
     An exception of the handler is raised at the end of the block, or in the call of that function. There is no
     effect outside the main thread, or on signals that end the process without a handler.
     """

@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 
 
 def registered(group: str) -> Mapping[str, EntryPoint]:
-    """Return the entry points of a group of all installed packages by name.
-
-    They are looked up once for a search path: the lookup reads the metadata of every package, in some 6 ms.
+    """Return the entry points of a group of all installed packages by name. They are looked up once for a search
+    path: the lookup reads the metadata of every package, in some 6 ms.
     """
     from importlib.metadata import entry_points
 
@@ -39,10 +38,9 @@ def _found(
 
 
 class _LastFinder:
-    """Finder of modules in one folder, for the end of `sys.meta_path`.
-
-    A folder on `sys.path` would also be searched for the metadata of packages, which register names. No module
-    takes the name of one of the standard library, because some of those are missing on each platform.
+    """Finder of modules in one folder, for the end of `sys.meta_path`. A folder on `sys.path` would also be
+    searched for the metadata of packages, which register names. No module takes the name of one of the standard
+    library, because some of those are missing on each platform.
     """
 
     def __init__(self, folder: str) -> None:

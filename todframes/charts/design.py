@@ -85,12 +85,10 @@ class Condition(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Design:
-    """Triangles, distance and order of a chart.
-
-    Sizes are √(area) in object space; levels are contrasts, or temperature differences in K, without sign. Each
-    value is there once. `repeats` is the number of blocks. With a polarity of 1, triangles are brighter (warmer)
-    than their background. Raises SettingsError if a value is out of range, or there are more triangles than pages
-    can be numbered.
+    """Triangles, distance and order of a chart. Sizes are √(area) in object space; levels are contrasts, or
+    temperature differences in K, without sign. Each value is there once. `repeats` is the number of blocks. With a
+    polarity of 1, triangles are brighter (warmer) than their background. Raises SettingsError if a value is out of
+    range, or there are more triangles than pages can be numbered.
     """
 
     distance_m: Length
@@ -136,9 +134,8 @@ class Design:
     def triangle(
         self, condition: Condition, *, x_mm: float, y_mm: float, contrast: float, dithered: bool = False
     ) -> Triangle:
-        """Return the description of a triangle that is drawn with a Weber contrast, to six digits.
-
-        It has the contrast asked for as well, if that is another. Its centroid is at (x_mm, y_mm) of the page.
+        """Return the description of a triangle that is drawn with a Weber contrast, to six digits. It has the
+        contrast asked for as well, if that is another. Its centroid is at (x_mm, y_mm) of the page.
         """
         drawn, asked = float(f"{contrast:.6g}"), self.polarity * condition.level
         return Triangle(
@@ -198,10 +195,9 @@ class Design:
 
 
 class CameraContent(NamedTuple):
-    """The content of a page for measuring a camera.
-
-    It has the corners of the slanted square, clockwise, shape (4, 2), and its code value; left, top, width and
-    height of each patch, and their code values; and the description of the page.
+    """The content of a page for measuring a camera. It has the corners of the slanted square, clockwise, shape (4,
+    2), and its code value; left, top, width and height of each patch, and their code values; and the description
+    of the page.
     """
 
     square_mm: FloatArray
@@ -214,9 +210,8 @@ class CameraContent(NamedTuple):
 def grey_patches(
     places_mm: Sequence[tuple[float, float, float, float]], levels: Sequence[float], quantity: str
 ) -> tuple[Patch, ...]:
-    """Return patches, given left, top, width and height, with levels of a quantity to six digits.
-
-    The quantity is "luminance_cd_m2" or "reflectance".
+    """Return patches, given left, top, width and height, with levels of a quantity to six digits. The quantity is
+    "luminance_cd_m2" or "reflectance".
     """
     return tuple(
         Patch(
@@ -239,10 +234,9 @@ def camera_content(
     *,
     step_mm: float | None = None,
 ) -> CameraContent:
-    """Lay out the square and the wedge in a free area of the first page, the wedge at its right.
-
-    The area is (left, top, width, height). `light_of_code` has the luminance or reflectance, the quantity, of all
-    code values, rising. Borders of patches are multiples of `step_mm`, if there is one.
+    """Lay out the square and the wedge in a free area of the first page, the wedge at its right. The area is
+    (left, top, width, height). `light_of_code` has the luminance or reflectance, the quantity, of all code values,
+    rising. Borders of patches are multiples of `step_mm`, if there is one.
     """
     left_mm, top_mm, width_mm, height_mm = area_mm
     surround_mm = min(height_mm, SQUARE_SHARE * width_mm)

@@ -91,11 +91,10 @@ class Point:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Markers:
-    """The ArUco markers of all pages: the centres of those in the corners and along the borders.
-
-    `dictionary` is that of the markers in the corners, `side_mm` their side with the black border. Those along the
-    borders are in the order of `BORDER_IDS`; charts made before there were such markers have none. Raises
-    SettingsError if a value is out of range, the corners are not where their names say, or markers overlap.
+    """The ArUco markers of all pages: the centres of those in the corners and along the borders. `dictionary` is
+    that of the markers in the corners, `side_mm` their side with the black border. Those along the borders are in
+    the order of `BORDER_IDS`; charts made before there were such markers have none. Raises SettingsError if a
+    value is out of range, the corners are not where their names say, or markers overlap.
     """
 
     side_mm: Length
@@ -146,11 +145,10 @@ class Markers:
         return np.array([(point.x_mm, point.y_mm) for point in points])
 
     def with_borders(self, *, free_mm: float, step_mm: float) -> Markers:
-        """Return the markers with two more along each side of the page, at thirds between the corners.
-
-        A square of side `free_mm` in the middle of the page stays free of them: where they would reach into it,
-        they stand nearer to the corners, and a side that has no place for them has none. Distances from the
-        corners are multiples of `step_mm`.
+        """Return the markers with two more along each side of the page, at thirds between the corners. A square of
+        side `free_mm` in the middle of the page stays free of them: where they would reach into it, they stand
+        nearer to the corners, and a side that has no place for them has none. Distances from the corners are
+        multiples of `step_mm`.
         """
         # A module of white about each, and one of background between: all edges have the same neighbours.
         reach_mm, apart_mm = (0.5 + 1.0 / MODULES) * self.side_mm, (1.0 + 3.0 / MODULES) * self.side_mm
@@ -180,13 +178,11 @@ class Markers:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Triangle:
-    """A triangle on a page, its centroid at (x_mm, y_mm).
-
-    `size_mrad` is √(area) as an angle at the camera, `size_mm` = size_mrad · distance_m that on the page.
-    `contrast` is the Weber contrast to the background that the page really has, below zero if darker, and
-    `contrast_asked` the one that was asked for, if it differs. If it is `dithered`, the contrast is a mean over
-    pixels of two code values. Triangles of a thermal chart have the temperature difference `delta_t_k` instead,
-    below zero if colder.
+    """A triangle on a page, its centroid at (x_mm, y_mm). `size_mrad` is √(area) as an angle at the camera,
+    `size_mm` = size_mrad · distance_m that on the page. `contrast` is the Weber contrast to the background that
+    the page really has, below zero if darker, and `contrast_asked` the one that was asked for, if it differs. If
+    it is `dithered`, the contrast is a mean over pixels of two code values. Triangles of a thermal chart have the
+    temperature difference `delta_t_k` instead, below zero if colder.
     """
 
     orientation: Orientation
@@ -258,11 +254,10 @@ class Edge:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Page:
-    """A page of a chart: an image on the monitor, a sheet of paper, or a setting of the plate.
-
-    `file` is its path in the chart's folder; None for a setting of the plate. `borders` are the numbers of the
-    markers along the borders that it has; None for all. A page with `edges` in place of triangles is that by which
-    the camera is measured.
+    """A page of a chart: an image on the monitor, a sheet of paper, or a setting of the plate. `file` is its path
+    in the chart's folder; None for a setting of the plate. `borders` are the numbers of the markers along the
+    borders that it has; None for all. A page with `edges` in place of triangles is that by which the camera is
+    measured.
     """
 
     number: Annotated[int, Meta(ge=0, le=MOST_PAGES - 1)]
@@ -285,10 +280,9 @@ class Page:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Screen:
-    """The monitor that shows a chart; its pixels are those of each page.
-
-    `background_luminance_cd_m2` is that around the triangles; the other luminances are as in the [display] of a
-    dataset. In chart.toml, `lut` has pairs of code value and luminance in cd/m².
+    """The monitor that shows a chart; its pixels are those of each page. `background_luminance_cd_m2` is that
+    around the triangles; the other luminances are as in the [display] of a dataset. In chart.toml, `lut` has pairs
+    of code value and luminance in cd/m².
     """
 
     width_px: Annotated[int, Meta(ge=1, le=32768)]
@@ -446,9 +440,8 @@ def _check_equal(name: str, found: float, expected: float, origin: str) -> None:
 
 
 def read_chart(path: Path | str) -> Chart:
-    """Read and check a `chart.toml`, given its path or that of its folder; no page is opened.
-
-    Raises SettingsError if the file cannot be read, or has an unknown, missing or contradictory key.
+    """Read and check a `chart.toml`, given its path or that of its folder; no page is opened. Raises SettingsError
+    if the file cannot be read, or has an unknown, missing or contradictory key.
     """
     path = Path(path)
     if path.is_dir():
@@ -468,9 +461,8 @@ def _lut(found: object, where: str) -> LuminanceTable:
 
 
 def write_chart(path: Path, chart: Chart) -> None:
-    """Write a chart as `chart.toml`; `read_chart` gives the same chart, number for number.
-
-    Raises SettingsError if the text would be longer than what is read again.
+    """Write a chart as `chart.toml`; `read_chart` gives the same chart, number for number. Raises SettingsError if
+    the text would be longer than what is read again.
     """
     text = chart_toml(chart)
     if len(text.encode()) > MAX_TOML_MB * 2**20:
@@ -537,7 +529,6 @@ def page_of(ids: Sequence[int]) -> tuple[int, int] | None:
 
 def page_markers(page: int, key: int, *, n_borders: int) -> list[NDArray[np.bool_]]:
     """Return the modules of all markers of a page: those in the corners, then `n_borders` along the borders.
-
     Raises SettingsError if the page or the key is out of its range.
     """
     corners = [marker_bits(marker) for marker in marker_ids(page, key)]

@@ -72,7 +72,6 @@ Parts = tuple[tuple[float, float], ...]
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paper:
     """Sheets of paper, by default A3 across, and the printer's greys; `todframes.chart` describes the settings.
-
     Paper and black have the code values 255 and 0. Greys between are taken to follow sRGB, unless the CSV file
     `reflectances` has the columns code_value (0 to 255) and reflectance, measured on a print. With `markers`
     "borders", there is one in each of the bands above and below too; `MARKER_SHARE` gives their default side.
@@ -118,10 +117,8 @@ class Paper:
 
 @dataclass(frozen=True, slots=True)
 class _Sheet:
-    """The parts of a sheet: markers, a grey field, and bands above and below it.
-
-    A marker in each band leaves two parts of it, (left, width) each; narrow sheets have one part and no such
-    marker.
+    """The parts of a sheet: markers, a grey field, and bands above and below it. A marker in each band leaves two
+    parts of it, (left, width) each; narrow sheets have one part and no such marker.
     """
 
     markers: Markers
@@ -140,10 +137,9 @@ class _Sheet:
 
 
 def make_print_chart(design: Design, paper: Paper, folder: Path, progress: Progress | None) -> Chart:
-    """Lay out a chart on paper, and write it into an empty folder.
-
-    Sheets have triangles of one size each, in blocks of random order. Raises SettingsError if the paper is too
-    small for a size, or its greys do not have a contrast.
+    """Lay out a chart on paper, and write it into an empty folder. Sheets have triangles of one size each, in
+    blocks of random order. Raises SettingsError if the paper is too small for a size, or its greys do not have a
+    contrast.
     """
     reflectance = paper.reflectance_of_code()
     background_code = int(np.argmin(np.abs(reflectance - paper.background_reflectance)))

@@ -48,9 +48,8 @@ CORNER_REACH_PER_SIZE = 2.0 / 3.0**0.75
 
 
 class DrawnTriangle(NamedTuple):
-    """The code values of a triangle and some background around it, and whether they are dithered.
-
-    `contrast` is their mean contrast over the triangle's area.
+    """The code values of a triangle and some background around it, and whether they are dithered. `contrast` is
+    their mean contrast over the triangle's area.
     """
 
     code: NDArray[np.uint16]
@@ -109,7 +108,6 @@ def make_screen_chart(
     camera_page: bool,
 ) -> Chart:
     """Lay out a chart for a monitor, and write it into an empty folder; each page has one triangle in its middle.
-
     The background luminance of the screen is replaced by that of the nearest code value, and the side of the
     markers is rounded to whole pixels a module; `MARKER_SHARE` has the default. With `camera_page` the first page
     has slanted edges and a grey wedge. Raises SettingsError if the monitor cannot show a size or a contrast, or
@@ -245,10 +243,8 @@ def _drawn(
 def _triangle(
     condition: Condition, design: Design, drawn: dict[Condition, DrawnTriangle], *, x_mm: float, y_mm: float
 ) -> Triangle:
-    """Return the description of a triangle.
-
-    All four orientations of a level get the mean of their contrasts. These differ by at most one code step of one
-    pixel.
+    """Return the description of a triangle. All four orientations of a level get the mean of their contrasts.
+    These differ by at most one code step of one pixel.
     """
     alike = [drawn[condition._replace(orientation=orientation)] for orientation in ORIENTATIONS]
     # The area of covered pixels is off by 1e-5, which must not make black darker than black.
@@ -264,11 +260,10 @@ def _write(
     grey: str,
     progress: Progress | None,
 ) -> None:
-    """Write `chart.toml`, the pages as PNG files and the player into an existing, empty folder.
-
-    The PNG files have one channel. 8-bit code values are stored as they are; of 10 bits, code · 65535 / 1023,
-    rounded, in 16 bits, so that any reader that divides by full scale gets code / 1023. Raises SettingsError if
-    there are more pages than a `chart.toml` can hold.
+    """Write `chart.toml`, the pages as PNG files and the player into an existing, empty folder. The PNG files have
+    one channel. 8-bit code values are stored as they are; of 10 bits, code · 65535 / 1023, rounded, in 16 bits, so
+    that any reader that divides by full scale gets code / 1023. Raises SettingsError if there are more pages than
+    a `chart.toml` can hold.
     """
     import cv2
 

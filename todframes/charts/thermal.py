@@ -40,7 +40,6 @@ class Plate:
 
 def make_thermal_chart(design: Design, plate: Plate, folder: Path, progress: Progress | None) -> Chart:
     """Lay out plates with one hole each, and write their drawings and a schedule to fill in into an empty folder.
-
     All settings of a plate come one after the other. In each block of a plate, the temperature differences are in
     random order. For each of them, the plate is turned to the four orientations, in random order too. Raises
     SettingsError if a hole is too small to be cut, or the plate too small for a hole.

@@ -43,10 +43,9 @@ Write = Callable[[Callable[[], Mapping[str, bytes | Iterable[bytes]]]], None]
 
 @contextmanager
 def staged(out: str | None, asked: dict[str, Any] | None = None, *, quiet: bool = False) -> Iterator[Write]:
-    """Reserve the folder `out` before the work; what is written appears there if the block ends well.
-
-    With the arguments that are asked of a call, the run goes on where an earlier one ended: `restart` and
-    `keep_store` are removed from them, and `store` is set.
+    """Reserve the folder `out` before the work; what is written appears there if the block ends well. With the
+    arguments that are asked of a call, the run goes on where an earlier one ended: `restart` and `keep_store` are
+    removed from them, and `store` is set.
     """
     keep = {} if asked is None else {name: asked.pop(name, False) for name in ("restart", "keep_store")}
     if out is None:
@@ -67,9 +66,8 @@ def staged(out: str | None, asked: dict[str, Any] | None = None, *, quiet: bool 
 
 @contextmanager
 def opened_engine(asked: dict[str, Any], *, quiet: bool) -> Iterator[None]:
-    """Open the engine of `--cluster` and `--workers`, and print the address of its dashboard.
-
-    `cluster` is replaced by the engine in `asked`.
+    """Open the engine of `--cluster` and `--workers`, and print the address of its dashboard. `cluster` is
+    replaced by the engine in `asked`.
     """
     from todframes.jobs.run import open_engine
 
@@ -93,7 +91,6 @@ def print_result(
     is_timed: bool = True,
 ) -> None:
     """Show a result as one JSON object or as its tables, sentences and warnings; remarks go to standard error.
-
     `title` is a line above the tables, `verbose` adds details, and `explain` the plan. DataError if `strict` and
     there are warnings; everything is shown before.
     """
@@ -124,9 +121,8 @@ def print_result(
 def print_content(
     content: bytes | str, warnings: Sequence[ResultWarning] = (), *, quiet: bool = False, strict: bool = False
 ) -> None:
-    """Print what a program reads, JSON or TOML, on standard output, and the warnings on standard error.
-
-    DataError as in `print_result`.
+    """Print what a program reads, JSON or TOML, on standard output, and the warnings on standard error. DataError
+    as in `print_result`.
     """
     for line in () if quiet else warning_lines(warnings):
         say(line)
@@ -192,7 +188,6 @@ def say(text: str) -> None:
 @contextmanager
 def prints_go_to_stderr() -> Iterator[None]:
     """Redirect prints of a user's code in the block to standard error; standard output is for the result alone.
-
     All threads are affected, and the prints of native libraries too.
     """
     stdout = sys.stdout
@@ -251,9 +246,8 @@ def progress(task: str, *, quiet: bool = False) -> Iterator[Progress]:
 
 
 def keep_libraries_to_one_thread() -> None:
-    """Limit BLAS and OpenCV to one thread, unless they are loaded already or the environment sets a number.
-
-    Our matrices and images are so small that more threads gain nothing: they wait for each other, and compete with
+    """Limit BLAS and OpenCV to one thread, unless they are loaded already or the environment sets a number. Our
+    matrices and images are so small that more threads gain nothing: they wait for each other, and compete with
     other work for processors.
     """
     for name in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
@@ -262,9 +256,8 @@ def keep_libraries_to_one_thread() -> None:
 
 @in_command()
 def run(command: click.Command, arguments: Sequence[str] | None) -> int:
-    """Run a command line. Returns the exit status: 0 done, 1 bad data, 2 bad usage or settings.
-
-    Every failure that a user can cause is one line on standard error.
+    """Run a command line. Returns the exit status: 0 done, 1 bad data, 2 bad usage or settings. Every failure that
+    a user can cause is one line on standard error.
     """
     signals.written.clear()
     signals.kept.clear()

@@ -117,10 +117,9 @@ class LocatingCommand(click.Command):
 def make_observers(
     asked: dict[str, Any], *, fitted: bool = True, several: bool = True
 ) -> tuple[list[Observer], FitSettings]:
-    """Return the observers and the fit settings of `OBSERVER_OPTIONS`, which are removed from `asked`.
-
-    A separate option takes precedence over `--set`, and `--set` over the file; with several observers, a setting
-    goes to each that has it. If not `fitted`, the criterion is the only setting of the fit.
+    """Return the observers and the fit settings of `OBSERVER_OPTIONS`, which are removed from `asked`. A separate
+    option takes precedence over `--set`, and `--set` over the file; with several observers, a setting goes to each
+    that has it. If not `fitted`, the criterion is the only setting of the fit.
     """
     from dataclasses import fields
 

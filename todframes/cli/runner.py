@@ -138,9 +138,8 @@ def _flag(name: str, text: str) -> click.Option:
 
 class Commands(click.Group):
     """A group of commands, each made when it is asked for: those of calls from `table`, others from the module and
-    attribute, "module:attribute", that `modules` names.
-
-    They raise `Interruption` at Ctrl-C; click itself would print an empty line.
+    attribute, "module:attribute", that `modules` names. They raise `Interruption` at Ctrl-C; click itself would
+    print an empty line.
     """
 
     def __init__(

@@ -40,7 +40,6 @@ class Deviation(NamedTuple):
 
 def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[DatasetWarning]:
     """Return the warnings about frames that do not show what the dataset says, at most one of each code and group.
-
     A deviation counts if it is far larger than its error and changes a threshold by more than some per cent.
     """
     warnings: dict[tuple[str, Group], DatasetWarning] = {}

@@ -131,7 +131,6 @@ class Inspection:
 
 def inspect(dataset: Dataset, trials: Sequence[Trial], *, centre: Centre = "centroid") -> list[Inspection]:
     """Return what the frames of each group show for each stimulus, from a sample of the trials, in their order.
-
     Frames that cannot be read are left out: scoring reports them. `centre` is the point of a triangle without a
     position that lies at the frame's centre.
     """
@@ -254,12 +253,11 @@ def _measured(dataset: Dataset, samples: Sequence[TrialSample], size_mrad: float
 
 
 def _static_error(samples: Sequence[TrialSample], scatter: float, size: float) -> float:
-    """Estimate the relative error of the luminance around the triangle from a pattern that all frames share.
-
-    It is that of the mean of eight sectors around the triangle. On a small frame a blurred pattern makes all
-    sectors alike. Therefore it is also estimated from the `scatter` of the relative luminance over trials, which
-    the noise causes: pattern and noise are taken to be blurred alike, so that the ratio of their errors is the
-    ratio of their standard deviations within the frames. The larger estimate counts.
+    """Estimate the relative error of the luminance around the triangle from a pattern that all frames share. It is
+    that of the mean of eight sectors around the triangle. On a small frame a blurred pattern makes all sectors
+    alike. Therefore it is also estimated from the `scatter` of the relative luminance over trials, which the noise
+    causes: pattern and noise are taken to be blurred alike, so that the ratio of their errors is the ratio of
+    their standard deviations within the frames. The larger estimate counts.
     """
     known = np.logical_and.reduce([sample.known for sample in samples])
     v, u = np.mgrid[: len(known), : len(known)] - (len(known) - 1) / 2.0
@@ -281,10 +279,9 @@ def _static_error(samples: Sequence[TrialSample], scatter: float, size: float) -
 
 
 def _of_codes(of_trials: Sequence[tuple[float, Codes]]) -> dict[str, Any]:
-    """Return what codes show, from the level and the codes of each trial.
-
-    A triangle of one code on a background of one shows its own contrast and no step of the codes, unless fainter
-    ones vanish: they are rounded to the background.
+    """Return what codes show, from the level and the codes of each trial. A triangle of one code on a background
+    of one shows its own contrast and no step of the codes, unless fainter ones vanish: they are rounded to the
+    background.
     """
     if not of_trials:
         return {}
@@ -305,13 +302,12 @@ def _of_codes(of_trials: Sequence[tuple[float, Codes]]) -> dict[str, Any]:
 
 
 class GroupTriangle(NamedTuple):
-    """The triangle of a group's frames, and of each of them, in blocks.
-
-    The contrast of `fit`, the triangle that all share, is positive if of the stated polarity. `middle`, (3,), is
-    the mean stated place, from the middle of the window, and the mean logarithm of the stated size. `error`, (4,),
-    has the standard errors of contrast, x, y and size (as a share): by noise, and by the spread over the trials.
-    `signal` is the contrast in standard errors by noise alone; 0 if the frames show none. `scenes` are the frames
-    as background, triangle and noise, if they show scenes.
+    """The triangle of a group's frames, and of each of them, in blocks. The contrast of `fit`, the triangle that
+    all share, is positive if of the stated polarity. `middle`, (3,), is the mean stated place, from the middle of
+    the window, and the mean logarithm of the stated size. `error`, (4,), has the standard errors of contrast, x, y
+    and size (as a share): by noise, and by the spread over the trials. `signal` is the contrast in standard errors
+    by noise alone; 0 if the frames show none. `scenes` are the frames as background, triangle and noise, if they
+    show scenes.
     """
 
     images: Images
@@ -429,9 +425,8 @@ def _of_triangle(
 
 
 def noise_of_frames(images: FloatArray, level: FloatArray, known: NDArray[np.bool_], size: float) -> FloatArray:
-    """Estimate the standard deviation of the contrast of each frame's blocks around the triangle.
-
-    It is at least a twentieth of the level, so that frames without noise count alike.
+    """Estimate the standard deviation of the contrast of each frame's blocks around the triangle. It is at least a
+    twentieth of the level, so that frames without noise count alike.
     """
     around = known & ~within(len(known), HOLE_IN_SIZES * size)
     if not around.any():
@@ -441,10 +436,9 @@ def noise_of_frames(images: FloatArray, level: FloatArray, known: NDArray[np.boo
 
 
 def _scatter(apart: FloatArray, noise: FloatArray) -> float | None:
-    """Return the standard deviation over trials beyond the noise: 0 if it may be noise, None if few show it.
-
-    Both arguments have shape (trial, axes). Trials count by the inverse of their noise variance, so that the
-    faintest do not decide.
+    """Return the standard deviation over trials beyond the noise: 0 if it may be noise, None if few show it. Both
+    arguments have shape (trial, axes). Trials count by the inverse of their noise variance, so that the faintest
+    do not decide.
     """
     n, axes = apart.shape
     if n < 4:
@@ -468,7 +462,6 @@ def _unevenness(
     scenes: tuple[SceneParts, FloatArray | None] | None,
 ) -> dict[str, Any]:
     """Measure the contrast of the triangle that would answer the templates as the background's own structure does.
-
     The structure elsewhere on the frames, such as a fixed pattern, is measured in the same way. Nothing is
     returned if the frames show too little else. Of scenes, that is the mean of their backgrounds, which is as
     uncertain as they differ; nothing is returned if they are too few.

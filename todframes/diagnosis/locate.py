@@ -44,12 +44,11 @@ MOST_ERROR_MRAD = 0.09
 
 class Location(NamedTuple):
     """The position found for a group's triangles, in pixels, and its standard error along either axis, None if no
-    triangle stands out and the manifest's positions stay.
-
-    `n_located` of `n_trials` trials have a position of their own, whose standard deviation along either axis is
-    `scatter_px`; all three are None if the group has one position. `moved_px` is the mean way from the manifest's
-    positions, None if it has none. From `sure_level` on, single positions are known well enough not to raise a
-    threshold; None: nowhere. `size_ratio` is the size on the frames divided by that in the manifest.
+    triangle stands out and the manifest's positions stay. `n_located` of `n_trials` trials have a position of
+    their own, whose standard deviation along either axis is `scatter_px`; all three are None if the group has one
+    position. `moved_px` is the mean way from the manifest's positions, None if it has none. From `sure_level` on,
+    single positions are known well enough not to raise a threshold; None: nowhere. `size_ratio` is the size on the
+    frames divided by that in the manifest.
     """
 
     group: Group
@@ -159,10 +158,9 @@ def _scaled(trials: Trials, ratio: float) -> Trials:
 
 
 class _Start(NamedTuple):
-    """The trials of a group that can be read and the approximate centroids of their triangles, in pixels.
-
-    Single positions are expected within `reach_px`, 0 if that is not known. `size_ratio` is the size of the
-    triangles divided by the stated one.
+    """The trials of a group that can be read and the approximate centroids of their triangles, in pixels. Single
+    positions are expected within `reach_px`, 0 if that is not known. `size_ratio` is the size of the triangles
+    divided by the stated one.
     """
 
     members: NDArray[np.intp]
@@ -222,7 +220,6 @@ def _of_strongest(
     frames: MeanFrames, trials: Trials, pitch_mrad: float
 ) -> tuple[tuple[float, float], float] | None:
     """Find the middle and the scatter of the positions in the strongest trials, anywhere on the frames, in pixels.
-
     None if a triangle stands out in less than half of these 24.
     """
     strongest = trials.select(np.argsort(-trials.levels, kind="stable")[:24])
@@ -251,9 +248,8 @@ def _of_strongest(
 
 class _Displacements(NamedTuple):
     """Displacements of trials from the start of their search, (trial, 2), and their mean, its error and scatter,
-    in pixels.
-
-    `error_px` is None if no triangle stands out; `is_own`, (trial,), marks those with a position of their own.
+    in pixels. `error_px` is None if no triangle stands out; `is_own`, (trial,), marks those with a position of
+    their own.
     """
 
     moves_px: FloatArray
@@ -452,9 +448,8 @@ def _location(
 def location_warnings(
     dataset: Dataset, locations: Sequence[Location], thresholds: Mapping[Group, float | None] | None = None
 ) -> list[DatasetWarning]:
-    """Return warnings about triangles that are not as the manifest says, or too faint to be located.
-
-    Without a group's threshold, its faint triangles are not judged.
+    """Return warnings about triangles that are not as the manifest says, or too faint to be located. Without a
+    group's threshold, its faint triangles are not judged.
     """
     warnings = []
     for location in locations:
@@ -494,10 +489,9 @@ LEAST_CLEAR = 4
 
 
 class Template(NamedTuple):
-    """A triangle in each orientation, divided by the noise's spectrum, for windows of n × n blocks.
-
-    `spectra` has shape (4, length, length/2 + 1). `energy`, (4,), is the squared signal-to-noise ratio of a
-    triangle of contrast 1 in noise of unit variance.
+    """A triangle in each orientation, divided by the noise's spectrum, for windows of n × n blocks. `spectra` has
+    shape (4, length, length/2 + 1). `energy`, (4,), is the squared signal-to-noise ratio of a triangle of contrast
+    1 in noise of unit variance.
     """
 
     spectra: ComplexArray
@@ -522,7 +516,6 @@ class Template(NamedTuple):
 
     def peaks(self, window: FloatArray, *, contrast: float | None, noise: float, reach: float) -> Peaks:
         """Return the peaks of the log likelihood within a distance from the middle along each axis, highest first.
-
         `window`, (n, n), is a contrast, `contrast` that of the triangle, None if it is not known, and `noise` the
         standard deviation of a block.
         """
@@ -569,7 +562,6 @@ class Peaks(NamedTuple):
 
 def strong_peaks(images: Iterable[tuple[FloatArray, float, float]], *, reach: float) -> list[Peaks]:
     """Return the peaks of strong trials for a triangle of unknown contrast, in the polarity that shows it better.
-
     Each item has an image, (n, n), the standard deviation of its white noise and the size of the triangle.
     """
     of_sign: dict[float, list[Peaks]] = {1.0: [], -1.0: []}
@@ -588,10 +580,9 @@ def strong_peaks(images: Iterable[tuple[FloatArray, float, float]], *, reach: fl
 
 
 class TrialPlaces(NamedTuple):
-    """Places of trials, (trial, 2), with their standard errors along an axis, (trial,).
-
-    `is_own` marks trials whose own frames show the place; the others have the `mean`, (2,). `scatter` is the
-    standard deviation of the places along an axis.
+    """Places of trials, (trial, 2), with their standard errors along an axis, (trial,). `is_own` marks trials
+    whose own frames show the place; the others have the `mean`, (2,). `scatter` is the standard deviation of the
+    places along an axis.
     """
 
     places: FloatArray
@@ -602,9 +593,8 @@ class TrialPlaces(NamedTuple):
 
 
 def chosen_places(peaks: list[Peaks]) -> TrialPlaces | None:
-    """Choose the place of each trial from its peaks; None if too few trials are clear.
-
-    Places are counted from the start of each trial's search.
+    """Choose the place of each trial from its peaks; None if too few trials are clear. Places are counted from the
+    start of each trial's search.
     """
     n = len(peaks)
     places, variance = np.zeros((n, MOST_PEAKS, 2)), np.ones((n, MOST_PEAKS))

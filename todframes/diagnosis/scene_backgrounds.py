@@ -27,7 +27,6 @@ there are many: with eight, its error adds an eighth to the variance of the nois
 
 def whole_views(trials: Trials, strength: FloatArray, most: int) -> NDArray[np.intp]:
     """Choose trials so that their backgrounds are known: of views spread over the manifest, up to a few of each.
-
     `trials` are those of a group, `strength` what their displayed contrast is proportional to, and `most` the
     number that would be chosen on an even background. A view is left out if all of its trials have one orientation
     and one strength.
@@ -90,10 +89,9 @@ def without_scenes(
 
 
 class SceneParts(NamedTuple):
-    """Windows on scenes as background, triangle and noise.
-
-    `backgrounds`, (view, n, n), are contrasts in the sign of the triangles' polarity; `even`, (trial, n, n), are
-    triangle and noise, as on an even field; `view` is the number of each trial's background.
+    """Windows on scenes as background, triangle and noise. `backgrounds`, (view, n, n), are contrasts in the sign
+    of the triangles' polarity; `even`, (trial, n, n), are triangle and noise, as on an even field; `view` is the
+    number of each trial's background.
     """
 
     view: NDArray[np.intp]
@@ -118,10 +116,9 @@ class SceneParts(NamedTuple):
     def on_even_field(
         self, samples: Sequence[TrialSample], polarity: int, size: float, *, keeps_ring: bool
     ) -> list[TrialSample]:
-        """Return windows with noise and luminance as they would be on an even field.
-
-        The luminance around the triangle is that in the circle through its corners, without the triangle.
-        With `keeps_ring` it is as good as measured: the dataset takes its background from the same pixels.
+        """Return windows with noise and luminance as they would be on an even field. The luminance around the
+        triangle is that in the circle through its corners, without the triangle. With `keeps_ring` it is as good
+        as measured: the dataset takes its background from the same pixels.
         """
         n = self.backgrounds.shape[-1]
         local, offsets = np.zeros(len(self.backgrounds)), np.array([sample.offset for sample in samples])

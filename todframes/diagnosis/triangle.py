@@ -36,11 +36,10 @@ OF_GROUP[3] /= 2.0
 
 
 class Arrangement(NamedTuple):
-    """A change of all orientations that a camera or an import may cause, with its words.
-
-    `shown` is the orientation on the frames for each of the manifest. `code` is that of the warning about it,
-    None: as stated. `words` is a clause with {are} for its verb, `question` that for somebody whose answers are
-    all wrong. `sign` is -1 if triangles are darker where the manifest says brighter, or the other way round.
+    """A change of all orientations that a camera or an import may cause, with its words. `shown` is the
+    orientation on the frames for each of the manifest. `code` is that of the warning about it, None: as stated.
+    `words` is a clause with {are} for its verb, `question` that for somebody whose answers are all wrong. `sign`
+    is -1 if triangles are darker where the manifest says brighter, or the other way round.
     """
 
     name: str
@@ -207,7 +206,6 @@ def _corners(shape: Shape, square: Square, n: int, turn: int) -> FloatArray:
 
 def blur_matrices(variance: float, side: int) -> tuple[FloatArray, FloatArray]:
     """Return the matrix that blurs columns of blocks by a Gaussian, and its change by the variance: (side, side).
-
     The kernel is the Gaussian's spectrum up to the blocks' Nyquist frequency; it is exact for band-limited images,
     and sharpens if the variance is negative.
     """
@@ -228,13 +226,12 @@ class Given(NamedTuple):
 
 
 class Images(NamedTuple):
-    """Mean frames of a group by orientation, with their weights.
-
-    `background`, (n, n), is what all frames share, `triangles`, (4, n, n), what grows with the level by stated
-    orientation. `shares`, (5, trial), are the weights of the frames in these, the triangles first. `information`,
-    (4, 4), is the inverse covariance of a block of the triangles for noise of unit variance. `weight`, (n, n), is
-    the share with which a block counts: 0 beyond the frames, less than 1 where they are unsteady. `of_view`,
-    (view, trial), are the weights of the frames in the mean of each background, for frames on several.
+    """Mean frames of a group by orientation, with their weights. `background`, (n, n), is what all frames share,
+    `triangles`, (4, n, n), what grows with the level by stated orientation. `shares`, (5, trial), are the weights
+    of the frames in these, the triangles first. `information`, (4, 4), is the inverse covariance of a block of the
+    triangles for noise of unit variance. `weight`, (n, n), is the share with which a block counts: 0 beyond the
+    frames, less than 1 where they are unsteady. `of_view`, (view, trial), are the weights of the frames in the
+    mean of each background, for frames on several.
     """
 
     background: FloatArray
@@ -254,9 +251,8 @@ class Images(NamedTuple):
         hole: float,
         view: NDArray[np.intp] | None = None,
     ) -> Images:
-        """Separate the part that all frames share from the part that grows with the level in each orientation.
-
-        If the levels hardly differ, the two cannot be separated, and all of it counts as triangle. `noise` is the
+        """Separate the part that all frames share from the part that grows with the level in each orientation. If
+        the levels hardly differ, the two cannot be separated, and all of it counts as triangle. `noise` is the
         standard deviation of a block of each frame, (trial, n, n). `known` are the blocks that all frames have;
         within `hole` from the middle all of them count. With `view`, the number of each frame's background, frames
         share what others of their background have; if its levels do not differ, only the differences of the
@@ -295,10 +291,9 @@ class Images(NamedTuple):
 
 
 class TriangleFit(NamedTuple):
-    """The triangle that explains mean frames best, and its covariance, (8, 8), in steps of the parameters.
-
-    `shown` are the orientations on the frames for the four stated ones. The covariance is `larger` times that of
-    the noise that the fit leaves: it has taken some of the noise, and leaves more at the edges of the triangle.
+    """The triangle that explains mean frames best, and its covariance, (8, 8), in steps of the parameters. `shown`
+    are the orientations on the frames for the four stated ones. The covariance is `larger` times that of the noise
+    that the fit leaves: it has taken some of the noise, and leaves more at the edges of the triangle.
     """
 
     shape: Shape
@@ -339,9 +334,7 @@ def _without_background(images: FloatArray, weight: FloatArray) -> FloatArray:
 
 def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> TriangleFit:
     """Fit the picture of a triangle to mean frames by Gauss–Newton steps, in the orientations `shown` for the
-    stated ones.
-
-    The covariance is that for noise as the fit leaves it.
+    stated ones. The covariance is that for noise as the fit leaves it.
     """
     n = images.weight.shape[0]
     order = np.array(shown)
@@ -379,10 +372,9 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
 
 
 def _roughness(white: FloatArray, weight: FloatArray, pictures: FloatArray, square: Square) -> float:
-    """Return the power that a fit leaves at the edges of triangles over that elsewhere: from 1 to 2.
-
-    Pictures with little blur are not quite exact there, and in little noise that is 1.0 to 1.3 times it. More is a
-    mishap, such as trials without a triangle.
+    """Return the power that a fit leaves at the edges of triangles over that elsewhere: from 1 to 2. Pictures with
+    little blur are not quite exact there, and in little noise that is 1.0 to 1.3 times it. More is a mishap, such
+    as trials without a triangle.
     """
     edges = np.square(np.gradient(pictures, axis=(1, 2))).sum(axis=(0, 1))
     at = np.zeros(weight.shape)
@@ -428,9 +420,8 @@ def subtract(images: FloatArray, pictures: FloatArray, square: Square) -> None:
 
 
 def noise_spectrum(noise: FloatArray, weight: FloatArray, side: int) -> FloatArray:
-    """Return the power spectrum of noise images, (…, n, n), for filters of a side: the mean over the images.
-
-    It is periodic over n + side blocks; its mean is the variance of a block.
+    """Return the power spectrum of noise images, (…, n, n), for filters of a side: the mean over the images. It is
+    periodic over n + side blocks; its mean is the variance of a block.
     """
     length = 16 * math.ceil((weight.shape[0] + side) / 16)  # a product of small primes: fast
     spectra = np.fft.rfft2(noise * weight, (length, length))
@@ -447,7 +438,6 @@ def multiplicity(length: int) -> FloatArray:
 
 def filter_covariance(filters: NDArray[np.floating], spectrum: FloatArray) -> FloatArray:
     """Return the covariance of the outputs of filters, (k, p, side, side), for noise with this spectrum: (p, p).
-
     Each of the p outputs is a sum over k images with independent noise.
     """
     length = len(spectrum)
@@ -474,12 +464,11 @@ def _covariance(design: FloatArray, square: Square, weight: FloatArray, spectrum
 
 
 class TrialEstimates(NamedTuple):
-    """Estimates of single trials by one step of the fit from the picture that all share.
-
-    `away` and `error`, (trial, 4), are deviations of the contrast per level, of the place along x and y, and of
-    the size as a ratio. `likeness`, (trial, 4), is the product of each trial, without its background, with the
-    differences of the orientations, less what these differ in energy. `spectrum` is the power of the noise in
-    units of the trials' noise.
+    """Estimates of single trials by one step of the fit from the picture that all share. `away` and `error`,
+    (trial, 4), are deviations of the contrast per level, of the place along x and y, and of the size as a ratio.
+    `likeness`, (trial, 4), is the product of each trial, without its background, with the differences of the
+    orientations, less what these differ in energy. `spectrum` is the power of the noise in units of the trials'
+    noise.
     """
 
     away: FloatArray
@@ -525,11 +514,9 @@ def of_trials(triangle: TriangleFit, images: Images, frames: FloatArray, given: 
 
 
 def aligned(frames: FloatArray, triangle: TriangleFit, given: Given, apart: FloatArray) -> FloatArray:
-    """Return frames, (trial, n, n), as if their triangles were at one place and of one size.
-
-    The picture of the fit where a triangle is said to be is replaced by the picture at the place of the fit.
-    `apart`, (trial, 3), are the distances of the stated place, along x and y, and of the logarithm of the size
-    from those of the group.
+    """Return frames, (trial, n, n), as if their triangles were at one place and of one size. The picture of the
+    fit where a triangle is said to be is replaced by the picture at the place of the fit. `apart`, (trial, 3), are
+    the distances of the stated place, along x and y, and of the logarithm of the size from those of the group.
     """
     moved, n = frames.copy(), frames.shape[-1]
     # The places apart have blurred the first fit.
@@ -551,9 +538,8 @@ def _blurred(shape: Shape, square: Square, n: int, turn: int) -> FloatArray:
 
 
 def first_guess(images: Images, size: float) -> Shape:
-    """Find the place, the size and the sign of a triangle: where those of many sizes correlate best.
-
-    The mean over the orientations is compared, so the guess does not depend on how these are arranged.
+    """Find the place, the size and the sign of a triangle: where those of many sizes correlate best. The mean over
+    the orientations is compared, so the guess does not depend on how these are arranged.
     """
     n = len(images.weight)
     counts = np.diag(images.information)

@@ -53,9 +53,8 @@ class MeanFrames:
         return np.asarray(sum(self.totals.values()) / self.counts.total())
 
     def take_spectra(self) -> dict[Stimulus, Spectra]:
-        """Return the spectra of the mean frames of each stimulus without what its orientations share.
-
-        A single orientation only loses its mean level. The totals no longer exist.
+        """Return the spectra of the mean frames of each stimulus without what its orientations share. A single
+        orientation only loses its mean level. The totals no longer exist.
         """
         means: dict[Stimulus, dict[int, FloatArray]] = {}
         for (stimulus, orientation), total in self.totals.items():
@@ -143,7 +142,6 @@ class CorrelationPeak(NamedTuple):
 
 def search(frames: MeanFrames, centre: Centre, sizes: Sequence[float] = (1.0,)) -> CorrelationPeak:
     """Find the highest correlation of triangles with mean frames, over places, arrangements, polarities and sizes.
-
     The mean over the orientations is subtracted from frames and triangles alike. It contains everything that the
     orientations share: bezel, overlay, shading, fixed pattern. `sizes` are multiples of those of the stimuli.
     """

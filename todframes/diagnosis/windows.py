@@ -31,13 +31,12 @@ from todframes.stimulus import Centre
 
 
 class TrialSample(NamedTuple):
-    """Measurements of a trial: contrast is the mean over its frames, all else is that of its first.
-
-    `known` marks the blocks, (n, n), of which the frame has at least half of the pixels. `seen` and `even` are
-    their contrasts against the background that the dataset declares, and against the surface fitted around the
-    triangle (level with `reach_px`); 0 beyond the frame. `stated_px` is the stated centroid (x, y), `offset` its
-    distance from the middle of the blocks, in blocks. `ring_cd_m2` is the luminance around the triangle, and
-    `noise` the standard deviation of a pixel's contrast, from neighbouring blocks of the surround.
+    """Measurements of a trial: contrast is the mean over its frames, all else is that of its first. `known` marks
+    the blocks, (n, n), of which the frame has at least half of the pixels. `seen` and `even` are their contrasts
+    against the background that the dataset declares, and against the surface fitted around the triangle (level
+    with `reach_px`); 0 beyond the frame. `stated_px` is the stated centroid (x, y), `offset` its distance from the
+    middle of the blocks, in blocks. `ring_cd_m2` is the luminance around the triangle, and `noise` the standard
+    deviation of a pixel's contrast, from neighbouring blocks of the surround.
     """
 
     trial: Trial
@@ -55,12 +54,10 @@ class TrialSample(NamedTuple):
 
 
 class Codes(NamedTuple):
-    """Integer code values about the triangle.
-
-    `top_share` and `bottom_share` are the shares of the triangle's pixels at full scale and at 0; `peak` is the
-    largest code read, `step` the smallest difference of codes that occur (0 if there is but one code), and
-    `step_contrast` its contrast; `bit_contrast` is that of neighbouring codes. `is_flat` states whether the
-    background has a single code.
+    """Integer code values about the triangle. `top_share` and `bottom_share` are the shares of the triangle's
+    pixels at full scale and at 0; `peak` is the largest code read, `step` the smallest difference of codes that
+    occur (0 if there is but one code), and `step_contrast` its contrast; `bit_contrast` is that of neighbouring
+    codes. `is_flat` states whether the background has a single code.
     """
 
     full_scale: int
@@ -82,11 +79,10 @@ def measure_trial(
     reach_px: float = 0.0,
     middle_px: tuple[float, float] | None = None,
 ) -> TrialSample:
-    """Measure the frames of a trial about its stated place.
-
-    The window and its blocks are made for `size_px`, that of the trial or one for several alike; it reaches as far
-    as `reach_px` at least. It is cut about `middle_px`, so that windows of several trials show the same pixels; by
-    default about the stated place. Raises FrameError or DataError if a frame cannot be read, or has no background.
+    """Measure the frames of a trial about its stated place. The window and its blocks are made for `size_px`, that
+    of the trial or one for several alike; it reaches as far as `reach_px` at least. It is cut about `middle_px`,
+    so that windows of several trials show the same pixels; by default about the stated place. Raises FrameError or
+    DataError if a frame cannot be read, or has no background.
     """
     # Frames of a triangle that moves cannot be averaged: its place on the pixels differs.
     n_alike = 1 if any(frame.motion_px is not None for frame in trial.frames) else len(trial.frames)

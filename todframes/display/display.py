@@ -238,9 +238,8 @@ def bt1886_luminance(
 
 
 def border_values(pixels: NDArray[Any], *, top: bool = True, bottom: bool = True) -> NDArray[Any]:
-    """Return the pixels, (n,) or (n, channels), of a band of whole rows that lie on the border of the frame.
-
-    `top` and `bottom` state whether the band's first row is the frame's first, and its last row the frame's last.
+    """Return the pixels, (n,) or (n, channels), of a band of whole rows that lie on the border of the frame. `top`
+    and `bottom` state whether the band's first row is the frame's first, and its last row the frame's last.
     """
     on_border = np.zeros(pixels.shape[:2], np.bool_)
     on_border[:, [0, -1]] = True

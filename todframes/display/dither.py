@@ -22,7 +22,6 @@ TILE_SIGMA = 1.5
 @cache
 def blue_noise() -> FloatArray:
     """Return thresholds in (0, 1), each once, shape (64, 64), whose lowest ones are spread evenly for any number.
-
     Each next threshold goes where the repulsion of all lower ones is least (void and cluster, Ulichney 1993), so
     the pattern has no coarse grain and no lines that could give moiré with a camera's pixels. Opposite edges fit
     together.
@@ -44,7 +43,6 @@ def blue_noise() -> FloatArray:
 
 def dithered(luminance: FloatArray, luminance_of_code: FloatArray) -> NDArray[np.uint16]:
     """Return code values whose luminances have the required sum, as exactly as code values allow: (rows, columns).
-
     `luminance_of_code` rises strictly, and `luminance` is within its range. Each pixel has one of the two code
     values on either side of its luminance, and that of its luminance if there is one. The sum over all pixels is
     off by at most half of a code step of one pixel.

@@ -118,12 +118,11 @@ class ShownDataset:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionRecord:
-    """The sidecar of a session.
-
-    `trials` is the number of main trials that count, `practice` that of a block of practice trials, of which the
-    share `practice_correct` has to be correct, `break_every` the number of main trials between breaks;
-    `background` is the asked luminance of the background over that of white. With `include_flagged`, flagged
-    answers count as all others do. `stopped_at` is the time at which the person ended the session, ISO 8601.
+    """The sidecar of a session. `trials` is the number of main trials that count, `practice` that of a block of
+    practice trials, of which the share `practice_correct` has to be correct, `break_every` the number of main
+    trials between breaks; `background` is the asked luminance of the background over that of white. With
+    `include_flagged`, flagged answers count as all others do. `stopped_at` is the time at which the person ended
+    the session, ISO 8601.
     """
 
     schema: int = SCHEMA
@@ -150,7 +149,6 @@ class SessionRecord:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialRow:
     """A trial that a person has answered: a row of the data file, whose columns `DESCRIPTIONS` explains.
-
     `response` is None if the time limit passed. `size_mrad` is the size in the manifest; at the eye it is larger
     by the ratio of the monitor's pixel pitch to the dataset's. `dither_seed` is that of `stimuli.shown_codes`.
     """
@@ -178,9 +176,8 @@ class TrialRow:
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """A session that has begun: its monitor is calibrated. `path` is its data file, `rows` are in order.
-
-    With `include_flagged`, flagged answers count as all others do.
+    """A session that has begun: its monitor is calibrated. `path` is its data file, `rows` are in order. With
+    `include_flagged`, flagged answers count as all others do.
     """
 
     path: Path
@@ -215,9 +212,8 @@ def flagged(rows: Iterable[TrialRow]) -> dict[Flag, int]:
 
 
 def columns(level: str, group_by: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the columns of a data file.
-
-    Raises SettingsError if the level or a column of `group_by` has the name of another column of the file.
+    """Return the columns of a data file. Raises SettingsError if the level or a column of `group_by` has the name
+    of another column of the file.
     """
     varied = (level, *group_by)
     for name in varied:
@@ -240,9 +236,8 @@ def sidecar_path(data: Path) -> Path:
 
 
 def read_answers(folder: Path | str, *, include_flagged: bool = False) -> list[Session]:
-    """Read the sessions of a folder of answers that have a row, ordered by their names.
-
-    Raises DataError if there is none, or a file cannot be read; the message names the file and the row.
+    """Read the sessions of a folder of answers that have a row, ordered by their names. Raises DataError if there
+    is none, or a file cannot be read; the message names the file and the row.
     """
     folder = Path(folder)
     sessions = []
@@ -259,7 +254,6 @@ def read_answers(folder: Path | str, *, include_flagged: bool = False) -> list[S
 
 def read_records(folder: Path) -> list[tuple[Path, SessionRecord]]:
     """Read the sidecars of a folder of answers, ordered by their names, each with the path of its data file.
-
     Raises DataError if one cannot be read.
     """
     sidecars = sorted((folder / "data").glob("subject-*_session-*_data.json"))
@@ -281,10 +275,9 @@ def read_sidecar(path: Path) -> SessionRecord:
 
 
 def read_rows(path: Path, dataset: ShownDataset) -> tuple[TrialRow, ...]:
-    """Read the rows of a data file; a last line that was torn is left out.
-
-    A file of an earlier version has no column `flag`: only the response times then flag answers. Raises DataError
-    if the file cannot be read or a row is not a trial; the message names the line and the column.
+    """Read the rows of a data file; a last line that was torn is left out. A file of an earlier version has no
+    column `flag`: only the response times then flag answers. Raises DataError if the file cannot be read or a row
+    is not a trial; the message names the line and the column.
     """
     level, group_by = dataset.level, dataset.group_by
     expected = columns(level, group_by)
@@ -372,10 +365,9 @@ def write_sidecar(path: Path, record: SessionRecord) -> None:
 
 
 class AnswerFile:
-    """The data file of a session, open for appending and locked: no other process can write it.
-
-    Use it in a `with` statement; `begin` it before the first row. `rows` are those that are on the disk. Raises
-    OutputError if the file cannot be written, or another process is writing it.
+    """The data file of a session, open for appending and locked: no other process can write it. Use it in a `with`
+    statement; `begin` it before the first row. `rows` are those that are on the disk. Raises OutputError if the
+    file cannot be written, or another process is writing it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -400,10 +392,8 @@ class AnswerFile:
         os.close(self._file)
 
     def begin(self, dataset: ShownDataset) -> None:
-        """Read the rows, and write the header of a new file.
-
-        Raises OutputError if the file cannot be written; DataError if it holds a row that is not a trial, or has
-        the columns of an earlier version.
+        """Read the rows, and write the header of a new file. Raises OutputError if the file cannot be written;
+        DataError if it holds a row that is not a trial, or has the columns of an earlier version.
         """
         self._dataset, self._columns = dataset, columns(dataset.level, dataset.group_by)
         self.rows = list(read_rows(self.path, dataset))
@@ -421,7 +411,6 @@ class AnswerFile:
 
     def append(self, row: TrialRow) -> None:
         """Write a row to the disk. When this returns, the row is there; if it raises, the file is as before.
-
         Raises OutputError if it cannot be written.
         """
         values = _values(row, self._dataset)
@@ -482,11 +471,10 @@ def count_file(folder: Path, subject: str) -> Path:
 
 
 def write_counts(path: Path, record: SessionRecord, rows: Sequence[TrialRow]) -> None:
-    """Write how often a person was right at each level of each group, for `todframes fit`.
-
-    Trials of the main phase count that have a response and no flag, or any flag if the record includes them. If
-    the visual angle of a pixel differed from that of the dataset's display by more than `SAME_PITCH`, `size_mrad`
-    is the size at the eye. Raises OutputError if it cannot be written.
+    """Write how often a person was right at each level of each group, for `todframes fit`. Trials of the main
+    phase count that have a response and no flag, or any flag if the record includes them. If the visual angle of a
+    pixel differed from that of the dataset's display by more than `SAME_PITCH`, `size_mrad` is the size at the
+    eye. Raises OutputError if it cannot be written.
     """
     level, group_by = record.dataset.level, record.dataset.group_by
     ratio = 1.0 if record.monitor is None else record.monitor.pixel_pitch_mrad / record.dataset.pixel_pitch_mrad
@@ -513,10 +501,9 @@ def _order(group: Group) -> tuple[tuple[bool, float, str], ...]:
 
 
 def write_description(folder: Path, shown: ShownDataset, software: Mapping[str, str]) -> None:
-    """Write the description into a folder of answers, JSON-LD with the terms of schema.org.
-
-    Columns named by the dataset that have no description here are the level or one of the groups. Raises
-    OutputError if it cannot be written.
+    """Write the description into a folder of answers, JSON-LD with the terms of schema.org. Columns named by the
+    dataset that have no description here are the level or one of the groups. Raises OutputError if it cannot be
+    written.
     """
     others = {
         shown.level: ("Stimulus strength: the level of the dataset that was shown", None),

@@ -316,9 +316,8 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
 
 
 def noise_table(persons: Sequence[PersonResult]) -> Table:
-    """Make the table of internal noises, a row for each person and one for all together.
-
-    Of noise and efficiency it has what was fitted, and so of lapses and blur.
+    """Make the table of internal noises, a row for each person and one for all together. Of noise and efficiency
+    it has what was fitted, and so of lapses and blur.
     """
     records: list[Record] = [
         {column.key: getattr(person, column.key) for column in NOISE_COLUMNS}

@@ -48,12 +48,11 @@ class MonitorError(SettingsError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calibration:
-    """Measures of a monitor, as a person made them at the page. All pixels are those of the device.
-
-    The pitch is that of `pixels_per_card`, the number along the long side of a bank card, or `pixel_pitch_mm`,
-    from a ruler or a data sheet. Readings of a photometer, pairs of code value and luminance in cd/m², count if
-    they are given; else the exponent `gamma`, or `half_tone_code`, the code value of a uniform field that looks as
-    bright as rows of white and black by turns. `device_pixel_ratio` is in device pixels per pixel of the page.
+    """Measures of a monitor, as a person made them at the page. All pixels are those of the device. The pitch is
+    that of `pixels_per_card`, the number along the long side of a bank card, or `pixel_pitch_mm`, from a ruler or
+    a data sheet. Readings of a photometer, pairs of code value and luminance in cd/m², count if they are given;
+    else the exponent `gamma`, or `half_tone_code`, the code value of a uniform field that looks as bright as rows
+    of white and black by turns. `device_pixel_ratio` is in device pixels per pixel of the page.
     """
 
     device_pixel_ratio: float
@@ -79,13 +78,12 @@ class ContrastRange(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Monitor:
-    """A monitor with the distance of the person; the sidecar of the answers holds it.
-
-    `background_code` is the code value of the page, and of contrast 0. Its luminance and that of code 0 are over
-    that of white, and `background_luminance_cd_m2` is None if no photometer was read. `gamma` is the exponent from
-    the half-tone match; `lut` has the readings of a photometer in place of it: code value, 0 to 255, and luminance
-    in cd/m². With `dither`, luminances between two codes are shown by pixels of both. Sizes of screen and page are
-    in device pixels.
+    """A monitor with the distance of the person; the sidecar of the answers holds it. `background_code` is the
+    code value of the page, and of contrast 0. Its luminance and that of code 0 are over that of white, and
+    `background_luminance_cd_m2` is None if no photometer was read. `gamma` is the exponent from the half-tone
+    match; `lut` has the readings of a photometer in place of it: code value, 0 to 255, and luminance in cd/m².
+    With `dither`, luminances between two codes are shown by pixels of both. Sizes of screen and page are in device
+    pixels.
     """
 
     pixel_pitch_mm: Positive
@@ -114,9 +112,8 @@ class Monitor:
             )
 
     def luminance_of_code(self) -> FloatArray:
-        """Return the luminance of the code values 0 to 255 over that of white, rising: shape (256,).
-
-        Raises SettingsError if neither or both of `gamma` and `lut` are given, or they do not describe a monitor.
+        """Return the luminance of the code values 0 to 255 over that of white, rising: shape (256,). Raises
+        SettingsError if neither or both of `gamma` and `lut` are given, or they do not describe a monitor.
         """
         if self.lut is not None and self.gamma is None:
             return luminance_of_readings(self.lut)
@@ -136,9 +133,8 @@ class Monitor:
 
 
 def luminance_of_gamma(gamma: float) -> FloatArray:
-    """Return (code / 255)^gamma for the code values 0 to 255.
-
-    Raises SettingsError if the exponent is not that of a monitor.
+    """Return (code / 255)^gamma for the code values 0 to 255. Raises SettingsError if the exponent is not that of
+    a monitor.
     """
     if not 1.0 <= gamma <= 4.0:
         raise SettingsError(f"gamma: found {gamma!r}, expected 1 to 4; match the half-tone again")
@@ -146,10 +142,9 @@ def luminance_of_gamma(gamma: float) -> FloatArray:
 
 
 def luminance_of_readings(lut: tuple[tuple[float, float], ...]) -> FloatArray:
-    """Return the luminance of the code values 0 to 255 over that of white, from readings of a photometer.
-
-    Between readings, luminance^(1/2.2) is interpolated linearly; readings are met exactly. Raises SettingsError if
-    the readings do not begin at code 0 and end at 255, are fewer than 4, or do not rise.
+    """Return the luminance of the code values 0 to 255 over that of white, from readings of a photometer. Between
+    readings, luminance^(1/2.2) is interpolated linearly; readings are met exactly. Raises SettingsError if the
+    readings do not begin at code 0 and end at 255, are fewer than 4, or do not rise.
     """
     codes, luminance_cd_m2 = np.array(sorted(lut), np.float64).reshape(-1, 2).T
     if codes.size < 4 or codes[0] != 0 or codes[-1] != N_CODES - 1:
@@ -177,11 +172,9 @@ def viewing_distance_mm(*, pixel_pitch_mm: float, pixel_pitch_mrad: float) -> fl
 
 
 def calibrated(calibration: Calibration, *, background: float, dither: bool) -> Monitor:
-    """Make the monitor of a person's measures.
-
-    `background` is the largest luminance of the background over that of white: it becomes that of the next code
-    below. Raises MonitorError if the browser resamples what it shows, because pixels of the page are not whole
-    device pixels, or a measure is missing or cannot be right.
+    """Make the monitor of a person's measures. `background` is the largest luminance of the background over that
+    of white: it becomes that of the next code below. Raises MonitorError if the browser resamples what it shows,
+    because pixels of the page are not whole device pixels, or a measure is missing or cannot be right.
     """
     if calibration.device_pixel_ratio not in (1.0, 2.0, 3.0, 4.0):
         raise MonitorError(
@@ -246,11 +239,10 @@ def calibrated(calibration: Calibration, *, background: float, dither: bool) -> 
 def check_shows(
     monitor: Monitor, *, frame_px: tuple[int, int], pixel_pitch_mrad: float, ranges: list[ContrastRange]
 ) -> None:
-    """Raise MonitorError if a monitor cannot show trials.
-
-    Frames may not be larger than the page (`frame_px` is the largest width and height), pixels not much larger or
-    smaller at the eye than those of the dataset's display, and neither a contrast of a triangle nor more than 1 %
-    of the pixels of a trial beyond the monitor's range; `ranges` has the contrasts of each trial.
+    """Raise MonitorError if a monitor cannot show trials. Frames may not be larger than the page (`frame_px` is
+    the largest width and height), pixels not much larger or smaller at the eye than those of the dataset's
+    display, and neither a contrast of a triangle nor more than 1 % of the pixels of a trial beyond the monitor's
+    range; `ranges` has the contrasts of each trial.
     """
     if any(frame > page for frame, page in zip(frame_px, monitor.viewport_px, strict=True)):
         raise MonitorError(

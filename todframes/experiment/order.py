@@ -40,9 +40,8 @@ class Practised(NamedTuple):
 
 
 class TrialOrder:
-    """The order of the trials of a session, a function of its record and of the rows so far.
-
-    `trials` are all of the dataset.
+    """The order of the trials of a session, a function of its record and of the rows so far. `trials` are all of
+    the dataset.
     """
 
     def __init__(self, trials: Trials, record: SessionRecord) -> None:
@@ -153,10 +152,8 @@ def n_main_trials(record: SessionRecord, rows: Sequence[TrialRow]) -> int:
 
 
 def spread_trials(trials: Trials, n_trials: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Return the indices of trials in random order, spread evenly over groups, levels and orientations.
-
-    The numbers of trials of a group, level and orientation differ by one at most, as far as the dataset has as
-    many.
+    """Return the indices of trials in random order, spread evenly over groups, levels and orientations. The
+    numbers of trials of a group, level and orientation differ by one at most, as far as the dataset has as many.
     """
     order = rng.permutation(len(trials))
     cells = np.stack([trials.group_codes, trials.levels, trials.quarter_turns], axis=1)[order]

@@ -75,7 +75,6 @@ them."""
 @dataclass(frozen=True, slots=True)
 class SeenDataset(Dataset):
     """The main trials of a session as a dataset of the frames that the person saw: luminance over the background.
-
     `shown` is the dataset that the session showed; `originals` has the trial of it and the answer of each frame,
     by the frame's path here.
     """
@@ -109,10 +108,9 @@ class SeenDataset(Dataset):
 
 
 def seen_dataset(dataset: Dataset, session: Session) -> SeenDataset:
-    """Return the trials that a person answered in the main phase of a session, as the person saw them.
-
-    Sizes are those at the eye, in the group and the level too if these are the column `size_mrad`. Raises
-    DataError if the answers are to another dataset, or there are none.
+    """Return the trials that a person answered in the main phase of a session, as the person saw them. Sizes are
+    those at the eye, in the group and the level too if these are the column `size_mrad`. Raises DataError if the
+    answers are to another dataset, or there are none.
     """
     asked, where = session.record.dataset, session.path
     if asked.manifest_sha256 != dataset.manifest_sha256:
@@ -179,7 +177,6 @@ class _Seen(NamedTuple):
 @dataclass(frozen=True, slots=True, eq=False)
 class AnsweredTrials:
     """The answers of a person, (trial,), and the model's scores of the same trials, those that could be read.
-
     Stimuli and levels are those at the eye. `deviations` of the scores are (trial, blur, displacement, 4);
     `readouts` has, for each stimulus, the readout at each blur with an internal noise of 1.
     """
@@ -230,7 +227,6 @@ def answered_trials(
     run: Run | None = None,
 ) -> AnsweredTrials:
     """Show the main trials of a session to an observer, with each template blur, as the person saw them.
-
     `observers` are the same one with an internal noise of 1 and one template blur each, rising. Raises DataError
     or FrameError if the answers are to another dataset, or a frame cannot be used or has changed since.
     """
@@ -284,10 +280,9 @@ def _readout(plan: ScorePlan, stimulus: Stimulus) -> Readout:
 def noise_observers(
     observer: Observer, stimulus: Stimulus, *, blur_is_free: bool
 ) -> tuple[list[Observer], FloatArray]:
-    """Return an observer with an internal noise of 1 and each template blur that is tried, and these blurs.
-
-    Raises SettingsError if the observer is not linear, has no such settings, or reads neurons out according to
-    their noise.
+    """Return an observer with an internal noise of 1 and each template blur that is tried, and these blurs. Raises
+    SettingsError if the observer is not linear, has no such settings, or reads neurons out according to their
+    noise.
     """
     settings = getattr(observer, "settings", None)
     names = [field.name for field in fields(settings)] if is_dataclass(settings) else []
@@ -349,11 +344,10 @@ def noise_grid(answered: Sequence[AnsweredTrials]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Calibrated:
-    """The fits of all persons, and of all answers together with one noise for all; None for a single person.
-
-    `own` are the persons' own thresholds, from their counts alone. `equal_noise_p_value` is that of the
-    likelihood-ratio test that all persons have the pooled parameters; `fitted` is the name of the setting of the
-    observer that was fitted: "internal_noise" or "efficiency".
+    """The fits of all persons, and of all answers together with one noise for all; None for a single person. `own`
+    are the persons' own thresholds, from their counts alone. `equal_noise_p_value` is that of the likelihood-ratio
+    test that all persons have the pooled parameters; `fitted` is the name of the setting of the observer that was
+    fitted: "internal_noise" or "efficiency".
     """
 
     persons: tuple[PersonResult, ...]
@@ -503,7 +497,6 @@ def model_difference(
     is_correct: NDArray[np.bool_], p_model: FloatArray, groups: Sequence[NDArray[np.intp]]
 ) -> tuple[float, tuple[float, float]]:
     """Return the person's proportion correct minus the model's, and its 90 % interval, in the group that is worst.
-
     Model and person are equal within a margin, at a level of 5 %, if this interval lies within it: two one-sided
     tests in each group, all of which have to hold. The standard error is that of the model's probabilities.
     """
@@ -537,9 +530,8 @@ def cells_of(answered: Sequence[AnsweredTrials]) -> NDArray[np.intp]:
 def _model_curve(
     table: AnswerTable, levels: FloatArray, fit: NoiseFit, settings: FitSettings
 ) -> PsychometricFit | None:
-    """Fit the observer's curve to the probabilities with the internal noise; None if it is not known.
-
-    Its threshold is the level at which the person is right with the criterion's probability, lapses included; the
+    """Fit the observer's curve to the probabilities with the internal noise; None if it is not known. Its
+    threshold is the level at which the person is right with the criterion's probability, lapses included; the
     interval has the thresholds at the ends of that of the noise.
     """
     share = fit.lapse_rate / (1.0 - GUESS_RATE)

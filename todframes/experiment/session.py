@@ -98,9 +98,8 @@ Step = Literal["consent", "monitor", "practice", "main", "break", "done", "stopp
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionDesign:
-    """Settings of a session, which `run_experiment` describes, with their ranges.
-
-    None stands for the default, or for the setting of the session that is continued.
+    """Settings of a session, which `run_experiment` describes, with their ranges. None stands for the default, or
+    for the setting of the session that is continued.
     """
 
     method: Method | None = None
@@ -140,9 +139,8 @@ class Picture(NamedTuple):
 
 
 def make_picture(dataset: Dataset, monitor: Monitor, asked: NextTrial) -> Picture:
-    """Read the frames of a trial and compute the code values that show it.
-
-    Raises FrameError if its frames cannot be used.
+    """Read the frames of a trial and compute the code values that show it. Raises FrameError if its frames cannot
+    be used.
     """
     trial = dataset.trials[asked.row]
     image = trial_image(dataset, trial)
@@ -167,7 +165,6 @@ class StepError(DataError):
 
 class Sitting:
     """A session under way: its steps in order, each saved before it returns. Threads may call it side by side.
-
     Make it with `open_sitting`. `record` is the sidecar as it is on the disk.
     """
 
@@ -195,9 +192,8 @@ class Sitting:
             return self._state()
 
     def consent(self, is_agreed: bool) -> Json:
-        """Keep a person's consent; without it the session stays where it is.
-
-        Raises StepError if the person has agreed before; OutputError if it cannot be written.
+        """Keep a person's consent; without it the session stays where it is. Raises StepError if the person has
+        agreed before; OutputError if it cannot be written.
         """
         with self._lock:
             self._expect("consent")
@@ -227,9 +223,8 @@ class Sitting:
             return self._state()
 
     def trial(self) -> Json:
-        """Return the trial to show, the same one until it is answered.
-
-        Raises StepError if there is none at this step; FrameError if its frames cannot be used.
+        """Return the trial to show, the same one until it is answered. Raises StepError if there is none at this
+        step; FrameError if its frames cannot be used.
         """
         with self._lock:
             prepared = self._prepare()
@@ -259,11 +254,10 @@ class Sitting:
         *,
         lost: Literal["hidden", "unfocused"] | None = None,
     ) -> Json:
-        """Save an answer to the disk, once: a trial that has an answer keeps it.
-
-        The trial may have been shown by a server before this one, as its order is the same. `lost` says that the
-        page was hidden, or had lost the focus, during the trial. Raises StepError if the trial was not shown;
-        OutputError if it cannot be written; the trial is still to be answered.
+        """Save an answer to the disk, once: a trial that has an answer keeps it. The trial may have been shown by
+        a server before this one, as its order is the same. `lost` says that the page was hidden, or had lost the
+        focus, during the trial. Raises StepError if the trial was not shown; OutputError if it cannot be written;
+        the trial is still to be answered.
         """
         with self._lock:
             if 1 <= number <= len(self._file.rows):
@@ -288,10 +282,8 @@ class Sitting:
             return self._state()
 
     def stop(self) -> Json:
-        """End the session early, as the person wants it; what was answered stays.
-
-        Raises StepError if the person has not agreed yet, or has answered all trials; OutputError if it cannot be
-        written.
+        """End the session early, as the person wants it; what was answered stays. Raises StepError if the person
+        has not agreed yet, or has answered all trials; OutputError if it cannot be written.
         """
         with self._lock:
             if (step := self._step()[0]) in ("consent", "done"):
@@ -300,9 +292,8 @@ class Sitting:
             return self._state()
 
     def close(self) -> None:
-        """Write the counts of what was answered; no picture is made any more.
-
-        Raises OutputError if they cannot be written.
+        """Write the counts of what was answered; no picture is made any more. Raises OutputError if they cannot be
+        written.
         """
         self._artist.shutdown(cancel_futures=True)
         with self._lock:
@@ -467,12 +458,11 @@ def open_sitting(
     contact: str | None = None,
     progress: Progress | None = None,
 ) -> Iterator[Sitting]:
-    """Begin a session, or continue one that is not finished; its files stay locked in the block.
-
-    Parameters are those of `run_experiment`; the settings of a session that has rows cannot change. Raises
-    DataError or FrameError if the dataset or a frame cannot be used, or a file of answers is damaged;
-    SettingsError if the id, the dataset or a setting does not fit the session; OutputError if the folder cannot be
-    written, or another server is in the session.
+    """Begin a session, or continue one that is not finished; its files stay locked in the block. Parameters are
+    those of `run_experiment`; the settings of a session that has rows cannot change. Raises DataError or
+    FrameError if the dataset or a frame cannot be used, or a file of answers is damaged; SettingsError if the id,
+    the dataset or a setting does not fit the session; OutputError if the folder cannot be written, or another
+    server is in the session.
     """
     folder, design = Path(folder), design or SessionDesign()
     shown = _shown_dataset(dataset)

@@ -26,22 +26,18 @@ MOST_SEEDS = 16
 
 
 class TrialImage(NamedTuple):
-    """The contrast of all pixels of a trial, and the place of its triangle.
-
-    `contrast` has shape (rows, columns).
-    """
+    """The contrast of all pixels of a trial, (rows, columns), and the place of its triangle."""
 
     contrast: FloatArray
     triangle: TrianglePlace
 
 
 def trial_image(dataset: Dataset, trial: Trial) -> TrialImage:
-    """Read the frames of a trial and average them in contrast, all pixels of them.
-
-    The luminance that contrast refers to is that of the dataset's rule at the triangle, one number a frame: a
-    slope or a border of the background is shown unchanged. Pixels that a file leaves out of its frame have the
-    contrast 0. Raises FrameError if a frame cannot be used, differs in size from the first of its trial, or the
-    triangle does not lie on it.
+    """Read the frames of a trial and average them in contrast, all pixels of them. The luminance that contrast
+    refers to is that of the dataset's rule at the triangle, one number a frame: a slope or a border of the
+    background is shown unchanged. Pixels that a file leaves out of its frame have the contrast 0. Raises
+    FrameError if a frame cannot be used, differs in size from the first of its trial, or the triangle does not lie
+    on it.
     """
     display = dataset.display
     total: FloatArray | None = None
@@ -94,11 +90,10 @@ def _covered(trial: Trial, image: TrialImage) -> FloatArray:
 
 
 def dithered_codes(trial: Trial, image: TrialImage, monitor: Monitor, seed: int) -> tuple[NDArray[np.uint8], int]:
-    """Return the code values that show a trial, and the seed of their dither: the next good one from `seed`.
-
-    With a good seed the mean contrast over the triangle, each pixel weighted with the share that is covered, is
-    right within `MEAN_TOLERANCE`. Most seeds are good from ten pixels of size on. If none of `MOST_SEEDS` is, as
-    for triangles of a few pixels, the best one is taken.
+    """Return the code values that show a trial, and the seed of their dither: the next good one from `seed`. With
+    a good seed the mean contrast over the triangle, each pixel weighted with the share that is covered, is right
+    within `MEAN_TOLERANCE`. Most seeds are good from ten pixels of size on. If none of `MOST_SEEDS` is, as for
+    triangles of a few pixels, the best one is taken.
     """
     codes = shown_codes(image.contrast, monitor, seed)
     if not monitor.dither:
@@ -120,11 +115,10 @@ def dithered_codes(trial: Trial, image: TrialImage, monitor: Monitor, seed: int)
 
 
 def shown_codes(contrast: FloatArray, monitor: Monitor, seed: int) -> NDArray[np.uint8]:
-    """Return the code values that show Weber contrast, (rows, columns), on a monitor.
-
-    Contrast that the monitor cannot show becomes its white or black (`clipped`). With dither, the sum of the
-    contrasts of all pixels is off by at most half of a code step of one pixel; `seed` is one of 4096 positions of
-    the pattern. Without dither each pixel has the code nearest in luminance.
+    """Return the code values that show Weber contrast, (rows, columns), on a monitor. Contrast that the monitor
+    cannot show becomes its white or black (`clipped`). With dither, the sum of the contrasts of all pixels is off
+    by at most half of a code step of one pixel; `seed` is one of 4096 positions of the pattern. Without dither
+    each pixel has the code nearest in luminance.
     """
     of_code = monitor.contrast_of_code()
     # The scale of relative luminance, in which 0 is black, suits the relative tolerance of `dithered`.

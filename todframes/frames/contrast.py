@@ -27,10 +27,9 @@ MOST_HELD_PX = 2**20
 
 
 class ContrastPatch(NamedTuple):
-    """A rectangle of a frame, held as contrast or as the stored values that contrast is computed from.
-
-    `row` and `column` are the position of its first pixel in the frame. A large rectangle is held as stored, with
-    one to four bytes a value instead of eight; `to_contrast` then converts a band of whole rows into contrast; its
+    """A rectangle of a frame, held as contrast or as the stored values that contrast is computed from. `row` and
+    `column` are the position of its first pixel in the frame. A large rectangle is held as stored, with one to
+    four bytes a value instead of eight; `to_contrast` then converts a band of whole rows into contrast; its
     arguments are the values and the row and column of the first. `n_negative` counts the pixels read with a
     luminance below zero. `background_luminance_cd_m2` is the luminance that contrast refers to, at the triangle;
     None if the patch was made from contrast.
@@ -90,13 +89,11 @@ def read_contrast(
     *,
     triangle: TrianglePlace | None = None,
 ) -> ContrastPatch:
-    """Read a rectangle of an open frame as contrast.
-
-    Only the rows of the rectangle are decoded, unless the background is a mean over the frame. Pixels are decoded
-    once, in bands of rows; only the pixels of the rectangle stay in memory. With the rule "surround" the rows
-    about the triangle are decoded, and pixels beyond the background about it are left out; without a triangle that
-    rule takes the mean over the frame. Raises FrameError if the pixels cannot be read, their contrast overflows,
-    or the background is not a positive number.
+    """Read a rectangle of an open frame as contrast. Only the rows of the rectangle are decoded, unless the
+    background is a mean over the frame. Pixels are decoded once, in bands of rows; only the pixels of the
+    rectangle stay in memory. With the rule "surround" the rows about the triangle are decoded, and pixels beyond
+    the background about it are left out; without a triangle that rule takes the mean over the frame. Raises
+    FrameError if the pixels cannot be read, their contrast overflows, or the background is not a positive number.
     """
     rule = display.background_luminance_cd_m2
     (first_row, stop_row), all_columns = file.clip(None, None)
@@ -142,10 +139,9 @@ def read_contrast(
 
 
 def check_pixels(file: FrameSource, display: Display, frame: FrameReference, triangle: TrianglePlace) -> None:
-    """Decode and check every pixel of an open frame; errors are those of `read_contrast`.
-
-    Luminance is computed only of the pixels that the background is taken from and of the extreme code values,
-    which takes a fraction of the time of decoding.
+    """Decode and check every pixel of an open frame; errors are those of `read_contrast`. Luminance is computed
+    only of the pixels that the background is taken from and of the extreme code values, which takes a fraction of
+    the time of decoding.
     """
     rule = display.background_luminance_cd_m2
     (first_row, stop_row), all_columns = file.clip(None, None)

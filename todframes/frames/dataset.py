@@ -83,10 +83,9 @@ WarningCode = Literal[
 
 
 class DatasetWarning(NamedTuple):
-    """A warning about a dataset, which makes its results less certain; `warnings` in `result.json` has it.
-
-    `code` is for programs, `message` for people. `group` has the `group_by` values of the group concerned, by
-    column; it is empty if the warning concerns the whole dataset.
+    """A warning about a dataset, which makes its results less certain; `warnings` in `result.json` has it. `code`
+    is for programs, `message` for people. `group` has the `group_by` values of the group concerned, by column; it
+    is empty if the warning concerns the whole dataset.
     """
 
     code: WarningCode
@@ -99,7 +98,6 @@ class DatasetWarning(NamedTuple):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
     """The varied manifest columns: `level` is the stimulus strength, each group of `group_by` has a curve.
-
     `places` is the number of places at which a triangle may be; with 1, its place is known.
     """
 
@@ -201,9 +199,8 @@ class Dataset:
 
 
 class _Listings(dict[RemotePath, dict[str, str | None] | None]):
-    """Entity tags of files behind URLs, by folder and name; a folder is listed when it is first looked up.
-
-    A copy that is pickled is empty, so that a dataset that goes to another process stays small.
+    """Entity tags of files behind URLs, by folder and name; a folder is listed when it is first looked up. A copy
+    that is pickled is empty, so that a dataset that goes to another process stays small.
     """
 
     def __missing__(self, folder: RemotePath) -> dict[str, str | None] | None:
@@ -228,11 +225,10 @@ class RemoteDataset(Dataset):
         return listed is None or path.name in listed
 
     def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:  # noqa: ARG002 - tags are cheap
-        """Return a text that changes whenever the bytes of the frame do.
-
-        It is made of the URL and the entity tag that the server gives the bytes, in the listing of the folder or
-        for the file; without a tag it is the SHA-256 of the bytes. Raises FrameError if the file cannot be read,
-        RemoteError if the server cannot be reached.
+        """Return a text that changes whenever the bytes of the frame do. It is made of the URL and the entity tag
+        that the server gives the bytes, in the listing of the folder or for the file; without a tag it is the
+        SHA-256 of the bytes. Raises FrameError if the file cannot be read, RemoteError if the server cannot be
+        reached.
         """
         path = self.path / frame.path
         listed = self.listings[path.parent] or {}
@@ -345,9 +341,8 @@ def pair_in(
 
 
 class Manifest:
-    """Reader of the rows of a manifest: it checks them, and gathers frames into trials.
-
-    Without a folder, frames are in no file, and their names are not paths.
+    """Reader of the rows of a manifest: it checks them, and gathers frames into trials. Without a folder, frames
+    are in no file, and their names are not paths.
     """
 
     def __init__(self, folder: Location | None, display: Display, experiment: Experiment) -> None:
@@ -484,9 +479,8 @@ class Manifest:
         return int(text), number(row["place_step_px"], f"{where}: place_step_px", positive=True)
 
     def _clip(self, row: Mapping[str, str], where: str) -> tuple[str | None, float | None]:
-        """Return the clip of a row and its time there; the rows of a clip must stand in the order of time.
-
-        A bad row breaks a clip in two: its frame is missing between those before and after it.
+        """Return the clip of a row and its time there; the rows of a clip must stand in the order of time. A bad
+        row breaks a clip in two: its frame is missing between those before and after it.
         """
         clip = (row.get(CLIP_COLUMN) or "").strip()
         if not clip:
@@ -561,11 +555,9 @@ class Manifest:
 
 def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetWarning]:
     """Return the warnings about the files of a dataset that make results from these trials less certain.
-
     `unverified_frames` counts the frames that have no checksum in the manifest and whose file format has none
-    either: PNG files contain checksums of their own, EXR files do not. The others are those of the headers of
-    a few frames: see `HeaderWarning`. Frames in memory have none. Raises FrameError if a file can no longer be
-    read.
+    either: PNG files contain checksums of their own, EXR files do not. The others are those of the headers of a
+    few frames: see `HeaderWarning`. Frames in memory have none. Raises FrameError if a file can no longer be read.
     """
     if dataset.is_in_memory:
         return []
@@ -589,7 +581,6 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
 
 def _header_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetWarning]:
     """Return the warnings of the headers of frames spread over the trials; `found` is the share that has them.
-
     Frames that cannot be read are left out: scoring reports them.
     """
     messages: dict[WarningCode, list[str]] = {}

@@ -25,11 +25,10 @@ def write_dataset_files(
     experiment: Experiment,
     comment: str,
 ) -> int:
-    """Make a folder of frames a dataset; return the number of rows of its manifest.
-
-    The folder has the table of luminances that `display`, made by `table_of_display`, may name. All rows, one a
-    frame, have the columns of the first, in its order. Texts are marked as by `csv_text`; a name of a frame that a
-    spreadsheet would compute gets `./` and stays a name. The lines of `comment` stand above the tables.
+    """Make a folder of frames a dataset; return the number of rows of its manifest. The folder has the table of
+    luminances that `display`, made by `table_of_display`, may name. All rows, one a frame, have the columns of the
+    first, in its order. Texts are marked as by `csv_text`; a name of a frame that a spreadsheet would compute gets
+    `./` and stays a name. The lines of `comment` stand above the tables.
     """
     n_rows = 0
     with (folder / MANIFEST_FILE).open("w", encoding="utf-8", newline="") as file:
@@ -54,11 +53,10 @@ def check_writable(dataset: Dataset) -> None:
 
 
 def write_sha256(dataset: Dataset, sha256_of: Mapping[str, str]) -> None:
-    """Write checksums into the empty `sha256` fields of the manifest, of each frame by its path there.
-
-    The file is replaced whole or not at all. All other fields, the order of rows and columns and the line ends
-    stay as they are. A manifest without a column `sha256` gets it as its last column. Raises DataError if the
-    manifest has changed since the dataset was loaded, and OutputError if it cannot be written.
+    """Write checksums into the empty `sha256` fields of the manifest, of each frame by its path there. The file is
+    replaced whole or not at all. All other fields, the order of rows and columns and the line ends stay as they
+    are. A manifest without a column `sha256` gets it as its last column. Raises DataError if the manifest has
+    changed since the dataset was loaded, and OutputError if it cannot be written.
     """
     if not sha256_of:
         return

@@ -173,13 +173,12 @@ class HeaderWarning(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FrameHeader:
-    """The size, pixel type, channels and text attributes of a frame file.
-
-    `height` and `width` are the size of the whole frame in pixels. `first_row`, `first_column`, `n_rows` and
-    `n_columns` are the rectangle of it that the file has pixels for: the part of an EXR's data window within its
-    display window. `channels` names the one or three channels that are read, `pixel_type` is the widest of their
-    types. `attributes` are the file's text attributes, without those about the layout of pixels. `full_scale` is
-    the largest value that the file can hold, None for floating-point values.
+    """The size, pixel type, channels and text attributes of a frame file. `height` and `width` are the size of the
+    whole frame in pixels. `first_row`, `first_column`, `n_rows` and `n_columns` are the rectangle of it that the
+    file has pixels for: the part of an EXR's data window within its display window. `channels` names the one or
+    three channels that are read, `pixel_type` is the widest of their types. `attributes` are the file's text
+    attributes, without those about the layout of pixels. `full_scale` is the largest value that the file can hold,
+    None for floating-point values.
     """
 
     height: int
@@ -236,12 +235,11 @@ class FrameSource(ABC):
 
 
 class FrameFile(FrameSource):
-    """An open picture file, for use in one thread; each thread opens the file itself.
-
-    The format is recognised by the content and must be one of `formats`, which are among `PICTURE_FORMATS`. A
-    file behind a URL is copied to a temporary folder while it is open; given `content`, `path` only names it. With
-    `sha256` the file must have this checksum. `max_frame_mb` limits, in 2**20 bytes, all channels of a part,
-    decoded. Raises FrameError if the file cannot be used, and RemoteError if its URL cannot be reached.
+    """An open picture file, for use in one thread; each thread opens the file itself. The format is recognised by
+    the content and must be one of `formats`, which are among `PICTURE_FORMATS`. A file behind a URL is copied to a
+    temporary folder while it is open; given `content`, `path` only names it. With `sha256` the file must have this
+    checksum. `max_frame_mb` limits, in 2**20 bytes, all channels of a part, decoded. Raises FrameError if the file
+    cannot be used, and RemoteError if its URL cannot be reached.
     """
 
     def __init__(
@@ -279,9 +277,8 @@ class FrameFile(FrameSource):
         return {attribute.name: attribute.value for attribute in self._spec.extra_attribs}
 
     def pages(self) -> Iterator[FrameHeader]:
-        """Yield the header of each page, once; after it, `header` and `read` are those of that page.
-
-        An EXR has one page: its parts are not pages.
+        """Yield the header of each page, once; after it, `header` and `read` are those of that page. An EXR has
+        one page: its parts are not pages.
         """
         yield self.header
         while self._format != "EXR" and self._image.seek_subimage(self._part + 1, 0):
@@ -290,7 +287,6 @@ class FrameFile(FrameSource):
 
     def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
         """Yield a rectangle of the frame in bands of rows from top to bottom, each of about `BAND_VALUES` values.
-
         No more of the file is decoded than the chunks or tiles that the rectangle touches, and no chunk of scan
         lines twice.
         """
@@ -366,9 +362,8 @@ class FrameFile(FrameSource):
         )  # fmt: skip
 
     def _choose_channels(self) -> tuple[int, list[int], str]:
-        """Return the part of an EXR with the picture, its channels there, and which of several pictures it is.
-
-        R, G, B come before Y; channels without a layer come first, then layers and parts that `MAIN_LAYERS` names.
+        """Return the part of an EXR with the picture, its channels there, and which of several pictures it is. R,
+        G, B come before Y; channels without a layer come first, then layers and parts that `MAIN_LAYERS` names.
         """
         pictures: list[tuple[int, bool, int, str, list[int]]] = []
         names: list[str] = []
@@ -521,9 +516,8 @@ def frame_sha256(path: PathLike | RemotePath) -> str:
 
 
 def has_own_checksums(path: PathLike | RemotePath) -> bool:
-    """Return whether a frame file contains checksums of all of its content: a PNG does, an EXR does not.
-
-    Raises FrameError if the file cannot be read. Of a file behind a URL only the name is looked at.
+    """Return whether a frame file contains checksums of all of its content: a PNG does, an EXR does not. Raises
+    FrameError if the file cannot be read. Of a file behind a URL only the name is looked at.
     """
     if isinstance(path, RemotePath):
         return path.name.lower().endswith(".png")
@@ -561,7 +555,6 @@ def _local(path: Location, content: bytes | None, stack: ExitStack) -> Path:
 
 def path_in_utf8(path: Path, stack: ExitStack) -> Path:
     """Return a path that UTF-8 can encode, as libraries need it: of the open file if that of the file cannot be.
-
     The file is closed with `stack`. Raises FrameError or OSError if it cannot be opened.
     """
     try:
@@ -738,9 +731,8 @@ def _pictures(names: tuple[str, ...]) -> list[tuple[str, str, list[int]]]:
 
 
 def _openimageio_reason(source: Any, max_frame_mb: int = MAX_FRAME_MB) -> str:
-    """Return OpenImageIO's error message in one line; `source` is None if no input or output was created.
-
-    Its own limit of a frame is the largest that this process has been given, so the message names `max_frame_mb`.
+    """Return OpenImageIO's error message in one line; `source` is None if no input or output was created. Its own
+    limit of a frame is the largest that this process has been given, so the message names `max_frame_mb`.
     """
     try:
         message = oiio.geterror() if source is None else source.geterror()

@@ -49,10 +49,8 @@ class MemoryDataset(Dataset):
 
 
 class ArrayFrame(FrameSource):
-    """A frame in memory: an array of shape (rows, columns) or (rows, columns, 1 or 3).
-
-    Raises FrameError if it has another shape, or other values than integers of 8 or 16 bits or floating-point
-    numbers.
+    """A frame in memory: an array of shape (rows, columns) or (rows, columns, 1 or 3). Raises FrameError if it has
+    another shape, or other values than integers of 8 or 16 bits or floating-point numbers.
     """
 
     def __init__(self, path: Location, stored: NDArray[Any]) -> None:
@@ -102,9 +100,8 @@ def memory_dataset(
     time_s: Sequence[float] | None = None,
     judged: Sequence[bool] | None = None,
 ) -> MemoryDataset:
-    """Return a dataset of frames in memory; parameters are those of `todframes.score_frames`.
-
-    Raises DataError if there are no frames, or an argument has the wrong number of values or a value out of range.
+    """Return a dataset of frames in memory; parameters are those of `todframes.score_frames`. Raises DataError if
+    there are no frames, or an argument has the wrong number of values or a value out of range.
     """
     images = [np.asarray(frame) for frame in frames]
     if not images:

@@ -17,9 +17,8 @@ from todframes.stimulus import Centre, Orientation, Stimulus, bounding_box_offse
 def centroid_position(
     trial: Trial, header: FrameHeader, centre: Centre, pixel_pitch_mrad: float, frame: FrameReference | None = None
 ) -> tuple[float, float]:
-    """Return the position (x, y) of the triangle's centroid in pixels: in a frame, or its mean in the trial.
-
-    It is the position in the manifest. If there is none, the triangle's `centre` lies at the frame's centre.
+    """Return the position (x, y) of the triangle's centroid in pixels: in a frame, or its mean in the trial. It is
+    the position in the manifest. If there is none, the triangle's `centre` lies at the frame's centre.
     """
     if trial.x_px is not None and trial.y_px is not None:
         right, down = frame.motion_px if frame is not None and frame.motion_px is not None else (0.0, 0.0)
@@ -38,10 +37,9 @@ def to_centroid(
 def candidate_places(
     x_px: float, y_px: float, *, place: int, step_px: float, places: int
 ) -> tuple[tuple[float, float], ...]:
-    """Return the centroids (x, y), in pixels, of all places at which a triangle may be.
-
-    The places, `step_px` apart, fill a grid of ⌈√places⌉ columns row by row. The triangle's centroid is
-    (x_px, y_px), the number of its place, from 1, `place`.
+    """Return the centroids (x, y), in pixels, of all places at which a triangle may be. The places, `step_px`
+    apart, fill a grid of ⌈√places⌉ columns row by row. The triangle's centroid is (x_px, y_px), the number of its
+    place, from 1, `place`.
     """
     columns = math.isqrt(places - 1) + 1
     row, column = divmod(place - 1, columns)
@@ -58,9 +56,8 @@ def place_offsets_px(trial: Trial, places: int) -> tuple[tuple[float, float], ..
 
 
 def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> None:
-    """Raise FrameError if a file is missing or a triangle does not lie on its frame.
-
-    Only one header is read for each stimulus, that of its first frame.
+    """Raise FrameError if a file is missing or a triangle does not lie on its frame. Only one header is read for
+    each stimulus, that of its first frame.
     """
     of_stimulus: dict[Stimulus, Trial] = {}
     for trial in trials:

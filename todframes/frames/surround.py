@@ -86,13 +86,11 @@ _NOT_CONSTANT[0, 0] = False
 
 
 class Surface(NamedTuple):
-    """A background: a polynomial of the position, within the part of the window that it describes.
-
-    The luminance in cd/m² is Σ c[i, j] v^i u^j with `coefficients` of shape (5, 5), u and v the distances along x
-    and y from `middle`, the row and column of the pixel at the triangle's centroid, in units of `scale_px`. The
-    rows and columns of `extent`, a part of the searched `window`, belong to the background; beyond them lies
-    something else, such as a dark border. `noise_cd_m2` is the standard deviation of the means of neighbouring
-    blocks.
+    """A background: a polynomial of the position, within the part of the window that it describes. The luminance
+    in cd/m² is Σ c[i, j] v^i u^j with `coefficients` of shape (5, 5), u and v the distances along x and y from
+    `middle`, the row and column of the pixel at the triangle's centroid, in units of `scale_px`. The rows and
+    columns of `extent`, a part of the searched `window`, belong to the background; beyond them lies something
+    else, such as a dark border. `noise_cd_m2` is the standard deviation of the means of neighbouring blocks.
     """
 
     coefficients: FloatArray
@@ -130,9 +128,8 @@ class Surface(NamedTuple):
         return float(self.coefficients[0, 0])
 
     def contrast(self, luminance: FloatArray, row: int, column: int) -> FloatArray:
-        """Compute the Weber contrast of a rectangle of luminance whose first pixel is at (row, column).
-
-        Pixels that do not belong to the background or the triangle are shown as background: 0.
+        """Compute the Weber contrast of a rectangle of luminance whose first pixel is at (row, column). Pixels
+        that do not belong to the background or the triangle are shown as background: 0.
         """
         n_rows, n_columns = luminance.shape
         contrast = luminance / self.luminance((row, row + n_rows), (column, column + n_columns)) - 1.0
@@ -145,9 +142,8 @@ class Surface(NamedTuple):
 
 
 def block_sums(values: FloatArray, row: int, column: int, block_px: int) -> tuple[FloatArray, tuple[int, int]]:
-    """Sum a rectangle over square blocks; return the sums and the row and column of the first block.
-
-    The first value is at (row, column) of a grid of blocks that begins at (0, 0).
+    """Sum a rectangle over square blocks; return the sums and the row and column of the first block. The first
+    value is at (row, column) of a grid of blocks that begins at (0, 0).
     """
     first = row // block_px, column // block_px
     if block_px == 1:
@@ -176,13 +172,12 @@ class SurroundSums:
             self.sums[first : first + len(sums)] += sums
 
     def surface(self) -> Surface:
-        """Fit the background.
-
-        First the extent of the background is found: in each of the four directions, from the triangle outwards, it
-        ends at the first row or column of blocks whose median differs from a prediction from those before it. A
-        surface is then fitted to the blocks around the triangle, outliers without weight. It is a constant unless
-        a higher degree describes the blocks better and is as certain under the triangle as the mean of one block.
-        Raises DataError if the window has no pixels around the triangle, or the background is not positive.
+        """Fit the background. First the extent of the background is found: in each of the four directions, from
+        the triangle outwards, it ends at the first row or column of blocks whose median differs from a prediction
+        from those before it. A surface is then fitted to the blocks around the triangle, outliers without weight.
+        It is a constant unless a higher degree describes the blocks better and is as certain under the triangle as
+        the mean of one block. Raises DataError if the window has no pixels around the triangle, or the background
+        is not positive.
         """
         window, triangle = self.window, self.triangle
         centroid = triangle.y_px, triangle.x_px
@@ -338,9 +333,8 @@ def _is_known(degree: int, u: FloatArray, v: FloatArray, hole: float) -> bool:
 
 
 def _robust(terms: FloatArray, means: FloatArray, share: FloatArray) -> tuple[FloatArray, float]:
-    """Fit terms to the means of blocks; return their factors and the standard deviation of the blocks.
-
-    The first steps minimise absolute deviations, which finds the majority; in the last, outliers have no weight.
+    """Fit terms to the means of blocks; return their factors and the standard deviation of the blocks. The first
+    steps minimise absolute deviations, which finds the majority; in the last, outliers have no weight.
     """
     if terms.shape[1] == 1:
         solution, first = np.array([_median(means)]), 3
@@ -375,13 +369,12 @@ def background_factor(
     columns: Range,
     magnification: float = 1.0,
 ) -> float:
-    """Return the factor by which a picture is brighter than another in a band around the triangle.
-
-    The band is that of `surround_window`; in a frame that is large enough, it leaves out what lies next to the
-    frame's edge, where filters act otherwise. The factor is the quotient of two means over the same blocks,
-    without those whose luminances deviate from it. `before` and `after` return the luminance of rows and columns
-    of the two pictures in cd/m²: `after` has `magnification` pixels, along each axis, for one of `before`, in
-    whose pixels the triangle and the frame are given. Raises DataError if most of the band has no light.
+    """Return the factor by which a picture is brighter than another in a band around the triangle. The band is
+    that of `surround_window`; in a frame that is large enough, it leaves out what lies next to the frame's edge,
+    where filters act otherwise. The factor is the quotient of two means over the same blocks, without those whose
+    luminances deviate from it. `before` and `after` return the luminance of rows and columns of the two pictures
+    in cd/m²: `after` has `magnification` pixels, along each axis, for one of `before`, in whose pixels the
+    triangle and the frame are given. Raises DataError if most of the band has no light.
     """
     block_px = max(int(triangle.size_px / BAND_BLOCKS_PER_SIZE), LEAST_BAND_BLOCK_PX)
     block_px = math.ceil(block_px / min(magnification, 1.0))

@@ -23,7 +23,6 @@ BLOCK = 4096
 
 class FrameReference(NamedTuple):
     """A frame as the manifest names it: its path relative to the dataset, its checksum and its background.
-
     `reference` is the path of the same frame without noise; None if there is none. `clip` is the name of the
     continuous recording that the frame is from, and `time_s` its time there in seconds; None if the manifest
     states none. `motion_px` is the triangle's displacement (x, y) in this frame from its mean place in the trial's
@@ -41,7 +40,6 @@ class FrameReference(NamedTuple):
 
 class SceneView(NamedTuple):
     """The background of a frame. Frames that agree in all three have the same pixels before triangle and noise.
-
     `scene` is the name of the image, `turn` how it is turned and mirrored, and `window` which part of it is shown.
     """
 
@@ -81,9 +79,8 @@ _ROW = np.dtype([(name, {"number": "i8", "level": "f8"}.get(name, "O")) for name
 
 
 class Trials(Sequence[Trial]):
-    """Trials in the order of the manifest, held as a structured array; a `Trial` is made when it is asked for.
-
-    The table does not change. One that is pickled takes along its own trials only, and if it is no selection, the
+    """Trials in the order of the manifest, held as a structured array; a `Trial` is made when it is asked for. The
+    table does not change. One that is pickled takes along its own trials only, and if it is no selection, the
     frames that are in no trial. Arrays that the properties return have an element for each trial.
     """
 
@@ -143,10 +140,9 @@ class Trials(Sequence[Trial]):
         return self._with(table)
 
     def with_warm_up(self, n_frames: int) -> Trials:
-        """Return the same trials with up to `n_frames` frames of warm-up each: `Trial.warm_up`.
-
-        They are the frames that come before the trial's first frame in its clip, whether they are judged or not. A
-        trial near the beginning of its clip has fewer, one without a clip none.
+        """Return the same trials with up to `n_frames` frames of warm-up each: `Trial.warm_up`. They are the
+        frames that come before the trial's first frame in its clip, whether they are judged or not. A trial near
+        the beginning of its clip has fewer, one without a clip none.
         """
         clips: dict[str | None, list[FrameReference]] = {}
         time_s = attrgetter("time_s")
@@ -173,9 +169,8 @@ class Trials(Sequence[Trial]):
 
     @property
     def unjudged_frames(self) -> Sequence[FrameReference]:
-        """Frames that are in no trial: those that the manifest marks as not judged.
-
-        Those of a selection are those of the trials that it was selected from.
+        """Frames that are in no trial: those that the manifest marks as not judged. Those of a selection are those
+        of the trials that it was selected from.
         """
         return self._whole._unjudged
 
@@ -315,9 +310,8 @@ def indices_by(codes: NDArray[np.integer]) -> list[NDArray[np.intp]]:
 
 
 def joined(first: Trial, other: Trial) -> tuple[Trial, FrameReference]:
-    """Return a trial of one frame that joins another trial, at that one's place, and its frame with its motion.
-
-    In a clip, the triangle may move from frame to frame: the place of `first` is that in its first frame.
+    """Return a trial of one frame that joins another trial, at that one's place, and its frame with its motion. In
+    a clip, the triangle may move from frame to frame: the place of `first` is that in its first frame.
     """
     (frame,) = other.frames
     if None in (first.frames[0].clip, frame.clip, first.x_px, first.y_px, other.x_px, other.y_px):

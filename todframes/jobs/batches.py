@@ -36,10 +36,9 @@ class DeadWorkerError(Exception):
 
 
 class PoolEngine(ABC):
-    """An `Engine` that hands batches to a pool of `n_workers`, in whose processes `do_batch` does them.
-
-    Messages call the pool `name`. A batch is meant to take `batch_s`; at most `batches_per_worker` are in flight
-    for each worker.
+    """An `Engine` that hands batches to a pool of `n_workers`, in whose processes `do_batch` does them. Messages
+    call the pool `name`. A batch is meant to take `batch_s`; at most `batches_per_worker` are in flight for each
+    worker.
     """
 
     dashboard: str | None = None
@@ -51,10 +50,8 @@ class PoolEngine(ABC):
         self.n_workers = n_workers
 
     def run(self, work: Work[T, R], items: Iterable[tuple[int, T]]) -> Generator[list[tuple[int, R]], None, None]:
-        """Yield the results of numbered items with their numbers, in batches, in any order.
-
-        SettingsError if the work cannot be pickled; TodframesError if workers cannot be started, cannot do the
-        work, or die with it.
+        """Yield the results of numbered items with their numbers, in batches, in any order. SettingsError if the
+        work cannot be pickled; TodframesError if workers cannot be started, cannot do the work, or die with it.
         """
         items, left = iter(items), list[Sequence[tuple[int, T]]]()
         seconds = self.batch_s  # that an item takes
@@ -105,7 +102,6 @@ class PoolEngine(ABC):
     @abstractmethod
     def _sent(self, work: bytes) -> AbstractContextManager[Callable[[bytes], Future[Done]]]:
         """Give a pickled work to the processes for a `with` statement, and drop batches that are left at its end.
-
         Yields the function that submits a batch of pickled items.
         """
 

@@ -49,7 +49,6 @@ LOGGERS = ("distributed", "tornado", "bokeh", "asyncio")
 @contextmanager
 def cluster_engine(cluster: str) -> Iterator[ClusterEngine]:
     """Yield the engine of a cluster: `local:N`, N processes of this machine, or the address of a Dask scheduler.
-
     SettingsError if the text is neither of the two; ClusterError if there is no scheduler or no worker.
     """
     local = re.fullmatch(LOCAL + "([1-9][0-9]*)", cluster)

@@ -25,10 +25,8 @@ from todframes.jobs.worker import Done, UnfitError, do_batch_of_file
 
 
 class ProcessEngine(PoolEngine):
-    """The engine of processes of this machine, which start with the first batches.
-
-    Each process imports the script that runs, so a script calls below `if __name__ == "__main__":`. All end with
-    this process, however it ends.
+    """The engine of processes of this machine, which start with the first batches. Each process imports the script
+    that runs, so a script calls below `if __name__ == "__main__":`. All end with this process, however it ends.
     """
 
     name, batch_s, batches_per_worker = "workers", 0.5, 2

@@ -26,14 +26,12 @@ Result = TypeVar("Result")
 
 
 class StoredWork(Work[Item_contra, Result], Protocol[Item_contra, Result]):
-    """Base class of `Work` whose results can be kept between runs.
-
-    The key of an item stands for all that its result depends on, the bytes of the files that it reads included.
+    """Base class of `Work` whose results can be kept between runs. The key of an item stands for all that its
+    result depends on, the bytes of the files that it reads included.
     """
 
     def key(self, item: Item_contra, *, is_done: bool) -> bytes | None:
         """Return the key of an item's result; None if it cannot be known, or the result is not to be kept.
-
         `is_done` states whether the function has just returned for this item, which may have checked its files.
         """
 
@@ -138,7 +136,6 @@ def run_stored(
     work: StoredWork[Item, Result], items: Sequence[Item], run: Run
 ) -> Generator[tuple[int, Result], None, None]:
     """Yield the result of each item with its index in `items`: first those in the store, then the others as done.
-
     Results are kept in the store in the batches in which they come, from the first one on; OutputError if it
     cannot be written. The progress counts items.
     """
@@ -174,9 +171,8 @@ def _results(
 
 @dataclass
 class Keyed(Generic[Item]):
-    """Work that gives each result after its key and the key by its stamp, or only the key of each item.
-
-    So keys are computed where the work is done. A result without a key is not kept.
+    """Work that gives each result after its key and the key by its stamp, or only the key of each item. So keys
+    are computed where the work is done. A result without a key is not kept.
     """
 
     work: StoredWork[Item, Any]

@@ -27,10 +27,9 @@ READ_AT_ONCE = 2**20
 
 
 class Store:
-    """Finished results by key, in a file that one process writes at a time; messages call it `name`.
-
-    When `add` has returned, its results survive the end of the process, however it ends; after a power failure the
-    last additions may be missing. A record whose checksum is wrong, and all behind it, is cut off when the file is
+    """Finished results by key, in a file that one process writes at a time; messages call it `name`. When `add`
+    has returned, its results survive the end of the process, however it ends; after a power failure the last
+    additions may be missing. A record whose checksum is wrong, and all behind it, is cut off when the file is
     opened. The checksum is no signature: whoever can write the file can write results into it. `tell` gets a
     remark if results of an earlier run are found; `n_used` of these this run has used.
     """

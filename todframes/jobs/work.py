@@ -38,7 +38,6 @@ class Work(Protocol[Item, Result]):
 
 class Engine(Protocol):
     """Protocol of objects that do the work of a run: in the calling thread, or in `n_workers` processes.
-
     `dashboard` is the address of a page that shows the work; None if there is none.
     """
 
@@ -46,10 +45,9 @@ class Engine(Protocol):
     dashboard: str | None
 
     def run(self, work: Work[T, R], items: Iterable[tuple[int, T]]) -> Generator[list[tuple[int, R]], None, None]:
-        """Yield the results of numbered items with their numbers, in batches, in any order.
-
-        Items are asked for as they are needed, few ahead. An exception of the function ends the run: it is raised
-        here, and items not begun are dropped, as they are by `close`.
+        """Yield the results of numbered items with their numbers, in batches, in any order. Items are asked for as
+        they are needed, few ahead. An exception of the function ends the run: it is raised here, and items not
+        begun are dropped, as they are by `close`.
         """
         ...
 

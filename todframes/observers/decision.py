@@ -316,12 +316,10 @@ def of_covariance(
     covariance: FloatArray, answers: slice = slice(None), *, extended: bool = True
 ) -> tuple[FloatArray, FloatArray]:
     """Compute the edges from some scores to the three others, in the order of `OTHERS`, and the angles between
-    them, in that of `PAIRS`, (matrix, answers, 3) each, of checked covariances (matrix, 4, 4).
-
-    The angle is Kahan's, from the three edges of a face, so that slender faces keep their digits. A rounding of
-    1e-16 in the covariance can turn it by 1e-8: hence `extended` precision (where the platform has it) for
-    matrices that are nearly singular, and a face whose area is lost in that rounding, though its edges are not, is
-    taken as flat.
+    them, in that of `PAIRS`, (matrix, answers, 3) each, of checked covariances (matrix, 4, 4). The angle is
+    Kahan's, from the three edges of a face, so that slender faces keep their digits. A rounding of 1e-16 in the
+    covariance can turn it by 1e-8: hence `extended` precision (where the platform has it) for matrices that are
+    nearly singular, and a face whose area is lost in that rounding, though its edges are not, is taken as flat.
     """
     own, first, second = _ANSWERS[answers], _FIRST[answers], _SECOND[answers]
     exact: NDArray[Any] = covariance.astype(np.longdouble) if extended else covariance

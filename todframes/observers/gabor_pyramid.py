@@ -27,13 +27,11 @@ CUT = 4.0
 @dataclass(frozen=True, slots=True)
 class GaborPyramid:
     """Gabor functions of many orientations on the levels of a Gaussian pyramid, with parameters as in
-    `OrientedSettings`. Daugman 1985; Burt & Adelson 1983.
-
-    One half of the orientations is the other half after a quarter turn, sample by sample. So a turned image causes
-    the turned responses: that of each neuron appears at the turned place, in the neuron of the turned orientation.
-    Together the neurons of a place respond to gratings of their level's best frequency with the grating's own
-    energy, averaged over its direction, however many orientations and phases they are divided into. None responds
-    to a uniform field.
+    `OrientedSettings`. Daugman 1985; Burt & Adelson 1983. One half of the orientations is the other half after a
+    quarter turn, sample by sample. So a turned image causes the turned responses: that of each neuron appears at
+    the turned place, in the neuron of the turned orientation. Together the neurons of a place respond to gratings
+    of their level's best frequency with the grating's own energy, averaged over its direction, however many
+    orientations and phases they are divided into. None responds to a uniform field.
     """
 
     levels: int

@@ -88,12 +88,10 @@ def fourth_cumulants(factor: ArrayLike, *, excess_kurtosis: float) -> FloatArray
 
 def edgeworth_correction(score: ArrayLike, covariance: ArrayLike, fourth_cumulant: ArrayLike) -> FloatArray:
     """Compute the correction of `answer_probabilities`, (..., 4) with sum 0, for the fourth cumulants of the
-    noise, (..., 4, 4, 4, 4). Scores and covariances are as there.
-
-    For the summed noise of the observer's neurons corrections leave errors below 8e-5 for triangles of 0.3 mrad,
-    where the Gaussian is 2.6e-3 off, and below 8e-6 at 1 mrad. They are 0 for answers that differ from another
-    without noise, and where noise is all but in a plane: there the term is no approximation. The triangles' never
-    is.
+    noise, (..., 4, 4, 4, 4). Scores and covariances are as there. For the summed noise of the observer's neurons
+    corrections leave errors below 8e-5 for triangles of 0.3 mrad, where the Gaussian is 2.6e-3 off, and below 8e-6
+    at 1 mrad. They are 0 for answers that differ from another without noise, and where noise is all but in a
+    plane: there the term is no approximation. The triangles' never is.
     """
     scores, covariances, cumulants = (
         np.asarray(a, dtype=np.float64) for a in (score, covariance, fourth_cumulant)

@@ -50,13 +50,12 @@ class PlaceProbabilities(NamedTuple):
 def unknown_place_probabilities(
     score: ArrayLike, covariance: ArrayLike, *, empty_places: int = 0
 ) -> PlaceProbabilities:
-    """Compute the probability of each answer by the largest of the scores of all places, (..., place, 4).
-
-    Unlike for a known place, the part that the four scores of a place have in common matters. The covariance is
-    that of the Gaussian noise on the scores of a place, (4, 4), the same at all places, which are then
-    independent; or the joint one, (place, 4, place, 4). `empty_places` more have mean scores of 0, if all are
-    independent. SettingsError if a shape or value is wrong, a matrix is no covariance, or the covariance is not
-    the same at all places.
+    """Compute the probability of each answer by the largest of the scores of all places, (..., place, 4). Unlike
+    for a known place, the part that the four scores of a place have in common matters. The covariance is that of
+    the Gaussian noise on the scores of a place, (4, 4), the same at all places, which are then independent; or the
+    joint one, (place, 4, place, 4). `empty_places` more have mean scores of 0, if all are independent.
+    SettingsError if a shape or value is wrong, a matrix is no covariance, or the covariance is not the same at all
+    places.
     """
     scores = np.asarray(score, dtype=np.float64)
     if scores.ndim < 2 or scores.shape[-1] != 4:

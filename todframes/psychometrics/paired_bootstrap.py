@@ -62,12 +62,11 @@ def ratio_draws(
     backgrounds: NDArray[np.integer] | None = None,
     drawn_backgrounds: BackgroundDraws | None = None,
 ) -> list[RatioDraws]:
-    """Compare the thresholds of pairs of series of answers, (series, trial), to the same trials.
-
-    In each repeated experiment the trials of a level are drawn with replacement, the same ones for all series, and
-    curves are fitted to all. If the trials' backgrounds are given, indices into the columns of
-    `drawn_backgrounds.weights`, these are drawn in place of trials. `fits` are those of the series, all with the
-    same curve; a pair has the number of the series whose threshold is divided, and of that by which it is.
+    """Compare the thresholds of pairs of series of answers, (series, trial), to the same trials. In each repeated
+    experiment the trials of a level are drawn with replacement, the same ones for all series, and curves are
+    fitted to all. If the trials' backgrounds are given, indices into the columns of `drawn_backgrounds.weights`,
+    these are drawn in place of trials. `fits` are those of the series, all with the same curve; a pair has the
+    number of the series whose threshold is divided, and of that by which it is.
     """
     if len(np.unique(level)) < 2:
         return [RatioDraws(None, None, np.zeros(settings.resamples)) for _ in pairs]

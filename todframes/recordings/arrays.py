@@ -45,7 +45,6 @@ def recognises(path: Path, start: bytes) -> bool:  # noqa: ARG001 - other reader
 
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
     """Return the shape, number of frames and scale of an array, (frames, rows, columns[, 3]) or (rows, columns).
-
     Raises FrameError if the file has no such array, is shorter than its header says, or a frame is too large.
     """
     with _opened(path, max_frame_mb) as (_, layout):
@@ -56,9 +55,8 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
 
 
 def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
-    """Yield the frames of an array: integers without sign as they are, other numbers as 32-bit floats.
-
-    Raises FrameError if the file ends early, or a value is NaN or infinite.
+    """Yield the frames of an array: integers without sign as they are, other numbers as 32-bit floats. Raises
+    FrameError if the file ends early, or a value is NaN or infinite.
     """
     with _opened(path, max_frame_mb) as (file, layout):
         size = math.prod(layout.frame_shape) * layout.dtype.itemsize
@@ -79,9 +77,8 @@ def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
 
 
 def memory_recording(values: NDArray[Any], *, frames_per_second: float | None) -> Recording:
-    """Return the recording of an array in memory; shapes and types are those of files.
-
-    Raises DataError if the shape or type is another, or a value is NaN or infinite.
+    """Return the recording of an array in memory; shapes and types are those of files. Raises DataError if the
+    shape or type is another, or a value is NaN or infinite.
     """
     where = "recording: an array"
     frame_shape = _frame_shape(values.shape, values.dtype, lambda problem: DataError(f"{where}: {problem}"))

@@ -40,10 +40,9 @@ def recognises(path: Path, start: bytes) -> bool:  # noqa: ARG001 - other reader
 
 
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
-    """Return the size of the frames of a film, their number and their times.
-
-    Raises FrameError if the film is truncated, its frames are too large, its headers contradict each other, or its
-    values are other than counts of 16 bits.
+    """Return the size of the frames of a film, their number and their times. Raises FrameError if the film is
+    truncated, its frames are too large, its headers contradict each other, or its values are other than counts of
+    16 bits.
     """
     with file_errors(path, "read"), path.open("rb") as file:
         layout = _layout(path, file, max_frame_mb)

@@ -24,10 +24,8 @@ def recognises(path: Path, start: bytes) -> bool:  # noqa: ARG001 - other reader
 
 
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
-    """Return the size, scale, number of pages and frame rate of an image file.
-
-    Raises FrameError if the file is damaged or too large, its pages differ, or its pixel type or channels are none
-    of ours.
+    """Return the size, scale, number of pages and frame rate of an image file. Raises FrameError if the file is
+    damaged or too large, its pages differ, or its pixel type or channels are none of ours.
     """
     with FrameFile(path, formats=PICTURE_FORMATS, max_frame_mb=max_frame_mb) as file:
         alike = attrgetter("height", "width", "channels", "pixel_type", "full_scale")

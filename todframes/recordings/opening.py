@@ -63,12 +63,11 @@ def open_recordings(
     frames_per_second: float | None = None,
     max_frame_mb: int = MAX_FRAME_MB,
 ) -> tuple[Recording, ...]:
-    """Open recordings: each video or array is one, all image files together are one, as are those of a folder.
-
-    A sequence of images stands where its first image stands, its frames in the natural order of their names:
-    frame_9 before frame_10. A file `times.csv` in a folder of images has their times, in the columns `file` and
-    `time_s`. A frame rate that is given replaces what the files say. `max_frame_mb` limits a frame in 2**20 bytes:
-    all channels in their own pixel types, at least 8 bytes a pixel. Raises DataError or FrameError if there are no
+    """Open recordings: each video or array is one, all image files together are one, as are those of a folder. A
+    sequence of images stands where its first image stands, its frames in the natural order of their names: frame_9
+    before frame_10. A file `times.csv` in a folder of images has their times, in the columns `file` and `time_s`.
+    A frame rate that is given replaces what the files say. `max_frame_mb` limits a frame in 2**20 bytes: all
+    channels in their own pixel types, at least 8 bytes a pixel. Raises DataError or FrameError if there are no
     files, or one cannot be read or does not belong to the others.
     """
     check_rate(frames_per_second)
@@ -98,9 +97,8 @@ def one_recording(
     frames_per_second: float | None = None,
     max_frame_mb: int = MAX_FRAME_MB,
 ) -> Recording:
-    """Return the one recording of files, as `open_recordings` opens them, or that of an array in memory.
-
-    Raises DataError if there are several, with a message that begins with `where`, or the array is no recording.
+    """Return the one recording of files, as `open_recordings` opens them, or that of an array in memory. Raises
+    DataError if there are several, with a message that begins with `where`, or the array is no recording.
     """
     if isinstance(source, np.ndarray):
         return memory_recording(source, frames_per_second=frames_per_second)
@@ -133,10 +131,9 @@ def _folder(folder: Path, frames_per_second: float | None, max_frame_mb: int) ->
 
 
 def _times_s(path: Path, files: Sequence[Path]) -> dict[str, float]:
-    """Return the times of the stills beside a times.csv, by file name.
-
-    Raises DataError if the file cannot be read, leads out of its folder, leaves a file out, names one twice or one
-    that is not there, or a time is not later than that of the still before, in the natural order of names.
+    """Return the times of the stills beside a times.csv, by file name. Raises DataError if the file cannot be
+    read, leads out of its folder, leaves a file out, names one twice or one that is not there, or a time is not
+    later than that of the still before, in the natural order of names.
     """
     path_inside(resolved(path.parent), path.name, f"{path.parent}:")
     _, rows = read_table(path, ["file", "time_s"])

@@ -56,10 +56,9 @@ ABSOLUTE_ZERO_CELSIUS = -273.15
 
 
 class Radiometry(NamedTuple):
-    """Constants that turn counts into temperatures: of the camera (Planck), and of the scene.
-
-    counts = r1 / (r2 (exp(b / T) − f)) − o for a black body of T kelvin. `emissivity` is that of the object, which
-    reflects surroundings of `reflected_celsius`. The air between is taken as transparent.
+    """Constants that turn counts into temperatures: of the camera (Planck), and of the scene. counts = r1 / (r2
+    (exp(b / T) − f)) − o for a black body of T kelvin. `emissivity` is that of the object, which reflects
+    surroundings of `reflected_celsius`. The air between is taken as transparent.
     """
 
     r1: float
@@ -94,10 +93,9 @@ def recognises(path: Path, start: bytes) -> bool:
 
 
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
-    """Return the size of the counts of a file, its number of frames and their times.
-
-    Raises FrameError if a container is damaged or too large, its counts are compressed in an unknown way, or two
-    of a file differ in size; DataError if counts are compressed by JPEG-LS and PyAV is not installed.
+    """Return the size of the counts of a file, its number of frames and their times. Raises FrameError if a
+    container is damaged or too large, its counts are compressed in an unknown way, or two of a file differ in
+    size; DataError if counts are compressed by JPEG-LS and PyAV is not installed.
     """
     with _opened(path) as file:
         shapes, times_s, largest_error = [], [], 0
@@ -138,9 +136,8 @@ def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[np.uint16]]:
 
 
 def read_radiometry(path: Path) -> Radiometry:
-    """Return the constants that a file has for its temperatures; of a SEQ, those of its first frame.
-
-    Raises FrameError if the file has none, or they are no constants of a camera.
+    """Return the constants that a file has for its temperatures; of a SEQ, those of its first frame. Raises
+    FrameError if the file has none, or they are no constants of a camera.
     """
     with _opened(path) as file:
         begin, length = _record(path, next(_containers(path, file)), CAMERA_INFO, 0x310)
@@ -257,7 +254,6 @@ Storage = Literal["<u2", ">u2", "PNG", "JPEG-LS"]
 
 class _Counts(NamedTuple):
     """The place of the counts of a container, (first byte, bytes), their shape, and their type or compression.
-
     `largest_error` is the number of counts by which compression may have changed each of them.
     """
 
@@ -325,9 +321,8 @@ def _values(path: Path, counts: _Counts, data: bytes, frame: str, max_frame_mb: 
 
 
 def _in_order(counts: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Return the counts of a PNG with their two bytes in the order in which the picture is smoother.
-
-    Most of FLIR's cameras write the low byte first, against the PNG standard, and nothing in the file says so.
+    """Return the counts of a PNG with their two bytes in the order in which the picture is smoother. Most of
+    FLIR's cameras write the low byte first, against the PNG standard, and nothing in the file says so.
     """
     other = counts.byteswap()
     as_stored, swapped = (np.abs(np.diff(one.astype(np.int32))).sum() for one in (counts, other))

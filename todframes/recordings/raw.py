@@ -38,10 +38,9 @@ def recognises(path: Path, start: bytes) -> bool:  # noqa: ARG001 - other reader
 
 
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
-    """Return the size, black level and white level of a raw file; the file is unpacked for it.
-
-    Raises DataError if rawpy is not installed, and FrameError if the file is damaged or too large, its data are
-    missing, or it has a mosaic other than Bayer's.
+    """Return the size, black level and white level of a raw file; the file is unpacked for it. Raises DataError if
+    rawpy is not installed, and FrameError if the file is damaged or too large, its data are missing, or it has a
+    mosaic other than Bayer's.
     """
     with _opened(path, max_frame_mb) as raw:
         values, used = _values(path, raw)
@@ -53,10 +52,9 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
 
 
 def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
-    """Yield one frame of linear sensor values, black level included.
-
-    A sensor without a mosaic gives its values. Of a Bayer mosaic, each cell of 2 × 2 gives the mean of its two
-    green values: half the rows and columns, but nothing is interpolated between cells.
+    """Yield one frame of linear sensor values, black level included. A sensor without a mosaic gives its values.
+    Of a Bayer mosaic, each cell of 2 × 2 gives the mean of its two green values: half the rows and columns, but
+    nothing is interpolated between cells.
     """
     with _opened(path, max_frame_mb) as raw:
         yield _values(path, raw)[0]

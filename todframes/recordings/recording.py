@@ -36,10 +36,9 @@ Unit = Literal["code", "counts", "celsius"]
 
 
 class RecordedFrame(NamedTuple):
-    """One frame: the values as recorded, their time and origin.
-
-    `values` has shape (rows, columns), or (rows, columns, 3) for R, G, B, and is uint8, uint16 or float32.
-    `time_s` is the presentation time in seconds, None if it is not known. `source` names the frame in messages.
+    """One frame: the values as recorded, their time and origin. `values` has shape (rows, columns), or (rows,
+    columns, 3) for R, G, B, and is uint8, uint16 or float32. `time_s` is the presentation time in seconds, None if
+    it is not known. `source` names the frame in messages.
     """
 
     values: NDArray[Any]
@@ -78,10 +77,9 @@ class Recording:
     read: Callable[[], Iterator[RecordedFrame]]
 
     def frames(self) -> Iterator[RecordedFrame]:
-        """Return a new iterator over the frames, from the first; memory does not grow with their number.
-
-        Raises FrameError or DataError if a frame is damaged or has another size; those before it are good. Also if
-        there is no frame at all.
+        """Return a new iterator over the frames, from the first; memory does not grow with their number. Raises
+        FrameError or DataError if a frame is damaged or has another size; those before it are good. Also if there
+        is no frame at all.
         """
         is_empty = True
         for frame in self.read():
@@ -99,10 +97,9 @@ class CodeRange(NamedTuple):
 
 
 def code_range(recording: Recording, asked: tuple[float, float] | None, name: str = "value_range") -> CodeRange:
-    """Return the range of a recording: the one asked for, or black and white of the recording.
-
-    `name` is that of the argument that asks for it. Raises SettingsError if the recording has no white and none is
-    asked for, or two numbers that do not ascend.
+    """Return the range of a recording: the one asked for, or black and white of the recording. `name` is that of
+    the argument that asks for it. Raises SettingsError if the recording has no white and none is asked for, or two
+    numbers that do not ascend.
     """
     name = getattr(argument, name)
     if asked is not None:
@@ -151,11 +148,10 @@ class StillHeader(NamedTuple):
 
 
 class RecordingReader(Protocol):
-    """Protocol of a module, or object, registered under the entry-point group `todframes.readers`.
-
-    With the attribute `JOINS_FILES`, if it is true, files given together are one recording. A reader whose frames
-    have times that only decoding gives has `open_recording(path, *, frames_per_second, max_frame_mb)`, which
-    returns a `Recording`, in place of `read_header` and `read_frames`.
+    """Protocol of a module, or object, registered under the entry-point group `todframes.readers`. With the
+    attribute `JOINS_FILES`, if it is true, files given together are one recording. A reader whose frames have
+    times that only decoding gives has `open_recording(path, *, frames_per_second, max_frame_mb)`, which returns a
+    `Recording`, in place of `read_header` and `read_frames`.
     """
 
     def recognises(self, path: Path, start: bytes) -> bool:
@@ -206,11 +202,10 @@ def still_recording(
     max_frame_mb: int,
     times_s: Mapping[str, float] | None = None,
 ) -> Recording:
-    """Return one recording of still frames, of one file or more, in the order of their names.
-
-    It has the name of the folder, or else of the first file. `times_s` has the time of each file by its name, in
-    place of those in the files. Raises FrameError if a header cannot be read, a frame is too large, or two files
-    differ in size, channels or scale.
+    """Return one recording of still frames, of one file or more, in the order of their names. It has the name of
+    the folder, or else of the first file. `times_s` has the time of each file by its name, in place of those in
+    the files. Raises FrameError if a header cannot be read, a frame is too large, or two files differ in size,
+    channels or scale.
     """
     paths = natural_order(paths)
     headers = [reader.read_header(path, max_frame_mb) for path in paths]
@@ -262,10 +257,8 @@ def still_recording(
 def _clock(
     paths: Sequence[Path], headers: Sequence[StillHeader], asked: float | None
 ) -> tuple[float | None, Callable[[int], float | None], Sequence[RecordingWarning]]:
-    """Return the rate of a sequence, a function that returns a frame's time, and warnings.
-
-    Times begin at 0. They are by the rate asked for or in the first header, else those of the files; None if
-    nothing gives them.
+    """Return the rate of a sequence, a function that returns a frame's time, and warnings. Times begin at 0. They
+    are by the rate asked for or in the first header, else those of the files; None if nothing gives them.
     """
     rate = asked or headers[0].frames_per_second
     if rate is not None:

@@ -89,10 +89,9 @@ def pixel_format(name: str) -> PixelFormat | None:
 
 
 def open_recording(path: Path, *, frames_per_second: float | None, max_frame_mb: int) -> Recording:
-    """Open a video file; its first frame is decoded, to know the pixel format, range and matrix.
-
-    Raises DataError if PyAV is not installed, and FrameError if the file has no video, FFmpeg has no decoder for
-    it, its frames are too large, its first frame cannot be decoded, or its pixel format is none of ours.
+    """Open a video file; its first frame is decoded, to know the pixel format, range and matrix. Raises DataError
+    if PyAV is not installed, and FrameError if the file has no video, FFmpeg has no decoder for it, its frames are
+    too large, its first frame cannot be decoded, or its pixel format is none of ours.
     """
     with _opened(path, max_frame_mb) as (container, stream):
         first = next(_decoded(path, container, stream, max_frame_mb), None)
@@ -173,9 +172,8 @@ def _limit(max_frame_mb: int) -> dict[str, str]:
 
 @contextmanager
 def _opened(path: Path, max_frame_mb: int) -> Iterator[tuple[InputContainer, VideoStream]]:
-    """Open a file and its first video stream, to decode in as many threads as there are processors.
-
-    FFmpeg decodes frames already when it opens a file, so it is given the largest number of pixels before.
+    """Open a file and its first video stream, to decode in as many threads as there are processors. FFmpeg decodes
+    frames already when it opens a file, so it is given the largest number of pixels before.
     """
     av = pyav(path)
     with path.open("rb") as file:
@@ -293,9 +291,8 @@ def _frames(
 
 
 def decoded_jpeg_ls(path: Path, data: bytes, shape: tuple[int, int], max_frame_mb: int) -> NDArray[np.uint16]:
-    """Decode a grey JPEG-LS image of 16 bits and a given shape, which may have zeros behind its end.
-
-    Raises DataError if PyAV is not installed, and FrameError if the image is damaged or has another size.
+    """Decode a grey JPEG-LS image of 16 bits and a given shape, which may have zeros behind its end. Raises
+    DataError if PyAV is not installed, and FrameError if the image is damaged or has another size.
     """
     av = pyav(path)
     data = data.rstrip(b"\0")
@@ -338,9 +335,8 @@ def _duration_s(container: InputContainer, stream: VideoStream) -> float | None:
 
 
 def _levels_of(frame: VideoFrame, layout: PixelFormat) -> Levels:
-    """Return the levels of a frame (Rec. ITU-R BT.601 and BT.709).
-
-    Without a declared range (0), it is limited (1) for Y'CbCr, else full.
+    """Return the levels of a frame (Rec. ITU-R BT.601 and BT.709). Without a declared range (0), it is limited (1)
+    for Y'CbCr, else full.
     """
     declared, white = int(frame.color_range), 2.0**layout.bits - 1
     by_name = "yuvj" not in frame.format.name and layout.family == "yuv"
@@ -373,10 +369,8 @@ def _values(frame: VideoFrame, layout: PixelFormat, matrix: int) -> NDArray[Any]
 
 
 def _rgb(planes: Sequence[NDArray[Any]], layout: PixelFormat, scale: Levels, matrix: int) -> NDArray[np.float32]:
-    """Convert planes of Y'CbCr to R'G'B' with white 1 and black 0, unclipped; (rows, columns, 3).
-
-    Chroma samples hold over the pixels that they cover: nothing is interpolated. Rec. ITU-R BT.709-6, item 3,
-    solved for R'G'B'.
+    """Convert planes of Y'CbCr to R'G'B' with white 1 and black 0, unclipped; (rows, columns, 3). Chroma samples
+    hold over the pixels that they cover: nothing is interpolated. Rec. ITU-R BT.709-6, item 3, solved for R'G'B'.
     """
     luma, cb, cr = (plane.astype(np.float32) for plane in planes)
     (red_weight, blue_weight), (across, down) = MATRICES[matrix], layout.per_chroma

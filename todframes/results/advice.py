@@ -49,7 +49,6 @@ def above_contrast_1(
     fits: Sequence[Fit], is_easier_if_smaller: Callable[[Fit], bool], aperture_sd_deg: float | None
 ) -> tuple[ResultWarning, ...]:
     """Return a warning for each threshold contrast above 1, which no triangle darker than its background has.
-
     `is_easier_if_smaller` returns whether a smaller triangle has a lower threshold. `aperture_sd_deg` is the
     standard deviation of the observer's aperture, if it has one.
     """
@@ -89,12 +88,10 @@ def _is_too_wide(fit: Fit, aperture_sd_deg: float | None) -> bool:
 
 
 def levels_to_add(fits: Sequence[Fit], aperture_sd_deg: float | None = None) -> tuple[ResultWarning, ...]:
-    """Return a warning for each threshold that the data leave open, with levels that would settle it.
-
-    Where scenes alone leave it open, the warning asks for more of them, and for no levels; where the triangle is
-    wider than the observer's aperture, whose standard deviation is `aperture_sd_deg`, for smaller sizes.
-
-    Nothing is said about other curves that stay near chance at all levels: stronger ones are not known to help.
+    """Return a warning for each threshold that the data leave open, with levels that would settle it. Where scenes
+    alone leave it open, the warning asks for more of them, and for no levels; where the triangle is wider than the
+    observer's aperture, whose standard deviation is `aperture_sd_deg`, for smaller sizes. Nothing is said about
+    other curves that stay near chance at all levels: stronger ones are not known to help.
     """
     warnings = []
     for fit in fits:
@@ -125,7 +122,6 @@ def levels_to_add(fits: Sequence[Fit], aperture_sd_deg: float | None = None) -> 
 
 def numerical_errors(fits: Sequence[Fit], tolerance: float | None) -> tuple[ResultWarning, ...]:
     """Return a warning for each threshold that is too uncertain, or whose numerical error misses the tolerance.
-
     Without a tolerance the error is not compared with one.
     """
     warnings = []

@@ -219,7 +219,6 @@ class Thumbnail(Struct, frozen=True):
 
 class Example(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A trial near threshold, the frame as displayed and the observer's images of it; or a strong trial, whole.
-
     There is one for each of at most four groups; a group without a threshold has its strongest trial. `pictures`
     are PNG in base64.
     """
@@ -445,9 +444,8 @@ T = TypeVar("T")
 
 
 def json_file(content: object) -> bytes:
-    """Return a record as indented JSON; NaN becomes null.
-
-    Characters that a terminal would obey are escaped; the values of the JSON are the same.
+    """Return a record as indented JSON; NaN becomes null. Characters that a terminal would obey are escaped; the
+    values of the JSON are the same.
     """
     text = msgspec.json.format(msgspec.json.encode(content), indent=2).decode()
     return (visible_json(text) + "\n").encode()
@@ -455,17 +453,15 @@ def json_file(content: object) -> bytes:
 
 def as_read(values: object, kind: type[T]) -> T:
     """Return values as they are read from their JSON, to equal what is loaded: what is not finite becomes None.
-
     Arrays become lists.
     """
     return msgspec.json.decode(msgspec.json.encode(values, enc_hook=lambda array: array.tolist()), type=kind)
 
 
 def decode(content: bytes, where: str, kind: type[S]) -> S:
-    """Return the keys of a result that a record of this kind has, decoded from JSON and checked.
-
-    The JSON may begin with a byte-order mark. DataError if it is not JSON, or a value is not of its type; the
-    message begins with `where`, the name of the file.
+    """Return the keys of a result that a record of this kind has, decoded from JSON and checked. The JSON may
+    begin with a byte-order mark. DataError if it is not JSON, or a value is not of its type; the message begins
+    with `where`, the name of the file.
     """
     try:
         return msgspec.json.decode(content.removeprefix(b"\xef\xbb\xbf"), type=kind)

@@ -52,9 +52,8 @@ class ReportFigure(NamedTuple):
 
 
 def save_png(figure: Figure, note: str = "") -> bytes:
-    """Return the PNG of a figure with a note below it, inside `style`; the same figure gives the same bytes.
-
-    A canvas draws the figure once. `Figure.savefig` draws it twice, first for its layout alone.
+    """Return the PNG of a figure with a note below it, inside `style`; the same figure gives the same bytes. A
+    canvas draws the figure once. `Figure.savefig` draws it twice, first for its layout alone.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 

@@ -50,9 +50,8 @@ STYLE: dict[str, Any] = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Set the style of all figures for the block, in which they must be made and saved.
-
-    Settings of the user, from a file or from the program that runs, have no effect.
+    """Set the style of all figures for the block, in which they must be made and saved. Settings of the user, from
+    a file or from the program that runs, have no effect.
     """
     import matplotlib as mpl
 

@@ -86,7 +86,6 @@ def psychometric_figures(
     fits: Sequence[Fit], styles: Styles, file: str = "", *, of: str = "", curves: str = ""
 ) -> list[ReportFigure]:
     """Return the figure of psychometric functions, with what they are of; an empty list if there are no points.
-
     `curves` explains the curves.
     """
     seen = [fit for fit in fits if fit.points]
@@ -116,7 +115,6 @@ def tod_note(fits: Sequence[Fit]) -> str:
 
 def by_field_map(fits: Sequence[Fit]) -> dict[str, list[Fit]]:
     """Return the fits of each map of the field, by a title: those of a chart at two or more places of the picture.
-
     Fits of one map differ in their places alone.
     """
     maps: dict[str, list[Fit]] = {}
@@ -151,7 +149,6 @@ def _field_note(fits: Sequence[Fit]) -> str:
 
 def draw_field_map(axes: Axes, fits: Sequence[Fit]) -> None:
     """Draw thresholds over the field of a camera: a disc and its numbers at each place, equal angles equally long.
-
     At least one fit must have a threshold, and two must have different places.
     """
     places = np.array([_field_place(fit) for fit in fits])
@@ -198,7 +195,6 @@ def has_tod_curve(fits: Sequence[Fit]) -> bool:
 
 def draw_tod(axes: Axes, fits: Sequence[Fit], styles: Styles = NO_STYLES, *, line: str = "-") -> None:
     """Draw the TOD curve of fits that have one: threshold against size, with intervals, and ΔT if it is known.
-
     `styles` has that of each algorithm; `line` is matplotlib's style of the lines between thresholds.
     """
     name = size_column(fits)
@@ -276,9 +272,8 @@ def _temperature_axis(axes: Axes, drawn: Sequence[Drawn]) -> None:
 
 
 def draw_psychometric(axes: Axes, fits: Sequence[Fit], styles: Styles = NO_STYLES) -> None:
-    """Draw proportion correct against level: points, fitted curves, criterion and guess rate.
-
-    At least one fit must have points; fits without points are left out.
+    """Draw proportion correct against level: points, fitted curves, criterion and guess rate. At least one fit
+    must have points; fits without points are left out.
     """
     fits = evenly([fit for fit in fits if fit.points], MOST_CURVES)
     levels = [within(point.level) for fit in fits for point in fit.points]

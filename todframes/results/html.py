@@ -173,14 +173,11 @@ def notebook_page(sentences: Sequence[str], shown: Sequence[Table], figures: Seq
 
 
 def inline_svg(figure: Figure, *, name: str, label: str) -> str:
-    """Return the figure as an `svg` element for an HTML page; both are made inside `figure_style.style`.
-
-    Ink becomes the page's text colour and paper its background, so a figure follows a dark page. Text stays text,
-    in the page's font.
-
-    It is well-formed XML without document type, namespaces, style sheet or date; the same figure gives the same
-    text. `name` is unique in the page: matplotlib derives the ids of clips and markers from it. `label` describes
-    the figure for readers who do not see it.
+    """Return the figure as an `svg` element for an HTML page; both are made inside `figure_style.style`. Ink
+    becomes the page's text colour and paper its background, so a figure follows a dark page. Text stays text, in
+    the page's font. It is well-formed XML without document type, namespaces, style sheet or date; the same figure
+    gives the same text. `name` is unique in the page: matplotlib derives the ids of clips and markers from it.
+    `label` describes the figure for readers who do not see it.
     """
     import matplotlib as mpl
 

@@ -49,9 +49,7 @@ LARGEST_LIST = 10_000
 
 class Kind(NamedTuple):
     """The result of a command: title of its page, "module:function" of its call, class of its content, a key that
-    this must have.
-
-    The class is one of the call's module, unless it has a module in front.
+    this must have. The class is one of the call's module, unless it has a module in front.
     """
 
     title: str

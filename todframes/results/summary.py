@@ -35,7 +35,6 @@ def size_column(fits: Sequence[Fit]) -> str | None:
 
 def by_curve(fits: Sequence[Fit]) -> dict[str, list[Fit]]:
     """Return the fits of each curve, which differ in size alone, sorted by size; "" is the key of a single curve.
-
     Without a column of sizes each fit is a curve of its own.
     """
     size = size_column(fits)

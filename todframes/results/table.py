@@ -108,7 +108,6 @@ class Column:
 
 class LongRecords(Sequence[Mapping[str, Any]]):
     """Records that are made from columns, block by block, each time they are read: not all are in memory at once.
-
     `kinds` has the type of each column's values: str, bool, int or float. `n` is the number of records, and
     `blocks` returns an iterator over mappings of all keys, in the order of `kinds`, to lists of values.
     """
@@ -376,10 +375,9 @@ def has_parquet() -> bool:
 
 
 def parquet_parts(table: Table) -> Iterator[bytes]:
-    """Yield a table of long records as a Parquet file, made when it is asked for.
-
-    Columns are those of the CSV: texts, whole numbers and exact doubles, and null where there is no value. In a
-    column of both numbers and texts all values are texts.
+    """Yield a table of long records as a Parquet file, made when it is asked for. Columns are those of the CSV:
+    texts, whole numbers and exact doubles, and null where there is no value. In a column of both numbers and texts
+    all values are texts.
     """
     import pyarrow as pa
     from pyarrow.parquet import write_table

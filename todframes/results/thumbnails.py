@@ -63,7 +63,6 @@ def pictures(
     white: float | None = None,
 ) -> tuple[float, tuple[Thumbnail, ...]]:
     """Draw the triangle and its surroundings: display, retina image and bands. Return the width in mrad, too.
-
     `shown` are the frames of one trial; the picture is their mean, and background beyond the end of a frame.
     `retina` is the observer's input, in contrast, (side, side). The display's grey is sRGB for the luminance, from
     its black to `white`, a contrast, which is the picture's `scale`; by default 1, or the largest contrast. In the

@@ -21,12 +21,10 @@ from todframes.stimulus import Centre
 
 
 def background_spectrum(dataset: Dataset, trials: Trials, centre: Centre) -> tuple[tuple[float, float], ...]:
-    """Measure the spectral density behind the triangles.
-
-    Returns frequencies in cycles/degree, ascending, and the mean density over all directions, in squared contrast
-    × squared degrees, as displayed: pixels are held over their area. `centre` is the point of the triangle that
-    lies at the frame's centre where the manifest has no position. Raises DataError if no frame can be read, or
-    frames end too near to the triangle.
+    """Measure the spectral density behind the triangles. Returns frequencies in cycles/degree, ascending, and the
+    mean density over all directions, in squared contrast × squared degrees, as displayed: pixels are held over
+    their area. `centre` is the point of the triangle that lies at the frame's centre where the manifest has no
+    position. Raises DataError if no frame can be read, or frames end too near to the triangle.
     """
     weak = trials.select(trials.levels <= np.median(trials.levels))
     chosen = weak.select(np.unique(np.linspace(0, len(weak) - 1, 64).astype(np.intp)))
@@ -53,9 +51,8 @@ def background_spectrum(dataset: Dataset, trials: Trials, centre: Centre) -> tup
 
 
 def _periodogram(dataset: Dataset, trial: Trial, centre: Centre) -> tuple[FloatArray, FloatArray]:
-    """Compute radial frequencies in cycles/degree and the density at each, of the mean of a trial's frames.
-
-    Those that the window does not resolve, and those beyond the Nyquist frequency of the axes, are left out.
+    """Compute radial frequencies in cycles/degree and the density at each, of the mean of a trial's frames. Those
+    that the window does not resolve, and those beyond the Nyquist frequency of the axes, are left out.
     """
     images: list[FloatArray] = []
     for patch, x_px, y_px in patches_about(dataset, trial, centre, (256, 256)):

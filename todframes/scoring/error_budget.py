@@ -25,10 +25,9 @@ SAFETY = 2.0
 
 
 class Step(NamedTuple):
-    """A line of a plan: a stage of the computation that could be left out, whether it is kept, and why.
-
-    `bound` is the bound on the change of P(correct), 0 if nothing changes. `saves_s` and `saves_once_s` are the
-    estimated times saved at each place that is computed, and once for all places, in seconds.
+    """A line of a plan: a stage of the computation that could be left out, whether it is kept, and why. `bound` is
+    the bound on the change of P(correct), 0 if nothing changes. `saves_s` and `saves_once_s` are the estimated
+    times saved at each place that is computed, and once for all places, in seconds.
     """
 
     stage: str
@@ -88,10 +87,8 @@ REPLICATES = 8
 
 
 def half_width_95(replicates: ArrayLike) -> float:
-    """Compute the half-width of the 95 % interval of the mean of `REPLICATES` values.
-
-    Trials are added until it is small enough, so that half of the 5 % is reserved for error estimates that were
-    small by chance.
+    """Compute the half-width of the 95 % interval of the mean of `REPLICATES` values. Trials are added until it is
+    small enough, so that half of the 5 % is reserved for error estimates that were small by chance.
     """
     values = np.asarray(replicates, dtype=np.float64)
     student_t = 2.8412  # the 98.75 % point with `REPLICATES` − 1 degrees of freedom

@@ -28,10 +28,8 @@ from todframes.stimulus import vertices
 
 
 def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tuple[Example, ...]:
-    """Draw the trial nearest to threshold of up to 4 groups, and the strongest of up to 60 where there is none.
-
-    On scenes it is one of each scene of a group, up to 8. Raises FrameError if a frame can no longer
-    be used.
+    """Draw the trial nearest to threshold of up to 4 groups, and the strongest of up to 60 where there is none. On
+    scenes it is one of each scene of a group, up to 8. Raises FrameError if a frame can no longer be used.
     """
     known = [group for group in scored.fits if group.fit.threshold is not None]
     pitch_mrad, drawn = dataset.display.pitch_mrad, []
@@ -60,7 +58,6 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tup
 
 def _whole(dataset: Dataset, trial: Trial, observer: Observer) -> tuple[float, tuple[Thumbnail]]:
     """Draw the whole frame of a trial with the outline of the expected triangle. Returns its width in mrad, too.
-
     Grey is proportional to luminance between black and white, which leave out 0.2 % of the pixels each. A small
     frame is enlarged by a whole factor.
     """
@@ -131,7 +128,6 @@ def _nearest_trials(scored: ScoredDataset, group: GroupFit) -> list[int]:
 
 def nearest_trial(scored: ScoredDataset, group: GroupFit, rows: NDArray[np.intp] | None = None) -> int:
     """Return the trial's index: level nearest to threshold, and of those P(correct) nearest to the criterion.
-
     `rows` are the indices to choose from, by default all of the group.
     """
     threshold, trials = group.fit.threshold, scored.trials

@@ -46,9 +46,8 @@ _Code = tuple[WarningCode, Any, Any]
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Answers in the strongest trials of a group without a threshold, and changes to make them right.
-
-    `answers`, (4, 4), are numbers of answers, expected or drawn, in trials of `from_level` and above. Rows are the
+    """Answers in the strongest trials of a group without a threshold, and changes to make them right. `answers`,
+    (4, 4), are numbers of answers, expected or drawn, in trials of `from_level` and above. Rows are the
     orientations shown, columns those answered.
     """
 
@@ -67,13 +66,11 @@ def explain_missing(
     seed: int = 1,
 ) -> tuple[Explanation, ...]:
     """Return an explanation for each group without a threshold, in the order of `scored.fits`, and for groups
-    whose threshold is extrapolated to stronger levels, if there is a hint.
-
-    The answers in the strongest trials show triangles that are mirrored or turned. The fit of the triangle,
-    anywhere on their frames, shows place, size and polarity; with these the trials are scored again, though not if
-    the threshold is merely extrapolated, or the place is unknown to the observer. A hint is given only for a
-    change after which most answers are right. `dataset`, `decisions` and `seed` are those that `scored` was made
-    with.
+    whose threshold is extrapolated to stronger levels, if there is a hint. The answers in the strongest trials
+    show triangles that are mirrored or turned. The fit of the triangle, anywhere on their frames, shows place,
+    size and polarity; with these the trials are scored again, though not if the threshold is merely extrapolated,
+    or the place is unknown to the observer. A hint is given only for a change after which most answers are right.
+    `dataset`, `decisions` and `seed` are those that `scored` was made with.
     """
     explanations = []
     trials = scored.trials
@@ -137,10 +134,9 @@ def _named_size(ratio: float) -> tuple[float, str]:
 
 @dataclass(frozen=True, slots=True)
 class _Change:
-    """A change of the trials, with the answers after it: clauses of a hint, and its codes.
-
-    The orientations may be arranged in one of `arrangements`. `shown` is the orientation of each trial, an index
-    into `ORIENTATIONS`, if it is not that in its row.
+    """A change of the trials, with the answers after it: clauses of a hint, and its codes. The orientations may be
+    arranged in one of `arrangements`. `shown` is the orientation of each trial, an index into `ORIENTATIONS`, if
+    it is not that in its row.
     """
 
     answers: FloatArray
@@ -167,9 +163,8 @@ class _MistakeSearch:
         self.trials, self.answers = tuple(scored.trials.select(rows)), _answers(scored, rows)
 
     def hints(self, *, is_scored_again: bool) -> tuple[DatasetWarning, ...]:
-        """Return the hints of the first change that works; an empty tuple if none does.
-
-        Without `is_scored_again`, only changes that need no frame are tried.
+        """Return the hints of the first change that works; an empty tuple if none does. Without `is_scored_again`,
+        only changes that need no frame are tried.
         """
         for change in chain(self._rearranged(), self._reviewed() if is_scored_again else ()):
             for arrangement in change.arrangements:
@@ -215,7 +210,6 @@ class _MistakeSearch:
 
     def _are_as_stated(self) -> bool:
         """Return whether the frames are known to show the triangles with the stated place, size and polarity.
-
         Trials that show them elsewhere, or not at all, do not follow their level. Where single trials do not show
         places that scatter, the blur of their mean does.
         """

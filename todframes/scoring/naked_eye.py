@@ -45,11 +45,10 @@ SIZE_RANGE_SAMPLES = (1e-2, 1e3)
 def proportion_correct(
     observer: Observer, *, size_mrad: float, contrast: float, nodes: int = 16, places: int = 1
 ) -> float:
-    """Compute P(correct) for a triangle seen directly, averaged over orientation and displacement.
-
-    `size_mrad` is √(area), `contrast` a Weber contrast, both > 0; `nodes` is the number of Gauss–Legendre
-    displacements along each axis. The triangle may be at any of `places`, far apart; with 1, its place is known.
-    Raises SettingsError if the observer is not linear, or a value is out of range.
+    """Compute P(correct) for a triangle seen directly, averaged over orientation and displacement. `size_mrad` is
+    √(area), `contrast` a Weber contrast, both > 0; `nodes` is the number of Gauss–Legendre displacements along
+    each axis. The triangle may be at any of `places`, far apart; with 1, its place is known. Raises SettingsError
+    if the observer is not linear, or a value is out of range.
     """
     if not 0 < contrast <= CONTRAST_RANGE[1] * 1.000001:  # the limit of the search, with room for rounding
         raise SettingsError(f"{argument.contrast}: found {contrast!r}, expected a finite number > 0, at most 1e12")
@@ -61,7 +60,6 @@ def contrast_threshold(
     observer: Observer, *, size_mrad: float, p_correct: float = 0.75, places: int = 1
 ) -> ComputedThreshold:
     """Find the Weber contrast at which a triangle of a given size is answered correctly with `p_correct`.
-
     `size_mrad` is √(area), > 0; `places` is as for `proportion_correct`, and so are the errors.
     """
     size_samples = _size_samples(observer, size_mrad)
@@ -85,7 +83,6 @@ def acuity(
     observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75, places: int = 1
 ) -> ComputedThreshold:
     """Find the size, √(area) in mrad, at which a triangle of a Weber contrast is answered with `p_correct`.
-
     `places` is as for `proportion_correct`, and so are the errors.
     """
     pitch = observer.grid(Stimulus(1e-6)).pitch_mrad  # of a size that every grid holds
@@ -115,7 +112,6 @@ def _with_step_error(
     p_correct: float,
 ) -> ComputedThreshold:
     """Add the error by the step of the retina, where it is that of a computation, to a threshold's error.
-
     `proportion` is P(correct) of an observer at a level, for sizes up to `largest_mrad`. On another retina it
     differs from `p_correct` at the threshold; its slope there turns the difference into one of the threshold. The
     error grows as the square of the pitch, times a factor that varies with the places of edges between samples: it
@@ -160,10 +156,9 @@ def _refined(threshold: Callable[[int], ComputedThreshold], nodes_to_try: Sequen
 
 
 class _Responses(NamedTuple):
-    """Scores at contrast 1, and the readout that made them.
-
-    `deviations` has shape (orientation, node, 4). `common`, (orientation, node), is the mean of the four, and
-    None if the place is known; `weights` are those of the nodes.
+    """Scores at contrast 1, and the readout that made them. `deviations` has shape (orientation, node, 4).
+    `common`, (orientation, node), is the mean of the four, and None if the place is known; `weights` are those of
+    the nodes.
     """
 
     readout: Readout

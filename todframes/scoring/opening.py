@@ -84,10 +84,9 @@ def in_memory(frames: Iterable[ArrayLike], display: Display | str, **shown: Any)
 
 
 class Opened(NamedTuple):
-    """A dataset and the observers that look at it, each with its settings.
-
-    `way` is the way of locating triangles, None if they are not. `more` are the positions for the result, and
-    `location_warnings` gives the warnings about these once the dataset is scored.
+    """A dataset and the observers that look at it, each with its settings. `way` is the way of locating triangles,
+    None if they are not. `more` are the positions for the result, and `location_warnings` gives the warnings about
+    these once the dataset is scored.
     """
 
     data: Dataset

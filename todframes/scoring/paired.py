@@ -21,9 +21,8 @@ from todframes.stimulus import level_of
 def paired_ratios(
     scored: Sequence[ScoredDataset], pairs: Sequence[tuple[int, int]], *, seed: int, settings: FitSettings
 ) -> list[list[RatioDraws]]:
-    """Compare thresholds of pairs of scorings of the same trials: for each group, the ratio of each pair.
-
-    All series of a group are drawn and fitted only once. The same scenes are drawn in all groups.
+    """Compare thresholds of pairs of scorings of the same trials: for each group, the ratio of each pair. All
+    series of a group are drawn and fitted only once. The same scenes are drawn in all groups.
     """
     trials, groups = scored[0].trials, [fit.group for fit in scored[0].fits]
     drawn, backgrounds = None, trials.scene_numbers
@@ -61,9 +60,8 @@ def efficiencies(
     fit_settings: FitSettings,
 ) -> tuple[Efficiency, ...]:
     """Return the efficiency of an observer relative to others by their names, in each group: the ratio of the
-    signal energies at threshold, (their threshold ÷ its threshold)². Tanner & Birdsall 1958.
-
-    SettingsError if the level is no signal, or an observer can use other trials.
+    signal energies at threshold, (their threshold ÷ its threshold)². Tanner & Birdsall 1958. SettingsError if the
+    level is no signal, or an observer can use other trials.
     """
     level = dataset.experiment.level
     if not level_of(level).is_signal:

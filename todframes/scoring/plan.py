@@ -32,12 +32,10 @@ MOST_BAD = 100
 
 @dataclass(frozen=True, slots=True)
 class StimulusPlan:
-    """The plan for the trials of one stimulus.
-
-    `half_width` is the number of retina samples used on each side of the middle one; None: the whole grid.
-    `full_observer` states whether further pyramid bands are needed. `bounds` has the bound on the change of
-    P(correct) by each stage that is left out. The others are the time that is saved and the shares of the frame's
-    rows and of the retina that are used.
+    """The plan for the trials of one stimulus. `half_width` is the number of retina samples used on each side of
+    the middle one; None: the whole grid. `full_observer` states whether further pyramid bands are needed. `bounds`
+    has the bound on the change of P(correct) by each stage that is left out. The others are the time that is saved
+    and the shares of the frame's rows and of the retina that are used.
     """
 
     half_width: int | None = None
@@ -65,9 +63,8 @@ class ScorePlan:
         return self.observer
 
     def readout(self, stimulus: Stimulus) -> Readout | None:
-        """Return the readout for a stimulus, no wider than needed; None if the observer is not linear.
-
-        Raises SettingsError if the observer has no grid for this size.
+        """Return the readout for a stimulus, no wider than needed; None if the observer is not linear. Raises
+        SettingsError if the observer has no grid for this size.
         """
         observer = self.observer_of(stimulus)
         observer.grid(stimulus)  # refuses a stimulus that is too large before its readout is made
@@ -90,11 +87,10 @@ def plan_score(
     expected: bool = True,
     read: Reader | None = None,
 ) -> ScorePlan:
-    """Plan the part of the frames and of the retina needed for thresholds within a relative tolerance.
-
-    With the name "full" nothing is left out, nor if answers are drawn (not `expected`): they need the observer
-    with its whole grid. If `read` returns several versions of a trial, the plan covers all of them; by default
-    trials are read as they are.
+    """Plan the part of the frames and of the retina needed for thresholds within a relative tolerance. With the
+    name "full" nothing is left out, nor if answers are drawn (not `expected`): they need the observer with its
+    whole grid. If `read` returns several versions of a trial, the plan covers all of them; by default trials are
+    read as they are.
     """
     trials = Trials.of(trials)
     of_stimulus = dict(trials.by_stimulus())
@@ -223,10 +219,9 @@ def _bound(readout: Readout, weights: FloatArray, images: FloatArray, covariance
 def _half_width(
     readout: Readout, stimulus: Stimulus, pitch_mrad: float, weights: FloatArray, images: FloatArray, budget: float
 ) -> tuple[int | None, float]:
-    """Return the half-width of the narrowest field whose bound fits the budget, and the bound.
-
-    The half-width is in retina samples; None: the whole grid. The contribution of the outer field is computed with
-    the readout's weights on a grid of the given pitch, which may be coarse: these weights vary slowly there.
+    """Return the half-width of the narrowest field whose bound fits the budget, and the bound. The half-width is
+    in retina samples; None: the whole grid. The contribution of the outer field is computed with the readout's
+    weights on a grid of the given pitch, which may be coarse: these weights vary slowly there.
     """
     middle = weights.shape[-1] // 2
     for sizes in (1.5, 2.0, 2.5):
@@ -243,9 +238,8 @@ def _half_width(
 
 
 def _steps(plans: Sequence[StimulusPlan], omitted: str) -> tuple[Step, ...]:
-    """Summarise the plans of all stimuli: the largest bounds and the sums of the time saved.
-
-    `omitted` is the name of what the observer's readout omits.
+    """Summarise the plans of all stimuli: the largest bounds and the sums of the time saved. `omitted` is the name
+    of what the observer's readout omits.
     """
     n_narrow = sum(plan.half_width is not None for plan in plans)
     n_thrifty, n = sum(not plan.full_observer for plan in plans), len(plans)

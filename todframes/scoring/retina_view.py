@@ -47,7 +47,6 @@ def place_grid(
     displacement_samples: Sequence[tuple[float, float]] | FloatArray,
 ) -> Placement:
     """Find the position of a retina grid on an open frame, and the pixels it touches at all of its displacements.
-
     The grid follows a triangle that moves, or stays at its mean place in the trial, as the dataset's `gaze` says.
     Raises FrameError if the triangle, or one at another place where it may be, does not lie on the frame.
     """
@@ -73,9 +72,8 @@ def place_grid(
 
 
 class Shown(NamedTuple):
-    """A trial's frames as read, each with the position of the middle of the undisplaced retina grid.
-
-    `x_px` and `y_px` are these positions in pixels; `frame_rows` is the number of rows of the first frame.
+    """A trial's frames as read, each with the position of the middle of the undisplaced retina grid. `x_px` and
+    `y_px` are these positions in pixels; `frame_rows` is the number of rows of the first frame.
     """
 
     patches: tuple[ContrastPatch, ...]
@@ -108,9 +106,8 @@ class Shown(NamedTuple):
         return self._replace(x_px=xs, y_px=ys)
 
     def with_gaze_fixed(self, trial: Trial, frame_pitch_mrad: float) -> Shown:
-        """Return frames that were read with a tracked gaze as seen with a fixed one.
-
-        `frame_pitch_mrad` is the pixel pitch of the dataset's frames, which an algorithm may have changed since.
+        """Return frames that were read with a tracked gaze as seen with a fixed one. `frame_pitch_mrad` is the
+        pixel pitch of the dataset's frames, which an algorithm may have changed since.
         """
         motion_px = to_mean_place_px(trial) * (frame_pitch_mrad / self.pixel_pitch_mrad)
         xs, ys = (np.array([self.x_px, self.y_px]) + motion_px.T).tolist()
@@ -136,7 +133,6 @@ def read_trial(
     whole: bool = False,
 ) -> Shown:
     """Read the part of a trial's frames that a retina grid touches at all of its displacements, or whole frames.
-
     `displacement_samples`, (n, 2), are displacements along x and y in retina samples. Raises FrameError if a frame
     cannot be used, or the triangle does not lie on it.
     """

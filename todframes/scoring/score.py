@@ -33,12 +33,11 @@ S = TypeVar("S", bound=Sized)
 
 @dataclass(frozen=True, slots=True)
 class GroupFit:
-    """The psychometric fit of the trials that share the values of the `group_by` columns.
-
-    `non_gaussian_bound` and `left_out_bound` bound the errors in P(correct) from taking the summed internal noise
-    as Gaussian, 0 for drawn answers, and from what the plan leaves out. `numerical_error` is the half-width of the
-    threshold's 95 % interval over displacements, `places_error` the largest standard error of a trial's P(correct)
-    by correlated noise of places.
+    """The psychometric fit of the trials that share the values of the `group_by` columns. `non_gaussian_bound` and
+    `left_out_bound` bound the errors in P(correct) from taking the summed internal noise as Gaussian, 0 for drawn
+    answers, and from what the plan leaves out. `numerical_error` is the half-width of the threshold's 95 %
+    interval over displacements, `places_error` the largest standard error of a trial's P(correct) by correlated
+    noise of places.
     """
 
     group: tuple[float | str, ...]
@@ -55,11 +54,10 @@ class GroupFit:
 @dataclass(frozen=True, slots=True)
 class ScoredDataset:
     """The scores of every trial that could be read, in the order of the manifest, and the fits.
-
     `displacement_samples`, (n, 2), are displacements of the retina along x and y; NaN if a trial had several.
     `scores` and `probabilities`, (n, 4), are noise-free inner products with the templates and the probability of
-    each answer, averaged over displacements; NaN if the observer has none. `answers` are those drawn, or the
-    most probable ones, indices into `ORIENTATIONS`; `p_correct` is 1 or 0 if answers were drawn.
+    each answer, averaged over displacements; NaN if the observer has none. `answers` are those drawn, or the most
+    probable ones, indices into `ORIENTATIONS`; `p_correct` is 1 or 0 if answers were drawn.
     """
 
     trials: Trials
@@ -139,7 +137,6 @@ def score_dataset(
 
 def fitted_curve(curve: CurveName | None, decisions: Decisions) -> CurveName:
     """Return the curve to fit: by default the observer's for expected decisions, Weibull's for sampled ones.
-
     Raises SettingsError if the observer's curve is asked for and decisions are sampled.
     """
     if decisions == "expected":
@@ -153,9 +150,8 @@ def fitted_curve(curve: CurveName | None, decisions: Decisions) -> CurveName:
 
 
 def settings_of_experiment(settings: FitSettings | None, experiment: Experiment) -> FitSettings:
-    """Return the settings of fits, which expect no slope unless the signal is proportional to the level.
-
-    Nor do they if the triangle's place is unknown: curves are then steeper, the more places there are.
+    """Return the settings of fits, which expect no slope unless the signal is proportional to the level. Nor do
+    they if the triangle's place is unknown: curves are then steeper, the more places there are.
     """
     settings = settings or FitSettings()
     is_known = level_of(experiment.level).is_signal and experiment.places == 1
@@ -163,9 +159,8 @@ def settings_of_experiment(settings: FitSettings | None, experiment: Experiment)
 
 
 def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[Trials, list[Skipped]]:
-    """Return the trials whose rows are all good, and the frames that are skipped.
-
-    Raises DataError if there are bad rows and `skip_bad_frames` is not set, or no trial is left.
+    """Return the trials whose rows are all good, and the frames that are skipped. Raises DataError if there are
+    bad rows and `skip_bad_frames` is not set, or no trial is left.
     """
     if dataset.bad_rows and not skip_bad_frames:
         raise DataError(dataset.bad_rows[0].error)
@@ -209,9 +204,8 @@ def fit_groups(
     curve: CurveName,
     expected: bool,
 ) -> ScoredDataset:
-    """Compute the answers of all trials, in the order of the manifest, and fit a curve to each group.
-
-    `looks` are groups that were seen again, with more displacements: these count. Nothing is skipped.
+    """Compute the answers of all trials, in the order of the manifest, and fit a curve to each group. `looks` are
+    groups that were seen again, with more displacements: these count. Nothing is skipped.
     """
     trials, n = seen.trials, len(seen)
     parts = [(np.searchsorted(trials.numbers, look.trials.numbers), look) for look in looks]
@@ -284,7 +278,6 @@ their largest standard error if the place is unknown, else 0."""
 
 def _decided(plan: ScorePlan, seen: SeenTrials) -> tuple[NDArray[Any], FloatArray]:
     """Return a row of `_DECIDED` for each trial, and the probability of the correct answer with each displacement.
-
     Probabilities are NaN if answers are drawn of an observer that is not linear, and displacements if there are
     several.
     """
@@ -323,7 +316,6 @@ def _of_places(
     plan: ScorePlan, stimulus: Stimulus, seen: SeenTrials, rows: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray]:
     """Compute the probabilities of the answers of some trials whose place is unknown, and their standard errors.
-
     Both arrays have shape (trial, displacement, 4).
     """
     scores = seen["place_scores"][rows]
@@ -334,9 +326,8 @@ def _of_places(
 
 
 def _drawn_at_places(plan: ScorePlan, seen: SeenTrials, seed: int) -> NDArray[np.intp]:
-    """Draw the answer of each trial whose place is unknown, with the noise of a stream of its own.
-
-    The noise does not depend on how a trial is shown.
+    """Draw the answer of each trial whose place is unknown, with the noise of a stream of its own. The noise does
+    not depend on how a trial is shown.
     """
     from todframes.observers.unknown_place import drawn_answers
 
@@ -357,7 +348,6 @@ def _noise_at_places(
     plan: ScorePlan, stimulus: Stimulus, seen: SeenTrials, rows: NDArray[np.intp]
 ) -> Iterator[tuple[NDArray[np.intp], Readout, FloatArray | None]]:
     """Yield which of the rows have places equally far apart, the readout, and the joint covariance of the scores.
-
     The covariance is None if places are independent.
     """
     observer = plan.observer_of(stimulus)

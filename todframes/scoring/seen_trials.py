@@ -36,13 +36,11 @@ KRONECKER_STEPS_2D = np.array([0.7548776662466927, 0.5698402909980532])
 
 
 class SeenTrial(NamedTuple):
-    """The observer's scores of a trial and, if drawn, its answer.
-
-    `displacement_samples`, (d, 2), are displacements of the retina along x and y. `scores` and `deviations`, (d,
-    4), are noise-free inner products with the templates, and their deviations from their mean, computed without
-    cancellation; NaN if the observer is not linear. Then `probabilities`, (d, 4), are its expected answers; NaN if
-    it is linear or has none. At an unknown place the answer is drawn from `place_scores`, (d, place, 4), later,
-    for all trials.
+    """The observer's scores of a trial and, if drawn, its answer. `displacement_samples`, (d, 2), are
+    displacements of the retina along x and y. `scores` and `deviations`, (d, 4), are noise-free inner products
+    with the templates, and their deviations from their mean, computed without cancellation; NaN if the observer is
+    not linear. Then `probabilities`, (d, 4), are its expected answers; NaN if it is linear or has none. At an
+    unknown place the answer is drawn from `place_scores`, (d, place, 4), later, for all trials.
     """
 
     displacement_samples: FloatArray
@@ -57,9 +55,8 @@ class SeenTrial(NamedTuple):
 
 
 class SeenTrials:
-    """The observer's scores of many trials with equal numbers of displacements, set in any order.
-
-    `seen["scores"]` has the `SeenTrial.scores` of each trial, and so for its other attributes.
+    """The observer's scores of many trials with equal numbers of displacements, set in any order. `seen["scores"]`
+    has the `SeenTrial.scores` of each trial, and so for its other attributes.
     """
 
     def __init__(self, trials: Trials, table: NDArray[Any] | None = None) -> None:
@@ -102,10 +99,8 @@ class SeenTrials:
 
 @dataclass(frozen=True, slots=True)
 class Scoring:
-    """The settings for the scoring of all trials of a dataset.
-
-    `displacements` is the number of displacements of each trial in each replicate; 0: a single one, from the
-    trial's own random stream.
+    """The settings for the scoring of all trials of a dataset. `displacements` is the number of displacements of
+    each trial in each replicate; 0: a single one, from the trial's own random stream.
     """
 
     dataset: Dataset
@@ -117,7 +112,6 @@ class Scoring:
 
 class TrialViewing(NamedTuple):
     """The observer, retina grid and displacements for a trial, the same for all ways in which it is shown.
-
     `displacement_samples`, (d, 2), are the displacements of the retina grid in retina samples. `readout` is None
     if the observer is not linear. `offsets`, (place, 2), are the distances from the triangle to all places at
     which it may be, in retina samples; there are none if its place is known.
@@ -138,9 +132,8 @@ class TrialViewing(NamedTuple):
 
 
 def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> TrialViewing:
-    """Return the observer, retina grid and displacements for a trial.
-
-    Raises SettingsError if the observer is not linear and its answer is not drawn, or the place is unknown.
+    """Return the observer, retina grid and displacements for a trial. Raises SettingsError if the observer is not
+    linear and its answer is not drawn, or the place is unknown.
     """
     places = scoring.dataset.experiment.places
     if places > 1 and readout is None:
@@ -163,9 +156,8 @@ def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> Tr
 def see(
     scoring: Scoring, trial: Trial, viewing: TrialViewing, ways: Sequence[Shown], started: float
 ) -> list[SeenTrial]:
-    """Show a trial to the observer in each of several ways, with the same displacements and the same noise.
-
-    The time since `started`, by `time.perf_counter`, is divided among the ways.
+    """Show a trial to the observer in each of several ways, with the same displacements and the same noise. The
+    time since `started`, by `time.perf_counter`, is divided among the ways.
     """
     reading_s = (time.perf_counter() - started) / len(ways)
     displaced, readout = viewing.displacement_samples, viewing.readout
@@ -208,9 +200,8 @@ def see(
 
 
 def score_trial(scoring: Scoring, trial: Trial, readout: Readout | None) -> SeenTrial:
-    """Read a trial and show it to the observer.
-
-    Raises FrameError if a frame cannot be used, and SettingsError as `trial_viewing` does.
+    """Read a trial and show it to the observer. Raises FrameError if a frame cannot be used, and SettingsError as
+    `trial_viewing` does.
     """
     started = time.perf_counter()
     viewing = trial_viewing(scoring, trial, readout)
@@ -237,7 +228,6 @@ def _expected_answers(viewing: TrialViewing, shown: Shown, trial: Trial) -> Floa
 
 def _scores(readout: Readout, shown: Shown, displacement_samples: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the scores with displacements of the retina, and their deviations from their mean, (d, 4) each.
-
     Deviations that are rounding are 0: without noise or with huge contrast, equal scores may differ by it alone.
     """
     scores, deviations = np.empty((2, len(displacement_samples), 4))

@@ -43,12 +43,11 @@ The readout is None if the observer is not linear. Raises FrameError if a frame 
 
 @dataclass(frozen=True)
 class TrialWork(StoredWork[Trial, bytes | FrameError], Generic[T]):
-    """The showing of trials to an observer.
-
-    Its results, of type `kind`, are NamedTuples of numbers, arrays of float64 and such tuples. They are encoded
-    where the work is done: as bytes they take a tenth of the time to another process. `depends_on` is what results
-    depend on besides the scoring and the frames; `with_references` states whether the frames without noise are
-    read too, `with_levels` whether a result also depends on the level and the group of its trial.
+    """The showing of trials to an observer. Its results, of type `kind`, are NamedTuples of numbers, arrays of
+    float64 and such tuples. They are encoded where the work is done: as bytes they take a tenth of the time to
+    another process. `depends_on` is what results depend on besides the scoring and the frames; `with_references`
+    states whether the frames without noise are read too, `with_levels` whether a result also depends on the level
+    and the group of its trial.
     """
 
     scoring: Scoring
@@ -115,7 +114,6 @@ class TrialWork(StoredWork[Trial, bytes | FrameError], Generic[T]):
 
     def stamped_key(self, item: Trial, stamp: object) -> bytes | None:
         """Return the key by the stamps of the trial's files; None if one may have been written a moment ago.
-
         Within `SETTLED_NS` a file can be written twice with one time.
         """
         stamps = cast("list[Stamp]", stamp)
@@ -203,11 +201,10 @@ def see_trials(
     with_references: bool = False,
     with_levels: bool = False,
 ) -> list[Skipped]:
-    """Show trials to the observer; return the frames that were skipped.
-
-    `show` and what follows `run` are as in `TrialWork`. `collect` is called with the index of each trial that was
-    seen, in any order, and its result. Raises FrameError if a frame cannot be used, unless bad frames are skipped:
-    then the trials are left out and their frames listed.
+    """Show trials to the observer; return the frames that were skipped. `show` and what follows `run` are as in
+    `TrialWork`. `collect` is called with the index of each trial that was seen, in any order, and its result.
+    Raises FrameError if a frame cannot be used, unless bad frames are skipped: then the trials are left out and
+    their frames listed.
     """
     bare = replace(scoring, dataset=replace(scoring.dataset, trials=Trials.of(())))
     work = TrialWork(bare, show, kind, depends_on, with_references, with_levels)

@@ -48,7 +48,6 @@ SETS = tuple(TriangleSet(size_px, centre) for size_px in (6.0, 16.0) for centre 
 
 def edges(folder: Path) -> int:
     """Make pictures of slanted edges, 16-bit PNG, and `truths.csv` with their MTF; return the number of pictures.
-
     Values are proportional to light. Pixels are squares that average light; light is a step that a Gaussian blurs.
     """
     folder.mkdir()
@@ -73,11 +72,10 @@ def edge_mtf(frequency: FloatArray, angle_deg: float, sigma_px: float) -> FloatA
 
 
 def edge_picture(angle_deg: float, sigma_px: float) -> FloatArray:
-    """Return the mean of a blurred step from 0 to 1 over each pixel, (EDGE_SIDE_PX, EDGE_SIDE_PX).
-
-    The step's integral over a square is the second difference of its second antiderivative Q: with distances d
-    from the edge to the middles of pixels, and half steps a, b of d along a pixel's sides, it is
-    [Q(d+a+b) − Q(d+a−b) − Q(d−a+b) + Q(d−a−b)] / (4ab).
+    """Return the mean of a blurred step from 0 to 1 over each pixel, (EDGE_SIDE_PX, EDGE_SIDE_PX). The step's
+    integral over a square is the second difference of its second antiderivative Q: with distances d from the edge
+    to the middles of pixels, and half steps a, b of d along a pixel's sides, it is [Q(d+a+b) − Q(d+a−b) − Q(d−a+b)
+    + Q(d−a−b)] / (4ab).
     """
     from scipy.special import ndtr
 
@@ -97,7 +95,6 @@ def edge_picture(angle_deg: float, sigma_px: float) -> FloatArray:
 
 def triangles(folder: Path) -> int:
     """Make sets of triangles in white Gaussian noise, a dataset each, and `truths.csv` with their thresholds.
-
     Return the number of frames. The threshold is that of the ideal observer, which knows size and place: the
     contrast at which it is right in 75 % of many trials.
     """
@@ -116,10 +113,9 @@ def triangles(folder: Path) -> int:
 
 
 def ideal_threshold(templates: FloatArray) -> float:
-    """Return the contrast at which the ideal observer is right in 75 % of trials in noise of `NOISE_SD`.
-
-    The templates are (4, rows, columns). White noise has a covariance of their inner products; the likelihood of
-    each is its score minus half its energy, which is the same for all four.
+    """Return the contrast at which the ideal observer is right in 75 % of trials in noise of `NOISE_SD`. The
+    templates are (4, rows, columns). White noise has a covariance of their inner products; the likelihood of each
+    is its score minus half its energy, which is the same for all four.
     """
     from scipy.optimize import brentq
 

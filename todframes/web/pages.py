@@ -46,7 +46,6 @@ class EmptyRequest(msgspec.Struct):
 
 def page(folder: Traversable, calls: Sequence[Route], lifespan: Lifespan[Starlette] | None = None) -> Starlette:
     """Return an app that serves the files of a package's folder, those that all pages share, and calls.
-
     `index.html` is `/`, and the other files are `/static/NAME`. The files are read now: the path of a request is
     compared with their names, and never looked up on the disk. `lifespan` makes the context in which the server
     runs.
@@ -70,9 +69,8 @@ async def _file(content: bytes, media_type: str, _: Request) -> Response:
 
 
 def call(path: str, kind: type[T], function: Callable[[T], object]) -> Route:
-    """Return the route of a POST whose JSON body is checked against a type, and whose answer is JSON.
-
-    The function runs in a thread. The answer to a `TodframesError` that it raises is that of `error_answer`.
+    """Return the route of a POST whose JSON body is checked against a type, and whose answer is JSON. The function
+    runs in a thread. The answer to a `TodframesError` that it raises is that of `error_answer`.
     """
     decoder = msgspec.json.Decoder(kind)
 
@@ -84,9 +82,8 @@ def call(path: str, kind: type[T], function: Callable[[T], object]) -> Route:
 
 
 def stream(path: str, kind: type[T], function: Callable[[T, Callable[[], bool]], Iterator[object]]) -> Route:
-    """Return the route of a POST whose answer has a line of JSON for each item of an iterator, sent at once.
-
-    The function takes the body, checked against a type, and a function that returns whether the client is still
+    """Return the route of a POST whose answer has a line of JSON for each item of an iterator, sent at once. The
+    function takes the body, checked against a type, and a function that returns whether the client is still
     connected. It is called in the event loop, and must not take long; the items are computed in one thread. Errors
     of the function are answered as by `call`; one that an item raises is a line of its own.
     """
@@ -129,9 +126,8 @@ async def _lines(items: Iterator[object], is_gone: threading.Event) -> AsyncIter
 
 
 async def _decoded(request: Request, decoder: msgspec.json.Decoder[T]) -> T:
-    """Return what the body of a request holds.
-
-    Raises SettingsError if it is not of the decoder's type; HTTPException if it is too large.
+    """Return what the body of a request holds. Raises SettingsError if it is not of the decoder's type;
+    HTTPException if it is too large.
     """
     body = bytearray()
     async for part in request.stream():

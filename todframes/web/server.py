@@ -72,9 +72,8 @@ def serve(
     tell: Callable[[str], None],
     warn: Callable[[str], None] | None = None,
 ) -> None:
-    """Serve a page to this machine's browser until Ctrl-C, a request to terminate, or the end of the terminal.
-
-    The page is put behind `guarded`; its lifespan is the time in which the server runs. The listener, of
+    """Serve a page to this machine's browser until Ctrl-C, a request to terminate, or the end of the terminal. The
+    page is put behind `guarded`; its lifespan is the time in which the server runs. The listener, of
     `open_listener`, is closed at the end. `host` is the address or name for the URL of the page, with which, token
     included, `tell` is called once; `warn` is called with a remark if other machines can reach the server.
     """
@@ -117,10 +116,9 @@ def origin_of(host: str, port: int) -> str:
 
 
 def open_listener(host: str = "127.0.0.1", port: int = 0) -> socket.socket:
-    """Return a socket that listens at an address or name of this machine; port 0 is a free one.
-
-    Raises SettingsError if the host is unknown, not of this machine, or stands for all addresses; or if the port
-    is in use.
+    """Return a socket that listens at an address or name of this machine; port 0 is a free one. Raises
+    SettingsError if the host is unknown, not of this machine, or stands for all addresses; or if the port is in
+    use.
     """
     if not 0 <= port <= 65535:
         raise SettingsError(f"{argument.port}: found {port}, expected a whole number from 0 to 65535")
