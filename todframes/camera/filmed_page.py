@@ -14,7 +14,7 @@ import numpy as np
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.camera.noise3d import FramePatch, Region
-from todframes.camera.slanted_edges import PlacedEdge, box_about
+from todframes.camera.slanted_edges import PlacedEdge, box_about, points_between
 from todframes.charts.layout import Chart, Edge, Page, Patch, page_of, read_chart
 from todframes.importing.clips import ClipFrame, clean_clips
 from todframes.importing.geometry import Geometry
@@ -68,12 +68,10 @@ class CameraView(NamedTuple):
 def view_of_camera_page(
     recording: Recording, chart: Path, *, needs_edges: bool = False, progress: Progress | None = None
 ) -> CameraView:
-    """Find the patches and slanted edges of a chart in a recording.
+    """Find the patches and slanted edges of a chart's page for the camera, in the first clip of some length.
 
-    They are those of the page for measuring a camera, in the first clip of some length that shows it. Of a printed
-    chart it may be another sheet, if the recording shows one sheet all the time. `chart` is `chart.toml` or its
-    folder. SettingsError if the chart has no markers or no such page; DataError if the recording does not show it,
-    or the camera moves all the time.
+    Of a printed chart it may be another sheet, if the recording shows one sheet all the time. SettingsError if the
+    chart has no markers or no such page; DataError if the recording does not show it, or the camera moves.
     """
     layout = read_chart(chart)
     if layout.markers is None:
@@ -198,17 +196,13 @@ class _SeenFilm:
         if len(still) < len(numbers):
             left_out = f"{path}: {moves} with slanted edges; they were left out"
             warnings += (RecordingWarning("moved", left_out),)
-        shown = replace(
-            self.recording, n_frames=len(kept), warnings=warnings, read=lambda: _only(self.recording, kept)
-        )
+
+        def read() -> Iterator[RecordedFrame]:
+            every = islice(self.recording.frames(), max(kept) + 1)
+            return (frame for number, frame in enumerate(every) if number in kept)
+
+        shown = replace(self.recording, n_frames=len(kept), warnings=warnings, read=read)
         return CameraView(shown, _patches(page.patches, geometry), placed, self.chart.screen is not None)
-
-
-def _only(recording: Recording, numbers: frozenset[int]) -> Iterator[RecordedFrame]:
-    """Yield the frames with these numbers."""
-    for number, frame in enumerate(islice(recording.frames(), max(numbers) + 1)):
-        if number in numbers:
-            yield frame
 
 
 def _cut(recording: Recording, regions: Sequence[Region]) -> list[Recording]:
@@ -252,7 +246,7 @@ def _edges(
         # Where the next thing is on either side, and the other edges.
         beside = [geometry.to_px(edge.ends_mm + sign * across) for sign in (1.0, -1.0)]
         others = [geometry.to_px(one.ends_mm) for one in edges if one is not edge]
-        box = box_about(ends_px, [*others, *beside], shape)
+        box = box_about(ends_px, [points_between(one) for one in (*others, *beside)], shape)
         step_px = 0.0
         if step_mm is not None:
             jacobian = geometry.jacobian(edge.ends_mm.mean(axis=0))

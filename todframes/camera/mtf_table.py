@@ -159,16 +159,18 @@ def read_mtf_table(path: Path, *, may_exceed_1: bool = False) -> MtfTable:
     """Return the MTF in a CSV file.
 
     The file has one column of `FREQUENCIES`, and `mtf`, or `mtf_tangential` and `mtf_sagittal`; `mtf` may have its
-    95 % band in `mtf_lower` and `mtf_upper`. Other columns are not read. With `may_exceed_1` an MTF above 1 is
-    accepted, as that of a camera which sharpens: no lens or detector has one. DataError, which names the line, if
-    a column is missing, frequencies do not ascend, or an MTF is negative, above 1 by more than its error, or not 1
-    at frequency 0.
+    95 % band in `mtf_lower` and `mtf_upper`. With `may_exceed_1` an MTF above 1 is accepted, as that of a camera
+    which sharpens. DataError, which names the line, if a column is missing, frequencies do not ascend, or an MTF
+    is negative, above 1 by more than its error, or not 1 at frequency 0.
     """
     header, rows = read_table(path)
-    frequency_name = _frequency_column(header, path)
+    if len(given := [name for name in FREQUENCIES if name in header]) > 1:
+        raise DataError(f"{path}: found columns {' and '.join(given)}, expected one of them")
+    (frequency_name,) = given or [next(iter(FREQUENCIES))]
     needed = [RADIAL] if RADIAL in header or not set(DIRECTIONS) & set(header) else []
     needed += DIRECTIONS if set(DIRECTIONS) & set(header) else []
     needed += BAND if set(BAND) & set(header) and RADIAL in header else []
+    check_columns(header, [frequency_name], path)
     check_columns(header, needed, path)
     lines = [(f"{row.where}:", row.numbers((frequency_name, *needed))) for row in rows]
     if len(lines) < 2:
@@ -179,15 +181,6 @@ def read_mtf_table(path: Path, *, may_exceed_1: bool = False) -> MtfTable:
     table = MtfTable(FREQUENCIES[frequency_name], frequency, curves, lower, upper)
     _check(table, [where for where, _ in lines], may_exceed_1=may_exceed_1)
     return table
-
-
-def _frequency_column(header: Sequence[str], path: Path) -> str:
-    given = [name for name in FREQUENCIES if name in header]
-    if len(given) > 1:
-        raise DataError(f"{path}: found columns {' and '.join(given)}, expected one of them")
-    if not given:
-        check_columns(header, [next(iter(FREQUENCIES))], path)
-    return given[0]
 
 
 def _check(table: MtfTable, places: Sequence[str], *, may_exceed_1: bool) -> None:

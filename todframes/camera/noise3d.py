@@ -110,10 +110,9 @@ class Drift(Struct, frozen=True):
 class Noise3D:
     """Three-dimensional noise of a recording, in units of its values: "code", "counts" or "celsius".
 
-    `region` is left column, top row, width and height of what was measured. `parts` have the names in `PARTS`; of
-    a single frame only v, h and vh, and vh contains tvh. `dynamic` (tv, th, tvh together) and `fixed` (v, h, vh)
-    are None for a single frame, where they cannot be separated, and so is `temporal_sd`, the standard deviation of
-    each pixel over the frames; `drift` is None with fewer than three frames, `transfer` without patches.
+    `parts` have the names in `PARTS`; of a single frame only v, h and vh, and vh contains tvh. `dynamic` (tv, th,
+    tvh together) and `fixed` (v, h, vh) are None for a single frame, and so is `temporal_sd`, the standard
+    deviation of each pixel over the frames; `drift` is None with fewer than three, `transfer` without patches.
     """
 
     n_frames: int
@@ -214,11 +213,10 @@ def measure_noise(
     patches: Sequence[FramePatch] = (),
     progress: Progress | None = None,
 ) -> Noise3D:
-    """Measure the three-dimensional noise of a recording of a scene that does not move.
+    """Measure the three-dimensional noise of a recording of a scene that stands still, reading frames once.
 
-    Patches of known levels give the signal transfer and a signal-to-noise ratio for each level. The frames are
-    read once. Memory grows by one number for each frame only. SettingsError for a region that is not within the
-    frame or has fewer than 2 rows or columns, and for levels of patches that are all the same.
+    Patches of known levels give the signal transfer and a signal-to-noise ratio for each level. SettingsError for
+    a region that is not within the frame or too small, and for levels of patches that are all the same.
     """
     levels = {one.level for one in patches}
     if patches and (len(levels) < 2 or not all(map(math.isfinite, levels))):

@@ -58,13 +58,11 @@ def measure_mtf(
     display: Display | None = None,
     progress: Progress | None = None,
 ) -> RecordingMtf:
-    """Measure the MTF across slanted edges in the mean of a recording's frames.
+    """Measure the MTF across slanted edges in the mean of a recording's frames, or of a display's luminance.
 
-    Each of `boxes` is the part of the frame about an edge; in place of them `edges` are those of a chart, and what
-    their steps take from the MTF is divided out. Without any, edges are found. Those of a chart, or found, that
-    cannot be measured are left out. With a display, whose transfer function the values have been made for, its
-    luminance is measured. SettingsError if a box is not within the frame or too small, or values without a white
-    are to be displayed; DataError if there is no edge, or a given one cannot be measured.
+    Edges are those about which boxes are, or those of a chart, or found; the latter two are left out if they
+    cannot be measured. SettingsError if a box is not within the frame or too small, or values without a white are
+    to be displayed; DataError if there is no edge, or one in a box cannot be measured.
     """
     frames = _mean(recording, display, progress)
     whole = frames.colours[LUMA]
@@ -135,41 +133,11 @@ def _mean(recording: Recording, display: Display | None, progress: Progress | No
     return _MeanFrame(colours, None if white is None else saturated, n)
 
 
-class _Segment(NamedTuple):
-    """A straight line between two points (x, y)."""
-
-    x1: float
-    y1: float
-    x2: float
-    y2: float
-
-    @property
-    def length(self) -> float:
-        return math.hypot(self.x2 - self.x1, self.y2 - self.y1)
-
-    def points(self) -> FloatArray:
-        """Return points at most a pixel apart, (n, 2)."""
-        share = np.linspace(0.0, 1.0, int(self.length) + 2)[:, np.newaxis]
-        return np.array([self.x1, self.y1]) * (1.0 - share) + np.array([self.x2, self.y2]) * share
-
-    def coordinates(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return how far points are along the line, from its first end, and beside it."""
-        dx, dy = (self.x2 - self.x1) / self.length, (self.y2 - self.y1) / self.length
-        x, y = points[:, 0] - self.x1, points[:, 1] - self.y1
-        return x * dx + y * dy, np.abs(x * dy - y * dx)
-
-    def repeats(self, other: _Segment) -> bool:
-        """Return whether the line is a part of the same edge as another: beside it, and not beyond its ends."""
-        along, beside = other.coordinates(self.points())
-        return bool(beside.max() < SAME_PX and along.max() > 0.0 and along.min() < other.length)
-
-
 def find_edges(image: FloatArray) -> list[Box]:
     """Return boxes about the straight edges of an image, the longest first.
 
     Lines are found by OpenCV's line segment detector: Grompone von Gioi et al. 2012, "LSD: a line segment
-    detector", IPOL 2. A box leaves out the ends of its edge, and goes to the sides as far as there is no other.
-    DataError if there is no straight edge of at least `LEAST_LENGTH_PX`.
+    detector", IPOL 2. DataError if there is no straight edge of at least `LEAST_LENGTH_PX`.
     """
     import cv2
 
@@ -178,17 +146,22 @@ def find_edges(image: FloatArray) -> list[Box]:
         raise DataError("found no edge: all values are the same")
     grey = np.clip((image - low) / (high - low) * 255.0, 0.0, 255.0).astype(np.uint8)
     detected = cv2.createLineSegmentDetector().detect(cv2.GaussianBlur(grey, (0, 0), 1.0))[0]
-    lines = [] if detected is None else [_Segment(*map(float, line)) for line in detected.reshape(-1, 4)]
-    lines.sort(key=lambda line: -line.length)
+    lines = [] if detected is None else [*detected.reshape(-1, 2, 2).astype(np.float64)]
+    lines.sort(key=lambda ends: -math.dist(*ends))
+    points = [points_between(ends) for ends in lines]
     boxes: list[Box] = []
-    taken: list[_Segment] = []
-    points = [line.points() for line in lines]
-    for line in lines:
-        if line.length < LEAST_LENGTH_PX or len(boxes) == 64:
+    taken: list[FloatArray] = []
+    for ends, own in zip(lines, points, strict=True):
+        if math.dist(*ends) < LEAST_LENGTH_PX or len(boxes) == 64:
             break
-        if not any(line.repeats(other) for other in taken):
-            taken.append(line)
-            box = _box(line, points, image.shape)
+        # A line beside another, and not beyond its ends, is a part of the same edge.
+        places = ((other, *_coordinates(other, own)) for other in taken)
+        if not any(
+            beside.max() < SAME_PX and along.max() > 0.0 and along.min() < math.dist(*other)
+            for other, along, beside in places
+        ):
+            taken.append(ends)
+            box = box_about(ends, points, image.shape)
             boxes += [] if box is None else [box]
     if not boxes:
         raise DataError(
@@ -198,30 +171,37 @@ def find_edges(image: FloatArray) -> list[Box]:
     return boxes
 
 
-def box_about(ends_px: FloatArray, others_px: Sequence[FloatArray], shape: tuple[int, int]) -> Box | None:
-    """Return the widest box about an edge without others in it; None if there is none.
+def box_about(ends_px: FloatArray, points: Sequence[FloatArray], shape: tuple[int, ...]) -> Box | None:
+    """Return the widest box about an edge without points of other lines in it; None if there is none.
 
-    Ends of the edge and of the others are (x, y), shape (2, 2); `shape` is that of the frame.
+    The ends of the edge are (x, y), shape (2, 2), the points (n, 2) a line; `shape` is that of the frame.
     """
-    line, *others = (_Segment(*map(float, one.ravel())) for one in (ends_px, *others_px))
-    return _box(line, [one.points() for one in (line, *others)], shape) if line.length >= LEAST_LENGTH_PX else None
-
-
-def _box(line: _Segment, points: Sequence[FloatArray], shape: tuple[int, ...]) -> Box | None:
-    """Return the widest box about an edge without points of other lines in it; None if there is none."""
-    rows, columns = shape
+    length = math.dist(*ends_px)
+    if length < LEAST_LENGTH_PX:
+        return None
     # All lines but those that go on where this one ends.
     counts, every = np.array([len(some) for some in points]), np.concatenate(points)
-    farthest = np.maximum.reduceat(line.coordinates(every)[1], np.cumsum(counts) - counts)
+    farthest = np.maximum.reduceat(_coordinates(ends_px, every)[1], np.cumsum(counts) - counts)
     rest = every[np.repeat(farthest >= SAME_PX, counts)]
-    is_upright = abs(line.y2 - line.y1) >= abs(line.x2 - line.x1)
-    inner = line.points()[[0, -1]]
-    ends = inner + 6.0 / line.length * (inner[::-1] - inner)  # Corners at the ends of an edge are round.
+    across, along = np.abs(ends_px[1] - ends_px[0])
+    ends = ends_px + 6.0 / length * (ends_px[::-1] - ends_px)  # corners at the ends of an edge are round
     for width in (32, 24, 18, 13):
-        margin = np.array([width, 0.0] if is_upright else [0.0, width])
+        margin = np.array([width, 0.0] if along >= across else [0.0, width])
         first = np.maximum(np.ceil(ends.min(0) - margin), 0).astype(int)
-        last = np.minimum(np.floor(ends.max(0) + margin), [columns - 1, rows - 1]).astype(int)
+        last = np.minimum(np.floor(ends.max(0) + margin), [shape[1] - 1, shape[0] - 1]).astype(int)
         is_free = not ((first <= rest) & (rest <= last)).all(1).any()
         if is_free and (last - first + 1 >= LEAST_SIDE_PX).all():
             return int(first[0]), int(first[1]), int(last[0] - first[0] + 1), int(last[1] - first[1] + 1)
     return None
+
+
+def points_between(ends_px: FloatArray) -> FloatArray:
+    """Return points of a line, (n, 2), at most a pixel apart."""
+    return np.linspace(ends_px[0], ends_px[1], int(math.dist(*ends_px)) + 2)
+
+
+def _coordinates(ends_px: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far points are along a line, from its first end, and beside it."""
+    dx, dy = (ends_px[1] - ends_px[0]) / math.dist(*ends_px)
+    x, y = (points - ends_px[0]).T
+    return x * dx + y * dy, np.abs(x * dy - y * dx)

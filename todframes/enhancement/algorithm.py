@@ -213,22 +213,19 @@ class Enhancement:
         return int(self.values[declared] if isinstance(declared, str) else declared)
 
     def run(self, image: Image) -> tuple[Image, float]:
-        """Apply the algorithm to an image, float32 of shape (rows, columns) or (rows, columns, 3).
+        """Return an image, (rows, columns[, 3]), after the algorithm, and its processor time in s.
 
-        Returns the image after the algorithm, of a floating-point type and the given shape times the
-        magnification, and the processor time that the function took, in seconds. Raises DataError, with the
-        algorithm's name, if the function fails or returns anything else, including NaN or infinity.
+        DataError, with the algorithm's name, if the function fails or returns anything but finite floating-point
+        numbers of the given shape times the magnification.
         """
         return self._applied(image, "an image", {}, ())
 
     def run_clip(
         self, frames: Image, judged: NDArray[np.intp], frame_rate_hz: float | None
     ) -> tuple[Image, float]:
-        """Apply an algorithm of clips to frames, (n, rows, columns) or (n, rows, columns, 3), in the order of
-        time.
+        """Return the judged ones of frames in the order of time, (n, rows, columns[, 3]), after the algorithm.
 
-        `judged` are the indices of the m frames that are judged. Returns these m frames after it and the processor
-        time in seconds; raises DataError as `run` does, and if the function returns another number of frames.
+        Then comes the processor time; DataError as `run` raises it, also for another number of frames.
         """
         known = {"judged": judged, "frame_rate_hz": frame_rate_hz}
         return self._applied(frames, "frames", {name: known[name] for name in self.context}, (len(judged),))

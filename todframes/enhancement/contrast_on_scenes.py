@@ -1,16 +1,14 @@
 """Displayed contrast of triangles in front of scenes, without the contrast of the scenes themselves.
 
-A scene may be brighter or darker behind a triangle than around it, which is no contrast of the triangle. Trials
-that share their background tell the two apart. In each trial four contrasts are measured: in the area of the
-triangle shown, and in the areas of triangles of the three other orientations. The background adds the same four
-numbers to all trials of a view, whatever their triangle.
+In each trial four contrasts are measured: in the area of the triangle shown, and in the areas of triangles of the
+three other orientations. A scene that is brighter behind a triangle than around it adds the same four numbers to
+all trials of a view, whatever their triangle.
 
 Least squares takes them out and finds, at each level, the contrast a in the area of the triangle, and the smaller
-ones s and q in the areas to its side and opposite to it. A constant that all three share stays unknown, as a
-uniform spot would add it, and more does if orientations follow one another with the levels. The difference a − q
-is known nevertheless. By the shape of the triangle, as display and algorithm blur it, s and q are fixed shares of
-a − q. These shares are the same at all levels, and follow from how s and q rise with a − q. If the contrast
-hardly differs between levels, they are those of a sharp triangle.
+ones s and q in the areas to its side and opposite to it. A constant that all three share stays unknown; the
+difference a − q is known. By the shape of the triangle, as display and algorithm blur it, s and q are fixed shares
+of a − q at all levels, and follow from how s and q rise with it. If the contrast hardly differs between levels,
+the shares are those of a sharp triangle.
 """
 
 from __future__ import annotations
@@ -73,10 +71,9 @@ def views_to_measure(trials: Trials) -> NDArray[np.intp] | None:
 def contrasts_on_scenes(trials: Trials, contrasts: FloatArray, *, sharp_share: float) -> OnScenes | None:
     """Separate the displayed contrast of triangles of one group from that of the scenes behind them.
 
-    `contrasts`, (trial, algorithm, 4), are those of triangles of the orientation shown, and of those a quarter, a
-    half and three quarters of a turn from it, clockwise. `sharp_share` is that of the opposite orientation for a
-    sharp triangle of contrast 1 on an even field. None if the trials do not determine the contrasts: too few share
-    their background, or have other levels.
+    `contrasts`, (trial, algorithm, 4), are those of `triangle_contrasts`; `sharp_share` is that of the opposite
+    orientation for a sharp triangle of contrast 1. None if the trials do not determine the contrasts: too few
+    share their background, or have other levels.
     """
     level, of_level = np.unique(trials.levels, return_inverse=True)
     views = trials.by_view()

@@ -183,11 +183,8 @@ class DecodedFrame:
         """Return the part of a picture that a retina grid touches, or all of it, as contrast.
 
         Then come the middle of the undisplaced retina, x and y in pixels from the picture's first, and the factor
-        by which the algorithm changes the luminance of the outermost pixels, divided by that around the triangle;
-        1 where the background is not given.
-
-        A background that the dataset gives, or that lies at the border, is that of the frame: it gets as much
-        brighter as the algorithm makes the surroundings of the triangle. Raises FrameError as `read_contrast`.
+        by which the algorithm changes the luminance of the outermost pixels, divided by that around the triangle.
+        A background that is given, or lies at the border, gets as much brighter as the triangle's surroundings.
         """
         m = picture.magnification
         begins, triangle = (self.header.first_column, self.header.first_row), place.triangle
@@ -287,7 +284,7 @@ class TrialReader:
     ) -> list[EnhancedTrial]:
         """Return the trial as shown after each algorithm, with measurements; parameters are those of `read_trial`.
 
-        Raises FrameError if a frame cannot be used, the triangle is not on it, or an algorithm fails with it.
+        FrameError if a frame cannot be used, the triangle is not on it, or an algorithm fails with it.
         """
 
         def opened() -> Iterator[tuple[DecodedFrame, Placement]]:
@@ -380,16 +377,13 @@ class TrialReader:
     def _after_clip(
         self, images: Image, judged: list[DecodedFrame], algorithm: Enhancement, frame_rate_hz: float | None
     ) -> list[EnhancedImage]:
-        """Return the pictures of the judged frames, the last ones, after an algorithm of clips.
-
-        Noise differs from frame to frame, so a frame before and after an algorithm does not show how much brighter
-        that makes it. A clip in which each frame is the mean of all does.
-        """
+        """Return the pictures of the judged frames, the last ones, after an algorithm of clips."""
         indices = np.arange(len(images) - len(judged), len(images))
         run = partial(algorithm.run_clip, images, indices, frame_rate_hz)
         (after, cpu_s), memory_mb = self._meters[algorithm.spec].measured(run)
         still: list[tuple[EnhancedImage, EnhancedImage] | None] = [None] * len(judged)
         if self.screen.display.background_luminance_cd_m2 not in ("surround", "frame_mean"):
+            # Noise differs from frame to frame: how much brighter a frame gets is seen on the mean of all.
             mean = images.mean(axis=0)
             stills, _ = algorithm.run_clip(np.stack([mean] * len(images)), indices, frame_rate_hz)
             before = judged[0].shown(mean, 0.0, algorithm)
@@ -426,7 +420,7 @@ def squared_error_and_ssim(
     """Compute the mean squared error in (cd/m²)² and the mean structural similarity (SSIM) of two images in cd/m².
 
     SSIM has the Gaussian window and the constants of Wang et al. 2004, IEEE Trans. Image Process. 13, 600. It is
-    None for images with a side of fewer than 11 pixels. `data_range` is the luminance of white less that of black.
+    None for images with a side of fewer than 11 pixels.
     """
     from skimage.metrics import structural_similarity  # its mean_squared_error loads all of scipy.stats
 

@@ -26,11 +26,9 @@ class RepeatedFrames:
     """The first two trials of a dataset, shown after each algorithm several times during a comparison.
 
     The second time they are shown in reverse, so that an algorithm that remembers frames gives other pictures.
-    Trials that are added to a dataset do not change the first two, and kept results stay of use.
-
-    `fingerprint` is a hash of the first pictures: results of other weights, which a function reads from a file,
-    have another. `differences` are the largest so far from the first pictures of each algorithm, in units of their
-    mean luminance; 0 up to `SAME_PICTURE`.
+    `fingerprint` is a hash of the first pictures, another for other weights that a function reads from a file.
+    `differences` are the largest so far from the first pictures of each algorithm, in units of their mean
+    luminance; 0 up to `SAME_PICTURE`.
     """
 
     def __init__(self, reader: TrialReader, dataset: Dataset, trials: Trials) -> None:

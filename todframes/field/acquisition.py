@@ -144,9 +144,8 @@ class RangeAtK(Struct, frozen=True, kw_only=True):
 class Acquisition:
     """Ranges and probabilities of a target, seen through air with a sensor whose curve is known.
 
-    The curve is that of triangles, or of bars, also if it was converted. `draws` and `betas`, shape (draws,
-    points), are curves of ln(threshold) and slopes β that are drawn from their errors. `curves` is empty for a TOD
-    whose psychometric functions are not known.
+    `draws` and `betas`, shape (draws, points), are curves of ln(threshold) and slopes β that are drawn from their
+    errors. `curves` is empty for a TOD whose psychometric functions are not known.
     """
 
     target: Target
@@ -193,12 +192,11 @@ class Acquisition:
         return np.maximum.accumulate(known, axis=-1)
 
     def crossing(self, kappa: float, ln_threshold: FloatArray) -> tuple[FloatArray, float, float]:
-        """Find the ranges in km, shape (n,), at which `threshold_curves` meet the contrast, and those of their
-        ends.
+        """Find the ranges in km, (n,), at which `threshold_curves` meet the contrast, and those of their ends.
 
         `kappa` is k, or the line pairs across the target. A range is 0 nearer than the curve's first point, and
-        infinity beyond its last or beyond the table of the air. If the table ends before the first point, the
-        contrast at its end shows which: thresholds do not fall with frequency.
+        infinity beyond its last or the table of the air. If that ends before the first point, the contrast at its
+        end shows which.
         """
         knots = self.curve.per_mrad * self.target.size_m / kappa
         end = min(float(knots[-1]), self.atmosphere.longest_km)
@@ -326,11 +324,7 @@ class Acquisition:
         return _task_curve(task, ranges, (probability[0], *self._ends(probability[1:])), bound, limits)
 
     def _of_bars(self, ranges: FloatArray) -> tuple[TaskCurve, ...]:
-        """Return the probabilities from the highest frequency that is resolved, N = f(contrast) · size / R.
-
-        A contrast above the curve's last threshold resolves its last frequency at least; one below the first
-        resolves the first at most.
-        """
+        """Return the probabilities from the highest frequency that is resolved, N = f(contrast) · size / R."""
         contrast, ln_threshold = self.ln_contrast(ranges), self.threshold_curves()
         knots, size_m, time_s = self.curve.per_mrad, self.target.size_m, self.target.search_time_s
         # np.interp needs rising abscissae; the steps are far below the errors of measured thresholds.
@@ -422,10 +416,7 @@ def acquire(
 
 
 def first_range(curve: ThresholdCurve, target: Target, atmosphere: Atmosphere) -> TaskRange:
-    """Compute the range of the target's first task alone, at 50 % or, for a TOD with k, at the curve's criterion.
-
-    It has no interval. The errors are those of `acquire`.
-    """
+    """Compute the first task's range, without interval: at 50 % or, for a TOD with k, at the curve's criterion."""
     made = _prepared(replace(curve, ln_sd=None), target, atmosphere, None)
     return made.task_range(next(iter(made.criteria)), made.own_probability)
 

@@ -348,10 +348,7 @@ def _rows(curve: TaskCurve) -> Iterator[Json]:
 
 
 def range_words(one: TaskRange, *, size_m: float, is_tod: bool) -> str:
-    """Return a range with its interval, or its bounds, why there is none and what to measure, in words.
-
-    `size_m` is that of the target.
-    """
+    """Return a range in words: with its interval, or its bounds, why there is none and what to measure."""
     if one.range_km is not None:
         interval = "" if one.range_ci95_km is None else f" (95 % interval {interval_phrase(one.range_ci95_km)})"
         return f"{plain(one.range_km)} km{interval}"

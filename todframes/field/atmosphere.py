@@ -284,11 +284,10 @@ def _read_table(folder: Path, name: object, where: str) -> dict[str, Any]:
 def modtran_table(
     *, band_um: tuple[float, float], visibility_km: float, height_m: float
 ) -> tuple[list[float], list[float]]:
-    """Read the transmission of a band over range from the tables of pyBSM.
+    """Return slant ranges in km, and transmissions of a band, which do not rise, from pyBSM's tables.
 
     Thermal bands are weighted with dB/dT at 300 K, others evenly. `height_m` is that of the sensor above a target
-    on the ground. Returns slant ranges in km, and transmissions, which do not rise. SettingsError if pyBSM is not
-    installed, or a value is out of range.
+    on the ground. SettingsError if pyBSM is not installed, or a value is out of range.
     """
     if visibility_km not in HAZES:
         raise SettingsError(f"visibility_km: found {visibility_km:g}, expected 23 or 5, those of MODTRAN's tables")

@@ -34,11 +34,9 @@ def measured_curve(
 ) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
     """Return the curve of a result's thresholds, and the warnings about it; messages begin with `where`.
 
-    `quantity` is that of the target's contrast, in which a level without a name of its own is read. `group` has
-    the values of the columns that tell one curve from the others. `magnification` is the angle on the display
-    divided by the angle in the field, for sizes as displayed. DataError if there are no thresholds over sizes, or
-    their level is no contrast of the field; SettingsError if the result has several curves and `group` does not
-    name one.
+    `quantity` is that of a level without a name of its own. `group` has the values of the columns that tell one
+    curve from the others. DataError if there are no thresholds over sizes, or their level is no contrast of the
+    field; SettingsError if the result has several curves and `group` does not name one.
     """
     fits = _of_group(result.thresholds, where, dict(group or {}))
     size = next((name for name in SIZES if fits and name in fits[0].group), None)
@@ -180,9 +178,8 @@ def _psychometric(fits: Sequence[Fit]) -> Psychometric | None:
 def _slope_error(fit: Fit) -> tuple[float, float] | None:
     """Return the standard deviation of ln β, and its correlation with that of ln(threshold); None if unknown.
 
-    Their covariance has the form of the inverse Fisher information of answers at the levels shown, for a Weibull
-    function of known guess and lapse rates. It is scaled so that the error of the threshold is that of its
-    interval, which is smaller where proportions are expected ones.
+    Their covariance is the inverse Fisher information of answers at the levels shown, for a Weibull function of
+    known guess and lapse rates, scaled so that the error of the threshold is that of its interval.
     """
     if fit.alpha is None or fit.beta is None:
         return None

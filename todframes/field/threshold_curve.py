@@ -104,12 +104,11 @@ class Psychometric(NamedTuple):
 class ThresholdCurve:
     """Thresholds over spatial frequency; between points ln(threshold) is linear in frequency.
 
-    The pattern is a triangle for a TOD, whose frequency is 1 / √area; or bars for MRTD and MRC. Thresholds, shape
-    (n,), are ΔT in K, or Weber contrast (MRC: modulation as the table has it); `per_mrad`, shape (n,), are rising
-    frequencies in cycles/mrad, or 1 / √area in mrad⁻¹. `ln_sd`, shape (2, n), are the standard deviations of
-    ln(threshold) below and above it; None if the errors are not known. `p_correct` is that of a TOD's thresholds.
-    `unreached_per_mrad` is the first frequency above those of the curve at which no contrast suffices, if one was
-    found. DataError if there are fewer than two points, or a value is out of its range.
+    The pattern is a triangle for a TOD, or bars for MRTD and MRC. Thresholds, shape (n,), are ΔT in K, or Weber
+    contrast (MRC: modulation); `per_mrad`, shape (n,), are rising frequencies in cycles/mrad, or 1 / √area in
+    mrad⁻¹. `ln_sd`, shape (2, n), are the standard deviations of ln(threshold) below and above it; None if not
+    known. `p_correct` is that of a TOD's thresholds. `unreached_per_mrad` is the first frequency above those of
+    the curve at which no contrast suffices, if one was found. DataError for a curve that no camera has.
     """
 
     pattern: Pattern
@@ -141,13 +140,12 @@ class ThresholdCurve:
                 f"{LEAST_PER_MRAD:g}; are the angles in µrad, or the frequencies in cycles/rad?"
             )
         least, most, unit, too_small, too_large = LOWEST[self.quantity]
-        lowest, problem = float(self.threshold.min()), ""
-        if lowest < least:
-            problem = f"expected at least {least:g}{unit}; {too_small}"
-        if lowest > most:
-            problem = f"expected at most {most:g}{unit}; {too_large}"
-        if problem:
-            raise DataError(f"{self.name}: found {lowest:g}{unit} as the lowest threshold, {problem}")
+        lowest = float(self.threshold.min())
+        if not least <= lowest <= most:
+            problem = (
+                f"least {least:g}{unit}; {too_small}" if lowest < least else f"most {most:g}{unit}; {too_large}"
+            )
+            raise DataError(f"{self.name}: found {lowest:g}{unit} as the lowest threshold, expected at {problem}")
 
     @classmethod
     def of_sizes(

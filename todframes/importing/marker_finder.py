@@ -1,8 +1,7 @@
 """The markers of a chart in recorded frames: found anew in the first frame, and followed from frame to frame.
 
-A search of a whole frame for ArUco markers takes longer than the decoding of the frame. It is needed only where
-the markers are not near their places in the frame before. From there, or from where ArUco has found them,
-the homography is adjusted until the outer edges of the markers lie in the middle of the slopes from black to
+A frame is searched whole, by ArUco, only where the markers are not near their places in the frame before. From
+there the homography is adjusted until the outer edges of the markers lie in the middle of the slopes from black to
 white. That place does not depend on the blur, and averages the noise over the whole length of the edges.
 
 The four markers in the corners name the page, and all have to be there. Markers along the borders add edges: one
@@ -441,8 +440,7 @@ class MarkerEdges:
         Black beside a white module is less black, and white beside the grey of the page less white, so that the
         middle of the slope is not where the edge is. How much follows from the width of the blur, which the
         steepest part of the slopes shows, from the pattern of the markers, `bits`, (n, 7, 7), and from the shift
-        itself: an edge that is not where it was looked for is nearer to what lies on one of its sides. Linear
-        interpolation blurs as well, most in the middle between pixels.
+        itself. Linear interpolation blurs as well, most in the middle between pixels.
         """
         there = np.isfinite(edges.shifts_px).reshape(len(bits), -1).all(axis=1)
         places_px = edges.start.to_px(self._places_mm[there])
