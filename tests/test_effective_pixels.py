@@ -140,11 +140,21 @@ def test_effective_pixels_go_with_the_light():
         photons=ss.PhotonNoise(quantum_efficiency=0.5, dark_noise_electrons=10.0, exposure_ms=20.0),
         scene=ss.Scene(luminance_cd_m2=1.0),
     )
-    bright, dim, dark = (acuity(replace(camera, scene=ss.Scene(luminance_cd_m2=one))) for one in (1.0, 0.1, 1e-4))
+    bright, dim = (acuity(replace(camera, scene=ss.Scene(luminance_cd_m2=one))) for one in (1.0, 0.1))
     assert dim.effective_share < 0.9 * bright.effective_share
-    assert dark is None  # contrast 1 is recognised at no size
+    near = replace(STAR_LIKE.display, pixels_per_detector=1, pixel_pitch_mm=50.0)
+    assert acuity(replace(STAR_LIKE, display=near)) is None  # larger than the observer's field
 
 
 def test_advice_refuses_a_criterion_of_guesses():
     with pytest.raises(SettingsError, match=r"p_correct: found 0\.2, expected"):
         ss.advise("sample_frames/star_like.toml", p_correct=0.2)
+
+
+def test_a_curve_ends_with_what_limits_it():
+    noisy = ss.curve(STAR_LIKE, size_detectors=[6], tolerance=0.05, examples=False)
+    assert noisy.limits[0].startswith("Detector noise limits")
+    assert noisy.data.printed()[:2] == [
+        *noisy.limits,
+        "`sensor-sim advise` states which number of the sensor buys most.",
+    ]

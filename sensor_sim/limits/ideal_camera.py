@@ -13,6 +13,7 @@ from sensor_sim.limits.crossing import Crossing, Try, find_crossing
 from sensor_sim.limits.varied import LARGEST_DETECTORS, OWN_DETECTORS, SMALLEST_DETECTORS
 from sensor_sim.thresholds.curve_plan import coarse_plan
 from sensor_sim.thresholds.predict import FoldedChain
+from todframes.base.errors import SettingsError
 from todframes.observers.interface import Observer
 from todframes.results.wording import plain
 from todframes.scoring.error_budget import half_width_95
@@ -75,7 +76,10 @@ def ideal_camera_of(sensor: Sensor, observer: Observer, *, p_correct: float, see
     detectors of all pitches at the same angle, so an ideal camera has the same acuity in detectors at any pitch:
     the pitch follows from the ratio.
     """
-    own, ideal = (_acuity(one, observer, p_correct, seed) for one in (sensor, idealised(sensor)))
+    try:
+        own, ideal = (_acuity(one, observer, p_correct, seed) for one in (sensor, idealised(sensor)))
+    except SettingsError:  # the first triangle that is tried is too large for the observer
+        return None
     if own.value is None or ideal.value is None:
         return None
     errors = [(one.error or 0.0) / one.value for one in (own, ideal) if one.value is not None]

@@ -34,6 +34,7 @@ from todframes.scoring.error_budget import Step, plan_object
 
 if TYPE_CHECKING:
     from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold
+    from sensor_sim.thresholds.shares import Shares
     from todframes.results.thresholds import Thresholds
 
 SHARED_MB = 64
@@ -115,6 +116,7 @@ def curve(
     [3.2, 1.1]
     """
     started, seed = time.perf_counter(), seed_of(rng)
+    from sensor_sim.thresholds.shares import shares_at
     from sensor_sim.thresholds.sizes import sizes_in_detectors
 
     sensor = sensor_of(sensor)
@@ -132,6 +134,7 @@ def curve(
         replace(sensor, scene=scenes[0]) if scenes else sensor, size_detectors, size_mrad, judge, **asked
     )
     of_scenes: list[list[Fit]] = [[] for _ in scenes or (None,)]
+    shares: list[list[Shares]] = [[] for _ in of_scenes]
     unreached: dict[tuple[str, float | None], list[AtLight]] = {}
     done = 0.0
 
@@ -147,16 +150,18 @@ def curve(
             sensor, scenes, judge, size, tolerance=tolerance, plan=plan, progress=advance, **asked
         )
         run_time_s = round((time.perf_counter() - started_size) / len(thresholds), 4)
-        for at_light, fits_of_scene in zip(thresholds, of_scenes, strict=True):
+        for at_light, fits_of_scene, shares_of_scene in zip(thresholds, of_scenes, shares, strict=True):
             scene = at_light.chain.sensor.scene
             luminance = scene.background_cd_m2 if luminances and scene is not None else None
             group: dict[str, float | str] = {} if luminance is None else {"luminance_cd_m2": luminance}
             fits_of_scene.append(_fit(at_light, group | {"size_detectors": size}, p_correct, run_time_s))
+            if places == 1:
+                shares_of_scene.append(shares_at(at_light.chain, "snr", at_light.found.threshold, seed))
             if at_light.found.highest is not None:
                 unreached.setdefault((at_light.found.reason, luminance), []).append(at_light)
         advance(number - done)
     fits = [fit for fits_of_scene in of_scenes for fit in fits_of_scene]
-    more: dict[str, Any] = {}
+    more: dict[str, Any] = {"limits": tuple(map(_what_limits, of_scenes, shares)) if places == 1 else ()}
     if examples:
         from sensor_sim.chain.pictures import threshold_examples
 
@@ -166,6 +171,17 @@ def curve(
     never = (_never_reached(alike, judge, light, **asked) for (_, light), alike in unreached.items())
     warnings = (*never, *numerical_errors(fits, tolerance))
     return Result.made("curve", started, settings=settings, seed=seed, fits=tuple(fits), warnings=warnings, **more)
+
+
+def _what_limits(fits: Sequence[Fit], shares: Sequence[Shares]) -> str:
+    """Return what limits the curve at one light in a sentence."""
+    from sensor_sim.thresholds.shares import SATURATING, WITHOUT_NOISE, what_limits
+
+    sizes = [float(fit.group["size_detectors"]) for fit in fits]
+    reached = [fit.threshold is not None for fit in fits]
+    _, sentence = what_limits(sizes, shares, reached, WITHOUT_NOISE if fits[0].level == "snr" else SATURATING)
+    luminance = fits[0].group.get("luminance_cd_m2")
+    return sentence if luminance is None else f"At {luminance:g} cd/m²: {sentence}"
 
 
 class AtLight(NamedTuple):

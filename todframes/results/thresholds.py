@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 GAZES = {"tracked": "follows it (tracked)", "fixed": "stays at that place (fixed), so that motion is blur"}
 """Phrases about each gaze, where triangles move."""
 
+MORE_ADVICE = "`sensor-sim advise` states which number of the sensor buys most."
+"""Sentence below what limits a sensor: derivatives take longer than the curve."""
+
 MOST_ANSWERS = 12
 """Largest number of rows of the table of answers that a terminal shows unless it is asked for details."""
 
@@ -63,6 +66,8 @@ class Thresholds(Content, frozen=True, kw_only=True):
         With `-o`: pictures of trials near threshold.
     efficiencies : tuple of Efficiency or None
         With `--relative-to`: the efficiency relative to each other observer in each group.
+    limits : tuple of str
+        Of `sensor-sim curve`: what makes answers vary at threshold, a sentence for each light.
     from_store : int or None
         Number of results that an earlier, interrupted run had computed.
     """
@@ -75,6 +80,7 @@ class Thresholds(Content, frozen=True, kw_only=True):
     located: tuple[Record, ...] | None = None
     examples: tuple[Example, ...] | None = None
     efficiencies: tuple[Efficiency, ...] | None = None
+    limits: tuple[str, ...] = ()
     from_store: int | None = None
 
     inference: ClassVar[str] = "Intervals"
@@ -152,7 +158,7 @@ class Thresholds(Content, frozen=True, kw_only=True):
 
     def cautions(self) -> list[str]:
         """Return the cautions that a reader of the thresholds must know."""
-        texts = []
+        texts = [*self.limits, *([MORE_ADVICE] if self.limits else [])]
         of_each = [located for located in self.located or () if located.get("n_located") is not None]
         if of_each:
             n_located, n_trials = (sum(located[key] for located in of_each) for key in ("n_located", "n_trials"))
