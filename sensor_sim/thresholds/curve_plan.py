@@ -236,7 +236,7 @@ def coarse_plan(
     step = max(2 ** (seen.bit_length() - 3), 1)  # so that fields that differ by a detector have one readout
     half_width = math.ceil(seen / step) * step
     readout = linear_readout(sensor, observer, size_detectors, half_width)
-    symmetric = is_symmetric(readout) and is_alike_when_turned(sensor)
+    symmetric = readout.is_symmetric and is_alike_when_turned(sensor)
     lattices = [n for n in PLACES if math.gcd(n, display.pixels_per_detector) == 1]
     return CurvePlan(
         observer=observer,
@@ -569,7 +569,7 @@ class _CurvePlanner:
         """Leave out the parts that change nothing. Returns the plan and its steps."""
         is_blurred, is_noisy = not is_unblurred(self.sensor), plan.level == "snr"
         of_each = Step("orientations", True, "all four: the observer, the optics or the noise are not symmetric")
-        if is_symmetric(self.readout) and is_alike_when_turned(self.sensor):
+        if self.readout.is_symmetric and is_alike_when_turned(self.sensor):
             # Square detectors and a symmetric observer look the same to all orientations.
             plan = replace(plan, orientations=ORIENTATIONS[:1])
             why = "one stands for all four, which are its turns"
@@ -604,13 +604,3 @@ def _beyond(change: float, shorter: int, period: int) -> float:
     """
     share = (shorter / period) ** 3
     return change * share / (1.0 - share)
-
-
-def is_symmetric(readout: Readout) -> bool:
-    """Return whether the templates of the four scores are turns of each other, to the last bit."""
-    first, covariance = readout.deviations[0], readout.noise_covariance
-    return all(
-        np.array_equal(readout.deviations[k], np.rot90(first, -k))
-        and np.allclose(np.roll(covariance[0], k), covariance[k], rtol=1e-12)
-        for k in range(1, 4)
-    )

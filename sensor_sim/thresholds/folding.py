@@ -33,10 +33,10 @@ def is_unblurred(sensor: Sensor) -> bool:
 
 class Folding:
     """Weights on a retina, (answers, side, side), to be folded onto detectors for any place of the retina. The
-    first `n` are folded, onto a square of `field` × `field` detectors, with the precision `dtype`. Retina samples
-    that never see the field while the retina's middle is within `reach_detectors` of the field's, along each axis,
-    are dropped. With `merge_pixels`, pixels that must be alike count as one. `key` is everything that the weights
-    depend on besides their places.
+    first `n` are folded, turns of the first where there are fewer, onto a square of `field` × `field` detectors,
+    with the precision `dtype`. Retina samples that never see the field while the retina's middle is within
+    `reach_detectors` of the field's, along each axis, are dropped. With `merge_pixels`, pixels that must be alike
+    count as one. `key` is everything that the weights depend on besides their places.
     """
 
     def __init__(
@@ -63,9 +63,11 @@ class Folding:
         self.grid = RetinaGrid(grid.side - 2 * margin, grid.pitch_mrad)
 
     @cached_property
-    def _seen_deviations(self) -> NDArray[Any]:
+    def _seen_deviations(self) -> list[NDArray[Any]]:
         """Deviations that are folded, on the samples that see the field."""
-        return self._deviations[: self.n, self._seen, self._seen].astype(self.dtype, copy=False)
+        seen = self._deviations[: self.n, self._seen, self._seen].astype(self.dtype, copy=False)
+        turned = (np.ascontiguousarray(np.rot90(seen[0], -k)) for k in range(len(seen), self.n))
+        return [*seen, *turned]
 
     @cached_property
     def _held(self) -> tuple[FloatArray, FloatArray]:
@@ -105,8 +107,8 @@ class Folding:
         side, field, n_x, n_y = self.grid.side, self.field, len(places_x), len(places_y)
         on_columns = np.zeros((self.n, side, field, n_x), dtype=self.dtype)
         for some, seen, shares in self._on_axis(places_x):
-            folded = self._seen_deviations[..., seen] @ shares.T
-            on_columns[:, :, some] = folded.reshape(self.n, side, -1, n_x)
+            for k, deviations in enumerate(self._seen_deviations):
+                on_columns[k, :, some] = (deviations[:, seen] @ shares.T).reshape(side, -1, n_x)
         on_columns = on_columns.reshape(self.n, side, -1)
         folded_rows = np.zeros((self.n, field, n_y, field, n_x), dtype=self.dtype)
         for some, seen, shares in self._on_axis(places_y):

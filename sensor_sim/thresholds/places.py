@@ -17,7 +17,6 @@ from sensor_sim.thresholds.curve_plan import (
     PLACES,
     CurvePlan,
     is_alike_when_turned,
-    is_symmetric,
     linear_readout,
     lines_of,
     plan_curve,
@@ -121,7 +120,7 @@ def _plan(sensor: Sensor, observer: Observer, size_detectors: float, places: int
     plan = plan_curve(sensor, observer, size_detectors, name="full")
     why = f"the triangle may be at any of {places} places, whose scores are compared whole"
     steps = [Step("everything", True, why)]
-    if is_symmetric(linear_readout(sensor, plan.observer, size_detectors)) and is_alike_when_turned(sensor):
+    if linear_readout(sensor, plan.observer, size_detectors).is_symmetric and is_alike_when_turned(sensor):
         plan = replace(plan, orientations=ORIENTATIONS[:1])
         steps.append(Step("orientations", False, "one stands for all four, which are its turns"))
     return replace(

@@ -103,8 +103,18 @@ class Readout:
     def weights_key(self) -> bytes:
         """Hash of the grid and of `deviations`: readouts of the same weights share it, whatever their noise."""
         digest = hashlib.blake2b(repr((self.grid, self.deviations.shape)).encode(), digest_size=32)
-        digest.update(np.ascontiguousarray(self.deviations).data)
+        digest.update(np.ascontiguousarray(self.deviations[:1] if self.is_symmetric else self.deviations).data)
         return digest.digest()
+
+    @cached_property
+    def is_symmetric(self) -> bool:
+        """Whether the templates of the four scores are turns of each other, to the last bit."""
+        first, covariance = self.deviations[0], self.noise_covariance
+        return all(
+            np.array_equal(other, np.rot90(first, -k))
+            and np.allclose(np.roll(covariance[0], k), covariance[k], rtol=1e-12)
+            for k, other in enumerate(self.deviations[1:], 1)
+        )
 
     @cached_property
     def norm(self) -> float:

@@ -74,8 +74,12 @@ class NeuronObserver(Observer):
             grid = RetinaGrid(2 * half + 1, grid.pitch_mrad)
         return stimulus.polarity * triangle_on(grid, stimulus.size_mrad, centre=self.centre)
 
-    def _folded(self, stimulus: Stimulus, upright: Bands, fold: Callable[[Bands], FloatArray]) -> Readout:
-        """Make the readout of the upright triangle's template deviation, with the noise of all neurons."""
+    def _folded(
+        self, stimulus: Stimulus, upright: Bands, fold: Callable[[Bands], FloatArray], *, n: int = 4
+    ) -> Readout:
+        """Make the readout of the upright triangle's template deviation, with the noise of all neurons. It has the
+        first `n` deviations; if that is 1, the noise is taken as Gaussian.
+        """
         folded, noise_sd = fold(upright), self.settings.noise_sd
         # In single precision the sums would be no covariance.
         turned = [tuple(band.astype(np.float64, copy=False) for band in upright)]
@@ -84,9 +88,9 @@ class NeuronObserver(Observer):
         return Readout(
             grid=RetinaGrid(len(folded), self.grid(stimulus).pitch_mrad),
             find_common=lambda: fold(self._common_template(stimulus)),
-            deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
+            deviations=np.stack([np.rot90(folded, -k) for k in range(n)]),
             find_common_variance=lambda: summed_variance(self._common_template(stimulus), noise_sd),
-            **summed_noise(turned, noise_sd, self.noise_excess_kurtosis)._asdict(),
+            **summed_noise(turned, noise_sd, self.noise_excess_kurtosis if n > 1 else 0.0)._asdict(),
         )
 
     def noisy_activity(self, contrast: FloatArray, rng: np.random.Generator | None) -> Bands:

@@ -278,18 +278,19 @@ class PyramidObserver(NeuronObserver):
 
     @keeps_last(4)
     def readout_within(self, stimulus: Stimulus, half_width: int) -> Readout:
-        """Return the readout, in single precision, where the observer sees so many samples on each side of the
-        retina's middle one only, at most.
+        """Return a rough readout: the observer sees so many samples on each side of the retina's middle one, at
+        most; in single precision, with the deviations of the first score alone, of which the others are turns, and
+        with Gaussian noise.
         """
-        return self._folded_readout(stimulus, min(half_width, self.grid(stimulus).side // 2), np.float32)
+        grid = self.grid(stimulus)
+        fold = partial(self._fold, grid=grid, half_width=min(half_width, grid.side // 2))
+        return self._folded(stimulus, self._readout_deviation(stimulus, np.float32), fold, n=1)
 
     def make_readout(self, stimulus: Stimulus) -> Readout | None:
         """Fold pyramid and templates onto the retina."""
-        return self._folded_readout(stimulus, self.grid(stimulus).side // 2, np.float64)
-
-    def _folded_readout(self, stimulus: Stimulus, half_width: int, dtype: DTypeLike) -> Readout:
-        fold = partial(self._fold, grid=self.grid(stimulus), half_width=half_width)
-        return self._folded(stimulus, self._readout_deviation(stimulus, dtype), fold)
+        grid = self.grid(stimulus)
+        fold = partial(self._fold, grid=grid, half_width=grid.side // 2)
+        return self._folded(stimulus, self._readout_deviation(stimulus, np.float64), fold)
 
     def noise_between_places(self, stimulus: Stimulus, offset_mrad: tuple[float, float]) -> FloatArray | None:
         """Compute the covariance of the noise on the scores of two places: the same neurons see both.
