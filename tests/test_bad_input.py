@@ -15,9 +15,7 @@ import struct
 import subprocess
 import sys
 import zlib
-from collections.abc import Callable
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -208,91 +206,61 @@ def holding(content):
     return lambda path: path.write_bytes(content)
 
 
-def filled(value):
-    return lambda path: write_frame(path, np.full((48, 48), value))
-
-
-@dataclass(frozen=True)
-class Spoilt:
-    """A dataset with one bad frame: how, and what the error must say besides the file's name."""
-
-    spoil: Callable
-    wanted: tuple
-    suffix: str = ".exr"
-    display: tuple = ()
-
-    def of(self, make_dataset):
-        dataset = make_dataset(suffix=self.suffix, display=dict(self.display))
-        self.spoil(dataset.frame(BAD))
-        return dataset
-
-
-FRAMES = {
-    "missing": Spoilt(Path.unlink, ("No such file",)),
-    "folder": Spoilt(replaced_by_folder, ("folder", "expected")),
-    "pipe": Spoilt(replaced_by_pipe, ("device", "expected")),
-    "empty": Spoilt(holding(b""), ("empty", "EXR or PNG")),
-    "text named png": Spoilt(lambda path: path.write_text("contrast,level\n"), ("starts with", "PNG"), ".png"),
-    "jpeg": Spoilt(
+EITHER_WAY = "cannot be (opened|decoded)"
+EXR = {
+    "missing": (Path.unlink, "No such file"),
+    "folder": (replaced_by_folder, "folder.*expected"),
+    "pipe": (replaced_by_pipe, "device.*expected"),
+    "empty": (holding(b""), "empty.*EXR or PNG"),
+    "jpeg": (
         holding(b"\xff\xd8\xff\xe0" + bytes(99)),
-        ("is a JPEG file, expected EXR or PNG: its compression has changed the pixels",),
+        "is a JPEG file, expected EXR or PNG: its compression has ch",
     ),
-    "tiff": Spoilt(
-        holding(b"II*\0" + bytes(99)),
-        ("is a TIFF file, expected EXR or PNG: convert it without loss",),
-    ),
-    "video": Spoilt(
-        holding(b"\0\0\0\x20ftypisom" + bytes(99)),
-        ("is a mov video file, .*each of its frames",),
-    ),
-    "git lfs": Spoilt(
+    "tiff": (holding(b"II*\0" + bytes(99)), "is a TIFF file, expected EXR or PNG: convert it without loss"),
+    "video": (holding(b"\0\0\0\x20ftypisom" + bytes(99)), "is a mov video file, .*each of its frames"),
+    "git lfs": (
         holding(b"version https://git-lfs.github.com/spec/v1\n"),
-        ("is a Git LFS pointer file, .*git lfs pull",),
+        "is a Git LFS pointer file, .*git lfs pull",
     ),
-    "exr truncated": Spoilt(truncate, (r"cannot be (opened|decoded)",)),
-    "exr header flipped": Spoilt(flip_exr_header, ("cannot be (opened|decoded)",)),
-    "exr data flipped": Spoilt(flip_exr_data, ("rows .* cannot be decoded",)),
-    "exr declares 60000": Spoilt(lambda path: exr_window(path, 60_000, 60_000), ("60000", "32768")),
-    "exr declares too many bytes": Spoilt(lambda path: exr_window(path, 30_000, 30_000), (r"\d MB|image size",)),
-    "exr declares a negative size": Spoilt(lambda path: exr_window(path, -5, 10), ("cannot be opened|found",)),
-    "png truncated": Spoilt(truncate, ("truncated",), ".png"),
-    "png flipped": Spoilt(flip_middle, ("damaged",), ".png"),
-    "png declares 60000": Spoilt(
-        holding(png(60_000, 60_000, png_chunk(b"IDAT", zeros_deflated(1)))),
-        ("60000", "32768"),
-        ".png",
-    ),
-    "png bomb, 400 MB of pixels": Spoilt(
-        holding(png(20_000, 20_000, png_chunk(b"IDAT", zeros_deflated(382)))),
-        (r"\d MB|image size", "256"),
-        ".png",
-    ),
-    "png lacks rows": Spoilt(
-        holding(png(48, 48, png_chunk(b"IDAT", zlib.compress(bytes(49 * 20))))),
-        ("cannot be (opened|decoded)",),
-        ".png",
-    ),
-    "nan": Spoilt(with_pixel(np.nan), ("1 pixels are NaN or infinite", "row 20, column 30")),
-    "black border": Spoilt(
-        filled(0.0),
-        ("background luminance is 0", "expected > 0"),
-        display=(("background_luminance_cd_m2", "border"),),
-    ),
-    "negative mean": Spoilt(
-        filled(-2.0),
-        ("background luminance is -2", "expected > 0"),
-        display=(("background_luminance_cd_m2", "frame_mean"),),
-    ),
-    "smaller than the triangle": Spoilt(
-        lambda path: write_frame(path, np.full((5, 6), 50.0)), ("6 × 5 pixels", "smaller", "2 mrad")
-    ),
+    "truncated": (truncate, EITHER_WAY),
+    "header flipped": (flip_exr_header, EITHER_WAY),
+    "data flipped": (flip_exr_data, "rows .* cannot be decoded"),
+    "declares 60000": (lambda path: exr_window(path, 60_000, 60_000), "60000.*32768"),
+    "declares too many bytes": (lambda path: exr_window(path, 30_000, 30_000), r"\d MB|image size"),
+    "declares a negative size": (lambda path: exr_window(path, -5, 10), "cannot be opened|found"),
+    "nan": (with_pixel(np.nan), "1 pixels are NaN or infinite.*row 20, column 30"),
+    "too small": (lambda path: write_frame(path, np.full((5, 6), 50.0)), "6 × 5 pixels, smaller .*2 mrad"),
+}
+PNG = {
+    "text": (lambda path: path.write_text("contrast,level\n"), "starts with.*PNG"),
+    "truncated": (truncate, "truncated"),
+    "flipped": (flip_middle, "damaged"),
+    "declares 60000": (holding(png(60_000, 60_000, png_chunk(b"IDAT", zeros_deflated(1)))), "60000.*32768"),
+    "400 MB of pixels": (holding(png(20_000, 20_000, png_chunk(b"IDAT", zeros_deflated(382)))), r"\d MB.*256"),
+    "lacks rows": (holding(png(48, 48, png_chunk(b"IDAT", zlib.compress(bytes(49 * 20))))), EITHER_WAY),
 }
 
 
-@pytest.mark.parametrize("case", FRAMES.values(), ids=FRAMES.keys())
-def test_bad_frame(case, make_dataset):
-    dataset = case.of(make_dataset)
-    assert_spoils(dataset, BAD, (re.escape(str(dataset.frame(BAD))), *case.wanted), FrameError)
+@pytest.mark.parametrize(
+    ("suffix", "spoil", "wanted"),
+    [
+        pytest.param(suffix, *case, id=f"{suffix} {label}")
+        for suffix, cases in ((".exr", EXR), (".png", PNG))
+        for label, case in cases.items()
+    ],
+)
+def test_bad_frame(suffix, spoil, wanted, make_dataset):
+    dataset = make_dataset(suffix=suffix)
+    spoil(dataset.frame(BAD))
+    assert_spoils(dataset, BAD, (re.escape(str(dataset.frame(BAD))), wanted), FrameError)
+
+
+@pytest.mark.parametrize(("rule", "luminance"), [("border", 0), ("frame_mean", -2)])
+def test_a_frame_whose_background_is_no_light(rule, luminance, make_dataset):
+    dataset = make_dataset(display={"background_luminance_cd_m2": rule})
+    write_frame(dataset.frame(BAD), np.full((48, 48), float(luminance)))
+    wanted = (re.escape(str(dataset.frame(BAD))), f"background luminance is {luminance} .*expected > 0")
+    assert_spoils(dataset, BAD, wanted, FrameError)
 
 
 def assert_skipped(dataset, bad, wanted, todframes):
@@ -373,9 +341,8 @@ def test_validate_looks_at_all_frames_of_a_trial_with_a_bad_row(make_dataset, to
         row["trial"] = f"trial {number // 2}"
     dataset.save()
     dataset.frame(0).unlink()
-    assert_validate_finds(
-        dataset, [(BAD_LINE, "north"), (re.escape(str(dataset.frame(0))), "No such file")], todframes
-    )
+    missing = (re.escape(str(dataset.frame(0))), "No such file")
+    assert_validate_finds(dataset, [(BAD_LINE, "north"), missing], todframes)
 
 
 # Rows of the manifest -----------------------------------------------------------------------------------------
@@ -384,20 +351,14 @@ ROWS = {
     "orientation unknown": ({"orientation": "north"}, ("orientation", "'north'", "up, right, down or left")),
     "orientation in capitals": ({"orientation": "Up"}, ("found 'Up', expected up, .*; write up$",)),
     "size zero": ({"size_mrad": "0"}, ("size_mrad", "'0'", "> 0")),
-    "size with decimal comma": (
-        {"size_mrad": "2,0"},
-        ("size_mrad", "'2,0', expected a finite number > 0, with a point, not a comma"),
-    ),
+    "size with decimal comma": ({"size_mrad": "2,0"}, ("size_mrad", "'2,0', .* with a point, not a comma")),
     "level zero": ({"contrast": "0"}, ("contrast", "'0'", "> 0")),
     "polarity": ({"polarity": "0"}, ("polarity", "'0'", "1 or -1")),
     "x text": ({"x_px": "left", "y_px": "3"}, ("x_px", "'left'", "number")),
     "y missing": ({"x_px": "3", "y_px": ""}, ("x_px and y_px", "both or none")),
     "path upwards": ({"frame": "../secret.exr"}, (r"\.\./secret\.exr", "outside")),
     "path absolute": ({"frame": "/secret.exr"}, ("/secret.exr", "outside")),
-    "path with backslashes": (
-        {"frame": r"frames\a.exr"},
-        (r"found frames\\a\.exr with backslashes, expected slashes: frames/a\.exr$",),
-    ),
+    "path with backslashes": ({"frame": r"frames\a.exr"}, (r"backslashes, expected slashes: frames/a\.exr$",)),
     "path empty": ({"frame": ""}, ("frame", "''", "path")),
     "path with nul": ({"frame": "frames/a\0.exr"}, ("frame", r"\\x00", "path")),
 }
@@ -561,6 +522,8 @@ def test_dataset_is_no_folder(name, tmp_path):
 # Files that are none, and those of others --------------------------------------------------------------------
 
 SECRET = "root:x:0:0,secret\n"
+NO_SECRET = "^(?!.*root:x)"
+OF_PIPE = "is a pipe or device, expected a file; save what comes from it to a file first"
 
 
 def as_endless_device(path):
@@ -578,11 +541,7 @@ def as_link(path):
 
 @pytest.mark.parametrize(
     ("spoil", "wanted"),
-    [
-        (replaced_by_pipe, "is a pipe or device, expected a file"),
-        (as_endless_device, "outside"),
-        (as_link, "outside"),
-    ],
+    [(replaced_by_pipe, "is a pipe or device, expected a"), (as_endless_device, "outside"), (as_link, "outside")],
 )
 @pytest.mark.parametrize("name", ["dataset.toml", "manifest.csv", "lut.csv"])
 def test_files_of_a_dataset(name, spoil, wanted, make_dataset):
@@ -591,7 +550,7 @@ def test_files_of_a_dataset(name, spoil, wanted, make_dataset):
     (dataset.path / "lut.csv").write_text("code_value,luminance_cd_m2\n0,0\n1,100\n")
     spoil(dataset.path / name)
     kind = DataError if name == "manifest.csv" else SettingsError
-    with refused(kind, (name.replace(".", r"\."), wanted, "^(?!.*root:x)")):
+    with refused(kind, (name.replace(".", r"\."), wanted, NO_SECRET)):
         load_dataset(dataset.path)
 
 
@@ -600,13 +559,7 @@ def test_luminance_table_outside_of_the_dataset(name, make_dataset, tmp_path):
     (tmp_path / "passwd").write_text(SECRET)
     name = name.format(tmp_path)
     dataset = make_dataset(display={"eotf": "lut", "lut": name, "white_luminance_cd_m2": None})
-    wanted = (
-        re.escape(str(dataset.settings_file)),
-        r"\[display\]: lut",
-        re.escape(name),
-        "outside",
-        "^(?!.*root:x)",
-    )
+    wanted = (re.escape(str(dataset.settings_file)), r"\[display\]: lut", re.escape(name), "outside", NO_SECRET)
     with refused(SettingsError, wanted):
         load_dataset(dataset.path)
 
@@ -633,10 +586,7 @@ def test_paths_of_the_dataset_itself(make_dataset, todframes, tmp_path):
 def test_what_is_no_file(path, fails, tmp_path):
     os.mkfifo(tmp_path / "pipe")
     path = tmp_path / path
-    wanted = (
-        re.escape(str(path)),
-        "is a pipe or device, expected a file; save what comes from it to a file first",
-    )
+    wanted = (re.escape(str(path)), OF_PIPE)
     fails("fit", path, status=BAD_DATA, wanted=wanted)
     fails("score", "x", "--observer-settings", path, status=BAD_SETTINGS, wanted=wanted)
 
@@ -644,9 +594,7 @@ def test_what_is_no_file(path, fails, tmp_path):
 def test_pipe_on_standard_input():
     done = process("fit", "/dev/stdin", input="level,n_correct,n_trials\n1,10,40\n")
     assert done.returncode == BAD_DATA
-    assert done.stderr == (
-        "error: /dev/stdin: is a pipe or device, expected a file; save what comes from it to a file first\n"
-    )
+    assert done.stderr == f"error: /dev/stdin: {OF_PIPE}\n"
 
 
 def test_files_that_are_too_long(fails, tmp_path):
@@ -736,6 +684,7 @@ DISPLAY_TABLE = (
     "background_luminance_cd_m2 = 50.0\n"
 )
 EXPERIMENT_TABLE = "[experiment]\nlevel = 'contrast'\n"
+WHOLE = "schema = 1\n" + DISPLAY_TABLE + EXPERIMENT_TABLE
 TOML = {
     "missing": (None, ("no such file",)),
     "empty": (b"", ("schema", "None|missing", "1")),
@@ -746,14 +695,8 @@ TOML = {
     "unknown table": (b"schema = 1\n[dispaly]\n", ("'dispaly'", "'display'")),
     "unknown top key": (b"schema = 1\nlevl = 1\n", ("'levl'",)),
     "syntax": (b"schema = 1\n[display\n", ("not valid TOML", "line 2")),
-    "date for a number": (
-        ("schema = 1\n" + DISPLAY_TABLE.replace("0.25", "2001-01-01") + EXPERIMENT_TABLE).encode(),
-        ("pixel_pitch_mrad", "2001"),
-    ),
-    "huge whole number": (
-        ("schema = 1\n" + DISPLAY_TABLE.replace("0.25", "1" + "0" * 400) + EXPERIMENT_TABLE).encode(),
-        ("pixel_pitch_mrad",),
-    ),
+    "date for a number": (WHOLE.replace("0.25", "2001-01-01").encode(), ("pixel_pitch_mrad", "2001")),
+    "huge whole number": (WHOLE.replace("0.25", "1" + "0" * 400).encode(), ("pixel_pitch_mrad",)),
     "nested lists": (b"schema = 1\nx = " + b"[" * 2000 + b"]" * 2000, ("not valid TOML", "nested too deep")),
     "nested tables": (b"schema" + b".a" * 100 + b" = 1\n", ("not valid TOML", "nested more than 16 deep")),
     "a key of many parts": (b"schema" + b".a" * 200_000 + b" = 1\n", ("not valid TOML", "line 1", "500 dots")),
@@ -1053,10 +996,8 @@ def test_arguments_are_shown_without_control_characters(arguments, todframes):
 
 
 def process(*arguments, stdout=subprocess.PIPE, **options):
-    command = [*COMMAND, *map(str, arguments)]
-    return subprocess.run(
-        command, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=60, check=False, **options
-    )
+    how = {"stdout": stdout, "stderr": subprocess.PIPE, "text": True, "timeout": 60}
+    return subprocess.run([*COMMAND, *map(str, arguments)], check=False, **how, **options)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
@@ -1078,24 +1019,16 @@ def test_standard_output_is_full(option):
         ("{} score {} 2>&-", 0, "size .*threshold", ""),
         ("{} score {} --tolerance 0 2>&-", BAD_SETTINGS, "", ""),
         ("MPLBACKEND=none {} score {} -o out", 0, "size .*threshold", ""),
-        (
-            "ulimit -n 16; {} score {} --workers 2 -o out",
-            1,
-            "",
-            r"error: --workers: .* could not start \(Too many open",
-        ),
+        ("ulimit -n 16; {} score {} --workers 2 -o out", 1, "", r"error: --workers: .* could not start \(Too ma"),
     ],
 )
 @pytest.mark.slow
 @pytest.mark.every_case
 def test_odd_shells(line, status, out, error, make_dataset, tmp_path):
     dataset = make_dataset(suffix=".png").path
-    line = line.format(
-        shlex.join([sys.executable, "-m", "todframes"]), shlex.join([str(dataset), "--set", "resamples=0"])
-    )
-    done = subprocess.run(
-        ["sh", "-c", line], capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path
-    )
+    parts = ([sys.executable, "-m", "todframes"], [str(dataset), "--set", "resamples=0"])
+    shell, how = ["sh", "-c", line.format(*map(shlex.join, parts))], {"timeout": 60, "cwd": tmp_path}
+    done = subprocess.run(shell, capture_output=True, text=True, check=False, **how)
     assert (done.returncode, len(done.stderr.splitlines())) == (status, 1 if error else 0), done.stderr
     assert re.search(out, done.stdout)
     assert re.search(error, done.stderr)
@@ -1106,10 +1039,7 @@ def test_odd_shells(line, status, out, error, make_dataset, tmp_path):
     ("error", "message"),
     [
         (OSError(errno.EMFILE, "Too many open files", "a.exr"), "error: a.exr: Too many open files"),
-        (
-            OSError(errno.ENOMEM, "Cannot allocate memory"),
-            "error: the system refused a call: Cannot allocate memory",
-        ),
+        (OSError(errno.ENOMEM, "No memory"), "error: the system refused a call: No memory"),
     ],
 )
 def test_an_error_of_the_system_is_not_one_of_standard_output(error, message, todframes, monkeypatch):
