@@ -254,14 +254,8 @@ def dataset_in(
                 for repeat in range(repeats):
                     frame = f"frames/s{size_mrad}_c{contrast}_{orientation}_{repeat}{suffix}"
                     (path / frame).write_bytes(content)
-                    rows.append(
-                        {
-                            "frame": frame,
-                            "orientation": orientation.value,
-                            "size_mrad": str(size_mrad),
-                            "contrast": str(contrast),
-                        }
-                    )
+                    row = {"frame": frame, "orientation": orientation.value, "size_mrad": str(size_mrad)}
+                    rows.append(row | {"contrast": str(contrast)})
     for number, changes in (row_changes or {}).items():
         rows[number] |= changes
     tables: dict[str, dict[str, Any]] = {
@@ -284,9 +278,8 @@ def dataset_in(
 def _frame(suffix: str, size_mrad: float, contrast: float, orientation: Orientation, side_px: int) -> bytes:
     """The file of a frame of `make_dataset`: hundreds of tests want the same ones."""
     middle = (side_px - 1) / 2
-    triangle = coverage(
-        (side_px, side_px), size_px=size_mrad / PITCH_MRAD, x_px=middle, y_px=middle, orientation=orientation
-    )
+    size_px = size_mrad / PITCH_MRAD
+    triangle = coverage((side_px, side_px), size_px=size_px, x_px=middle, y_px=middle, orientation=orientation)
     with TemporaryDirectory() as folder:
         path = Path(folder, f"frame{suffix}")
         write_frame(path, BACKGROUND / _full_scale(suffix) * (1.0 + contrast * triangle))

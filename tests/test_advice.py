@@ -68,9 +68,8 @@ def test_a_curve_at_chance_is_not_known_to_rise_with_level() -> None:
 
 @pytest.mark.slow
 def test_levels_of_a_comparison_name_the_algorithm() -> None:
-    result = tod.compare(
-        SAMPLES / "naked_eye", [brighter], fit=tod.FitSettings(resamples=40), white=100.0, examples=False
-    )
+    how = {"fit": tod.FitSettings(resamples=40), "white": 100.0, "examples": False}
+    result = tod.compare(SAMPLES / "naked_eye", [brighter], **how)
     assert {warning.group["algorithm"] for warning in result.warnings} == {result.algorithms[1].name}
 
 
@@ -92,6 +91,9 @@ def test_scenes_that_leave_the_interval_open_need_more_scenes() -> None:
 def open_fit(status, levels, p_correct, **changes) -> Fit:
     points = tuple(FitPoint(level, 10, p) for level, p in zip(levels, p_correct, strict=True))
     return Fit(group={}, level="contrast", p_correct=0.75, status=status, points=points, **changes)
+
+
+FAR = open_fit("extrapolated", (5e4, 1e5), (0.5, 0.7), threshold=1.4e5)
 
 
 @pytest.mark.parametrize(
@@ -116,11 +118,8 @@ def test_levels_lie_on_the_side_of_the_threshold(status, levels, p_correct) -> N
         (60.0, open_fit("never_reached", (0.2, 0.8), (0.25, 0.26)), "aperture_sd_deg = 0.35); take smaller sizes"),
         (20.0, open_fit("never_reached", (0.2, 0.8), (0.25, 0.26)), None),
         (20.0, open_fit("never_reached", (0.2, 0.8), (0.5, 0.7)), "add levels near"),
-        (
-            *(60.0, open_fit("extrapolated", (5e4, 1e5), (0.5, 0.7), threshold=1.4e5)),
-            "(aperture_sd_deg = 0.35); take smaller sizes",
-        ),
-        (1.0, open_fit("extrapolated", (5e4, 1e5), (0.5, 0.7), threshold=1.4e5), "no display shows the contrasts"),
+        (60.0, FAR, "(aperture_sd_deg = 0.35); take smaller sizes"),
+        (1.0, FAR, "no display shows the contrasts"),
     ],
 )
 def test_levels_that_no_display_shows_are_not_advised(size_mrad, fit, message) -> None:
@@ -132,12 +131,7 @@ def test_levels_that_no_display_shows_are_not_advised(size_mrad, fit, message) -
 @pytest.mark.parametrize(
     ("error", "status", "tolerance", "message"),
     [
-        (
-            0.1,
-            "ok",
-            2e-3,
-            "error of 0.1 is 11 % of the threshold, and the tolerance 0.2 %: the last digits are not",
-        ),
+        (0.1, "ok", 2e-3, "error of 0.1 is 11 % of the threshold, and the tolerance 0.2 %: the last digits are"),
         (0.003, "ok", 2e-3, None),
         (0.1, "ok", None, None),
         (None, "too_uncertain", None, "more than 30 % of the threshold, so there is none; larger sizes"),

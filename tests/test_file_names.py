@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import shutil
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -45,9 +46,8 @@ def test_names_become_trials(folder) -> None:
         ("frames/s4_c0.2_up_10.png", "up", 0.2, (4.0,)),
     ]
     assert data.display == find_display("reference_sdr").display
-    assert (
-        (path / "manifest.csv").read_text(encoding="utf-8").startswith("frame,orientation,size_mrad,contrast,n\n")
-    )
+    head, _ = (path / "manifest.csv").read_text(encoding="utf-8").split("\n", 1)
+    assert head == "frame,orientation,size_mrad,contrast,n"
 
 
 @pytest.mark.parametrize(
@@ -68,26 +68,13 @@ def test_ways_to_write_names(folder, name: str, pattern: str, level: str, wanted
     path = folder(name)
     tod.new_dataset(path, pattern, level=level)
     (trial,) = tod.load_dataset(path).trials
-    found = {
-        "orientation": trial.orientation.value,
-        "size_mrad": trial.stimulus.size_mrad,
-        "polarity": trial.stimulus.polarity,
-        "level": trial.level,
-        "x_px": trial.x_px,
-        "y_px": trial.y_px,
-    }
+    found = {"orientation": trial.orientation.value, "level": trial.level, "x_px": trial.x_px, "y_px": trial.y_px}
+    found |= {"size_mrad": trial.stimulus.size_mrad, "polarity": trial.stimulus.polarity}
     assert found.items() >= wanted.items()
 
 
 def test_trials_are_numbered_anew_for_each_stimulus(folder) -> None:
-    names = [
-        f"{turn}_0.{level}_t{trial}_f{k}.png"
-        for turn in "ud"
-        for level in (1, 2)
-        for trial in (1, 2)
-        for k in (1, 2)
-    ]
-    path = folder(*(f"2_{name}" for name in names))
+    path = folder(*("2_{}_0.{}_t{}_f{}.png".format(*one) for one in product("ud", (1, 2), (1, 2), (1, 2))))
     tod.new_dataset(path, "{size_mrad}_{orientation}_{contrast}_t{trial}_f{n}.png")
     data = tod.load_dataset(path)
     assert not data.bad_rows
@@ -95,14 +82,10 @@ def test_trials_are_numbered_anew_for_each_stimulus(folder) -> None:
 
 
 def test_other_files_are_told(folder, capsys) -> None:
-    path = folder(
-        "frames/s4_c0.2_up_1.png", "frames/s4_c0.2_up_1.txt", "frames/Thumbs.db", "notes.txt", "frames/.x"
-    )
+    path = folder("notes.txt", *(f"frames/{name}" for name in ("s4_c0.2_up_1.png", "a.txt", "Thumbs.db", ".x")))
     assert run(cli, ["new", str(path), "--from", PATTERN]) == 0
     out, err = capsys.readouterr()
-    assert err == (
-        "note: 2 files beside the frames without a match, left out: frames/Thumbs.db, frames/s4_c0.2_up_1.txt\n"
-    )
+    assert err == "note: 2 files beside the frames without a match, left out: frames/Thumbs.db, frames/a.txt\n"
     assert out.startswith(f"written: {path}/dataset.toml, and {path}/manifest.csv: 1 frame\n")
     assert sorted(one.name for one in path.iterdir()) == ["dataset.toml", "frames", "manifest.csv", "notes.txt"]
 
@@ -121,9 +104,8 @@ def test_a_table_of_luminances_comes_along_but_not_over_another(folder, tmp_path
     path = folder("frames/s4_c0.2_up_1.png")
     (tmp_path / "measured.csv").write_text("code_value,luminance_cd_m2\n0,0.5\n1,80\n", encoding="utf-8")
     monitor = tmp_path / "monitor.toml"
-    monitor.write_text(
-        'schema = 1\n[display]\neotf = "lut"\nlut = "measured.csv"\npixel_pitch_mrad = 0.3\n', encoding="utf-8"
-    )
+    display = '[display]\neotf = "lut"\nlut = "measured.csv"\npixel_pitch_mrad = 0.3\n'
+    monitor.write_text(f"schema = 1\n{display}", encoding="utf-8")
     (path / "lut.csv").touch()
     with pytest.raises(OutputError, match=r"lut\.csv: is there already"):
         tod.new_dataset(path, PATTERN, display=str(monitor))

@@ -114,19 +114,16 @@ def by_hand(film: Film, dataset: Path, display: tod.Display) -> dict[float, floa
     for trial in np.unique(trials):
         place[trials == trial] = place[trials == trial].mean(axis=0)
         size[trials == trial] = size[trials == trial].mean()
-    return thresholds(
-        tod.score_frames(
-            [film.frames[number_of(row)][2] for row in rows],
-            orientation=[one.orientation for one in seen],
-            level=[one.contrast for one in seen],
-            size_mrad=(size * PITCH_MRAD).tolist(),
-            position=place,
-            trial=trials.tolist(),
-            group={"object_size_mrad": [one.size_mrad for one in seen]},
-            display=display,
-            **SCORING,
-        )
-    )
+    frames = [film.frames[number_of(row)][2] for row in rows]
+    how = {"position": place, "trial": trials.tolist(), "display": display}
+    return scored(frames, seen, size_mrad=(size * PITCH_MRAD).tolist(), **how)
+
+
+def scored(frames: Sequence[NDArray], seen: Sequence[Seen], **how: Any) -> dict[float, float]:
+    """Thresholds of frames whose triangles are as seen."""
+    how |= {"orientation": [one.orientation for one in seen], "level": [one.contrast for one in seen]}
+    how |= {"group": {"object_size_mrad": [one.size_mrad for one in seen]}}
+    return thresholds(tod.score_frames(frames, **how, **SCORING))
 
 
 def assert_found(film: Film, dataset: Path) -> None:
@@ -140,13 +137,8 @@ def assert_found(film: Film, dataset: Path) -> None:
 
 
 def imported(film: Film, recording: Path, *, display: tod.Display = LINEAR, **how) -> Imported:
-    return tod.import_recordings(
-        recording,
-        chart=film.chart.folder / "chart.toml",
-        out=recording.with_suffix(".dataset"),
-        display=display,
-        **how,
-    )
+    how |= {"chart": film.chart.folder / "chart.toml", "out": recording.with_suffix(".dataset")}
+    return tod.import_recordings(recording, display=display, **how)
 
 
 @pytest.mark.parametrize("rate", [9.0, 10.0, 24.0, 25.0, 30000 / 1001, 30.0, 50.0, 60.0, 120.0])
@@ -245,9 +237,8 @@ def test_a_page_under_a_thumb_is_counted_as_lost(tmp_path: Path) -> None:
 
 def test_a_variable_frame_rate_is_no_missing_frame(tmp_path: Path) -> None:
     chart = make_chart(tmp_path, sizes="4", contrasts="0.3")
-    made = Film.of(
-        chart, Camera(width=320, height=180, oversampling=3), frames_per_page=8, scale=0.3, pages=[0, 1]
-    )
+    camera = Camera(width=320, height=180, oversampling=3)
+    made = Film.of(chart, camera, frames_per_page=8, scale=0.3, pages=[0, 1])
     intervals = np.array([2, 3, 3, 4, 7, 2, 3, 5, 2, 4, 7, 3, 2, 5, 3])
     varying = made.pick(range(16), np.cumsum([0, *intervals]).tolist())
     done = imported(varying, varying.write(tmp_path / "film.mkv"), integration_time_s=0.2)
@@ -313,14 +304,8 @@ def through_lens(
     width, height, how = LENS_VIEWS[view]
     lens = Bending(width=width, height=height, **bending)
     electrons = 100.0 if noise else 40_000.0
-    camera = Camera(
-        width=width,
-        height=height,
-        bending=lens,
-        oversampling=3,
-        electrons_at_white=electrons,
-        read_noise_electrons=electrons / 10.0 if noise else 6.0,
-    )
+    light = {"electrons_at_white": electrons, "read_noise_electrons": electrons / 10.0 if noise else 6.0}
+    camera = Camera(width=width, height=height, bending=lens, oversampling=3, **light)
     return Film.of(chart, camera, frames_per_page=8 if noise else 2, pages=pages, turn_deg=0.6, **how)
 
 
@@ -336,15 +321,9 @@ def filling(
     """Film the first page twice, sharply. Without the lens, it takes a share of the frame's width; it lies to the
     right of and below the middle, by a share of the free margin."""
     shape = np.array([800, 450])
-    camera = Camera(
-        width=800,
-        height=450,
-        bending=Bending(width=800, height=450, k=k),
-        blur_sigma_px=0.4,
-        oversampling=3,
-        electrons_at_white=electrons,
-        read_noise_electrons=read_noise,
-    )
+    bending = Bending(width=800, height=450, k=k)
+    optics = {"width": 800, "height": 450, "bending": bending, "blur_sigma_px": 0.4, "oversampling": 3}
+    camera = Camera(**optics, electrons_at_white=electrons, read_noise_electrons=read_noise)
     rows, columns = chart.shape
     scale = width * shape[0] / columns
     shift = place * (shape - scale * np.array([columns, rows])) / 2.0
@@ -410,18 +389,10 @@ def test_an_uncertain_lens_is_told_with_what_it_does_to_a_threshold(tmp_path: Pa
     seen = [sharp.seen(number) for number in range(len(sharp.frames))]
 
     def threshold(x_px: float) -> float:
-        result = tod.score_frames(
-            [values for *_, values in sharp.frames],
-            orientation=[one.orientation for one in seen],
-            level=[one.contrast for one in seen],
-            size_mrad=[one.size_px * PITCH_MRAD for one in seen],
-            position=np.array([(one.x_px + x_px, one.y_px) for one in seen]),
-            trial=[number // 2 for number in range(len(seen))],
-            group={"object_size_mrad": [one.size_mrad for one in seen]},
-            display=LINEAR,
-            **SCORING,
-        )
-        return thresholds(result)[4.0]
+        position = np.array([(one.x_px + x_px, one.y_px) for one in seen])
+        how = {"position": position, "trial": [number // 2 for number in range(len(seen))], "display": LINEAR}
+        frames = [values for *_, values in sharp.frames]
+        return scored(frames, seen, size_mrad=[one.size_px * PITCH_MRAD for one in seen], **how)[4.0]
 
     measured = threshold(float(shift)) / threshold(0.0) - 1.0
     assert measured < float(rise) / 100.0 < 4.0 * measured

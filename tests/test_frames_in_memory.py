@@ -12,15 +12,13 @@ import todframes as tod
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
 SIDE = 48
-DISPLAY = tod.Display(
-    eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=0.3, background_luminance_cd_m2=50.0
-)
+LINEAR = {"eotf": "linear", "pixel_pitch_mrad": 0.3, "background_luminance_cd_m2": 50.0}
+DISPLAY = tod.Display(white_luminance_cd_m2=1.0, **LINEAR)
 
 
 def frame(orientation="up", contrast=0.2):
-    triangle = tod.coverage(
-        (SIDE, SIDE), size_px=6.0, x_px=23.5, y_px=23.5, orientation=tod.Orientation(orientation)
-    )
+    turn = tod.Orientation(orientation)
+    triangle = tod.coverage((SIDE, SIDE), size_px=6.0, x_px=23.5, y_px=23.5, orientation=turn)
     return 50.0 * (1.0 + contrast * triangle)
 
 
@@ -61,10 +59,7 @@ def test_arrays_give_the_numbers_of_their_files(name):
 def test_integers_are_divided_by_their_full_scale():
     """A code of 8 bits is the same share of full scale as 257 times it in 16 bits, and as the quotient itself."""
     codes = np.round(frame(contrast=0.5) * 2.0).astype(np.uint8)
-    display = tod.Display(
-        eotf="linear", white_luminance_cd_m2=127.5, pixel_pitch_mrad=0.3, background_luminance_cd_m2=50.0
-    )
-    shown = {"display": display, "decisions": "sampled", "level": 0.5}
+    shown = {"display": tod.Display(white_luminance_cd_m2=127.5, **LINEAR), "decisions": "sampled", "level": 0.5}
     of_type = [
         scored([one] * 8, **shown).trials.records
         for one in (codes, codes.astype(np.uint16) * 257, (codes / 255.0).astype(np.float32))
@@ -75,9 +70,8 @@ def test_integers_are_divided_by_their_full_scale():
 def test_frames_of_a_trial_are_averaged():
     """A frame and its mirror image in contrast have the mean of no contrast: all answers are alike."""
     pair = [frame(contrast=0.3), frame(contrast=-0.3)]
-    (record,) = scored(
-        pair, trial=["a", "a"], observer=tod.PyramidObserver(position_jitter_samples=0.0)
-    ).trials.records
+    steady = tod.PyramidObserver(position_jitter_samples=0.0)
+    (record,) = scored(pair, trial=["a", "a"], observer=steady).trials.records
     assert record["n_frames"] == 2
     assert record["p_correct"] == pytest.approx(0.25, abs=1e-6)  # 32-bit code values
 

@@ -115,9 +115,8 @@ class Closed(NamedTuple):
 def closed(folder: Path) -> Closed:
     """Go the whole way in a folder with chart, film.npy and dark.npy."""
     chart, film = folder / "chart" / "chart.toml", folder / "film.npy"
-    noise = tod.emva_noise(
-        bright=[film], dark=[folder / "dark.npy"], chart=chart, exposure_ms=[EXPOSURE_MS], bits=BITS
-    )
+    stacks = {"bright": [film], "dark": [folder / "dark.npy"]}
+    noise = tod.emva_noise(**stacks, chart=chart, exposure_ms=[EXPOSURE_MS], bits=BITS)
     mtf = tod.mtf(film, chart=chart)
     mtf.save(folder / "mtf")
     shutil.copy(folder / "mtf" / "mtf.csv", folder / "mtf.csv")

@@ -24,14 +24,8 @@ def make_chart(
 ) -> Chart:
     pages = []
     for number, (contrast, orientation) in enumerate((c, o) for c in contrasts for o in ORIENTATIONS):
-        one = Triangle(
-            orientation=orientation,
-            size_mrad=3.2,
-            size_mm=SIZE_MM,
-            contrast=contrast,
-            x_mm=MIDDLE_MM[0],
-            y_mm=MIDDLE_MM[1],
-        )
+        place = {"size_mrad": 3.2, "size_mm": SIZE_MM, "x_mm": MIDDLE_MM[0], "y_mm": MIDDLE_MM[1]}
+        one = Triangle(orientation=orientation, contrast=contrast, **place)
         pages.append(Page(number=number, file=f"pages/{number:04d}.png", triangles=(one,)))
     corners = [Point(x_mm=float(x), y_mm=float(y)) for x, y in CENTRES_MM]
     names = ("top_left", "top_right", "bottom_right", "bottom_left")
@@ -61,9 +55,8 @@ def camera(
     turn = np.radians(degrees)
     sign = -1.0 if mirror else 1.0
     to_middle = np.array([[1, 0, -MIDDLE_MM[0]], [0, 1, -MIDDLE_MM[1]], [0, 0, 1]])
-    turned = np.array(
-        [[np.cos(turn) * sign, -np.sin(turn), 0], [np.sin(turn) * sign, np.cos(turn), 0], [0, 0, 1 / scale]]
-    )
+    cos, sin = np.cos(turn), np.sin(turn)
+    turned = np.array([[cos * sign, -sin, 0], [sin * sign, cos, 0], [0, 0, 1 / scale]])
     tilted = np.array([[1, 0, 0], [0, 1, 0], [tilt * scale, 0.3 * tilt * scale, 1.0]])
     place = np.array([[1, 0, (COLUMNS - 1) / 2 + shift[0]], [0, 1, (ROWS - 1) / 2 + shift[1]], [0, 0, 1]])
     return place @ tilted @ turned @ to_middle

@@ -149,17 +149,12 @@ class Recording:
 
     def manifest(self) -> list[Row]:
         """Return the rows of the manifest, of which the shots are the lines."""
-        return self.rows(
-            [
-                {
-                    "frame": f"frames/{shot.number:03d}.png",
-                    "orientation": shot.orientation,
-                    "size_mrad": f"{SIZE_MRAD:g}",
-                    "contrast": f"{shot.contrast:g}",
-                }
-                for shot in series()
-            ]
-        )
+
+        def row(shot: Shot) -> Row:
+            frame = {"frame": f"frames/{shot.number:03d}.png", "orientation": shot.orientation}
+            return frame | {"size_mrad": f"{SIZE_MRAD:g}", "contrast": f"{shot.contrast:g}"}
+
+        return self.rows([row(shot) for shot in series()])
 
     def write(self, folder: Path) -> None:
         """Write the frames and the manifest; `declare` writes `dataset.toml`."""
@@ -182,10 +177,8 @@ class Recording:
             "background_luminance_cd_m2": background,
             **self.display,
         }
-        lines = [
-            f'{key} = "{value}"' if isinstance(value, str) else f"{key} = {value}"
-            for key, value in display.items()
-        ]
+        quoted = {key: f'"{value}"' if isinstance(value, str) else value for key, value in display.items()}
+        lines = [f"{key} = {value}" for key, value in quoted.items()]
         experiment = '[experiment]\nlevel = "contrast"\ngroup_by = []\n'
         text = "schema = 1\n\n[display]\n" + "\n".join(lines) + "\n\n" + experiment
         (folder / "dataset.toml").write_text(text, encoding="utf-8")
@@ -362,6 +355,18 @@ def scaled(share: float) -> Callable[[NDArray, Shot], NDArray]:
     return lambda codes, _shot: cv2.resize(codes, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
 
 
+def posterised(codes: Image) -> Image:
+    return np.rint(25.0 * codes) / 25.0
+
+
+def hunting(light: Image, shot: Shot) -> Image:
+    return light * shot.chance.uniform(0.8, 1.2)
+
+
+def finer(codes: NDArray, shot: Shot) -> NDArray:
+    return np.kron(codes, np.ones((2, 2), codes.dtype)) if shot.number % 2 else codes
+
+
 def background(factor: float) -> dict[str, object]:
     return {"background_luminance_cd_m2": factor * BACKGROUND}
 
@@ -396,9 +401,8 @@ def repeated_frames(rows: list[Row]) -> list[Row]:
 
 def case(name: str, sentence: str, codes: str = "", refused: str | None = None, **steps: object) -> Case:
     """Return a mishap; `codes` are separated by spaces."""
-    return Case(
-        name=name, sentence=sentence, codes=frozenset(codes.split()), refused=refused, recording=Recording(**steps)
-    )
+    each = frozenset(codes.split())
+    return Case(name=name, sentence=sentence, codes=each, refused=refused, recording=Recording(**steps))
 
 
 def control(name: str, sentence: str, *, is_right: bool = False, **steps: object) -> Case:
@@ -409,18 +413,17 @@ OFF_MIDDLE = {"x_px": f"{MIDDLE_PX + 9.0:g}", "y_px": f"{MIDDLE_PX - 5.0:g}"}
 SWAPPED = {"x_px": OFF_MIDDLE["y_px"], "y_px": OFF_MIDDLE["x_px"]}
 DEGREE, ARC_MINUTE = math.pi / 180.0 * 1000.0, math.pi / 10800.0 * 1000.0  # mrad
 
+SRGB = {"encoded": srgb, "full_scale": 255, "display": {"eotf": "srgb"}}
 CONTROLS = (
     control("flat", "A flat background, everything as the dataset says.", is_right=True),
     control("noisy", "Ten times the noise.", noise=10 * NOISE),
     control("defocused", "The lens is out of focus: the threshold rises, as it should.", blur_px=1.6),
-    control("eight_bits", "sRGB in 8 bits, as declared.", encoded=srgb, full_scale=255, display={"eotf": "srgb"}),
+    control("eight_bits", "sRGB in 8 bits, as declared.", **SRGB),
     control("small", "Triangles of 10 pixels.", shown=resized(0.625), rows=times("size_mrad", 0.625)),
     control("large", "Triangles of a third of the side.", shown=resized(2.0), rows=times("size_mrad", 2.0)),
     control("large_detectors", "A camera whose detectors are 2 pixels wide.", light=detected),
     control("dark_stated", "Dark triangles, with their polarity.", shown=darker, rows=with_columns(polarity="-1")),
-    control(
-        "off_centre_stated", "Off the middle, stated.", shown=moved(9.0, -5.0), rows=with_columns(**OFF_MIDDLE)
-    ),
+    control("off_centre_stated", "Off the middle.", shown=moved(9.0, -5.0), rows=with_columns(**OFF_MIDDLE)),
 )
 
 UNEVEN = "background_uneven background_mismatch"
@@ -442,51 +445,24 @@ BACKGROUND_CASES = (
 )
 
 LIGHT = "background_mismatch contrast_mismatch"
+VIDEO_LEVELS = {"encoded": lambda codes: (16.0 + 219.0 * codes) / 255.0, "full_scale": 255}
 CODE_CASES = (
     case("gamma_as_linear", "sRGB frames declared linear.", LIGHT, encoded=srgb),
     case("srgb_as_bt1886", "sRGB frames declared bt1886.", LIGHT, encoded=srgb, display={"eotf": "bt1886"}),
     case("linear_as_srgb", "Linear frames declared sRGB.", LIGHT, display={"eotf": "srgb"}),
     case("negative", "Black is hot, not white.", LIGHT + " polarity_mismatch", encoded=lambda codes: 1.0 - codes),
     case("colour_cast", "Colour frames with too little blue and green.", "background_mismatch", stored=tinted),
-    case(
-        "limited_range",
-        "Video levels, 16 to 235, declared full range.",
-        "limited_range " + LIGHT,
-        encoded=lambda codes: (16.0 + 219.0 * codes) / 255.0,
-        full_scale=255,
-    ),
+    case("limited_range", "Video levels, 16 to 235, declared full.", "limited_range " + LIGHT, **VIDEO_LEVELS),
     case("twelve_bits", "12 bits in files of 16.", "bit_depth background_mismatch", stored=lambda c, _: c >> 4),
-    case(
-        "posterised",
-        "Only 26 code values.",
-        "coarse_codes",
-        encoded=lambda c: np.rint(25.0 * c) / 25.0,
-        full_scale=255,
-    ),
-    case(
-        "jpeg",
-        "Frames that were JPEGs of quality 30.",
-        "coarse_codes contrast_mismatch",
-        encoded=srgb,
-        full_scale=255,
-        stored=of_jpeg(30),
-        display={"eotf": "srgb"},
-    ),
+    case("posterised", "Only 26 code values.", "coarse_codes", encoded=posterised, full_scale=255),
+    case("jpeg", "They were JPEGs of quality 30.", "coarse_codes contrast_mismatch", **SRGB, stored=of_jpeg(30)),
     case("overexposed", "The triangle is at the end of the scale.", "saturated", light=overexposed),
     case("crushed_blacks", "The blacks are cut off.", "crushed", light=lambda i, _: i - 0.99 * BACKGROUND),
     case("automatic_gain", "Each frame has full contrast.", LIGHT, encoded=lambda c: (c - c.min()) / np.ptp(c)),
-    case(
-        "automatic_exposure",
-        "The exposure hunts by 20 %.",
-        LIGHT,
-        light=lambda i, shot: i * shot.chance.uniform(0.8, 1.2),
-    ),
+    case("automatic_exposure", "The exposure hunts by 20 %.", LIGHT, light=hunting),
     case("dead_pixels_outside", "Sixty stuck pixels off the triangle.", STUCK, stored=stuck(60, (20.0, 48.0))),
     case(
-        "hot_pixels_inside",
-        "Eight stuck pixels on the triangle.",
-        STUCK + " background_uneven",
-        stored=stuck(8, (0.0, 8.0)),
+        "hot_pixels_inside", "Eight stuck ones on it.", STUCK + " background_uneven", stored=stuck(8, (0.0, 8.0))
     ),
 )
 
@@ -536,12 +512,7 @@ SIZE_CASES = (
     case("pitch_halved", "Pixel pitch / 2.", SIZED, display={"pixel_pitch_mrad": PITCH_MRAD / 2}),
     case("scaled", "Frames scaled to three quarters.", SIZED, stored=scaled(0.75)),
     case("mixed_sizes", "Every other triangle is half as large.", SIZED + " mixed_sizes", shown=two_sizes),
-    case(
-        "mixed_resolutions",
-        "Every other frame has twice the pixels.",
-        "mixed_frame_sizes " + SIZED,
-        stored=lambda c, shot: np.kron(c, np.ones((2, 2), c.dtype)) if shot.number % 2 else c,
-    ),
+    case("mixed_resolutions", "Every other frame is twice as fine.", "mixed_frame_sizes " + SIZED, stored=finer),
 )
 
 CASES = (*CONTROLS, *BACKGROUND_CASES, *CODE_CASES, *PLACE_CASES, *TRIANGLE_CASES, *LEVEL_CASES, *SIZE_CASES)
