@@ -49,9 +49,8 @@ def cluttered(path: Path, *, n: int, side: int) -> Path:
     for number in range(5 * n):
         level, scene = divmod(number, n)
         contrast, apex = (0.05, 0.1, 0.2, 0.4, 0.8)[level], ORIENTATIONS[(level + scene) % 4]
-        triangle = coverage(
-            (side, side), size_px=SIZE_MRAD / PITCH_MRAD, x_px=middle, y_px=middle, orientation=apex
-        )
+        size_px = SIZE_MRAD / PITCH_MRAD
+        triangle = coverage((side, side), size_px=size_px, x_px=middle, y_px=middle, orientation=apex)
         write_frame(path / f"{number}.exr", 50.0 * (1.0 + fields[scene] + contrast * triangle), pixel_type="float")
         rows.append(f"{number}.exr,{apex.value},{SIZE_MRAD},{contrast},scene {scene}")
     (path / "manifest.csv").write_text("\n".join(["frame,orientation,size_mrad,contrast,scene", *rows]))

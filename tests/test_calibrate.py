@@ -269,13 +269,8 @@ def test_probabilities_are_those_of_the_literal_model(small: Path, tmp_path: Pat
         trial = of_frame[row.frame]
         image = trial_image(dataset, trial)
         contrast = shown_contrast(shown_codes(image.contrast, session.monitor, row.dither_seed), session.monitor)
-        shown = Shown(
-            (ContrastPatch(contrast, 0, 0, 0),),
-            (image.triangle.x_px,),
-            (image.triangle.y_px,),
-            dataset.display.pitch_mrad,
-            0,
-        )
+        place = (image.triangle.x_px,), (image.triangle.y_px,)
+        shown = Shown((ContrastPatch(contrast, 0, 0, 0),), *place, dataset.display.pitch_mrad, 0)
         stimulus = Stimulus(trial.stimulus.size_mrad)
         grid = observer.grid(stimulus)
         right = sum(
@@ -306,6 +301,9 @@ def test_frames_that_have_changed_are_told(small: Path, tmp_path: Path) -> None:
 # Observers -----------------------------------------------------------------------------------------------------
 
 
+IDEAL = tod.CsfObserver(template="ideal", external_noise_deg=0.01, retina_pitch_mrad=0.2)
+
+
 class Unreadable:
     """An observer without settings."""
 
@@ -315,11 +313,7 @@ class Unreadable:
     [
         (OrientedObserver(complex_cells=True), False, "observer: found one that is not linear"),
         (tod.HotellingObserver(sample_noise_sd=0.1), False, "observer: its weights depend on its internal noise"),
-        (
-            tod.CsfObserver(template="ideal", external_noise_deg=0.01, retina_pitch_mrad=0.2),
-            False,
-            "its weights depend on its efficiency, .* csf: template = matched",
-        ),
+        (IDEAL, False, "its weights depend on its efficiency, .* csf: template = matched"),
         (Unreadable(), False, "observer: Unreadable has no setting internal_noise"),
         (tod.PyramidObserver(template_blur_samples=0.0), True, "template_blur_samples: found 0, expected > 0"),
     ],
@@ -402,9 +396,8 @@ def test_a_person_is_calibrated_and_scored(two_people, tmp_path: Path, todframes
 def test_a_free_blur(two_people) -> None:
     """The templates of the people are blurred by 1.2 samples."""
     folder, frames = two_people
-    result = tod.calibrate(
-        frames, folder, free=["blur", "lapse"], subjects=["a1"], fit=tod.FitSettings(resamples=0)
-    )
+    how = {"free": ["blur", "lapse"], "subjects": ["a1"], "fit": tod.FitSettings(resamples=0)}
+    result = tod.calibrate(frames, folder, **how)
     (person,) = result.persons
     low, high = person.template_blur_samples_ci95
     assert (low or 0.0) < 1.2 < (high or math.inf)
@@ -517,9 +510,9 @@ def test_a_display_that_has_changed(small: Path, tmp_path: Path) -> None:
         seen_dataset(load_dataset(small), session)
 
 
-def replaced(old: str, new: str):
-    """Function that damages a file: the first of a text becomes another."""
-    return lambda path: path.write_text(path.read_text().replace(old, new, 1))
+def replaced(old: str, new: str, count: int = 1):
+    """Function that damages a file: the first of a text, or all with -1, become another."""
+    return lambda path: path.write_text(path.read_text().replace(old, new, count))
 
 
 def change_the_manifest(path: Path) -> None:
@@ -530,12 +523,7 @@ def change_the_manifest(path: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "arguments", "status", "message"),
     [
-        (
-            lambda path: path.write_text(path.read_text().replace(",main,", ",practice,")),
-            [],
-            1,
-            "found no answers of the main trials",
-        ),
+        (replaced(",main,", ",practice,", -1), [], 1, "found no answers of the main trials"),
         (replaced(",up,", ",upp,"), [], 1, "line 2: "),
         (replaced("frames/", "frames/x"), [], 1, "trial 1: frame: found 'frames/x"),
         (lambda path: sidecar_path(path).write_text("{"), [], 1, "not the sidecar of a session"),

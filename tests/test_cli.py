@@ -51,13 +51,8 @@ def test_score_writes_what_it_prints(todframes, make_dataset, tmp_path: Path) ->
     assert (settings["internal_noise"], settings["kernel_a"]) == (0.25, 0.4)
     assert [fit["group"] for fit in fits] == [{"size_mrad": 1.0}, {"size_mrad": 2.0}]
     assert fits[0]["threshold"] > fits[1]["threshold"], "larger is easier"
-    assert {file.name for file in out_folder.iterdir()} - {"scores.parquet"} == {
-        "report.html",
-        "result.json",
-        "scores.csv",
-        "psychometric.png",
-        "tod_curve.png",
-    }
+    names = {"report.html", "result.json", "scores.csv", "psychometric.png", "tod_curve.png"}
+    assert {file.name for file in out_folder.iterdir()} - {"scores.parquet"} == names
     written = json.loads((out_folder / "result.json").read_text(encoding="utf-8"))
     assert written == json.loads(out) | {"files": written["files"]}
     with (out_folder / "scores.csv").open(encoding="utf-8", newline="") as file:
@@ -233,12 +228,8 @@ def test_validate(todframes, make_dataset) -> None:
 
 @pytest.mark.parametrize("module", ["todframes.cli.main", "sensor_sim.cli"])
 def test_help_imports_nothing_slow(module: str) -> None:
-    code = (
-        f"import sys; from todframes.cli.console import run; from {module} import cli; "
-        "run(cli, ['--help']); "
-        "slow = ('numpy', 'scipy', 'cv2', 'OpenImageIO', 'rich', 'matplotlib'); "
-        "sys.exit(any(name in sys.modules for name in slow))"
-    )
+    code = f"import sys; from todframes.cli.console import run; from {module} import cli; run(cli, ['--help']); "
+    code += "sys.exit(bool({'numpy', 'scipy', 'cv2', 'OpenImageIO', 'rich', 'matplotlib'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
 
 
@@ -256,9 +247,8 @@ def test_locate_and_skip_go_together(todframes, make_dataset) -> None:
     assert status == 0
     result = json.loads(out)
     assert [fit["group"] for fit in result["fits"]] == [{"size_mrad": 2.0}]
-    assert {one["frame"] for one in result["skipped"]} == {
-        row["frame"] for row in [*made.rows[:12], made.rows[-1]]
-    }
+    spoilt = {row["frame"] for row in [*made.rows[:12], made.rows[-1]]}
+    assert {one["frame"] for one in result["skipped"]} == spoilt
     assert todframes("score", made.path, "--locate")[0] == 1
 
 
@@ -269,7 +259,5 @@ def test_libraries_are_kept_to_one_thread() -> None:
     names = ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
     bare = {name: value for name, value in os.environ.items() if name not in names}
     for environment, expected in ((bare, "1\n"), (bare | {names[1]: "2"}, "2\n")):
-        found = subprocess.run(
-            [sys.executable, "-c", script], capture_output=True, text=True, env=environment, check=True
-        )
-        assert found.stdout == expected
+        command = [sys.executable, "-c", script]
+        assert subprocess.check_output(command, text=True, env=environment) == expected

@@ -91,10 +91,7 @@ def test_the_place_of_a_trial_is_the_mean_of_its_frames(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        (
-            [row(0), row(1, time=0.0)],
-            r"line 3: time_s: found 0, expected more than 0, the time of the frame before",
-        ),
+        ([row(0), row(1, time=0.0)], r"line 3: time_s: found 0, expected more than 0, the time of the frame bef"),
         ([row(0), row(1, time="")], r"line 3: found clip 'c' without time_s, expected both or none"),
         ([row(0, time=-1e308)], r"line 2: time_s: found -1e\+308 s, expected a time from -1e\+12 to 1e\+12 s"),
         ([row(0), row(1, time="soon")], r"line 3: time_s: found 'soon', expected a finite number"),
@@ -392,16 +389,8 @@ def test_a_recursive_filter_smears_what_moves(gaze: str) -> None:
     thresholds = [one.fits[0].threshold for one in found.algorithms]
     turns, contrasts = zip(*shown, strict=True)
     for threshold, frames in zip(thresholds, stills.values(), strict=True):
-        literal = tod.score_frames(
-            frames,
-            display=DISPLAY,
-            orientation=turns,
-            level=contrasts,
-            size_mrad=SIZE_PX * 0.3,
-            position=places[n - 1 - n_judged // 2],
-            plan="full",
-            **more,
-        ).fits[0]
+        how = {"size_mrad": SIZE_PX * 0.3, "position": places[n - 1 - n_judged // 2], "plan": "full"} | more
+        literal = tod.score_frames(frames, display=DISPLAY, orientation=turns, level=contrasts, **how).fits[0]
         assert literal.status == "ok"
         assert threshold == pytest.approx(literal.threshold, rel=0.01)
     assert thresholds[1] > 1.2 * thresholds[0]

@@ -319,9 +319,8 @@ def test_located_frames_are_compared_where_the_triangle_is(todframes, make_datas
     """As `score --locate`, number for number: positions are those of the frames as they are."""
     made = make_dataset(side_px=40)
     for number, row in enumerate(made.rows):
-        triangle = coverage(
-            (40, 40), size_px=8.0, x_px=15.5, y_px=20.2, orientation=Orientation(row["orientation"])
-        )
+        apex = Orientation(row["orientation"])
+        triangle = coverage((40, 40), size_px=8.0, x_px=15.5, y_px=20.2, orientation=apex)
         write_frame(made.frame(number), 50.0 * (1.0 + float(row["contrast"]) * triangle), pixel_type="float")
     arguments = ("compare", made.path, "--enhance", "median", "--white", "100", "--json")
     status, out, err = todframes(*arguments, "--locate")
@@ -342,17 +341,8 @@ def test_table_has_status_gain_and_limits_of_p(todframes, make_dataset, tmp_path
     status, out, _ = todframes("compare", made.path, *options)
     assert status == 0
     heading = next(line for line in out.splitlines() if "algorithm" in line)
-    columns = [
-        "status",
-        "threshold contrast",
-        "ratio",
-        "95 % interval",
-        "verdict",
-        "beyond gain",
-        "p (Holm)",
-        "gain",
-    ]
-    assert re.split(r"  +", heading.strip())[2:] == columns
+    columns = "status, threshold contrast, ratio, 95 % interval, verdict, beyond gain, p (Holm), gain"
+    assert re.split(r"  +", heading.strip())[2:] == columns.split(", ")
     row = next(line for line in out.splitlines() if line.strip().startswith("unsharp"))
     assert re.search(r" ok .* < 0\.0\d+", row)
     assert "its contrast gain of" in out

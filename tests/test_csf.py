@@ -165,9 +165,7 @@ def test_a_triangle_wider_than_the_field_is_seen_as_its_middle() -> None:
 
 
 def test_a_field_of_too_many_samples_says_so() -> None:
-    with pytest.raises(
-        SettingsError, match=r"retina_pitch_mrad: found 0\.01, 5001 samples along a side of the field"
-    ):
+    with pytest.raises(SettingsError, match=r"retina_pitch_mrad: found 0\.01, 5001 samples along a side of"):
         CsfObserver(retina_pitch_mrad=0.01).grid(Stimulus(19.0))
 
 

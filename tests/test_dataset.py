@@ -18,18 +18,13 @@ from todframes.stimulus import Orientation, Stimulus
 
 
 def test_rows_become_trials(make_dataset) -> None:
-    made = make_dataset(
-        sizes_mrad=(1.0, 2.0), row_changes={1: {"polarity": "-1", "x_px": "23.25", "y_px": "24.5"}}
-    )
+    changes = {1: {"polarity": "-1", "x_px": "23.25", "y_px": "24.5"}}
+    made = make_dataset(sizes_mrad=(1.0, 2.0), row_changes=changes)
     data = load_dataset(made.path)
     assert [trial.name for trial in data.trials] == [row["frame"] for row in made.rows]
     first, second = data.trials[:2]
-    assert (first.orientation, first.stimulus, first.level, first.group) == (
-        Orientation.UP,
-        Stimulus(1.0, 1),
-        0.05,
-        (1.0,),
-    )
+    assert (first.orientation, first.stimulus) == (Orientation.UP, Stimulus(1.0, 1))
+    assert (first.level, first.group) == (0.05, (1.0,))
     assert (first.x_px, first.y_px) == (None, None)
     assert (second.orientation, second.stimulus) == (Orientation.RIGHT, Stimulus(1.0, -1))
     assert (second.x_px, second.y_px) == (23.25, 24.5)

@@ -305,9 +305,8 @@ def test_stacks_that_differ_by_noise_alone_are_not_saturated() -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         again = CAMERA.film(rng, CAMERA.patterns(rng, (64, 64)), 2, photons=16_000.0, exposure_ms=20.0)
-        found = tod.emva_noise(
-            bright=[*made["bright"], again], dark=made["dark"][3:], photons=[*made["photons"], 16_000.0], bits=12
-        )
+        bright, photons = [*made["bright"], again], [*made["photons"], 16_000.0]
+        found = tod.emva_noise(bright=bright, dark=made["dark"][3:], photons=photons, bits=12)
         *_, one, other = found.noise.emva1288.points
         is_less.add(other.variance_dn2 < one.variance_dn2)
         assert not found.noise.emva1288.is_saturation_reached

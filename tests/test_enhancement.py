@@ -173,10 +173,7 @@ def test_values_that_an_algorithm_cannot_take(spec: str, value: float, message: 
         ("unsharp:=2", r"found '=2', expected parameter=value"),
         ("none:x=1", r"unknown key 'x'"),
         ("", r"unknown key ''"),
-        (
-            "own_algorithms:stretchd",
-            "own_algorithms: unknown key 'stretchd'; the nearest valid one is 'stretched'",
-        ),
+        ("own_algorithms:stretchd", "unknown key 'stretchd'; the nearest valid one is 'stretched'"),
         ("own_algorithms:needs", r"parameter 'level' is missing"),
         ("own_algorithms:stretched:gain=much", r"gain: found 'much', expected a finite number"),
         ("own_algorithms:stretched:note=3", r"note: found 3, expected text"),

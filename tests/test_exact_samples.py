@@ -52,14 +52,9 @@ def test_a_matched_filter_is_right_at_the_threshold_in_three_of_four(made):
     """The ideal observer in four lines: the triangle whose inner product with the frame is the largest."""
     for row in truths(made / "triangles"):
         side, middle, size = 64, 31.5, float(row["size_px"])
-        templates = np.array(
-            [
-                tod.coverage(
-                    (side, side), size_px=size, x_px=middle, y_px=middle, orientation=turn, centre=row["centre"]
-                )
-                for turn in tod.ORIENTATIONS
-            ]
-        )
+        place = {"x_px": middle, "y_px": middle, "centre": row["centre"]}
+        shapes = [tod.coverage((side, side), size_px=size, orientation=one, **place) for one in tod.ORIENTATIONS]
+        templates = np.array(shapes)
         rng = np.random.default_rng(4)
         n = 2000
         noise = rng.normal(0.0, NOISE_SD, (n, side * side))

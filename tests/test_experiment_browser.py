@@ -191,9 +191,8 @@ def test_contrast_below_a_code_step_on_a_narrow_page(
         page.wait_for_selector("#done:not([hidden])")  # nobody answers
     (row,) = saved_rows(answers)
     assert (row["response"], row["correct"], float(row["response_time_ms"])) == ("none", "0", 2000.0)
-    triangle = tod.coverage(
-        (101, 101), size_px=24.0, x_px=50.0, y_px=50.0, orientation=tod.Orientation(row["orientation"])
-    )
+    apex = tod.Orientation(row["orientation"])
+    triangle = tod.coverage((101, 101), size_px=24.0, x_px=50.0, y_px=50.0, orientation=apex)
     assert set(np.unique(stimulus)) == {CODE, CODE + 1}
     assert np.average(CONTRAST[stimulus], weights=triangle) == pytest.approx(0.004, abs=5e-4)
 

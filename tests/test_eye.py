@@ -78,9 +78,7 @@ def test_the_settings_of_the_package_are_found_by_name(tmp_path, monkeypatch) ->
     monkeypatch.chdir(tmp_path)
     assert settings_file("modelfest").is_file()
     assert settings_file("own.toml").name == "own.toml"
-    with pytest.raises(
-        SettingsError, match=r"observer settings: found 'modelfst', expected .* or one of modelfest"
-    ):
+    with pytest.raises(SettingsError, match=r"observer settings: found 'modelfst', .* or one of modelfest"):
         settings_file("modelfst")
 
 

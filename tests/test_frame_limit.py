@@ -130,7 +130,7 @@ def flat_png(path):
     black_png(path, 16000, 8)
 
 
-def npz_with_a_long_header(path):
+def long_npz(path):
     """An array whose header says that it has 4 GB, and that has a quarter of a GB."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.npy", "w") as file:
         file.write(b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**32 - 16))
@@ -141,12 +141,7 @@ def npz_with_a_long_header(path):
 @linux
 @pytest.mark.parametrize(
     ("name", "make"),
-    [
-        ("a.mkv", enlarged_mkv),
-        ("a.mov", enlarged_png_in_mov),
-        ("a.npz", npz_with_a_long_header),
-        ("a.png", flat_png),
-    ],
+    [("a.mkv", enlarged_mkv), ("a.mov", enlarged_png_in_mov), ("a.npz", long_npz), ("a.png", flat_png)],
 )
 @pytest.mark.parametrize("command", ["noise", "import"])
 @pytest.mark.slow

@@ -54,22 +54,15 @@ def scored() -> tod.Result:
     return tod.score(NAKED_EYE, fit=tod.FitSettings(resamples=200))
 
 
+NOT_COMPARED = ["run_time_s", "saves_s", "cpu_s", "cpu_ms_per_frame", "memory_mb", "examples", "versions", "call"]
+
+
 def same(result: tod.Result, made: dict[str, object]) -> bool:
     """Whether a call and a command gave the same but for times and what only is drawn."""
 
     def timeless(value: object) -> object:
         if isinstance(value, dict):
-            skipped = (
-                "run_time_s",
-                "saves_s",
-                "cpu_s",
-                "cpu_ms_per_frame",
-                "memory_mb",
-                "examples",
-                "versions",
-                "call",
-            )
-            return {key: timeless(one) for key, one in value.items() if key not in skipped}
+            return {key: timeless(one) for key, one in value.items() if key not in NOT_COMPARED}
         return [timeless(one) for one in value] if isinstance(value, list) else value
 
     return timeless(json.loads(result.to_json())) == timeless(made)
@@ -79,9 +72,7 @@ def test_names() -> None:
     # Sixteen commands have a call, most of them a type of result; the rest are what an own observer, algorithm,
     # frame or reader is made of.
     assert 25 <= len(dir(tod)) <= 74
-    assert {"score", "compare", "fit_counts", "naked_eye", "load_result", "Result", "PyramidObserver"} <= set(
-        dir(tod)
-    )
+    assert {"score", "compare", "fit_counts", "naked_eye", "load_result", "Result"} <= set(dir(tod))
     assert {"curve", "simulate", "mtf", "load_sensor", "Sensor"} <= set(dir(ss))
     for package, name in NAMES:
         assert getattr(package, name) is not None
@@ -90,13 +81,10 @@ def test_names() -> None:
 
 def loaded_by(code: str, *arguments: object) -> dict[str, str | None]:
     """Return the files of all modules that are loaded in a process of its own after `code`, by name."""
-    code += (
-        "; import json, sys; found = {name: getattr(one, '__file__', None) for name, one in sys.modules.items()}"
-    )
-    code += "; print('\\n' + json.dumps(found))"
-    done = subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, check=True
-    )
+    files = "{name: getattr(one, '__file__', None) for name, one in sys.modules.items()}"
+    code += f"; import json, sys; print('\\n' + json.dumps({files}))"
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     found: dict[str, str | None] = json.loads(done.stdout.splitlines()[-1])
     return found
 
@@ -117,15 +105,11 @@ def test_import_loads_nothing(package: str) -> None:
 @pytest.mark.parametrize(
     ("group", "arguments", "unused"),
     [
-        pytest.param("sensor_sim.cli", CURVE, {"matplotlib", *OF_FRAMES}, id="curve"),
+        ("sensor_sim.cli", CURVE, {"matplotlib", *OF_FRAMES}),
         pytest.param(
-            "sensor_sim.cli",
-            [*CURVE, "-o", "out"],
-            OF_FRAMES - {"scipy.sparse"},
-            id="curve with -o",
-            marks=pytest.mark.slow,
+            "sensor_sim.cli", [*CURVE, "-o", "out"], OF_FRAMES - {"scipy.sparse"}, marks=pytest.mark.slow
         ),
-        pytest.param("todframes.cli.main", ["score", "dataset", "--json"], UNUSED, id="score"),
+        ("todframes.cli.main", ["score", "dataset", "--json"], UNUSED),
     ],
 )
 def test_a_command_runs_few_files(group, arguments, unused, make_dataset, tmp_path, monkeypatch) -> None:
@@ -380,17 +364,13 @@ def test_options_of_arguments_exist() -> None:
     [
         (tod.naked_eye, {}, ["naked-eye"], "contrast", "--contrast"),
         (
-            tod.noise,
-            {"recording": "x.npy", "frames_per_second": -1},
-            ["noise", "x.npy", "--frames-per-second", "-1"],
-            "frames_per_second: found -1",
+            *(tod.noise, {"recording": "x.npy", "frames_per_second": -1}),
+            *(["noise", "x.npy", "--frames-per-second", "-1"], "frames_per_second: found -1"),
             "--frames-per-second: found -1",
         ),
         pytest.param(
-            tod.score,
-            {"dataset": NAKED_EYE, "cluster": "nowhere"},
-            ["score", str(NAKED_EYE), "--cluster", "nowhere"],
-            "cluster: found 'nowhere'",
+            *(tod.score, {"dataset": NAKED_EYE, "cluster": "nowhere"}),
+            *(["score", str(NAKED_EYE), "--cluster", "nowhere"], "cluster: found 'nowhere'"),
             "--cluster: found 'nowhere'",
             marks=pytest.mark.skipif(find_spec("distributed") is None, reason="distributed is not installed"),
         ),
@@ -424,14 +404,8 @@ def test_a_warning_names_what_its_reader_wrote(make_dataset, capsys) -> None:
 
 
 def test_every_command_has_a_call() -> None:
-    renamed = {
-        "fit": "fit_counts",
-        "import": "import_recordings",
-        "new": "new_dataset",
-        "experiment": "run_experiment",
-        "range": "acquisition_range",
-    }
-    renamed |= {"report": "load_result", "enhancements": "find_enhancement"}
+    renamed = {"fit": "fit_counts", "import": "import_recordings", "new": "new_dataset", "report": "load_result"}
+    renamed |= {"enhancements": "find_enhancement", "experiment": "run_experiment", "range": "acquisition_range"}
     alone = {"accuracy", "stability"}  # studies of this package
     for package, group in ((tod, cli), (ss, sensor_cli)):
         for name in {*group.list_commands(click.Context(group))} - alone:
