@@ -7,10 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.limits.crossing import Try, find_crossing
+from sensor_sim.limits.limit import Limit, SensorLimit
+from sensor_sim.limits.varied import find_varied
 from todframes.base.errors import DataError, SettingsError
 
 ROOT = Path(__file__).parent.parent
@@ -52,6 +55,39 @@ def test_values_that_no_sensor_has_end_the_search():
         return Try.of(value, 10.0, 0.0, 1.0)
 
     assert find_crossing(attempt, 1.0, low=0.1, high=100.0).value is None
+
+
+FOUND = {"size": 4.0, "status": "ok", "value": 0.5, "error": 0.01, "is_least": True, "own_threshold": 0.1}
+LIMIT = Limit(**FOUND, values=(0.1, 1.0), thresholds=(None, 0.2))
+
+
+@pytest.mark.parametrize(
+    ("changes", "limit", "words"),
+    [
+        ({}, {}, "A contrast of 0.3 at 4 mrad needs a luminance of at least 0.500 ± 0.01 cd/m²."),
+        ({"parameter": "range", "unit": "km"}, {}, "at 4 m is recognised up to 0.500 ± 0.01 km."),
+        (
+            {},
+            {"value": None, "status": "always_recognised"},
+            "at every luminance (cd/m²) that was tried",
+        ),
+        ({}, {"value": None, "status": "never_recognised"}, "is recognised at no luminance"),
+        ({"exposure_ms": 50.0}, {}, "The exposure is 50 ms; IEC 62676-5 allows 40 ms at most."),
+    ],
+)
+def test_a_limit_in_words(changes, limit, words):
+    common = {"sensor": "camera", "parameter": "light", "unit": "cd/m²", "own_value": 1.0, "target": 0.3}
+    limits = {"level": "contrast", "limits": (structs.replace(LIMIT, **limit),)}
+    assert words in " ".join(SensorLimit(**common | limits | changes).sentences())
+
+
+def test_a_range_is_sought_where_the_size_covers_some_detectors():
+    sensor = ss.load_sensor(THERMAL)
+    varied = find_varied(sensor, "range", 0.5)
+    nearest, own, farthest = (
+        0.5 / km / sensor.detector.pitch_mrad for km in (varied.low, varied.own, varied.high)
+    )
+    assert farthest < 3.0 < own < 10.0 < nearest and varied.sensor_at(1.0) == sensor
 
 
 def test_the_netd_is_that_of_the_closed_form():
@@ -168,6 +204,11 @@ def test_a_result_of_another_kind_is_refused(photon_camera):
     curve = ss.curve(photon_camera, size_detectors=[6], tolerance=0.05)
     with pytest.raises(DataError, match="command: found 'curve', expected compare"):
         ss.worth(curve, photon_camera)
+
+
+def test_a_range_has_no_worth(photon_camera, comparison):
+    with pytest.raises(SettingsError, match="limit: found range, expected light, aperture, netd or a key"):
+        ss.worth(comparison, photon_camera, limit="range")
 
 
 @pytest.mark.weekly

@@ -23,8 +23,6 @@ from todframes.base.errors import DataError, SettingsError, TodframesError
 from todframes.jobs.processes import ProcessEngine
 from todframes.jobs.run import open_engine
 
-pytestmark = pytest.mark.slow  # each process imports Python anew
-
 
 @dataclass(frozen=True)
 class Squares:
@@ -84,7 +82,7 @@ def test_all_items_have_their_results(engine: ProcessEngine, n: int) -> None:
     assert results(engine, Squares(), range(n)) == {item: item * item for item in range(n)}
 
 
-@pytest.mark.parametrize("deadly", [0, 999])
+@pytest.mark.parametrize("deadly", [0, pytest.param(999, marks=pytest.mark.slow)])
 def test_a_process_that_dies_ends_the_run_with_the_name_of_the_batch(engine: ProcessEngine, deadly: int) -> None:
     """The first item too: its process has started."""
     with pytest.raises(TodframesError, match=r"^workers: a process died at ") as raised:
@@ -94,6 +92,7 @@ def test_a_process_that_dies_ends_the_run_with_the_name_of_the_batch(engine: Pro
     assert results(engine, Squares(), range(50)) == {item: item * item for item in range(50)}
 
 
+@pytest.mark.slow
 def test_an_exception_of_the_work_ends_the_run(engine: ProcessEngine) -> None:
     with pytest.raises(DataError, match="found 20, expected another number"):
         results(engine, Squares(refused=20), range(50))
@@ -108,6 +107,7 @@ def test_items_are_taken_as_they_are_needed_and_dropped_at_the_end(engine: Proce
     assert next(taken) <= 1 + 2 * 4  # a first batch of one, and four in flight of twice as many at most
 
 
+@pytest.mark.slow
 def test_two_processes_work_at_the_same_time(engine: ProcessEngine) -> None:
     processes = Counter(results(engine, Naps(), [0.01] * 100).values())
     assert len(processes) == 2
@@ -160,6 +160,7 @@ def running(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
         yield process
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reaches_all", [False, True])
 def test_ctrl_c_ends_all_processes_at_once_and_quietly(tmp_path: Path, reaches_all: bool) -> None:
     with running(tmp_path) as process:
@@ -170,6 +171,7 @@ def test_ctrl_c_ends_all_processes_at_once_and_quietly(tmp_path: Path, reaches_a
         assert (out.split()[-1], err) == ("interrupted", "")
 
 
+@pytest.mark.slow
 def test_all_processes_end_with_a_client_that_is_killed(tmp_path: Path) -> None:
     with running(tmp_path) as process:
         process.kill()
@@ -178,6 +180,7 @@ def test_all_processes_end_with_a_client_that_is_killed(tmp_path: Path) -> None:
         assert time.monotonic() - started < 3.0
 
 
+@pytest.mark.slow
 def test_a_script_that_its_processes_would_run_is_one_line(tmp_path: Path) -> None:
     script = tmp_path / "run.py"
     script.write_text(SCRIPT + "main()\n", encoding="utf-8")

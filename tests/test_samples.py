@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import todframes as tod
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
 
 
-@pytest.mark.slow
 def test_the_samples_are_those_of_the_repository(tmp_path):
     made = tod.sample(tmp_path / "made")
     assert made == {"naked_eye": 336, "staring_camera": 162}

@@ -34,7 +34,7 @@ SHORT = Case("some", "short", [2.0, 4.0], "closed form", lambda: [2.0, 4.0 + 4e-
 
 OTHER_OBSERVERS = ("csf", "oriented", "informative")
 
-SLOW = ("curve: ", "bars: NETD", "observer: 2,000 ", "observer: 500 ")
+SLOW = ("curve: 1,000 display ", "curve: SNR", "bars: NETD", "observer: 2,000 ", "observer: 500 ")
 """Cases that take seconds each."""
 
 
