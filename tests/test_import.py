@@ -30,7 +30,7 @@ from todframes.importing.clips import (
 from todframes.importing.filmed_trials import TrialDivision, TriangleDescription, merged_sizes
 from todframes.importing.geometry import Geometry, place_triangle
 from todframes.importing.importing import checked_time
-from todframes.importing.windows import RecordedWindow, WrittenWindow
+from todframes.importing.windows import WrittenWindow
 from todframes.recordings.recording import CodeRange, RecordedFrame, Recording
 from todframes.stimulus import Orientation
 
@@ -510,8 +510,8 @@ def division_of(
     def described(page: int, index: int) -> TriangleDescription:  # noqa: ARG001
         return TriangleDescription(0.1, 1, {})
 
-    def write(window: RecordedWindow) -> WrittenWindow:
-        return WrittenWindow("", window.values.size, 0)
+    def write(name: str, values: np.ndarray, scale: CodeRange) -> WrittenWindow:  # noqa: ARG001
+        return WrittenWindow("", values.size, 0)
 
     division = TrialDivision(described, time_s, steady=False, write=write)
     division.take(frames, CodeRange(0, 255), frame_s)

@@ -41,10 +41,10 @@ def log_items() -> None:
 
         return do
 
-    def write(folder: Any, window: Any, *, clip: bool) -> Any:
+    def write(path: Any, *window: Any, clip: bool) -> Any:
         time.sleep(item_s)
-        written = write_window(folder, window, clip=clip)
-        os.write(log, f"{window.name}\n".encode())
+        written = write_window(path, *window, clip=clip)
+        os.write(log, f"{path.parent.name}/{path.name}\n".encode())
         return written
 
     run.Keyed.function = function

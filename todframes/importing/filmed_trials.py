@@ -7,12 +7,13 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from todframes.importing.clips import Clip, ClipFrame, Integration, Placed, Rectangle
-from todframes.importing.windows import MARGIN_PX, RecordedWindow, WrittenWindow, lies_in, suffix
+from todframes.importing.windows import MARGIN_PX, WrittenWindow, lies_in, suffix
 from todframes.recordings.recording import CodeRange, RecordedFrame
 from todframes.stimulus import Orientation
 
@@ -119,14 +120,13 @@ def merged_sizes(sizes: list[float]) -> list[float]:
 
     Measured sizes of equal triangles differ by 1e-4, and each size costs the observer templates of its own.
     """
-    order = np.argsort(sizes)
-    merged = np.array(sizes, np.float64)
-    first = 0
-    for stop in range(1, len(order) + 1):
-        if stop == len(order) or sizes[order[stop]] > sizes[order[first]] * (1.0 + SAME_SIZE):
-            merged[order[first:stop]] = merged[order[first:stop]].mean()
-            first = stop
-    return [float(size) for size in merged]
+    groups: list[list[float]] = []
+    for size in sorted(sizes):
+        if not groups or size > groups[-1][0] * (1.0 + SAME_SIZE):
+            groups.append([])
+        groups[-1].append(size)
+    merged = {size: float(np.mean(group)) for group in groups for size in group}
+    return [merged[size] for size in sizes]
 
 
 class TrialDivision:
@@ -146,7 +146,7 @@ class TrialDivision:
         integration_time_s: float | None,
         *,
         steady: bool,
-        write: Callable[[RecordedWindow], WrittenWindow],
+        write: Callable[[str, NDArray[Any], CodeRange], WrittenWindow],
     ) -> None:
         self.trials: list[ImportedTrial] = []
         self.n_moved = 0
@@ -240,8 +240,7 @@ class TrialDivision:
         top, bottom, left, right = window
         values = frame.values[top:bottom, left:right]
         name = f"frames/{trial.name}_{end}{suffix(scale, values.dtype)}"
-        written = self._write(RecordedWindow(name, values, scale))
-        trial.frames.append(TrialFrame(name, frame.source, frame.time_s, written))
+        trial.frames.append(TrialFrame(name, frame.source, frame.time_s, self._write(name, values, scale)))
 
     def _end(self, clip: Clip | None, is_whole: bool) -> None:
         """End the present trials; keep them if they are whole."""

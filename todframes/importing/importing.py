@@ -454,8 +454,7 @@ def _of_warm_up(division: TrialDivision, n_frames: int) -> Iterator[str]:
 
 def _of_windows(division: TrialDivision, *, is_clipped: bool) -> Iterator[RecordingWarning]:
     written = [frame.written for trial in division.trials for frame in trial.frames]
-    n_beyond = sum(window.n_beyond for window in written)
-    if n_beyond:
+    if n_beyond := sum(window.n_beyond for window in written):
         percent = 100 * n_beyond / sum(window.n_values for window in written)
         done = "and were clipped, as the display does" if is_clipped else "and were kept"
         yield RecordingWarning(

@@ -60,14 +60,6 @@ def lies_in(window: Rectangle, held: Rectangle) -> bool:
     return window[0] >= held[0] and window[1] <= held[1] and window[2] >= held[2] and window[3] <= held[3]
 
 
-class RecordedWindow(NamedTuple):
-    """A window to write: its path in the dataset, its values as recorded, and their range."""
-
-    name: str
-    values: NDArray[Any]
-    scale: CodeRange
-
-
 class WrittenWindow(NamedTuple):
     """Checksum of a written window, and its numbers of values, and of values beyond black and white."""
 
@@ -82,15 +74,14 @@ def suffix(scale: CodeRange, dtype: np.dtype[Any]) -> str:
     return ".png" if is_full else ".exr"
 
 
-def write_window(folder: Path, window: RecordedWindow, *, clip: bool) -> WrittenWindow:
-    """Write a window into a dataset's folder: 8 or 16 bits as PNG, all else as EXR of the code values.
+def write_window(path: Path, values: NDArray[Any], scale: CodeRange, *, clip: bool) -> WrittenWindow:
+    """Write a window with values as recorded: 8 or 16 bits as PNG, all else as EXR of the code values.
 
     With `clip`, code values are clipped to [0, 1], as a display with this transfer function does. Raises
     OutputError if the file cannot be written.
     """
     import cv2
 
-    path, values = folder / window.name, window.values
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".png":
         # Noise does not compress; run lengths find what does in a fraction of the time.
@@ -102,8 +93,7 @@ def write_window(folder: Path, window: RecordedWindow, *, clip: bool) -> Written
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
         return WrittenWindow(hashlib.sha256(content).hexdigest(), values.size, 0)
-    low, high = window.scale.low, window.scale.high
-    code = ((values.astype(np.float64) - low) / (high - low)).astype(np.float32)
+    code = ((values.astype(np.float64) - scale.low) / (scale.high - scale.low)).astype(np.float32)
     n_beyond = int(np.count_nonzero((code < 0.0) | (code > 1.0)))
     write_frame(path, np.clip(code, 0.0, 1.0) if clip else code, pixel_type="float", compression="zips")
     return WrittenWindow(frame_sha256(path), code.size, n_beyond)
@@ -120,12 +110,12 @@ class WindowWriter:
         self._finds = store.is_begun
         self._rows: list[tuple[bytes, bytes]] = []
 
-    def __call__(self, window: RecordedWindow) -> WrittenWindow:
-        """Write a window; raise OutputError if it cannot be written."""
-        key = fingerprint(window.name, window.values, window.scale, self._clip)
-        written = self._found(key, self._folder / window.name) if self._finds else None
+    def __call__(self, name: str, values: NDArray[Any], scale: CodeRange) -> WrittenWindow:
+        """Write a window of this name in the folder; raise OutputError if it cannot be written."""
+        key = fingerprint(name, values, scale, self._clip)
+        written = self._found(key, self._folder / name) if self._finds else None
         if written is None:
-            written = write_window(self._folder, window, clip=self._clip)
+            written = write_window(self._folder / name, values, scale, clip=self._clip)
             self._rows.append((key, msgspec.msgpack.encode(written)))
             if len(self._rows) >= 64:  # they are entered together
                 self._store.add(self._rows)
