@@ -11,6 +11,7 @@ not change it either.
 
 from __future__ import annotations
 
+import copy
 import ctypes
 import gc
 import math
@@ -28,7 +29,7 @@ from typing import Any, NamedTuple
 
 from sensor_sim.chain.sampling import field_detectors
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.thresholds.curve_plan import Level, coarse_plan, plan_curve
+from sensor_sim.thresholds.curve_plan import Level, coarse_plan, has_rough_readout, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predicted_on_lattices
 from sensor_sim.thresholds.shares import SATURATING, SEED, WITHOUT_NOISE, Shares, shares_at, what_limits
 from sensor_sim.thresholds.sharing import Shared, as_computed
@@ -129,6 +130,7 @@ class ThresholdEngine:
                 threshold, error = point.threshold.threshold, point.threshold.numerical_error
                 todo.append((error / threshold if threshold and error else 0.0, index, refined))
         for _, index, refined in sorted(todo, key=lambda item: item[:2]):
+            give_back_memory()  # that of the size before
             yield replace(self._point(refined, is_refined=True), index=index)
 
     def _point(self, request: Request, *, is_refined: bool) -> CurvePoint:
@@ -147,6 +149,8 @@ class ThresholdEngine:
         sensor, observer, p_correct, level = request.sensor, self._observer, request.p_correct, request.level
         tolerance = request.tolerances[is_refined]
         if is_refined:
+            # Exact readouts take much memory. Those of a pyramid take little time, and its rough ones stay.
+            observer = copy.copy(observer) if has_rough_readout(observer) else observer
             plan = plan_curve(
                 sensor, observer, size, tolerance=tolerance, p_correct=p_correct, level=level, shared=self._shared
             )
@@ -383,9 +387,9 @@ def _serve(connection: Connection, wanted: Any) -> None:
 
 
 def give_back_memory() -> None:
-    """Give the pages of memory that are free back to the system, where the C library is GNU's.
-
-    It keeps what the large arrays of a refinement have left, by default: a third of the memory of a process.
+    """Free observers, which refer to themselves through their caches, and give free pages of memory back to the
+    system, where the C library is GNU's. It keeps what the large arrays of a refinement have left, by default.
     """
+    gc.collect()
     with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)

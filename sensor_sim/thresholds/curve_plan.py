@@ -11,7 +11,7 @@ import time
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, TypeGuard
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -289,12 +289,17 @@ def linear_readout(
     observer is not linear.
     """
     stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
-    if half_width is not None and type(observer) is PyramidObserver:
+    if half_width is not None and has_rough_readout(observer):
         return observer.readout_within(stimulus, half_width)
     readout = observer.readout(stimulus)
     if readout is None:
         raise not_linear()
     return readout
+
+
+def has_rough_readout(observer: Observer) -> TypeGuard[PyramidObserver]:
+    """Return whether an observer has the readout `PyramidObserver.readout_within`."""
+    return type(observer) is PyramidObserver
 
 
 def not_linear() -> SettingsError:

@@ -51,14 +51,22 @@ def processes(pid: int) -> list[int]:
     return [pid, *(one for child in children for one in processes(int(child)))]
 
 
-def used(server: Server) -> tuple[float, float]:
-    """Return the memory in MB and the processors' time in s of all processes of a server."""
-    memory, seconds = 0.0, 0.0
+def memory_mb(server: Server) -> float:
+    """Return the memory of all processes of a server; a page that several share counts once."""
+    rollups = [
+        Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii") for pid in processes(server.process.pid)
+    ]
+    lines = [line.split() for rollup in rollups for line in rollup.splitlines()]
+    return sum(int(words[1]) for words in lines if words[0] == "Pss:") * 1024 / 1e6
+
+
+def processor_s(server: Server) -> float:
+    """Return the processors' time of all processes of a server."""
+    seconds = 0.0
     for pid in processes(server.process.pid):
-        memory += int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * 4096 / 1e6
         of_process = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
         seconds += (int(of_process[11]) + int(of_process[12])) / 100.0
-    return memory, seconds
+    return seconds
 
 
 def moved(state: dict[str, Any], fields: list[dict[str, Any]], chance: random.Random) -> dict[str, Any]:
@@ -91,10 +99,10 @@ def main(moves: int, sensor: Path) -> None:
             new = moved(state, fields, chance) if done else state
             tables = {key: value for key, value in new.items() if key != "observer"}
             body = {"sensor": tables, "observer": new["observer"], "sizes_detectors": sizes, "client": "a"}
-            before, started = used(server)[1], time.perf_counter()
+            before, started = processor_s(server), time.perf_counter()
             with closing(ask(server, "/api/curve", body | {"sequence": time.monotonic_ns()})) as lines:
                 for number, line in enumerate(lines):
-                    took = time.perf_counter() - started, used(server)[1] - before
+                    took = time.perf_counter() - started, processor_s(server) - before
                     if number == 0 and done and "thresholds" in line:
                         times["estimate"].append(took)
                     if line.get("is_last") and done:
@@ -106,7 +114,7 @@ def main(moves: int, sensor: Path) -> None:
                 state, done = (new if chance.random() < 0.8 else first), done + 1
                 time.sleep(chance.uniform(0.0, LONGEST_PAUSE_S))
                 if done % 20 == 0:
-                    print(f"{done} moves: {used(server)[0]:.0f} MB", flush=True)
+                    print(f"{done} moves: {memory_mb(server):.0f} MB", flush=True)
     for name, values in times.items():
         for what, column in zip(("clock", "processors"), np.transpose(values), strict=True):
             print(f"{name}, {what}: median {np.median(column):.3g} s, 95 % {np.percentile(column, 95):.3g} s")
