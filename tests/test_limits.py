@@ -15,6 +15,7 @@ from sensor_sim.limits.crossing import Try, find_crossing
 from sensor_sim.limits.limit import Limit, SensorLimit
 from sensor_sim.limits.varied import find_varied
 from todframes.base.errors import DataError, SettingsError
+from todframes.results.result import read_result
 
 ROOT = Path(__file__).parent.parent
 THERMAL = ROOT / "sample_frames" / "star_like.toml"
@@ -206,9 +207,12 @@ def test_a_result_of_another_kind_is_refused(photon_camera):
         ss.worth(curve, photon_camera)
 
 
-def test_a_range_has_no_worth(photon_camera, comparison):
+def test_a_range_and_groups_without_sizes_have_no_worth(photon_camera, comparison):
     with pytest.raises(SettingsError, match="limit: found range, expected light, aperture, netd or a key"):
         ss.worth(comparison, photon_camera, limit="range")
+    of_lenses = read_result(comparison.to_json().replace(b'"size_detectors"', b'"lens"'), "result")
+    with pytest.raises(DataError, match="found groups without size_mrad or size_detectors"):
+        ss.worth(of_lenses, photon_camera)
 
 
 @pytest.mark.weekly

@@ -154,6 +154,8 @@ def test_tangential_is_along_x_and_sagittal_along_y(tmp_path):
     assert along_x == pytest.approx(np.exp(-5.0 / 4.0), abs=1e-12)
     assert along_y == pytest.approx(np.exp(-25.0 / 90.0), abs=1e-12)
     assert between == pytest.approx(0.36 * along_x + 0.64 * along_y, abs=1e-12)
+    continued = optics.mtf.continued()
+    assert continued.tangential[:31] == optics.mtf.tangential and continued.sagittal[:31] == optics.mtf.sagittal
 
 
 def test_an_mtf_with_the_detector_leaves_the_detector_out(tmp_path):

@@ -17,6 +17,7 @@ from sensor_sim.chain.sampling import field_detectors, field_sampler
 from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
 from sensor_sim.chain.simulation import Simulator, plan_trials
 from sensor_sim.thresholds.curve_plan import full_plan, plan_curve
+from sensor_sim.thresholds.places import UnknownPlaceChain
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 from todframes.base.errors import SettingsError
 from todframes.observers.decision import answer_probabilities
@@ -413,6 +414,15 @@ NEAR = replace(UNDER_SAMPLED, display=display(4, 1.0))
 def test_what_cannot_be_computed_is_refused(sensor, size, tolerance, message, observer):
     with pytest.raises(SettingsError, match=f"^{message}"):
         predict_threshold(FoldedChain(sensor, observer, size), tolerance=tolerance)
+
+
+def test_at_one_of_four_places_fifteen_differences_decide_in_place_of_three(observer):
+    known, unknown = (
+        FoldedChain(UNDER_SAMPLED, observer, 3.0),
+        UnknownPlaceChain(UNDER_SAMPLED, observer, 3.0, places=4),
+    )
+    # Their plans leave out other parts of the readout, 1e-4 of it.
+    assert unknown.non_gaussian_bound() == pytest.approx(5.0 * known.non_gaussian_bound(), rel=1e-3)
 
 
 def test_observer_that_is_not_linear():

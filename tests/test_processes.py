@@ -107,9 +107,9 @@ def test_items_are_taken_as_they_are_needed_and_dropped_at_the_end(engine: Proce
     assert next(taken) <= 1 + 2 * 4  # a first batch of one, and four in flight of twice as many at most
 
 
-@pytest.mark.slow
 def test_two_processes_work_at_the_same_time(engine: ProcessEngine) -> None:
-    processes = Counter(results(engine, Naps(), [0.01] * 100).values())
+    """Also where an item takes longer than the time after which the processes are looked at."""
+    processes = Counter(results(engine, Naps(), [0.3, *[0.01] * 50]).values())
     assert len(processes) == 2
     assert os.getpid() not in processes
 

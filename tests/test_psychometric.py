@@ -12,9 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize
 from scipy.special import xlogy
+from scipy.stats import chi2
 
 from todframes.base.errors import DataError, SettingsError
-from todframes.psychometrics.curves import weibull, weibull_level
+from todframes.psychometrics.curves import CHI2_95, weibull, weibull_level
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
 from todframes.psychometrics.threshold_search import crossing, find_crossing
 
@@ -298,6 +299,10 @@ def test_a_bound_the_data_do_not_give_is_none():
     assert fit.threshold_ci95[0] is not None
     fit = counts([1, 0, 1], 1, level=[1.0, 2.0, 3.0], fit_settings=FitSettings())
     assert fit.threshold_ci95 is None or None in fit.threshold_ci95
+
+
+def test_the_likelihood_of_an_interval_of_95_per_cent_is_that_of_chi_squared():
+    assert chi2.cdf(CHI2_95, 1) == pytest.approx(0.95, rel=1e-12)
 
 
 def test_interval_is_random_through_its_generator_only():
