@@ -134,7 +134,7 @@ def _mean(recording: Recording, display: Display | None, progress: Progress | No
 
 
 def find_edges(image: FloatArray) -> list[Box]:
-    """Return boxes about the straight edges of an image, the longest first.
+    """Return boxes about the straight edges of an image, the longest 64 at most, the longest first.
 
     Lines are found by OpenCV's line segment detector: Grompone von Gioi et al. 2012, "LSD: a line segment
     detector", IPOL 2. DataError if there is no straight edge of at least `LEAST_LENGTH_PX`.

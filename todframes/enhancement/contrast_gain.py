@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.enhancement.comparison import ContrastPoint
-from todframes.enhancement.contrast_on_scenes import contrasts_on_scenes, views_to_measure
+from todframes.enhancement.contrast_on_scenes import OnScenes, contrasts_on_scenes, views_to_measure
 from todframes.frames.trials import Trial, Trials
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Shown, retina_image
@@ -123,17 +123,10 @@ def contrast_responses(trials: Trials, contrasts: FloatArray) -> list[Responses]
         if not len(rows):
             continue
         alone = contrasts_on_scenes(trials.select(rows), contrasts[rows], sharp_share=sharp_share())
-        if alone is not None:
-            for own, after, error in zip(found, alone.contrast.T, alone.gain_error.T, strict=True):
-                columns = (alone.level, alone.contrast[:, 0], after, error, alone.n_trials)
-                own[group] = tuple(_point(*point) for point in zip(*map(np.ndarray.tolist, columns), strict=True))
-            continue
-        of_levels = [rows[levels[rows] == level] for level in np.unique(levels[rows])]
-        for own, after in zip(found, contrasts[..., 0].T, strict=True):
-            own[group] = tuple(
-                _level_contrast(float(levels[these[0]]), contrasts[these, 0, 0], after[these])
-                for these in of_levels
-            )
+        means = alone or _level_means(levels[rows], contrasts[rows, :, 0])
+        for own, after, error in zip(found, means.contrast.T, means.gain_error.T, strict=True):
+            columns = (means.level, means.contrast[:, 0], after, error, means.n_trials)
+            own[group] = tuple(_point(*point) for point in zip(*map(np.ndarray.tolist, columns), strict=True))
     return found
 
 
@@ -143,11 +136,15 @@ def _point(level: float, before: float, after: float, error: float, n_trials: in
     return ContrastPoint(level, before, after, after / before, error if math.isfinite(error) else None, n_trials)
 
 
-def _level_contrast(level: float, before: FloatArray, after: FloatArray) -> ContrastPoint:
-    """Compute the means, and the standard error of their quotient from the trials' distances from it."""
-    n, mean_before, mean_after = len(before), float(before.mean()), float(after.mean())
-    error = math.nan
-    if n > 1 and mean_before > 0.0:
-        distance = after - mean_after / mean_before * before
-        error = math.sqrt(float(distance @ distance) / (n * (n - 1))) / mean_before
-    return _point(level, mean_before, mean_after, error, n)
+def _level_means(levels: FloatArray, contrasts: FloatArray) -> OnScenes:
+    """Return mean contrasts, and standard errors of their quotients from the trials' distances from these."""
+    level, of_level, n_trials = np.unique(levels, return_inverse=True, return_counts=True)
+    parts = [contrasts[of_level == k] for k in range(len(level))]
+    means = np.array([part.mean(axis=0) for part in parts])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = means / means[:, :1]
+        squares = [
+            ((part - ratio * part[:, :1]) ** 2).sum(axis=0) for part, ratio in zip(parts, ratios, strict=True)
+        ]
+        errors = np.sqrt(squares / (n_trials * (n_trials - 1.0))[:, None]) / means[:, :1]
+    return OnScenes(level, means, errors, n_trials)

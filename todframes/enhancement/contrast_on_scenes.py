@@ -133,7 +133,7 @@ def _contrasts(
         of_sides, of_opposite = np.concatenate([one, 0.0 * one]), np.concatenate([0.0 * one, one])
         others = np.column_stack([of_sides, free])
         left = of_opposite - others @ np.linalg.lstsq(others, of_opposite)[0]
-        # Nothing that stays open can look like a tenth of a − q.
+        # The shape is known if what stays open cannot explain a tenth of a − q.
         is_shape_known = left @ left > 0.1**2 * (one @ one)
         share = left @ seen / (left @ left) if is_shape_known else sharp_share / (1.0 - sharp_share)
         contrast[:, k] = (1.0 + float(share)) * apart[:, k]

@@ -630,11 +630,11 @@ def zoom_begin(centres_mm: FloatArray, geometries: Sequence[Geometry], shape: tu
     start, noise = np.median(scales[first]), np.std(scales[first]) / np.median(scales[first])
     changes = scales / start
     moved = np.linalg.norm(places - np.median(places[first], axis=0) * changes[:, None], axis=1)
-    # A chart that moves by 3 % of the frame's diagonal besides is carried.
+    # It is no zoom if the chart also moves by 3 % of the frame's diagonal.
     zoomed = (np.abs(changes - 1.0) > 0.03) & (moved < 0.03 * math.hypot(*shape))
     if not zoomed.any():
         return None
-    # It has begun from a change of 0.3 %.
+    # The zoom begins where the scale has changed by 0.3 %.
     still = np.abs(changes[: zoomed.argmax()] - 1.0) <= max(0.003, 5.0 * noise)
     return int(np.flatnonzero(still)[-1]) + 1 if still.any() else 0
 
@@ -653,7 +653,7 @@ def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> floa
     if usual_s < 2.0 * frame_s:
         return None
     regular_s = [one for one in steps_s if abs(one - usual_s) <= 1.5 * frame_s]
-    # With more at other intervals a person, not a program, has turned the pages.
+    # If more than a fifth of the intervals differ, a person has turned the pages, not a program.
     return fmean(regular_s) if len(regular_s) >= 0.8 * len(steps_s) else None
 
 

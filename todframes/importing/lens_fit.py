@@ -205,7 +205,7 @@ def solve(
         scores = gradients - design @ (influence @ gradients)
         normal = np.einsum("vni,vnj->ij", scores, scores) + np.diag(weights)
         scale = np.sqrt(np.diagonal(normal))
-        # Beyond, the edges determine none.
+        # With a larger condition number the edges do not determine the coefficients.
         if free and (not (scale > 0.0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > 1e12):
             return None
         covariance = np.linalg.inv(normal)
@@ -292,7 +292,7 @@ def choose_lens(
             if again is None:
                 break
             fit = again
-            # A model of fewer coefficients may leave far more than edges are off.
+            # A model of fewer coefficients may leave far larger residuals than the errors of edges.
             if before is None or fit.edge_variance_px2 > 0.5 * variance_px2:
                 break
             variance_px2 = fit.edge_variance_px2
@@ -352,7 +352,7 @@ def _variance(pieces: Pieces, fit: LensFit, placed: Sequence[tuple[int, Places]]
         hat = np.linalg.pinv(fit.influence[k]) @ fit.influence[k]
         hat += of_pieces.T @ fit.covariance @ of_pieces / len(fit.geometries)
         explained = np.diagonal(by_edge(by_edge(hat).T)) / pieces.per_edge
-        # Below, nothing is seen of an edge's error.
+        # A fit that leaves less than 5 % of an edge's variance shows nothing of its error.
         of_edges = (by_edge(own + shared) ** 2 / np.maximum(1.0 - explained, 0.05)).sum(axis=-1)
         # An error that an edge has in all frames is not seen in what is left if the lens can follow it.
         by_piece = np.einsum("tij,jn->tin", by_view, influence) + net @ (fit.covariance @ of_pieces)
