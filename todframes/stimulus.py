@@ -258,11 +258,11 @@ def moving_coverage(corners: FloatArray, shape: tuple[int, int]) -> FloatArray:
         places.append(at[inside] @ (1, columns))
         lengths.append(np.diff(t)[inside, None] * np.array([along[1], -along[0]]))
         middles.append(middle[inside] + first - 0.5)
-    place, (x, y) = np.concatenate(places), np.concatenate(middles).T
+    pixel, (x, y) = np.concatenate(places), np.concatenate(middles).T
     right, down = np.concatenate(lengths).T
     moments = (right, down, right * x, right * y, down * x, down * y)
     for image, moment in zip(box[1:], moments, strict=True):
-        image[:] = np.bincount(place, moment, columns * rows).reshape(rows, columns)
+        image[:] = np.bincount(pixel, moment, columns * rows).reshape(rows, columns)
     return total
 
 
@@ -305,9 +305,9 @@ def _polygon_coverage(corners: FloatArray, box: tuple[int, int]) -> FloatArray:
         fall, x = fall[inside], _clipped(x0 + middle[inside] * (x1 - x0), float(n_columns))
         column = x.astype(np.intp)
         left_share = x - column
-        place = row[inside] * width + column
-        steps += np.bincount(place, fall * (1.0 - left_share), steps.size)
-        steps += np.bincount(place + 1, fall * left_share, steps.size)
+        pixel = row[inside] * width + column
+        steps += np.bincount(pixel, fall * (1.0 - left_share), steps.size)
+        steps += np.bincount(pixel + 1, fall * left_share, steps.size)
     # The area right of the falling (right-hand) edge was counted positive, that of the others negative.
     return _clipped(0.0 - np.cumsum(steps.reshape(n_rows, width)[:, :n_columns], axis=1), 1.0)
 

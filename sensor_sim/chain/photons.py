@@ -69,8 +69,8 @@ def photopic_efficiency(wavelength_um: float) -> float:
             f"optics.wavelength_um: found {wavelength_um:g}, which has no luminance; expected 0.38 to 0.78, or "
             "scene.photons_per_lux_s_um2"
         )
-    place = (wavelength_um - PHOTOPIC_FIRST_UM) / PHOTOPIC_STEP_UM
-    return float(np.exp(np.interp(place, np.arange(len(PHOTOPIC)), np.log(PHOTOPIC))))
+    step = (wavelength_um - PHOTOPIC_FIRST_UM) / PHOTOPIC_STEP_UM
+    return float(np.exp(np.interp(step, np.arange(len(PHOTOPIC)), np.log(PHOTOPIC))))
 
 
 def photons_per_lux_s_um2(sensor: Sensor) -> float:

@@ -226,8 +226,8 @@ def write_dataset(
         Simulator(sensor, size, seed=seed, scenery=scenery, filming=filming)
     work = SimulationWork(folder.resolve(), sensor, seed, frame_format, white, scenery, filming)
     done: list[WrittenFrames | None] = [None] * len(tasks)
-    for number, found in run_stored(work, tasks, run):
-        done[number] = found
+    for number, frames in run_stored(work, tasks, run):
+        done[number] = frames
     written = [batch for batch in done if batch is not None]
     n_pixels = sum(batch.n_pixels for batch in written)
     share = sum(batch.n_clipped for batch in written) / n_pixels if n_pixels else 0.0

@@ -315,11 +315,11 @@ def _target(
     fitting = (
         ["contrast"] if sensor.level == "contrast" else ["delta_t_k", "snr"] if sensor.noise.netd_mk else ["snr"]
     )
-    found = [name for name, value in given.items() if value is not None]
-    if len(found) != 1 or found[0] not in fitting:
+    targets = [name for name, value in given.items() if value is not None]
+    if len(targets) != 1 or targets[0] not in fitting:
         names = [getattr(argument, name) for name in fitting]
-        shown = ", ".join(getattr(argument, name) for name in found) or "no target"
+        shown = ", ".join(getattr(argument, name) for name in targets) or "no target"
         raise SettingsError(f"limit: found {shown}, expected {' or '.join(names)}, which this sensor has")
-    value = given[found[0]] or 0.0
-    check_positive(getattr(argument, found[0]), value)
-    return ("delta_t_mk", 1e3 * value) if found[0] == "delta_t_k" else (found[0], value)
+    value = given[targets[0]] or 0.0
+    check_positive(getattr(argument, targets[0]), value)
+    return ("delta_t_mk", 1e3 * value) if targets[0] == "delta_t_k" else (targets[0], value)

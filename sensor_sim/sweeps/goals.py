@@ -167,9 +167,9 @@ def acuity(
     order = np.argsort(size_detectors)
     size, value, spread = size_detectors[order], threshold[order], error[order]
     # Where a threshold is never reached none is low enough, and where it is always exceeded any is.
-    for place, of_size in enumerate(status[k] for k in order):
+    for number, of_size in enumerate(status[k] for k in order):
         if of_size != "ok":
-            value[place] = {"never_reached": math.inf, "always_exceeded": 0.0}.get(of_size, math.nan)
+            value[number] = {"never_reached": math.inf, "always_exceeded": 0.0}.get(of_size, math.nan)
     reached = value <= criterion
     if not reached.any():
         return Acuity("too_few_sizes" if np.isnan(value).any() else "never_reached")
@@ -182,9 +182,9 @@ def acuity(
     y, spread = np.log(y), spread[first - 1 : first + 1] / y
     slope = (x[1] - x[0]) / (y[1] - y[0])
     share = (math.log(criterion) - y[0]) / (y[1] - y[0])
-    found = math.exp(x[0] + share * (x[1] - x[0]))
+    detectors = math.exp(x[0] + share * (x[1] - x[0]))
     change = abs(slope) * ((1.0 - share) * spread[0] + share * spread[1])
-    return Acuity("ok", found, found * float(change))
+    return Acuity("ok", detectors, detectors * float(change))
 
 
 def front(costs: FloatArray) -> NDArray[np.bool_]:
@@ -308,12 +308,12 @@ def columns_of(
     return {name: _of_rows(values, len(sizes)) for name, values in columns.items()}
 
 
-def _on_front(found: Columns, swept: Swept, goals: Sequence[Objective]) -> NDArray[np.bool_]:
+def _on_front(known_columns: Columns, swept: Swept, goals: Sequence[Objective]) -> NDArray[np.bool_]:
     """Return which designs are on the trade-off front at each size: (designs, sizes)."""
     known = has_threshold(np.isfinite(swept.threshold), goals)
     columns = []
     for size in range(len(swept.size_detectors)):
-        own = (np.asarray(found[goal.column], dtype=np.float64) for goal in goals)
+        own = (np.asarray(known_columns[goal.column], dtype=np.float64) for goal in goals)
         costs = [
             goal.sign * (values if values.ndim == 1 else values[:, size])
             for goal, values in zip(goals, own, strict=True)

@@ -196,8 +196,8 @@ class Sweep(Content, frozen=True, kw_only=True):
         columns += [Column(key="netd_mk", header="NETD (mK)")] if "netd_mk" in self.columns else []
         unit = {"threshold_snr": "SNR", "delta_t_mk": "mK"}.get(self.threshold_column, "contrast")
         columns += [
-            Column(key=f"at_{place}", header=f"{unit} at {size:g}", rank=min(place, 2))
-            for place, size in enumerate(sizes)
+            Column(key=f"at_{number}", header=f"{unit} at {size:g}", rank=min(number, 2))
+            for number, size in enumerate(sizes)
         ]
         columns += [Column(key=key, header=heading(key), rank=1) for key in OF_ACUITY if key in self.columns]
         if OF_RANGE in self.columns:
@@ -209,7 +209,7 @@ class Sweep(Content, frozen=True, kw_only=True):
         of_design = [column.key for column in columns if column.key in self.columns]
         records = [
             {key: self.columns[key][row * n] for key in of_design}
-            | {f"at_{place}": thresholds[row * n + place] for place in range(n)}
+            | {f"at_{number}": thresholds[row * n + number] for number in range(n)}
             for row in rows[:ROWS_SHOWN].tolist()
         ]
         return Table.of(title, "best.csv", columns, records)
@@ -357,7 +357,7 @@ class Sweep(Content, frozen=True, kw_only=True):
 def varied(result: Sweep) -> list[int]:
     """Return the places of the keys that have more than one value."""
     values = result.values
-    return [place for place in range(values.shape[1]) if len(np.unique(values[:, place])) > 1]
+    return [column for column in range(values.shape[1]) if len(np.unique(values[:, column])) > 1]
 
 
 def draw_curves(axes: Axes, result: Sweep) -> None:
@@ -461,10 +461,10 @@ def draw_lines(axes: Axes, result: Sweep) -> None:
     x = result.values[:, key]
     order = np.argsort(x)
     sizes = result.sizes
-    for place, size in enumerate(sizes):
-        look = curve_style(place, len(sizes))
+    for number, size in enumerate(sizes):
+        look = curve_style(number, len(sizes))
         axes.plot(
-            x[order], shown[order, place], color=look.colour, marker=look.marker, label=f"{size:g} detectors"
+            x[order], shown[order, number], color=look.colour, marker=look.marker, label=f"{size:g} detectors"
         )
     axes.set(xlabel=heading(result.keys[key]), ylabel=heading(result.threshold_column), yscale="log")
     if is_log(x):

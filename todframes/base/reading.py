@@ -158,8 +158,8 @@ def _lines(path: Location, *, most_mb: int) -> Generator[str, None, None]:
         try:
             yield from text
         except UnicodeDecodeError as error:
-            place = file.tell() - len(error.object) + error.start
-            raise DataError(f"{path}: not UTF-8 (byte {place})") from None
+            byte = file.tell() - len(error.object) + error.start
+            raise DataError(f"{path}: not UTF-8 (byte {byte})") from None
 
 
 def read_toml(path: Location) -> dict[str, Any]:

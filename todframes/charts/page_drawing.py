@@ -79,9 +79,9 @@ def svg(drawing: Drawing) -> str:
     for shape in drawing.shapes:
         match shape:
             case Text():
-                place = f'x="{shape.x_mm:.4f}" y="{shape.y_mm:.4f}" font-size="{shape.height_mm:.4g}"'
+                attributes = f'x="{shape.x_mm:.4f}" y="{shape.y_mm:.4f}" font-size="{shape.height_mm:.4g}"'
                 text = html.escape(shape.text, quote=False)
-                lines.append(f'<text {place} text-anchor="{shape.anchor}">{text}</text>')
+                lines.append(f'<text {attributes} text-anchor="{shape.anchor}">{text}</text>')
             case Area():
                 fill = f'fill="rgb({shape.grey},{shape.grey},{shape.grey})"'
                 lines.append(f'<polygon points="{_points(shape.corners_mm)}" {fill}/>')

@@ -319,11 +319,11 @@ def _marker_shapes(chart: Chart, page: Page) -> list[Shape]:
         shapes.append(rectangle(left, top, side_mm, side_mm, 0))
         # Runs of white modules along rows and along columns: where they only touch, programs may show a line.
         for row, start, stop in _runs(bits):
-            place = left + start * module_mm, top + row * module_mm
-            shapes.append(rectangle(*place, (stop - start) * module_mm, module_mm, WHITE))
+            corner = left + start * module_mm, top + row * module_mm
+            shapes.append(rectangle(*corner, (stop - start) * module_mm, module_mm, WHITE))
         for column, start, stop in _runs(bits.T):
-            place = left + column * module_mm, top + start * module_mm
-            shapes.append(rectangle(*place, module_mm, (stop - start) * module_mm, WHITE))
+            corner = left + column * module_mm, top + start * module_mm
+            shapes.append(rectangle(*corner, module_mm, (stop - start) * module_mm, WHITE))
     return shapes
 
 

@@ -299,8 +299,8 @@ def _is_of_printing(error: OSError) -> bool:
 def _fail(message: str, status: int) -> int:
     with suppress(OSError):  # the terminal may be gone
         say("error: " + message)
-        for place in signals.kept if not signals.written else ():
-            say(f"note: what is finished is kept in {place}; the same command goes on where this one ended")
+        for folder in signals.kept if not signals.written else ():
+            say(f"note: what is finished is kept in {folder}; the same command goes on where this one ended")
     return status
 
 

@@ -478,11 +478,11 @@ def write_counts(path: Path, record: SessionRecord, rows: Sequence[TrialRow]) ->
     """
     level, group_by = record.dataset.level, record.dataset.group_by
     ratio = 1.0 if record.monitor is None else record.monitor.pixel_pitch_mrad / record.dataset.pixel_pitch_mrad
-    found: dict[tuple[Group, float], list[bool]] = {}
+    by_level: dict[tuple[Group, float], list[bool]] = {}
     for row in counted_rows(rows, include_flagged=record.include_flagged):
-        found.setdefault((row.group, row.level), []).append(row.is_correct)
+        by_level.setdefault((row.group, row.level), []).append(row.is_correct)
     lines: list[list[object]] = [[*COUNT_COLUMNS, *group_by]]
-    for (group, x), answers in sorted(found.items(), key=lambda item: (_order(item[0][0]), item[0][1])):
+    for (group, x), answers in sorted(by_level.items(), key=lambda item: (_order(item[0][0]), item[0][1])):
         of_group = [at_eye(name, value, ratio) for name, value in zip(group_by, group, strict=True)]
         lines.append([at_eye(level, x, ratio), sum(answers), len(answers), *of_group])
     write_file(path, csv_text(lines).encode(), is_private=True)

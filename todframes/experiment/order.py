@@ -95,10 +95,10 @@ class TrialOrder:
         main = [row for row in rows if row.phase == "main"]
         if not main and len(self._practice):
             practised = self.practised(rows)
-            block, place = divmod(len(rows), len(self._practice))
-            if place or practised is None or practised.n_correct < practised.n_needed:
+            block, turn = divmod(len(rows), len(self._practice))
+            if turn or practised is None or practised.n_correct < practised.n_needed:
                 of_block = _stream(self._record.seed, PRACTICE, block).permutation(self._practice)
-                return NextTrial("practice", int((of_block if block else self._practice)[place]), dither_seed)
+                return NextTrial("practice", int((of_block if block else self._practice)[turn]), dither_seed)
         if len(main) >= n_main_trials(self._record, rows):
             return None
         row = self._adaptive(main) if self._main is None else self._constant(self._main, main)
@@ -161,9 +161,9 @@ def spread_trials(trials: Trials, n_trials: int, rng: np.random.Generator) -> ND
     # The first of each cell in this order, then the second of each, and so on.
     by_cell = np.argsort(cell.ravel(), kind="stable")
     first = np.flatnonzero(np.diff(cell.ravel()[by_cell], prepend=-1))
-    place = np.empty(len(order), np.intp)
-    place[by_cell] = np.arange(len(order)) - np.repeat(first, np.diff(first, append=len(order)))
-    chosen = order[np.argsort(place, kind="stable")[:n_trials]]
+    turn = np.empty(len(order), np.intp)
+    turn[by_cell] = np.arange(len(order)) - np.repeat(first, np.diff(first, append=len(order)))
+    chosen = order[np.argsort(turn, kind="stable")[:n_trials]]
     return np.asarray(rng.permutation(chosen), np.intp)
 
 

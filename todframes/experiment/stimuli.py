@@ -102,15 +102,15 @@ def dithered_codes(trial: Trial, image: TrialImage, monitor: Monitor, seed: int)
     weight /= weight.sum()
     low, high = monitor.contrast_of_code()[[0, -1]]
     wanted = np.sum(weight * np.clip(image.contrast, low, high))
-    found = []
+    tried = []
     for _ in range(MOST_SEEDS):
         error = abs(float(np.sum(weight * shown_contrast(codes, monitor)) - wanted))
         if error <= MEAN_TOLERANCE:
             return codes, seed
-        found.append((error, seed))
+        tried.append((error, seed))
         seed += 1
         codes = shown_codes(image.contrast, monitor, seed)
-    _, seed = min(found)
+    _, seed = min(tried)
     return shown_codes(image.contrast, monitor, seed), seed
 
 

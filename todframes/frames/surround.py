@@ -296,17 +296,17 @@ class _SurfaceFit(NamedTuple):
     def surface(self, block_means: FloatArray, noise: float) -> FloatArray:
         """Fit a surface; return its coefficients, (5, 5)."""
         means = block_means[self.places]
-        degree, (found, scale) = 0, _robust(np.ones((len(means), 1)), means, self.share)
-        if not found[0] > 0.0:
-            raise DataError(f"background luminance around the triangle is {found[0]:g} cd/m², expected > 0")
+        degree, (fitted, scale) = 0, _robust(np.ones((len(means), 1)), means, self.share)
+        if not fitted[0] > 0.0:
+            raise DataError(f"background luminance around the triangle is {fitted[0]:g} cd/m², expected > 0")
         for higher, terms in self.terms.items():
-            if scale <= max(BETTER * noise, EVEN * found[0]):
+            if scale <= max(BETTER * noise, EVEN * fitted[0]):
                 break
             of_higher, of_scale = _robust(terms, means, self.share)
             if of_scale * BETTER ** (higher / 2.0) < scale and float((terms @ of_higher).min()) > 0.0:
-                degree, found, scale = higher, of_higher, of_scale
+                degree, fitted, scale = higher, of_higher, of_scale
         coefficients = np.zeros((5, 5))
-        for (i, j), value in zip(_exponents(degree), found, strict=True):
+        for (i, j), value in zip(_exponents(degree), fitted, strict=True):
             coefficients[i, j] = value
         return coefficients
 

@@ -70,11 +70,11 @@ class Store:
         """Return the result that was added last under a key; None if there is none."""
         self.begin()
         assert self._file is not None
-        place = self._places.get(hash(key))
-        if place is None:
+        start = self._places.get(hash(key))
+        if start is None:
             return None
         with self._as_output_error():
-            self._file.seek(place)
+            self._file.seek(start)
             n_key, n_result, checksum = HEAD.unpack(self._file.read(HEAD.size).ljust(HEAD.size))
             if n_key != len(key):  # it may have been damaged since it was read
                 return None

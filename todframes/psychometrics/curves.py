@@ -255,8 +255,8 @@ class CurveModel(ABC):
         z = np.quantile(self.z, np.linspace(0, 1, min(len(self.z), 12)))
         slope = np.array([1000.0, 100.0, 20.0, 8.0, 4.0, 2.0, 1.0, 0.4, 0.1, 0.01])
         parts = (slope, np.concatenate([(z[1:] + z[:-1]) / 2, z]), np.array(self.start_offsets))
-        slope, place, offset, ceiling = np.meshgrid(*parts, self.start_ceilings(), indexing="ij")
-        grid = np.stack([place - offset / slope, np.log(slope), ceiling], axis=-1)
+        slope, location, offset, ceiling = np.meshgrid(*parts, self.start_ceilings(), indexing="ij")
+        grid = np.stack([location - offset / slope, np.log(slope), ceiling], axis=-1)
         return grid.reshape(len(grid), -1, 3)
 
     def grid_terms(self, grid: FloatArray, answers: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -376,9 +376,9 @@ def _cubics() -> FloatArray:
 
 def _ln_wrong(d_prime: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Compute ln P(wrong) and its derivative at d′ >= 0; the derivative is 0 from `LARGEST_D_PRIME` on."""
-    place = np.minimum(d_prime, LARGEST_D_PRIME) * _KNOTS_PER_UNIT
-    piece = np.minimum(place.astype(np.intp), int(LARGEST_D_PRIME) * _KNOTS_PER_UNIT - 1)
-    u = place - piece
+    knots = np.minimum(d_prime, LARGEST_D_PRIME) * _KNOTS_PER_UNIT
+    piece = np.minimum(knots.astype(np.intp), int(LARGEST_D_PRIME) * _KNOTS_PER_UNIT - 1)
+    u = knots - piece
     a, b, c, d = (power.take(piece) for power in _cubics())
     value = a + u * (b + u * (c + u * d))
     slope = np.where(d_prime < LARGEST_D_PRIME, (b + u * (2 * c + 3 * u * d)) * _KNOTS_PER_UNIT, 0.0)

@@ -212,8 +212,8 @@ class _NoiseSearch:
             axis, value = fixed
             bounds[axis] = value
             grid = np.take(grid, [np.abs(self.axes[axis] - value).argmin()], axis)
-        place = np.unravel_index(grid.argmax(), grid.shape)
-        theta = np.array([values[k] for values, k in zip(self.axes, place, strict=True)])
+        cell = np.unravel_index(grid.argmax(), grid.shape)
+        theta = np.array([values[k] for values, k in zip(self.axes, cell, strict=True)])
         theta = np.clip(theta, *bounds.T)
         free = bounds[:, 0] < bounds[:, 1]
 
@@ -240,13 +240,13 @@ class _NoiseSearch:
         def excess(value: float) -> float:
             return 2.0 * (most - self.maximum(fixed=(axis, value))[1]) - CHI2_95
 
-        def end(places: NDArray[np.intp]) -> float | None:
+        def end(numbers: NDArray[np.intp]) -> float | None:
             """Search outwards from the best value."""
             before = float(best[axis])
-            for place in places:
-                if is_rejected[place] and excess(float(values[place])) > 0.0:
-                    return float(brentq(excess, before, float(values[place]), xtol=1e-6))
-                before = float(values[place])
+            for number in numbers:
+                if is_rejected[number] and excess(float(values[number])) > 0.0:
+                    return float(brentq(excess, before, float(values[number]), xtol=1e-6))
+                before = float(values[number])
             return None
 
         return Interval(end(np.flatnonzero(values < best[axis])[::-1]), end(np.flatnonzero(values > best[axis])))

@@ -204,11 +204,11 @@ def _containers(path: Path, file: BinaryIO) -> Iterator[_Container]:
         first, n_records = struct.unpack_from(f"{order}2I", header, 24)
         table = _bytes_at(file, begin + first, 32 * min(n_records, MOST_RECORDS))
         records: dict[int, tuple[int, int]] = {}
-        for place in range(0, len(table) - 31, 32):
-            (kind,) = struct.unpack_from(f"{order}H", table, place)
-            at, length = struct.unpack_from(f"{order}2I", table, place + 12)
+        for entry_at in range(0, len(table) - 31, 32):
+            (kind,) = struct.unpack_from(f"{order}H", table, entry_at)
+            at, length = struct.unpack_from(f"{order}2I", table, entry_at + 12)
             if kind in (RAW_DATA, CAMERA_INFO) and begin + at + length > n_bytes:
-                record = f"record {place // 32} of type {kind}"
+                record = f"record {entry_at // 32} of type {kind}"
                 raise FrameError(path, f"{_frame(number)}{record} reaches beyond the file: truncated")
             if kind:
                 records.setdefault(kind, (begin + at, length))
@@ -217,21 +217,21 @@ def _containers(path: Path, file: BinaryIO) -> Iterator[_Container]:
         number += 1
 
 
-def _next_container(file: BinaryIO, place: int) -> int | None:
-    """Return where the next container begins, from a place on; None if there is none."""
+def _next_container(file: BinaryIO, begin: int) -> int | None:
+    """Return where the next container after a position begins; None if there is none."""
     overlap = len(FFF_STARTS[0]) - 1
-    while chunk := _bytes_at(file, place, 2**16):
+    while chunk := _bytes_at(file, begin, 2**16):
         starts = [at for start in FFF_STARTS if (at := chunk.find(start)) >= 0]
         if starts:
-            return place + min(starts)
+            return begin + min(starts)
         if len(chunk) <= overlap:
             break
-        place += len(chunk) - overlap
+        begin += len(chunk) - overlap
     return None
 
 
-def _bytes_at(file: BinaryIO, place: int, length: int) -> bytes:
-    file.seek(place)
+def _bytes_at(file: BinaryIO, begin: int, length: int) -> bytes:
+    file.seek(begin)
     return file.read(length)
 
 
@@ -299,11 +299,11 @@ def _counts(path: Path, file: BinaryIO, container: _Container, max_frame_mb: int
 
 def _near(image: bytes) -> int:
     """Return the parameter NEAR of a JPEG-LS image from its first bytes: the largest error (ITU-T T.87, C.2.3)."""
-    place = 2
-    while image[place : place + 1] == b"\xff" and len(image) >= place + 9:
-        if image[place + 1] == START_OF_SCAN:
-            return image[place + 7]
-        place += 2 + int.from_bytes(image[place + 2 : place + 4], "big")
+    at = 2
+    while image[at : at + 1] == b"\xff" and len(image) >= at + 9:
+        if image[at + 1] == START_OF_SCAN:
+            return image[at + 7]
+        at += 2 + int.from_bytes(image[at + 2 : at + 4], "big")
     return 0
 
 
@@ -350,13 +350,13 @@ def _byte_order(path: Path, record: bytes) -> Literal["<", ">"]:
 def _container_parts(jpeg: bytes) -> list[bytes]:
     """Return the parts of the container in the APP1 segments of a JPEG, in their order."""
     parts: dict[int, bytes] = {}
-    place = 2
+    at = 2
     while (
-        marker := re.compile(rb"\xff([\xe0-\xef\xc0\xc2\xc4\xdb\xdd\xfe])(..)", re.DOTALL).match(jpeg, place)
+        marker := re.compile(rb"\xff([\xe0-\xef\xc0\xc2\xc4\xdb\xdd\xfe])(..)", re.DOTALL).match(jpeg, at)
     ) is not None:
         length = int.from_bytes(marker[2], "big")
-        segment = jpeg[place + 4 : place + 2 + length]
+        segment = jpeg[at + 4 : at + 2 + length]
         if marker[1] == b"\xe1" and segment.startswith(b"FLIR\0") and len(segment) > 8:
             parts[segment[6]] = segment[8:]
-        place += 2 + length
+        at += 2 + length
     return [parts[number] for number in sorted(parts)]

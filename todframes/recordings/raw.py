@@ -91,7 +91,7 @@ def _values(path: Path, raw: rawpy.RawPy) -> tuple[NDArray[Any], list[int]]:
         raise FrameError(path, f"found a mosaic of {names} that is not Bayer's, expected Bayer's with two greens")
     rows, columns = sensor.shape[0] // 2 * 2, sensor.shape[1] // 2 * 2
     first, second = (sensor[row:rows:2, column:columns:2].astype(np.float32) for row, column in greens)
-    return (first + second) / np.float32(2), [int(colours[place]) for place in greens]
+    return (first + second) / np.float32(2), [int(colours[green]) for green in greens]
 
 
 def _check_all_there(path: Path, sensor: NDArray[Any]) -> None:

@@ -24,7 +24,7 @@ def evenly(items: Sequence[T], most: int) -> list[T]:
     """Return at most `most` of the items, evenly spaced, with the first and the last."""
     if len(items) <= most:
         return list(items)
-    return [items[round(place * (len(items) - 1) / (most - 1))] for place in range(most)]
+    return [items[round(number * (len(items) - 1) / (most - 1))] for number in range(most)]
 
 
 def plain(value: float | None, digits: int = 3) -> str:

@@ -257,8 +257,8 @@ def measure(scene: StudyScene, *, seconds: float, seed: int = 1) -> SceneResult:
             closed_forms.append(estimator.name)
         results.append(result)
     ratios = (
-        speed_ratio(literal, {name: times[name][place] for name in closed_forms})
-        for place, literal in enumerate(times[results[0].name])
+        speed_ratio(literal, {name: times[name][run] for name in closed_forms})
+        for run, literal in enumerate(times[results[0].name])
     )
     return SceneResult(
         name=scene.name,

@@ -78,8 +78,8 @@ class Frames:
         score = np.empty((*displacements.shape[:2], 4))
         for number, readout in enumerate(self.readouts):
             weights = readout.deviations.reshape(4, -1).astype(dtype)
-            for place, displacement in enumerate(displacements[:, number]):
-                score[place, number] = weights @ self.retina(number, displacement).ravel().astype(dtype)
+            for row, displacement in enumerate(displacements[:, number]):
+                score[row, number] = weights @ self.retina(number, displacement).ravel().astype(dtype)
         return score
 
     def p_correct(self, displacements: FloatArray, dtype: type[np.floating] = np.float64) -> FloatArray:
