@@ -67,8 +67,6 @@ class SensorMtf(Content, frozen=True, kw_only=True):
         Frequency at which the MTF before sampling falls to 0.1.
     resolution_limit_cyc_per_mrad : float or None
         The smaller one of MTF10 and the Nyquist frequency.
-    effective_pitch_mrad : float or None
-        Pitch of detectors whose Nyquist frequency is this limit.
     aliased_from_cyc_per_mrad : float or None
         1 / pitch − MTF10: patterns beyond the Nyquist frequency appear from here on. None if MTF10 is not beyond.
     """
@@ -80,7 +78,6 @@ class SensorMtf(Content, frozen=True, kw_only=True):
     mtf: dict[str, list[float]]
     mtf10_cyc_per_mrad: float | None = None
     resolution_limit_cyc_per_mrad: float | None = None
-    effective_pitch_mrad: float | None = None
     aliased_from_cyc_per_mrad: float | None = None
 
     json_file: ClassVar[str] = "mtf.json"  # so that it goes beside a curve
@@ -204,6 +201,5 @@ def mtf(sensor: Sensor | SensorFile) -> Result[SensorMtf]:
         mtf={name: values.tolist() for name, values in stages(frequency, sensor=sensor).items()},
         mtf10_cyc_per_mrad=resolution.mtf10,
         resolution_limit_cyc_per_mrad=resolution.limit,
-        effective_pitch_mrad=None if resolution.limit is None else 0.5 / resolution.limit,
         aliased_from_cyc_per_mrad=resolution.aliased_from,
     )

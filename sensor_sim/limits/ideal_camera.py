@@ -33,8 +33,6 @@ class IdealCamera(Struct, frozen=True, kw_only=True):
     ----------
     size_detectors, size_mrad : float
         Smallest size that is recognised: without detector noise, or at contrast 1 in the light of the scene.
-    ideal_size_detectors : float
-        That of the ideal camera, in its own detectors, whatever their pitch.
     ideal_pitch_mrad, ideal_pitch_error_mrad : float
         Pitch of the ideal camera with the acuity of the sensor, and half of its 95 % interval.
     effective_share : float
@@ -43,7 +41,6 @@ class IdealCamera(Struct, frozen=True, kw_only=True):
 
     size_detectors: float
     size_mrad: float
-    ideal_size_detectors: float
     ideal_pitch_mrad: float
     ideal_pitch_error_mrad: float
     effective_share: float
@@ -59,16 +56,10 @@ class IdealCamera(Struct, frozen=True, kw_only=True):
 def idealised(sensor: Sensor) -> Sensor:
     """Return the ideal camera of the same pitch and display."""
     pitch_mrad = sensor.detector.pitch_mrad
-    return replace(
-        sensor,
-        optics=Optics(aperture_mm=SHARP_CUT_OFF / pitch_mrad, wavelength_um=1.0),
-        detector=Detector(pitch_mrad=pitch_mrad, width_mrad=pitch_mrad),
-        electronics=Electronics(),
-        noise=Noise(),
-        motion=None,
-        photons=None,
-        scene=None,
-    )
+    optics = Optics(aperture_mm=SHARP_CUT_OFF / pitch_mrad, wavelength_um=1.0)
+    detector = Detector(pitch_mrad=pitch_mrad, width_mrad=pitch_mrad)
+    without_noise = replace(sensor, noise=Noise(), photons=None, scene=None)
+    return replace(without_noise, optics=optics, detector=detector, electronics=Electronics(), motion=None)
 
 
 def ideal_camera_of(sensor: Sensor, observer: Observer, *, p_correct: float, seed: int) -> IdealCamera | None:
@@ -76,8 +67,9 @@ def ideal_camera_of(sensor: Sensor, observer: Observer, *, p_correct: float, see
     detectors of all pitches at the same angle, so an ideal camera has the same acuity in detectors at any pitch:
     the pitch follows from the ratio.
     """
+    cameras = sensor, idealised(sensor)
     try:
-        own, ideal = (_acuity(one, observer, p_correct, seed) for one in (sensor, idealised(sensor)))
+        own, ideal = (_acuity(camera, observer, p_correct, seed) for camera in cameras)
     except SettingsError:  # the first triangle that is tried is too large for the observer
         return None
     if own.value is None or ideal.value is None:
@@ -87,7 +79,6 @@ def ideal_camera_of(sensor: Sensor, observer: Observer, *, p_correct: float, see
     return IdealCamera(
         size_detectors=own.value,
         size_mrad=own.value * pitch_mrad,
-        ideal_size_detectors=ideal.value,
         ideal_pitch_mrad=pitch_mrad / share,
         ideal_pitch_error_mrad=math.hypot(*errors, WAVES, WAVES) * pitch_mrad / share,
         effective_share=share,
@@ -100,9 +91,8 @@ def _acuity(sensor: Sensor, observer: Observer, p_correct: float, seed: int) -> 
     def at_size(size: float) -> Try:
         chain = FoldedChain(sensor, observer, size, coarse_plan(sensor, observer, size))
         level = chain.largest_level if sensor.photons is None else min(1.0, chain.largest_level)
-        values = np.array(
-            [chain.proportion_correct(one, level) for one in chain.replicates(chain.lattices[1], seed)]
-        )
+        replicates = chain.replicates(chain.lattices[1], seed)
+        values = np.array([chain.proportion_correct(phases, level) for phases in replicates])
         return Try(size, p_correct - float(values.mean()), half_width_95(values), None)
 
     low, high = SMALLEST_DETECTORS, LARGEST_DETECTORS

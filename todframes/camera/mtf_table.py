@@ -106,7 +106,7 @@ class Resolution(NamedTuple):
     `mtf10` is the frequency at which the MTF falls to 0.1, `limit` the smaller one of it and Nyquist. A pattern
     beyond Nyquist appears at the sampling frequency less its own: down to `aliased_from`, None if there is none.
 
-    Koren 2017, "Measuring MTF with wedges: pitfalls and best practices", for ISO 16505: the third of these limits,
+    Imatest 2017, "Measuring MTF with wedges: pitfalls and best practices", for ISO 16505: the third limit there,
     the onset of aliasing, is where fewer bars of a wedge are counted. Patterns below Nyquist keep their frequency.
     """
 
@@ -118,28 +118,22 @@ class Resolution(NamedTuple):
     def of(cls, frequency: FloatArray, mtf: FloatArray, nyquist: float | None) -> Resolution:
         """Return the resolution of an MTF; without a Nyquist frequency it has MTF10 alone."""
         mtf10 = falls_to(LIMITING_MTF, frequency, mtf)
-        if nyquist is None or (mtf10 is None and frequency[-1] < nyquist):
-            return cls(mtf10, None, None)
-        is_beyond = mtf10 is not None and mtf10 > nyquist
-        limit = nyquist if mtf10 is None or is_beyond else mtf10
-        return cls(mtf10, limit, max(2.0 * nyquist - mtf10, 0.0) if mtf10 is not None and is_beyond else None)
+        if mtf10 is None or nyquist is None:
+            return cls(mtf10, nyquist if nyquist is not None and frequency[-1] >= nyquist else None, None)
+        return cls(mtf10, min(mtf10, nyquist), max(2.0 * nyquist - mtf10, 0.0) if mtf10 > nyquist else None)
 
-    def sentences(
-        self, unit: str, nyquist: float, within: str = "", effective_px: float | None = None
-    ) -> list[str]:
+    def sentences(self, unit: str, nyquist: float, within: str = "", across_px: float | None = None) -> list[str]:
         """Return MTF10 `within` its interval, the limit of resolution, and effective pixels, in words."""
         texts = []
         if self.mtf10 is not None:
-            aliased = "" if self.aliased_from is None else plain(self.aliased_from, 3)
-            aliased = aliased and f": patterns beyond Nyquist are aliased, down to {aliased}"
-            texts.append(f"MTF10 {plain(self.mtf10, 3)}{within} {unit}{aliased}.")
+            texts.append(f"MTF10 {plain(self.mtf10, 3)}{within} {unit}.")
+        if self.aliased_from is not None:
+            texts.append(f"Patterns beyond Nyquist are aliased, down to {plain(self.aliased_from, 3)} {unit}.")
         if self.limit is not None:
             share, name = self.limit / nyquist, "MTF10" if self.limit == self.mtf10 else "Nyquist"
-            across = (
-                f", the {effective_px / share:.0f} across the frame {effective_px:.0f}" if effective_px else ""
-            )
+            across = f", the {across_px / share:.0f} across the frame {across_px:.0f}" if across_px else ""
             texts.append(
-                f"{name} limits the resolution: 100 pixels are {plain(100.0 * share, 3)} effective{across}."
+                f"{name} limits the resolution: 100 pixels are {plain(100 * share, 3)} effective{across}."
             )
         return texts
 

@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 GAZES = {"tracked": "follows it (tracked)", "fixed": "stays at that place (fixed), so that motion is blur"}
 """Phrases about each gaze, where triangles move."""
 
-MORE_ADVICE = "`sensor-sim advise` states which number of the sensor buys most."
-"""Sentence below what limits a sensor: derivatives take longer than the curve."""
-
 MOST_ANSWERS = 12
 """Largest number of rows of the table of answers that a terminal shows unless it is asked for details."""
 
@@ -158,7 +155,9 @@ class Thresholds(Content, frozen=True, kw_only=True):
 
     def cautions(self) -> list[str]:
         """Return the cautions that a reader of the thresholds must know."""
-        texts = [*self.limits, *([MORE_ADVICE] if self.limits else [])]
+        texts = list(self.limits)
+        if self.limits:
+            texts.append("`sensor-sim advise` states which number of the sensor buys most.")
         of_each = [located for located in self.located or () if located.get("n_located") is not None]
         if of_each:
             n_located, n_trials = (sum(located[key] for located in of_each) for key in ("n_located", "n_trials"))
