@@ -434,12 +434,15 @@ def test_settings_of_a_person_with_a_strange_name(results) -> None:
         group = one.get("group", one)
         group["subject"] = {"m1": "../x\ninternal_noise = 9", "p2": "..-x-internal-noise---9"}[group["subject"]]
     made["persons"][1] |= {"status": "ok", "internal_noise": 0.25, "internal_noise_ci95": [0.2, 0.3]}
+    made["persons"][0]["lapse_rate"] = 0.01
     made["settings"] = {"observer": "pyramid", "kernel_a": 0.4, "levels": None, "centre": "centroid", "free": []}
     result = read_result(json.dumps(made).encode(), "made")
     files = {name: content for name, content in result.files().items() if name.startswith("observer")}
     assert len(files) == 3 and all(re.fullmatch(r"observer(_[A-Za-z0-9-]+)?\.toml", name) for name in files)
     noises = {tomllib.loads(content.decode())["internal_noise"] for content in files.values()}
     assert noises == {0.5, 0.25}
+    (table,) = (one for one in result.data.tables() if one.file == "internal_noise.csv")
+    assert {one["lapse_rate"] for one in table.records} == {None}  # it was not fitted
     for content in files.values():
         found = tomllib.loads(content.decode())
         assert found | {"internal_noise": 1.0} == {"kernel_a": 0.4, "centre": "centroid", "internal_noise": 1.0}

@@ -11,6 +11,7 @@ import pytest
 from todframes.base.errors import DataError
 from todframes.charts.layout import Point, marker_ids
 from todframes.importing.geometry import Geometry, fit_geometry, place_triangle
+from todframes.importing.lens import Lens
 from todframes.importing.marker_finder import MarkerFinder
 from todframes.stimulus import ORIENTATIONS, Orientation
 
@@ -80,6 +81,15 @@ def test_stretch_of_a_tilted_chart() -> None:
     view = tilted.view((100.0, 100.0))
     assert view.stretch == pytest.approx(1.0 / math.cos(math.radians(10.0)))
     assert view.scale_px_per_mm == pytest.approx(0.5 * math.sqrt(math.cos(math.radians(10.0))))
+
+
+@pytest.mark.parametrize("k1", [None, -0.2])
+def test_derivatives_are_those_of_differences(k1: float | None) -> None:
+    lens = None if k1 is None else Lens("polynomial", (159.5, 127.5), 205.0, (k1, *[0.0] * 6))
+    geometry = Geometry(film.camera(degrees=20.0, tilt=1e-3), 0.0, lens)
+    places, steps = np.array([[100.0, 90.0], [380.0, 300.0]]), 1e-3 * np.eye(2)
+    found = np.stack([geometry.to_px(places + one) - geometry.to_px(places - one) for one in steps], axis=-1)
+    np.testing.assert_allclose(geometry.jacobians(places), found / 2e-3, rtol=1e-5)  # steps of 1e-3 mm, squared
 
 
 def test_centroid_and_area_in_perspective_are_those_of_the_mapped_triangle() -> None:
