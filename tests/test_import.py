@@ -446,6 +446,32 @@ def test_a_schedule_with_times_needs_times(tmp_path: Path, times: str, rate: flo
         tod.import_recordings(path, schedule=table, out=tmp_path / "d", frames_per_second=rate)
 
 
+ROWS = "start_s,end_s,orientation,size_mrad,size_px,contrast,x_px,y_px\n0,0.05,left,4.0,9,0.2,{},5\n"
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (
+            ROWS.format(15) + "0.05,1,up,,9,0.2,15,5",
+            "line 3: size_mrad: is missing, expected it in all rows or in",
+        ),
+        (ROWS.format(900), "line 2: found x_px 900 and y_px 5, expected a place on the frame of 40 x 40 pixels"),
+        (ROWS.format(15) + "5,6,up,4.0,9,0.2,15,5", None),
+    ],
+)
+def test_rows_of_a_schedule_and_what_is_recorded(tmp_path: Path, rows: str, message: str | None) -> None:
+    path, table = saved(tmp_path, np.zeros((3, 40, 40), np.uint8)), tmp_path / "s.csv"
+    table.write_text(rows, encoding="utf-8")
+    settings = {"schedule": table, "frames_per_second": RATE, "integration_time_s": "all", "out": tmp_path / "d"}
+    if message is None:
+        warnings = tod.import_recordings(path, **settings).warnings
+        assert {one.code for one in warnings} >= {"no_frames", "cut_window"}
+        return
+    with pytest.raises(DataError, match=message):
+        tod.import_recordings(path, **settings)
+
+
 # Parts --------------------------------------------------------------------------------------------------------
 
 
