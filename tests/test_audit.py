@@ -100,7 +100,7 @@ GROUP = {"group": {"size_mrad": 2.0}, "x_px": 15.5, "y_px": 20.25, "moved_px": N
         (
             {"motion_mrad": 0.5},
             {"settings": {"gaze": "tracked"}},
-            "up to 0.500 mrad from its mean place; the gaze f",
+            "up to 0.500 mrad from its mean place; the gaze",
         ),
         ({"n_scenes": 1}, {}, "All trials are on one scene: "),
         ({"n_scenes": 7}, {}, "take the 7 scenes as drawn from many"),

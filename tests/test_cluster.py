@@ -246,9 +246,7 @@ def test_an_error_of_an_item_ends_the_run_and_arrives_whole(local: ClusterEngine
 def test_what_cannot_be_pickled_is_one_line(local: ClusterEngine) -> None:
     lock = threading.Lock()
     for work, item in ((Calls(lambda _: lock), 0), (Squares(), lock)):
-        with pytest.raises(
-            SettingsError, match=r"^cluster: cannot send this to other processes \(TypeError: .*lock"
-        ):
+        with pytest.raises(SettingsError, match=r"^cluster: cannot send this to other .* \(TypeError: .*lock"):
             results_of(local, work, [item])
 
 

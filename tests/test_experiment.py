@@ -268,9 +268,8 @@ def test_each_row_says_which_pixels_were_shown(dataset, out):
                 shown = file.read().stored[..., 0]
             row, monitor = answer_rightly(sitting), sitting.record.monitor
             trial = next(one for one in dataset.trials if one.frames[0].path == row.frame)
-            np.testing.assert_array_equal(
-                shown, shown_codes(trial_image(dataset, trial).contrast, monitor, row.dither_seed)
-            )
+            contrast = trial_image(dataset, trial).contrast
+            np.testing.assert_array_equal(shown, shown_codes(contrast, monitor, row.dither_seed))
             assert row.sha256 == hashlib.sha256((dataset.path / row.frame).read_bytes()).hexdigest()
             assert (asked["height"], asked["width"]) == shown.shape
             assert asked["background_code"] == monitor.background_code == shown[0, 0]

@@ -35,6 +35,7 @@ OF_FRAMES = {"OpenImageIO", "sqlite3", "scipy.sparse", "todframes.frames", "todf
 UNUSED = {"sqlite3", "matplotlib", "scipy.stats", "scipy.optimize", "rich", "fsspec", "s3fs", "aiohttp"}
 """Modules that take long to import, and that are not needed without -o and without URLs."""
 MOST_FILES_RUN = 64
+SLOW = pytest.mark.slow
 NAMES = [(package, name) for package in (tod, ss) for name in dir(package)]
 
 
@@ -106,9 +107,7 @@ def test_import_loads_nothing(package: str) -> None:
     ("group", "arguments", "unused"),
     [
         ("sensor_sim.cli", CURVE, {"matplotlib", *OF_FRAMES}),
-        pytest.param(
-            "sensor_sim.cli", [*CURVE, "-o", "out"], OF_FRAMES - {"scipy.sparse"}, marks=pytest.mark.slow
-        ),
+        pytest.param("sensor_sim.cli", [*CURVE, "-o", "out"], OF_FRAMES - {"scipy.sparse"}, marks=SLOW),
         ("todframes.cli.main", ["score", "dataset", "--json"], UNUSED),
     ],
 )

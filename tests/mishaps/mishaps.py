@@ -461,9 +461,7 @@ CODE_CASES = (
     case("automatic_gain", "Each frame has full contrast.", LIGHT, encoded=lambda c: (c - c.min()) / np.ptp(c)),
     case("automatic_exposure", "The exposure hunts by 20 %.", LIGHT, light=hunting),
     case("dead_pixels_outside", "Sixty stuck pixels off the triangle.", STUCK, stored=stuck(60, (20.0, 48.0))),
-    case(
-        "hot_pixels_inside", "Eight stuck ones on it.", STUCK + " background_uneven", stored=stuck(8, (0.0, 8.0))
-    ),
+    case("hot_pixels_inside", "Eight stuck on it.", STUCK + " background_uneven", stored=stuck(8, (0.0, 8.0))),
 )
 
 PLACED = "position_offset misplaced"
