@@ -360,15 +360,10 @@ def results_of_commands() -> dict[str, dict[str, Any]]:
     verdicts = {0.8: "better", 1.0: "no difference shown", 1.25: "worse"}
     algorithms = [{"name": "none", "spec": "none", "parameters": {}, "domain": "code values", "fits": fits}]
     for name, ratios in (("clahe", (0.8, 1.0, 1.25)), ("blur", (1.25, 1.25, 1.25)), ("median", (1.0, 1.0, 1.0))):
+        p_values = {"p_value": 0.001, "p_value_holm": 0.009}
         of_name = [
-            {
-                "group": fit["group"],
-                "ratio": ratio,
-                "ratio_ci95": [ratio / 1.1, ratio * 1.1],
-                "p_value": 0.001,
-                "p_value_holm": 0.009,
-                "verdict": verdicts[ratio],
-            }
+            {"group": fit["group"], "ratio": ratio, "ratio_ci95": [ratio / 1.1, ratio * 1.1]}
+            | {"verdict": verdicts[ratio], **p_values}
             for fit, ratio in zip(fits, ratios, strict=True)
         ]
         more = {"parameters": {"radius": 2}, "psnr_db": 31.5, "ssim": 0.9, "cpu_s": 0.5}
@@ -416,14 +411,8 @@ def results_of_commands() -> dict[str, dict[str, Any]]:
         | {"examples": [example | {"algorithm": name} for name in ("none", "clahe")]},
         "accuracy": common | {"command": "accuracy", "scenes": [scene]},
         "calibrate": common
-        | {
-            "command": "calibrate",
-            "dataset": dataset,
-            "fits": own,
-            "persons": persons,
-            "equal_noise_p_value": 0.03,
-        }
-        | {"pooled": persons[0] | {"subject": None, "predicted": []}},
+        | {"command": "calibrate", "dataset": dataset, "fits": own, "persons": persons}
+        | {"equal_noise_p_value": 0.03, "pooled": persons[0] | {"subject": None, "predicted": []}},
     }
 
 

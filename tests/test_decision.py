@@ -136,16 +136,12 @@ def test_three_templates_nearly_alike(spread):
     covariance[3, :3] = covariance[:3, 3] = 0
     covariance[3, 3] = 2
     mean = np.array([0.3, -0.2, 0.4]) * spread
-    expected = [
-        integrate(
-            lambda z, k=k: (
-                density(z)
-                * np.prod([ndtr(z + (mean[k] - mean[j]) / spread) for j in range(3) if j != k])
-                * ndtr((0.5 + mean[k] + spread * z) / np.sqrt(3))
-            )
-        )
-        for k in range(3)
-    ]
+
+    def of_answer(z, k):
+        others = np.prod([ndtr(z + (mean[k] - mean[j]) / spread) for j in range(3) if j != k])
+        return density(z) * others * ndtr((0.5 + mean[k] + spread * z) / np.sqrt(3))
+
+    expected = [integrate(lambda z, k=k: of_answer(z, k)) for k in range(3)]
     found = answer_probabilities([*mean, -0.5], covariance)
     # The score differences are the only inexact input: 1e-16 / spread at the smallest.
     assert found == pytest.approx([*expected, 1 - sum(expected)], abs=EXACT)

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 from measures import MEASURES
+from test_experiment_answers import ROW
 
 from todframes.base.errors import DataError, FrameError, OutputError, SettingsError
 from todframes.experiment.answers import (
@@ -102,22 +103,10 @@ def order(dataset, out, **design: Any) -> tuple[TrialOrder, Any]:
 def row_of(dataset, following, number: int, *, is_right: bool = True, flag: Flag | None = None) -> TrialRow:
     trial = dataset.trials[following.row]
     wrong = Orientation.UP if trial.orientation is not Orientation.UP else Orientation.DOWN
-    return TrialRow(
-        number=number,
-        phase=following.phase,
-        frame=trial.frames[0].path,
-        sha256="",
-        orientation=trial.orientation,
-        response=trial.orientation if is_right else wrong,
-        response_time_ms=400.0,
-        flag=flag,
-        level=trial.level,
-        group=trial.group,
-        size_mrad=trial.stimulus.size_mrad,
-        dither_seed=following.dither_seed,
-        clipped_px=0,
-        shown_at="",
-    )
+    shown = {"frame": trial.frames[0].path, "orientation": trial.orientation, "level": trial.level}
+    shown |= {"group": trial.group, "size_mrad": trial.stimulus.size_mrad, "dither_seed": following.dither_seed}
+    response = trial.orientation if is_right else wrong
+    return replace(ROW, number=number, phase=following.phase, response=response, flag=flag, **shown)
 
 
 def sit_through(dataset, found: TrialOrder, answers=lambda _: True, flag_of=lambda _: None) -> list[TrialRow]:

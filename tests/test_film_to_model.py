@@ -49,13 +49,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_film_of_the_wedge_and_a_dark_one_give_the_figures_of_the_camera(folder) -> None:
-    result = tod.emva_noise(
-        bright=[folder / "film.npy"],
-        dark=[folder / "dark.npy"],
-        chart=folder / "chart",
-        exposure_ms=[40],
-        bits=BITS,
-    )
+    stacks = {"bright": [folder / "film.npy"], "dark": [folder / "dark.npy"]}
+    result = tod.emva_noise(**stacks, chart=folder / "chart", exposure_ms=[40], bits=BITS)
     found = result.noise.emva1288
     # The camera of `closing_circle`, four standard errors of each; a patch at the side has 2 % less light.
     for name, true in (
@@ -78,15 +73,9 @@ def test_a_film_of_the_wedge_and_a_dark_one_give_the_figures_of_the_camera(folde
 def test_light_that_falls_off_evenly_is_no_nonuniformity(folder) -> None:
     frames = np.load(folder / "film.npy").astype(np.float64)
     fall_off = 1.0 + 0.2 * np.linspace(-1.0, 1.0, frames.shape[2])
-    even, uneven = (
-        tod.emva_noise(
-            bright=[np.rint(60 + (frames - 60) * factor).astype(np.uint16)],
-            dark=[np.load(folder / "dark.npy")],
-            chart=folder / "chart",
-            bits=BITS,
-        ).noise.emva1288.prnu
-        for factor in (np.ones(1), fall_off)
-    )
+    how = {"dark": [np.load(folder / "dark.npy")], "chart": folder / "chart", "bits": BITS}
+    films = [np.rint(60 + (frames - 60) * factor).astype(np.uint16) for factor in (np.ones(1), fall_off)]
+    even, uneven = (tod.emva_noise(bright=[one], **how).noise.emva1288.prnu for one in films)
     assert uneven == pytest.approx(even, rel=0.2)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from triangles import columns_of
 
 import todframes as tod
 
@@ -37,18 +38,9 @@ def test_arrays_give_the_numbers_of_their_files(name):
     assert data.experiment.group_by == ("size_mrad",)
     stored = [tod.read_frame(data.frame_path(one.frames[0])).stored for one in data.trials]
     assert all(len(one.frames) == 1 and one.number == k for k, one in enumerate(data.trials))
-    places = [(one.x_px, one.y_px) for one in data.trials]
-    in_memory = tod.score_frames(
-        [one[..., 0] if one.shape[2] == 1 else one for one in stored],
-        orientation=[one.orientation for one in data.trials],
-        level=[one.level for one in data.trials],
-        size_mrad=[one.stimulus.size_mrad for one in data.trials],
-        polarity=[one.stimulus.polarity for one in data.trials],
-        position=None if places[0][0] is None else places,
-        display=data.display,
-        level_name=data.experiment.level,
-        examples=False,
-    )
+    frames = [one[..., 0] if one.shape[2] == 1 else one for one in stored]
+    level_name = data.experiment.level
+    in_memory = tod.score_frames(frames, **columns_of(data), level_name=level_name, examples=False)
     assert len(in_memory.thresholds) == len(on_disk.thresholds) > 1
     for ours, theirs in zip(in_memory.thresholds, on_disk.thresholds, strict=True):
         assert (ours.group, ours.level, ours.status) == (theirs.group, theirs.level, theirs.status)

@@ -18,6 +18,7 @@ import click
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from triangles import columns_of
 
 import sensor_sim as ss
 import todframes as tod
@@ -458,20 +459,9 @@ def test_arrays_in_place_of_files(tmp_path: Path) -> None:
     data = replace(data, trials=data.trials[: len(data.trials) // 4])
     images = [tod.read_frame(data.frame_path(trial.frames[0])).stored[..., 0] for trial in data.trials]
     fit = tod.FitSettings(resamples=100)
-    result = tod.compare_frames(
-        images,
-        ["gaussian:sigma=1"],
-        display=data.display,
-        orientation=[trial.orientation for trial in data.trials],
-        level=[trial.level for trial in data.trials],
-        size_mrad=[trial.stimulus.size_mrad for trial in data.trials],
-        polarity=[trial.stimulus.polarity for trial in data.trials],
-        position=[(trial.x_px, trial.y_px) for trial in data.trials],
-        white=100.0,
-        fit=fit,
-        examples=False,
-    )
-    expected = tod.compare(data, ["gaussian:sigma=1"], white=100.0, fit=fit, examples=False)
+    how = {"white": 100.0, "fit": fit, "examples": False}
+    result = tod.compare_frames(images, ["gaussian:sigma=1"], **columns_of(data), **how)
+    expected = tod.compare(data, ["gaussian:sigma=1"], **how)
     for found, wanted in zip(result.algorithms, expected.algorithms, strict=True):
         assert found.verdict == wanted.verdict
         assert [one.threshold for one in found.fits] == [one.threshold for one in wanted.fits]

@@ -169,3 +169,16 @@ def estimate(rng: np.random.Generator) -> tuple[Drawn, NDArray[np.float64]]:
     errors = [one.contrast_slope_error, *(one.offset_error_px or nowhere), one.size_ratio_error]
     found, error = (np.array(of, np.float64) for of in (values, [*errors, one.turned_error_rad]))
     return made, (found - made.truth) / error
+
+
+def columns_of(data: Dataset) -> dict[str, Any]:
+    """Return what calls with arrays in place of files take beside them, from a dataset of single frames."""
+    places = [(one.x_px, one.y_px) for one in data.trials]
+    stimuli = [one.stimulus for one in data.trials]
+    of_trials = {
+        "orientation": [one.orientation for one in data.trials],
+        "level": [one.level for one in data.trials],
+    }
+    of_stimuli = {"size_mrad": [one.size_mrad for one in stimuli], "polarity": [one.polarity for one in stimuli]}
+    position = None if places[0][0] is None else places
+    return {"display": data.display, "position": position, **of_trials, **of_stimuli}
