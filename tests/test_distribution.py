@@ -38,6 +38,7 @@ def built(tmp_path_factory) -> dict[str, Path]:
 
 def test_sizes(built):
     assert built[".gz"].stat().st_size <= 3 * MB
+    assert built[".whl"].stat().st_size <= 1.1 * MB
 
 
 def test_the_tools_of_packaging_find_nothing(built):
