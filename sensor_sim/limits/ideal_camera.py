@@ -22,8 +22,8 @@ SHARP_CUT_OFF = 1e4
 """Cut-off of the ideal optics in cycles per detector: they pass more than 0.9995 of 3 cycles per detector."""
 
 WAVES = 0.02
-"""Relative error because the proportion correct rises with the size in waves, as edges of the triangle pass those of
-detectors: of eleven crossings ten are within 1 % of that of a line through nine sizes, and one within 3 %."""
+"""Relative error because the proportion correct rises with the size in waves, as edges of the triangle pass those
+of detectors: of eleven crossings ten are within 1 % of a line through nine sizes, and one within 3 %."""
 
 
 class IdealCamera(Struct, frozen=True, kw_only=True):
