@@ -18,7 +18,8 @@ from todframes import ORIENTATIONS
 from todframes.base.errors import SettingsError
 from todframes.display.display import LuminanceTable
 from todframes.enhancement import network
-from todframes.machines.network_observer import NetworkObserver
+from todframes.machines.network_observer import NetworkObserver, NetworkSettings
+from todframes.observers.interface import setting_names
 
 SIDE, SIZE_PX, GAIN = 32, 8.0, 3.0
 TURNS = [one.value for one in ORIENTATIONS]
@@ -163,6 +164,12 @@ def test_commands_and_workers_give_the_same_numbers(tmp_path: Path, make_dataset
     asked = ("--enhance", "gaussian", "--white", 100, "--observer", f"onnx:{path},pyramid")
     status, out, _ = todframes("compare", data, *asked)
     assert status == 0 and "beyond gain" not in out.partition("for pyramid")[0]
+
+
+def test_documented_settings_are_the_settings() -> None:
+    docs = Path(__file__).parent.parent / "docs"
+    documented = re.findall(r"`(\w+)`", (docs / "machines.md").read_text(encoding="utf-8"))
+    assert set(setting_names(NetworkSettings)) <= set(documented)
 
 
 BAD = {

@@ -92,7 +92,7 @@ def compare(
         A function of an image and keyword parameters is taken as well.
     observer : str, Observer, or sequence of them
         Observers by name: pyramid, informative, oriented, csf or others that are registered; or MODULE:CLASS, a
-        class of your own, whose code is run.
+        class of your own, whose code is run; or onnx:FILE, a network of four outputs, which is run.
 
         Objects are taken as well. The first is that of `algorithms`, the others of `observers`, and `verdict`
         begins with where they disagree.

@@ -561,8 +561,10 @@ def observer_named(name: str) -> Observer:
     """Return the observer with a given name and its default settings: that of `find_observer`, or the one in a
     file after the name of an entry point of the group `todframes.observer_files`: "onnx:classifier.onnx".
     """
-    head, _, file = name.partition(":")
-    if file and head in (readers := registered(FILE_GROUP)):
+    head, colon, file = name.partition(":")
+    if colon and head in (readers := registered(FILE_GROUP)):
+        if not file:
+            raise SettingsError(f"observer: found {name!r}, expected {head}:FILE")
         try:
             read: Callable[[str], Observer] = readers[head].load()
         except (ImportError, AttributeError) as error:

@@ -1,0 +1,91 @@
+"""Makes the tables of machines.md: python docs/make_machines.py [FOLDER], by default the folder of this script.
+
+The commands of the page are run in a temporary folder, some ten minutes. What stands in the page between
+<!-- =NAME --> and <!-- / --> is written anew. Seeds are fixed.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import todframes as tod
+from todframes.results.wording import interval_phrase, plain
+
+HERE = Path(__file__).parent
+SETS = {"even": "even", "sky": "clouds"}
+
+
+def commands(page: str) -> list[list[str]]:
+    """The commands of the page, with scripts and programs by their paths."""
+    (block,) = re.findall(r"^```sh machines\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    lines = [shlex.split(line) for line in block.replace("\\\n", "").splitlines()]
+    found = []
+    for program, *arguments in lines:
+        if program == "python":
+            found.append([sys.executable, str(HERE / "machines" / arguments[0]), *arguments[1:]])
+        else:
+            found.append([sys.executable, "-m", program.replace("-", "_"), *arguments])
+    return found
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def efficiency_table(folder: Path) -> str:
+    """Thresholds of the network, and its efficiency relative to the others with its interval."""
+    rows = []
+    for name, background in SETS.items():
+        data = tod.load_result(folder / f"score_{name}")
+        for fit in data.fits:
+            of_group = [one for one in data.efficiencies if one.group == fit.group]
+            shown = [f"{plain(one.efficiency)} ({interval_phrase(one.efficiency_ci95)})" for one in of_group]
+            rows.append([background, f"{fit.group['size_detectors']:g}", plain(fit.threshold), *shown])
+    header = ["background", "size (detectors)", "threshold contrast"]
+    return table([*header, *(f"efficiency relative to `{name}`" for name in ("informative", "csf"))], rows)
+
+
+def enhancement_table(folder: Path) -> str:
+    """Ratios of thresholds after each algorithm, with intervals and verdicts."""
+    rows = []
+    for name, background in SETS.items():
+        reference, *others = tod.load_result(folder / f"compare_{name}").algorithms
+        for number, fit in enumerate(reference.fits):
+            ratios = [one.ratios[number] for one in others]
+            shown = [
+                f"{plain(one.ratio)} ({interval_phrase(one.ratio_ci95)}): {one.verdict}"
+                if one.ratio
+                else one.verdict
+                for one in ratios
+            ]
+            rows.append([background, f"{fit.group['size_detectors']:g}", *shown])
+    return table(["background", "size (detectors)", "`clahe`", "`unsharp`"], rows)
+
+
+def main() -> None:
+    """Run the commands and write the page."""
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE
+    page = (HERE / "machines.md").read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as name:
+        for command in commands(page):
+            print(" ".join(command[1:]), flush=True)
+            subprocess.run(command, cwd=name, check=True, stdout=subprocess.DEVNULL, env=os.environ)
+        for key, text in (
+            ("efficiency", efficiency_table(Path(name))),
+            ("enhancements", enhancement_table(Path(name))),
+        ):
+            page = re.sub(rf"(<!-- ={key} -->\n).*?(<!-- / -->)", rf"\g<1>{text}\n\g<2>", page, flags=re.DOTALL)
+    (folder / "machines.md").write_text(page, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
