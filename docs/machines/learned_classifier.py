@@ -1,7 +1,7 @@
 """Learns which way triangles point from datasets: python learned_classifier.py NETWORK.onnx DATASET [DATASET …].
 
-Two convolutions and a linear layer, by NumPy alone; a minute. Seeds are fixed. NETWORK.toml beside the network says
-which code value is white to it.
+Two convolutions and a linear layer, by NumPy alone; a minute. Seeds are fixed. NETWORK.toml beside the network has
+the code value that is white to it.
 """
 
 import os
