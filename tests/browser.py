@@ -45,7 +45,6 @@ class Server:
 
     @property
     def origin(self) -> str:
-        """Scheme, host and port."""
         return origin_of(self.url)
 
 

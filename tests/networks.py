@@ -46,7 +46,6 @@ def tried_here(content: bytes, folder: Path, request: ProbeRequest) -> tuple[Fou
 
 
 def node(kind: str, sources: str, target: str, **attributes: object) -> onnx.NodeProto:
-    """Make a node; `sources` are names with blanks between them."""
     return helper.make_node(kind, sources.split(" "), target.split(" "), **attributes)
 
 
@@ -64,7 +63,6 @@ def of_each_channel(kernel: np.ndarray, channels: int) -> np.ndarray:
 
 
 def identity(path: Path, *, channels: int = 1, layout: str = "nchw") -> Path:
-    """Write a network that changes nothing."""
     shape = ("n", channels, "h", "w") if layout == "nchw" else ("n", "h", "w", channels)
     return save(path, [node("Identity", "x", "y")], shape=shape)
 
@@ -83,7 +81,6 @@ def blur(
 
 
 def box(side: int = 3) -> np.ndarray:
-    """Return the kernel of a mean over a square."""
     return np.full((side, side), 1.0 / side**2, np.float32)
 
 

@@ -28,7 +28,6 @@ class Asked(NamedTuple):
     content: bytes
 
     def send(self, *lines: str, body: bytes = b"", status: str = "200 OK") -> None:
-        """Send an answer: its status, header lines and body."""
         head = "\r\n".join([f"HTTP/1.1 {status}", *lines, "", ""])
         self.connection.sendall(head.encode() + body)
 
@@ -128,7 +127,6 @@ def _request(connection: socket.socket) -> str:
 
 
 def chunk(data: bytes) -> bytes:
-    """Return a chunk of an answer that comes in chunks."""
     return b"%x\r\n%s\r\n" % (len(data), data)
 
 
@@ -139,7 +137,6 @@ def bomb(size_mb: int) -> bytes:
 
 
 def length(data: bytes) -> str:
-    """Return the header line of a length."""
     return f"Content-Length: {len(data)}"
 
 
@@ -227,7 +224,6 @@ def cut(asked: Asked) -> None:
 
 
 def silent(asked: Asked) -> None:
-    """Keep the connection open until the client has gone."""
     asked.connection.settimeout(LONGEST_S)
     with suppress(TimeoutError):
         asked.connection.recv(1)

@@ -86,7 +86,6 @@ def verdict_of(result: dict[str, Any]) -> list[str]:
 
 
 def tables_of(content: bytes) -> dict[str, list[dict[str, str]]]:
-    """The CSV files that can be saved from a page, by name."""
     links = [link for link in tree(content).iter("a") if "download" in link.attrib]
     found = {}
     for link in links:
@@ -251,7 +250,6 @@ def test_long_tables_are_cut_and_their_files_are_not(results) -> None:
 
 
 def drawings(content: bytes) -> dict[str, ElementTree.Element]:
-    """The figures of a page by their title."""
     found = {}
     for figure in tree(content).iter("figure"):
         drawing = figure.find("svg")

@@ -41,7 +41,6 @@ FRAMES_PER_CLIP = 6
 
 @pytest.fixture(scope="module")
 def pages() -> list[np.ndarray]:
-    """The pages as the camera sees them, without noise."""
     return [film.filmed(CHART, page.number, film.camera()) for page in CHART.pages]
 
 

@@ -42,7 +42,6 @@ def observer(**changes: object) -> HotellingObserver:
 
 
 def triangles(grid: RetinaGrid, size_mrad: float) -> np.ndarray:
-    """The four on the retina, seen directly: (4, side, side)."""
     return np.array([triangle_on(grid, size_mrad, orientation) for orientation in ORIENTATIONS])
 
 

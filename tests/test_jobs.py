@@ -66,7 +66,6 @@ def test_a_damaged_store_is_begun_anew(store: Store, damage: bytes) -> None:
 
 
 def test_a_changed_byte_is_never_a_result(store: Store) -> None:
-    """Whatever byte changes, what is found is what was added, or nothing."""
     added = {b"key %d" % n: b"result %d" % n for n in range(5)}
     store.add([*added.items()])
     store.close()

@@ -68,7 +68,6 @@ def test_the_fisheye_model_is_that_of_opencv(half_angle: float) -> None:
 
 
 def corner_markers() -> Pieces:
-    """Return three pieces of each edge of four markers in the corners of a page."""
     side = 42.0
     near = np.array([36.0, 36.0])
     far = PAGE_MM - near

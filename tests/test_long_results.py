@@ -25,8 +25,6 @@ RECORDS = [dict(zip(VALUES, row, strict=True)) for row in zip(*VALUES.values(), 
 
 
 def long_table() -> Table:
-    """Five records in blocks of two."""
-
     def blocks():
         for start in range(0, 5, 2):
             yield {name: values[start : start + 2] for name, values in VALUES.items()}

@@ -24,7 +24,6 @@ def grey() -> NDArray[np.float32]:
 
 
 def detected(grey: NDArray[np.float32], parameters: cv2.aruco.DetectorParameters) -> dict[int, NDArray]:
-    """The corners of each marker, (4, 2), by its id."""
     quads, ids, _ = cv2.aruco.ArucoDetector(DICTIONARY, parameters).detectMarkers(grey.astype(np.uint8))
     return {int(one): quad[0].astype(float) for one, quad in zip(ids.ravel(), quads, strict=True)}
 

@@ -109,17 +109,6 @@ def test_wrong_settings_are_one_line(cli, name: str, assignment: str, wanted: st
     assert wanted in error_line((status, *capsys.readouterr()))
 
 
-def test_what_is_not_linear_says_so(capsys, make_dataset) -> None:
-    complex_cells = ["--observer", "oriented", "--set", "complex_cells=true"]
-    for cli, line, wanted in (
-        (todframes, ["score", make_dataset().path], "found 'expected', but this observer is not linear"),
-        (todframes, ["naked-eye", "--size-mrad", "1"], "observer: it is not linear"),
-        (sensor_sim, ["curve", STAR_LIKE, "--size-detectors", "5"], "observer: it is not linear"),
-    ):
-        status = run(cli, [*map(str, line), *complex_cells])
-        assert wanted in error_line((status, *capsys.readouterr()))
-
-
 # docs/observers.md.
 
 

@@ -30,12 +30,10 @@ def p_of(level, threshold: float, lapse_rate: float = 0.0):
 
 
 def curves(level, series, rng):
-    """Fits without intervals."""
     return [fit_trials(level, p, settings=FitSettings(resamples=0), rng=rng) for p in series]
 
 
 def width(found) -> float:
-    """Width of the interval of a ratio, ln."""
     return math.log(found.ratio_ci95[1] / found.ratio_ci95[0])
 
 

@@ -25,7 +25,6 @@ TURNS = {"up": 0, "right": 90, "down": 180, "left": 270}
 
 
 def corners_mm(one: Triangle) -> np.ndarray:
-    """Corners of an equilateral triangle of a given area about its centroid."""
     side = one.size_mm * np.sqrt(4.0 / np.sqrt(3.0))
     angles = np.radians(np.array([0.0, 120.0, 240.0]) + TURNS[one.orientation])
     radius = side / np.sqrt(3.0)

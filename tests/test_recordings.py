@@ -262,7 +262,6 @@ def test_what_a_still_has_lost_or_states_in_vain_is_in_a_warning(tmp_path, case)
 
 
 def photograph(path, second, fraction=""):
-    """Write a JPEG with the moment of exposure in its EXIF."""
     exif = Image.Exif()
     exif.get_ifd(0x8769).update(
         {0x9003: f"2026:03:01 12:00:{second:02}"} | ({0x9291: fraction} if fraction else {})
@@ -435,7 +434,6 @@ def scene(n_frames=1, shape=(40, 50)):
 
 
 def png(values):
-    """Build a grey PNG of 16 bits by hand."""
     return png_bytes(values.shape[1], values.shape[0], 16, 0, [row.astype(">u2").tobytes() for row in values])
 
 
@@ -580,7 +578,6 @@ def written(folder, name, data):
 
 
 def damaged_npz(folder, seed):
-    """A compressed array with bytes of its pixels changed."""
     np.savez_compressed(folder / "a.npz", RNG.integers(0, 255, (20, 40, 50)).astype(np.uint8))
     content = bytearray((folder / "a.npz").read_bytes())
     middle = len(content) // 2
@@ -630,7 +627,6 @@ def test_all_frames_of_a_seq_come_back(tmp_path, order, gap):
 
 
 def damaged(image):
-    """Bytes of a compressed image, with some in its middle changed."""
     middle = len(image) // 2
     return image[:middle] + bytes(byte ^ 0xA5 for byte in image[middle : middle + 8]) + image[middle + 8 :]
 

@@ -51,7 +51,6 @@ def s3_server() -> Iterator[str]:
 
 @pytest.fixture
 def s3_environment(s3_server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """An environment with credentials for the server of S3."""
     for name in [name for name in os.environ if name.startswith("AWS_")]:
         monkeypatch.delenv(name)
     environment = {"AWS_ACCESS_KEY_ID": KEY, "AWS_SECRET_ACCESS_KEY": SECRET, "AWS_ENDPOINT_URL": s3_server}
@@ -64,7 +63,6 @@ def s3_environment(s3_server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def forget_connections() -> None:
-    """Let the next request read the environment again."""
     remote._options.cache_clear()
     s3fs.S3FileSystem.clear_instance_cache()
 
@@ -85,7 +83,6 @@ def upload(s3_environment: None) -> Callable[[Path], str]:  # noqa: ARG001 - it 
 
 
 def content_of(path: remote.RemotePath) -> bytes:
-    """The bytes of a file behind a URL."""
     with remote.local_file(path) as copy:
         return copy.read_bytes()
 

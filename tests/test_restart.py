@@ -25,7 +25,6 @@ SAMPLES = Path(__file__).parent.parent / "sample_frames"
 
 
 def started(package: str, *arguments: str | Path) -> subprocess.Popen[str]:
-    """Start a command in another process."""
     return subprocess.Popen(
         [sys.executable, "-m", package, *map(str, arguments)],
         stdout=subprocess.PIPE,
@@ -195,7 +194,6 @@ def test_an_interrupted_run_says_what_is_kept(make_dataset, tmp_path: Path, numb
 
 
 def until_begun(out: Path) -> None:
-    """Wait until the store has results."""
     deadline = time.monotonic() + 60
     while not any(path.stat().st_size > 1_000 for path in out.glob(f"{STAGING}/{STORE}")):
         assert time.monotonic() < deadline

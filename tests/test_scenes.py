@@ -54,7 +54,6 @@ def textured(side: int = 160, seed: int = 1, low: float = 0.2, high: float = 0.9
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Two images of 8 and 16 bits."""
     path = tmp_path / "images"
     path.mkdir()
     tod.write_frame(path / "hills.png", textured(seed=1), pixel_type="uint8")

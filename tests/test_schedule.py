@@ -13,8 +13,6 @@ from todframes.stimulus import Orientation
 
 @pytest.fixture
 def schedule(tmp_path: Path):
-    """Reads a schedule with the lines given."""
-
     def read(*lines: str, level: str = "contrast"):
         path = tmp_path / "schedule.csv"
         path.write_text("\n".join([*lines, ""]), encoding="utf-8")

@@ -98,7 +98,6 @@ def fails(sensor_sim, tmp_path):
 
 
 def simulate(sensor_file: Path, *more) -> tuple:
-    """Arguments of a good `simulate`; later ones replace earlier ones."""
     out = sensor_file.parent / "dataset"
     return ("simulate", sensor_file, "--size-detectors", "3", "--snr", "4", "--trials", "4", "-o", out, *more)
 
@@ -306,7 +305,6 @@ def test_mtf_as_json(sensor_sim, sensor_file):
 
 
 def changed(table: str, key: str, value: str) -> str:
-    """The good settings with another value of a key."""
     before, after = SENSOR.split(f"[{table}]\n")
     return f"{before}[{table}]\n" + re.sub(
         rf"^{key} = .*$", f"{key} = {value}", after, count=1, flags=re.MULTILINE

@@ -90,7 +90,6 @@ def rows_of(folder: Path) -> list[dict[str, str]]:
 
 
 def pixels(path: Path) -> np.ndarray:
-    """Code values of a frame of one channel, (rows, columns)."""
     return read_frame(path).values[..., 0]
 
 
@@ -150,7 +149,6 @@ def test_manifest_place_is_where_the_triangle_is_shown(orientation):
 
 
 def noise_of(sensor: Sensor, snr: float, n: int, seed: int, size: float = 1.0) -> np.ndarray:
-    """Noise on the detector samples of n trials, (n, field, field)."""
     simulator = Simulator(sensor, size, seed=seed)
     trials = plan_trials([size], [snr], n)
     return simulator.samples(trials)[1] - simulator.samples(trials, noise=False)[1]

@@ -151,7 +151,6 @@ def fixed(x) -> int:
 
 
 def triangle(side: int, size) -> Image:
-    """Coverage by the upright triangle whose centroid is in the middle."""
     height, half = mpf(3) ** 0.25 * size, size / mpf(3) ** 0.25
     middle = mpf(side) / 2
     corners = [(middle, -2 * height / 3), (middle + half, height / 3), (middle - half, height / 3)]

@@ -16,7 +16,6 @@ DIGEST = "0123456789abcdef" * 4
 
 
 def trial(number: int, **more) -> Trial:
-    """A trial of a kind of its own, by its number."""
     frame = FrameReference(f"frames/ä {number}.png", DIGEST, None)
     made = Trial(
         number=number,

@@ -30,7 +30,6 @@ SMALL = Stimulus(1.0)
 
 
 def correct(d_prime: float, places: int) -> float:
-    """P(correct) of four independent scores at each place, one of which has a mean of d′."""
     score = np.zeros((2, 4))
     score[0, 1] = d_prime
     found = unknown_place_probabilities(score[: min(places, 2)], np.eye(4), empty_places=max(places - 2, 0))

@@ -78,7 +78,6 @@ def test_metadata_in_the_working_folder_register_nothing(working_folder: Path) -
 
 
 def test_settings_of_plots_in_the_working_folder_are_not_read(working_folder: Path) -> None:
-    """These cannot even be decoded."""
     (working_folder / "matplotlibrc").write_bytes(b"axes.facecolor: \xff\n")
     code = "from todframes.__main__ import start; start(); import matplotlib.figure"
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -89,7 +89,6 @@ def recorded(n_frames: int | None = None) -> Frames:
 
 
 def imported(folder: Path, frames: Frames, *options: str, suffix: str = ".png", chart: Path = SAMPLE) -> int:
-    """Import frames with the chart; the exit status."""
     (folder / "spoiled").mkdir()
     for number, frame in enumerate(frames):
         assert cv2.imwrite(str(folder / "spoiled" / f"{number:04d}{suffix}"), frame)
@@ -188,7 +187,6 @@ def test_each_line_of_import_is_tested() -> None:
 
 
 def with_gain(frames: Frames, gain: float) -> Frames:
-    """The frames with another contrast about the grey of the background."""
     return [np.clip(140 + gain * (frame - 140.0), 0, 255).astype(np.uint8) for frame in frames]
 
 

@@ -1,4 +1,4 @@
-"""Two processes of a local cluster against one process, and what a batch costs. Needs the extra `cluster`."""
+"""Two processes of a local cluster against one process. Needs the extra `cluster`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable
-from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 
 from bench_scoring import make_dataset
@@ -20,37 +18,8 @@ from todframes.jobs.work import Engine, LocalEngine
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.score import score_dataset
 
-ITEM_S = 0.005
-N_ITEMS, N_DISTINCT, N_TRIALS = 4000, 40, 4000
+N_DISTINCT, N_TRIALS = 40, 4000
 PAIRS = 3
-
-
-@dataclass
-class Busy:
-    """Work that uses a processor for some time for each item."""
-
-    seconds: float
-
-    def function(self) -> Callable[[int], int]:
-        """Return the function of an item."""
-
-        def work(item: int) -> int:
-            started = time.thread_time()
-            while time.thread_time() - started < self.seconds:
-                pass
-            return item
-
-        return work
-
-    def name(self, item: int) -> str:
-        """Return what messages call an item."""
-        return str(item)
-
-
-def busy(engine: Engine) -> None:
-    """Do some thousand items of 5 ms."""
-    with closing(engine.run(Busy(ITEM_S), enumerate(range(N_ITEMS)))) as batches:
-        assert sum(map(len, batches)) == N_ITEMS
 
 
 def speed_up(run: Callable[[Engine], object], cluster: Engine) -> tuple[float, float]:
@@ -70,11 +39,6 @@ def speed_up(run: Callable[[Engine], object], cluster: Engine) -> tuple[float, f
 def rows() -> list[Row]:
     """All ratios of this file."""
     with tempfile.TemporaryDirectory() as name, open_engine("local:2", 1) as cluster:
-        ratio, _ = speed_up(busy, cluster)
-        found = [
-            Row(f"{N_ITEMS} items of {ITEM_S * 1e3:g} ms, two workers ÷ twice one process", ratio / 2, ">= 0.9")
-        ]
-
         folder = Path(name, "frames")
         make_dataset(folder, N_DISTINCT, "png")
         _repeat(folder, N_TRIALS // N_DISTINCT)
@@ -85,8 +49,7 @@ def rows() -> list[Row]:
 
         ratio, local_s = speed_up(score, cluster)
         about = f"score {N_TRIALS} PNG frames of {local_s / N_TRIALS * 1e3:.1f} ms"
-        found.append(Row(f"{about}, two workers ÷ twice one process", ratio / 2, ">= 0.9"))
-    return found
+    return [Row(f"{about}, two workers ÷ twice one process", ratio / 2, ">= 0.9")]
 
 
 def _repeat(folder: Path, times: int) -> None:
