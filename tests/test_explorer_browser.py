@@ -46,8 +46,6 @@ SECONDS = 60_000
 REFUSED = ["status of 422"]
 """Chromium's own remark about an answer that refuses a sensor."""
 
-FIRST_PAGE_BYTES = 150_000
-MESSAGE_HAS = "(text) => document.querySelector('#message').textContent.includes(text)"
 SCRIPT = "<img src=x onerror=\"document.title='taken'\"><script>document.title='taken'</script>"
 WIDTHS = (390, 1280)
 IS_DRAWN = "(({ asked, sequence }) => asked === sequence)(document.querySelector('#curve').dataset)"
@@ -56,10 +54,8 @@ IS_DRAWN = "(({ asked, sequence }) => asked === sequence)(document.querySelector
 PAPERS: dict[Literal["light", "dark"], str] = {"light": "rgb(255, 255, 255)", "dark": "rgb(20, 23, 27)"}
 IMPOSSIBLE = (
     ("detector.width_mrad", "0.9", "Found 0.9, expected at most pitch_mrad"),
-    ("optics.aperture_mm", "-3", "Found -3"),
     ("p_correct", "0.2", "Found 0.2"),
     ("sizes_detectors", "2, two", "Expected 1 to 12 sizes above 0"),
-    ("sizes_detectors", "2, 1e309", "Expected 1 to 12 sizes above 0"),
     ("optics.aperture_mm", "1e309", "Found 1e309, which is too large"),
     ("optics.wavelength_um", "red", "Found “red”, expected a number."),
     ("noise.frames_integrated", "1.5", "expected a whole number"),
@@ -155,26 +151,6 @@ def agree(one: Shown, other: Shown) -> bool:
     return abs(one.value - other.value) <= one.error + other.error + one.rounding + other.rounding
 
 
-def test_contrast_is_another_curve_of_the_same_sensor(explore) -> None:
-    page = explore()
-    painted(page, lambda: type_value(page, "optics.aperture_mm", "180"), "refined")
-    snr = table(page)
-    choose = "label:has(input[name=strength][value={}])"
-    painted(page, page.locator(choose.format("contrast")).click, "refined")
-    contrast = table(page)
-    # More gain makes more contrast on the display, and leaves the contrast that the eye needs.
-    painted(page, lambda: type_value(page, "display.gain", "2"), "refined")
-    for before, after in zip(contrast, table(page), strict=True):
-        if "±" in before["Contrast"]:
-            assert agree(number(before["Contrast"]), number(after["Contrast"]))
-        else:
-            assert after == before
-    assert "±" in contrast[-1]["Contrast"]
-    painted(page, page.locator("#undo").click, "refined")
-    painted(page, page.locator(choose.format("snr")).click, "refined")
-    assert table(page) == snr
-
-
 def test_numbers_are_those_of_the_copied_command(explore, tmp_path: Path, monkeypatch, capsys) -> None:
     """The saved file and the copied command give the thresholds of the page, within the errors of both."""
     page = explore(permissions=["clipboard-read", "clipboard-write"])
@@ -221,7 +197,9 @@ def test_the_curve_after_300_moves_is_that_of_the_last_state(explore) -> None:
     values = [float(value_of(page, key)) for key in sliders]
     # The newest state waits until the one before has its estimate: only then it is asked for.
     wait_until(page, f"{IS_DRAWN} && document.querySelector('#curve').dataset.stage === 'refined'")
-    assert (asked[-1]["sequence"], [asked_value(asked[-1], key) for key in sliders]) == (sequence(page), values)
+    tables = asked[-1]["sensor"] | {"observer": asked[-1]["observer"]}
+    assert [float(tables[name][key]) for name, key in (one.split(".") for one in sliders)] == values
+    assert asked[-1]["sequence"] == sequence(page)
     assert [one["sequence"] for one in asked] == sorted({one["sequence"] for one in asked})
     moved = table(page)
     wait_until(page, "location.hash.length > 1")
@@ -241,7 +219,6 @@ def test_a_late_answer_is_dropped(explore) -> None:
     page.locator(slider_of("optics.aperture_mm")).press("ArrowLeft")
     painted(page, lambda: page.keyboard.press("ArrowLeft"))
     late = held[0].request.post_data_json
-    assert late["sequence"] == sequence(page) - 1
     answer = {"sequence": late["sequence"], "stage": "refined", "is_last": True, "seconds": 1.0}
     row = {"size_detectors": 2.0, "size_mrad": 1.0, "size_mrad_eye": 1.0, "status": "ok", "snr": 999.0}
     row["snr_error"] = answer["tolerance"] = 0.002
@@ -310,8 +287,7 @@ def test_the_line_and_the_numbers_belong_to_the_state_that_is_shown(explore) -> 
     assert (of_file["noise"]["frames_integrated"], of_file["optics"]["blur_sigma_mrad"]) == (7, 0.011)
     painted(page, release, "refined")
     assert held[-1].request.post_data_json["sensor"]["optics"] == of_file["optics"]
-    assert line(page).startswith("Refined")
-    assert page.locator("#curve").get_attribute("aria-busy") == "false"
+    assert (line(page)[:7], page.locator("#curve").get_attribute("aria-busy")) == ("Refined", "false")
     shown = table(page)
     assert shown != before
     heard = {size: float(snr) for size, snr in re.findall(r"([\d.]+) detectors: ([\d.]*\d)", announced(page))}
@@ -319,23 +295,6 @@ def test_the_line_and_the_numbers_belong_to_the_state_that_is_shown(explore) -> 
         size: pytest.approx(snr, rel=1e-3) for size, snr in heard.items()
     }
     assert "earlier sensor" not in page.locator("#curve-table caption").text_content()
-
-
-def test_a_reload_at_once_brings_back_the_state_and_the_pinned_curves(explore) -> None:
-    page = explore()
-    painted(page, lambda: type_value(page, "optics.aperture_mm", "180"))
-    page.click("#pin")
-    type_value(page, "display.gain", "0.7")
-    page.locator("[name=unit][value=mrad] + span").click()
-    page.reload()  # before the address has the last changes
-    page.wait_for_selector(REFINED)
-    assert [value_of(page, key) for key in ("optics.aperture_mm", "display.gain")] == ["180", "0.7"]
-    assert page.locator("[name=unit][value=mrad]").is_checked()
-    assert "display: gain 1" in page.locator("#pins").inner_text()
-    page.click("#pins .remove")
-    page.reload()
-    page.wait_for_selector(REFINED)
-    assert page.locator("#pins li").count() == 0
 
 
 @pytest.mark.weekly
@@ -358,11 +317,6 @@ def test_a_server_that_has_ended_is_noticed_without_an_action(open_page) -> None
         tab = page.context.new_page()
         tab.goto(second.url)  # its visit gives the browser the token of the new server
         painted(page, lambda: wait_until(page, "document.querySelector('#server').textContent === ''"))
-
-
-def asked_value(asked: dict[str, Any], key: str) -> float:
-    table_name, name = key.split(".")
-    return float((asked["sensor"] | {"observer": asked["observer"]})[table_name][name])
 
 
 def test_undo_redo_and_reset_with_the_keyboard_alone(explore) -> None:
@@ -388,10 +342,6 @@ def test_undo_redo_and_reset_with_the_keyboard_alone(explore) -> None:
     assert value_of(page, "optics.aperture_mm") == "220"
     page.locator("#undo").press("Enter")
     assert value_of(page, "optics.aperture_mm") == moved
-    page.locator("[name=abscissa][value=inverse]").press("ArrowRight")
-    assert page.locator("[name=abscissa][value=size]").is_checked()
-    page.locator("summary", has_text="Numbers of the curve").press("Enter")
-    assert page.locator("#curve-table").is_visible()
 
 
 def test_a_link_holds_the_state(explore, server: Server) -> None:
@@ -403,6 +353,8 @@ def test_a_link_holds_the_state(explore, server: Server) -> None:
     page.locator("#name").fill("Ω & other names")
     page.locator("#name").press("Enter")
     page.locator("[name=unit][value=mrad] + span").click()
+    painted(page, page.locator("label:has(input[name=strength][value=contrast])").click)
+    assert "±" in table(page)[0]["Contrast"]
     page.click("#link")
     wait_until(page, "document.querySelector('#message').textContent === 'Link copied.'")
     link = page.evaluate("navigator.clipboard.readText()")
@@ -412,6 +364,7 @@ def test_a_link_holds_the_state(explore, server: Server) -> None:
     keys = ("display.gain", "noise.distribution", "noise.netd_mk", "optics.aperture_mm", "sizes_detectors")
     assert [value_of(other, key) for key in keys] == ["0.7", "gaussian", "", "220", "8"]
     assert other.locator("[name=unit][value=mrad]").is_checked()
+    assert other.locator("[name=strength][value=contrast]").is_checked()
     assert other.locator("[name=strength][value=delta_t_mk]").is_disabled()  # there is no NETD
     painted(other, lambda: type_value(other, "display.gain", "2"))
     wait_until(other, "(link) => location.href !== link", link)
@@ -432,8 +385,20 @@ def drop(page: Page, name: str, text: str) -> None:
     assert page.locator("#drop").is_hidden()
 
 
-def test_a_dropped_file_is_opened_and_saved_again(explore, tmp_path: Path) -> None:
-    page = explore()
+def test_a_dropped_file_is_opened_and_saved_again_and_a_damaged_one_leaves_the_state(
+    explore, tmp_path: Path
+) -> None:
+    page = explore("#no-state", expected_console=REFUSED)
+    assert "The link is damaged" in page.locator("#message").inner_text()
+    for text, complaint in (
+        ("schema = 1\n[optics]\naperture = 3.0\n", "aperture_mm"),
+        ("no TOML", "other.toml"),
+        ("x" * 600_000, "drop a smaller file"),
+    ):
+        drop(page, "other.toml", text)
+        wait_until(page, "(text) => document.querySelector('#message').textContent.includes(text)", complaint)
+        assert "\n" not in page.locator("#message").inner_text()
+    assert value_of(page, "optics.aperture_mm") == "220" and page.locator("#undo").is_disabled()
     text = (SAMPLES / "staring_camera.toml").read_text(encoding="utf-8").replace("220.0", "90.125")
     painted(page, lambda: drop(page, "other.toml", text))
     assert value_of(page, "optics.aperture_mm") == "90.125"
@@ -447,36 +412,16 @@ def test_a_dropped_file_is_opened_and_saved_again(explore, tmp_path: Path) -> No
     assert value_of(page, "optics.aperture_mm") == "90.125"
 
 
-def test_a_damaged_link_or_a_file_that_is_no_sensor_leaves_the_state(explore) -> None:
-    page = explore("#no-state", expected_console=REFUSED)
-    assert "The link is damaged" in page.locator("#message").inner_text()
-    for text, complaint in (
-        ("schema = 1\n[optics]\naperture = 3.0\n", "aperture_mm"),
-        ("no TOML", "other.toml"),
-        ("x" * 600_000, "drop a smaller file"),
-    ):
-        drop(page, "other.toml", text)
-        wait_until(page, MESSAGE_HAS, complaint)
-        assert "\n" not in page.locator("#message").inner_text()
-    assert value_of(page, "optics.aperture_mm") == "220"
-    assert page.locator("#undo").is_disabled()
-
-
 def test_a_script_in_a_name_is_a_text(explore) -> None:
     page = explore()
     text = STAR_LIKE.read_text(encoding="utf-8").replace('"star-like"', json.dumps(SCRIPT))
     page.click("#pin")
     painted(page, lambda: drop(page, f"{SCRIPT}.toml", text))
     page.click("#pin")
-    painted(page, lambda: page.click("#undo"))
-    painted(page, lambda: page.click("#redo"))
     assert page.locator("#name").input_value() == SCRIPT
     painted(page, lambda: page.click("#undo"))
     assert SCRIPT in page.locator("#pins").inner_text()
-    assert page.evaluate("[document.title, document.querySelectorAll('main img, main script').length]") == [
-        "Sensor explorer",
-        0,
-    ]
+    assert page.title() == "Sensor explorer" and page.locator("main img, main script").count() == 0
 
 
 def test_nothing_scrolls_sideways(explore) -> None:
@@ -495,12 +440,7 @@ def test_nothing_scrolls_sideways(explore) -> None:
         for scheme, paper in PAPERS.items():
             page.emulate_media(color_scheme=scheme)
             page.wait_for_timeout(50)  # the charts follow in the next frame
-            measured = page.evaluate(
-                "(({ scrollWidth, scrollHeight }) => [innerWidth, scrollWidth, scrollHeight])"
-                "(document.documentElement)"
-            )
-            assert measured[:2] == [width, width]
-            assert measured[2] > 1000
+            assert page.evaluate("[innerWidth, document.documentElement.scrollWidth]") == [width, width]
             assert page.evaluate("getComputedStyle(document.documentElement).backgroundColor") == paper
             charts = page.locator(".chart:visible").evaluate_all(
                 "(charts) => charts.map((one) => [one.clientWidth, one.querySelector('canvas').clientWidth])"
@@ -532,55 +472,41 @@ def test_impossible_values_have_a_line_at_their_field(explore) -> None:
     assert page.locator("#curve.stale, [aria-invalid=true]").count() == 0
 
 
-def test_pitch_and_width_move_together_where_the_fill_factor_is_kept(explore) -> None:
+def test_pitch_width_netd_and_f_number_move_together_where_they_are_coupled(explore) -> None:
     page = explore()
-    pitch, width = "detector.pitch_mrad", "detector.width_mrad"
-    type_value(page, width, "0.0646")
-    page.locator(field_of("keep_fill_factor")).check()
-    painted(page, lambda: type_value(page, pitch, "0.04"))
-    # Both are shown with four digits.
-    assert float(value_of(page, width)) == pytest.approx(0.04 * 0.0646 / 0.0681, rel=5e-4)
-    painted(page, lambda: type_value(page, width, "0.0646"))
-    assert float(value_of(page, pitch)) == pytest.approx(0.0681, rel=5e-4)
-    for _ in range(20):
-        page.locator(slider_of(pitch)).press("ArrowRight")
-    for _ in range(20):
-        page.locator(slider_of(pitch)).press("ArrowLeft")
-    ratio = float(value_of(page, width)) / float(value_of(page, pitch))
-    assert ratio == pytest.approx(0.0646 / 0.0681, rel=5e-4)  # it does not drift
-    page.locator(field_of("keep_fill_factor")).uncheck()
-    before = value_of(page, width)
-    type_value(page, pitch, "0.09")
-    assert value_of(page, width) == before
-
-
-def test_the_netd_follows_aperture_and_area_where_it_is_coupled(explore) -> None:
-    page = explore()
+    pitch, width, netd = "detector.pitch_mrad", "detector.width_mrad", "noise.netd_mk"
+    note = page.locator("fieldset:has(#field-detector-pitch_mrad) .note")
+    # 15 µm per 0.0681 mrad are 220 mm, the aperture; 4 µm · f/1 / 15 µm is 0.27.
+    assert note.inner_text() == "f/1, focal length 220 mm, λF/d 0.27"
     page.locator(field_of("couple_netd")).check()
-    type_value(page, "optics.aperture_mm", "110")
-    assert value_of(page, "noise.netd_mk") == "64"
-    type_value(page, "noise.netd_mk", "40")
-    type_value(page, "optics.aperture_mm", "220")
-    assert value_of(page, "noise.netd_mk") == "10"
+    for key, value, expected in (
+        ("optics.aperture_mm", "55", "256"),
+        (netd, "160", "160"),
+        ("optics.aperture_mm", "220", "10"),
+    ):
+        type_value(page, key, value)
+        assert value_of(page, netd) == expected
     page.locator(field_of("keep_fill_factor")).check()
-    painted(page, lambda: type_value(page, "detector.pitch_mrad", "0.1362"), "refined")
-    assert value_of(page, "noise.netd_mk") == "2.5"
+    painted(page, lambda: type_value(page, pitch, "0.1362"), "refined")
+    assert (value_of(page, width), value_of(page, netd)) == ("0.1362", "2.5")
     assert saved(page)["noise"]["netd_mk"] == 2.5
     page.reload()
     page.wait_for_selector(REFINED)
     assert page.locator(field_of("couple_netd")).is_checked()
-    page.locator(field_of("couple_netd")).uncheck()
+    for key in ("couple_netd", "keep_fill_factor"):
+        page.locator(field_of(key)).uncheck()
     type_value(page, "optics.aperture_mm", "110")
-    assert value_of(page, "noise.netd_mk") == "2.5"
-
-
-def test_the_f_number_is_that_of_the_pitch_on_the_chip(explore) -> None:
-    page = explore()
-    note = page.locator("fieldset:has(#field-detector-pitch_mrad) .note")
-    # 15 µm per 0.0681 mrad are 220 mm, the aperture; 4 µm · f/1 / 15 µm is 0.27.
-    assert note.inner_text() == "f/1, focal length 220 mm, λF/d 0.27"
-    type_value(page, "optics.aperture_mm", "55")
-    assert note.inner_text() == "f/4, focal length 220 mm, λF/d 1.1"
+    assert value_of(page, netd) == "2.5"
+    type_value(page, width, "0.13")
+    assert value_of(page, pitch) == "0.1362"
+    page.locator(field_of("keep_fill_factor")).check()
+    painted(page, lambda: type_value(page, width, "0.065"))
+    assert float(value_of(page, pitch)) == pytest.approx(0.0681, rel=5e-4)  # four digits are shown
+    for way in ("ArrowRight", "ArrowLeft"):
+        for _ in range(20):
+            page.locator(slider_of(pitch)).press(way)
+    ratio = float(value_of(page, width)) / float(value_of(page, pitch))
+    assert ratio == pytest.approx(0.13 / 0.1362, rel=1e-3)  # it does not drift
     page.locator("#presets").select_option(label="uncooled LWIR, 12 µm, f/1")
     assert note.inner_text() == "f/1, focal length 35 mm, λF/d 0.83"
 
@@ -593,10 +519,9 @@ def test_every_preset_begins_with_sizes_that_it_shows(explore) -> None:
         rows = table(page)
         assert len(rows) == 5 and all("±" in row["SNR"] for row in rows), name
         assert value_of(page, "sizes_detectors") == ", ".join(row["Size (detectors)"] for row in rows)
-        assert page.locator("#never").text_content() == ""
 
 
-def test_sizes_that_are_never_reached_are_marked_on_the_axis(explore) -> None:
+def test_curves_are_marked_where_never_reached_pinned_with_ratios_and_saved_as_files(explore) -> None:
     page = explore(expected_console=["willReadFrequently"])  # this test reads the canvas twice
     # Pixels of the colour of warnings.
     marks = """() => {
@@ -609,58 +534,57 @@ def test_sizes_that_are_never_reached_are_marked_on_the_axis(explore) -> None:
       return found;
     }"""
     assert page.evaluate(marks) == 0
-    painted(page, lambda: type_value(page, "sizes_detectors", "2, 3, 6"), "refined")
-    assert page.locator("#never").inner_text() == "× Never reached: 2, 3 detectors"
-    wait_until(page, f"({marks})() > 20")
-    page.locator("[name=unit][value=mrad] + span").click()
-    assert page.locator("#never").inner_text() == "× Never reached: 0.1362, 0.2043 mrad"
-
-
-def test_pinned_curves_have_numbers_and_ratios(explore) -> None:
-    page = explore()
-    painted(page, lambda: type_value(page, "sizes_detectors", "4, 8"), "refined")
+    painted(page, lambda: type_value(page, "sizes_detectors", "2, 4, 8"), "refined")
+    assert page.locator("#never").inner_text() == "× Never reached: 2 detectors"
+    wait_until(page, f"({marks})() > 10")
     page.click("#pin")
     assert "1 — as now; thresholds 1 × those now" in page.locator("#pins").inner_text()
     before = table(page)
-    painted(page, lambda: type_value(page, "optics.aperture_mm", "110"), "refined")
+    painted(page, lambda: type_value(page, "optics.aperture_mm", "150"), "refined")
     now = table(page)
     ratios = [
-        number(one["SNR"]).value / number(other["SNR"]).value for one, other in zip(before, now, strict=True)
+        number(one["SNR"]).value / number(other["SNR"]).value
+        for one, other in zip(before[1:], now[1:], strict=True)
     ]
     text = page.locator("#pins").inner_text()
     assert text.startswith("1 — optics: aperture 220 mm; thresholds ")
     found = [float(one) for one in re.findall(r"[\d.]+", text.partition("thresholds")[2])]
     wanted = [math.sqrt(math.prod(ratios)), min(ratios), max(ratios)]
-    assert found == pytest.approx(wanted, rel=0.01)  # three digits, and the table is rounded
-    page.click("#pin")
-    page.click("#pins li:first-child .remove")
-    page.click("#pin")
-    assert [one.partition(" ")[0] for one in page.locator("#pins li").all_inner_texts()] == ["1", "2"]
-
-
-def test_plots_and_numbers_are_saved_as_files(explore) -> None:
-    page = explore()
-    painted(page, lambda: type_value(page, "sizes_detectors", "3, 6"), "refined")
-    page.click("#pin")
-    wait_until(page, "document.querySelector('#mtf-table').rows.length > 5")
-
-    for button, name, start in (
+    assert found[:3] == pytest.approx(wanted, rel=0.01)  # three digits, and the table is rounded
+    for button, file, start in (
         ("#png", "tod_curve.png", b"\x89PNG"),
         ("#svg", "tod_curve.svg", b"<?xml"),
         ("#mtf-png", "mtf.png", b"\x89PNG"),
         ("#mtf-svg", "mtf.svg", b"<?xml"),
+        ("#csv", "tod_curve.csv", b"curve"),
     ):
-        file, content = downloaded(page, button)
-        assert (file, content[: len(start)]) == (name, start)
-    name, content = downloaded(page, "#csv")
+        name, content = downloaded(page, button)
+        assert (name, content[: len(start)]) == (file, start)
     rows = list(csv.DictReader(io.StringIO(content.decode())))
-    assert name == "tod_curve.csv"
+    statuses = ["never_reached", "ok", "ok"]
     assert [(row["curve"], row["status"]) for row in rows] == [
-        ("now", "never_reached"), ("now", "ok"), ("1", "never_reached"), ("1", "ok"),
-    ]  # fmt: skip
-    shown = number(table(page)[1]["SNR"])
-    assert float(rows[1]["snr"]) == pytest.approx(shown.value, abs=shown.rounding)
-    assert rows[0]["snr"] == "" and float(rows[1]["size_mrad"]) == pytest.approx(6 * 0.0681)
+        (curve, status) for curve in ("now", "1") for status in statuses
+    ]
+    shown = number(now[2]["SNR"])
+    assert float(rows[2]["snr"]) == pytest.approx(shown.value, abs=shown.rounding)
+    assert rows[0]["snr"] == "" and float(rows[2]["size_mrad"]) == pytest.approx(8 * 0.0681)
+    page.locator("[name=unit][value=mrad] + span").click()
+    assert page.locator("#never").inner_text() == "× Never reached: 0.1362 mrad"
+    page.click("#pin")
+    page.click("#pins li:first-child .remove")
+    page.click("#pin")
+    assert [one.partition(" ")[0] for one in page.locator("#pins li").all_inner_texts()] == ["1", "2"]
+    type_value(page, "display.gain", "0.7")
+    page.reload()  # before the address has the last changes
+    page.wait_for_selector(REFINED)
+    assert [value_of(page, key) for key in ("optics.aperture_mm", "display.gain")] == ["150", "0.7"]
+    assert page.locator("[name=unit][value=mrad]").is_checked()
+    assert "display: gain 1" in page.locator("#pins").inner_text()
+    for _ in range(2):
+        page.locator("#pins .remove").first.click()
+    page.reload()
+    page.wait_for_selector(REFINED)
+    assert page.locator("#pins li").count() == 0
 
 
 def test_the_orientation_is_hidden_until_asked(explore) -> None:
@@ -690,7 +614,7 @@ def test_the_orientation_is_hidden_until_asked(explore) -> None:
     assert len(found) > 1
 
 
-def test_a_reader_of_screens_has_names_tables_and_results(explore) -> None:
+def test_the_first_page_is_small_and_has_names_tables_and_results_for_readers_of_screens(explore) -> None:
     page = explore()
     page.wait_for_selector(REFINED)
     page.wait_for_selector("#stages canvas")
@@ -709,6 +633,12 @@ def test_a_reader_of_screens_has_names_tables_and_results(explore) -> None:
     announced = page.locator("#announcement")
     assert announced.get_attribute("aria-live") == "polite"
     assert re.search(r"Threshold SNR at 4 detectors: .*; 8 detectors: \d", announced.text_content() or "")
+    sizes = page.evaluate(
+        "[...performance.getEntriesByType('navigation'), ...performance.getEntriesByType('resource')]"
+        ".map((one) => [one.name.split('/').at(-1), one.transferSize])"
+    )
+    assert {"explorer.js", "uPlot.iife.min.js", "start", "curve", "mtf"} <= {name for name, _ in sizes}
+    assert all(size > 0 for _, size in sizes) and sum(size for _, size in sizes) <= 150_000, sizes
 
 
 def test_a_camera_that_counts_photons_has_its_own_sliders_and_its_range(open_page, tmp_path: Path) -> None:
@@ -746,11 +676,10 @@ def test_a_camera_that_counts_photons_has_its_own_sliders_and_its_range(open_pag
         assert downloaded(page, "#range-svg")[0] == "probability.svg"
         rows = list(csv.reader(downloaded(page, "#csv")[1].decode().splitlines()))
         assert len({len(row) for row in rows}) == 1 and len(rows) > 2
-        for width in WIDTHS:
-            page.set_viewport_size({"width": width, "height": 844})
-            page.wait_for_timeout(50)
-            assert page.evaluate("document.documentElement.scrollWidth") == width
-            assert page.locator("#range-chart").bounding_box()["width"] > 300
+        page.set_viewport_size({"width": WIDTHS[0], "height": 844})
+        page.wait_for_timeout(50)
+        assert page.evaluate("document.documentElement.scrollWidth") == WIDTHS[0]
+        assert page.locator("#range-chart").bounding_box()["width"] > 300
         # A sensor without NETD or photons has no range, and the page says why.
         painted(page, lambda: page.locator("#presets").select_option(label=VISIBLE), "refined")
         page.wait_for_selector("#range[data-stage=refused]")
@@ -759,16 +688,3 @@ def test_a_camera_that_counts_photons_has_its_own_sliders_and_its_range(open_pag
         page.wait_for_selector("#range[data-stage=estimated], #range[data-stage=refined]")
         assert page.locator("#range-error").is_hidden()
         page.goto("about:blank")  # it would ask the server, which ends now
-
-
-def test_the_first_page_is_small(explore) -> None:
-    page = explore()
-    page.wait_for_selector(REFINED)
-    wait_until(page, "performance.getEntriesByType('resource').some((one) => one.name.endsWith('/mtf'))")
-    sizes = page.evaluate(
-        "[...performance.getEntriesByType('navigation'), ...performance.getEntriesByType('resource')]"
-        ".map((one) => [one.name.split('/').at(-1), one.transferSize])"
-    )
-    assert {"explorer.js", "uPlot.iife.min.js", "start", "curve", "mtf"} <= {name for name, _ in sizes}
-    assert all(size > 0 for _, size in sizes)
-    assert sum(size for _, size in sizes) <= FIRST_PAGE_BYTES, sizes

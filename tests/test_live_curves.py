@@ -11,6 +11,8 @@ import threading
 import time
 import tracemalloc
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -106,20 +108,32 @@ def test_folding_of_many_places_takes_the_memory_of_one():
 # Numbers ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("sensor", [SENSOR, MOVES[1]])
-def test_refined_is_the_curve_and_the_estimate_holds(sensor):
-    estimated, refined = computed(engine(), sensor, tolerances=(0.03, 0.004))
-    plan = plan_curve(sensor, OBSERVER, 4.0, tolerance=0.004)
-    expected = predict_threshold(FoldedChain(sensor, OBSERVER, 4.0, plan), tolerance=0.004)
+@pytest.mark.parametrize(
+    ("sensor", "observer"),
+    [
+        (SENSOR, OBSERVER),
+        (MOVES[1], OBSERVER),
+        pytest.param(SENSOR, OrientedObserver(), marks=pytest.mark.slow),
+        pytest.param(SENSOR, HotellingObserver(), marks=pytest.mark.slow),
+    ],
+)
+def test_refined_is_the_curve_and_the_estimate_holds(sensor, observer):
+    tolerance = 0.004 if observer is OBSERVER else 0.02
+    estimated, refined = computed(engine(), sensor, observer, tolerances=(0.03, tolerance))
+    plan = plan_curve(sensor, observer, 4.0, tolerance=tolerance)
+    expected = predict_threshold(FoldedChain(sensor, observer, 4.0, plan), tolerance=tolerance)
     assert (refined.threshold, refined.numerical_error) == (expected.threshold, expected.numerical_error)
-    assert refined.numerical_error <= 0.004 * refined.threshold
+    assert refined.numerical_error <= tolerance * refined.threshold
     assert estimated.numerical_error <= 0.03 * estimated.threshold
     assert abs(estimated.threshold - refined.threshold) <= estimated.numerical_error
 
 
 def test_contrast_is_the_snr_without_noise_that_gives_the_share():
     """At this contrast and without detector noise, the chain of `curve` gives the share of correct answers."""
-    _, refined = computed(engine(), SENSOR, tolerances=(0.03, 0.004), level="contrast")
+    one = engine()
+    _, refined = computed(one, SENSOR, tolerances=(0.03, 0.004), level="contrast")
+    # More gain makes more contrast on the display, and leaves the contrast that the eye needs.
+    assert computed(one, MOVES[2], tolerances=(0.03, 0.004), level="contrast") == [refined]
     chain = FoldedChain(SENSOR, OBSERVER, 4.0)
     phases = chain.phases(17, np.random.default_rng(1))
     low, high = (
@@ -138,17 +152,6 @@ def test_a_camera_that_counts_photons_has_the_thresholds_of_the_curve():
         expected = predict_threshold(chain, tolerance=0.02)
         assert abs(refined.threshold - expected.threshold) <= 1e-4 * expected.threshold  # the same places
         assert abs(estimated.threshold - refined.threshold) <= estimated.numerical_error + refined.numerical_error
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("observer", [OrientedObserver(), HotellingObserver()], ids=["oriented", "Hotelling"])
-def test_other_observers(observer):
-    estimated, refined = computed(engine(), SENSOR, observer, (3.0,), (0.03, 0.02))
-    chain = FoldedChain(SENSOR, observer, 3.0)
-    expected = predict_threshold(chain, tolerance=0.02)
-    for found in (estimated, refined):
-        both = math.hypot(found.numerical_error, expected.numerical_error)
-        assert abs(found.threshold - expected.threshold) <= both
 
 
 def test_what_the_threshold_does_not_depend_on_is_not_computed_again():
@@ -173,28 +176,24 @@ class StoppedError(Exception):
 
 
 def test_cancelled_computations_leave_what_is_kept_right():
-    fresh = [computed(engine(), sensor) for sensor in MOVES[:2]]
-    calls, stop_at = 0, 1
+    fresh = [computed(engine(), sensor)[-1].threshold for sensor in MOVES[:2]]
+    checks_left, n_stopped = 0, 0
 
     def check() -> None:
-        nonlocal calls
-        calls += 1
-        if calls == stop_at:
+        nonlocal checks_left, n_stopped
+        checks_left -= 1
+        if checks_left == 0:
+            n_stopped += 1
             raise StoppedError
 
-    interrupted, n_stopped = ThresholdEngine(check), 0
-    while n_stopped < 20:
-        calls, stop_at = 0, stop_at + 6
-        try:
-            computed(interrupted, MOVES[n_stopped % 2])
-            break  # all of it was computed before the next stop
-        except StoppedError:
-            n_stopped += 1
+    interrupted = ThresholdEngine(check)
+    for number in range(20):
+        checks_left = 7 + 6 * number
+        with suppress(StoppedError):
+            computed(interrupted, MOVES[number % 2])
     assert n_stopped > 5
-    stop_at = -1
-    for sensor, expected in zip(MOVES[:2], fresh, strict=True):
-        found = computed(interrupted, sensor)[-1]
-        assert found.threshold == pytest.approx(expected[-1].threshold, rel=1e-4)
+    found = [computed(interrupted, sensor)[-1].threshold for sensor in MOVES[:2]]
+    assert found == pytest.approx(fresh, rel=1e-4)
 
 
 def test_kept_parts_stay_within_their_size():
@@ -333,36 +332,16 @@ def test_curves_come_in_order_and_are_those_of_one_process(live):
 
 
 @pytest.mark.slow
-def test_unwanted_curves_end_and_the_next_is_right(live):
-    for k in range(20):
-        moved = changed(optics={"aperture_mm": 80.0 + k})
-        deadline = time.monotonic() + 0.003 * k
-        for _ in live.curves(moved, OBSERVER, (3.0, 6.0), is_wanted=lambda end=deadline: time.monotonic() < end):
-            pass
-    *_, last = live.curves(SENSOR, OBSERVER, (3.0, 6.0), tolerances=TOLERANCES, is_wanted=wanted)
-    for found in last.thresholds:
-        expected = computed(engine(), sizes=(found.size_detectors,))[-1]
-        assert found.threshold == pytest.approx(expected.threshold, rel=1e-4)
-
-
-@pytest.mark.slow
 def test_threads_take_turns(live):
-    found: dict[int, float] = {}
+    sensors = [changed(optics={"aperture_mm": 110.0 + k}) for k in range(3)]
 
-    def ask(k: int) -> None:
-        sensor = changed(optics={"aperture_mm": 110.0 + k})
+    def ask(sensor: Sensor) -> float:
         *_, last = live.curves(sensor, OBSERVER, (4.0,), tolerances=TOLERANCES, is_wanted=wanted)
-        found[k] = last.thresholds[0].threshold
+        return last.thresholds[0].threshold
 
-    threads = [threading.Thread(target=ask, args=(k,)) for k in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    for k, threshold in found.items():
-        expected = computed(engine(), changed(optics={"aperture_mm": 110.0 + k}))[-1]
-        assert threshold == pytest.approx(expected.threshold, rel=1e-4)
-    assert len(found) == 3
+    with ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(ask, sensors))
+    assert found == pytest.approx([computed(engine(), sensor)[-1].threshold for sensor in sensors], rel=1e-4)
 
 
 @pytest.mark.slow
@@ -388,10 +367,8 @@ def test_close_ends_what_another_thread_waits_for():
     thread.start()
     while not found:  # the estimate is there, and refining goes on for long
         time.sleep(0.01)
-    started = time.monotonic()
     curves.close()
     thread.join(timeout=10.0)
     assert not thread.is_alive()
-    assert time.monotonic() - started < 5.0
     assert not any(curve.is_last for curve in found)
     assert set(multiprocessing.active_children()) == before
