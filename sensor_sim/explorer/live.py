@@ -92,10 +92,8 @@ class CurvePoint:
 
 
 class ThresholdEngine:
-    """Computes thresholds, and keeps the parts that the next sensor may need.
-
-    `check` is called every few milliseconds; it raises an exception when the computation is no longer wanted. Kept
-    parts stay valid.
+    """Computes thresholds, and keeps the parts that the next sensor may need. `check` is called every few
+    milliseconds; it raises an exception when the computation is no longer wanted. Kept parts stay valid.
     """
 
     def __init__(self, check: Callable[[], None]) -> None:
@@ -105,10 +103,9 @@ class ThresholdEngine:
         self._known: OrderedDict[Hashable, CurvePoint] = OrderedDict()
 
     def answers(self, request: Request) -> Iterator[CurvePoint]:
-        """Yield coarse thresholds of all sizes and then refined ones, the easiest first.
-
-        A refined threshold that is already known is yielded at once, instead of the coarse one. SettingsError if
-        the observer is not linear, or the proportion, a size or a field is out of range.
+        """Yield coarse thresholds of all sizes and then refined ones, the easiest first. A refined threshold that
+        is already known is yielded at once, instead of the coarse one. SettingsError if the observer is not
+        linear, or the proportion, a size or a field is out of range.
         """
         FitSettings(p_correct=request.p_correct)  # checks it
         for _, size in request.sizes:
@@ -171,9 +168,8 @@ class ThresholdEngine:
 
 
 class LiveCurve(NamedTuple):
-    """Thresholds of one sensor, in the order of the sizes asked for, and what limits each of them.
-
-    `tolerance` is the relative half-width of the 95 % intervals that was aimed at; each threshold states its own.
+    """Thresholds of one sensor, in the order of the sizes asked for, and what limits each of them. `tolerance` is
+    the relative half-width of the 95 % intervals that was aimed at; each threshold states its own.
     `counts_photons`: they are contrasts at the light of the scene.
     """
 
@@ -197,10 +193,8 @@ class LiveCurve(NamedTuple):
 
 
 class LiveCurves:
-    """Curves of sensors that differ in some parameters from one call to the next.
-
-    The processes import the script that runs: it makes this object below `if __name__ == "__main__":`, and calls
-    `close` in the end.
+    """Curves of sensors that differ in some parameters from one call to the next. The processes import the script
+    that runs: it makes this object below `if __name__ == "__main__":`, and calls `close` in the end.
     """
 
     def __init__(self, n_processes: int = PROCESSES) -> None:
@@ -224,16 +218,12 @@ class LiveCurves:
         is_wanted: Callable[[], bool],
     ) -> Generator[LiveCurve, None, None]:
         """Yield an estimate, and then curves with more and more refined sizes; stop as soon as the curve is no
-        longer wanted.
-
-        One curve is computed at a time; another thread waits until it is done or no longer wanted. The level
-        "contrast" is that of a large triangle on the display without detector noise; for a camera that counts
-        photons, "snr" stands for the contrast of the scene with all noise. `tolerances` are relative errors to
-        reach, of the estimate and of the refined thresholds, and `n_points` those of the psychometric function of
-        each refined one. `is_wanted` is asked every few milliseconds.
-
-        SettingsError if the observer is not linear, or the proportion, a size or a field is out of range;
-        TodframesError if a process dies twice.
+        longer wanted. One curve is computed at a time; another thread waits until it is done or no longer wanted.
+        The level "contrast" is that of a large triangle on the display without detector noise; for a camera that
+        counts photons, "snr" stands for the contrast of the scene with all noise. `tolerances` are relative errors
+        to reach, of the estimate and of the refined thresholds, and `n_points` those of the psychometric function
+        of each refined one. `is_wanted` is asked every few milliseconds. SettingsError if the observer is not
+        linear, or the proportion, a size or a field is out of range; TodframesError if a process dies twice.
         """
         started = time.perf_counter()
         while not self._turn.acquire(timeout=POLL_S):
@@ -324,11 +314,9 @@ def divided(sizes: Sequence[float], n_parts: int) -> list[tuple[tuple[int, float
 
 
 class _Worker:
-    """A process at the other end of a pipe.
-
-    It is no executor of `todframes.jobs`, because futures lack three things that live curves need. A request has
-    several answers, each shown as soon as it is there. A request under way is given up within milliseconds of a
-    newer one. And a size stays with the process that has kept its parts.
+    """A process at the other end of a pipe. It is no executor of `todframes.jobs`, because futures lack three
+    things that live curves need. A request has several answers, each shown as soon as it is there. A request under
+    way is given up within milliseconds of a newer one. And a size stays with the process that has kept its parts.
     """
 
     def __init__(self, wanted: Any) -> None:

@@ -20,12 +20,11 @@ Kind = Literal["number", "integer", "choice", "switch", "file"]
 
 
 class PageField(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
-    """One field of the page.
-
-    `key` is table and name in SENSOR.toml, or "observer." and the name of a setting of the observer. The name of a
-    "file" can be read, but not changed. `min` and `max` are the ends of the slider, which hold the values of real
-    sensors, None where there is no slider; the field takes whatever SENSOR.toml does. On a logarithmic slider,
-    `step` is one of the common logarithm. `optional`: SENSOR.toml may do without a value.
+    """One field of the page. `key` is table and name in SENSOR.toml, or "observer." and the name of a setting of
+    the observer. The name of a "file" can be read, but not changed. `min` and `max` are the ends of the slider,
+    which hold the values of real sensors, None where there is no slider; the field takes whatever SENSOR.toml
+    does. On a logarithmic slider, `step` is one of the common logarithm. `optional`: SENSOR.toml may do without a
+    value.
     """
 
     key: str
@@ -43,10 +42,8 @@ class PageField(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class SliderUnit(NamedTuple):
-    """A unit: its name on the page, and the ends of sliders.
-
-    `above_0` are those of values that are above 0, on a logarithmic slider; `most` and `step` those of values that
-    may be 0.
+    """A unit: its name on the page, and the ends of sliders. `above_0` are those of values that are above 0, on a
+    logarithmic slider; `most` and `step` those of values that may be 0.
     """
 
     name: str

@@ -39,9 +39,8 @@ class Drawn(msgspec.Struct):
 
 
 class PlotAsked(msgspec.Struct):
-    """A request for the plot of threshold curves as a file.
-
-    `never_reached` are the abscissae at which the present one has no threshold.
+    """A request for the plot of threshold curves as a file. `never_reached` are the abscissae at which the present
+    one has no threshold.
     """
 
     format: Format

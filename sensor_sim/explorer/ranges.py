@@ -24,9 +24,8 @@ GUESS_RATE = 0.25
 
 
 class ThresholdSent(msgspec.Struct):
-    """A threshold of the curve that the page shows: SNR, or contrast of a camera that counts photons.
-
-    `points` are pairs of level and proportion correct, and `slope` is dP / d ln level; one of them is known.
+    """A threshold of the curve that the page shows: SNR, or contrast of a camera that counts photons. `points` are
+    pairs of level and proportion correct, and `slope` is dP / d ln level; one of them is known.
     """
 
     size_detectors: Value
@@ -50,10 +49,8 @@ def check_aim(aim: Aim, sensor: Sensor, p_correct: float) -> None:
 
 
 def range_from(aim: Aim, sensor: Sensor, thresholds: list[ThresholdSent], p_correct: float) -> Result[FieldRange]:
-    """Return the range of a sensor from its thresholds.
-
-    SettingsError if target and air are not of the curve's kind; DataError if there are fewer than two thresholds,
-    or the target is too small for the sensor.
+    """Return the range of a sensor from its thresholds. SettingsError if target and air are not of the curve's
+    kind; DataError if there are fewer than two thresholds, or the target is too small for the sensor.
     """
     curve = Result.made(
         "curve",
@@ -80,7 +77,6 @@ def _fit(sensor: Sensor, sent: ThresholdSent, p_correct: float) -> Fit:
 
 def weibull_slope(slope: float, p_correct: float) -> float:
     """Return β of the Weibull function without lapses that has the slope dP / d ln level at a proportion correct.
-
     P = 1 − (1 − γ) 2^−h with h = (x/α)^β, so dP / d ln x = ln 2 · β h (1 − P).
     """
     halves = math.log2((1.0 - GUESS_RATE) / (1.0 - p_correct))

@@ -75,9 +75,8 @@ class SensorAsked(msgspec.Struct):
 
 
 class TomlAsked(SensorAsked):
-    """A request for the file of a sensor, and for the command that computes its curve.
-
-    Without sizes, those are taken that suit the sensor.
+    """A request for the file of a sensor, and for the command that computes its curve. Without sizes, those are
+    taken that suit the sensor.
     """
 
     sizes_detectors: Sizes | None
@@ -184,7 +183,7 @@ class Explorer:
             "version": __version__,
             "sensor": sensor_settings(self.sensor),
             "measured": measured,
-            "observer": {one.key.partition(".")[2]: self._setting(one) for one in of_observer},
+            "observer": {field.key.partition(".")[2]: value for field, value in of_observer.items()},
             "observer_name": self._observer_name,
             "p_correct": self.p_correct,
             "chip_pitch_um": USUAL_CHIP_PITCH_UM,
@@ -197,10 +196,9 @@ class Explorer:
         }
 
     def check(self) -> None:
-        """Check that curves can be computed with the observer, and ranges for the target.
-
-        SettingsError if the observer is not linear, cannot be adapted to the display or sent to the processes that
-        compute, or as in `check_aim`.
+        """Check that curves can be computed with the observer, and ranges for the target. SettingsError if the
+        observer is not linear, cannot be adapted to the display or sent to the processes that compute, or as in
+        `check_aim`.
         """
         if self._aim is not None:
             check_aim(self._aim, self.sensor, self.p_correct)
@@ -232,7 +230,6 @@ class Explorer:
 
     def written(self, asked: TomlAsked) -> dict[str, Any]:
         """Return the text of the SENSOR.toml, a name for the file, and the command that computes the same curve.
-
         The command is None while the sizes are not known. `beside` are the names of files that belong to it.
         """
         sensor = self.made(asked)
@@ -272,28 +269,24 @@ class Explorer:
             if value != usual[key] and value is not None:
                 yield f"--set {shlex.quote(f'{key}={toml_literal(value)}')}"
 
-    def _observer_fields(self) -> tuple[PageField, ...]:
-        """Return the fields of the observer's settings that move on the page."""
+    def _observer_fields(self) -> dict[PageField, float]:
+        """Return the fields of the observer's settings that move on the page, with their values."""
         settings = self._observer.settings
+        values = {f"observer.{name}": value for name, value in asdict(settings).items()}
         without_effect = {
             # A standard deviation of the noise stands in place of its full width.
             "observer.internal_noise": getattr(settings, "internal_noise_sd", None) is not None,
             # A pyramid without an eye sees the same in any light.
             "observer.luminance_cd_m2": getattr(settings, "eye_mtf", "") == "none",
         }
-        return tuple(
-            one
-            for one in observer_fields(type(settings))
-            if isinstance(self._setting(one), float | int) and not without_effect.get(one.key, False)
-        )
-
-    def _setting(self, one: PageField) -> object:
-        """Return the value of a setting of the observer."""
-        return getattr(self._observer.settings, one.key.partition(".")[2])
+        return {
+            field: values[field.key]
+            for field in observer_fields(type(settings))
+            if isinstance(values[field.key], float | int) and not without_effect.get(field.key, False)
+        }
 
     def curve(self, asked: CurveAsked, is_connected: Callable[[], bool]) -> Iterator[dict[str, Any]]:
         """Return the lines of the answer for a curve, one for each `LiveCurve`; none if a newer request is known.
-
         SettingsError if a setting is invalid; others may only be found when the lines are computed.
         """
         self._latest[asked.client] = max(asked.sequence, self._latest.get(asked.client, asked.sequence))
@@ -329,10 +322,9 @@ class Explorer:
     def _sizes_of(
         self, sensor: Sensor, observer: Observer, p_correct: float, is_wanted: Callable[[], bool]
     ) -> Sequence[float]:
-        """Return sizes from the smallest one that surely has a threshold; if none has, the smallest sizes.
-
-        With a target, they begin with the largest one that has none, and the middle of the two: the range often
-        lies where the curve ends. SettingsError if not even the smallest size can be computed.
+        """Return sizes from the smallest one that surely has a threshold; if none has, the smallest sizes. With a
+        target, they begin with the largest one that has none, and the middle of the two: the range often lies
+        where the curve ends. SettingsError if not even the smallest size can be computed.
         """
         known = list(computed_sizes(sensor, observer))
         for start in range(0, len(known), TRIED_AT_ONCE):
@@ -361,8 +353,7 @@ def _is_surely_seen(found: PredictedThreshold) -> bool:
 
 def presets() -> dict[str, Sensor]:
     """Return the presets by the names of their files."""
-    folder = files("sensor_sim.explorer").joinpath("presets")
-    found = sorted(folder.iterdir(), key=lambda file: file.name)
+    found = sorted(files("sensor_sim.explorer").joinpath("presets").iterdir(), key=lambda file: file.name)
     return {
         file.name: sensor_from(parse_toml(file.read_text(encoding="utf-8"), file.name), file.name)
         for file in found
@@ -421,9 +412,8 @@ def transfer(sensor: Sensor) -> dict[str, Any]:
 
 
 def trial_pictures(asked: TrialAsked, sensor: Sensor) -> dict[str, Any]:
-    """Return one trial at each stage as pictures of 8-bit grey; the orientation is not among them.
-
-    SettingsError if a picture would have more than `MOST_PICTURE_PIXELS`.
+    """Return one trial at each stage as pictures of 8-bit grey; the orientation is not among them. SettingsError
+    if a picture would have more than `MOST_PICTURE_PIXELS`.
     """
     from sensor_sim.chain.pictures import BLACK, FINE_PIXELS_PER_DETECTOR, STAGE_TITLES, WHITE, trial_stages
 
