@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-POINTS, TABLE_STEP, FINE_POINTS = 201, 20, 2001
+POINTS, TABLE_STEP, NEAR_POINTS = 201, 20, 21
 """Number of frequencies, up to the one at which optics or display pass nothing, step of those in the table, and
-number of those between which MTF10 is found."""
+number of those within a step of MTF10."""
 
 SHOWN_NYQUISTS = 3.0
 """Highest frequency in the figure, in units of the Nyquist frequency."""
@@ -189,8 +189,11 @@ def mtf(sensor: Sensor | SensorFile) -> Result[SensorMtf]:
     sensor = sensor_of(sensor)
     cut_off, nyquist = sensor.optics.cut_off_cyc_per_mrad, sensor.detector.nyquist_cyc_per_mrad
     frequency = np.linspace(0.0, min(1.05 * cut_off, 10.0 * nyquist), POINTS)
-    fine = np.linspace(0.0, frequency[-1], FINE_POINTS)
-    resolution = Resolution.of(fine, stages(fine, sensor=sensor)["pre_sample"], nyquist)
+    of_stages = stages(frequency, sensor=sensor)
+    resolution = Resolution.of(frequency, of_stages["pre_sample"], nyquist)
+    if resolution.mtf10 is not None:
+        near = np.abs(resolution.mtf10 + frequency[1] * np.linspace(-1.0, 1.0, NEAR_POINTS))
+        resolution = Resolution.of(near, stages(near, sensor=sensor)["pre_sample"], nyquist)
     return Result.made(
         "sensor-mtf",
         started,
@@ -198,7 +201,7 @@ def mtf(sensor: Sensor | SensorFile) -> Result[SensorMtf]:
         cut_off_cyc_per_mrad=cut_off,
         nyquist_cyc_per_mrad=nyquist,
         frequency_cyc_per_mrad=frequency.tolist(),
-        mtf={name: values.tolist() for name, values in stages(frequency, sensor=sensor).items()},
+        mtf={name: values.tolist() for name, values in of_stages.items()},
         mtf10_cyc_per_mrad=resolution.mtf10,
         resolution_limit_cyc_per_mrad=resolution.limit,
         aliased_from_cyc_per_mrad=resolution.aliased_from,
