@@ -20,7 +20,7 @@ from todframes.base import output, signals
 from todframes.base.errors import ClusterError, OutputError
 from todframes.base.output import (
     STAGING,
-    Going,
+    StorePolicy,
     beside,
     new_folder,
     output_folder,
@@ -53,7 +53,7 @@ def write(folder: Path, files: dict[str, str]) -> None:
 
 
 def simulate(path: Path, files: dict[str, str]) -> None:
-    with new_folder(str(path), going=Going()) as folder:
+    with new_folder(str(path), policy=StorePolicy()) as folder:
         write(folder, files)
 
 
@@ -392,16 +392,16 @@ def test_where_files_cannot_be_locked_their_presence_is_the_lock(tmp_path: Path)
 @pytest.mark.usefixtures("without_locks")
 @pytest.mark.parametrize("place", [output_folder, new_folder])
 def test_where_files_cannot_be_locked_an_interrupted_run_goes_on(tmp_path: Path, place) -> None:
-    path, going = tmp_path / "out", Going(restart=False, keep=False)
+    path, policy = tmp_path / "out", StorePolicy(restart=False, keep=False)
 
     def interrupted() -> None:
-        with place(str(path), going=going) as folder:
+        with place(str(path), policy=policy) as folder:
             store_path(folder).mkdir()
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt, match=r"^$"):
         interrupted()
-    with place(str(path), going=going) as folder:
+    with place(str(path), policy=policy) as folder:
         assert store_path(folder).is_dir()
         (folder / "dataset.toml").write_text("")
     assert staging_folders(tmp_path) == []
@@ -415,7 +415,7 @@ def test_a_signal_that_is_ignored_stays_so() -> None:
     """As nohup asks for."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with signals.raised(), signals.held_back():
+        with signals.raised(), signals.deferred_signals():
             signal.raise_signal(signal.SIGHUP)
             assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:

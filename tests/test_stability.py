@@ -88,7 +88,7 @@ def test_warning_and_exception_are_what_came() -> None:
         (lambda: [][0], "IndexError: list index out of range"),
     ):
         outcome = run_case(Case("some", "loud", 1.0, "closed form", compute))
-        assert (outcome.came, outcome.holds) == (came, False)
+        assert (outcome.computed, outcome.holds) == (came, False)
     assert not run_case(Case("some", "text", 1.0, "closed form", lambda: "ok")).holds
     assert not run_case(Case("some", "text", "ok", "closed form", lambda: 1.0)).holds
     assert run_case(Case("some", "text", "ok", "closed form", lambda: "ok")).holds
@@ -99,7 +99,7 @@ def test_a_case_that_takes_too_long_falls_short(monkeypatch, expected) -> None:
     clock = iter([0.0, 4.0])
     monkeypatch.setattr(stability.time, "process_time", lambda: next(clock))
     outcome = run_case(Case("some", "slow", expected, "closed form", lambda: expected))
-    assert (outcome.came, outcome.holds) == ("4 s of CPU time, expected at most 3", False)
+    assert (outcome.computed, outcome.holds) == ("4 s of CPU time, expected at most 3", False)
 
 
 def test_refusal_is_one_line_with_the_reason() -> None:

@@ -159,9 +159,9 @@ class Swept:
 
 
 class SweepPlan(NamedTuple):
-    """Computations of a sweep: the chains in the order in which they share most; the index among them of each
-    threshold, (designs, sizes), −1 if there is no such design; the sensor of each design; and by design, why there
-    is none.
+    """Computations of a sweep. `chains` are in the order in which neighbours share most; `places`, (designs,
+    sizes), is the index among them of each threshold, −1 where there is none. `sensors` are those of the designs;
+    `reasons` says by design why there is none.
     """
 
     chains: list[Chain]

@@ -126,9 +126,9 @@ class BarChain:
 
     def scores(self, x: FloatArray, y: FloatArray, displacement: FloatArray) -> BarScores:
         """Compute the scores, (rows · columns, displacements), of bars with the retina's middle on a lattice. x
-        and y are places of the retina's middle, in detectors from the field's middle; `displacement`, (rows ·
-        columns, displacements, 2), is that of the retina against the bars along x and y, in detectors, row after
-        row.
+        and y are positions of the retina's middle along each axis, in detectors from the field's middle.
+        `displacement`, (rows · columns, displacements, 2), is that of the retina against the bars along x and y,
+        in detectors; its first axis has the lattice row by row.
         """
         lines = lines_of(self.sensor)
         rows = max(WEIGHTS_AT_ONCE // (len(x) * self.field**2), 1)

@@ -70,7 +70,7 @@ class Folding:
         return [*seen, *turned]
 
     @cached_property
-    def _held(self) -> tuple[FloatArray, FloatArray]:
+    def _pixel_shares(self) -> tuple[FloatArray, FloatArray]:
         """Share of each detector in each pixel of an axis, (field, pixels), and its integral up to each pixel."""
         if self.pixels == 1 and is_unblurred(self._sensor):
             share = np.eye(self.field)  # pixels that are alike count as one
@@ -83,7 +83,7 @@ class Folding:
         """Yield what retina samples see of some detectors of an axis: the detectors, the samples, and the shares.
         The shares are (detectors · places, samples). Elsewhere they are 0.
         """
-        share, integral = self._held
+        share, integral = self._pixel_shares
         n_pixels, width = share.shape[1], self.pixel_pitch_mrad / self.grid.pitch_mrad
         edges = self.grid.side / 2.0 - (self.field / 2.0 + places) * self.pixels * width
         for start in range(0, self.field, DETECTORS_AT_ONCE):

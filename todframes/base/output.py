@@ -44,7 +44,7 @@ class _Result(msgspec.Struct):
 
 
 @dataclass(frozen=True, slots=True)
-class Going:
+class StorePolicy:
     """Treatment of the finished results of a run. Those of an earlier run are used unless `restart` is set, and
     they are removed when the run has ended well unless `keep` is set."""
 
@@ -53,12 +53,12 @@ class Going:
 
 
 @contextmanager
-def output_folder(name: str, going: Going | None = None) -> Iterator[Path]:
-    """Yield a staging folder. If the block ends well, all its files move into the folder named. With `going`, the
+def output_folder(name: str, policy: StorePolicy | None = None) -> Iterator[Path]:
+    """Yield a staging folder. If the block ends well, all its files move into the folder named. With `policy`, the
     results in `store_path` stay if it fails. OutputError if the place cannot be written, or another run is writing
     there.
     """
-    with _as_output_error(name), _place(name) as out, _hidden(out / STAGING, name, going, {STORE}) as hidden:
+    with _as_output_error(name), _place(name) as out, _hidden(out / STAGING, name, policy, {STORE}) as hidden:
         staged = hidden / STAGED
         staged.mkdir()
         yield staged
@@ -67,19 +67,19 @@ def output_folder(name: str, going: Going | None = None) -> Iterator[Path]:
 
 
 @contextmanager
-def new_folder(name: str, *, last: str = LAST_OF_DATASET, going: Going | None = None) -> Iterator[Path]:
+def new_folder(name: str, *, last: str = LAST_OF_DATASET, policy: StorePolicy | None = None) -> Iterator[Path]:
     """Yield a staging folder. If the block ends well, its content moves into the folder named, which has to be new
-    or empty; the file `last` moves last. With `going`, the results in `store_path` and the staged files stay if it
-    fails. Raises OutputError as `output_folder` does.
+    or empty; the file `last` moves last. With `policy`, the results in `store_path` and the staged files stay if
+    it fails. Raises OutputError as `output_folder` does.
     """
     kept = {STORE, STAGED}
-    with _as_output_error(name), _place(name) as out, _hidden(out / STAGING, name, going, kept) as hidden:
+    with _as_output_error(name), _place(name) as out, _hidden(out / STAGING, name, policy, kept) as hidden:
         staged = hidden / STAGED
         if there := sorted(_names(out) - {STAGING}):
             if (staged / last).exists():  # a run was killed as it moved them
                 _fill(staged, out, last)
             raise OutputError(f"{name}: is not empty, found {there[0]}; expected a new name or an empty folder")
-        staged.mkdir(exist_ok=going is not None)
+        staged.mkdir(exist_ok=policy is not None)
         try:
             yield staged
         except OutputError as error:  # names frames as they would have been named
@@ -207,7 +207,9 @@ def _names(folder: Path) -> set[str]:
 
 
 @contextmanager
-def _hidden(hidden: Path, name: str, going: Going | None = None, kept: Set[str] = frozenset()) -> Iterator[Path]:
+def _hidden(
+    hidden: Path, name: str, policy: StorePolicy | None = None, kept: Set[str] = frozenset()
+) -> Iterator[Path]:
     """Make a hidden folder for this run alone, empty except for the lock, and remove it at the end. If the run can
     go on later, what is `kept` may be there at the start, and stays if the run fails and has a store. Another
     command into the same place leaves the store alone.
@@ -215,12 +217,12 @@ def _hidden(hidden: Path, name: str, going: Going | None = None, kept: Set[str] 
     lock = _lock(hidden, name)
     stays: Set[str] = frozenset()
     try:
-        _clear(hidden, {STORE} if going is None else frozenset() if going.restart else kept)
+        _clear(hidden, {STORE} if policy is None else frozenset() if policy.restart else kept)
         yield hidden
-        stays = {STORE} if going is None or going.keep else frozenset()
+        stays = {STORE} if policy is None or policy.keep else frozenset()
     except BaseException:
         if (hidden / STORE).exists():
-            stays = {STORE} if going is None else kept
+            stays = {STORE} if policy is None else kept
         raise
     finally:
         with suppress(OSError):  # the next run removes what is left

@@ -86,7 +86,7 @@ def raise_again() -> None:
 
 
 @contextmanager
-def held_back() -> Iterator[Callable[[], None]]:
+def deferred_signals() -> Iterator[Callable[[], None]]:
     """Defer signals to the end of the block. Yields a function that runs the handler of a signal that has arrived.
     An exception of the handler is raised at the end of the block, or in the call of that function. There is no
     effect outside the main thread, or on signals that end the process without a handler.

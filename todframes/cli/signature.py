@@ -33,9 +33,9 @@ KINDS |= {"Sequence": Sequence}
 
 
 class Value(NamedTuple):
-    """Value of a parameter as a command line writes it: of `kind` bool, int, float, str or Path, or each of
-    several of them in one text (`is_list`, perhaps of fixed length) or repeated options, or of a mapping with keys
-    of the kind `key`.
+    """Value of a parameter as a command line writes it. It is a bool, int, float, str or Path (`kind`); several of
+    these in one text (`is_list`, perhaps of fixed length) or in repeated options; or a mapping with keys of the
+    kind `key`.
     """
 
     kind: type

@@ -253,11 +253,11 @@ def _measured(dataset: Dataset, samples: Sequence[TrialSample], size_mrad: float
 
 
 def _static_error(samples: Sequence[TrialSample], scatter: float, size: float) -> float:
-    """Estimate the relative error of the luminance around the triangle from a pattern that all frames share. It is
-    that of the mean of eight sectors around the triangle. On a small frame a blurred pattern makes all sectors
-    alike. Therefore it is also estimated from the `scatter` of the relative luminance over trials, which the noise
-    causes: pattern and noise are taken to be blurred alike, so that the ratio of their errors is the ratio of
-    their standard deviations within the frames. The larger estimate counts.
+    """Estimate the relative error of the luminance around the triangle from a pattern that all frames share: the
+    larger of two estimates. The first is the error of the mean of eight sectors around the triangle. On a small
+    frame a blurred pattern makes all sectors alike; so the second follows from the `scatter` of the relative
+    luminance over trials, which the noise causes. Pattern and noise are taken to be blurred alike: the ratio of
+    their errors is that of their standard deviations within the frames.
     """
     known = np.logical_and.reduce([sample.known for sample in samples])
     v, u = np.mgrid[: len(known), : len(known)] - (len(known) - 1) / 2.0

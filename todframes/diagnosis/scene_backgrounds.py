@@ -72,7 +72,7 @@ def that_share(samples: Sequence[TrialSample]) -> list[TrialSample]:
 
 
 def _parted(left: FloatArray, of_view: FloatArray, view: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-    """Return the mean of each view, (view, n, n), and the noise, of which that mean has taken a part."""
+    """Return the mean of each view, (view, n, n), and the noise, corrected for its part in that mean."""
     backgrounds = np.tensordot(of_view, left, 1)
     counts = np.bincount(view)[view].astype(np.float64)
     noise = (left - backgrounds[view]) * np.sqrt(counts / np.maximum(counts - 1.0, 0.5))[:, None, None]

@@ -239,10 +239,10 @@ def calibrated(calibration: Calibration, *, background: float, dither: bool) -> 
 def check_shows(
     monitor: Monitor, *, frame_px: tuple[int, int], pixel_pitch_mrad: float, ranges: list[ContrastRange]
 ) -> None:
-    """Raise MonitorError if a monitor cannot show trials. Frames may not be larger than the page (`frame_px` is
-    the largest width and height), pixels not much larger or smaller at the eye than those of the dataset's
-    display, and neither a contrast of a triangle nor more than 1 % of the pixels of a trial beyond the monitor's
-    range; `ranges` has the contrasts of each trial.
+    """Raise MonitorError if a monitor cannot show trials: if the page has no room for `frame_px`, the largest
+    width and height of a frame; if pixels are much larger or smaller at the eye than those of the dataset's
+    display; or if a contrast of a triangle, or more than 1 % of the pixels of a trial, is beyond the monitor's
+    range. `ranges` has the contrasts of each trial.
     """
     if any(frame > page for frame, page in zip(frame_px, monitor.viewport_px, strict=True)):
         raise MonitorError(

@@ -16,7 +16,7 @@ from contextlib import AbstractContextManager
 from typing import TypeVar
 
 from todframes.base.errors import SettingsError, TodframesError, argument, is_in_command
-from todframes.base.signals import held_back, raise_again
+from todframes.base.signals import deferred_signals, raise_again
 from todframes.base.user_code import in_words
 from todframes.jobs.work import Work
 from todframes.jobs.worker import Done, dumps
@@ -57,7 +57,10 @@ class PoolEngine(ABC):
         seconds = self.batch_s  # that an item takes
         in_flight: dict[Future[Done], Sequence[tuple[int, T]]] = {}
         finished: queue.SimpleQueue[Future[Done]] = queue.SimpleQueue()
-        with held_back() as interrupt_if_asked, self._sent(self._pickled((work, is_in_command()))) as submit:
+        with (
+            deferred_signals() as interrupt_if_asked,
+            self._sent(self._pickled((work, is_in_command()))) as submit,
+        ):
             while True:
                 raise_again()
                 interrupt_if_asked()

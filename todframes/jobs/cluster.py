@@ -23,7 +23,7 @@ from distributed import Client, KilledWorker, LocalCluster, Worker, WorkerPlugin
 
 import todframes
 from todframes.base.errors import ClusterError, SettingsError, argument
-from todframes.base.signals import held_back
+from todframes.base.signals import deferred_signals
 from todframes.base.user_code import in_words, searched_last
 from todframes.jobs.batches import POLL_S, DeadWorkerError, PoolEngine
 from todframes.jobs.start import ENVIRONMENT, environment_kept, starting_processes
@@ -57,7 +57,7 @@ def cluster_engine(cluster: str) -> Iterator[ClusterEngine]:
     with _without_messages(), ExitStack() as stack:
         if not local:
             _check_scheduler(cluster)
-        with held_back():  # what has half started cannot be closed
+        with deferred_signals():  # what has half started cannot be closed
             address = stack.enter_context(_local_cluster(int(local[1]))) if local else cluster
             engine = ClusterEngine(cluster, stack.enter_context(_client(address)))
             stack.callback(engine.close)
@@ -100,7 +100,7 @@ class ClusterEngine(PoolEngine):
         # A cluster that runs already has other machines, which have their own modules.
         folders = searched_last() if self._cluster.startswith(LOCAL) else []
         key = hashlib.sha256(work).hexdigest()
-        with self._told():
+        with self._explained():
             self._client.register_plugin(_Receiver(key, work, folders), name=key)
         try:
             yield lambda items: self._start(self._done(key, items))
@@ -108,7 +108,7 @@ class ClusterEngine(PoolEngine):
             wait([self._start(self._drop(key))], timeout=CLOSE_CLIENT_S)
 
     def _outcome(self, future: Future[Done]) -> Done:
-        with self._told():
+        with self._explained():
             return future.result()
 
     def _check_workers(self) -> None:
@@ -119,7 +119,7 @@ class ClusterEngine(PoolEngine):
             )
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _explained(self) -> Iterator[None]:
         """Say in a line what is wrong with the scheduler or a worker."""
         try:
             yield
@@ -218,7 +218,7 @@ def _client(address: str) -> Iterator[Client]:
     try:
         yield client
     finally:
-        with held_back(), suppress(TimeoutError):  # it waits for a lost scheduler
+        with deferred_signals(), suppress(TimeoutError):  # it waits for a lost scheduler
             client.close(CLOSE_CLIENT_S)
 
 
@@ -252,7 +252,7 @@ def _local_cluster(n_workers: int) -> Iterator[str]:
         try:
             yield cluster.scheduler_address
         finally:
-            with held_back(), suppress(OSError):
+            with deferred_signals(), suppress(OSError):
                 cluster.sync(_kill, cluster)
                 cluster.close(CLOSE_S)
 

@@ -98,7 +98,7 @@ class ProcessEngine(PoolEngine):
             ) from None
 
     def _broken(self) -> Exception:
-        """Return the error about a pool of which a process has died, at its start or later."""
+        """Return the error for a process of the pool that has died, at its start or later."""
         has_started = self._first.exception() is None
         self.close()
         if has_started:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 import msgspec
 
 from todframes.base.errors import SettingsError, argument
-from todframes.base.output import Going, store_path
+from todframes.base.output import StorePolicy, store_path
 from todframes.jobs.work import ITEMS_PER_TASK, Engine, LocalEngine, Work
 from todframes.parameters import Progress, counted
 
@@ -126,7 +126,7 @@ def continued(
     from todframes.jobs.store import Store
 
     with (
-        place(name, going=Going(restart=restart, keep=keep_store)) as folder,
+        place(name, policy=StorePolicy(restart=restart, keep=keep_store)) as folder,
         closing(Store(store_path(folder), name, tell)) as store,
     ):
         yield folder, store

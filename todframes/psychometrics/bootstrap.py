@@ -163,11 +163,11 @@ def _redrawn_probabilities(
     series: Sequence[Observed], curves: FloatArray, size: int, rng: np.random.Generator, *, each_level: bool
 ) -> FloatArray:
     """Draw the mean probabilities of each level's trials, n − 1 of n, the same ones for all series. That makes
-    their variance unbiased (McCarthy & Snowden 1985). It is itself an estimate, so deviations are stretched by
-    √(ν/χ²) (Student 1908): at each level by its own degrees of freedom, or all by a third of those of the
+    their variance unbiased (McCarthy & Snowden 1985). The variance is an estimate, so deviations are stretched by
+    √(ν/χ²) (Student 1908). With `each_level`, ν is that of the level; otherwise it is a third of that of the
     experiment, because the threshold of a curve rests on the levels about it. A level with a single trial is drawn
-    from the distances of all trials from the curve, in units of √p(1 − p) (McCullagh & Nelder 1989, chapter 9);
-    with three trials or fewer in all, from answers of 0 and 1, the most variable ones with these means.
+    from the distances of all trials from the curve, in units of √p(1 − p) (McCullagh & Nelder 1989, chapter 9).
+    With three trials or fewer in all, answers of 0 and 1 are drawn: no others with these means vary more.
     """
     n_trials = series[0].n_trials
     n_all = int(n_trials.sum())

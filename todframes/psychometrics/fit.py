@@ -212,12 +212,10 @@ def fit_counts(
     rng: np.random.Generator,
 ) -> PsychometricFit:
     """Fit Weibull's curve to counts of right answers; rows of equal level are pooled. DataError as for
-    `fit_trials`.
-
-    The interval resamples each level binomially. The p of a level mixes its observed proportion, for its n trials,
-    with the fitted curve, for 5, so that levels without errors vary too and single trials are all but drawn from
-    the curve (Wichmann & Hill 2001); and all p are drawn towards (1 + γ)/2 by 4 trials in the whole experiment,
-    after Agresti & Coull 1998, because a curve fitted to few trials is too steep.
+    `fit_trials`. The interval resamples each level binomially. The p of a level mixes its observed proportion, for
+    its n trials, with the fitted curve, for 5 trials: levels without errors vary too, and single trials are all
+    but drawn from the curve (Wichmann & Hill 2001). All p are drawn towards (1 + γ)/2 by 4 trials in the whole
+    experiment (after Agresti & Coull 1998), because a curve fitted to few trials is too steep.
     """
     x, right, n = (np.asarray(values, dtype=np.float64) for values in (level, n_correct, n_trials))
     _check_levels(x, "n_correct", right)

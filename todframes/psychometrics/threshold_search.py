@@ -108,9 +108,10 @@ def find_crossing(
     saturates: bool = False,
 ) -> Crossing:
     """Find where a rising curve passes `p_correct`, to 1e-7 of the level, on a logarithmic scale outwards from
-    `start` in steps of `factor`; the level is None if the curve stays below (`never_reached`) or above within the
-    bounds. If it `saturates`, P is known to stay, from some level on, where it is at the upper bound: if that is
-    below the criterion, the search ends after two levels with P within `SATURATED` of it, instead of at the bound.
+    `start` in steps of `factor`. The level is None if the curve stays below (`never_reached`) or above the
+    criterion within the bounds. A curve that `saturates` stays, from some level on, where it is at the upper
+    bound. If that is below the criterion, the search ends after two levels with P within `SATURATED` of it,
+    instead of at the bound.
     """
     from scipy.optimize import brentq
 

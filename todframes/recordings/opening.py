@@ -131,9 +131,9 @@ def _folder(folder: Path, frames_per_second: float | None, max_frame_mb: int) ->
 
 
 def _times_s(path: Path, files: Sequence[Path]) -> dict[str, float]:
-    """Return the times of the stills beside a times.csv, by file name. Raises DataError if the file cannot be
-    read, leads out of its folder, leaves a file out, names one twice or one that is not there, or a time is not
-    later than that of the still before, in the natural order of names.
+    """Return the times of the stills beside a times.csv, by file name. Raises DataError if the file cannot be read
+    or leads out of its folder; if it leaves a still out, names one twice or one that is not there; or if a time is
+    not later than that of the still before, in the natural order of names.
     """
     path_inside(resolved(path.parent), path.name, f"{path.parent}:")
     _, rows = read_table(path, ["file", "time_s"])

@@ -116,7 +116,7 @@ def _with_step_error(
     differs from `p_correct` at the threshold; its slope there turns the difference into one of the threshold. The
     error grows as the square of the pitch, times a factor that varies with the places of edges between samples: it
     is the difference from a retina of s times the pitch, divided by |1 - s²| (Richardson). A quarter of the pitch
-    leaves next to nothing. A threshold with too large an error is none.
+    leaves almost no error. A threshold with too large an error is none.
     """
     if computed.threshold is None or observer.with_retina_step(1.0) is None:
         return if_known(computed)

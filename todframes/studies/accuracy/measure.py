@@ -279,10 +279,10 @@ def fitted_slope(
     x: FloatArray, y: FloatArray, *, blocks: NDArray[np.intp] | None
 ) -> tuple[float | None, float | None]:
     """Fit a straight line to logarithms of time and error. Returns its slope and the slope's standard error; None
-    where there are too few points. With `blocks`, each error is the root mean square of so many independent
-    estimates, and all are blocks of the same trials: the variance of its logarithm is 1/(2·blocks), and a sum over
-    few blocks holds no more chance than the one over many that it is part of, so the covariance of two is the
-    smaller variance. None: the scatter about the line gives its error.
+    where there are too few points. With `blocks`, each error is the root mean square over that number of
+    independent estimates, and the variance of its logarithm is 1/(2·blocks). All are blocks of the same trials,
+    and a mean over few blocks is part of one over many: the covariance of two is the smaller variance. Without,
+    the scatter about the line gives the error.
     """
     n = len(x)
     if n < 2:

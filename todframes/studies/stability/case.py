@@ -63,7 +63,7 @@ class Outcome(NamedTuple):
     """Result of a case; an exception or a warning comes as text. `digits` is None where text is compared."""
 
     case: Case
-    came: Value
+    computed: Value
     digits: float | None
     holds: bool
 
@@ -80,22 +80,22 @@ def run_case(case: Case) -> Outcome:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            came = case.compute()
+            computed = case.compute()
     except Exception as error:
-        came = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        computed = f"{type(error).__name__}: {' '.join(str(error).split())}"
     if (cpu_s := time.process_time() - started) > case.cpu_s:
-        came = f"{cpu_s:.0f} s of CPU time, expected at most {case.cpu_s:g}"
-    if isinstance(case.expected, str) or isinstance(came, str):
-        return Outcome(case, came, None, isinstance(came, str) and came == case.expected)
-    digits = digits_kept(case.expected, came, scale=case.scale)
-    return Outcome(case, came, digits, digits >= case.digits)
+        computed = f"{cpu_s:.0f} s of CPU time, expected at most {case.cpu_s:g}"
+    if isinstance(case.expected, str) or isinstance(computed, str):
+        return Outcome(case, computed, None, isinstance(computed, str) and computed == case.expected)
+    digits = digits_kept(case.expected, computed, scale=case.scale)
+    return Outcome(case, computed, digits, digits >= case.digits)
 
 
-def digits_kept(expected: ArrayLike, came: ArrayLike, *, scale: float | None = None) -> float:
+def digits_kept(expected: ArrayLike, computed: ArrayLike, *, scale: float | None = None) -> float:
     """Count the decimal digits that the worst of some numbers has right, 0 to 16; errors are in units of `scale`,
     or of each number expected.
     """
-    right, found = np.asarray(expected, dtype=np.float64), np.asarray(came, dtype=np.float64)
+    right, found = np.asarray(expected, dtype=np.float64), np.asarray(computed, dtype=np.float64)
     if right.shape != found.shape or not np.isfinite(found).all():
         return 0.0
     error = np.abs(found - right)
@@ -127,20 +127,22 @@ def shortfall(outcomes: Iterable[Outcome]) -> str | None:
 
 def _difference(outcome: Outcome) -> str:
     if outcome.digits is None:
-        return f"found {shown(outcome.came)}, expected {shown(outcome.case.expected)}"
+        return f"found {shown(outcome.computed)}, expected {shown(outcome.case.expected)}"
     return f"found {outcome.digits:.1f} digits, expected {outcome.case.digits:g}"
 
 
 def case_object(outcome: Outcome) -> dict[str, Any]:
     """Describe a case and its result as in the JSON object."""
     case = outcome.case
-    expected, came = (v if isinstance(v, str) else np.asarray(v).tolist() for v in (case.expected, outcome.came))
+    expected, computed = (
+        v if isinstance(v, str) else np.asarray(v).tolist() for v in (case.expected, outcome.computed)
+    )
     return {
         "group": case.group,
         "name": case.name,
         "expected": expected,
         "source": case.source,
-        "came": came,
+        "came": computed,
         "digits": outcome.digits,
         "digits_bound": None if outcome.digits is None else case.digits,
         "holds": outcome.holds,
@@ -163,13 +165,13 @@ TABLE_HEADERS = ("case", "expected", "source", "computed", "digits", "required")
 
 def cells(outcome: Outcome, *, documented: bool = False) -> list[str]:
     """Return the cells of a row of the table; `documented` leaves out digits that are a matter of the machine."""
-    case, came, digits, holds = outcome
+    case, computed, digits, holds = outcome
     if digits is None:
         kept, bound = "equal" if holds else "different", "equal"
     else:
         exact = f"≥ {SHOWN_DIGITS}" if digits >= SHOWN_DIGITS else f"{math.floor(digits)}"
         kept, bound = exact if documented else f"{digits:.1f}", f"{case.digits:g}"
-    expected, found = (shown(value, digits=case.digits, scale=case.scale) for value in (case.expected, came))
+    expected, found = (shown(value, digits=case.digits, scale=case.scale) for value in (case.expected, computed))
     return [case.name, expected, case.source, found, kept, bound]
 
 
