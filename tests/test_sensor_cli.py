@@ -152,6 +152,8 @@ def test_curve_as_json(sensor_sim, sensor_file):
     status, out, errors = sensor_sim(*curve(sensor_file, "--size-detectors", "1,4,8", "--json", "--seed", "3"))
     assert (status, len(errors)) == (0, 1)
     assert errors[0].startswith("warning: 75 % correct is never reached at 1 detectors: ")
+    enough, angle_mrad = re.search(r"([0-9.]+) detectors \(([0-9.]+) mrad at the camera\)", errors[0]).groups()
+    assert float(angle_mrad) == pytest.approx(0.2 * float(enough))
     result = json.loads(out)
     assert (result["schema"], result["command"], result["seed"], result["skipped"]) == (1, "curve", 3, [])
     assert result["version"] == __version__
