@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from edges import diffraction, edge_image, gaussian, true_mtf
+from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter
 from scipy.special import ndtr
 
@@ -226,10 +227,17 @@ def test_colours_and_files_have_the_same_numbers(tmp_path):
         assert np.abs(found.mtf.others[name][: NYQUIST + 1] - expected).max() < 0.02
     assert found.mtf.n_frames == 2
     assert [one.colour for one in found.mtf.edges] == ["luma", "red", "green", "blue"]
+    curves, boxes, profiles = axes = [Figure().subplots() for _ in range(3)]
+    for one, figure in zip(axes, found.data.figures(), strict=True):
+        figure.draw(one)
+    np.testing.assert_array_equal(curves.lines[0].get_ydata(), found.mtf.mtf)
+    assert (len(boxes.patches), len(profiles.lines)) == (1, 1)
     for name in ("mtf.csv", "edge_sfr_values.txt"):
         (tmp_path / name).write_bytes(found.data.files()[name])
         again = tod.mtf(tmp_path / name)
         assert again.mtf.mtf50 == pytest.approx(found.mtf.mtf50, rel=1e-4)
+        numbers = np.array(again.data.files()["raw_sfr_values.txt"].split()[1:], float)
+        np.testing.assert_allclose(numbers, found.mtf.mtf[:64], rtol=1e-5)
     table = read_mtf_table(tmp_path / "mtf.csv", may_exceed_1=True)
     np.testing.assert_array_equal(table.curves["mtf"], found.mtf.mtf)
     np.testing.assert_array_equal([table.lower, table.upper], [found.mtf.mtf_lower, found.mtf.mtf_upper])

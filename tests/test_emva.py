@@ -294,6 +294,7 @@ def test_saturation_is_the_largest_variance() -> None:
     electrons = found.noise.emva1288.saturation_electrons
     assert electrons == pytest.approx(6_000.0, rel=0.12)
     assert found.noise.emva1288.snr_max == pytest.approx(electrons**0.5)
+    assert re.search(r"Linearity errors are .* to .* %\.", " ".join(found.sentences()))
     # Beyond 0.7 of saturation no stack counts for the gain: 0.7 · 13,000 = 9,100 photons.
     assert sum(one.is_fitted for one in found.noise.emva1288.points) in (8, 9)
 
