@@ -115,6 +115,11 @@ def test_key_depends_on_the_content_alone() -> None:
         ("{x_mm = 170.0", "{x_mm = 60.0", "markers: borders: found markers that overlap"),
         ("{x_mm = 310.0, y_mm = 240.0}", "{x_mm = 310.0, y_mm = 260.0}", "borders: reaches beyond the page"),
         ("{x_mm = 170.0", "{x_m = 170.0", r"borders\[0\]: unknown key 'x_m'"),
+        (
+            "luminance_cd_m2 = 5.0}",
+            "luminance_cd_m2 = 5.0, reflectance = 0.5}",
+            "luminance_cd_m2: found both, exp",
+        ),
         ("borders = [1]", "borders = [2]", r"pages\[1\]: borders: found \(2,\), expected numbers below 2"),
         ("bits = 8", "bits = 9", "bits: found 9"),
         ('eotf = "srgb"', 'eotf = "gamma"', "screen: gamma: is missing"),

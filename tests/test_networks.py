@@ -246,6 +246,16 @@ def test_weights_beyond_the_end_of_their_file_are_refused(tmp_path: Path, offset
         found(with_weights_in(tmp_path / "m.onnx", "k.bin", offset=offset, length=length))
 
 
+def test_a_network_is_read_from_one_file_by_one_version(tmp_path: Path, monkeypatch) -> None:
+    path = with_weights_in(tmp_path / "m.onnx", "k.bin")
+    with pytest.raises(DataError, match="keeps values other than weights in another file, expected all in one"):
+        network_probe.read_model(path.read_bytes())
+    algorithm = found(denoiser(tmp_path / "n.onnx"))
+    monkeypatch.setattr(network, "runtime_version", lambda: "0.0.0")
+    with pytest.raises((DataError, SettingsError), match=r"ONNX Runtime: found version 0\.0\.0, expected"):
+        algorithm.run(picture())
+
+
 def test_weights_are_limited_as_models_are(tmp_path: Path, monkeypatch) -> None:
     (tmp_path / "k.bin").write_bytes(bytes(2**20))
     path = with_weights_in(tmp_path / "m.onnx", "k.bin", length=str(2**20))
