@@ -18,9 +18,6 @@ from todframes.observers.interface import Observer
 from todframes.results.wording import plain
 from todframes.scoring.error_budget import half_width_95
 
-SHARP_CUT_OFF = 1e4
-"""Cut-off of the ideal optics in cycles per detector: they pass more than 0.9995 of 3 cycles per detector."""
-
 WAVES = 0.02
 """Relative error because the proportion correct rises with the size in waves, as edges of the triangle pass those
 of detectors: of eleven crossings ten are within 1 % of a line through nine sizes, and one within 3 %."""
@@ -56,7 +53,7 @@ class IdealCamera(Struct, frozen=True, kw_only=True):
 def idealised(sensor: Sensor) -> Sensor:
     """Return the ideal camera of the same pitch and display."""
     pitch_mrad = sensor.detector.pitch_mrad
-    optics = Optics(aperture_mm=SHARP_CUT_OFF / pitch_mrad, wavelength_um=1.0)
+    optics = Optics(aperture_mm=1e4 / pitch_mrad, wavelength_um=1.0)  # passes 0.9995 of 3 cycles a detector
     detector = Detector(pitch_mrad=pitch_mrad, width_mrad=pitch_mrad)
     without_noise = replace(sensor, noise=Noise(), photons=None, scene=None)
     return replace(without_noise, optics=optics, detector=detector, electronics=Electronics(), motion=None)

@@ -243,8 +243,8 @@ class Mtf(Content, frozen=True, kw_only=True):
         resolution = Resolution(
             found.mtf10, found.resolution_limit_cyc_per_pixel, found.aliased_from_cyc_per_pixel
         )
-        within, effective_px = _within(found.mtf10_ci95), found.effective_width_px
-        texts += resolution.sentences(unit, NYQUIST_CYC_PER_PIXEL, within, effective_px)
+        within = _within(found.mtf10_ci95)
+        texts += resolution.sentences(unit, NYQUIST_CYC_PER_PIXEL, within, found.effective_width_px)
         if found.n_frames is not None:
             n_edges = len({one.edge for one in found.edges})
             texts.append(f"Mean of {count(n_edges, 'edge')} in {count(found.n_frames, 'frame')}.")
