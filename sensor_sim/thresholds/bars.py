@@ -12,7 +12,6 @@ the background, their mean alone is enough, and the threshold has no limit of re
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -219,9 +218,7 @@ class BarChain:
             best = better
         return status, snr, best
 
-    def averaged(
-        self, p_correct: float, *, tolerance: float = 2e-3, seed: int = 1, check: Callable[[], None] = lambda: None
-    ) -> ComputedThreshold:
+    def averaged(self, p_correct: float, *, tolerance: float = 2e-3, seed: int = 1) -> ComputedThreshold:
         """Compute the threshold of P(correct) averaged over all places of the bars on the detectors. More places
         are taken until the relative half-width of the 95 % interval is below the tolerance.
         """
@@ -229,10 +226,8 @@ class BarChain:
         for places in PLACES:
             if math.gcd(places, self.sensor.display.pixels_per_detector) > 1:
                 continue
-            streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES)
             parts = []
-            for stream in streams:
-                check()
+            for stream in np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES):
                 rng = np.random.default_rng(stream)
                 lattice = Lattice.at(
                     places, shift=rng.random(2), first=rng.random(2), jitter=self.jitter_detectors

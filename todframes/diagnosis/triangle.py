@@ -96,9 +96,9 @@ class Shape(NamedTuple):
     variance: float
 
     @classmethod
-    def upright(cls, amplitude: float, x: float, y: float, size: float, variance: float = 1.0) -> Shape:
+    def upright(cls, amplitude: float, x: float, y: float, size: float) -> Shape:
         """Return the shape of a triangle that is neither turned nor stretched."""
-        return cls(amplitude, x, y, size * np.eye(2), variance)
+        return cls(amplitude, x, y, size * np.eye(2), 1.0)
 
     @property
     def size(self) -> float:

@@ -61,7 +61,7 @@ def group_record(group: Group, taken: Collection[str] = TAKEN) -> Record:
     return {group_key(name, taken): value for name, value in group.items()}
 
 
-def thresholds(fits: Sequence[Fit], title: str = "") -> Table:
+def thresholds(fits: Sequence[Fit]) -> Table:
     """Make the table of thresholds, a row each; columns without any value are left out."""
     computed = not any(fit.n_trials for fit in fits)
     names = [
@@ -74,7 +74,7 @@ def thresholds(fits: Sequence[Fit], title: str = "") -> Table:
     ]
     groups = group_columns(fits[0].group if fits else ())
     heading = Column(key="threshold", header=threshold_heading(fits[0].level) if fits else "")
-    title = title or f"Thresholds at {f'{100 * fits[0].p_correct:g}' if fits else '?'} % correct"
+    title = f"Thresholds at {f'{100 * fits[0].p_correct:g}' if fits else '?'} % correct"
     table = Table.of(title, "thresholds.csv", [*groups, heading, *THRESHOLD_COLUMNS], records)
     always = ["threshold", *(column.key for column in groups), *([] if computed else ["threshold_ci95"])]
     return table.without_empty_columns(*always)
