@@ -323,17 +323,13 @@ def estimate(weights: Combination, squares: Mapping[str, float], degrees: Mappin
     """
     from scipy.special import gammaincinv
 
-    variance, below, above = 0.0, 0.0, 0.0
-    for name, weight in weights.items():
-        term, df = weight * squares[name], degrees[name]
-        variance += term
-        chi2_high, chi2_low = (2 * float(gammaincinv(df / 2, p)) for p in (0.975, 0.025))
-        down, up = 1 - df / chi2_high, df / chi2_low - 1
-        below += (term * (down if weight > 0 else up)) ** 2
-        above += (term * (up if weight > 0 else down)) ** 2
-    ends = variance - math.sqrt(below), variance + math.sqrt(above)
-    low, high = (math.sqrt(max(one, 0.0)) for one in ends)
-    return NoisePart(math.sqrt(max(variance, 0.0)), (low, high), variance)
+    terms, df = (np.array([of[name] for name in weights], np.float64) for of in (squares, degrees))
+    terms *= list(weights.values())
+    down, up = 1 - df / (2 * gammaincinv(df / 2, 0.975)), df / (2 * gammaincinv(df / 2, 0.025)) - 1
+    below, above = (np.linalg.norm(terms * np.where(terms > 0, *ways)) for ways in ((down, up), (up, down)))
+    variance = float(terms.sum())
+    sd, low, high = (math.sqrt(max(one, 0.0)) for one in (variance, variance - below, variance + above))
+    return NoisePart(sd, (low, high), variance)
 
 
 def fit_drift(frame_means: FloatArray, times_s: list[float | None]) -> Drift | None:
