@@ -353,7 +353,8 @@ def test_a_link_holds_the_state(explore, server: Server) -> None:
     page.locator("#name").fill("Ω & other names")
     page.locator("#name").press("Enter")
     page.locator("[name=unit][value=mrad] + span").click()
-    painted(page, page.locator("label:has(input[name=strength][value=contrast])").click)
+    page.locator("label:has(input[name=strength][value=contrast])").click()
+    page.locator("#curve-table th", has_text="Contrast").wait_for(state="attached")
     assert "±" in table(page)[0]["Contrast"]
     page.click("#link")
     wait_until(page, "document.querySelector('#message').textContent === 'Link copied.'")
