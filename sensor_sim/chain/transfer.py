@@ -94,7 +94,7 @@ def _defocused(obscuration_ratio: float, defocus_waves: float) -> Any:
     last = 1.0 - frequency
     ends = [
         np.zeros_like(last),
-        *(np.clip(one, 0.0, last) for one in (np.abs(frequency - ratio), frequency + ratio)),
+        *(np.clip(radius, 0.0, last) for radius in (np.abs(frequency - ratio), frequency + ratio)),
     ]
     total = np.zeros_like(last)
     for low, high in zip(ends, [*ends[1:], last], strict=True):

@@ -71,7 +71,7 @@ def ideal_camera_of(sensor: Sensor, observer: Observer, *, p_correct: float, see
         return None
     if own.value is None or ideal.value is None:
         return None
-    errors = [(one.error or 0.0) / one.value for one in (own, ideal) if one.value is not None]
+    errors = [(acuity.error or 0.0) / acuity.value for acuity in (own, ideal) if acuity.value is not None]
     pitch_mrad, share = sensor.detector.pitch_mrad, ideal.value / own.value
     return IdealCamera(
         size_detectors=own.value,

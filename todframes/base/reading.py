@@ -446,13 +446,13 @@ def _checked(value: Any, hint: Any, limits: msgspec.Meta | None = None) -> Any:
 def _of_any(value: Any, hint: Any, limits: msgspec.Meta | None) -> Any:
     """Return a value in the first type of a union that takes it."""
     problems = []
-    for one in get_args(hint):
-        if one is NoneType:
+    for kind in get_args(hint):
+        if kind is NoneType:
             if value is None:
                 return None
             continue
         try:
-            return _checked(value, one, limits)
+            return _checked(value, kind, limits)
         except _RefusedError as error:
             problems.append(error)
     inside = [error for error in problems if error.keys] or problems
@@ -535,7 +535,7 @@ def _advice(value: Any, hint: Any) -> str:
     kinds = (hint, *get_args(hint))
     if isinstance(value, str) and {int, float} & set(kinds) and isinstance(number_or_text(value), float):
         return f"; write {value} without quotation marks"
-    choices = [str(choice) for one in kinds for choice in _choices(one)]
+    choices = [str(choice) for kind in kinds for choice in _choices(kind)]
     return spelling_hint(value, choices) if isinstance(value, str) else ""
 
 

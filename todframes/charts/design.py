@@ -273,4 +273,4 @@ def camera_content(
 
 def _grid(start_mm: float, length_mm: float, n: int, step_mm: float | None) -> list[float]:
     borders = [start_mm + length_mm * k / n for k in range(n + 1)]
-    return borders if step_mm is None else [round(one / step_mm) * step_mm for one in borders]
+    return borders if step_mm is None else [round(border / step_mm) * step_mm for border in borders]

@@ -136,7 +136,7 @@ def make_observers(
     table = of_file | _set(asked, "internal_noise", "p_correct")
     with prints_go_to_stderr():
         defaults = [observer_named(name) for name in names]
-    of_observers = [setting_names(one.settings_type) for one in defaults]
+    of_observers = [setting_names(default.settings_type) for default in defaults]
     of_fit = [field.name for field in fields(FitSettings) if fitted or field.name == "p_correct"]
     known = list(dict.fromkeys([*sum(of_observers, []), *of_fit]))  # noqa: RUF017 - they are few
 

@@ -170,7 +170,11 @@ class Commands(click.Group):
             described = read_call(self._table[name].call)
             return click.Command(name, help=_for_commands(described.paragraphs[0], described.parameters))
 
-        rows = [(name, one.get_short_help_str(200)) for name in self.list_commands(ctx) if (one := listed(name))]
+        rows = [
+            (name, command.get_short_help_str(200))
+            for name in self.list_commands(ctx)
+            if (command := listed(name))
+        ]
         with formatter.section("Commands"):
             formatter.write_dl(rows)
 

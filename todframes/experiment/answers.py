@@ -497,7 +497,7 @@ def at_eye(name: str, value: float | str, ratio: float) -> float | str:
 
 def _order(group: Group) -> tuple[tuple[bool, float, str], ...]:
     """Return a key that orders numbers before texts."""
-    return tuple((True, 0.0, one) if isinstance(one, str) else (False, one, "") for one in group)
+    return tuple((True, 0.0, value) if isinstance(value, str) else (False, value, "") for value in group)
 
 
 def write_description(folder: Path, shown: ShownDataset, software: Mapping[str, str]) -> None:

@@ -153,4 +153,4 @@ def _background_of(sessions: Sequence[Session]) -> float:
             "luminance_cd_m2: found background, which is not known: no photometer was read in the experiment; "
             "expected a number"
         )
-    return math.fsum(one for one in backgrounds if one is not None) / len(backgrounds)
+    return math.fsum(luminance for luminance in backgrounds if luminance is not None) / len(backgrounds)

@@ -292,17 +292,17 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
         Those of further observers begin with the observer's name.
         """
         files: dict[str, bytes] = {}
-        for number, (observer, one) in enumerate(self._each_observer()):
+        for number, (observer, calibrated) in enumerate(self._each_observer()):
             prefix = re.sub("[^A-Za-z0-9-]+", "-", observer).strip("-") + "_" if number else ""
-            persons = {"observer.toml": one.persons[0] if one.pooled is None else one.pooled}
-            for person in one.persons if len(one.persons) > 1 else ():
+            persons = {"observer.toml": calibrated.persons[0] if calibrated.pooled is None else calibrated.pooled}
+            for person in calibrated.persons if len(calibrated.persons) > 1 else ():
                 name = re.sub("[^A-Za-z0-9-]", "-", str(person.subject))
                 while f"observer_{name}.toml" in persons:
                     name += "-"
                 persons[f"observer_{name}.toml"] = person
             for file, person in persons.items():
                 if person.status == "ok":
-                    files[prefix + file] = self._toml(self.settings | one.settings, person).encode()
+                    files[prefix + file] = self._toml(self.settings | calibrated.settings, person).encode()
         return files
 
     def _toml(self, settings: Record, person: PersonResult) -> str:

@@ -260,13 +260,13 @@ def check_shows(
             f"{distance:.0f} mm from the screen",
         )
     of_code, (black, white) = monitor.contrast_of_code(), monitor.contrast_limits()
-    for one in ranges:
-        low, high = min(one.low, one.triangle_low), max(one.high, one.triangle_high)
+    for trial in ranges:
+        low, high = min(trial.low, trial.triangle_low), max(trial.high, trial.triangle_high)
         shown = f"it shows {of_code[0]:.3g} to {of_code[-1]:.3g}"
         if low < black:
             raise MonitorError(
                 "range",
-                f"the monitor cannot show the contrast {low:.3g} of {one.frame}: {shown}; take frames with less "
+                f"the monitor cannot show the contrast {low:.3g} of {trial.frame}: {shown}; take frames with less "
                 "contrast or noise",
             )
         if high > white:
@@ -274,13 +274,13 @@ def check_shows(
             digit = 10.0 ** (math.floor(math.log10(proposed)) - 1)
             raise MonitorError(
                 "range",
-                f"the monitor cannot show the contrast {high:.3g} of {one.frame}: {shown} on this background; "
+                f"the monitor cannot show the contrast {high:.3g} of {trial.frame}: {shown} on this background; "
                 f"take a background of {math.floor(proposed / digit) * digit:.2g}",
             )
         step = of_code[monitor.background_code + 1] / 2.0
         if not monitor.dither and max(-low, high) < step:
             raise MonitorError(
                 "range",
-                f"the contrast {max(-low, high):.2g} of {one.frame} is below half of a code step, {step:.2g}: it "
-                "would not be seen at all without dither",
+                f"the contrast {max(-low, high):.2g} of {trial.frame} is below half of a code step, {step:.2g}: "
+                "it would not be seen at all without dither",
             )

@@ -130,7 +130,7 @@ class TrialOrder:
             _stream(self._record.seed, GROUPS, number).permutation(n_groups).tolist()
             for number in (block, block + 1)
         )
-        code = next(one for one in list(turns)[turn:] if is_left[codes == one].any())
+        code = next(group for group in list(turns)[turn:] if is_left[codes == group].any())
         grid = self._grids[code]
         levels = self._trials.levels
         answers = np.zeros((2, grid.levels.size))

@@ -268,7 +268,7 @@ def _show(plans: Sequence[ScorePlan], scoring: Scoring, trial: Trial, readout: R
     displaced, whole = viewing.displacement_samples, scoring.plan.whole_frames
     shown = read_trial(scoring.dataset, trial, viewing.observer, viewing.grid, displaced, whole=whole)
     viewings = [viewing, *(viewing._replace(readout=plan.readout(trial.stimulus)) for plan in plans[1:])]
-    return _Seen(np.stack([see(scoring, trial, one, [shown], 0.0)[0].deviations for one in viewings]))
+    return _Seen(np.stack([see(scoring, trial, view, [shown], 0.0)[0].deviations for view in viewings]))
 
 
 def _readout(plan: ScorePlan, stimulus: Stimulus) -> Readout:
@@ -506,7 +506,7 @@ def model_difference(
         difference = float(np.mean(is_correct[rows] - p))
         reach = Z_90 * float(np.sqrt(np.sum(p * (1.0 - p)))) / n
         differences.append((difference, (difference - reach, difference + reach)))
-    return max(differences, key=lambda one: max(-one[1][0], one[1][1]))
+    return max(differences, key=lambda item: max(-item[1][0], item[1][1]))
 
 
 def _equal_noise(persons: Sequence[PersonResult], pooled: PersonResult, n_parameters: int) -> float:

@@ -196,7 +196,9 @@ def _containers(path: Path, file: BinaryIO) -> Iterator[_Container]:
         header = _bytes_at(file, begin, 64)
         if len(header) < 64:
             raise FrameError(path, f"{_frame(number)}the header of the container is truncated")
-        order = next((one for one in "><" if 100 <= struct.unpack_from(f"{one}I", header, 20)[0] < 200), None)
+        order = next(
+            (order for order in "><" if 100 <= struct.unpack_from(f"{order}I", header, 20)[0] < 200), None
+        )
         if order is None:
             raise FrameError(
                 path, f"{_frame(number)}the version of the container is none of ours, expected 100 to 199"
@@ -325,7 +327,7 @@ def _in_order(counts: NDArray[np.uint16]) -> NDArray[np.uint16]:
     FLIR's cameras write the low byte first, against the PNG standard, and nothing in the file says so.
     """
     other = counts.byteswap()
-    as_stored, swapped = (np.abs(np.diff(one.astype(np.int32))).sum() for one in (counts, other))
+    as_stored, swapped = (np.abs(np.diff(order.astype(np.int32))).sum() for order in (counts, other))
     return counts.copy() if as_stored < swapped else other
 
 

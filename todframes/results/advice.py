@@ -191,9 +191,9 @@ def _levels_near_threshold(fit: Fit) -> list[float]:
     high = shown[0] if fit.status == "always_exceeded" else math.inf
     wanted = [float(f"{step * _estimate(fit):.2g}") for step in ADDED_LEVELS]
     return [
-        one
-        for one in wanted
-        if low < one < high and not any(one / SAME_LEVEL <= level <= one * SAME_LEVEL for level in shown)
+        near
+        for near in wanted
+        if low < near < high and not any(near / SAME_LEVEL <= level <= near * SAME_LEVEL for level in shown)
     ]
 
 

@@ -130,8 +130,8 @@ def _sizes(fits: Sequence[Fit], size: str | None) -> str:
 def efficiencies(of_pairs: Sequence[Efficiency]) -> list[str]:
     """Return a sentence about the efficiency relative to each other observer: its range over all groups."""
     texts = []
-    for name in dict.fromkeys(one.relative_to for one in of_pairs):
-        known = [one.efficiency for one in of_pairs if one.relative_to == name and one.efficiency is not None]
+    for name in dict.fromkeys(pair.relative_to for pair in of_pairs):
+        known = [pair.efficiency for pair in of_pairs if pair.relative_to == name and pair.efficiency is not None]
         ends = listed(dict.fromkeys(f"{plain(end)}" for end in (min(known), max(known)))) if known else "not known"
         between = "between " if ends.count(" and ") else ""
         texts.append(f"Its efficiency relative to {name} is {between}{ends}.")

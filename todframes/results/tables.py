@@ -102,7 +102,9 @@ def points(fits: Sequence[Fit]) -> Table | None:
 def efficiencies(of_pairs: Sequence[Efficiency]) -> Table:
     """Make the table of efficiencies, a row for each group and each other observer."""
     taken = {"relative_to", "threshold", "efficiency", "efficiency_ci95"}
-    records = [{name: getattr(one, name) for name in taken} | group_record(one.group, taken) for one in of_pairs]
+    records = [
+        {name: getattr(pair, name) for name in taken} | group_record(pair.group, taken) for pair in of_pairs
+    ]
     columns = [
         Column(key="relative_to", is_name=True, wraps=True),
         *group_columns(of_pairs[0].group, taken),

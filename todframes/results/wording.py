@@ -116,8 +116,8 @@ def interval_phrase(bounds: tuple[float | None, float | None], digits: int = 3) 
     if low is None and high is None:
         return "open"
     if low is None or high is None:
-        one = plain(high if low is None else low, digits)
-        return f"open below, to {one}" if low is None else f"from {one}, open above"
+        end = plain(high if low is None else low, digits)
+        return f"open below, to {end}" if low is None else f"from {end}, open above"
     return f"{plain(low, digits)} to {plain(high, digits)}"
 
 
