@@ -107,17 +107,11 @@ def compare_observers(
     after enhancement, and a trial that is skipped is skipped for all. With the same plan, one observer and one
     gaze, the scores and fits of the reference are those of `score_dataset`, number for number.
     """
-    if len({observer.centre for observer in observers}) > 1:
-        centres = ", ".join(observer.centre for observer in observers)
-        raise SettingsError(f"centre: found {centres} of several observers, expected the same of all")
     fit_settings = settings_of_experiment(fit_settings, dataset.experiment)
     curve = fitted_curve(curve, decisions)
     if not fit_settings.resamples:
         raise SettingsError("resamples: found 0, expected 40 or more: a comparison rests on them")
-    algorithms = [find_enhancement(REFERENCE), *(each for each in enhancements if not each.is_reference)]
-    spec, n_times = Counter(algorithm.spec for algorithm in algorithms).most_common(1)[0]
-    if n_times > 1:
-        raise SettingsError(f"enhance {spec!r}: found twice, expected once")
+    algorithms = _with_reference(enhancements, observers)
     screen = screen or AlgorithmDisplay(dataset.display)
     whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
     if of_clips := [algorithm for algorithm in algorithms if algorithm.declaration.clip]:
@@ -178,6 +172,18 @@ def compare_observers(
         records = _records(dataset, algorithms, scored, ratios, responses, columns.measured, repeated, screen)
         results.append(tuple(map(AlgorithmResult, algorithms, scored, records)))
     return tuple(results)
+
+
+def _with_reference(enhancements: Sequence[Enhancement], observers: Sequence[Observer]) -> list[Enhancement]:
+    """Return all algorithms, the reference first; SettingsError for one twice, or observers of several centres."""
+    if len({observer.centre for observer in observers}) > 1:
+        centres = ", ".join(observer.centre for observer in observers)
+        raise SettingsError(f"centre: found {centres} of several observers, expected the same of all")
+    algorithms = [find_enhancement(REFERENCE), *(each for each in enhancements if not each.is_reference)]
+    spec, n_times = Counter(algorithm.spec for algorithm in algorithms).most_common(1)[0]
+    if n_times > 1:
+        raise SettingsError(f"enhance {spec!r}: found twice, expected once")
+    return algorithms
 
 
 def parts_of(algorithms: Sequence[Enhancement]) -> list[object]:
