@@ -79,14 +79,13 @@ def redrawn(
             response = row.orientation if rng.random() < p_correct[place] else wrong
             rows.append(replace(row, number=len(rows) + 1, response=response))
             places.append(place)
-        yield fit_noise(
-            table.select(np.array(places)),
+        is_correct, cell = (
             np.array([row.is_correct for row in rows]),
             np.unique(cells[places], return_inverse=True)[1],
-            lapse_rates=(0.0, 0.05 if free else 0.0),
-            resamples=0 if free else 200,
-            rng=rng,
         )
+        rates, resamples = (0.0, 0.05 if free else 0.0), 0 if free else 200
+        answers = table.select(np.array(places))
+        yield fit_noise(answers, is_correct, cell, lapse_rates=rates, resamples=resamples, rng=rng)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -35,13 +35,10 @@ NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w]
 TEXTS = {".json", ".csv", ".toml", ".txt", ".md"}
 
 
-def environment() -> dict[str, str]:
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    return os.environ | {"PATH": path, "COLUMNS": "100", "NO_COLOR": "1", "PYTHONPATH": ".", "TERM": "dumb"}
-
-
 def run(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    how = {"cwd": folder, "env": environment(), "capture_output": True, "text": True, "timeout": 900}
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    plain = {"PATH": path, "COLUMNS": "100", "NO_COLOR": "1", "PYTHONPATH": ".", "TERM": "dumb"}
+    how = {"cwd": folder, "env": os.environ | plain, "capture_output": True, "text": True, "timeout": 900}
     return subprocess.run(["bash", "-c", line], check=False, **how)
 
 

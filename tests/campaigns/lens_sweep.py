@@ -3,17 +3,14 @@
 python tests/campaigns/lens_sweep.py [--k1 FROM:TO] [--widths 50,97] [--places 0,0.5] [--markers corners]
     [--k2-share S] [--noise N] [--step 0.002] [--workers 2] [--minutes M]
 
-All of it takes a day on one processor; the options choose a part. The order is random, so that the cases of the
-first M minutes are a sample of all. The camera is that of tests/camera, which shares
-nothing with the package. A width is that of the page without the lens, in per cent of the frame's. A place is the
-part of the free margin, to the right and downwards, by which the page lies beside the middle. `--k2-share` adds
-k2 = S · k1, and `--noise` noise of so many per cent of white. A case is one page in two frames.
+All of it takes a day on one processor. The order is random, so that the cases of the first M minutes are a sample
+of all. The camera is that of tests/camera, which shares nothing with the package. A width is that of the page
+without the lens, in per cent of the frame's; a place is the part of the free margin, to the right and downwards,
+by which the page lies beside the middle. `--k2-share` adds k2 = S · k1, and `--noise` noise of so many per cent of
+white.
 
 A case is a fault if the command fails although the frame shows all markers in the corners, each at least 25 pixels
-wide, or if triangles are misplaced by more than 0.1 px; with noise by three times the stated error, too. Warnings
-of NumPy are faults.
-Prints a line for each fault, and at the end how many cases were right to 0.05 px, refused, misplaced by more than
-three stated errors, and warned of. Exits with 1 if there was a fault.
+wide, if triangles are misplaced by more than 0.1 px (with noise: and by three stated errors), or if NumPy warns.
 """
 
 from __future__ import annotations
@@ -81,14 +78,9 @@ def is_fault(one: Outcome, noise: float = 0.0) -> bool:
 def tried(case: Case, folder: Path, k2_share: float, noise: float) -> Outcome:
     """Film a page through a lens, import it, and compare."""
     electrons = 1e4 / noise if noise else 40_000.0
-    film = filling(
-        Chart.read(folder),
-        k=(case.k1, k2_share * case.k1),
-        width=case.width / 100.0,
-        place=case.place,
-        electrons=electrons,
-        read_noise=electrons * noise / 100.0 if noise else 6.0,
-    )
+    light = {"electrons": electrons, "read_noise": electrons * noise / 100.0 if noise else 6.0}
+    page = {"k": (case.k1, k2_share * case.k1), "width": case.width / 100.0, "place": case.place}
+    film = filling(Chart.read(folder), **page, **light)
     side_px = shortest_side_px(film)
     if not side_px:
         return Outcome(case, side_px)
@@ -127,13 +119,17 @@ def shortest_side_px(film: Film) -> float:
     return float(np.linalg.norm(markers - np.roll(markers, 1, axis=1), axis=2).min())
 
 
+def numbers(text: str) -> list[float]:
+    return [float(one) for one in text.split(",")]
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run the cases and print their faults. Returns the exit status."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--k1", default="{}:{}".format(*K1))
     parser.add_argument("--step", type=float, default=STEP)
-    parser.add_argument("--widths", default=",".join(map(str, WIDTHS)))
-    parser.add_argument("--places", default=",".join(map(str, PLACES)))
+    parser.add_argument("--widths", type=numbers, default=[*map(float, WIDTHS)])
+    parser.add_argument("--places", type=numbers, default=PLACES)
     parser.add_argument("--markers", default="borders")
     parser.add_argument("--k2-share", type=float, default=0.0)
     parser.add_argument("--noise", type=float, default=0.0)
@@ -142,7 +138,7 @@ def main(arguments: Sequence[str]) -> int:
     asked = parser.parse_args(arguments)
     low, high = map(float, asked.k1.split(":"))
     k1s = [round(float(k1), 6) for k1 in np.arange(low, high + asked.step / 2.0, asked.step)]
-    cases = [Case(*one) for one in product(k1s, numbers(asked.widths), numbers(asked.places))]
+    cases = [Case(*one) for one in product(k1s, asked.widths, asked.places)]
     random.Random(SEED).shuffle(cases)
     end_s = time.monotonic() + 60.0 * asked.minutes
     outcomes: list[Outcome] = []
@@ -174,11 +170,6 @@ def main(arguments: Sequence[str]) -> int:
     n_faults = sum(is_fault(one, asked.noise) for one in outcomes)
     print(f"{len(outcomes)} cases, {n_faults} faults")
     return int(bool(n_faults))
-
-
-def numbers(text: str) -> list[float]:
-    """Return numbers with commas between them."""
-    return [float(one) for one in text.split(",")]
 
 
 if __name__ == "__main__":
