@@ -269,8 +269,8 @@ def test_probabilities_are_those_of_the_literal_model(small: Path, tmp_path: Pat
         trial = of_frame[row.frame]
         image = trial_image(dataset, trial)
         contrast = shown_contrast(shown_codes(image.contrast, session.monitor, row.dither_seed), session.monitor)
-        place = (image.triangle.x_px,), (image.triangle.y_px,)
-        shown = Shown((ContrastPatch(contrast, 0, 0, 0),), *place, dataset.display.pitch_mrad, 0)
+        middle = (image.triangle.x_px,), (image.triangle.y_px,)
+        shown = Shown((ContrastPatch(contrast, 0, 0, 0),), *middle, dataset.display.pitch_mrad, 0)
         stimulus = Stimulus(trial.stimulus.size_mrad)
         grid = observer.grid(stimulus)
         right = sum(
