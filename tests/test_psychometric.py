@@ -299,6 +299,8 @@ def test_a_bound_the_data_do_not_give_is_none():
     assert fit.threshold_ci95[0] is not None
     fit = counts([1, 0, 1], 1, level=[1.0, 2.0, 3.0], fit_settings=FitSettings())
     assert fit.threshold_ci95 is None or None in fit.threshold_ci95
+    # Of a single probability a level there is no spread: answers are drawn.
+    assert fit_trials([1.0, 2.0], [0.4, 0.9], settings=FitSettings(resamples=40), rng=generator()).threshold_ci95
 
 
 def test_the_likelihood_of_an_interval_of_95_per_cent_is_that_of_chi_squared():

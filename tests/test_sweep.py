@@ -221,6 +221,10 @@ VARIED = ("--vary", "noise.netd_mk=1:3:3")
         ((*VARIED, "--minimise", "netd"), "minimise: unknown key 'netd'"),
         ((*VARIED, "--minimise", "acuity_mrad"), "needs an SNR or ΔT for the acuity"),
         ((*VARIED, "--acuity-snr", "-1"), "acuity_snr: found -1.0, expected a finite number"),
+        ((*VARIED, "--acuity-snr", "1", "--acuity-delta-t-mk", "5"), "acuity: found an SNR and a ΔT, expected"),
+        ((*VARIED, "--target", "nato"), "--atmosphere: is missing, expected it beside"),
+        ((*VARIED, "--k", "3"), "k: is given but not used without"),
+        ((*VARIED, "--maximise", "range_km"), "found range_km, which needs"),
         ((*VARIED, "--tolerance", "0"), "tolerance: found 0.0, expected a finite number"),
         ((*VARIED, "--observer", "oriented", "--set", "complex_cells=true"), "it is not linear"),
         (
