@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import subprocess
@@ -62,7 +63,10 @@ def s3_environment(s3_server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     def close(loop: object, s3: Any) -> None:
         """In place of s3fs's own, which on a busy machine leaves connections open after a tenth of a second."""
-        sync(loop, s3.__aexit__, None, None, None, timeout=60)
+        try:
+            asyncio.get_running_loop().create_task(s3.__aexit__(None, None, None))
+        except RuntimeError:  # this thread has no loop
+            sync(loop, s3.__aexit__, None, None, None, timeout=60)
 
     monkeypatch.setattr(s3fs.S3FileSystem, "close_session", staticmethod(close))
     forget_connections()
