@@ -197,32 +197,6 @@ class Display:
         linear = srgb_to_linear(code) if self.gamma is None else code**self.gamma
         return np.asarray(black + (white - black) * linear)
 
-    def code_value(self, luminance: FloatArray) -> FloatArray:
-        """Compute the code values, one channel, of a luminance in cd/m² of any shape: the inverse of `luminance`.
-
-        Except with "linear", a luminance beyond black or white becomes that of the nearer one. SettingsError if a
-        measured luminance does not rise with the code value.
-        """
-        white, black = self.white_luminance_cd_m2, self.black_luminance_cd_m2
-        if self.lut is not None:
-            if (np.diff(self.lut.luminance_cd_m2) <= 0.0).any():
-                raise SettingsError("lut: luminance_cd_m2 does not rise from row to row, as code values need")
-            return np.interp(luminance, self.lut.luminance_cd_m2, self.lut.code_value)
-        light = (luminance - black) / (white - black)
-        if self.eotf == "linear":
-            return light
-        light = np.clip(light, 0.0, 1.0)
-        if self.eotf == "bt1886":
-            white_root, black_root = white ** (1 / 2.4), black ** (1 / 2.4)
-            roots = (black + (white - black) * light) ** (1 / 2.4)
-            return np.asarray((roots - black_root) / (white_root - black_root))
-        return linear_to_srgb(light) if self.gamma is None else np.asarray(light ** (1.0 / self.gamma))
-
-
-def linear_to_srgb(light: FloatArray) -> FloatArray:
-    """Compute the sRGB code values in [0, 1] of relative luminance in [0, 1], of any shape (IEC 61966-2-1)."""
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-
 
 def srgb_to_linear(code_value: FloatArray) -> FloatArray:
     """Compute the relative luminance in [0, 1] of sRGB code values in [0, 1], of any shape (IEC 61966-2-1)."""

@@ -149,10 +149,9 @@ def examined(
     """Try a network in another process; return it with all its weights, and what the model has shown.
 
     `values` are its settings by name; those that are None are as the model has them. Its weights may lie in files
-    beside `path`; messages about settings begin with `where`. With `answers` it is a classifier of so many values.
-    Raises DataError if it cannot be read or run, or is no network of one picture that gives one picture or so many
-    values, and SettingsError if a setting contradicts the model, or has to be given because the model does not say
-    it.
+    beside `path`; messages about settings begin with `where`. With `answers` it classifies with so many values.
+    DataError if it cannot be read or run, or does not give a picture or so many values for one; SettingsError if a
+    setting contradicts the model, or has to be given because the model does not say it.
     """
     taken = [name for name in ProbeRequest.__struct_fields__ if name in values]
     shared = {name: values[name] for name in taken} | {"inputs": values["inputs"] or {}, "answers": answers}

@@ -19,6 +19,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import Positive, check_values, settings_of
 from todframes.display.display import Display
+from todframes.enhancement.enhanced_frame import AlgorithmDisplay
 from todframes.enhancement.network import Constant, Constants, Network, examined, read_network, settings_beside
 from todframes.enhancement.network_probe import MOST_TILE_PX, SIDE_PX, Layout, reason
 from todframes.observers.interface import Observer
@@ -30,45 +31,15 @@ Apex = Literal["up", "right", "down", "left"]
 Value = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
 PITCH_MRAD = 0.1
-"""Pixel of an observer that looks at no display, as `check_observer` has it."""
 
-LEAST_PROBABILITY = 1e-38
-"""Smallest probability that a logarithm is taken of: the smallest normal number of 32 bits."""
+N_CODES = 2**14 + 1
+"""Number of code values between which the inverse of a display's function is interpolated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NetworkSettings:
-    """Settings of a network that classifies; those that are None are read from the model or from the dataset.
-
-    Attributes
-    ----------
-    answers : tuple of {"up", "right", "down", "left"}
-        Direction of the apex for which each of the four values stands.
-    gives : {"scores", "probabilities"} or None
-        What the values are: scores, of which the softmax is taken, or probabilities, as a network gives that ends
-        with a softmax of its own.
-    temperature : float
-        Divisor of the scores before the softmax; 0: the network always gives the answer of its largest value.
-    centre : {"centroid", "bounding_box"}
-        Point of the triangle in the middle of the picture.
-    layout : {"nchw", "nhwc"} or None
-        Order of the axes: channels first or last.
-    channels : int or None
-        Channels that the network takes, 1 or 3, which are the same.
-    black, white : float
-        Values that it takes as black and white.
-    multiple_px : int or None
-        Divisor of the sides of pictures for a network that takes any size.
-    width_sizes : float
-        Width of these pictures in sizes of the triangle; they have at least 64 pixels a side.
-    inputs : dict or None
-        Values of its other inputs by their names.
-    constant_channel : float or None
-        Value of one more channel that it takes.
-    pitch_mrad : float or None
-        Visual angle of a pixel of its pictures. Default: that of the frames, whose pixels then are its pixels.
-    background_luminance_cd_m2 : float or None
-        Luminance of the background of its pictures. Default: that of the dataset.
+    """Settings of a network that classifies, see docs/machines.md; those that are None are read from the model or
+    from the dataset. `network` and `display` are what it runs and looks at, no settings of a user.
     """
 
     answers: tuple[Apex, Apex, Apex, Apex] = ("up", "right", "down", "left")
@@ -91,9 +62,8 @@ class NetworkSettings:
     def __post_init__(self) -> None:
         check_values(self)
         if len(set(self.answers)) < len(self.answers):
-            raise SettingsError(
-                f"answers: found {', '.join(self.answers)}, expected each of up, right, down and left once"
-            )
+            found = ", ".join(self.answers)
+            raise SettingsError(f"answers: found {found}, expected each of up, right, down and left once")
         if self.black == self.white:
             raise SettingsError(f"black and white: found {self.black:g} for both, expected two values")
 
@@ -101,7 +71,7 @@ class NetworkSettings:
 class NetworkObserver(Observer):
     """A neural network in an ONNX file that gives a value for each direction of the triangle's apex.
 
-    Parameters are as for `Observer`, with `NetworkSettings`; `read` makes one of a file.
+    `read` makes it from a file; without a display, a pixel is 0.1 mrad and the background 0.5 of white.
     """
 
     settings_type: ClassVar[type[NetworkSettings]] = NetworkSettings
@@ -109,33 +79,10 @@ class NetworkObserver(Observer):
 
     @classmethod
     def read(cls, path: Path | str, **changes: Any) -> NetworkObserver:
-        """Read a network and the settings beside it, and try it in another process.
+        """Read a network and the settings beside it, changed by name, and try it in another process.
 
-        Parameters
-        ----------
-        path : path or str
-            ONNX file. A TOML file of the same name beside it may have settings.
-        **changes
-            Settings by name, in place of those beside the file.
-
-        Returns
-        -------
-        NetworkObserver
-
-        Raises
-        ------
-        DataError
-            If the file cannot be read or run, or does not give four finite values for a picture.
-        SettingsError
-            If a setting is unknown, out of range, or contradicts the model.
-
-        Examples
-        --------
-        >>> import todframes as tod
-        >>> tod.NetworkObserver.read("net.onnx", temperature=0.0)
-        Traceback (most recent call last):
-        ...
-        todframes.base.errors.DataError: net.onnx: No such file or directory
+        DataError if the file cannot be read or run, or does not give four finite values for a picture;
+        SettingsError if a setting is unknown, out of range, or contradicts the model.
         """
         path, where = Path(path), f"observer 'onnx:{path}'"
         kinds = {setting.name: kind for setting, kind in settings_of(NetworkSettings) if setting.repr}
@@ -166,6 +113,8 @@ class NetworkObserver(Observer):
         """Return the network as it looks at the code values of a display."""
         background = self.settings.background_luminance_cd_m2 or find_background()
         pitch_mrad = self.settings.pitch_mrad or display.pitch_mrad
+        if display.lut is not None and (np.diff(display.lut.luminance_cd_m2) <= 0.0).any():
+            raise SettingsError("lut: luminance_cd_m2 does not rise from row to row, as code values need")
         changed = {"display": display, "pitch_mrad": pitch_mrad, "background_luminance_cd_m2": background}
         return type(self)(self.settings, **changed)
 
@@ -193,14 +142,20 @@ class NetworkObserver(Observer):
     def picture(self, contrast: FloatArray, stimulus: Stimulus) -> FloatArray:
         """Return the code values about the middle of a retina image, (rows, columns); 0 and 1 are black and white.
 
-        Without a display, the background is 0.5. Along even sides, the middle is the first pixel beyond the half.
+        Along even sides, the middle is the first pixel beyond the half.
         """
         middle = len(contrast) // 2
         rows, columns = (slice(middle - n // 2, middle - n // 2 + n) for n in self._sides(stimulus))
         relative, display = 1.0 + contrast[rows, columns], self.settings.display
-        if display is None or self.settings.background_luminance_cd_m2 is None:
+        if display is None:
             return np.asarray(np.clip(0.5 * relative, 0.0, 1.0))
-        return display.code_value(self.settings.background_luminance_cd_m2 * relative)
+        light = (self.settings.background_luminance_cd_m2 or 0.0) * relative
+        low, high = AlgorithmDisplay(display).code_range
+        codes = np.linspace(low, high, N_CODES)
+        luminance = display.luminance(codes[:, None, None])[:, 0]
+        if display.eotf == "linear":  # frames may have values beyond black and white
+            return np.asarray((light - luminance[0]) / (luminance[-1] - luminance[0]))
+        return np.interp(light, luminance, codes)
 
     def expected_answers(self, contrast: FloatArray, stimulus: Stimulus) -> FloatArray:
         """Return the softmax of the network's values; DataError if it fails, or they are not four finite ones."""
@@ -217,7 +172,7 @@ class NetworkObserver(Observer):
         if len(scores) != len(ORIENTATIONS) or not np.isfinite(scores).all():
             raise DataError(f"{self.own_name}: gave {scores[:5].tolist()}, expected four finite values")
         if settings.gives == "probabilities":
-            scores = np.log(np.maximum(scores, LEAST_PROBABILITY))
+            scores = np.log(np.maximum(scores, np.finfo(np.float32).tiny))
         below = scores - scores.max()
         likelihood = np.exp(below / settings.temperature) if settings.temperature else (below == 0.0) * 1.0
         in_order = [settings.answers.index(orientation.value) for orientation in ORIENTATIONS]

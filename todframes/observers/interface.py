@@ -14,7 +14,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache, cached_property, partial, wraps
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Concatenate, Literal, NamedTuple, ParamSpec, TypeVar, cast
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Concatenate,
+    Literal,
+    NamedTuple,
+    ParamSpec,
+    TypeVar,
+    cast,
+)
 
 import numpy as np
 from msgspec import Meta
@@ -27,6 +38,9 @@ from todframes.observers.decision import answer_probabilities
 from todframes.observers.internal_noise import Bands, edgeworth_correction, inner_product
 from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Centre, Orientation, Stimulus
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 ENTRY_POINT_GROUP = "todframes.observers"
 
@@ -427,9 +441,8 @@ class Observer:
         raise NotImplementedError
 
     def expected_answers(self, contrast: FloatArray, stimulus: Stimulus) -> FloatArray | None:  # noqa: ARG002
-        """Compute the probability of each answer to a retina image, (4,), in the order of `ORIENTATIONS`.
-
-        An observer that is not linear may have it, so that no answers are drawn. Default: None, they are drawn.
+        """Compute the probabilities of the four answers to a retina image, of an observer that is not linear.
+        Default: None, answers are drawn.
         """
         return None
 
@@ -439,9 +452,8 @@ class Observer:
         return type(self).expected_answers is not Observer.expected_answers
 
     def on_display(self, display: Any, find_background: Callable[[], float]) -> Observer:  # noqa: ARG002
-        """Return the observer of frames on a display, whose background in cd/m² the function finds.
-
-        Default: itself, it does not depend on the pixels or code values of the display.
+        """Return the observer of the pixels and code values of a display, whose background in cd/m² the function
+        finds. Default: itself, it depends on contrast alone.
         """
         return self
 
@@ -548,13 +560,17 @@ def find_observer(name: str) -> type[Observer]:
     else:
         entries = registered(ENTRY_POINT_GROUP)
         check_keys([name], entries, "observer")
-        try:
-            kind = entries[name].load()
-        except (ImportError, AttributeError) as error:
-            raise SettingsError(f"observer: {name!r} cannot be loaded ({error})") from None
+        kind = _loaded(entries[name])
     if isinstance(kind, type) and issubclass(kind, Observer):
         return kind
     raise SettingsError(f"observer: {name!r}: found no observer, expected a subclass of todframes.Observer")
+
+
+def _loaded(entry: EntryPoint) -> Any:
+    try:
+        return entry.load()
+    except (ImportError, AttributeError) as error:
+        raise SettingsError(f"observer: {entry.name!r} cannot be loaded ({error})") from None
 
 
 def observer_named(name: str) -> Observer:
@@ -565,10 +581,7 @@ def observer_named(name: str) -> Observer:
     if colon and head in (readers := registered(FILE_GROUP)):
         if not file:
             raise SettingsError(f"observer: found {name!r}, expected {head}:FILE")
-        try:
-            read: Callable[[str], Observer] = readers[head].load()
-        except (ImportError, AttributeError) as error:
-            raise SettingsError(f"observer: {name!r} cannot be loaded ({error})") from None
+        read: Callable[[str], Observer] = _loaded(readers[head])
         return read(file)
     kind = find_observer(name)
     return kind(kind.settings_type())

@@ -171,15 +171,10 @@ class Efficiency(Struct, frozen=True, kw_only=True):
 
     Attributes
     ----------
-    relative_to : str
-        The other observer.
-    group : dict
-        Values that the trials share, as in `fits`.
-    threshold : float or None
-        Threshold of the other observer; None if there is none.
+    relative_to, threshold : str, float or None
+        The other observer, and its threshold.
     efficiency : float or None
-        (Threshold of the other ÷ that of the observer)², the ratio of the signal energies; None if one of them has
-        no threshold.
+        (Threshold of the other ÷ that of the observer)², the ratio of the signal energies.
     efficiency_ci95 : (float or None, float or None) or None
         95 % interval; an end is None if the data leave it open.
     """

@@ -128,13 +128,11 @@ def _sizes(fits: Sequence[Fit], size: str | None) -> str:
 
 
 def efficiencies(of_pairs: Sequence[Efficiency]) -> list[str]:
-    """Return a sentence about the efficiency relative to each other observer: its range over all groups."""
+    """Return a sentence about the efficiency relative to each other observer, in the order of groups."""
     texts = []
     for name in dict.fromkeys(pair.relative_to for pair in of_pairs):
-        known = [pair.efficiency for pair in of_pairs if pair.relative_to == name and pair.efficiency is not None]
-        ends = listed(dict.fromkeys(f"{plain(end)}" for end in (min(known), max(known)))) if known else "not known"
-        between = "between " if ends.count(" and ") else ""
-        texts.append(f"Its efficiency relative to {name} is {between}{ends}.")
+        known = [plain(pair.efficiency) for pair in of_pairs if pair.relative_to == name and pair.efficiency]
+        texts += [f"Its efficiency relative to {name} is {listed(known)}."] if known else []
     return texts
 
 

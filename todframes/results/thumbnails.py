@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.display.display import linear_to_srgb
 from todframes.observers.interface import Observer
 from todframes.results.data import Thumbnail
 from todframes.stimulus import Stimulus
@@ -73,7 +72,7 @@ def pictures(
     display = _reduced(display, DISPLAY_SIDE_PX, np.mean)
     white = max(1.0, float(display.max())) if white is None else white
     light = np.clip((1.0 + display) / (1.0 + white), 0.0, 1.0)
-    made = [Thumbnail("display", png(255.0 * linear_to_srgb(light)), white)]
+    made = [Thumbnail("display", png(255.0 * srgb(light)), white)]
     width_mrad = (2 * reach_px + 1) * pixel_pitch_mrad
     reach = min(round(width_mrad / 2.0 / observer.grid(stimulus).pitch_mrad), retina.shape[0] // 2)
     made.append(_signed("retina", _reduced(_about_middle(retina, reach, 1.0), RETINA_SIDE_PX, np.mean)))
@@ -124,6 +123,11 @@ def _peak(blocks: FloatArray, axis: int) -> FloatArray:
 def _signed(name: str, image: FloatArray) -> Thumbnail:
     scale = float(np.abs(image).max()) or 1.0
     return Thumbnail(name, png(128.0 + 127.0 * image / scale), scale)
+
+
+def srgb(light: FloatArray) -> FloatArray:
+    """Return code values in [0, 1] for relative luminance in [0, 1] (IEC 61966-2-1)."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 def png(grey: NDArray[Any]) -> bytes:

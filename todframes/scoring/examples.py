@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.diagnosis.whole_frames import block_means
-from todframes.display.display import linear_to_srgb
 from todframes.frames.contrast import read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import centroid_position
 from todframes.frames.trials import Trial
 from todframes.observers.interface import Observer
 from todframes.results.data import Example, Thumbnail, group_of
-from todframes.results.thumbnails import ExamplePatch, pictures, png, reach_px_of
+from todframes.results.thumbnails import ExamplePatch, pictures, png, reach_px_of, srgb
 from todframes.results.wording import evenly
 from todframes.scoring.retina_view import patches_about, read_trial, retina_image
 from todframes.scoring.score import GroupFit, ScoredDataset
@@ -74,8 +73,7 @@ def _whole(dataset: Dataset, trial: Trial, observer: Observer) -> tuple[float, t
     contrast = np.asarray(total)
     black, white = np.percentile(contrast, [0.2, 99.8]).tolist()
     white = max(white, black + 1e-3)
-    light = np.clip((contrast - black) / (white - black), 0.0, 1.0)
-    grey = np.rint(255.0 * linear_to_srgb(light)).astype(np.uint8)
+    grey = np.rint(255.0 * srgb(np.clip((contrast - black) / (white - black), 0.0, 1.0))).astype(np.uint8)
     enlarged = max(largest_side_px // side, 1)
     grey = grey.repeat(enlarged, axis=0).repeat(enlarged, axis=1)
     image = np.ascontiguousarray(grey[..., None].repeat(3, axis=2))
