@@ -1,17 +1,15 @@
-"""Makes the tables of machines.md: python docs/make_machines.py [FOLDER], by default the folder of this script.
+"""Makes the tables of machines.md: python docs/make_machines.py FOLDER.
 
-The commands of the page are run in a temporary folder, some ten minutes. What stands in the page between
-<!-- =NAME --> and <!-- / --> is written anew. Seeds are fixed.
+The commands of the page are run in FOLDER, some ten minutes; those whose output is there are not run again. What
+stands in the page between <!-- =NAME --> and <!-- / --> is written anew. Seeds are fixed.
 """
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import subprocess
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -48,7 +46,10 @@ def efficiency_table(folder: Path) -> str:
         data = tod.load_result(folder / f"score_{name}")
         for fit in data.fits:
             of_group = [one for one in data.efficiencies if one.group == fit.group]
-            shown = [f"{plain(one.efficiency)} ({interval_phrase(one.efficiency_ci95)})" for one in of_group]
+            shown = [
+                f"{plain(one.efficiency)} ({interval_phrase(one.efficiency_ci95)})" if one.efficiency else "–"
+                for one in of_group
+            ]
             rows.append([background, f"{fit.group['size_detectors']:g}", plain(fit.threshold), *shown])
     header = ["background", "size (detectors)", "threshold contrast"]
     return table([*header, *(f"efficiency relative to `{name}`" for name in ("informative", "csf"))], rows)
@@ -73,18 +74,16 @@ def enhancement_table(folder: Path) -> str:
 
 def main() -> None:
     """Run the commands and write the page."""
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE
-    page = (HERE / "machines.md").read_text(encoding="utf-8")
-    with tempfile.TemporaryDirectory() as name:
-        for command in commands(page):
+    folder, page = Path(sys.argv[1]), (HERE / "machines.md").read_text(encoding="utf-8")
+    folder.mkdir(exist_ok=True)
+    for command in commands(page):
+        made = command[-1] if command[-2] == "-o" else command[2]
+        if not (folder / made).exists():
             print(" ".join(command[1:]), flush=True)
-            subprocess.run(command, cwd=name, check=True, stdout=subprocess.DEVNULL, env=os.environ)
-        for key, text in (
-            ("efficiency", efficiency_table(Path(name))),
-            ("enhancements", enhancement_table(Path(name))),
-        ):
-            page = re.sub(rf"(<!-- ={key} -->\n).*?(<!-- / -->)", rf"\g<1>{text}\n\g<2>", page, flags=re.DOTALL)
-    (folder / "machines.md").write_text(page, encoding="utf-8")
+            subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    for key, text in (("efficiency", efficiency_table(folder)), ("enhancements", enhancement_table(folder))):
+        page = re.sub(rf"(<!-- ={key} -->\n).*?(<!-- / -->)", rf"\g<1>{text}\n\g<2>", page, flags=re.DOTALL)
+    (HERE / "machines.md").write_text(page, encoding="utf-8")
 
 
 if __name__ == "__main__":
