@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal
 
 import todframes as tod
 from todframes import ORIENTATIONS
-from todframes.base.errors import SettingsError
+from todframes.base.errors import DataError, SettingsError
 from todframes.display.display import LuminanceTable
 from todframes.enhancement import network
 from todframes.machines.network_observer import NetworkObserver, NetworkSettings
@@ -164,6 +164,18 @@ def test_commands_and_workers_give_the_same_numbers(tmp_path: Path, make_dataset
     asked = ("--enhance", "gaussian", "--white", 100, "--observer", f"onnx:{path},pyramid")
     status, out, _ = todframes("compare", data, *asked)
     assert status == 0 and "beyond gain" not in out.partition("for pyramid")[0]
+
+
+def test_what_fails_in_a_run_is_an_error(tmp_path: Path) -> None:
+    observer, stimulus = NetworkObserver.read(matched(tmp_path / "m.onnx")), tod.Stimulus(0.8)
+    with pytest.raises(DataError, match="fails with a picture of 32 × 32"):
+        NetworkObserver(observer.settings, layout="nhwc").expected_answers(np.zeros((35, 35)), stimulus)
+    root = NetworkObserver.read(correlator(tmp_path / "r.onnx", np.ones((4, 32, 32)), last="Sqrt"))
+    with pytest.raises(DataError, match="expected four finite values"):
+        NetworkObserver(root.settings, white=-1.0).expected_answers(np.zeros((35, 35)), stimulus)
+    falling = LuminanceTable(code_value=CODES, luminance_cd_m2=100.0 - 99.0 * CODES)
+    with pytest.raises(SettingsError, match="luminance_cd_m2 does not rise"):
+        observer.on_display(display("lut", lut=falling), lambda: 1.0)
 
 
 def test_documented_settings_are_the_settings() -> None:

@@ -183,19 +183,8 @@ def see(
             answer = viewing.observer.respond(image, trial.stimulus, rng).quarter_turns
         seconds = reading_s + time.perf_counter() - started
         background = shown.background_luminance_cd_m2
-        seen.append(
-            SeenTrial(
-                displaced,
-                scores,
-                deviations,
-                probabilities,
-                answer,
-                shown.n_negative,
-                background,
-                seconds,
-                at_places,
-            )
-        )
+        answered = (displaced, scores, deviations, probabilities, answer)
+        seen.append(SeenTrial(*answered, shown.n_negative, background, seconds, at_places))
     return seen
 
 
