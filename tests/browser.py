@@ -143,7 +143,7 @@ def wait_until(page: Page, expression: str, arg: Any = None, *, seconds: float =
     """
     end = time.monotonic() + seconds
     while not (found := page.evaluate(expression, arg)):
-        assert time.monotonic() < end, f"{seconds:g} s have passed, and it is not true: {expression}"
+        assert time.monotonic() < end, f"{seconds:g} s have passed, and it is not true: {expression} {arg or ''}"
         page.wait_for_timeout(10)
     return found
 

@@ -179,7 +179,7 @@ def test_a_slow_algorithm_keeps_frame_after_frame(make_dataset, tmp_path: Path, 
     [(signal.SIGINT, 1), *(pytest.param(n, 2, marks=pytest.mark.slow) for n in (signal.SIGINT, signal.SIGTERM))],
 )
 def test_an_interrupted_run_says_what_is_kept(make_dataset, tmp_path: Path, number, workers) -> None:
-    path, out = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=60).path, tmp_path / "out"
+    path, out = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=150).path, tmp_path / "out"
     process = started("todframes", "score", path, "-o", out, "--workers", str(workers))
     until_begun(out)
     process.send_signal(number)

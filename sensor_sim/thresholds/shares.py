@@ -90,8 +90,7 @@ def what_limits(
     rest = [f"{name} {100.0 * share:.0f} %" for share, name in others if share > 0.0] or ["nothing else does"]
     verb = "limits" if most >= LEADING_SHARE else "weighs most"
     at = [f"{size:g}" for size, has_threshold in zip(sizes_detectors, reached, strict=True) if not has_threshold]
-    tail = f"; no threshold at {', '.join(at)} detectors, even {strongest}" if at else ""
-    sentence = (
-        f"{first} {verb}: {100.0 * most:.0f} % of what makes answers vary at threshold ({', '.join(rest)}){tail}."
-    )
+    without = f"no threshold at {', '.join(at)} detectors, even {strongest}"
+    weights = f"{first} {verb}: {100.0 * most:.0f} % of what makes answers vary at threshold ({', '.join(rest)})"
+    sentence = "; ".join([*([weights] if any(reached) else []), *([without] if at else [])]) + "."
     return mean, sentence[0].upper() + sentence[1:]
