@@ -215,11 +215,10 @@ def border_values(pixels: NDArray[Any], *, top: bool = True, bottom: bool = True
     """Return the pixels, (n,) or (n, channels), of a band of whole rows that lie on the border of the frame. `top`
     and `bottom` state whether the band's first row is the frame's first, and its last row the frame's last.
     """
-    on_border = np.zeros(pixels.shape[:2], np.bool_)
-    on_border[:, [0, -1]] = True
-    on_border[0] |= top
-    on_border[-1] |= bottom
-    return pixels[on_border]
+    ends = pixels[:, [0, -1]] if pixels.shape[1] > 1 else pixels
+    first = pixels[0] if top or (bottom and len(pixels) == 1) else ends[0]
+    last = [pixels[-1] if bottom else ends[-1]] if len(pixels) > 1 else []
+    return np.concatenate([first, ends[1:-1].reshape(-1, *pixels.shape[2:]), *last])
 
 
 def weber_contrast(luminance: FloatArray, background_luminance_cd_m2: float) -> FloatArray:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,6 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_positive
 from todframes.stimulus import Centre, Orientation, coverage
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
 
 MOST_DENSE = 2**13
 """Largest number of values of an overlap matrix that is not sparse: it takes less time, and no import of scipy."""
@@ -85,18 +82,30 @@ def _shares(
     return pixel.astype(np.intp), length / width
 
 
-def _dense(pixel: NDArray[np.intp], share: FloatArray, n_pixels: int) -> FloatArray:
-    matrix = np.zeros((len(share), n_pixels))
-    np.put_along_axis(matrix, pixel, share, axis=1)
-    return matrix
-
-
-def _sparse(pixel: NDArray[np.intp], share: FloatArray, n_pixels: int) -> csr_array:
+@lru_cache(maxsize=16)
+def _overlaps(
+    grid: RetinaGrid,
+    centre_px: float,
+    pixel_pitch_mrad: float,
+    pixels: tuple[int, int],
+    kept: tuple[int, int],
+    is_dense: bool,
+) -> Any:
+    """Return the share of each pixel, of (first, number), in the kept samples, half-open: an array or a sparse
+    one, (sample, pixel). It is remembered, for frames in turn often have the same place, and nobody may change it.
+    """
+    pixel, share = _shares(grid, centre_px, pixel_pitch_mrad, *pixels)
+    pixel, share = pixel[slice(*kept)], share[slice(*kept)]
+    if is_dense:
+        matrix = np.zeros((len(share), pixels[1]))
+        np.put_along_axis(matrix, pixel, share, axis=1)
+        return matrix
     from scipy.sparse import csr_array
 
-    kept = share > 0.0
-    row_start = np.concatenate([[0], np.cumsum(np.count_nonzero(kept, axis=1))]).astype(np.int32)
-    return csr_array((share[kept], pixel[kept].astype(np.int32), row_start), shape=(len(kept), n_pixels))
+    overlaps = share > 0.0
+    row_start = np.concatenate([[0], np.cumsum(np.count_nonzero(overlaps, axis=1))]).astype(np.int32)
+    values = share[overlaps], pixel[overlaps].astype(np.int32), row_start
+    return csr_array(values, shape=(len(share), pixels[1]))
 
 
 def resample(
@@ -130,13 +139,12 @@ def resample(
     bottom = max(min(math.ceil(lower), grid.side), top)
     if not (top < bottom and n_rows and n_columns):
         return np.zeros((grid.side, grid.side)) if onto is None else onto
-    rows = *_shares(grid, y_px, pixel_pitch_mrad, first_row, n_rows), n_rows
-    columns = *_shares(grid, x_px, pixel_pitch_mrad, first_column, n_columns), n_columns
-    if grid.side * max(n_rows, n_columns) <= MOST_DENSE:
-        seen = _dense(*rows)[top:bottom] @ contrast @ _dense(*columns).T
-    else:
-        down, along = _sparse(*rows)[top:bottom], _sparse(*columns)
-        # Either order is exact; the larger array is the one not to make, or to copy.
+    is_dense = grid.side * max(n_rows, n_columns) <= MOST_DENSE
+    down = _overlaps(grid, y_px, pixel_pitch_mrad, (first_row, n_rows), (top, bottom), is_dense)
+    along = _overlaps(grid, x_px, pixel_pitch_mrad, (first_column, n_columns), (0, grid.side), is_dense)
+    if is_dense:
+        seen = down @ contrast @ along.T
+    else:  # either order is exact; the larger array is the one not to make, or to copy
         seen = (along @ (down @ contrast).T).T if n_rows > grid.side else down @ (along @ contrast.T).T
     if onto is None:
         if len(seen) == grid.side:
