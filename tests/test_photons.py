@@ -238,6 +238,8 @@ def test_levels_of_another_kind_are_refused(tmp_path):
         ss.simulate(snr, size_detectors=[3], contrast=[1.0], out=out)
     with pytest.raises(SettingsError, match=r"luminance_cd_m2: found for a sensor without \[noise\] model"):
         ss.curve(snr, size_detectors=[3], luminance_cd_m2=[1.0])
+    with pytest.raises(SettingsError, match=r"scene: found a table \[scene\], expected \[noise\]"):
+        replace(ss.load_sensor(snr), scene=sensor.scene)
 
 
 @pytest.mark.slow
