@@ -237,7 +237,7 @@ def test_an_error_of_an_item_ends_the_run_and_arrives_whole(local: ClusterEngine
     assert raised.value.problem == "the file is empty"
     with pytest.raises(ZeroDivisionError, match="division by zero") as defect:
         results_of(local, Calls(call), [0])
-    assert "test_cluster.py" in "".join(defect.value.__notes__)
+    assert defect.value.__notes__[-1].endswith("in call")  # cloudpickle 3.1.3 drops the file of a local function
     with pytest.raises(RuntimeError, match="in a worker: NotPortableError: 2 and 3"):
         results_of(local, Calls(call), [2])
 
