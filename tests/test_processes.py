@@ -187,4 +187,4 @@ def test_a_script_that_its_processes_would_run_is_one_line(tmp_path: Path) -> No
     process = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60, check=False)
     assert process.returncode == 1
     sentence = 'a script must call this below `if __name__ == "__main__":`, and there must be memory for all\n'
-    assert sentence in process.stderr  # Python speaks before it, and of semaphores of the killed processes after it
+    assert sentence in process.stderr  # Python speaks before it, and of lost semaphores after it
