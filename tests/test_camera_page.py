@@ -164,7 +164,7 @@ def test_noise_of_a_film_is_that_of_the_page(folder, recording) -> None:
     found = tod.noise(recording, chart=folder).measured
     assert found.n_frames == 3 and len(found.patches) == 12
     # 40,000 electrons at white, 100 cd/m², and 16 bits; 6 electrons of noise in the dark.
-    assert found.transfer.gain == pytest.approx(655.35, rel=0.005)
+    assert found.signal_transfer.gain == pytest.approx(655.35, rel=0.005)
     for one in found.patches[2:11]:
         electrons = 400.0 * one.level
         # Some 25 x 25 pixels in 3 frames: 2 % of the standard deviation, and the light falls off nowhere.
@@ -183,7 +183,7 @@ def test_a_lens_that_distorts_moves_no_edge_out_of_its_box(folder, tmp_path) -> 
     upto = frequency <= 0.5
     assert np.abs(mtf[upto] - true_mtf(frequency[upto], gaussian(sigma), 8.0)).max() < 0.012
     noise = tod.noise(tmp_path / "bent.npy", chart=folder).measured
-    assert noise.transfer.nonlinearity < 0.003
+    assert noise.signal_transfer.nonlinearity < 0.003
 
 
 def test_frames_that_move_are_left_out_and_motion_all_the_time_is_refused(folder, recording, tmp_path) -> None:

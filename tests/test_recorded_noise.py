@@ -14,7 +14,15 @@ import pytest
 
 import sensor_sim as ss
 import todframes as tod
-from todframes.camera.noise3d import PARTS, NoisePart, combinations, estimate, fit_drift, measure_noise
+from todframes.camera.noise3d import (
+    PARTS,
+    NoisePart,
+    combinations,
+    estimate,
+    fit_drift,
+    fixed_pattern_ratio,
+    measure_noise,
+)
 from todframes.charts.layout import Chart, Markers, Page, Patch, Triangle, marker_bits, marker_ids, write_chart
 from todframes.recordings.opening import open_recordings
 
@@ -29,9 +37,9 @@ def cube(rng, shape, sd):
     return sum((rng.normal(0, sd[name], sides[name]) for name in sd), np.zeros(shape))
 
 
-def noise_of(path, values, **settings):
+def noise_of(path, values, frames_per_second=None, **settings):
     np.save(path, values)
-    return measure_noise(open_recordings(path, **settings)[0])
+    return measure_noise(open_recordings(path, frames_per_second=frames_per_second)[0], **settings)
 
 
 def anova(values):
@@ -85,7 +93,7 @@ def test_variances_are_unbiased():
 def test_one_frame_gives_rows_columns_and_the_rest(tmp_path):
     rng = np.random.default_rng(2)
     sd = dict.fromkeys(PARTS, 0.0) | {"v": 2.0, "h": 3.0, "vh": 1.0}
-    noise = noise_of(tmp_path / "a.npy", cube(rng, (1, 200, 300), sd))
+    noise = noise_of(tmp_path / "a.npy", cube(rng, (1, 200, 300), sd), signals=[10.0])
     assert list(noise.parts) == ["v", "h", "vh"]
     assert noise.dynamic is None
     assert noise.temporal_sd is None
@@ -95,7 +103,8 @@ def test_one_frame_gives_rows_columns_and_the_rest(tmp_path):
         assert low < sd[name] < high
     with pytest.raises(tod.DataError, match="found one frame, expected 2 or more: one cannot separate"):
         noise.sensor_toml()
-    assert noise.snr(10.0) == pytest.approx(10 / math.sqrt(sum(one.variance for one in noise.parts.values())))
+    total = sum(one.variance for one in noise.parts.values())
+    assert [one.snr for one in noise.snr] == [pytest.approx(10 / math.sqrt(total))]
 
 
 def test_the_interval_of_one_mean_square_is_that_of_a_variance():
@@ -122,7 +131,7 @@ def test_intervals_hold_the_truth(tmp_path, shape):
     true = sd | {name: math.hypot(*(sd[one] for one in parts)) for name, parts in together.items()}
     for seed in range(n_seeds):
         noise = noise_of(tmp_path / "a.npy", 50 + cube(np.random.default_rng(seed), shape, sd))
-        for name, part in (noise.parts | {"dynamic": noise.dynamic, "fixed": noise.fixed}).items():
+        for name, part in (noise.parts | {"dynamic": noise.dynamic, "fixed": noise.fixed_pattern}).items():
             held[name] += part.ci95[0] <= true[name] <= part.ci95[1]
             sums[name] += part.variance
     # A true coverage of 95 % gives 0.95 ± 4 · √(0.95 · 0.05 / 400) = ± 0.044. The large-sample interval is
@@ -213,10 +222,10 @@ def test_patches_give_the_signal_transfer(tmp_path, todframes):
     places = {(25 * k, 0, 25, 20): level for k, level in enumerate(levels)}
     noise = tod.noise(tmp_path / "a.npy", patches=places).measured
     # A mean of 500 pixels has the SD √(1 + 4/30) / √500 = 0.048; the gain's is that over √Σ(x − x̄)² = 53.6: 9e-4.
-    assert noise.transfer.gain == pytest.approx(3, abs=4 * 9e-4)
-    assert noise.transfer.offset == pytest.approx(100, abs=4 * 0.05)
-    assert noise.transfer.gain_error < 4 * 9e-4
-    assert noise.transfer.nonlinearity < 4 * 0.048 / 210
+    assert noise.signal_transfer.gain == pytest.approx(3, abs=4 * 9e-4)
+    assert noise.signal_transfer.offset == pytest.approx(100, abs=4 * 0.05)
+    assert noise.signal_transfer.gain_error < 4 * 9e-4
+    assert noise.signal_transfer.nonlinearity < 4 * 0.048 / 210
     assert noise.patches[0].snr == 0
     for one, level in zip(noise.patches[1:], levels[1:], strict=True):
         # The noise of a pixel is √5, its fixed part known to 1 / √(2 · 499) = 3 %.
@@ -225,7 +234,7 @@ def test_patches_give_the_signal_transfer(tmp_path, todframes):
         text for place, level in places.items() for text in ("--patch", ",".join(map(str, place)) + f"={level}")
     ]
     status, out, _ = todframes("noise", tmp_path / "a.npy", *given, "--json")
-    assert status == 0 and json.loads(out)["noise"]["signal_transfer"]["gain"] == noise.transfer.gain
+    assert status == 0 and json.loads(out)["noise"]["signal_transfer"]["gain"] == noise.signal_transfer.gain
     with pytest.raises(tod.SettingsError, match=r"patches: found levels \[5.0\], expected at least two different"):
         tod.noise(tmp_path / "a.npy", patches={(0, 0, 5, 5): 5.0, (5, 5, 5, 5): 5.0})
     dark = tod.noise(np.full((3, 20, 20), 7.0), patches={(0, 0, 5, 5): 1.0, (5, 5, 5, 5): 2.0})
@@ -267,7 +276,7 @@ def test_the_patches_of_a_chart_are_found(tmp_path, turn):
     frames = image + np.random.default_rng(16).normal(0, 1, (5, *image.shape))
     np.save(tmp_path / "a.npy", frames.astype(np.float32))
     result = tod.noise(tmp_path / "a.npy", chart=tmp_path / "chart.toml")
-    transfer = result.measured.transfer
+    transfer = result.measured.signal_transfer
     # A patch shows only its own value: 5 · 33 · 42 pixels and more, SD 1, so means to 0.012, 0.01 of them in gain.
     assert [one.level for one in result.measured.patches] == list(levels)
     assert transfer.gain == pytest.approx(200, abs=0.2)
@@ -282,12 +291,16 @@ def test_the_patches_of_a_chart_are_found(tmp_path, turn):
         tod.noise(tmp_path / "a.npy", chart=tmp_path / "chart.toml")
 
 
-def test_averaging_frames_lowers_dynamic_noise_alone(tmp_path):
+@pytest.mark.parametrize(("rate_hz", "n_averaged"), [(None, [1]), (5, [1]), (60, [1, 6]), (160, [1, 16])])
+def test_averaging_the_frames_of_0_1_s_lowers_dynamic_noise_alone(tmp_path, rate_hz, n_averaged):
+    """The eye averages 6 frames at 60 frames a second, as in the paper."""
     sd = dict.fromkeys(PARTS, 0.0) | {"vh": 1.0, "tvh": 2.0}
-    noise = noise_of(tmp_path / "a.npy", cube(np.random.default_rng(9), (40, 60, 70), sd))
+    frames = cube(np.random.default_rng(9), (40, 60, 70), sd)
+    noise = noise_of(tmp_path / "a.npy", frames, frames_per_second=rate_hz, signals=[10.0])
+    assert [one.frames for one in noise.snr] == n_averaged
     # SD of estimates: below 1/√(2 · 4199) of 1 + 4/40, and less; 4 % is more than 3 of them.
-    assert noise.snr(10.0) == pytest.approx(10 / math.sqrt(1 + 4), rel=0.04)
-    assert noise.snr(10.0, frames=16) == pytest.approx(10 / math.sqrt(1 + 4 / 16), rel=0.04)
+    for one in noise.snr:
+        assert one.snr == pytest.approx(10 / math.sqrt(1 + 4 / one.frames), rel=0.04)
 
 
 def test_a_measured_camera_is_a_sensor(tmp_path):
@@ -304,22 +317,15 @@ def test_a_measured_camera_is_a_sensor(tmp_path):
     assert noise.fixed_pattern_ratio == pytest.approx(3 / 5, rel=0.04)  # three times 1/√(2 · 79²) and 1 %
 
 
-def test_a_known_frame_rate_gives_the_frames_that_the_eye_averages(tmp_path):
-    values = np.random.default_rng(12).normal(10, 1, (5, 8, 9))
-    # 0.1 s at 60 frames a second: 6, as in the paper.
-    assert noise_of(tmp_path / "a.npy", values, frames_per_second=60).frames_integrated == 6
-    assert noise_of(tmp_path / "a.npy", values, frames_per_second=5).frames_integrated == 1
-
-
 def test_the_ratio_has_an_interval_of_both_errors(tmp_path):
     sd = dict.fromkeys(PARTS, 0.0) | {"vh": 1.0, "tvh": 2.0}
     noise = noise_of(tmp_path / "a.npy", cube(np.random.default_rng(13), (10, 30, 30), sd))
-    ratio = noise.fixed_pattern_ratio
-    assert ratio.sd == pytest.approx(noise.fixed.sd / noise.dynamic.sd)
-    assert ratio.ci95[0] < noise.fixed.ci95[0] / noise.dynamic.sd
-    assert ratio.ci95[1] > noise.fixed.ci95[1] / noise.dynamic.sd
-    none = replace(noise, fixed=NoisePart(0.0, (0.0, 0.5), -0.1))
-    assert none.fixed_pattern_ratio.ci95 == (0, 0.5 / noise.dynamic.sd)
+    dynamic, fixed = noise.dynamic, noise.fixed_pattern
+    low, high = noise.fixed_pattern_ratio["ratio_ci95"]
+    assert noise.fixed_pattern_ratio["ratio"] == pytest.approx(fixed.sd / dynamic.sd)
+    assert low < fixed.ci95[0] / dynamic.sd and high > fixed.ci95[1] / dynamic.sd
+    none = fixed_pattern_ratio(NoisePart(0.0, (0.0, 0.5), -0.1), dynamic)
+    assert none == {"ratio": 0.0, "ratio_ci95": (0, 0.5 / dynamic.sd)}
 
 
 def test_a_folder_of_radiometric_files_has_their_scale(tmp_path):

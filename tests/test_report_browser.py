@@ -9,7 +9,9 @@ import json
 from pathlib import Path
 
 import pytest
+from edges import edge_image, gaussian
 
+import todframes as tod
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.results.result import read_result
@@ -47,6 +49,7 @@ def test_no_page_scrolls_sideways(open_page, results, tmp_path: Path) -> None:
         one["spec"] = "y" * 3000
     results["endless names"] |= {"dataset": "z" * 3000, "settings": {"s" * 300: "t" * 3000}}
     pages = {name: read_result(json.dumps(one).encode(), "result").to_html() for name, one in results.items()}
+    pages["mtf"] = tod.mtf(edge_image((72, 72), 6.0, gaussian(0.7)), boxes=[(0, 0, 72, 72)]).to_html()
     pages["wide"] = '<!DOCTYPE html><p style="width: 1300px">wide'
     for name, text in pages.items():
         path = tmp_path / f"{name}.html"

@@ -30,7 +30,6 @@ from todframes.camera.noise3d import (
     FrameSums,
     Region,
     added,
-    checked_region,
     combinations,
     estimate,
     fit_drift,
@@ -368,23 +367,14 @@ def _measured(
 ) -> StackNoise:
     """Return means and variances of a stack. `darkest` is the mean of dark frames, None for a dark stack."""
     recording = stack.recording
-    left, top, width, height = checked_region(recording, region)
-    sums: FrameSums | None = None
-    n_saturated = n_crushed = step = 0
+    if recording.is_colour:
+        raise DataError(f"{recording.path}: has colours, expected the raw values of one channel")
+    sums, step = FrameSums(recording, region, full_scale), 0
     for frame in counted(recording.frames(), recording.n_frames, progress):
-        values = frame.values
-        if values.ndim != 2:
-            raise DataError(f"{recording.path}: has colours, expected the raw values of one channel")
-        values = values[top : top + height, left : left + width]
-        if full_scale is not None:
-            n_saturated += int(np.count_nonzero(values >= full_scale))
-            n_crushed += int(np.count_nonzero(values <= recording.zero))
-        grey = values.astype(np.float64)
+        grey = sums.add(frame.values)
         if step != 1 and (grey == np.rint(grey)).all():
             step = int(np.gcd.reduce((grey - grey[0, 0]).astype(np.int64), axis=None, initial=step))
-        sums = sums or FrameSums(grey)
-        sums.add(grey)
-    if sums is None or sums.n < 2:
+    if sums.n < 2:
         raise DataError(
             f"{recording.path}: found 1 frame of this exposure, expected 2 or more: one cannot separate temporal "
             "noise from fixed pattern"
@@ -392,7 +382,7 @@ def _measured(
     if stack.is_levelled:
         sums.level()
     squares, degrees = sums.mean_squares()
-    t, v, h = sums.n, height, width
+    t, (v, h) = sums.n, sums.reference.shape
     sums_of = {name: squares[name] * degrees[name] for name in squares}
     temporal = (sums_of["tv"] + sums_of["th"] + sums_of["tvh"]) / ((t - 1) * v * h)
     means = sums.means()
@@ -421,8 +411,8 @@ def _measured(
         pixel=pixel,
         smooth=_smooth_variance(sums.mean_image()),
         change=_change(means, math.sqrt(temporal / (v * h))),
-        saturated=n_saturated / (t * v * h),
-        crushed=n_crushed / (t * v * h),
+        saturated=sums.n_white / (t * v * h),
+        crushed=sums.n_black / (t * v * h),
         step=step,
         squares=squares,
         degrees=degrees,

@@ -9,23 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from msgspec import Struct, structs
+from msgspec import structs
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray, Json
-from todframes.base.errors import DataError, argument
+from todframes.base.errors import argument
 from todframes.base.reading import check_positive
-from todframes.base.safe_text import in_utf8
-from todframes.camera.noise3d import (
-    PARTS,
-    Drift,
-    FramePatch,
-    Noise3D,
-    NoisePart,
-    PatchNoise,
-    Transfer,
-    measure_noise,
-)
+from todframes.camera.noise3d import PARTS, FramePatch, Noise3D, NoiseNumbers, NoisePart, measure_noise
 from todframes.parameters import Box, ChartFile, FrameLimit, MilliKelvin, Numbers, PatchLevels, Progress, Rate
 from todframes.results.data import Content, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
@@ -42,60 +32,6 @@ if TYPE_CHECKING:
 VALUE_UNITS = {"code": "code values", "counts": "counts", "celsius": "°C"}
 
 COMBINED = {"dynamic": "tv, th and tvh together", "fixed pattern": "v, h and vh together"}
-
-
-class Snr(Struct, frozen=True, kw_only=True):
-    """Signal-to-noise ratio of a pixel in the mean of some frames; None without noise."""
-
-    signal: float
-    frames: int
-    snr: float | None
-
-
-class NoiseNumbers(Struct, frozen=True, kw_only=True):
-    """The key `noise` of the result.
-
-    Attributes
-    ----------
-    recording, unit : str
-        Path of the recording, and the unit of its values: "code", "counts" or "celsius".
-    n_frames, frames_per_second
-        Number of frames, and their rate if it is known.
-    region : tuple of int
-        Part of the frame that was measured: left column, top row, width, height.
-    mean : float
-        Mean value.
-    parts : dict of NoisePart
-        The seven parts of the noise: t, v, h, tv, th, vh, tvh.
-    dynamic, fixed_pattern : NoisePart or None
-        tv, th and tvh together; v, h and vh together.
-    fixed_pattern_ratio : dict or None
-        Fixed pattern divided by dynamic noise: `ratio` and `ratio_ci95`.
-    drift : Drift or None
-        Drift of the mean.
-    mk_per_unit : float or None
-        Temperature difference in mK for one unit of the values.
-    snr : tuple of Snr
-        With `--signal`: the ratio for each difference of values.
-    patches, signal_transfer
-        With `--patch` or `--chart`: the patches, and the straight line through their means.
-    """
-
-    recording: str
-    unit: str
-    n_frames: int
-    frames_per_second: float | None
-    region: tuple[int, int, int, int]
-    mean: float
-    parts: dict[str, NoisePart]
-    dynamic: NoisePart | None
-    fixed_pattern: NoisePart | None
-    fixed_pattern_ratio: dict[str, Any] | None
-    drift: Drift | None
-    mk_per_unit: float | None
-    snr: tuple[Snr, ...]
-    patches: tuple[PatchNoise, ...]
-    signal_transfer: Transfer | None
 
 
 class RecordedNoise(Content, frozen=True, kw_only=True):
@@ -198,16 +134,13 @@ class RecordedNoise(Content, frozen=True, kw_only=True):
         Raises
         ------
         DataError
-            If there is one frame, no noise from frame to frame, or the result was read from a file.
+            If there is one frame, or no noise from frame to frame.
         """
-        if self.measured is None:
-            raise DataError("noise: the result was read from a file, whose folder has sensor_noise.toml")
-        return self.measured.sensor_toml(mk_per_unit=self.noise.mk_per_unit)
+        return self.noise.sensor_toml()
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the tables, and a table for a sensor if dynamic noise is known."""
-        dynamic = None if self.measured is None else self.measured.dynamic
-        known = dynamic is not None and dynamic.variance > 0
+        known = self.noise.fixed_pattern_ratio is not None
         return {**super().files(), **({"sensor_noise.toml": self.sensor_toml().encode()} if known else {})}
 
     def _with_unit(self, part: NoisePart) -> str:
@@ -287,7 +220,7 @@ def noise(
     Returns
     -------
     Result
-        `noise` has the numbers, `measured` also the images; `sensor_toml()` is for sensor_sim.
+        `noise` has the numbers, `measured` also images; `sensor_toml()` is for sensor_sim.
 
     Raises
     ------
@@ -302,55 +235,32 @@ def noise(
     >>> import todframes as tod
     >>> rng = np.random.default_rng(1)
     >>> frames = 100 + rng.normal(0, 1, (64, 64)) + rng.normal(0, 2, (50, 64, 64))
-    >>> measured = tod.noise(frames).measured
-    >>> f"{measured.dynamic.sd:.1f} from frame to frame, {measured.fixed.sd:.1f} fixed"
+    >>> found = tod.noise(frames).noise
+    >>> f"{found.dynamic.sd:.1f} from frame to frame, {found.fixed_pattern.sd:.1f} fixed"
     '2.0 from frame to frame, 1.0 fixed'
     """
     started = time.perf_counter()
     from todframes.recordings.opening import one_recording
-    from todframes.recordings.radiometric import mk_per_count_of
 
     if mk_per_count is not None:
         check_positive(argument.mk_per_count, mk_per_count)
-    whole = one_recording(recording, "noise", frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
+    shown = one_recording(recording, "noise", frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
     levels = [FramePatch(patch, float(level)) for patch, level in (patches or {}).items()]
-    shown = whole
     if chart is not None:
         from todframes.camera.filmed_page import view_of_camera_page
 
-        view = view_of_camera_page(whole, Path(chart), progress=progress)
+        view = view_of_camera_page(shown, Path(chart), progress=progress)
         shown, levels = view.recording, [*levels, *view.patches]
         region = region or max((one.region for one in levels), key=lambda box: box[2] * box[3])
-    measured = measure_noise(shown, region=region, patches=levels, progress=progress)
-    if mk_per_count is None:
-        mk_per_count = mk_per_count_of(whole, measured.mean)
-    per_unit = 1000.0 if measured.unit == "celsius" else mk_per_count
-
-    def in_mk(part: NoisePart | None) -> NoisePart | None:
-        return part if part is None or per_unit is None else structs.replace(part, sd_mk=part.sd * per_unit)
-
-    ratio = None
-    if measured.dynamic is not None and measured.dynamic.variance > 0:
-        ratio = measured.fixed_pattern_ratio
-    numbers = {
-        "recording": in_utf8(str(whole.path)),
-        **{name: getattr(measured, name) for name in ("unit", "n_frames", "frames_per_second", "region", "mean")},
-        "parts": {name: in_mk(one) for name, one in measured.parts.items()},
-        "dynamic": in_mk(measured.dynamic),
-        "fixed_pattern": in_mk(measured.fixed),
-        "fixed_pattern_ratio": None if ratio is None else {"ratio": ratio.sd, "ratio_ci95": ratio.ci95},
-        "drift": measured.drift,
-        "mk_per_unit": mk_per_count,
-        "snr": [
-            {"signal": each, "frames": n, "snr": measured.snr(each, frames=n)}
-            for each in np.atleast_1d(np.asarray(signal, np.float64)).tolist()
-            for n in dict.fromkeys((1, measured.frames_integrated))
-        ],
-        "patches": [
-            structs.replace(one, dynamic=in_mk(one.dynamic), fixed=in_mk(one.fixed)) for one in measured.patches
-        ],
-        "signal_transfer": measured.transfer,
-    }
-    warnings = [ResultWarning(code=one.code, message=one.message) for one in measured.warnings]
+    measured = measure_noise(
+        shown,
+        region=region,
+        patches=levels,
+        signals=np.atleast_1d(np.asarray(signal, np.float64)).tolist(),
+        mk_per_count=mk_per_count,
+        progress=progress,
+    )
+    numbers = {name: getattr(measured, name) for name in NoiseNumbers.__struct_fields__}
+    warnings = [ResultWarning(**one._asdict()) for one in measured.warnings]
     made = Result.made("noise", started, warnings=warnings, noise=as_read(numbers, NoiseNumbers))
     return made.holding(measured=measured)

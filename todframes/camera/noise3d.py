@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,8 +21,10 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import toml_text
+from todframes.base.safe_text import in_utf8
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.parameters import Progress, counted
+from todframes.recordings.radiometric import mk_per_count_of
 from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning
 
 PARTS = {
@@ -106,100 +107,117 @@ class Drift(Struct, frozen=True):
     change_error: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Noise3D:
-    """Three-dimensional noise of a recording, in units of its values: "code", "counts" or "celsius".
+class Snr(Struct, frozen=True, kw_only=True):
+    """Signal-to-noise ratio of a pixel in the mean of some frames; None without noise."""
 
-    `parts` have the names in `PARTS`; of a single frame only v, h and vh, and vh contains tvh. `dynamic` (tv, th,
-    tvh together) and `fixed` (v, h, vh) are None for a single frame, and so is `temporal_sd`, the standard
-    deviation of each pixel over the frames; `drift` is None with fewer than three, `transfer` without patches.
+    signal: float
+    frames: int
+    snr: float | None
+
+
+class NoiseNumbers(Struct, frozen=True, kw_only=True):
+    """The key `noise` of the result.
+
+    Attributes
+    ----------
+    recording, unit : str
+        Path of the recording, and the unit of its values: "code", "counts" or "celsius".
+    n_frames, frames_per_second
+        Number of frames, and their rate if it is known.
+    region : tuple of int
+        Part of the frame that was measured: left column, top row, width, height.
+    mean : float
+        Mean value.
+    parts : dict of NoisePart
+        The seven parts of the noise: t, v, h, tv, th, vh, tvh. Of a single frame v, h and vh, which contains tvh.
+    dynamic, fixed_pattern : NoisePart or None
+        tv, th and tvh together; v, h and vh together. None for a single frame.
+    fixed_pattern_ratio : dict or None
+        Fixed pattern divided by dynamic noise: `ratio` and `ratio_ci95`.
+    drift : Drift or None
+        Drift of the mean; None with fewer than three frames.
+    mk_per_unit : float or None
+        Temperature difference in mK for one unit of the values.
+    snr : tuple of Snr
+        With `--signal`: the ratio for each difference of values.
+    patches, signal_transfer
+        With `--patch` or `--chart`: the patches, and the straight line through their means.
     """
 
+    recording: str
+    unit: str
     n_frames: int
+    frames_per_second: float | None
     region: Region
     mean: float
     parts: dict[str, NoisePart]
     dynamic: NoisePart | None
-    fixed: NoisePart | None
+    fixed_pattern: NoisePart | None
+    fixed_pattern_ratio: dict[str, Any] | None
     drift: Drift | None
-    frames_per_second: float | None
-    mean_image: FloatArray
-    temporal_sd: FloatArray | None
-    frame_means: FloatArray
-    unit: str
-    patches: tuple[PatchNoise, ...] = ()
-    transfer: Transfer | None = None
-    warnings: tuple[RecordingWarning, ...] = ()
+    mk_per_unit: float | None
+    snr: tuple[Snr, ...]
+    patches: tuple[PatchNoise, ...]
+    signal_transfer: Transfer | None
 
-    @property
-    def frames_integrated(self) -> int:
-        """Number of frames that the eye averages; 1 if the frame rate is not known."""
-        return max(1, round(INTEGRATION_TIME_S * (self.frames_per_second or 0.0)))
+    def sensor_toml(self) -> str:
+        """Return the table `[noise]` of a SENSOR.toml for a camera with this noise.
 
-    @property
-    def fixed_pattern_ratio(self) -> NoisePart:
-        """Static divided by dynamic standard deviation, `variance` being its square. Errors as `sensor_toml`."""
-        dynamic, fixed = self._both()
-        # The ends of two independent intervals in opposite directions, added in squares on a logarithmic scale.
-        ratio, (low, high) = fixed.sd / dynamic.sd, fixed.ci95
-        down, up = (_log_ratio(dynamic.sd, end) for end in dynamic.ci95)
-        if ratio == 0:
-            return NoisePart(0.0, (0.0, high / dynamic.sd), fixed.variance / dynamic.variance)
-        lower = math.exp(-math.hypot(_log_ratio(fixed.sd, low), up)) * ratio
-        upper = math.exp(math.hypot(_log_ratio(fixed.sd, high), down)) * ratio
-        return NoisePart(ratio, (lower, upper), ratio**2)
-
-    def _line_ratios(self, *names: tuple[str, str], whole: float) -> dict[str, float]:
-        """Return parts that rows and columns have in common over the dynamic noise, by keys of a SENSOR.toml.
-
-        Those whose interval begins at 0 are left out. Together they are no more than the whole.
+        It has no `netd_mk` if mK are not known. DataError if there is one frame, or no noise from frame to frame.
         """
-        dynamic, _ = self._both()
-        ratios = {key: self.parts[part].sd / dynamic.sd for key, part in names if self.parts[part].ci95[0] > 0.0}
-        scale = min(1.0, whole / math.hypot(*ratios.values())) if ratios else 1.0
-        return {key: float(f"{scale * ratio:.6g}") for key, ratio in ratios.items()}
-
-    def _both(self) -> tuple[NoisePart, NoisePart]:
-        """Return the dynamic noise, which is not zero, and the fixed pattern; DataError if they are not known."""
-        if self.dynamic is None or self.fixed is None:
+        if self.dynamic is None:
             raise DataError(
                 "noise: found one frame, expected 2 or more: one cannot separate temporal noise from fixed pattern"
             )
-        if self.dynamic.variance <= 0:
+        if self.fixed_pattern_ratio is None:
             raise DataError("noise: found none from frame to frame, expected some; are all frames the same?")
-        return self.dynamic, self.fixed
-
-    def snr(self, signal: float, *, frames: int = 1) -> float:
-        """Return a signal divided by the noise of a pixel after a number of frames are averaged.
-
-        The dynamic part falls with the root of the number of frames, the fixed pattern does not.
-        """
-        if self.dynamic is None or self.fixed is None:
-            total = sum(max(one.variance, 0.0) for one in self.parts.values())
-        else:
-            total = max(self.dynamic.variance, 0.0) / frames + max(self.fixed.variance, 0.0)
-        return signal / math.sqrt(total) if total > 0 else math.inf
-
-    def sensor_toml(self, *, mk_per_unit: float | None = None) -> str:
-        """Return the table `[noise]` of a SENSOR.toml for a camera with this noise.
-
-        `mk_per_unit` is the temperature difference in mK for a difference of one in the values. It is not needed
-        for temperatures; if it is not known, there is no `netd_mk`. DataError if there is one frame, or no noise
-        from frame to frame.
-        """
-        dynamic, _ = self._both()
-        per_unit = 1000.0 if self.unit == "celsius" else mk_per_unit
-        fixed_ratio = float(f"{self.fixed_pattern_ratio.sd:.6g}")
+        netd_mk, fixed_ratio = self.dynamic.sd_mk, float(f"{self.fixed_pattern_ratio['ratio']:.6g}")
         noise = {
             "distribution": "gaussian",
-            "netd_mk": None if per_unit is None else float(f"{dynamic.sd * per_unit:.6g}"),
+            "netd_mk": None if netd_mk is None else float(f"{netd_mk:.6g}"),
             "fixed_pattern_ratio": fixed_ratio,
-            "frames_integrated": self.frames_integrated,
-            **self._line_ratios(("row_noise_ratio", "tv"), ("column_noise_ratio", "th"), whole=1.0),
-            **self._line_ratios(("row_pattern_ratio", "v"), ("column_pattern_ratio", "h"), whole=fixed_ratio),
+            "frames_integrated": _frames_integrated(self.frames_per_second),
+            **self._line_ratios(self.dynamic, row_noise_ratio="tv", column_noise_ratio="th", most=1.0),
+            **self._line_ratios(self.dynamic, row_pattern_ratio="v", column_pattern_ratio="h", most=fixed_ratio),
         }
         hint = f"netd_mk is not known: give {argument.mk_per_count}"
-        return toml_text({"noise": noise}, comment=hint if per_unit is None else "")
+        return toml_text({"noise": noise}, comment=hint if netd_mk is None else "")
+
+    def _line_ratios(self, dynamic: NoisePart, *, most: float, **names: str) -> dict[str, float]:
+        """Return parts that rows and columns have in common over the dynamic noise, by keys of a SENSOR.toml.
+
+        Those whose interval begins at 0 are left out. Together they are `most` or less.
+        """
+        parts = {key: self.parts[part] for key, part in names.items() if self.parts[part].ci95[0] > 0.0}
+        ratios = {key: part.sd / dynamic.sd for key, part in parts.items()}
+        scale = min(1.0, most / math.hypot(*ratios.values())) if ratios else 1.0
+        return {key: float(f"{scale * ratio:.6g}") for key, ratio in ratios.items()}
+
+
+class Noise3D(NoiseNumbers, frozen=True, kw_only=True, eq=False):
+    """The same with images: mean and, of two frames or more, standard deviation of each pixel over the frames."""
+
+    mean_image: FloatArray
+    temporal_sd: FloatArray | None
+    frame_means: FloatArray
+    warnings: tuple[RecordingWarning, ...]
+
+
+def _frames_integrated(frames_per_second: float | None) -> int:
+    """Return the number of frames that the eye averages; 1 if the frame rate is not known."""
+    return max(1, round(INTEGRATION_TIME_S * (frames_per_second or 0.0)))
+
+
+def fixed_pattern_ratio(fixed: NoisePart, dynamic: NoisePart) -> dict[str, Any]:
+    """Return the ratio of two standard deviations, and its interval: the ends of both intervals in opposite
+    directions, added in squares on a logarithmic scale."""
+    ratio, (low, high) = fixed.sd / dynamic.sd, fixed.ci95
+    if ratio == 0.0:
+        return {"ratio": 0.0, "ratio_ci95": (0.0, high / dynamic.sd)}
+    down, up = (_log_ratio(dynamic.sd, end) for end in dynamic.ci95)
+    lower = ratio * math.exp(-math.hypot(_log_ratio(fixed.sd, low), up))
+    upper = ratio * math.exp(math.hypot(_log_ratio(fixed.sd, high), down))
+    return {"ratio": ratio, "ratio_ci95": (lower, upper)}
 
 
 def _log_ratio(value: float, end: float) -> float:
@@ -211,6 +229,8 @@ def measure_noise(
     *,
     region: Region | None = None,
     patches: Sequence[FramePatch] = (),
+    signals: Sequence[float] = (),
+    mk_per_count: float | None = None,
     progress: Progress | None = None,
 ) -> Noise3D:
     """Measure the three-dimensional noise of a recording of a scene that stands still, reading frames once.
@@ -221,69 +241,73 @@ def measure_noise(
     levels = {one.level for one in patches}
     if patches and (len(levels) < 2 or not all(map(math.isfinite, levels))):
         raise SettingsError(f"patches: found levels {sorted(levels)}, expected at least two different numbers")
-    regions = (region, *(patch.region for patch in patches))
-    gathered = [_Gathered(checked_region(recording, one)) for one in regions]
+    whole, *of_patches = (FrameSums(recording, one) for one in (region, *(patch.region for patch in patches)))
     times: list[float | None] = []
     for frame in counted(recording.frames(), recording.n_frames, progress):
         times.append(frame.time_s)
-        for one in gathered:
-            one.add(frame.values, recording)
-    whole, *of_patches = (one.measured(recording, times) for one in gathered)
-    shown = tuple(
-        PatchNoise(patch.level, one.mean, one.dynamic, one.fixed, one.snr(abs(one.mean - of_patches[0].mean)))
-        for patch, one in zip(patches, of_patches, strict=True)
+        for sums in (whole, *of_patches):
+            sums.add(frame.values)
+    frame_means, mean = whole.means(), float(whole.means().mean())
+    if mk_per_count is None:
+        mk_per_count = mk_per_count_of(recording, mean)
+    per_unit = 1000.0 if recording.unit == "celsius" else mk_per_count
+    parts = _parts(whole, per_unit)
+    shown: list[PatchNoise] = []
+    for patch, sums in zip(patches, of_patches, strict=True):
+        own, level = _parts(sums, per_unit), float(sums.means().mean())
+        snr = _snr(abs(level - (shown[0].mean if shown else level)), own)
+        shown.append(PatchNoise(patch.level, level, own.get("dynamic"), own.get("fixed_pattern"), snr))
+    ratios = [
+        Snr(signal=signal, frames=n, snr=_snr(signal, parts, n))
+        for signal in signals
+        for n in dict.fromkeys((1, _frames_integrated(recording.frames_per_second)))
+    ]
+    dynamic, fixed = parts.pop("dynamic", None), parts.pop("fixed_pattern", None)
+    drift = fit_drift(frame_means, times)
+    return Noise3D(
+        recording=in_utf8(str(recording.path)),
+        unit=recording.unit,
+        n_frames=whole.n,
+        frames_per_second=recording.frames_per_second,
+        region=whole.region,
+        mean=mean,
+        parts=parts,
+        dynamic=dynamic,
+        fixed_pattern=fixed,
+        fixed_pattern_ratio=fixed_pattern_ratio(fixed, dynamic) if fixed and dynamic and dynamic.sd > 0 else None,
+        drift=drift,
+        mk_per_unit=mk_per_count,
+        snr=tuple(ratios),
+        patches=tuple(shown),
+        signal_transfer=fit_transfer([one.level for one in shown], [one.mean for one in shown]) if shown else None,
+        mean_image=whole.mean_image(),
+        temporal_sd=whole.temporal_sd() if whole.n > 1 else None,
+        frame_means=frame_means,
+        warnings=(*recording.warnings, *_warnings(whole, parts.get("tvh"), drift)),
     )
-    transfer = fit_transfer([one.level for one in shown], [one.mean for one in shown]) if shown else None
-    warnings = (*recording.warnings, *_warnings(whole, gathered[0]))
-    return replace(whole, patches=shown, transfer=transfer, warnings=warnings)
 
 
-class _Gathered:
-    """Sums over the frames of one region, and counts of properties that make its noise doubtful."""
+def _parts(sums: FrameSums, mk_per_unit: float | None) -> dict[str, NoisePart]:
+    """Return the parts of the noise; of two frames or more also "dynamic" and "fixed_pattern"."""
+    squares, degrees = sums.mean_squares()
+    weights = combinations(sums.n, *sums.reference.shape)
+    if sums.n > 1:
+        groups = {"dynamic": DYNAMIC, "fixed_pattern": STATIC}
+        weights |= {name: added([weights[part] for part in group]) for name, group in groups.items()}
+    return {name: estimate(one, squares, degrees, mk_per_unit) for name, one in weights.items()}
 
-    def __init__(self, region: Region) -> None:
-        self.region = region
-        self.sums: FrameSums | None = None
-        self.n_saturated = self.n_doubled = 0
-        self.last: NDArray[Any] | None = None
 
-    def add(self, frame: NDArray[Any], recording: Recording) -> None:
-        left, top, width, height = self.region
-        values = frame[top : top + height, left : left + width]
-        grey = values.astype(np.float64) if values.ndim == 2 else values @ REC_709_LUMINANCE_WEIGHTS
-        self.sums = self.sums or FrameSums(grey)
-        self.sums.add(grey)
-        if recording.full_scale is not None:
-            at_end = (values <= recording.zero) | (values >= recording.full_scale)
-            self.n_saturated += int(np.count_nonzero(at_end))
-        self.n_doubled += self.last is not None and np.array_equal(values, self.last)
-        self.last = values
+def _snr(signal: float, parts: Mapping[str, NoisePart], n_averaged: int = 1) -> float:
+    """Return a signal divided by the noise of a pixel after a number of frames are averaged.
 
-    def measured(self, recording: Recording, times: list[float | None]) -> Noise3D:
-        sums = self.sums
-        assert sums is not None
-        squares, degrees = sums.mean_squares()
-        weights = combinations(sums.n, *sums.reference.shape)
-        dynamic = fixed = None
-        if sums.n > 1:
-            dynamic, fixed = (
-                estimate(added([weights[name] for name in names]), squares, degrees) for names in (DYNAMIC, STATIC)
-            )
-        means = sums.means()
-        return Noise3D(
-            n_frames=sums.n,
-            region=self.region,
-            mean=float(means.mean()),
-            parts={name: estimate(one, squares, degrees) for name, one in weights.items()},
-            dynamic=dynamic,
-            fixed=fixed,
-            drift=fit_drift(means, times),
-            frames_per_second=recording.frames_per_second,
-            mean_image=sums.mean_image(),
-            temporal_sd=sums.temporal_sd() if sums.n > 1 else None,
-            frame_means=means,
-            unit=recording.unit,
-        )
+    The dynamic part falls with the root of the number of frames, the fixed pattern does not.
+    """
+    variances = {name: max(part.variance, 0.0) for name, part in parts.items()}
+    if "dynamic" in parts:
+        total = variances["dynamic"] / n_averaged + variances["fixed_pattern"]
+    else:
+        total = sum(variances.values())
+    return signal / math.sqrt(total) if total > 0 else math.inf
 
 
 def combinations(n_frames: int, n_rows: int, n_columns: int) -> dict[str, Combination]:
@@ -314,7 +338,12 @@ def added(weights: Sequence[Combination]) -> Combination:
     return {name: sum(one.get(name, 0.0) for one in weights) for name in names}
 
 
-def estimate(weights: Combination, squares: Mapping[str, float], degrees: Mapping[str, int]) -> NoisePart:
+def estimate(
+    weights: Combination,
+    squares: Mapping[str, float],
+    degrees: Mapping[str, int],
+    mk_per_unit: float | None = None,
+) -> NoisePart:
     """Return the root of a weighted sum of mean squares, and its 95 % interval.
 
     Mean squares of Gaussian parts are independent, and times degrees of freedom over expectation they are χ². The
@@ -329,7 +358,7 @@ def estimate(weights: Combination, squares: Mapping[str, float], degrees: Mappin
     below, above = (np.linalg.norm(terms * np.where(terms > 0, *ways)) for ways in ((down, up), (up, down)))
     variance = float(terms.sum())
     sd, low, high = (math.sqrt(max(one, 0.0)) for one in (variance, variance - below, variance + above))
-    return NoisePart(sd, (low, high), variance)
+    return NoisePart(sd, (low, high), variance, None if mk_per_unit is None else sd * mk_per_unit)
 
 
 def fit_drift(frame_means: FloatArray, times_s: list[float | None]) -> Drift | None:
@@ -363,23 +392,41 @@ def straight_line(x: FloatArray, y: FloatArray) -> tuple[float, float, FloatArra
 
 
 class FrameSums:
-    """Sums over frames that the mean squares need.
+    """Sums over frames that the mean squares of a region need, and counts of what makes its noise doubtful.
 
     Differences from the first frame are summed: the parts with t are the same in them, and their squares do not
-    lose digits to a mean that is a thousand times the noise.
+    lose digits to a mean that is a thousand times the noise. `full_scale` is by default that of the recording.
+    SettingsError if the region is too small, or not within the frame.
     """
 
-    def __init__(self, first: FloatArray) -> None:
-        self.reference = first
-        self.n = 0
+    def __init__(self, recording: Recording, region: Region | None, full_scale: float | None = None) -> None:
+        rows, columns = recording.shape
+        left, top, width, height = self.region = region or (0, 0, columns, rows)
+        if left < 0 or top < 0 or width < 2 or height < 2 or left + width > columns or top + height > rows:
+            raise SettingsError(
+                f"region: found {left},{top},{width},{height} (x, y, width, height), expected at least 2 x 2 "
+                f"pixels within the frame of {columns} x {rows}"
+            )
+        self.zero, self.full_scale = recording.zero, full_scale or recording.full_scale
+        self.n = self.n_black = self.n_white = self.n_doubled = 0
+        self.reference, self._sum, self._squares = (np.zeros((height, width)) for _ in range(3))
         self.frame_means: list[float] = []
-        self._sum = np.zeros_like(first)
-        self._squares = np.zeros_like(first)
         self._of_rows = self._of_columns = 0.0
+        self.last: NDArray[Any] = np.zeros(0)
 
-    def add(self, frame: FloatArray) -> None:
-        """Add a frame."""
-        difference = frame - self.reference
+    def add(self, frame: NDArray[Any]) -> FloatArray:
+        """Add a frame, and return its region as grey values."""
+        left, top, width, height = self.region
+        values = frame[top : top + height, left : left + width]
+        if self.full_scale is not None:
+            self.n_black += int(np.count_nonzero(values <= self.zero))
+            self.n_white += int(np.count_nonzero(values >= self.full_scale))
+        self.n_doubled += np.array_equal(values, self.last)
+        self.last = values
+        grey = np.asarray(values.astype(np.float64) if values.ndim == 2 else values @ REC_709_LUMINANCE_WEIGHTS)
+        if not self.n:
+            self.reference = grey
+        difference = grey - self.reference
         rows, columns = difference.mean(1), difference.mean(0)
         self.frame_means.append(float(rows.mean()))
         self._of_rows += float(rows @ rows)
@@ -388,6 +435,7 @@ class FrameSums:
         difference *= difference
         self._squares += difference
         self.n += 1
+        return grey
 
     def level(self) -> None:
         """Take a plane, fitted by least squares, from the mean image; its mean and the noise over time stay."""
@@ -438,33 +486,18 @@ class FrameSums:
         return {name: max(one, 0.0) / degrees[name] for name, one in sums.items()}, degrees
 
 
-def checked_region(recording: Recording, region: Region | None) -> Region:
-    """Return the region, or the whole frame; SettingsError if it is too small, or not within the frame."""
-    rows, columns = recording.shape
-    left, top, width, height = region or (0, 0, columns, rows)
-    if left < 0 or top < 0 or width < 2 or height < 2 or left + width > columns or top + height > rows:
-        raise SettingsError(
-            f"region: found {left},{top},{width},{height} (x, y, width, height), expected at least 2 x 2 pixels "
-            f"within the frame of {columns} x {rows}"
-        )
-    return left, top, width, height
-
-
-def _warnings(noise: Noise3D, gathered: _Gathered) -> Iterator[RecordingWarning]:
-    last = gathered.last
-    assert last is not None
-    saturated = gathered.n_saturated / (noise.n_frames * last.size)
-    of_pixels = noise.parts.get("tvh")
-    if noise.n_frames == 1:
+def _warnings(sums: FrameSums, of_pixels: NoisePart | None, drift: Drift | None) -> Iterator[RecordingWarning]:
+    saturated = (sums.n_black + sums.n_white) / (sums.n * sums.last.size)
+    if sums.n == 1:
         yield RecordingWarning(
             "one_frame",
             "one frame: its temporal noise cannot be separated from its fixed pattern, and a scene that is not "
             "uniform counts as noise; record at least 2 frames, better 100",
         )
-    if gathered.n_doubled:
+    if sums.n_doubled:
         yield RecordingWarning(
             "doubled_frames",
-            f"{gathered.n_doubled} of {noise.n_frames} frames repeat the frame before: temporal noise comes out "
+            f"{sums.n_doubled} of {sums.n} frames repeat the frame before: temporal noise comes out "
             "too low; record at the camera's own frame rate",
         )
     if saturated > MOST_SATURATED:
@@ -473,16 +506,13 @@ def _warnings(noise: Noise3D, gathered: _Gathered) -> Iterator[RecordingWarning]
             f"{100 * saturated:.2g} % of the values are at an end of the scale: their noise is cut; change "
             "exposure or gain, or choose a region",
         )
-    if last.dtype.kind == "u" and of_pixels is not None and of_pixels.sd < 0.5:
+    if sums.last.dtype.kind == "u" and of_pixels is not None and of_pixels.sd < 0.5:
         yield RecordingWarning(
             "quantised",
             f"the noise of pixels ({of_pixels.sd:.2g}) is below half a step of the recording: rounding decides "
             "its size; record with more bits or gain",
         )
-    drift = noise.drift
-    if drift is None or of_pixels is None:
-        return
-    if abs(drift.change) > max(DRIFT_ERRORS * drift.change_error, of_pixels.sd / 2):
+    if drift and of_pixels and abs(drift.change) > max(DRIFT_ERRORS * drift.change_error, of_pixels.sd / 2):
         yield RecordingWarning(
             "drift",
             f"the mean drifts by {drift.change:.3g} over the recording, against {of_pixels.sd:.3g} of noise of "
