@@ -48,11 +48,12 @@ def test_the_tools_of_packaging_find_nothing(built):
     run("repo_review", ROOT)
 
 
-def test_pyroma_misses_addresses_alone():
-    """It misses a contact and a home page: neither has a public address yet."""
+def test_pyroma_misses_an_address_alone():
+    """Without that of an author, which is not public, 8 is the highest grade before an index has the package."""
     pytest.importorskip("pyroma", reason="pyroma is in the group dev")
-    text = run("pyroma", "-d", "-n", "8", ROOT)
-    assert re.findall(r"Your package .* (author-email|\'url\')", text) == ["author-email", "'url'"]
+    assert re.findall(r"(?m)^You.*", run("pyroma", "-d", "-n", "8", ROOT)) == [
+        "Your package does not have author-email data."
+    ]
 
 
 def test_the_text_for_an_index_has_no_dead_link(built):

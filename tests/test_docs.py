@@ -326,13 +326,14 @@ def test_documented_files_exist() -> None:
             assert (ROOT / name).exists(), name
 
 
-def test_versions_and_licences_are_one() -> None:
+def test_version_licences_and_paper_are_one() -> None:
     """Those of the package, of its metadata and of the citation; a file of its pages has a licence of its own."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert re.search(r"^version: (.*)$", citation, re.MULTILINE)[1] == project["version"] == __version__
     listed = re.search(r"^license:.*\n((?:  - .*\n)+)", citation, re.MULTILINE)[1]
     assert re.findall(r"- (.*)", listed) == project["license"].split(" AND ") == ["BSD-3-Clause", "MIT"]
+    assert f"https://doi.org/{re.search(r'doi: (.*)', citation)[1]}" == project["urls"]["Paper"]
 
 
 @pytest.mark.slow
