@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from todframes.results.data import Content, Positive, Record
 from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import INK, add_legend, curve_style, label_text, within
+from todframes.results.figure_style import INK, curve_style, label_text, within
 from todframes.results.table import Column, Table
 from todframes.results.tables import records_table
 from todframes.results.wording import count, level_heading, listed, plain
@@ -246,18 +246,13 @@ def draw_errors(axes: Axes, scene: SceneResult) -> None:
         axes.set_ylim(bottom=bottom)
     for ratio in scene.speed_ratios:
         if ratio.ratio is not None:
-            text = f"{'≥ ' * ratio.at_least}{plain(ratio.ratio, 2)} times less CPU"
-            text += ", extrapolated" * ratio.extrapolated
+            text = f"{'≥ ' * ratio.at_least}{rounded(ratio.ratio)} times\nless CPU"
+            text += ",\nextrapolated" * ratio.extrapolated
             axes.axhline(ratio.threshold_error, color=INK, alpha=0.6, ls="--", lw=0.8, zorder=0)
-            axes.annotate(
-                text,
-                (0.02, ratio.threshold_error),
-                (0, 2),
-                xycoords=("axes fraction", "data"),
-                textcoords="offset points",
-                fontsize="small",
-            )
-    add_legend(axes)
+            side = axes.get_yaxis_transform()
+            axes.text(1.02, ratio.threshold_error, text, transform=side, va="center", fontsize="small")
+    # Beside and below the axes no curve crosses a label.
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
 
 
 def scene_runs(scene: SceneResult) -> dict[str, list[tuple[float, float]]]:
