@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from people import a_monitor, model_person, sit
+from scipy.stats import chi2, norm
 
 import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
@@ -350,6 +351,39 @@ def two_people(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         answer = model_person(dataset, monitor, noise=0.35, rng=np.random.default_rng(number))
         sit(dataset, folder, answer, monitor, subject=subject, n_trials=120, practice=4, seed=number)
     return folder, frames
+
+
+def test_predictions_of_two_persons(small: Path, tmp_path: Path) -> None:
+    """Lapses and the criterion by the definition of the best of four, and p of equal noise by Wilks."""
+    dataset = load_dataset(small)
+    monitor = a_monitor(dataset.display.pitch_mrad)
+    for number, noise in enumerate((0.25, 1.0)):
+        answer = model_person(dataset, monitor, noise=noise, rng=np.random.default_rng(number), lapses=0.1)
+        sit(dataset, tmp_path / "answers", answer, monitor, subject=f"a{number}")
+    result = tod.calibrate(small, tmp_path / "answers", fit=tod.FitSettings(resamples=0, lapse_rate=0.09))
+    x = np.linspace(-8.0, 18.0, 4001)
+    for person in result.persons:
+        assert person.aic == pytest.approx(2.0 - 2.0 * person.log_likelihood)
+        assert [one.group for one in person.predicted] == [
+            {"subject": person.subject, "size_mrad": size} for size in (1.0, 2.0)
+        ]
+        for one in person.predicted:
+            curve = one.observer_curve
+            d = (
+                (one.threshold / curve.alpha) ** (-2 * curve.beta) + (curve.max_d_prime or math.inf) ** -2
+            ) ** -0.5
+            p = np.trapezoid(norm.pdf(x - d) * norm.cdf(x) ** 3, x)  # Green and Swets 1966, table of d′ of 4AFC
+            assert (1.0 - 0.12) * p + 0.12 * 0.25 == pytest.approx(one.p_correct, abs=1e-6) == 0.75
+            # d′ depends on contrast / noise, so thresholds are proportional to noise; fitted curves are 1 % off.
+            for end, noise in zip(one.threshold_ci95, person.internal_noise_ci95, strict=True):
+                assert end is None or end / one.threshold == pytest.approx(noise / person.internal_noise, rel=0.03)
+        assert person.predicted[0].threshold_ci95[0] is not None
+    likelihoods = [one.log_likelihood for one in result.persons]
+    assert result.equal_noise_p_value == pytest.approx(
+        chi2.sf(2.0 * (sum(likelihoods) - result.pooled.log_likelihood), 1), rel=1e-9
+    )
+    n_correct = [one.n_correct for one in (*result.persons, result.pooled)]
+    assert sum(n_correct[:2]) == n_correct[2] and result.pooled.n_trials == 2 * len(dataset.trials)
 
 
 @pytest.mark.slow

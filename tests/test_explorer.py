@@ -472,6 +472,44 @@ def asked(sequence: int = 1, client: str = "page", **changed: Any) -> CurveAsked
     return CurveAsked(**settings | changed)
 
 
+class Ladder(FakeCurves):
+    """Thresholds of some sizes with their relative errors, and a status of the others."""
+
+    def __init__(self, errors: dict[float, float], status: str) -> None:
+        self.errors, self.status, self.asked = errors, status, list[tuple[float, ...]]()
+
+    def curves(self, *sensor_observer_sizes: Any, n_points: int = 0, **_: Any) -> Iterator[LiveCurve]:
+        sizes = sensor_observer_sizes[2]
+        self.asked.append(tuple(sizes))
+        found = [
+            PredictedThreshold("ok", 2.0, 2.0 * self.errors[size], size)
+            if size in self.errors
+            else PredictedThreshold(self.status, size_detectors=size)
+            for size in sizes
+        ]
+        points = [CurvePoint(n, one, Shares(0.2, 0.5, 0.3), math.nan, True) for n, one in enumerate(found)]
+        yield LiveCurve(tuple(points), 0.03, float(n_points), True)
+
+
+@pytest.mark.parametrize(
+    ("errors", "status", "alone", "with_target"),
+    [
+        # An estimate that is off by more than a tenth hardly has a threshold.
+        ({5.0: 0.11, 6.0: 0.1, 8.0: 0.01}, "never_reached", [6, 8, 10, 12, 16], [5, 5.5, 6, 8, 10]),
+        ({}, "always_exceeded", [1, 1.5, 2, 2.5, 3], [1, 1.5, 2, 2.5, 3]),
+        ({}, "never_reached", [1, 1.5, 2, 2.5, 3], [1, 1.5, 2, 2.5, 3]),
+    ],
+)
+def test_chosen_sizes_begin_with_the_first_that_is_surely_seen(errors, status, alone, with_target):
+    aim = Aim(find_target("nato"), find_atmosphere("lwir_23km"))
+    for explorer, sizes, n_points in ((Explorer(SENSOR), alone, 0), (Explorer(SENSOR, aim=aim), with_target, 7)):
+        explorer._live = Ladder(errors, status)
+        (line,) = explorer.curve(asked(sizes_detectors=None), lambda: True)
+        assert [one["size_detectors"] for one in line["thresholds"]] == sizes
+        assert line["seconds"] == n_points
+        assert all(len(one) <= routes.TRIED_AT_ONCE for one in explorer._live.asked[:-1])
+
+
 def test_a_newer_request_of_the_same_page_ends_the_one_before():
     explorer, connected = faked(), True
 

@@ -344,7 +344,6 @@ def test_threads_take_turns(live):
     assert found == pytest.approx([computed(engine(), sensor)[-1].threshold for sensor in sensors], rel=1e-4)
 
 
-@pytest.mark.slow
 def test_refusals_come_through_and_a_dead_process_is_replaced(live):
     with pytest.raises(SettingsError, match="size_detectors: found -1"):
         list(live.curves(SENSOR, OBSERVER, (-1.0, 4.0), is_wanted=wanted))
