@@ -593,6 +593,7 @@ def test_the_orientation_is_hidden_until_asked(explore) -> None:
     asked: dict[str, Any] = {}
     page.on("request", lambda one: asked.update({one.url.rpartition("/")[2]: one.post_data_json}))
     stages = "[...document.querySelectorAll('#stages canvas')].map((one) => one.dataset.stage)"
+    page.reload()  # the first trial may have been asked for before its request was listened to
     page.wait_for_selector("#stages canvas")
     assert page.evaluate(stages) == STAGES[-1:]
     assert "orientation" not in asked
