@@ -386,21 +386,28 @@ def drop(page: Page, name: str, text: str) -> None:
     assert page.locator("#drop").is_hidden()
 
 
-def test_a_dropped_file_is_opened_and_saved_again_and_a_damaged_one_leaves_the_state(
+def test_a_dropped_file_is_opened_and_saved_again_and_a_damaged_or_late_one_leaves_the_state(
     explore, tmp_path: Path
 ) -> None:
     page = explore("#no-state", expected_console=REFUSED)
     assert "The link is damaged" in page.locator("#message").inner_text()
-    for text, complaint in (
-        ("schema = 1\n[optics]\naperture = 3.0\n", "aperture_mm"),
-        ("no TOML", "other.toml"),
+    text = (SAMPLES / "staring_camera.toml").read_text(encoding="utf-8").replace("220.0", "90.125")
+    late: list[Route] = []
+    page.route("**/api/parse", lambda route: late.append(route), times=1)
+    drop(page, "late.toml", text)
+    wait_for(page, lambda: bool(late))
+    for damaged, complaint in (
         ("x" * 600_000, "drop a smaller file"),
+        ("no TOML", "not valid TOML"),
+        ("schema = 1\n[optics]\naperture = 3.0\n", "aperture_mm"),
     ):
-        drop(page, "other.toml", text)
+        drop(page, "other.toml", damaged)
         wait_until(page, "(text) => document.querySelector('#message').textContent.includes(text)", complaint)
         assert "\n" not in page.locator("#message").inner_text()
+        if late:
+            with page.expect_response("**/api/parse"):
+                late.pop().continue_()
     assert value_of(page, "optics.aperture_mm") == "220" and page.locator("#undo").is_disabled()
-    text = (SAMPLES / "staring_camera.toml").read_text(encoding="utf-8").replace("220.0", "90.125")
     painted(page, lambda: drop(page, "other.toml", text))
     assert value_of(page, "optics.aperture_mm") == "90.125"
     (tmp_path / "saved.toml").write_bytes(downloaded(page, "#save")[1])

@@ -41,6 +41,8 @@ class Explorer {
   /** The second plot, if the command has named a target. */
   #range = null;
   #mtfSensor = null;
+  /** The file that was chosen or dropped last. */
+  #file = null;
   /** The axes of what is drawn. */
   #shown = null;
   #timers = {};
@@ -421,17 +423,19 @@ class Explorer {
     });
   }
 
+  /** Open a file. Of two files the later one counts, whichever answer comes first. */
   async #read(file) {
     if (!file) return;
+    this.#file = file;
     if (file.size > MOST_FILE_BYTES) {
       this.#tell(`${file.name} has ${plain(file.size / 1e6)} MB and is no SENSOR.toml; drop a smaller file.`);
       return;
     }
     try {
       const { sensor } = await post("/api/parse", { text: await file.text(), name: file.name });
-      this.#open(withSensor(this.#now.state, sensor), `${file.name} opened.`);
+      if (file === this.#file) this.#open(withSensor(this.#now.state, sensor), `${file.name} opened.`);
     } catch (error) {
-      this.#fail(error);
+      if (file === this.#file) this.#fail(error);
     }
   }
 
