@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,9 +27,8 @@ from numpy.typing import NDArray
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import DataError, SettingsError
 from todframes.camera.mtf_table import Estimate, falls_to
+from todframes.parameters import Box
 from todframes.psychometrics.bootstrap import NORMAL_95
-
-Box = tuple[int, int, int, int]
 
 FREQUENCY_CYC_PER_PIXEL: FloatArray = np.arange(65) / 64.0
 """Frequencies of an MTF: up to twice the Nyquist frequency, with the steps that files of MTF Mapper have."""
@@ -118,14 +117,6 @@ class EdgeMtf(MtfBand):
         """Angle of the edge against rows or columns of pixels, whichever is nearer: 0 to 45."""
         return abs((self.normal_deg + 45.0) % 90.0 - 45.0)
 
-    def without_steps(self, step_px: float) -> EdgeMtf:
-        """Return the edge with what steps of this width, along the normal, take from its MTF divided out.
-
-        A regular stair, averaged along the edge, is a straight edge whose light is spread evenly over one step.
-        """
-        of_steps = np.sinc(step_px * FREQUENCY_CYC_PER_PIXEL)
-        return replace(self, mtf=self.mtf / of_steps, lower=self.lower / of_steps, upper=self.upper / of_steps)
-
     @property
     def relative_noise(self) -> float:
         """Noise of a pixel in units of the contrast."""
@@ -142,10 +133,14 @@ def mean_band(bands: Sequence[MtfBand]) -> MtfBand:
     return MtfBand(mtf=mean, lower=np.maximum(mean - down, 0.0), upper=mean + up)
 
 
-def measure_edge(image: FloatArray, box: Box, *, saturated: NDArray[np.bool_] | None = None) -> EdgeMtf:
+def measure_edge(
+    image: FloatArray, box: Box, *, step_px: float = 0.0, saturated: NDArray[np.bool_] | None = None
+) -> EdgeMtf:
     """Measure the MTF across the one edge in a box: left column, top row, width and height.
 
     The values of the image are proportional to light; `saturated` says whether a pixel was at an end of its scale.
+    If the edge is a stair of a monitor's pixels, with steps of this width along the normal, their MTF is divided
+    out: averaged along the edge, a regular stair is a straight edge whose light is spread evenly over one step.
     SettingsError if the box is not in the image or smaller than `LEAST_SIDE_PX`; DataError if there is no edge, it
     is saturated, too upright for a finely sampled profile or not smooth, or noise leaves MTF50 uncertain by more
     than a quarter.
@@ -166,7 +161,7 @@ def measure_edge(image: FloatArray, box: Box, *, saturated: NDArray[np.bool_] | 
                 f"{where}{100 * share:.0f} % of the pixels are at an end of the scale: the edge is saturated and "
                 "its MTF is lost; change exposure or gain"
             )
-    edge = _fitted(values, _fitted_curve(values, where), box, where)
+    edge = _fitted(values, _fitted_curve(values, where), box, step_px, where)
     mtf50 = edge.mtf50_cyc_per_pixel
     if mtf50 is not None:
         low, high = mtf50.ci95 or (None, None)
@@ -326,7 +321,7 @@ def _rise(esf: _Esf, levels: FloatArray) -> FloatArray:
     return np.asarray(np.clip((esf.means - dark) / contrast, 0.0, 1.0))
 
 
-def _fitted(values: FloatArray, curve: _Curve, box: Box, where: str) -> EdgeMtf:
+def _fitted(values: FloatArray, curve: _Curve, box: Box, step_px: float, where: str) -> EdgeMtf:
     """Fit curve and profile in turn, then transform the profile."""
     y, x = (one.ravel() for one in np.indices(values.shape, np.float64))
     distance, s = curve.distance(x, y)
@@ -381,7 +376,7 @@ def _fitted(values: FloatArray, curve: _Curve, box: Box, where: str) -> EdgeMtf:
         if n_left == 2 and _is_shaded(esf, tail_px, widest_px):
             terms = DARK, CONTRAST, DARK_SIDE, BRIGHT_SIDE
     _check_smooth(esf, rise, contrast, widest_px, where)
-    return _edge_mtf(esf, levels, tail_px, uniform_px, curve, box)
+    return _edge_mtf(esf, levels, tail_px, uniform_px, curve, box, step_px)
 
 
 def _check_gaps(esf: _Esf, uniform_px: float, curve: _Curve, where: str) -> None:
@@ -494,7 +489,7 @@ def _transform(
 
 
 def _edge_mtf(
-    esf: _Esf, levels: FloatArray, tail_px: float, uniform_px: float, curve: _Curve, box: Box
+    esf: _Esf, levels: FloatArray, tail_px: float, uniform_px: float, curve: _Curve, box: Box, step_px: float
 ) -> EdgeMtf:
     """Return MTF, band and overshoot of a fitted edge, whose profile ends in tails at a distance."""
     from scipy.interpolate import make_interp_spline
@@ -508,6 +503,7 @@ def _edge_mtf(
     between = np.eye(len(inner))[inner] - d * ((1.0 - rise) * levels[DARK_SIDE] + rise * levels[BRIGHT_SIDE])
     values = np.vstack([levels[DARK] + tail, between, levels[DARK] + levels[CONTRAST] - tail])
     transform = _transform(distance_px, values, levels[TAIL], uniform_px, esf.blur_px) / contrast
+    transform /= np.sinc(step_px * FREQUENCY_CYC_PER_PIXEL)[:, np.newaxis]
     ratio = transform @ means
     # Derivatives of the ratio, turned so that the real part is along it.
     derivative = transform - np.outer(ratio, levels[CONTRAST] / contrast)

@@ -28,14 +28,13 @@ from todframes.camera.noise3d import (
     MOST_SATURATED,
     STATIC,
     FrameSums,
-    Region,
     added,
     combinations,
     estimate,
     fit_drift,
     straight_line,
 )
-from todframes.parameters import Progress, counted
+from todframes.parameters import Box, Progress, counted
 from todframes.recordings.recording import Recording, RecordingWarning
 
 LEAST_DARK_VARIANCE = 0.24
@@ -305,7 +304,7 @@ def measure_emva(
     dark: Sequence[Stack],
     *,
     bits: int | None = None,
-    region: Region | None = None,
+    region: Box | None = None,
     source: str = "",
     background: Stack | None = None,
     progress: Progress | None = None,
@@ -359,7 +358,7 @@ def measure_emva(
 
 
 def _measured(
-    stack: Stack, region: Region | None, full_scale: float | None, darkest: float | None, progress: Progress | None
+    stack: Stack, region: Box | None, full_scale: float | None, darkest: float | None, progress: Progress | None
 ) -> StackNoise:
     """Return means and variances of a stack. `darkest` is the mean of dark frames, None for a dark stack."""
     recording = stack.recording

@@ -13,14 +13,14 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.camera.noise3d import FramePatch, Region
+from todframes.camera.noise3d import FramePatch
 from todframes.camera.slanted_edges import PlacedEdge, box_about, points_between
 from todframes.charts.layout import Chart, Edge, Page, Patch, page_of, read_chart
 from todframes.importing.clips import ClipFrame, clean_clips
 from todframes.importing.geometry import Geometry
 from todframes.importing.lens_fit import MeasuredEdges, choose_lens
 from todframes.importing.marker_finder import MarkerFinder, SeenEdges
-from todframes.parameters import Progress, counted
+from todframes.parameters import Box, Progress, counted
 from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning
 
 ENOUGH_FRAMES = 10
@@ -205,7 +205,7 @@ class _SeenFilm:
         return CameraView(shown, _patches(page.patches, geometry), placed, self.chart.screen is not None)
 
 
-def _cut(recording: Recording, regions: Sequence[Region]) -> list[Recording]:
+def _cut(recording: Recording, regions: Sequence[Box]) -> list[Recording]:
     """Return the parts of a recording's frames as recordings in memory."""
     parts: list[list[RecordedFrame]] = [[] for _ in regions]
     for frame in recording.frames():
@@ -275,7 +275,7 @@ def _patches(patches: Sequence[Patch], geometry: Geometry) -> list[FramePatch]:
     return [FramePatch(_inner(one, geometry), level or 0.0) for one, level in zip(patches, levels, strict=True)]
 
 
-def _inner(patch: Patch, geometry: Geometry) -> Region:
+def _inner(patch: Patch, geometry: Geometry) -> Box:
     """Return the pixels of an upright rectangle whose corners lie in the inner part of a patch."""
     middle = np.array([patch.x_mm, patch.y_mm])
     half_mm = np.array([patch.width_mm, patch.height_mm]) / 2

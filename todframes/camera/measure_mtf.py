@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Struct, structs
 from numpy.typing import NDArray
 
-from todframes.base._typing import FloatArray, Json
+from todframes.base._typing import Json
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.safe_text import in_utf8
 from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, EdgeMtf
@@ -419,7 +419,7 @@ def mtf(
             mean = np.mean(list(table.curves.values()), 0)
             table = replace(table, curves={**table.curves, RADIAL: mean})
         return _result(table, name, warnings=_of_table(table), started=started)
-    shown, edges = one_recording(recording, "mtf", max_frame_mb=max_frame_mb), list[PlacedEdge]()
+    shown, edges = one_recording(recording, "mtf", max_frame_mb=max_frame_mb), [PlacedEdge(box) for box in boxes]
     light = None if display is None else find_display(display).display
     if chart is not None:
         from todframes.camera.filmed_page import view_of_camera_page
@@ -428,7 +428,7 @@ def mtf(
             raise SettingsError(f"{argument.boxes}: is given with {argument.chart}, expected one of them")
         view = view_of_camera_page(shown, Path(chart), needs_edges=True, progress=progress)
         shown, edges = view.recording, view.edges
-    measured = measure_mtf(shown, boxes=boxes, edges=edges, display=light, progress=progress)
+    measured = measure_mtf(shown, edges=edges, needs_all=bool(boxes), display=light, progress=progress)
     mean = measured.means[LUMA]
     curves = {RADIAL: mean.mtf} | {name: one.mtf for name, one in measured.means.items() if name != LUMA}
     if len(measured.edges) > 1:
@@ -460,17 +460,19 @@ def _result(
 ) -> Result[Mtf]:
     """Return the result of curves over frequency, with what follows from them."""
     frequency, mtf = table.frequency, table.curves[RADIAL]
-    band = None if table.lower is None or table.upper is None else (table.lower, table.upper)
-    of_pixels = table.unit == "cyc_per_pixel"
-    has_nyquist = of_pixels and frequency[-1] >= NYQUIST_CYC_PER_PIXEL
-    resolution, *ends = (
-        Resolution.of(frequency, curve, NYQUIST_CYC_PER_PIXEL if of_pixels else None)
-        for curve in (mtf, *(band or ()))
-    )
-
-    def at_nyquist(curve: FloatArray) -> float | None:
-        return float(np.interp(NYQUIST_CYC_PER_PIXEL, frequency, curve)) if has_nyquist else None
-
+    nyquist = NYQUIST_CYC_PER_PIXEL if table.unit == "cyc_per_pixel" else None
+    curves = [mtf] if table.lower is None or table.upper is None else [mtf, table.lower, table.upper]
+    resolutions = [Resolution.of(frequency, curve, nyquist) for curve in curves]
+    # Each has its value, and with a band those of the lower and the upper end.
+    estimates: dict[str, Sequence[float | None]] = {
+        "mtf50": [falls_to(0.5, frequency, curve) for curve in curves],
+        "mtf10": [one.mtf10 for one in resolutions],
+        "resolution_limit_cyc_per_pixel": [one.limit for one in resolutions],
+        "mtf_at_nyquist": [float(np.interp(nyquist, frequency, curve)) for curve in curves]
+        if nyquist is not None and frequency[-1] >= nyquist
+        else [None],
+    }
+    limit = resolutions[0].limit
     numbers = {
         "source": source,
         "unit": table.unit,
@@ -479,24 +481,16 @@ def _result(
         "mtf_lower": table.lower,
         "mtf_upper": table.upper,
         "others": {name.removeprefix("mtf_"): one for name, one in table.curves.items() if name != RADIAL},
-        "mtf50": falls_to(0.5, frequency, mtf),
-        "mtf50_ci95": None if band is None else [falls_to(0.5, frequency, end) for end in band],
-        "mtf10": resolution.mtf10,
-        "mtf10_ci95": [end.mtf10 for end in ends] or None,
-        "resolution_limit_cyc_per_pixel": resolution.limit,
-        "resolution_limit_cyc_per_pixel_ci95": [end.limit for end in ends] or None,
-        "effective_width_px": None
-        if measured is None or resolution.limit is None
-        else 2.0 * resolution.limit * measured.image.shape[1],
-        "aliased_from_cyc_per_pixel": resolution.aliased_from,
-        "nyquist_cyc_per_pixel": NYQUIST_CYC_PER_PIXEL if of_pixels else None,
-        "mtf_at_nyquist": at_nyquist(mtf),
-        "mtf_at_nyquist_ci95": [at_nyquist(end) for end in band] if band is not None and has_nyquist else None,
+        **{name: value for name, (value, *_) in estimates.items()},
+        **{f"{name}_ci95": ends or None for name, (_, *ends) in estimates.items()},
+        "effective_width_px": None if measured is None or not limit else 2.0 * limit * measured.image.shape[1],
+        "aliased_from_cyc_per_pixel": resolutions[0].aliased_from,
+        "nyquist_cyc_per_pixel": nyquist,
         "n_frames": None if measured is None else measured.n_frames,
         "is_light": is_light,
         "edges": edges,
     }
-    of_codes = [ResultWarning(code=one.code, message=one.message) for one in warnings]
+    of_codes = [ResultWarning(**one._asdict()) for one in warnings]
     made = Result.made("mtf", started, warnings=of_codes, mtf=as_read(numbers, MtfNumbers))
     return made if measured is None else made.holding(measured=measured)
 

@@ -23,7 +23,7 @@ from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import toml_text
 from todframes.base.safe_text import in_utf8
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
-from todframes.parameters import Progress, counted
+from todframes.parameters import Box, Progress, counted
 from todframes.recordings.radiometric import mk_per_count_of
 from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning
 
@@ -47,8 +47,6 @@ MOST_SATURATED = 1e-3
 DRIFT_ERRORS = 5.0
 """Standard errors of a drift from which it counts."""
 
-Region = tuple[int, int, int, int]
-
 Combination = Mapping[str, float]
 """Weights of mean squares, by the name of the part."""
 
@@ -68,7 +66,7 @@ class NoisePart(Struct, frozen=True, omit_defaults=True):
 class FramePatch(NamedTuple):
     """A uniform part of the frame of known luminance, reflectance or temperature."""
 
-    region: Region
+    region: Box
     level: float
 
 
@@ -148,7 +146,7 @@ class NoiseNumbers(Struct, frozen=True, kw_only=True):
     unit: str
     n_frames: int
     frames_per_second: float | None
-    region: Region
+    region: Box
     mean: float
     parts: dict[str, NoisePart]
     dynamic: NoisePart | None
@@ -227,7 +225,7 @@ def _log_ratio(value: float, end: float) -> float:
 def measure_noise(
     recording: Recording,
     *,
-    region: Region | None = None,
+    region: Box | None = None,
     patches: Sequence[FramePatch] = (),
     signals: Sequence[float] = (),
     mk_per_count: float | None = None,
@@ -399,7 +397,7 @@ class FrameSums:
     SettingsError if the region is too small, or not within the frame.
     """
 
-    def __init__(self, recording: Recording, region: Region | None, full_scale: float | None = None) -> None:
+    def __init__(self, recording: Recording, region: Box | None, full_scale: float | None = None) -> None:
         rows, columns = recording.shape
         left, top, width, height = self.region = region or (0, 0, columns, rows)
         if left < 0 or top < 0 or width < 2 or height < 2 or left + width > columns or top + height > rows:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.camera.edge_mtf import LEAST_SIDE_PX, Box, EdgeMtf, MtfBand, mean_band, measure_edge
+from todframes.camera.edge_mtf import LEAST_SIDE_PX, EdgeMtf, MtfBand, mean_band, measure_edge
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS, Display
-from todframes.parameters import Progress, counted
+from todframes.parameters import Box, Progress, counted
 from todframes.recordings.recording import Recording, RecordingWarning
 
 LUMA, COLOURS = "luma", ("red", "green", "blue")
@@ -47,47 +47,44 @@ class PlacedEdge(NamedTuple):
     pixels, in pixels of the frame along the normal; 0 for a straight one."""
 
     box: Box
-    step_px: float
+    step_px: float = 0.0
 
 
 def measure_mtf(
     recording: Recording,
     *,
-    boxes: Sequence[Box] = (),
     edges: Sequence[PlacedEdge] = (),
+    needs_all: bool = False,
     display: Display | None = None,
     progress: Progress | None = None,
 ) -> RecordingMtf:
     """Measure the MTF across slanted edges in the mean of a recording's frames, or of a display's luminance.
 
-    Edges are those about which boxes are, or those of a chart, or found; the latter two are left out if they
-    cannot be measured. SettingsError if a box is not within the frame or too small, or values without a white are
-    to be displayed; DataError if there is no edge, or one in a box cannot be measured.
+    Edges without a known place are found. Those that cannot be measured are left out, unless all are needed.
+    SettingsError if a box is not within the frame or too small, or values without a white are to be displayed;
+    DataError if there is no edge, or one that is needed cannot be measured.
     """
     frames = _mean(recording, display, progress)
     whole = frames.colours[LUMA]
     warnings = list(recording.warnings)
-    measured = []
+    measured: list[dict[str, EdgeMtf]] = []
     try:
-        places = edges or [PlacedEdge(box, 0.0) for box in boxes or find_edges(whole)]
+        edges = edges or [PlacedEdge(box) for box in find_edges(whole)]
     except DataError as error:
         raise DataError(f"{recording.path}: {error}") from None
     problems = []
-    for box, step_px in places:
-        try:
-            edge = {LUMA: measure_edge(whole, box, saturated=frames.saturated).without_steps(step_px)}
-        except (DataError, SettingsError) as error:
-            if boxes:
-                raise type(error)(f"{recording.path}: {error}") from None
-            problems.append(str(error))
-            continue
-        for name in COLOURS if len(frames.colours) > 1 else ():
+    for box, step_px in edges:
+        edge: dict[str, EdgeMtf] = {}
+        for name, image in frames.colours.items():
             try:
-                in_colour = measure_edge(frames.colours[name], box, saturated=frames.saturated)
-                edge[name] = in_colour.without_steps(step_px)
-            except DataError as error:
-                problems.append(f"{name}: {error}")
-        measured.append(edge)
+                edge[name] = measure_edge(image, box, step_px=step_px, saturated=frames.saturated)
+            except (DataError, SettingsError) as error:
+                if name == LUMA and needs_all:
+                    raise type(error)(f"{recording.path}: {error}") from None
+                problems.append(str(error) if name == LUMA else f"{name}: {error}")
+                if name == LUMA:
+                    break
+        measured += [edge] if edge else []
     if not measured:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise DataError(f"{recording.path}: no edge can be measured: {problems[0]}{more}")
