@@ -19,6 +19,7 @@ import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.experiment.answers import read_answers, sidecar_path
 from todframes.experiment.calibration import PersonResult
+from todframes.experiment.noise_fit import AnswerTable, NoiseFit, fit_noise, joined
 from todframes.experiment.person import (
     Calibrated,
     answered_trials,
@@ -32,7 +33,6 @@ from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset
 from todframes.observers.oriented import OrientedObserver
 from todframes.psychometrics.curves import CHI2_95
-from todframes.psychometrics.noise_fit import AnswerTable, NoiseFit, fit_noise, joined
 from todframes.results.result import read_result
 from todframes.scoring.retina_view import Shown, retina_image
 from todframes.stimulus import Orientation, Stimulus

@@ -34,6 +34,7 @@ from todframes.experiment.answers import (
 )
 from todframes.experiment.monitor import MonitorError
 from todframes.experiment.order import TrialOrder
+from todframes.experiment.quest import QuestGrid
 from todframes.experiment.run_experiment import SessionProgress
 from todframes.experiment.served_page import experiment_app
 from todframes.experiment.session import SessionDesign, StepError, frames_sha256, open_sitting
@@ -41,7 +42,6 @@ from todframes.experiment.stimuli import shown_codes, trial_image
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile
 from todframes.psychometrics.fit import read_counts
-from todframes.psychometrics.quest import QuestGrid
 from todframes.stimulus import Orientation
 
 SHORT = SessionDesign(trials=8, practice=2, break_every=3, seed=5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from todframes.psychometrics.paired_bootstrap import holm
+from todframes.enhancement.compare import holm
 
 multitest = pytest.importorskip("statsmodels.stats.multitest")
 

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from todframes.enhancement.compare import holm
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import triangle_on
 from todframes.psychometrics.bootstrap import draw_backgrounds
 from todframes.psychometrics.curves import weibull
 from todframes.psychometrics.fit import FitSettings, fit_trials
-from todframes.psychometrics.paired_bootstrap import RatioDraws, holm, ratio_draws, threshold_ratio
+from todframes.psychometrics.paired_bootstrap import RatioDraws, ratio_draws, threshold_ratio
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import Stimulus
 

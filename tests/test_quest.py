@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from todframes.experiment.quest import QuestGrid
 from todframes.psychometrics.curves import weibull
-from todframes.psychometrics.quest import QuestGrid
 
 LEVELS = np.geomspace(0.02, 0.4, 9)
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import todframes as tod
+from todframes.enhancement.brightening import background_factor
 from todframes.frames.memory import memory_dataset
-from todframes.frames.surround import SurroundSums, TrianglePlace, background_factor, surround_window
+from todframes.frames.surround import SurroundSums, TrianglePlace, surround_window
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.score import score_dataset
 

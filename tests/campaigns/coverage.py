@@ -25,12 +25,12 @@ from people import a_monitor, sit
 
 from todframes import find_observer
 from todframes.experiment.answers import Session, read_answers
+from todframes.experiment.noise_fit import AnswerTable, NoiseFit, fit_noise, with_lapses
 from todframes.experiment.order import TrialOrder
 from todframes.experiment.person import AnsweredTrials, answered_trials, cells_of, noise_grid, noise_observers
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.observers.interface import Observer
 from todframes.parameters import Method
-from todframes.psychometrics.noise_fit import AnswerTable, NoiseFit, fit_noise, with_lapses
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 FRAMES = Path(__file__).parents[2] / "sample_frames" / "naked_eye"

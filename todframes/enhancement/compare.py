@@ -17,6 +17,7 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
@@ -44,7 +45,7 @@ from todframes.jobs.run import Run
 from todframes.observers.interface import Observer, Readout
 from todframes.parameters import CurveName, Decisions, Gaze, PlanName
 from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings
-from todframes.psychometrics.paired_bootstrap import RatioDraws, holm, threshold_ratio
+from todframes.psychometrics.paired_bootstrap import RatioDraws, threshold_ratio
 from todframes.results.data import Example, group_of
 from todframes.results.thumbnails import ExamplePatch, pictures
 from todframes.results.wording import evenly
@@ -465,3 +466,14 @@ def compare_examples(
             p_correct, spec = float(result.scored.p_correct[row]), result.enhancement.spec
             examples.append(example_of(dataset, trial, p_correct, *draw(white=white), algorithm=spec))
     return tuple(examples)
+
+
+def holm(p_values: ArrayLike) -> FloatArray:
+    """Correct p-values for their number, so that any wrong verdict among all is as rare as for a single test. The
+    smallest times their number, the next times one less, and so on, never falling (Holm 1979).
+    """
+    p = np.asarray(p_values, dtype=np.float64)
+    order = np.argsort(p)
+    corrected = np.empty_like(p)
+    corrected[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(p.size, 0, -1)), 1.0)
+    return corrected

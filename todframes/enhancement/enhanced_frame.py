@@ -20,12 +20,13 @@ from todframes.base.errors import DataError, FrameError, SettingsError, argument
 from todframes.base.reading import check_positive
 from todframes.display.display import Display, border_values
 from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
+from todframes.enhancement.brightening import background_factor
 from todframes.enhancement.memory_meter import MemoryMeter
 from todframes.frames.contrast import ContrastPatch, read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import FULL_SCALE, FrameSource, read_frame
 from todframes.frames.memory import ArrayFrame
-from todframes.frames.surround import TrianglePlace, background_factor
+from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import FrameReference, Trial
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from todframes.base.errors import DataError
 from todframes.experiment.answers import AnswerFile, Phase, SessionRecord, TrialRow, flagged, sidecar_path
+from todframes.experiment.quest import QuestGrid
 from todframes.frames.trials import Trials
-from todframes.psychometrics.quest import QuestGrid
 
 # First elements of the spawn keys of random streams.
 ORDER, GROUPS, FRAMES, PRACTICE, DITHER, AGAIN = range(6)

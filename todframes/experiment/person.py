@@ -23,6 +23,7 @@ from todframes.display.display import Display
 from todframes.experiment.answers import Session, TrialRow, at_eye, flagged
 from todframes.experiment.calibration import PersonResult
 from todframes.experiment.monitor import Monitor
+from todframes.experiment.noise_fit import MOST_CERTAIN, AnswerTable, NoiseFit, fit_noise, joined, with_lapses
 from todframes.experiment.session import frames_sha256
 from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
 from todframes.frames.dataset import Dataset, Skipped
@@ -34,7 +35,6 @@ from todframes.observers.interface import Observer, Readout
 from todframes.parameters import Free
 from todframes.psychometrics.curves import GUESS_RATE
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
-from todframes.psychometrics.noise_fit import MOST_CERTAIN, AnswerTable, NoiseFit, fit_noise, joined, with_lapses
 from todframes.results.data import Fit, ResultWarning, group_of
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.retina_view import read_trial

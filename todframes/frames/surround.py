@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
-from todframes.display.display import check_background
 
 Range = tuple[int, int]
 
@@ -43,10 +41,6 @@ it. The fourth degree needs the square of this factor, the first degree its squa
 
 EVEN = 1e-4
 """Relative deviation of the blocks from the surface below which no higher degree is tried."""
-
-BAND_BLOCKS_PER_SIZE, LEAST_BAND_BLOCK_PX = 2, 4
-"""Number of square blocks along a triangle's size in which two pictures are compared, and their least side: in
-larger ones single bad pixels average out, in smaller ones the edge of a frame stays apart."""
 
 
 class TrianglePlace(NamedTuple):
@@ -238,12 +232,12 @@ class _SurroundBlocks(NamedTuple):
             bend = values[2:] - 2.0 * values[1:-1] + values[:-2]
             bends.append(bend[known[2:] & known[1:-1] & known[:-2]])
         all_bends = np.concatenate(bends)
-        return 1.4826 * _median(np.abs(all_bends)) / math.sqrt(6.0) if all_bends.size else 0.0
+        return 1.4826 * median(np.abs(all_bends)) / math.sqrt(6.0) if all_bends.size else 0.0
 
     def extent(self, means: FloatArray) -> tuple[Range, Range]:
         """Return the rows and the columns of blocks that belong to the background."""
         near = means[self.near]
-        scatter = 1.4826 * _median(np.abs(near - _median(near)))
+        scatter = 1.4826 * median(np.abs(near - median(near)))
         rows = self._kept(means, self.y, self.x, scatter)
         columns = self._kept(means.T, self.x, self.y, scatter)
         if self.around[slice(*rows), slice(*columns)].any():
@@ -337,13 +331,13 @@ def _robust(terms: FloatArray, means: FloatArray, share: FloatArray) -> tuple[Fl
     steps minimise absolute deviations, which finds the majority; in the last, outliers have no weight.
     """
     if terms.shape[1] == 1:
-        solution, first = np.array([_median(means)]), 3
+        solution, first = np.array([median(means)]), 3
     else:
         solution, first = np.linalg.lstsq(terms, means, rcond=None)[0], 1
     scale, floor = 0.0, 1e-9 * abs(float(means[0])) + 1e-300
     for step in range(first, 6):
         away = np.abs(means - terms @ solution)
-        scale = max(1.4826 * _median(away), floor)
+        scale = max(1.4826 * median(away), floor)
         if step < 3:
             weights = share / np.maximum(away, scale / 2.0)
         else:
@@ -353,63 +347,8 @@ def _robust(terms: FloatArray, means: FloatArray, share: FloatArray) -> tuple[Fl
     return solution, scale
 
 
-def _median(values: FloatArray) -> float:
+def median(values: FloatArray) -> float:
     """Return the median; that of NumPy takes many times as long for a few hundred values."""
     middle = (len(values) - 1) // 2, len(values) // 2
     parted = np.partition(values, middle)
     return float(parted[middle[0]] + parted[middle[1]]) / 2.0
-
-
-def background_factor(
-    before: Callable[[slice, slice], FloatArray],
-    after: Callable[[slice, slice], FloatArray],
-    triangle: TrianglePlace,
-    *,
-    rows: Range,
-    columns: Range,
-    magnification: float = 1.0,
-) -> float:
-    """Return the factor by which a picture is brighter than another in a band around the triangle. The band is
-    that of `surround_window`; in a frame that is large enough, it leaves out what lies next to the frame's edge,
-    where filters act otherwise. The factor is the quotient of two means over the same blocks, without those whose
-    luminances deviate from it. `before` and `after` return the luminance of rows and columns of the two pictures
-    in cd/m²: `after` has `magnification` pixels, along each axis, for one of `before`, in whose pixels the
-    triangle and the frame are given. Raises DataError if most of the band has no light.
-    """
-    block_px = max(int(triangle.size_px / BAND_BLOCKS_PER_SIZE), LEAST_BAND_BLOCK_PX)
-    block_px = math.ceil(block_px / min(magnification, 1.0))
-    hole = hole_radius_px(triangle.size_px)
-    least = 2.0 * (hole + LEAST_RING_PX + block_px)
-    inner_rows, inner_columns = (
-        (first + block_px, stop - block_px) if stop - first >= least else (first, stop)
-        for first, stop in (rows, columns)
-    )
-    window = surround_window(triangle, rows=inner_rows, columns=inner_columns)
-    edges = [
-        np.append(np.arange(first, max(stop - block_px, first) + 1, block_px), stop) for first, stop in window
-    ]
-    y, x = ((edge[1:] + edge[:-1] - 1) / 2.0 for edge in edges)
-    away = np.hypot(y[:, None] - triangle.y_px, x - triangle.x_px) - hole
-    around = away >= min(block_px / 2.0, float(away.max()))  # in a narrow frame, its corners
-    from_first = [edge - first for edge, (first, _) in zip(edges, (rows, columns), strict=True)]
-    means_before = _block_means(before, from_first, 1.0)[around]
-    means_after = _block_means(after, from_first, magnification)[around]
-    check_background(middle := _median(means_before))
-    factor = _median(means_after) / middle
-    for _ in range(6):
-        apart = np.abs(means_after - factor * means_before)
-        limit = BIWEIGHT * max(1.4826 * _median(apart), 1e-9 * middle)
-        weights = np.square(1.0 - np.square(np.minimum(apart, limit) / limit))
-        check_background(mean := float(weights @ means_before / weights.sum()))
-        factor = float(weights @ means_after / weights.sum()) / mean
-    return factor
-
-
-def _block_means(
-    luminance: Callable[[slice, slice], FloatArray], edges: Sequence[NDArray[np.intp]], scale: float
-) -> FloatArray:
-    """Return the mean luminance of each block; `edges` are those of rows and of columns, in pixels / `scale`."""
-    y, x = (np.floor(scale * edge + 0.5).astype(np.intp) for edge in edges)
-    pixels = luminance(slice(y[0], y[-1]), slice(x[0], x[-1]))
-    sums = np.add.reduceat(np.add.reduceat(pixels, x[:-1] - x[0], axis=1), y[:-1] - y[0], axis=0)
-    return np.asarray(sums / (np.diff(y)[:, None] * np.diff(x)))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.psychometrics.bootstrap import (
@@ -122,17 +122,6 @@ def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
         p_value = 1.0
     low, high = interval_of_draws(ln_ratios, estimates)
     return ThresholdRatio(ratio, (_exp(low), _exp(high)), p_value, below > above)
-
-
-def holm(p_values: ArrayLike) -> FloatArray:
-    """Correct p-values for their number, so that any wrong verdict among all is as rare as for a single test. The
-    smallest times their number, the next times one less, and so on, never falling (Holm 1979).
-    """
-    p = np.asarray(p_values, dtype=np.float64)
-    order = np.argsort(p)
-    corrected = np.empty_like(p)
-    corrected[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(p.size, 0, -1)), 1.0)
-    return corrected
 
 
 def _fitted(fit: PsychometricFit, level: FloatArray) -> FloatArray:
