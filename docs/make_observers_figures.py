@@ -103,7 +103,8 @@ def neuron_figure() -> Figure:
     stimulus = Stimulus(3.0)
     for row, blur in zip(panels, blurs_mrad, strict=True):
         observer = HotellingObserver(replace(HotellingObserver().settings, display_blur_mrad=blur))
-        used, template = observer.informative_neurons(stimulus), observer.templates(stimulus)[0]
+        templates = observer.templates(stimulus)
+        used, template = [np.any(band, axis=0) for band in zip(*templates, strict=True)], templates[0]
         grid = observer.grid(stimulus)
         half = grid.width_mrad / 2.0
         upright = coverage(

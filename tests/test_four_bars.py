@@ -21,6 +21,7 @@ from todframes.base.errors import SettingsError
 from todframes.four_bars import FourBars
 from todframes.observers.csf import CsfObserver
 from todframes.observers.hotelling import HotellingObserver
+from todframes.observers.internal_noise import inner_product
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import resample
@@ -303,7 +304,8 @@ def literal_score(chain, samples, middle, snr=math.inf, rng=None) -> float:
     shown = sensor.display.gain * display_signal(samples, matrix)
     pitch = sensor.display.pixel_pitch_mrad
     seen = resample(shown, chain.whole_retina, x_px=x_px, y_px=y_px, pixel_pitch_mrad=pitch)
-    return chain.observer.literal_score(seen, chain.pattern, rng)
+    template = chain.observer.pattern_template(chain.pattern, len(seen))
+    return sum(map(inner_product, template, chain.observer.noisy_activity(seen, rng)))
 
 
 @pytest.mark.slow

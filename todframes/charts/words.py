@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from todframes.base.errors import argument
 from todframes.charts.layout import Chart
 from todframes.results.table import Column, Table
 from todframes.results.wording import count
@@ -68,7 +69,7 @@ def chart_remarks(chart: Chart) -> list[str]:
         return remarks
     if chart.kind == "print":
         return [
-            "Print chart.pdf at 100 %, without fitting to the page, and check the ruler. Without --reflectances, "
-            "contrasts are nominal: measure the grey patches and make the chart again."
+            "Print chart.pdf at 100 %, without fitting to the page, and check the ruler. Without "
+            f"{argument.reflectances}, contrasts are nominal: measure the grey patches and make the chart again."
         ]
     return ["Record the settings of schedule.csv in its order, and fill in file, start_s and end_s."]

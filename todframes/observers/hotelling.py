@@ -119,10 +119,6 @@ class HotellingObserver(PyramidObserver):
         frequencies = self._frequencies(image)
         return mirror_filtered(image, self.presample_mtf(*frequencies) * self.postsample_mtf(*frequencies))
 
-    def informative_neurons(self, stimulus: Stimulus) -> tuple[NDArray[np.bool_], ...]:
-        """Return which neurons of each band are used, in the bands' shapes."""
-        return self._informative(super()._template_deviation(stimulus))
-
     def _seen_size_mrad(self, stimulus: Stimulus) -> float:
         settings = self.settings
         variance = settings.presample_blur_mrad**2 + settings.display_blur_mrad**2

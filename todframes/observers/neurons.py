@@ -98,13 +98,6 @@ class NeuronObserver(Observer):
         activity = self.activity(contrast)
         return activity if rng is None else tuple(band + self.noise(band.shape, rng) for band in activity)
 
-    def literal_score(
-        self, contrast: FloatArray, pattern: FloatArray, rng: np.random.Generator | None = None
-    ) -> float:
-        """Compute the inner product with a pattern's template, with noise on every neuron if `rng` is given."""
-        activity = self.noisy_activity(contrast, rng)
-        return sum(map(inner_product, self.pattern_template(pattern, len(contrast)), activity))
-
     def literal_scores(
         self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator | None = None
     ) -> FloatArray:

@@ -119,41 +119,12 @@ class FitSettings:
 class PsychometricFit:
     """A fitted curve and its threshold, the level where the curve passes `p_correct`.
 
-    Attributes
-    ----------
-    curve : {"observer", "weibull"}
-        Curve of the threshold, its interval and its status.
-    status : str
-        `ok`: the threshold lies within the levels shown.
-        `extrapolated`: it lies outside, by a factor of 2 at most, and at the nearest level the curve is at most
-        half as far from the criterion as its floor or ceiling.
-        `never_reached`, `always_exceeded`: the threshold lies farther up or down than that, or the curve is no
-        more likely than a flat line at the mean proportion, which is below or not below the criterion.
-        `too_few_levels`: fewer than two distinct levels.
-        Only `ok` and `extrapolated` have a threshold and an interval. With a flat line or too few levels there is
-        no curve either: `alpha`, `beta`, `lapse_rate` and `observer_curve` are None.
-    threshold : float or None
-        Level where the curve passes `p_correct`.
-    threshold_ci95 : (float or None, float or None) or None
-        95 % interval. An end is None where the data do not determine it: it is infinite or more than a factor of 2
-        outside the levels. None altogether without a threshold or with `resamples=0`.
-    threshold_ci95_same_scenes : (float or None, float or None) or None
-        Where `threshold_ci95` takes scenes as drawn from many: the interval for other trials on the same scenes.
-    p_correct : float
-        Criterion: raw proportion correct at threshold.
-    alpha, beta, guess_rate, lapse_rate : float or None
-        Parameters of Weibull's curve, whichever curve the threshold is from.
-    n_trials : int
-    points : tuple of FitPoint
-        The data: level, number of trials and proportion correct.
-    points_threshold : float or None
-        Level where the points themselves cross the criterion, with no fitted curve; for probabilities, with three
-        levels and three trials a level or more. The interval of Weibull's curve covers this crossing too, with its
-        own error: that curve is a convention, which observers do not follow exactly.
-    weibull_threshold : float or None
-        Threshold of Weibull's curve, None where it has none.
-    observer_curve : CurveParameters or None
-        Parameters of the observer's curve, None for `curve="weibull"`.
+    Attributes are those of `todframes.Fit` with these names. `extrapolated` is a threshold outside of the levels
+    by a factor of 2 at most, if the curve at the nearest level is at most half as far from the criterion as its
+    floor or ceiling. There is no curve, and `alpha`, `beta`, `lapse_rate` and `observer_curve` are None, with
+    fewer than two levels, and if it is no more likely than a flat line at the mean proportion. An end of an
+    interval is None if it is infinite or more than a factor of 2 outside the levels. The interval of Weibull's
+    curve covers `points_threshold`, too: that curve is a convention, which observers do not follow exactly.
     """
 
     curve: CurveName
