@@ -21,8 +21,8 @@ from todframes.enhancement.comparison import (
     Algorithm,
     ContrastPoint,
     ContrastResponse,
+    JudgedBy,
     Ratio,
-    comparison,
     comparisons,
     frame_warnings,
     not_proportional,
@@ -571,10 +571,11 @@ def test_observers_together_are_each_alone(make_dataset) -> None:
 def test_disagreements_come_first() -> None:
     """Those that are better for one observer before those that are worse for one."""
 
-    def judged(*verdicts: str) -> tuple[Algorithm, ...]:
+    def judged(*verdicts: str) -> JudgedBy:
         ratio = Ratio(group={}, verdict="better")
         each = zip(("none", "blur", "sharpen", "same"), (None, *verdicts), strict=True)
-        return tuple(Algorithm(name=name, verdict=verdict, overall=ratio) for name, verdict in each)
+        algorithms = tuple(Algorithm(name=name, verdict=verdict, overall=ratio) for name, verdict in each)
+        return JudgedBy(settings={}, algorithms=algorithms)
 
     no = "no difference shown"
     lines = comparisons([("pyramid", judged(no, "better", no)), ("csf", judged("worse", no, no))])
@@ -649,7 +650,8 @@ def test_displayed_contrast_before_and_after(make_dataset) -> None:
     (warning,) = not_proportional([none, of_gain, of_root])
     assert (warning.code, warning.group["algorithm"]) == ("not_proportional", "own_enhancements:root")
     assert warning.found > 1.1 * warning.expected
-    more, open_ = comparison([none, of_gain, of_root])
+    judged = JudgedBy(settings={}, algorithms=(none, of_gain, of_root))
+    more, open_ = comparisons([("", judged)])
     assert (of_gain.verdict, of_root.verdict) == ("better", "better")
     assert "its contrast gain of 2" in more
     assert "Whether it does more than amplify stays open" in open_ and "It does" not in open_

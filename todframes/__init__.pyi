@@ -18,8 +18,8 @@ from .display.display import Display as Display
 from .enhancement.algorithm import Enhancement as Enhancement
 from .enhancement.algorithm import algorithm as algorithm
 from .enhancement.algorithm import parameter as parameter
-from .enhancement.compare_call import compare as compare
-from .enhancement.compare_call import compare_frames as compare_frames
+from .enhancement.compare import compare as compare
+from .enhancement.compare import compare_frames as compare_frames
 from .enhancement.finding import find_enhancement as find_enhancement
 from .experiment.calibrate import calibrate as calibrate
 from .experiment.run_experiment import SessionProgress as SessionProgress

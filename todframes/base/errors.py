@@ -108,6 +108,17 @@ class FrameError(DataError):
         return type(self), (self.path, self.problem)
 
 
+@contextmanager
+def of_frame(path: Any) -> Iterator[None]:
+    """Raise FrameError, which names the frame, in place of other DataErrors in a block."""
+    try:
+        yield
+    except FrameError:
+        raise
+    except DataError as error:
+        raise FrameError(path, str(error)) from None
+
+
 class RemoteError(TodframesError, ConnectionError):
     """Error for a dataset behind a URL that cannot be reached or may not be read; no further frame is tried."""
 

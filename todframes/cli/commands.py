@@ -170,7 +170,7 @@ COMMANDS = {
         body="todframes.cli.bodies:chart",
     ),
     "compare": Command(
-        "todframes.enhancement.compare_call:compare",
+        "todframes.enhancement.compare:compare",
         arguments="dataset",
         showing="explain verbose json quiet strict",
         files="result.json, report.html, compare.csv, scores.csv, contrast_response.csv and pictures",

@@ -1,4 +1,4 @@
-"""Comparison of algorithms on a dataset: thresholds after each, and their ratios to those without enhancement.
+"""The calls `compare` and `compare_frames`: thresholds after enhancement algorithms, over those without.
 
 All algorithms get the same frames. The observer sees their results with the same displacement of the retina and
 the same noise on its neurons.
@@ -8,51 +8,80 @@ from __future__ import annotations
 
 import math
 import time
-from array import array
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from functools import lru_cache, partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
+from functools import partial
+from inspect import signature
 from itertools import chain
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
+from todframes.base.seeds import Rng, seed_of
+from todframes.display.display import Display
 from todframes.enhancement.algorithm import REFERENCE, Enhancement
-from todframes.enhancement.comparison import NO_DIFFERENCE, Algorithm, ContrastResponse, Ratio
+from todframes.enhancement.comparison import (
+    NO_DIFFERENCE,
+    Algorithm,
+    ContrastPoint,
+    ContrastResponse,
+    JudgedBy,
+    Ratio,
+    comparisons,
+    frame_warnings,
+    named,
+    not_proportional,
+    thresholds_of,
+)
 from todframes.enhancement.contrast_gain import (
-    Responses,
+    GroupValues,
     contrast_gains,
     contrast_responses,
     measured_trials,
     triangle_contrasts,
 )
-from todframes.enhancement.enhanced_frame import (
-    AlgorithmDisplay,
-    FrameMeasurements,
-    TrialReader,
-    check_warm_up_there,
-)
+from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader, check_warm_up_there
 from todframes.enhancement.finding import find_enhancement, plain_value
 from todframes.enhancement.repeatability import RepeatedFrames
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import check_places
-from todframes.frames.trials import Trial, Trials
-from todframes.jobs.run import Run
+from todframes.frames.trials import Trial
+from todframes.jobs.run import Run, opened_run
+from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, Readout
-from todframes.parameters import CurveName, Decisions, Gaze, PlanName
+from todframes.parameters import (
+    Algorithms,
+    Cluster,
+    Count,
+    CurveName,
+    Decisions,
+    Gaze,
+    Gazes,
+    ObserverNames,
+    OnError,
+    PlanName,
+    Progress,
+    Seed,
+)
 from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings
 from todframes.psychometrics.paired_bootstrap import RatioDraws, threshold_ratio
+from todframes.results.advice import levels_to_add
 from todframes.results.data import Example, group_of
+from todframes.results.result import Result, repeatable
 from todframes.results.thumbnails import ExamplePatch, pictures
 from todframes.results.wording import evenly
+from todframes.scoring.error_budget import plan_object
 from todframes.scoring.examples import example_of, nearest_trial
+from todframes.scoring.opening import each_once, gazes_of, in_memory, inspected, is_skip, of_observer, opened
 from todframes.scoring.paired import paired_ratios
 from todframes.scoring.plan import ScorePlan, plan_score
-from todframes.scoring.records import fit_record
+from todframes.scoring.records import fit_record, trials_table
 from todframes.scoring.retina_view import retina_image, to_mean_place_px
 from todframes.scoring.score import (
     ScoredDataset,
@@ -66,14 +95,226 @@ from todframes.scoring.seen_trials import Scoring, SeenTrial, SeenTrials, see, t
 from todframes.scoring.work import see_trials
 from todframes.stimulus import ORIENTATIONS
 
-Gains = Mapping[tuple[float | str, ...], float]
-"""Contrast gains by group."""
+if TYPE_CHECKING:
+    from todframes.jobs.store import Store
+    from todframes.parameters import Locate
+    from todframes.results.thresholds import Thresholds
 
 MOST_GROUPS, MOST_ALGORITHMS = 2, 6
 """Largest numbers of groups and algorithms of the examples."""
 
 SAME_QUALITY = {"psnr": 0.1, "ssim": 0.005}
 """Changes of PSNR in dB, and of SSIM, that count as none up to that."""
+
+
+@repeatable
+def compare(
+    dataset: Path | str | Dataset,
+    enhance: Algorithms | Callable[..., Any] | Iterable[str | Callable[..., Any]],
+    *,
+    observer: ObserverNames | Observer | Sequence[str | Observer] = "pyramid",
+    white: float = 1.0,
+    allow_clipping: bool = False,
+    decisions: Decisions = "expected",
+    curve: CurveName | None = None,
+    plan: PlanName = "needed",
+    rng: Seed | Rng = 1,
+    fit: FitSettings | None = None,
+    locate: Locate | bool = False,
+    gaze: str | Gazes = "tracked",
+    on_error: OnError = "stop",
+    workers: Count = 1,
+    cluster: Cluster | Engine | None = None,
+    store: Store | Path | str | None = None,
+    examples: bool = True,
+    progress: Progress | None = None,
+) -> Result[Thresholds]:
+    """Test whether enhancement algorithms lower the thresholds of a dataset, by how much and how surely.
+
+    Each algorithm is compared with the frames as they are, on the same frames and with the same random draws.
+    `todframes enhancements` lists the algorithms of the package. With several observers or gazes, each gives a
+    verdict, and the first lines say where they disagree.
+
+    Parameters
+    ----------
+    dataset : path, str or Dataset
+        Folder with dataset.toml, manifest.csv and frames, or its URL, such as s3://lab/archive.
+
+        The return value of `load_dataset` is taken as well.
+    enhance : str, function, or iterable of them
+        Algorithm: NAME, MODULE:FUNCTION (whose code is run), or onnx:FILE (a network, which is run), each also
+        with :PARAMETER=VALUE,… behind.
+
+        A function of an image and keyword parameters is taken as well.
+    observer : str, Observer, or sequence of them
+        Observers by name: pyramid, informative, oriented, csf or others that are registered; or MODULE:CLASS, a
+        class of your own, whose code is run; or onnx:FILE, a network of four outputs, which is run.
+
+        Objects are taken as well. The first is that of `algorithms`, the others of `observers`, and `verdict`
+        begins with where they disagree.
+    white : float
+        Code value that algorithms take as white; for EXR in cd/m² give the display's white.
+    allow_clipping : bool
+        Clip values beyond the display's range in the output of an algorithm; without it they are an error.
+    decisions : {"expected", "sampled"}
+        Use each frame's probability of a correct answer, or draw one answer for each trial.
+    curve : {"observer", "weibull"}, optional
+        Psychometric function of the thresholds: the observer's own, which needs expected decisions, or Weibull's,
+        as for people. Default: observer for expected decisions, weibull for sampled ones.
+    plan : {"needed", "full"}
+        Leave out what the scene does not need, or nothing.
+    rng : int, SeedSequence or Generator
+        Seed of all random draws.
+    fit : FitSettings, optional
+        Criterion (`p_correct`), fixed and free parameters of the fits.
+    locate : {"group", "each"} or bool
+        Find the triangle: one position for each group, or one for each trial, for hand-held or drifting
+        recordings. The search begins at the position in the manifest, if there is one.
+
+        True is the same as "group".
+    gaze : {"tracked", "fixed"} or sequence of them
+        Where the observer looks while a triangle moves: at its place in each frame (tracked), or at its mean place
+        in the trial, so that it sees the motion as blur (fixed); or both.
+    on_error : {"stop", "skip"}
+        At a frame or row that cannot be used: end with an error, or go on and list it among the skipped ones. A
+        trial that cannot be used with one algorithm is left out for all.
+    workers : int
+        Processes that share the work.
+
+        With more than one, a script calls this below `if __name__ == "__main__":`, because they import the script.
+    cluster : str, optional
+        Work on a Dask cluster: the address of its scheduler, tcp://…, or local:N for N processes of this machine.
+    store : path, optional
+        Folder for the results of finished trials, as in `score`.
+    examples : bool
+        Also draw a triangle at threshold, for the page.
+    progress : function of two ints, optional
+        Called with the number of trials that are done, and of all; finding positions counts apart.
+
+    Returns
+    -------
+    Result
+        Result whose `algorithms` have thresholds, ratios to the reference and verdicts, the reference first.
+
+    Raises
+    ------
+    DataError, FrameError
+        If the dataset, a frame or the output of an algorithm cannot be used.
+    SettingsError
+        If a setting or an algorithm is invalid.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> def brighter(image, gain=1.2):
+    ...     return gain * image
+    >>> fit = tod.FitSettings(resamples=200)
+    >>> result = tod.compare("sample_frames/enhancement", [brighter], allow_clipping=True, fit=fit)
+    >>> [one.verdict for one in result.algorithms]
+    [None, 'no difference shown']
+    """
+    started, seed, fit = time.perf_counter(), seed_of(rng), fit or FitSettings()
+    asked = [enhance] if isinstance(enhance, str) or not isinstance(enhance, Iterable) else enhance
+    enhancements = [find_enhancement(each) for each in asked]
+    if not enhancements:
+        raise SettingsError(f"{argument.enhance}: found none, expected one algorithm or more")
+    gazes = gazes_of(gaze)
+    data, judges, of_judges, way, more, placed_wrong = opened(
+        dataset, observer, gaze=gazes[0], locate=locate, on_error=on_error, progress=progress
+    )
+    screen = AlgorithmDisplay(data.display, white, allow_clipping)
+    each_settings = [own | {"gaze": own_gaze} for own in of_judges for own_gaze in gazes]
+    with opened_run(workers, cluster, store, progress) as run:
+        each_results = compare_observers(
+            data,
+            judges,
+            enhancements,
+            gazes=gazes,
+            decisions=decisions,
+            curve=curve,
+            seed=seed,
+            fit_settings=fit,
+            screen=screen,
+            plan_name=plan,
+            skip_bad_frames=is_skip(on_error),
+            run=run,
+        )
+    results, reference = each_results[0], each_results[0][0].scored
+    each_judged = [
+        JudgedBy(settings=own, algorithms=tuple(result.record for result in of_judge))
+        for own, of_judge in zip(each_settings, each_results, strict=True)
+    ]
+    judged, compared = named(each_judged), each_judged[0].algorithms
+    advice = [
+        of_observer(name, levels_to_add(thresholds_of(by.algorithms), by.settings.get("aperture_sd_deg")))
+        for name, by in judged
+    ]
+    if examples:
+        more["examples"] = compare_examples(data, results, judges[0], screen)
+    black, peak = screen.luminance_range
+    record, shown_wrong = inspected(data, reference.trials, judges[0].centre)
+    scored = [({"algorithm": result.enhancement.spec}, result.scored) for result in results]
+    return Result.made(
+        "compare",
+        started,
+        settings=each_settings[0]
+        | asdict(fit)
+        | {"decisions": decisions, "curve": fitted_curve(curve, decisions), "locate": way}
+        | {"plan": plan, "white": white, "allow_clipping": allow_clipping},
+        seed=seed,
+        algorithms=compared,
+        observers=tuple(each_judged[1:]),
+        data_range_cd_m2=peak - black,
+        verdict=comparisons(judged),
+        plan=tuple(plan_object(reference.plan, 1.0)),
+        skipped=tuple(skipped._asdict() for skipped in reference.skipped),
+        dataset=record,
+        warnings=(
+            *each_once(*placed_wrong(reference), *shown_wrong, *advice[0], *not_proportional(compared)),
+            *frame_warnings(compared),
+            *chain(*advice[1:]),
+        ),
+        negative_luminance_pixels=reference.n_negative,
+        from_store=run.n_from_store,
+        **more,
+    ).holding(make_trials=partial(trials_table, data, scored))
+
+
+def compare_frames(
+    frames: Iterable[ArrayLike],
+    enhance: str | Callable[..., Any] | Iterable[str | Callable[..., Any]],
+    *,
+    display: Display | str,
+    **settings: Any,
+) -> Result[Thresholds]:
+    """Compare enhancement algorithms on frames that are in memory, without touching a disk.
+
+    Parameters
+    ----------
+    frames : array_like, shape (n, rows, columns), or iterable of n arrays (rows, columns)
+        Frames as in `score_frames`.
+    enhance : str, function, or iterable of them
+        Algorithms as in `compare`.
+    display : Display or str
+        Display as in `score_frames`.
+    **settings
+        What the frames show, as for `score_frames`: orientation, level, size_mrad, group, position, polarity,
+        trial, level_name, clip, time_s and judged. All other settings are those of `compare`.
+
+    Returns
+    -------
+    Result
+        Result as that of `compare`.
+
+    Raises
+    ------
+    DataError, FrameError, SettingsError
+        As `score_frames` and `compare` do.
+    """
+    from todframes.frames.memory import memory_dataset
+
+    shown = {name: settings.pop(name) for name in signature(memory_dataset).parameters if name in settings}
+    return compare(in_memory(frames, display, **shown), enhance, **settings)
 
 
 class AlgorithmResult(NamedTuple):
@@ -98,15 +339,12 @@ def compare_observers(
     plan_name: PlanName = "needed",
     skip_bad_frames: bool = False,
     run: Run | None = None,
-) -> tuple[tuple[AlgorithmResult, ...], ...]:
+) -> list[list[AlgorithmResult]]:
     """Show every trial to observers as it is and after each algorithm, and compare the thresholds of each.
 
-    Frames are decoded and enhanced once for all observers, which look at the same point of the triangle, and for
-    all their gazes, by default that of the dataset. For each gaze of each observer comes back a result for each
-    algorithm, the reference, `none`, first. The default screen is the dataset's display with a white of 1. Other
-    parameters, and errors, are those of `score_dataset`; all algorithms have one plan, made from frames before and
-    after enhancement, and a trial that is skipped is skipped for all. With the same plan, one observer and one
-    gaze, the scores and fits of the reference are those of `score_dataset`, number for number.
+    Frames are decoded and enhanced once for all observers and gazes. For each gaze of each observer comes back a
+    result for each algorithm, the reference first; its scores and fits are those of `score_dataset` with the same
+    plan. A trial that is skipped is skipped for all. Errors are those of `score_dataset`.
     """
     fit_settings = settings_of_experiment(fit_settings, dataset.experiment)
     curve = fitted_curve(curve, decisions)
@@ -133,20 +371,29 @@ def compare_observers(
     ]
     if len(gazes) > 1:  # a fixed gaze follows from frames read for a tracked one
         dataset = replace(dataset, gaze="tracked")
-    measured = measured_trials(whole)
-    columns = _ResultColumns(whole, len(plans), len(gazes), len(algorithms))
+    measured_numbers = measured_trials(whole)
+    seen = [[SeenTrials(whole) for _ in algorithms] for _ in plans]
+    contrasts = np.full((len(gazes), len(whole), len(algorithms), len(ORIENTATIONS)), np.nan)
+    measured, is_seen = list[FloatArray](), np.zeros(len(whole), bool)
+
+    def collect(row: int, trial: _SeenTrial) -> None:
+        for scores, of_trial in zip(chain(*seen), chain(*trial.seen), strict=True):
+            scores.put(row, of_trial)
+        measured.append(trial.measured)
+        contrasts[:, row], is_seen[row] = trial.contrasts, True
+
     skipped += see_trials(
         Scoring(dataset, plans[0], decisions, seed),
         whole,
-        _Show(reader, measured, gazes, tuple(plans[1:])),
+        partial(_show, reader, measured_numbers, gazes, plans[1:]),
         kind=_SeenTrial,
-        collect=columns.put,
+        collect=collect,
         skip_bad_frames=skip_bad_frames,
         run=run,
         depends_on=(
             parts_of(algorithms),
             screen,
-            sorted(measured),
+            sorted(measured_numbers),
             gazes,
             [(plan.observer, plan.whole_frames, sorted(map(repr, plan.stimuli.items()))) for plan in plans[1:]],
             repeated.fingerprint,
@@ -155,24 +402,29 @@ def compare_observers(
         with_levels=True,
     )
     repeated.finish(run)
+    check_seen(dataset, measured, skipped)
+    described = _described(algorithms, np.concatenate(measured, axis=1), screen)
     results = []
     for number, plan in enumerate(plans):
         fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)
-        seen = check_seen(dataset, columns.usable(number), skipped)
-        scored = [replace(fit(scores), skipped=tuple(skipped)) for scores in seen]
-        contrasts = columns.contrasts[number % len(gazes), columns.is_seen]
-        responses = contrast_responses(seen[0].trials, contrasts)
+        of_plan = [scores.usable() for scores in seen[number]]
+        scored = [replace(fit(scores), skipped=tuple(skipped)) for scores in of_plan]
+        responses = contrast_responses(of_plan[0].trials, contrasts[number % len(gazes), is_seen])
         gains = contrast_gains(responses)
         # The reference after plain gains of contrast; groups whose gain is not known stay as they are.
-        groups, codes = seen[0].trials.groups, seen[0].trials.group_codes
-        is_linear = expected and not np.isnan(seen[0]["deviations"]).any()
-        each = [np.array([of_one.get(group, 1.0) for group in groups])[codes] for of_one in gains[1:] if is_linear]
+        groups, codes = of_plan[0].trials.groups, of_plan[0].trials.group_codes
+        is_linear = expected and not np.isnan(of_plan[0]["deviations"]).any()
+        each = [np.array([known.get(group, 1.0) for group in groups])[codes] for known in gains[1:] if is_linear]
         once = replace(fit_settings, resamples=0)
-        plain = [fit(seen[0].amplified(gain), fit_settings=once) for gain in each]
+        plain = [fit(of_plan[0].amplified(gain), fit_settings=once) for gain in each]
         ratios = _ratios(dataset, scored, plain, gains, seed, fit_settings)
-        records = _records(dataset, algorithms, scored, ratios, responses, columns.measured, repeated, screen)
-        results.append(tuple(map(AlgorithmResult, algorithms, scored, records)))
-    return tuple(results)
+        results.append([
+            AlgorithmResult(algorithm, own, _judged(record, dataset, own, of_algorithm, response, repeated))
+            for algorithm, own, record, of_algorithm, response in zip(
+                algorithms, scored, described, ratios, responses, strict=True
+            )
+        ])  # fmt: skip
+    return results
 
 
 def _with_reference(enhancements: Sequence[Enhancement], observers: Sequence[Observer]) -> list[Enhancement]:
@@ -195,40 +447,23 @@ def parts_of(algorithms: Sequence[Enhancement]) -> list[object]:
     return [(algorithm.spec, algorithm.function, dict(algorithm.values)) for algorithm in algorithms]
 
 
-def _records(
-    dataset: Dataset,
-    algorithms: Sequence[Enhancement],
-    scored: Sequence[ScoredDataset],
-    ratios: Sequence[Sequence[Ratio]],
-    responses: Sequence[Responses],
-    measured: Sequence[array[float]],
-    repeated: RepeatedFrames,
-    screen: AlgorithmDisplay,
-) -> Iterator[Algorithm]:
-    """Yield the records of algorithms as one observer judges them, the reference first."""
-    scenes, names = scored[0].trials.scene_numbers, [algorithm.name for algorithm in algorithms]
-    black, white = screen.luminance_range
-    before: dict[str, float | None] = {}
-    for k, (algorithm, own, of_algorithm) in enumerate(zip(algorithms, scored, ratios, strict=True)):
-        columns = np.reshape(measured[k], (-1, len(FrameMeasurements._fields))).T
-        errors, ssims, edges, clipped, cpu_s, memory = (column[~np.isnan(column)] for column in columns)
+def _described(
+    algorithms: Sequence[Enhancement], measured: FloatArray, screen: AlgorithmDisplay
+) -> list[Algorithm]:
+    """Return the records of algorithms, with what is the same for all observers: measurements over all frames.
+
+    `measured`, (algorithm, frame, `MEASUREMENTS`), may have its frames in any order: `math.fsum` rounds once.
+    """
+    names, (black, white) = [algorithm.name for algorithm in algorithms], screen.luminance_range
+    records: list[Algorithm] = []
+    for algorithm, of_frames in zip(algorithms, measured, strict=True):
+        errors, ssims, edges, clipped, cpu_s, memory = (column[~np.isnan(column)] for column in of_frames.T)
         error, ssim, cpu_mean_s = (
-            math.fsum(one) / len(one) if len(one) else None for one in (errors, ssims, cpu_s)
+            math.fsum(column) / len(column) if len(column) else None for column in (errors, ssims, cpu_s)
         )
         psnr = 10.0 * math.log10((white - black) ** 2 / error) if error else None
-        quality = {"psnr": psnr, "ssim": ssim}
-        before = before or quality
-        changes = {
-            name: after - reference
-            for (name, after), reference in zip(quality.items(), before.values(), strict=True)
-            if after is not None and reference is not None
-        }
-        opinions = {
-            name: NO_DIFFERENCE if abs(change) < SAME_QUALITY[name] else "better" if change > 0 else "worse"
-            for name, change in changes.items()
-        }
-        verdict = of_algorithm[-1].verdict if of_algorithm else None
-        yield Algorithm(
+        psnr_before, ssim_before = (records[0].psnr_db, records[0].ssim) if records else (psnr, ssim)
+        record = Algorithm(
             name=algorithm.name if names.count(algorithm.name) == 1 else algorithm.spec,
             spec=algorithm.spec,
             what=algorithm.what,
@@ -236,130 +471,112 @@ def _records(
             domain=algorithm.declaration.domain,
             parameters={name: plain_value(value) for name, value in algorithm.values.items()},
             magnification=algorithm.magnification,
-            fits=tuple(fit_record(dataset, fit) for fit in own.fits),
-            ratios=tuple(of_algorithm[: len(own.fits)]),
-            overall=of_algorithm[-1] if len(of_algorithm) > len(own.fits) else None,
-            verdict=verdict,
-            contrast_responses=tuple(
-                ContrastResponse(group=group_of(dataset, fit.group), points=responses[k].get(fit.group, ()))
-                for fit in own.fits
-                if k
-            ),
-            n_scenes=None if scenes is None else int(scenes.max()) + 1,
             psnr_db=psnr,
-            psnr_change_db=changes.get("psnr"),
+            psnr_change_db=None if psnr is None or psnr_before is None else psnr - psnr_before,
             ssim=ssim,
-            ssim_change=changes.get("ssim"),
-            disagrees=tuple(name for name, one in opinions.items() if one != verdict) if verdict else (),
+            ssim_change=None if ssim is None or ssim_before is None else ssim - ssim_before,
             edge_factor=float(np.median(edges)),
-            repeat_difference=repeated.differences[algorithm.spec],
             n_clipped=int(clipped.sum()),
             cpu_s=round(math.fsum(cpu_s), 4),
             cpu_ms_per_frame=round(1e3 * (cpu_mean_s or 0.0), 3),
             memory_mb=round(float(memory.max()), 1) if memory.size else None,
         )
+        records.append(record)
+    return records
+
+
+def _judged(
+    algorithm: Algorithm,
+    dataset: Dataset,
+    scored: ScoredDataset,
+    ratios: Sequence[Ratio],
+    points: Mapping[GroupValues, tuple[ContrastPoint, ...]],
+    repeated: RepeatedFrames,
+) -> Algorithm:
+    """Return the record of an algorithm with what an observer finds; the reference has no ratios."""
+    verdict, scenes = ratios[-1].verdict if ratios else None, scored.trials.scene_numbers
+    changes = {"psnr": algorithm.psnr_change_db, "ssim": algorithm.ssim_change}
+    opinions = {
+        name: NO_DIFFERENCE if abs(change) < SAME_QUALITY[name] else "better" if change > 0 else "worse"
+        for name, change in changes.items()
+        if change is not None
+    }
+    responses = [
+        ContrastResponse(group=group_of(dataset, fit.group), points=points.get(fit.group, ()))
+        for fit in scored.fits
+        if ratios
+    ]
+    return structs.replace(
+        algorithm,
+        fits=tuple(fit_record(dataset, fit) for fit in scored.fits),
+        ratios=tuple(ratios[: len(scored.fits)]),
+        overall=ratios[-1] if len(ratios) > len(scored.fits) else None,
+        verdict=verdict,
+        contrast_responses=tuple(responses),
+        n_scenes=None if scenes is None else int(scenes.max()) + 1,
+        disagrees=tuple(name for name, opinion in opinions.items() if opinion != verdict) if verdict else (),
+        repeat_difference=repeated.differences[str(algorithm.spec)],
+    )
 
 
 class _SeenTrial(NamedTuple):
-    """The scores of a trial by each plan after each algorithm, and the measurements of each of its frames.
-
-    `contrasts`, (gaze, algorithm, 4), are those of `triangle_contrasts`; NaN if they are not measured in this
-    trial.
+    """The scores of a trial by each plan after each algorithm, and the measurements of its frames, as
+    `TrialReader.read` returns them. `contrasts`, (gaze, algorithm, 4), are those of `triangle_contrasts`; NaN if
+    they are not measured in this trial.
     """
 
     seen: tuple[tuple[SeenTrial, ...], ...]
-    measured: tuple[tuple[FrameMeasurements, ...], ...]
+    measured: FloatArray
     contrasts: FloatArray
 
 
-class _Show:
-    """Function that shows a trial to the observer, and those of further plans, after each algorithm.
-
-    Plans are in the order of `compare_observers`: each observer with all gazes, then the next one.
+def _show(
+    reader: TrialReader,
+    measured_numbers: frozenset[int],
+    gazes: Sequence[Gaze],
+    further: Sequence[ScorePlan],
+    scoring: Scoring,
+    trial: Trial,
+    readout: Readout | None,
+) -> _SeenTrial:
+    """Show a trial to the observer, and those of further plans, after each algorithm. Plans are in the order of
+    `compare_observers`: each observer with all gazes, then the next one.
     """
-
-    def __init__(
-        self,
-        reader: TrialReader,
-        measured: frozenset[int],
-        gazes: tuple[Gaze, ...],
-        further: tuple[ScorePlan, ...],
-    ) -> None:
-        self.reader, self.measured, self.gazes, self.further = reader, measured, gazes, further
-        self._readouts_of = [lru_cache(maxsize=4)(plan.readout) for plan in further]
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _Show, (self.reader, self.measured, self.gazes, self.further)
-
-    def __call__(self, scoring: Scoring, trial: Trial, readout: Readout | None) -> _SeenTrial:
-        started = time.perf_counter()
-        scorings = [scoring, *(replace(scoring, plan=plan) for plan in self.further)]
-        readouts = [readout, *(readout_of(trial.stimulus) for readout_of in self._readouts_of)]
-        viewings = [trial_viewing(own, trial, its) for own, its in zip(scorings, readouts, strict=True)]
-        # The frames are read once, as wide as the widest of the grids needs at any displacement and gaze.
-        widest = max(viewings, key=lambda viewing: viewing.grid.width_mrad)
-        pitch_mrad, widest_mrad = scoring.dataset.display.pitch_mrad, widest.grid.pitch_mrad
-        displaced = [view.reached_samples * (view.grid.pitch_mrad / widest_mrad) for view in viewings]
-        if len(self.gazes) > 1:
-            to_gazes_px = np.concatenate([[(0.0, 0.0)], to_mean_place_px(trial)])
-            to_gazes = to_gazes_px * (pitch_mrad / widest_mrad)
-            displaced = [(samples[:, None] + to_gazes).reshape(-1, 2) for samples in displaced]
-        after = self.reader.read(
-            scoring.dataset,
-            trial,
-            widest.observer,
-            widest.grid,
-            np.concatenate(displaced),
-            whole=any(own.plan.whole_frames for own in scorings),
-        )
-        shown = [enhanced.shown for enhanced in after]
-        ways = [
-            shown if gaze == scoring.dataset.gaze else [way.with_gaze_fixed(trial, pitch_mrad) for way in shown]
-            for gaze in self.gazes
-        ]
-        seen = tuple(
-            tuple(see(own, trial, viewing, ways[number % len(ways)], started))
-            for number, (own, viewing) in enumerate(zip(scorings, viewings, strict=True))
-        )
-        contrasts = np.full((len(ways), len(after), len(ORIENTATIONS)), np.nan)
-        if trial.number in self.measured:
-            grid, centre = viewings[0].grid, viewings[0].observer.centre
-            for number, of_gaze in enumerate(ways):
-                contrasts[number] = triangle_contrasts(of_gaze, trial, grid=grid, centre=centre)
-        return _SeenTrial(seen, tuple(enhanced.measured for enhanced in after), contrasts)
-
-
-class _ResultColumns:
-    """The results of all trials, in columns that are filled in any order.
-
-    `measured` has the `FrameMeasurements` of all frames after each algorithm, NaN for None, and `contrasts` has
-    shape (gaze, trial, algorithm, 4). Sums are exact whatever the order: `math.fsum` rounds once.
-    """
-
-    def __init__(self, trials: Trials, n_plans: int, n_gazes: int, n_algorithms: int) -> None:
-        self._seen = [[SeenTrials(trials) for _ in range(n_algorithms)] for _ in range(n_plans)]
-        self.measured = [array("d") for _ in range(n_algorithms)]
-        self.contrasts = np.full((n_gazes, len(trials), n_algorithms, len(ORIENTATIONS)), np.nan)
-        self.is_seen = np.zeros(len(trials), bool)
-
-    def put(self, row: int, trial: _SeenTrial) -> None:
-        """Set the results of a trial."""
-        for scores, seen in zip(chain(*self._seen), chain(*trial.seen), strict=True):
-            scores.put(row, seen)
-        for column, of_frames in zip(self.measured, trial.measured, strict=True):
-            column.extend(math.nan if value is None else value for value in chain(*of_frames))
-        self.contrasts[:, row], self.is_seen[row] = trial.contrasts, True
-
-    def usable(self, plan: int) -> list[SeenTrials]:
-        """Return the scores of a plan after each algorithm; an empty list if there are none."""
-        return [scores.usable() for scores in self._seen[plan] if self.is_seen.any()]
+    started = time.perf_counter()
+    scorings = [scoring, *(replace(scoring, plan=plan) for plan in further)]
+    readouts = [readout, *(plan.readout(trial.stimulus) for plan in further)]
+    viewings = [trial_viewing(own, trial, its) for own, its in zip(scorings, readouts, strict=True)]
+    # The frames are read once, as wide as the widest of the grids needs at any displacement and gaze.
+    widest = max(viewings, key=lambda viewing: viewing.grid.width_mrad)
+    pitch_mrad, widest_mrad = scoring.dataset.display.pitch_mrad, widest.grid.pitch_mrad
+    displaced = [view.reached_samples * (view.grid.pitch_mrad / widest_mrad) for view in viewings]
+    if len(gazes) > 1:
+        to_gazes_px = np.concatenate([[(0.0, 0.0)], to_mean_place_px(trial)])
+        to_gazes = to_gazes_px * (pitch_mrad / widest_mrad)
+        displaced = [(samples[:, None] + to_gazes).reshape(-1, 2) for samples in displaced]
+    whole, at = any(own.plan.whole_frames for own in scorings), np.concatenate(displaced)
+    shown, measured = reader.read(scoring.dataset, trial, widest.observer, widest.grid, at, whole=whole)
+    ways = [
+        shown if gaze == scoring.dataset.gaze else [way.with_gaze_fixed(trial, pitch_mrad) for way in shown]
+        for gaze in gazes
+    ]
+    seen = tuple(
+        tuple(see(own, trial, viewing, ways[number % len(ways)], started))
+        for number, (own, viewing) in enumerate(zip(scorings, viewings, strict=True))
+    )
+    contrasts = np.full((len(ways), len(shown), len(ORIENTATIONS)), np.nan)
+    if trial.number in measured_numbers:
+        grid, centre = viewings[0].grid, viewings[0].observer.centre
+        for number, of_gaze in enumerate(ways):
+            contrasts[number] = triangle_contrasts(of_gaze, trial, grid=grid, centre=centre)
+    return _SeenTrial(seen, measured, contrasts)
 
 
 def _ratios(
     dataset: Dataset,
     scored: Sequence[ScoredDataset],
     plain: Sequence[ScoredDataset],
-    gains: Sequence[Gains],
+    gains: Sequence[Mapping[GroupValues, float]],
     seed: int,
     fit_settings: FitSettings,
 ) -> list[list[Ratio]]:
@@ -376,15 +593,16 @@ def _ratios(
     settings = replace(fit_settings, resamples=resamples)
     pairs = [(k, 0) for k in others] + [(k, k + len(plain)) for k in others if plain]
     of_groups = paired_ratios((*scored, *plain), pairs, seed=seed, settings=settings)
-    draws = list(zip(*of_groups, strict=True))
-    ratios = [
-        [threshold_ratio([one]) for one in own] + ([threshold_ratio(own)] if several else [])
-        for own in draws[: len(others)]
+    draws: list[list[Sequence[RatioDraws]]] = [
+        [[of_group] for of_group in of_pair] + [of_pair] * several for of_pair in zip(*of_groups, strict=True)
     ]
+    ratios = [[threshold_ratio(each) for each in own] for own in draws[: len(others)]]
     corrected = iter(holm([ratio.p_value for own in ratios for ratio in own]).tolist())
     names = [group_of(dataset, group) for group in groups] + ([{}] if several else [])
     compared: list[list[Ratio]] = [[]]
-    for own, own_draws, own_gains in zip(ratios, draws[-len(others) :], gains[1:], strict=True):
+    for own, own_draws, of_algorithm in zip(ratios, draws[-len(others) :], gains[1:], strict=True):
+        each_gain = [of_algorithm.get(group) for group in groups]
+        own_gains = [[gain] for gain in each_gain] + [each_gain] * several
         p_values = [next(corrected) for _ in own]
         verdicts = [
             NO_DIFFERENCE if p >= 0.05 else "better" if ratio.is_lower else "worse"
@@ -394,7 +612,6 @@ def _ratios(
             verdicts[-1] = "mixed"
         elif several and verdicts[-1] == NO_DIFFERENCE:
             verdicts[-1] = next((verdict for verdict in verdicts if verdict != NO_DIFFERENCE), NO_DIFFERENCE)
-        beyond: list[dict[str, Any]] = _beyond(own_draws, own_gains, groups) if plain else [{}] * len(own)
         compared.append(
             [
                 Ratio(
@@ -405,33 +622,25 @@ def _ratios(
                     p_value=ratio.p_value,
                     p_value_holm=p_holm,
                     p_value_is_least=ratio.p_value <= 2 / (resamples + 1),
-                    **more,
+                    **(_beyond(of_plain, known) if plain else {}),
                 )
-                for verdict, name, ratio, p_holm, more in zip(verdicts, names, own, p_values, beyond, strict=True)
+                for verdict, name, ratio, p_holm, of_plain, known in zip(
+                    verdicts, names, own, p_values, own_draws, own_gains, strict=True
+                )
             ]
         )
     return compared
 
 
-def _beyond(
-    draws: Sequence[RatioDraws], gains: Gains, groups: Sequence[tuple[float | str, ...]]
-) -> list[dict[str, Any]]:
-    """Return fields of `Ratio`: the comparison with a plain gain in each group, and in all if there are several.
+def _beyond(draws: Sequence[RatioDraws], gains: Sequence[float | None]) -> dict[str, Any]:
+    """Return fields of `Ratio`: the comparison with a plain gain, of all groups with the mean of their gains.
 
     They are empty where the triangle's contrast is not positive before or after the algorithm.
     """
-    found = [
-        _of_gain(gains[group], [one]) if group in gains else {} for group, one in zip(groups, draws, strict=True)
-    ]
-    if len(groups) < 2:
-        return found
-    if not all(found):
-        return [*found, {}]
-    mean = math.exp(math.fsum(math.log(gains[group]) for group in groups) / len(groups))
-    return [*found, _of_gain(mean, draws)]
-
-
-def _of_gain(gain: float, draws: Sequence[RatioDraws]) -> dict[str, Any]:
+    known = [gain for gain in gains if gain is not None]
+    if len(known) < len(gains):
+        return {}
+    gain = known[0] if len(known) == 1 else math.exp(math.fsum(map(math.log, known)) / len(known))
     ratio = threshold_ratio(draws)
     return {"contrast_gain": gain, "beyond_gain": ratio.ratio, "beyond_gain_ci95": ratio.ratio_ci95}
 

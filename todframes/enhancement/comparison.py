@@ -222,6 +222,12 @@ class JudgedBy(Struct, frozen=True, kw_only=True):
     algorithms: tuple[Algorithm, ...] = ()
 
 
+def named(each: Sequence[JudgedBy]) -> list[tuple[str, JudgedBy]]:
+    """Return what each observer finds with its name, "" if it is alone."""
+    names = observer_names([judged.settings for judged in each]) if len(each) > 1 else [""]
+    return list(zip(names, each, strict=True))
+
+
 class Comparison(Thresholds, frozen=True, kw_only=True):
     """Thresholds with and without algorithms. `compare` gives it.
 
@@ -250,13 +256,10 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
         return thresholds_of(self.algorithms)
 
     def _each_settings(self) -> list[Record]:
-        """List the settings of each observer."""
-        return [self.settings, *(one.settings for one in self.observers)]
+        return [judged.settings for _, judged in self._each_observer()]
 
-    def _each_observer(self) -> list[tuple[str, tuple[Algorithm, ...]]]:
-        """Return the algorithms as each observer judges them, with its name, "" if it is alone."""
-        names = observer_names(self._each_settings()) if self.observers else [""]
-        return list(zip(names, [self.algorithms, *(one.algorithms for one in self.observers)], strict=True))
+    def _each_observer(self) -> list[tuple[str, JudgedBy]]:
+        return named([JudgedBy(settings=self.settings, algorithms=self.algorithms), *self.observers])
 
     def _curve_styles(self) -> dict[object, CurveStyle]:
         """Return the style of each algorithm, the same in all figures; the reference has the ink's."""
@@ -274,7 +277,7 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
         is_measured = any(one.psnr_db is not None or one.ssim is not None for one in self.algorithms)
         folded = [self.table(), *([] if responses is None else [responses])]
         return [
-            *(ratios_table(algorithms, observer) for observer, algorithms in self._each_observer()),
+            *(ratios_table(judged.algorithms, observer) for observer, judged in self._each_observer()),
             measures if is_measured else measures.extra(),
             *(one.folded() for one in folded),
             *self.tables_behind(),
@@ -305,10 +308,10 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
             "Below 1 the algorithm helps. Filled: a difference is shown; open: none is. Lines are 95 % intervals, "
             "dotted where the data leave an end open."
         )
-        for number, (observer, algorithms) in enumerate(self._each_observer()):
-            if any(one.ratios for one in algorithms):
+        for number, (observer, judged) in enumerate(self._each_observer()):
+            if any(one.ratios for one in judged.algorithms):
                 title = "Thresholds with and without" + (f", for {observer}" if observer else "")
-                draw = partial(draw_ratios, algorithms=algorithms, styles=styles)
+                draw = partial(draw_ratios, algorithms=judged.algorithms, styles=styles)
                 found.append(ReportFigure(title, note, draw, "" if number else "compare.png"))
         if any(response.is_contrast for one in self.algorithms for response in one.contrast_responses):
             note = (
@@ -486,27 +489,23 @@ def draw_responses(axes: Axes, algorithms: Sequence[Algorithm], styles: Mapping[
     add_legend(axes)
 
 
-def comparison(algorithms: Sequence[Algorithm]) -> tuple[str, ...]:
-    """Return a paragraph for each algorithm except the first, the reference: whether it helps and by how much."""
-    return tuple(_paragraph(one, algorithms[0]) for one in algorithms[1:])
-
-
-def comparisons(each_observer: Sequence[tuple[str, Sequence[Algorithm]]]) -> tuple[str, ...]:
-    """Return a sentence for each algorithm on which observers disagree, then the paragraphs of each observer.
-
-    Of a single observer there are its paragraphs alone.
+def comparisons(each_observer: Sequence[tuple[str, JudgedBy]]) -> tuple[str, ...]:
+    """Return a sentence for each algorithm on which observers disagree, then each observer's paragraphs: whether
+    an algorithm helps, and by how much. The first algorithm is the reference.
     """
-    if len(each_observer) == 1:
-        return comparison(each_observer[0][1])
     disagreements = []
-    for number, one in enumerate(each_observer[0][1][1:], 1):
-        verdicts = {name: algorithms[number].verdict for name, algorithms in each_observer}
+    for number, algorithm in enumerate(each_observer[0][1].algorithms[1:], 1):
+        verdicts = {name: judged.algorithms[number].verdict for name, judged in each_observer}
         if len(set(verdicts.values())) > 1:
             each = ", ".join(f"{verdict} for {name}" for name, verdict in verdicts.items())
-            text = f"The observers disagree about {one.name}: {each}."
+            text = f"The observers disagree about {algorithm.name}: {each}."
             disagreements.append(("better" not in verdicts.values(), text))
-    disagreements.sort(key=lambda one: one[0])
-    paragraphs = (f"{name}: {text}" for name, algorithms in each_observer for text in comparison(algorithms))
+    disagreements.sort(key=lambda item: item[0])
+    paragraphs = (
+        (f"{name}: " if name else "") + _paragraph(algorithm, judged.algorithms[0])
+        for name, judged in each_observer
+        for algorithm in judged.algorithms[1:]
+    )
     return (*(text for _, text in disagreements), *paragraphs)
 
 

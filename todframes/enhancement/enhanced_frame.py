@@ -10,13 +10,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, FrameError, SettingsError, argument
+from todframes.base.errors import DataError, FrameError, SettingsError, argument, of_frame
 from todframes.base.reading import check_positive
 from todframes.display.display import Display, border_values
 from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
@@ -217,7 +217,7 @@ class DecodedFrame:
         before, after = picture.still or (self.original, picture)
         first_row, first_column = self.header.first_row, self.header.first_column
         height, width = self.original.values.shape[:2]
-        try:
+        with of_frame(self.path):
             around = background_factor(
                 before.luminance,
                 after.luminance,
@@ -226,31 +226,13 @@ class DecodedFrame:
                 columns=(first_column, first_column + width),
                 magnification=picture.magnification,
             )
-        except DataError as error:
-            raise FrameError(self.path, str(error)) from None
         ring = before.border_luminance()
         return around, after.border_luminance() / ring / around if ring > 0.0 else 1.0
 
 
-class FrameMeasurements(NamedTuple):
-    """The measurements of a frame after an algorithm; others are those of `EnhancedImage` and `looked_at`.
-
-    `squared_error`, in (cd/m²)², and `ssim` compare it with the frame without noise, None without that.
-    """
-
-    squared_error: float | None
-    ssim: float | None
-    edge_factor: float
-    n_clipped: int
-    cpu_s: float
-    memory_mb: float | None
-
-
-class EnhancedTrial(NamedTuple):
-    """A trial after an algorithm, and the measurements of each of its frames."""
-
-    shown: Shown
-    measured: tuple[FrameMeasurements, ...]
+MEASUREMENTS = ("squared_error", "ssim", "edge_factor", "n_clipped", "cpu_s", "memory_mb")
+"""Measurements of a frame after an algorithm. `squared_error`, in (cd/m²)², and `ssim` compare it with the frame
+without noise; the others are those of `EnhancedImage` and `looked_at`."""
 
 
 class TrialReader:
@@ -271,7 +253,7 @@ class TrialReader:
 
     def __call__(self, *trial: Any, **options: Any) -> list[Shown]:
         """Return a trial as shown after each algorithm; arguments are those of `read`."""
-        return [after.shown for after in self.read(*trial, **options)]
+        return self.read(*trial, **options)[0]
 
     def read(
         self,
@@ -282,10 +264,11 @@ class TrialReader:
         displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
         *,
         whole: bool = False,
-    ) -> list[EnhancedTrial]:
-        """Return the trial as shown after each algorithm, with measurements; parameters are those of `read_trial`.
+    ) -> tuple[list[Shown], FloatArray]:
+        """Return the trial as shown after each algorithm; parameters are those of `read_trial`.
 
-        FrameError if a frame cannot be used, the triangle is not on it, or an algorithm fails with it.
+        Then come measurements, (algorithm, frame, `MEASUREMENTS`), NaN for what is not measured. FrameError if a
+        frame cannot be used, the triangle is not on it, or an algorithm fails with it.
         """
 
         def opened() -> Iterator[tuple[DecodedFrame, Placement]]:
@@ -299,30 +282,27 @@ class TrialReader:
         if self._of_clips:
             placed = list(placed)
             after_clip = self._after_clips(dataset, trial, [decoded for decoded, _ in placed])
-        frames, n_rows = [], []
+        parts: list[list[tuple[ContrastPatch, float, float]]] = [[] for _ in self.algorithms]
+        measured = np.full((len(self.algorithms), len(trial.frames), len(MEASUREMENTS)), np.nan)
+        n_rows = []
         for number, (frame, (decoded, place)) in enumerate(zip(trial.frames, placed, strict=True)):
-            seen = []
-            try:
-                for algorithm in self.algorithms:
+            with of_frame(decoded.path):
+                for k, algorithm in enumerate(self.algorithms):
                     own = after_clip.get(algorithm.spec)
                     picture = (
                         decoded.after(algorithm, self._meters[algorithm.spec]) if own is None else own[number]
                     )
-                    *part, edge_factor = decoded.looked_at(picture, place, frame, whole=whole)
-                    seen.append((part, self._measured(dataset, frame, picture, edge_factor)))
-            except FrameError:
-                raise
-            except DataError as error:
-                raise FrameError(decoded.path, str(error)) from None
-            frames.append(seen)
+                    patch, x_px, y_px, edge_factor = decoded.looked_at(picture, place, frame, whole=whole)
+                    parts[k].append((patch, x_px, y_px))
+                    measures = *self._errors(dataset, frame, picture), edge_factor, picture.n_clipped
+                    measured[k, number] = *measures, picture.cpu_s, picture.memory_mb
             n_rows.append(decoded.header.height)
-        trials = []
-        for algorithm, of_algorithm in zip(self.algorithms, zip(*frames, strict=True), strict=True):
-            parts, measured = zip(*of_algorithm, strict=True)
-            patches, xs, ys = zip(*parts, strict=True)
+        shown = []
+        for algorithm, of_frames in zip(self.algorithms, parts, strict=True):
             pitch_mrad = self.screen.display.pitch_mrad / algorithm.magnification
-            trials.append(EnhancedTrial(Shown(patches, xs, ys, pitch_mrad, n_rows[0]), measured))
-        return trials
+            patches, xs, ys = zip(*of_frames, strict=True)
+            shown.append(Shown(patches, xs, ys, pitch_mrad, n_rows[0]))
+        return shown, measured
 
     def pictures(self, dataset: Dataset, trial: Trial) -> Iterator[tuple[str, list[EnhancedImage]]]:
         """Yield the picture of a trial's first frame after each algorithm, and of all frames after one of clips.
@@ -353,10 +333,8 @@ class TrialReader:
         for algorithm in self._of_clips:
             images: list[Image] = []
             for frame in decoded[len(trial.warm_up) - algorithm.warm_up_frames :]:
-                try:
+                with of_frame(frame.path):
                     images.append(frame.input_of(algorithm))
-                except DataError as error:
-                    raise FrameError(frame.path, str(error)) from None
                 if images[-1].shape[:2] != images[0].shape[:2]:
                     raise FrameError(
                         frame.path,
@@ -369,10 +347,8 @@ class TrialReader:
                     np.broadcast_to(image if image.ndim == 3 else image[..., None], (*image.shape[:2], 3))
                     for image in images
                 ]
-            try:
+            with of_frame(judged[0].path):
                 after[algorithm.spec] = self._after_clip(np.stack(images), judged, algorithm, frame_rate_hz)
-            except DataError as error:
-                raise FrameError(judged[0].path, str(error)) from None
         return after
 
     def _after_clip(
@@ -394,25 +370,22 @@ class TrialReader:
             for frame, image, pair in zip(judged, after, still, strict=True)
         ]
 
-    def _measured(
-        self, dataset: Dataset, frame: FrameReference, picture: EnhancedImage, edge_factor: float
-    ) -> FrameMeasurements:
+    def _errors(
+        self, dataset: Dataset, frame: FrameReference, picture: EnhancedImage
+    ) -> tuple[float | None, float | None]:
+        """Return the squared error and the SSIM of a picture; None without a frame to compare it with."""
         path = dataset.reference_path(frame)
-        error = ssim = None
-        if path is not None:
-            reference = self.reference_luminance(path, dataset.max_frame_mb)
-            if picture.values.shape[:2] == reference.shape:
-                black, white = self.screen.luminance_range
-                error, ssim = squared_error_and_ssim(picture.luminance(), reference, data_range=white - black)
-        return FrameMeasurements(error, ssim, edge_factor, picture.n_clipped, picture.cpu_s, picture.memory_mb)
+        if path is None:
+            return None, None
+        reference = self.reference_luminance(path, dataset.max_frame_mb)
+        if picture.values.shape[:2] != reference.shape:
+            return None, None
+        black, white = self.screen.luminance_range
+        return squared_error_and_ssim(picture.luminance(), reference, data_range=white - black)
 
     def _reference_luminance(self, path: Path, max_frame_mb: int) -> FloatArray:
-        try:
+        with of_frame(path):
             return self.screen.display.luminance(read_frame(path, max_frame_mb=max_frame_mb).values)
-        except FrameError:
-            raise
-        except DataError as error:
-            raise FrameError(path, str(error)) from None
 
 
 def squared_error_and_ssim(

@@ -6,7 +6,6 @@ import math
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, FrameError
+from todframes.base.errors import DataError, FrameError, of_frame
 from todframes.display.display import BackgroundRule, Display, border_values, check_background, weber_contrast
 from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.files import BAND_VALUES, FrameFile, FrameSource, code_values
@@ -115,7 +114,7 @@ def read_contrast(
         else np.empty((bottom - top, right - left, len(file.header.channels)), file.stored_type)
     )
     seen = LuminanceFound()
-    with _data_errors_of(file):
+    with of_frame(file.path):
         for band in file.bands() if whole else file.bands(rows=decoded[0], columns=decoded[1]):
             luminance = display.luminance(band.values)
             begin, end = band.first_row, band.first_row + len(luminance)
@@ -147,7 +146,7 @@ def check_pixels(file: FrameSource, display: Display, frame: FrameReference, tri
     (first_row, stop_row), all_columns = file.clip(None, None)
     window = surround_window(triangle, rows=(first_row, stop_row), columns=all_columns)
     surround, seen = SurroundSums(triangle, window), LuminanceFound()
-    with _data_errors_of(file):
+    with of_frame(file.path):
         for band in file.bands():
             begin, end = band.first_row, band.first_row + len(band.stored)
             code = band.values
@@ -163,17 +162,6 @@ def check_pixels(file: FrameSource, display: Display, frame: FrameReference, tri
                 part = code[rows[0] - begin : rows[1] - begin, left:right]
                 surround.add(display.luminance(part), rows[0], window.columns[0])
         check_contrast(seen.largest, surround.surface() if rule == "surround" else _background(rule, seen, frame))
-
-
-@contextmanager
-def _data_errors_of(file: FrameSource) -> Iterator[None]:
-    """Raise FrameError, which names the frame, in place of other DataErrors."""
-    try:
-        yield
-    except FrameError:
-        raise
-    except DataError as error:
-        raise FrameError(file.path, str(error)) from None
 
 
 class LuminanceFound:

@@ -65,6 +65,38 @@ PYRAMID_LEVELS = "pyramid levels"
 """Name of what most observers omit."""
 
 
+P = ParamSpec("P")
+S = TypeVar("S")
+T = TypeVar("T")
+
+
+def keeps_last(most: int) -> Callable[[Callable[Concatenate[S, P], T]], Callable[Concatenate[S, P], T]]:
+    """Return a decorator of methods whose last results, so many of them, are kept in the object. A cache of the
+    class would keep every object alive. Results are not pickled, see `Observer.__getstate__`.
+    """
+
+    def decorated(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[S, P], T]:
+        @wraps(method)
+        def result(self: S, *args: P.args, **kwargs: P.kwargs) -> T:
+            results = vars(self).setdefault(KEPT, {}).setdefault(method.__qualname__, {})
+            key = (*args, *kwargs.items())
+            if key not in results:
+                new = method(self, *args, **kwargs)
+                for oldest in list(results)[: len(results) - most + 1]:
+                    results.pop(oldest, None)
+                results[key] = new
+                return new
+            return cast("T", results[key])
+
+        return cast("Callable[Concatenate[S, P], T]", result)
+
+    return decorated
+
+
+KEPT = "_kept"
+"""Attribute of an object with the results that `keeps_last` keeps."""
+
+
 @dataclass(frozen=True, eq=False)
 class Readout:
     """A linear observer of one stimulus: the weight of each retina sample in each of the four scores.
@@ -152,6 +184,7 @@ class Readout:
         """Compute the mean of the four scores."""
         return inner_product(self.common, contrast)
 
+    @keeps_last(4)
     def cropped(self, half_width: int) -> Readout:
         """Return the readout of the middle of the grid only: so many samples on each side of the middle one."""
         margin = self.grid.side // 2 - half_width
@@ -307,38 +340,6 @@ class Detection(NamedTuple):
 
     weights: FloatArray
     noise_variance: float
-
-
-P = ParamSpec("P")
-S = TypeVar("S")
-T = TypeVar("T")
-
-
-def keeps_last(most: int) -> Callable[[Callable[Concatenate[S, P], T]], Callable[Concatenate[S, P], T]]:
-    """Return a decorator of methods whose last results, so many of them, are kept in the object. A cache of the
-    class would keep every object alive. Results are not pickled, see `Observer.__getstate__`.
-    """
-
-    def decorated(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[S, P], T]:
-        @wraps(method)
-        def result(self: S, *args: P.args, **kwargs: P.kwargs) -> T:
-            results = vars(self).setdefault(KEPT, {}).setdefault(method.__qualname__, {})
-            key = (*args, *kwargs.items())
-            if key not in results:
-                new = method(self, *args, **kwargs)
-                for oldest in list(results)[: len(results) - most + 1]:
-                    results.pop(oldest, None)
-                results[key] = new
-                return new
-            return cast("T", results[key])
-
-        return cast("Callable[Concatenate[S, P], T]", result)
-
-    return decorated
-
-
-KEPT = "_kept"
-"""Attribute of an object with the results that `keeps_last` keeps."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -72,7 +72,7 @@ KINDS = {
     "curve": Kind("TOD curve of a sensor", "sensor_sim.thresholds.curve:curve"),
     "compare": Kind(
         "Enhancements compared",
-        "todframes.enhancement.compare_call:compare",
+        "todframes.enhancement.compare:compare",
         "todframes.enhancement.comparison:Comparison",
         "algorithms",
     ),
