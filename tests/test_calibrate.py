@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from people import a_monitor, model_person, sit
-from scipy.stats import chi2, norm
+from scipy.stats import chi2, norm, power_divergence
 
 import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
@@ -32,13 +32,13 @@ from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_imag
 from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset
 from todframes.observers.oriented import OrientedObserver
-from todframes.psychometrics.curves import CHI2_95
 from todframes.results.result import read_result
 from todframes.scoring.retina_view import Shown, retina_image
 from todframes.stimulus import Orientation, Stimulus
 
 LN_NOISE = np.linspace(math.log(0.01), math.log(10.0), 29)
 ONE_BLUR = np.zeros(1)
+CHI2_95 = chi2.ppf(0.95, 1)
 
 
 def logistic_table(*strengths: float, each: int = 1) -> AnswerTable:
@@ -98,13 +98,29 @@ def test_lapses_are_the_errors_of_certain_trials() -> None:
     p_weak = (200 / 300 - 0.02 / 3.0) / (1.0 - 0.02 * 4.0 / 3.0)
     assert fit.noise == pytest.approx(noise_of(p_weak), rel=1e-3)
     assert fit.deviance == pytest.approx(0.0, abs=1e-4)
-    low, high = fit.lapse_rate_ci95
-    assert 0.0 < low < 0.02 < high < 0.05
+    # The noise makes up for δ in weak trials, so that δ has the likelihood ratio of the strong ones alone.
+    for end in fit.lapse_rate_ci95:
+        ratio = power_divergence([6, 294], [300 * end, 300 * (1.0 - end)], lambda_="log-likelihood").statistic
+        assert ratio == pytest.approx(CHI2_95, rel=5e-3)
+    assert fit.lapse_rate_ci95[0] < 0.02 < fit.lapse_rate_ci95[1]
     fixed = fitted(table, is_correct, cell, lapse_rates=(0.02, 0.02))
     assert fixed.lapse_rate_ci95 is None and fixed.noise == pytest.approx(fit.noise, rel=1e-3)
     # Without lapses the errors in certain trials count as noise, and are hardly possible.
     without = fitted(table, is_correct, cell)
     assert without.noise > fit.noise and without.deviance > 100.0
+
+
+def test_a_free_blur_has_a_closed_form() -> None:
+    """Blur b strengthens half of the trials and weakens the others: each half has its own effective noise."""
+    ln_blur, way = np.linspace(-1.0, 1.0, 9), np.repeat([1.0, -1.0], 300)[:, None, None]
+    strength = np.exp(way * ln_blur[:, None] - LN_NOISE)
+    is_correct = np.concatenate([answers(210, 300), answers(150, 300)])
+    fit = fitted(AnswerTable(LN_NOISE, ln_blur, np.log(1.0 / 3.0 + strength**4)), is_correct)
+    with_blur, against = noise_of(0.7), noise_of(0.5)
+    assert fit.noise == pytest.approx(math.sqrt(with_blur * against), rel=1e-3)
+    assert fit.blur == pytest.approx(math.sqrt(against / with_blur), rel=1e-3)
+    # dP / d ln noise is 0.72 and 0.667, so ln b has √(0.21 / 0.72² + 0.25 / 0.667²) / √300 / 2 = 0.0284.
+    assert np.log(fit.blur_ci95) == pytest.approx(math.log(fit.blur) + 1.96 * 0.0284 * np.array([-1, 1]), abs=0.004)
 
 
 @pytest.mark.parametrize("lapse_rates", [(0.0, 0.0), (0.0, 0.05)])
@@ -139,6 +155,9 @@ def test_the_deviance_tells_a_model_that_does_not_fit() -> None:
     table, cell = logistic_table(0.8, 1.2, each=100), np.repeat([0, 1], 100)
     unlike = fitted(table, np.concatenate([answers(95, 100), answers(45, 100)]), cell, resamples=200)
     assert unlike.deviance_p_value == pytest.approx(1 / 201)
+    expected = 100.0 * np.stack([unlike.p_correct[::100], 1.0 - unlike.p_correct[::100]])
+    deviance = power_divergence([[95, 45], [5, 55]], expected, axis=None, lambda_="log-likelihood").statistic
+    assert (unlike.deviance, unlike.n_cells) == (pytest.approx(deviance), 2)
     p = fitted(table, answers(150, 200), cell).p_correct
     like = fitted(table, np.concatenate([answers(round(100 * q), 100) for q in p[[0, -1]]]), cell, resamples=200)
     assert like.deviance_p_value > 0.5

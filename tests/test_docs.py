@@ -21,6 +21,7 @@ import pytest
 
 import sensor_sim as ss
 import todframes as tod
+from sensor_sim.chain.sensor import Detector, Electronics, Motion, Noise, Optics, PhotonNoise, Scene, SensorDisplay
 from sensor_sim.cli import cli as sensor_sim
 from todframes import __version__
 from todframes.cli.console import run
@@ -401,8 +402,26 @@ def test_enhancement_of_the_samples_is_as_shown(capsys) -> None:
 def test_documented_settings_are_the_settings(name: str, begin: str, kinds: tuple[type, ...]) -> None:
     table = page(name).partition(begin)[2] if begin else page(name)
     table = table.partition("\n\nA package")[0] if begin else table
-    documented = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
-    assert sorted(documented) == sorted(field.name for kind in kinds for field in fields(kind))
+    documented = dict(re.findall(r"^\| `(\w+)` \|([^|]*)\|", table, re.MULTILINE))
+    defaults = {field.name: field.default for kind in kinds for field in fields(kind)}
+    assert sorted(documented) == sorted(defaults)
+    for name, default in defaults.items():
+        if isinstance(default, (int, float)):
+            assert documented[name].strip() in (f"{default:g}", str(default).lower()), name
+
+
+def test_documented_defaults_of_a_sensor_are_the_defaults() -> None:
+    kinds = {"optics": Optics, "motion": Motion, "noise": Noise, "electronics": Electronics}
+    kinds |= {"display": SensorDisplay, "detector": Detector, "scene": Scene}
+    n_checked = 0
+    for line in page("sensor.md").splitlines():
+        if table := re.match(r"\| \*\*\[(\w+)\]", line):
+            kind = PhotonNoise if "`model`" in line else kinds[table[1]]
+        if stated := re.search(r"\| (?:.*; )?default ([\d.]+|false) \|$", line):
+            for name in re.findall(r"`(\w+)`", line.split("|")[1]):
+                n_checked += 1
+                assert float(stated[1].replace("false", "0")) == {f.name: f.default for f in fields(kind)}[name]
+    assert n_checked == 23
 
 
 @pytest.fixture(scope="module")

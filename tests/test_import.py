@@ -429,6 +429,10 @@ def test_a_schedule_of_images_without_places_keeps_whole_frames(tmp_path: Path) 
         whole = cv2.imread(str(done.path / row["frame"]), cv2.IMREAD_UNCHANGED)
         assert np.array_equal(whole, np.full((40, 50), ord(row["source"][0]), np.uint8))
     assert 'group_by = ["size_mrad"]' in (done.path / "dataset.toml").read_text(encoding="utf-8")
+    half = {"value_range": (0.0, 97.5), "out": tmp_path / "half"}
+    done = tod.import_recordings(tmp_path / "images", schedule=tmp_path / "s.csv", level="snr", **half)
+    (message,) = [one.message for one in done.warnings if one.code == "beyond_range"]
+    assert message.startswith("50 % of the values lie beyond black and white and were clipped, as the display")
 
 
 @pytest.mark.parametrize(

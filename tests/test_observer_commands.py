@@ -115,15 +115,18 @@ def test_wrong_settings_are_one_line(cli, name: str, assignment: str, wanted: st
 def test_documented_settings_are_the_settings() -> None:
     common = {field.name for field in fields(PyramidSettings)}
     light = {"luminance_cd_m2", "age_years", "pupil_mm"}  # they mean more to csf than to the pyramid's eye
-    documented = re.findall(r"^\| `(\w+)` \|", DOCS, re.MULTILINE)
-    documented = [name for name in documented if name not in OWN_SETTINGS]
-    own = [
-        field.name
+    documented = re.findall(r"^\| `(\w+)` \| ([^|]*) \|", DOCS, re.MULTILINE)
+    documented = {name: default.strip("`") for name, default in documented if name not in OWN_SETTINGS}
+    own = {
+        field.name: field.default
         for name in ("informative", "oriented", "csf")
         for field in fields(find_observer(name).settings_type)
         if field.name not in common or (name == "csf" and field.name in light)
-    ]
-    assert documented == own
+    }
+    assert list(documented) == list(own)
+    for name, default in own.items():
+        if default is not None:
+            assert documented[name] == (f"{default:g}" if type(default) is float else str(default).lower()), name
 
 
 def test_documented_thresholds_are_the_thresholds() -> None:

@@ -157,6 +157,39 @@ def test_markers_and_ruler(made) -> None:
         assert np.allclose(np.diff(ticks), 10.0) and len(ticks) == 21
 
 
+def boxes_of_text(path: Path) -> list[np.ndarray]:
+    """Corners (left, top) and (right, bottom) of each line of text, with letters 0.55 heights wide."""
+    boxes = []
+    for text in ElementTree.parse(path).getroot().iter(f"{SVG}text"):
+        x, y, height = (float(text.get(name)) for name in ("x", "y", "font-size"))
+        width = 0.55 * height * len(text.text)
+        left = x - (width / 2.0 if text.get("text-anchor") == "middle" else 0.0)
+        boxes.append(np.array([[left, y - height], [left + width, y]]))
+    return boxes
+
+
+def test_nothing_covers_anything_else(made) -> None:
+    folder, chart = made
+    page = chart.pages[0]
+    drawn = polygons(folder / page.file)
+    grey, ruler = drawn[0][0], np.concatenate([path for path, _ in drawn if 0.2 in np.ptp(path, axis=0).round(5)])
+    reach = chart.markers.side_mm * 9 / 14  # half a marker and its white border
+    boxes = [np.array([centre - reach, centre + reach]) for centre in chart.markers.all_centres_mm]
+    middles, halves = (np.array([(getattr(one, f"{a}_mm"), getattr(one, f"{b}_mm")) for one in page.patches])
+                       for a, b in (("x", "y"), ("width", "height")))  # fmt: skip
+    boxes += [np.array([middle - half, middle + half]) for middle, half in zip(middles, halves / 2, strict=True)]
+    boxes += [np.array([path.min(axis=0), path.max(axis=0)]) for path in (grey, ruler)]
+    text = boxes_of_text(folder / page.file)
+    assert len(text) > len(page.patches) == 12 and min(np.ptp(one, axis=0)[1] for one in text) > 2.0
+    for k, one in enumerate(boxes + text):
+        assert (one[0] >= 10.0 - 1e-4).all() and (one[1] <= np.array([390.0, 270.0]) + 1e-4).all()
+        for other in (boxes + text)[:k]:
+            assert np.maximum(one[0] - other[1], other[0] - one[1]).max() >= -1e-4
+    for one, patch in zip(text[:12], page.patches, strict=True):  # its number is below a patch
+        assert one.mean(axis=0)[0] == pytest.approx(patch.x_mm)
+        assert 0.0 < one[0][1] - patch.y_mm - patch.height_mm / 2.0 < 1.0
+
+
 def test_measured_reflectances(tmp_path: Path) -> None:
     table = tmp_path / "measured.csv"
     table.write_text("code_value,reflectance\n0,0.1\n100,0.2\n255,0.82\n", encoding="utf-8")
@@ -169,6 +202,8 @@ def test_measured_reflectances(tmp_path: Path) -> None:
 
 REFUSED = {
     ("print", "--contrasts=5"): "--contrasts: found 5, expected 0.012 to 1.82, which the paper's greys have",
+    # At codes 153 and 154 it is 0.2980 and 0.3017, and 0.04 is 0.867 less.
+    ("print", "--contrasts=0.9 --polarity=-1"): "--contrasts: found -0.9, expected 0.012 to 0.867, which",
     ("print", "--contrasts=0.1,0.101"): "0.1 and 0.101 have the same printed grey",
     ("print", "--sizes-mrad=8"): "are 80 mm, and with the background that the observer needs 400 mm",
     ("print", "--sizes-mrad=0.1"): "0.1 mrad at 10 m are 1 mm, in which the printer's dots show",
@@ -190,7 +225,7 @@ REFUSED = {
 @pytest.mark.parametrize(("kind", "option"), REFUSED)
 def test_what_cannot_be_printed_or_cut_is_one_line(kind: str, option: str, tmp_path: Path, todframes) -> None:
     place = tmp_path / "chart"
-    given = ["--distance-m=10", "--sizes-mrad=1", option, "-o", place]
+    given = ["--distance-m=10", "--sizes-mrad=1", *option.split(), "-o", place]
     assert REFUSED[kind, option] in error_line(todframes("chart", f"--for={kind}", *given))
     assert not place.exists()
 
@@ -232,6 +267,12 @@ def test_plates_have_holes_of_the_right_size(plates) -> None:
             sides = np.linalg.norm(hole - np.roll(hole, 1, axis=0), axis=1)
             assert np.allclose(sides, side, atol=1e-3)
             assert np.allclose(hole.mean(axis=0), plate[:4].mean(axis=0), atol=1e-3)
+        marks = [path.mean(axis=0) - plate[:4].mean(axis=0) for path, _ in polygons(drawing)[2:]]
+        # Lines of 3 mm and 0.1 mm, beside the plate on all four sides.
+        expected = [[0.05, -51.5], [-51.5, 0.05], [0.05, 51.5], [51.5, 0.05]]
+        assert np.allclose(marks, expected, atol=1e-3)
+        for one in boxes_of_text(drawing):
+            assert one.min() >= 0.0 and one[1][0] < 140.0 and one[1][1] < 17.0  # above the mark over the plate
     assert chart.page_width_mm == 100.0
     assert np.allclose(boxes, [0, 0, 140, 140], atol=1e-3)
 

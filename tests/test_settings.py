@@ -48,7 +48,8 @@ def test_no_setting_takes_an_object(kind: type[Any], name: str) -> None:
         object.__setattr__(unchecked, one.name, one.default)
     object.__setattr__(unchecked, name, Strange())
     with pytest.raises(SettingsError, match=f"^{name}: found Strange, expected [a-z0-9]"):
-        check_values(unchecked)
+        # These two look at values before they check them all.
+        (check_values if kind in (Detector, Optics) else kind.__post_init__)(unchecked)
 
 
 class Strange:

@@ -459,6 +459,6 @@ def _of_windows(division: TrialDivision, *, is_clipped: bool) -> Iterator[Record
         done = "and were clipped, as the display does" if is_clipped else "and were kept"
         yield RecordingWarning(
             "beyond_range",
-            f"{percent:.2g} % of the values lie beyond black and white {done}; a wider "
+            f"{percent:.3g} % of the values lie beyond black and white {done}; a wider "
             f"{argument.value_range} keeps them",
         )
