@@ -639,6 +639,11 @@ EXPERIMENTS = {
     "level empty": ({"level": ""}, ("level", "''", "column")),
     "group_by text": ({"group_by": "size_mrad"}, ("group_by", "'size_mrad'")),
     "group_by of numbers": ({"group_by": [1]}, ("group_by", "found 1, expected text")),
+    "group_by twice": (
+        {"group_by": ["lens", "size_mrad", "lens"]},
+        ("found lens, size_mrad, lens, expected each",),
+    ),
+    "group_by the level": ({"group_by": ["contrast"]}, ("group_by: found 'contrast', which is the level",)),
     "unknown key": ({"groupby": []}, ("'groupby'", "'group_by'")),
 }
 

@@ -120,7 +120,9 @@ def test_a_free_blur_has_a_closed_form() -> None:
     assert fit.noise == pytest.approx(math.sqrt(with_blur * against), rel=1e-3)
     assert fit.blur == pytest.approx(math.sqrt(against / with_blur), rel=1e-3)
     # dP / d ln noise is 0.72 and 0.667, so ln b has √(0.21 / 0.72² + 0.25 / 0.667²) / √300 / 2 = 0.0284.
-    assert np.log(fit.blur_ci95) == pytest.approx(math.log(fit.blur) + 1.96 * 0.0284 * np.array([-1, 1]), abs=0.004)
+    assert np.log(fit.blur_ci95) == pytest.approx(
+        math.log(fit.blur) + 1.96 * 0.0284 * np.array([-1, 1]), abs=0.004
+    )
 
 
 @pytest.mark.parametrize("lapse_rates", [(0.0, 0.0), (0.0, 0.05)])

@@ -397,6 +397,10 @@ def test_radiometric_counts_come_back(tmp_path, order, in_jpeg):
 def test_temperatures_of_a_black_body_invert_its_counts(tmp_path):
     (tmp_path / "a.fff").write_bytes(fff(np.zeros((4, 4)), emissivity=0.9))
     radiometry = radiometric.read_radiometry(tmp_path / "a.fff")
+    for wrong in ({"emissivity": 1.1}, {"emissivity": 0.0}, {"planck": (0.0, 1428.0, 1.0, -228, 1.0)}):
+        (tmp_path / "b.fff").write_bytes(fff(COUNTS[0], **wrong))
+        with pytest.raises(tod.FrameError, match=r"found R1 .*, emissivity .*, expected positive numbers"):
+            radiometric.read_radiometry(tmp_path / "b.fff")
     celsius = np.linspace(-20, 100, 7)
     share = radiometry.emissivity
     assert (share, radiometry.reflected_celsius) == pytest.approx(
@@ -685,6 +689,13 @@ def test_every_kind_keeps_the_contract_of_a_recording(tmp_path, make):
     assert recording.full_scale is None or recording.full_scale > recording.zero
 
 
+def cv2_pages(path, *shapes):
+    """Write a TIFF of pages of several sizes."""
+    import cv2
+
+    cv2.imwritemulti(str(path), [np.zeros(shape, np.uint8) for shape in shapes])
+
+
 def npy_claiming(shape, descr="<u2"):
     text = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode()
     text += b" " * (118 - len(text) - 1) + b"\n"
@@ -744,6 +755,11 @@ BAD_FILES = {
         lambda: npy_with_header(b"{'descr': '<u2', 'shape': (3, 4"),
         "the header of the array is damaged",
     ),
+    "header of Python 2": (
+        "a.npy",
+        lambda: npy_with_header(b"{'descr': '<u2', 'fortran_order': False, 'shape': (2L, 3L, 8L)}"),
+        "the header of the array is damaged",
+    ),
     "deep header": ("a.npy", lambda: npy_with_header(b"[" * 9000), "the header of the array is damaged"),
     "escapes in header": ("a.npy", lambda: npy_with_header(b"{'descr': '<\\d'}"), "the header of the array is"),
     "long header": ("a.npy", lambda: npy_with_header(b" " * 70_000, b"\2\0"), "found a header of 70000 bytes"),
@@ -765,6 +781,10 @@ BAD = {
     "two sizes": (
         partial(two_pngs, columns=50),
         "size: found 50 x 40 pixels, expected 60 x 40 pixels as in a.png",
+    ),
+    "no pages alike": (
+        lambda d: (cv2_pages(d / "a.tif", (4, 5), (4, 5), (4, 6)), d / "a.tif")[1],
+        "page 2 differs in size or pixel type from page 0, expected equal ones",
     ),
     "two kinds": (
         lambda d: (two_pngs(d), np.save(d / "c.npy", np.zeros((40, 60))))[0],
@@ -808,6 +828,7 @@ BAD |= {name: (partial(written, name=file, data=data), said) for name, (file, da
 BAD |= {name: (partial(with_times, rows=rows.split()), said) for name, (rows, said) in BAD_TIMES.items()}
 
 
+@pytest.mark.filterwarnings("ignore:Reading .*npy")
 @pytest.mark.parametrize("case", BAD)
 def test_bad_recordings_are_told_in_one_line(tmp_path, case):
     make, message = BAD[case]

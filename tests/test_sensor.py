@@ -133,6 +133,18 @@ def test_an_unknown_key_names_the_nearest(tmp_path, table, line):
             "width_mrad = 0.0682",
             r"\[detector\]: width_mrad: found 0.0682, expected at most pitch_mrad",
         ),
+        (
+            "pitch_mrad = 0.0681\nwidth_mrad = 0.0681",
+            "width_um = 9.0",
+            r"\[detector\]: pitch_um is missing: width_um is a width on",
+        ),
+        (
+            "pitch_mrad = 0.0681\nwidth_mrad = 0.0681",
+            "pitch_um = 9.0",
+            "optics.focal_length_mm is missing: detector",
+        ),
+        ("netd_mk = 16.0", "couple_netd = true", r"\[noise\]: couple_netd: needs netd_mk, which is missing$"),
+        ("aperture_mm", "measured_units = 1.0\naperture_mm", r"\[optics\]: unknown key 'measured_units'$"),
         ("frames_integrated = 6", "frames_integrated = 6.5", r"\[noise\]: frames_integrated: found 6.5"),
         ("[optics]", "[optics", "not valid TOML"),
         ("[optics]", "[optic]", r"unknown key 'optic'; the nearest valid one is 'optics'$"),
