@@ -80,7 +80,7 @@ def test_written_results_come_back(tmp_path: Path) -> None:
         ("<results>", "<!DOCTYPE x [<!ENTITY a 'b'>]><results>", "has a document type"),
         ("0.280769280926", "0,28", "sensitivity/K: found '0,28', expected a number"),
         ("0.280769280926", "0", "sensitivity/K: found 0, expected a number > 0"),
-        (r"45.1356082834", "145", "sensitivity/QE: found 1.45, expected a number > 0 up to 100 %"),
+        (r"45.1356082834", "145", "sensitivity/QE: found 145, expected a number > 0 up to 100 %"),
         ("$DN/e^-$", "mV/e", "sensitivity/K: found the unit 'mV/e', expected 'DN/e\\^-'"),
         ("sigma_d>", "sigma_e>", "found no sensitivity/sigma_d, expected one"),
         ("0.551787767644", "-1", "spatial/DSNU1288: found -1, expected a number of 0 or more"),

@@ -268,22 +268,7 @@ class EmvaNumbers(Struct, frozen=True, kw_only=True):
 
     def noise_table(self) -> Json:
         """Return the table `[noise]` of a SENSOR.toml, with noise and pattern without those of the lines."""
-        of_noise, of_pattern = (
-            math.hypot(*(sd for key, sd in self.lines_electrons.items() if kind in key))
-            for kind in ("noise", "pattern")
-        )
-        return noise_table(
-            quantum_efficiency=self.quantum_efficiency,
-            system_gain_dn_per_electron=self.system_gain,
-            dark_noise_electrons=math.sqrt(max(self.dark_noise**2 - of_noise**2, 0.0)),
-            dark_current_electrons_per_s=None if self.dark_current is None else max(self.dark_current, 0.0),
-            dsnu_electrons=math.sqrt(max(self.dsnu**2 - of_pattern**2, 0.0)),
-            prnu_percent=self.prnu,
-            **self.lines_electrons,
-            full_well_electrons=self.saturation_electrons,
-            bits=self.bits,
-            exposure_ms=self.exposure_ms,
-        )
+        return noise_table(self.xml_values(), self.lines_electrons)
 
     def xml_values(self) -> dict[str, float | int | None]:
         """Return the results by the names of EMVA's XML, in its units."""

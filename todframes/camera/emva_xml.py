@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 from todframes.base._typing import Json
@@ -35,23 +35,40 @@ with Path(__file__).with_name("emva_results.csv").open(encoding="utf-8", newline
 """Quantities of a result, in the order of the file."""
 
 
-def noise_table(**values: Any) -> Json:
-    """Return the table `[noise]` of a SENSOR.toml with what a camera's figures state, in six digits.
+Results = Mapping[str, float | int | None]
+"""Results by the names in `LEAVES`, in their units; those that are not known are None or missing."""
 
-    The four parts of rows and columns are what their pixels have in common in the dark, in a frame or in all: no
-    parts of the dark noise and of the DSNU stated here. Results of EMVA 1288 do not have them.
+
+def noise_table(results: Results, lines: Mapping[str, float] | None = None) -> Json:
+    """Return the table `[noise]` of a SENSOR.toml with what a camera's results state, in six digits.
+
+    `lines` are the parts of rows and columns by their keys in the table, what their pixels have in common in the
+    dark, in a frame or in all: they are taken from the dark noise and from the DSNU. EMVA 1288 does not have them.
     """
-    known = {name: value for name, value in values.items() if value is not None}
-    return {"model": "photon"} | {
-        name: float(f"{value:.6g}") if isinstance(value, float) else value for name, value in known.items()
+    lines, noise, pattern = lines or {}, results["sigma_d"], results.get("DSNU1288")
+    of_noise, of_pattern = (
+        sum(sd**2 for key, sd in lines.items() if kind in key) for kind in ("noise", "pattern")
+    )
+    efficiency, dark_current = results.get("QE"), results.get("u_I_mean")
+    known: Json = {
+        "quantum_efficiency": None if efficiency is None else efficiency / 100.0,
+        "system_gain_dn_per_electron": results["K"],
+        "dark_noise_electrons": noise and math.sqrt(max(noise**2 - of_noise, 0.0)),
+        # From the means of dark frames; noise can make it negative.
+        "dark_current_electrons_per_s": None if dark_current is None else max(dark_current, 0.0),
+        "dsnu_electrons": pattern and math.sqrt(max(pattern**2 - of_pattern, 0.0)),
+        "prnu_percent": results.get("PRNU1288"),
+        **lines,
+        "full_well_electrons": results.get("u_e_sat"),
+        "bits": results.get("bits"),
+        "exposure_ms": results.get("exposure"),
     }
+    rounded = {name: float(f"{value:.6g}") if isinstance(value, float) else value for name, value in known.items()}
+    return {"model": "photon"} | {name: value for name, value in rounded.items() if value is not None}
 
 
-def emva_xml(values: Mapping[str, float | int | None]) -> bytes:
-    """Return the XML file of results, by the names in `LEAVES` and in their units, in UTF-8.
-
-    Those that are None or missing are left out.
-    """
+def emva_xml(values: Results) -> bytes:
+    """Return the XML file of results in UTF-8, without those that are not known."""
     root = ElementTree.Element("results")
     sections = {name: ElementTree.SubElement(root, name) for name in dict.fromkeys(one.section for one in LEAVES)}
     for section, name, unit, symbol, meaning, _ in LEAVES:
@@ -74,40 +91,25 @@ def read_emva_xml(path: Path) -> Json:
     """
     results = _results(path)
     values = {one.name: _number(path, results, one) for one in LEAVES}
-    gain, dark_noise, efficiency = values["K"], values["sigma_d"], values["QE"]
-    if gain is None and (inverse := values["inverse_K"]) is not None:
-        gain = 1.0 / inverse if inverse > 0.0 else math.nan
-    if gain is None or dark_noise is None:
-        missing = "K" if gain is None else "sigma_d"
-        raise DataError(f"{path}: found no sensitivity/{missing}, expected one; are these results of EMVA 1288?")
-    bits, dark_current = values["bits"], values["u_I_mean"]
-    if bits is not None and bits != round(bits):
-        raise DataError(f"{path}: info/bits: found {bits:g}, expected a whole number")
-    efficiency = None if efficiency is None else efficiency / 100.0
-    for name, value, most in (
-        ("sensitivity/K", gain, math.inf),
-        ("sensitivity/QE", efficiency, 1.0),
-        ("sensitivity/u_e_sat", values["u_e_sat"], math.inf),
-    ):
+    if values["K"] is None and (inverse := values["inverse_K"]) is not None:
+        values["K"] = 1.0 / inverse if inverse > 0.0 else math.nan
+    for name in ("K", "sigma_d"):
+        if values[name] is None:
+            raise DataError(f"{path}: found no sensitivity/{name}, expected one; are these results of EMVA 1288?")
+    if (bits := values["bits"]) is not None:
+        if bits != round(bits):
+            raise DataError(f"{path}: info/bits: found {bits:g}, expected a whole number")
+        values["bits"] = round(bits)
+    for name, most in (("K", math.inf), ("QE", 100.0), ("u_e_sat", math.inf)):
+        value = values[name]
         if value is not None and not 0.0 < value <= most:
-            of_percent = " up to 100 %" * (most == 1.0)
-            raise DataError(f"{path}: {name}: found {value:g}, expected a number > 0{of_percent}")
+            of_percent = " up to 100 %" * (most == 100.0)
+            raise DataError(f"{path}: sensitivity/{name}: found {value:g}, expected a number > 0{of_percent}")
     for name in ("sensitivity/sigma_d", "spatial/DSNU1288", "spatial/PRNU1288"):
         value = values[name.partition("/")[2]]
         if value is not None and value < 0.0:
             raise DataError(f"{path}: {name}: found {value:g}, expected a number of 0 or more")
-    return noise_table(
-        quantum_efficiency=efficiency,
-        system_gain_dn_per_electron=gain,
-        dark_noise_electrons=dark_noise,
-        # From the means of dark frames; noise can make it negative.
-        dark_current_electrons_per_s=None if dark_current is None else max(dark_current, 0.0),
-        dsnu_electrons=values["DSNU1288"],
-        prnu_percent=values["PRNU1288"],
-        full_well_electrons=values["u_e_sat"],
-        bits=None if bits is None else round(bits),
-        exposure_ms=values["exposure"],
-    )
+    return noise_table(values)
 
 
 def _results(path: Path) -> ElementTree.Element:
