@@ -79,7 +79,9 @@ class MtfBand:
     @property
     def mtf50_cyc_per_pixel(self) -> Estimate | None:
         """Frequency at which the MTF falls to 0.5, and those at which its band does; None if it stays above."""
-        value, *ends = (falls_to(0.5, FREQUENCY_CYC_PER_PIXEL, one) for one in (self.mtf, self.lower, self.upper))
+        value, *ends = (
+            falls_to(0.5, FREQUENCY_CYC_PER_PIXEL, curve) for curve in (self.mtf, self.lower, self.upper)
+        )
         return None if value is None else Estimate(value, (ends[0], ends[1]))
 
     @property
@@ -125,9 +127,9 @@ class EdgeMtf(MtfBand):
 
 def mean_band(bands: Sequence[MtfBand]) -> MtfBand:
     """Return the mean of MTFs, with the band that follows from theirs if their noise is independent."""
-    mean = np.mean([one.mtf for one in bands], 0)
+    mean = np.mean([band.mtf for band in bands], 0)
     down, up = (
-        np.sqrt(np.sum([(getattr(one, end) - one.mtf) ** 2 for one in bands], 0)) / len(bands)
+        np.sqrt(np.sum([(getattr(band, end) - band.mtf) ** 2 for band in bands], 0)) / len(bands)
         for end in ("lower", "upper")
     )
     return MtfBand(mtf=mean, lower=np.maximum(mean - down, 0.0), upper=mean + up)
@@ -216,7 +218,7 @@ def _fitted_curve(values: FloatArray, where: str) -> _Curve:
         raise DataError(f"{where}found no edge: all values are the same")
     y, x = np.meshgrid(*(np.arange(n, dtype=np.float64) for n in values.shape), indexing="ij")
     # The direction of the steepest slopes: the principal axis of the structure tensor.
-    jxx, jyy, jxy = (float((squares * one * other).sum()) for one, other in ((gx, gx), (gy, gy), (gx, gy)))
+    jxx, jyy, jxy = (float((squares * left * right).sum()) for left, right in ((gx, gx), (gy, gy), (gx, gy)))
     angle = 0.5 * math.atan2(2 * jxy, jxx - jyy)
     normal = (math.cos(angle), math.sin(angle))
     if float((squares * (gx * normal[0] + gy * normal[1])).sum()) < 0.0:
@@ -290,7 +292,7 @@ def _binned(distance: FloatArray, along: FloatArray, values: FloatArray, uniform
     _, bins, counts = np.unique(
         np.digitize(distance, np.concatenate([-half[::-1], [0.0], half])), return_inverse=True, return_counts=True
     )
-    nodes, means = (np.bincount(bins, one) / counts for one in (distance, values))
+    nodes, means = (np.bincount(bins, quantity) / counts for quantity in (distance, values))
     if len(nodes) < 8:
         raise DataError(f"{where}found too few pixels at the edge for a profile, expected a larger box")
     slopes = np.zeros(len(nodes))
@@ -323,7 +325,7 @@ def _rise(esf: _Esf, levels: FloatArray) -> FloatArray:
 
 def _fitted(values: FloatArray, curve: _Curve, box: Box, step_px: float, where: str) -> EdgeMtf:
     """Fit curve and profile in turn, then transform the profile."""
-    y, x = (one.ravel() for one in np.indices(values.shape, np.float64))
+    y, x = (indices.ravel() for indices in np.indices(values.shape, np.float64))
     distance, s = curve.distance(x, y)
     # The farthest pixels, as many as the edge has along it, lie in corners of the box.
     n_left_out = min(int(np.ptp(s)), len(s) // 4)
@@ -447,16 +449,16 @@ def _check_smooth(esf: _Esf, rise: FloatArray, contrast: float, widest_px: float
 
     farthest_px = max(widest_px - 2 * sigma_px, widest_px / 2)
     beside_px = np.append(np.arange(farthest_px - 4 * sigma_px, 4 * sigma_px, -4 * sigma_px), farthest_px)
-    beside = [one for place in beside_px for side in (1.0, -1.0) if len(one := displacements(side * place))]
-    found = displacements(0.0)
-    noise = float(np.mean([one @ one / len(one) for one in beside]))
+    beside = [shift for place in beside_px for side in (1.0, -1.0) if len(shift := displacements(side * place))]
+    on_edge = displacements(0.0)
+    noise = float(np.mean([shift @ shift / len(shift) for shift in beside]))
     # Rows that share noise are fewer: the variance of a mean of squares (Bartlett).
     shared = [
-        np.mean([one[lag:] @ one[:-lag] / len(one) for one in beside if len(one) > lag]) / noise
-        for lag in range(1, min(2 * BLOCK_ROWS, len(found) // 4))
+        np.mean([shift[lag:] @ shift[:-lag] / len(shift) for shift in beside if len(shift) > lag]) / noise
+        for lag in range(1, min(2 * BLOCK_ROWS, len(on_edge) // 4))
     ]
-    n_rows = len(found) / (1.0 + 2.0 * float(np.sum(np.square(shared)))) if noise > 0.0 else math.inf
-    excess = float(found @ found) / len(found) - noise
+    n_rows = len(on_edge) / (1.0 + 2.0 * float(np.sum(np.square(shared)))) if noise > 0.0 else math.inf
+    excess = float(on_edge @ on_edge) / len(on_edge) - noise
     if excess > max(ROUGHEST_PX**2, 5.0 * math.sqrt(2.0 / n_rows) * noise):
         raise DataError(
             f"{where}found an edge that departs from a smooth curve by {math.sqrt(excess):.2f} pixels, expected "

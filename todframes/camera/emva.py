@@ -272,7 +272,9 @@ class EmvaNumbers(Struct, frozen=True, kw_only=True):
 
     def xml_values(self) -> dict[str, float | int | None]:
         """Return the results by the names of EMVA's XML, in its units."""
-        values: dict[str, float | int | None] = {one.name: attrgetter(one.key)(self) for one in LEAVES if one.key}
+        values: dict[str, float | int | None] = {
+            leaf.name: attrgetter(leaf.key)(self) for leaf in LEAVES if leaf.key
+        }
         values |= {"inverse_K": 1.0 / self.system_gain, "DSNU1288_DN": self.dsnu * self.system_gain}
         if self.quantum_efficiency is not None:
             values["QE"] = 100.0 * self.quantum_efficiency
@@ -306,10 +308,10 @@ def measure_emva(
         if not stacks:
             raise DataError(f"noise: found no {what} stack, expected one or more")
     full_scale = bright[0].recording.full_scale if bits is None else float(2**bits - 1)
-    of_dark = [_measured(one, region, full_scale, None, progress) for one in dark]
-    darkest = min(one.mean for one in of_dark)
-    of_bright = [_measured(one, region, full_scale, darkest, progress) for one in bright]
-    shapes = {one.shape for one in (*of_dark, *of_bright)}
+    of_dark = [_measured(stack, region, full_scale, None, progress) for stack in dark]
+    darkest = min(stack.mean for stack in of_dark)
+    of_bright = [_measured(stack, region, full_scale, darkest, progress) for stack in bright]
+    shapes = {stack.shape for stack in (*of_dark, *of_bright)}
     if len(shapes) > 1:
         found = " and ".join(f"{columns} x {rows}" for rows, columns in sorted(shapes))
         raise DataError(f"noise: found stacks of {found} pixels, expected one size")
@@ -317,10 +319,10 @@ def measure_emva(
     figures, gain = camera.figures(), float(camera.gain[0])
     if background is not None:
         name = str(background.recording.path)
-        signal_dn = next(one.signal_dn for one in camera.points if one.bright.name == name)
+        signal_dn = next(point.signal_dn for point in camera.points if point.bright.name == name)
         figures["background_electrons"] = _estimate(signal_dn / camera.gain, 1.0 / camera.to_faint)
-    values: dict[str, Any] = {name: one.value for name, one in figures.items()}
-    values |= {f"{name}_ci95": one.ci95 for name, one in figures.items()}
+    values: dict[str, Any] = {name: figure.value for name, figure in figures.items()}
+    values |= {f"{name}_ci95": figure.ci95 for name, figure in figures.items()}
     if electrons := figures.get("saturation_electrons"):
         values["snr_max"] = math.sqrt(electrons.value)
         values["dynamic_range"] = electrons.value / float(camera.least_electrons[0])
@@ -338,7 +340,7 @@ def measure_emva(
         dark=spatial.dark,
         points=tuple(camera.points),
     )
-    of_recordings = dict.fromkeys(one for stack in (*bright, *dark) for one in stack.recording.warnings)
+    of_recordings = dict.fromkeys(warning for stack in (*bright, *dark) for warning in stack.recording.warnings)
     return numbers, (*of_recordings, *camera.warnings(has_bits=bits is not None))
 
 
@@ -427,13 +429,13 @@ def _check_exposure(
     steps = np.diff(order)
     n_low = int(steps.argmax()) + 1
     groups = order[:n_low], order[n_low:]
-    within = max(float(np.std(one)) for one in groups)
+    within = max(float(np.std(group)) for group in groups)
     signal = 0.0 if darkest is None else abs(float(np.median(means)) - darkest)
     sd = math.sqrt(temporal)
     # Lamps flicker by less than 2 % of the signal. In faint and dark frames half the noise of a pixel decides.
     least = (0.02 * signal, 0.5 * sd, MIXED_ERRORS * sd / math.sqrt(n_pixels), MIXED_ERRORS * within)
     if steps.max() > max(least):
-        low, high = (float(one.mean()) for one in groups)
+        low, high = (float(group.mean()) for group in groups)
         raise DataError(
             f"{stack.recording.path}: frames have means about {low:.5g} ({n_low} of them) and {high:.5g} "
             f"({len(order) - n_low}), expected one exposure in a stack; give each one as a stack of its own"
@@ -442,17 +444,18 @@ def _check_exposure(
 
 def _dark_of(bright: StackNoise, dark: Sequence[StackNoise]) -> StackNoise:
     """Return the dark stack of a bright one's exposure; of several, the one with the nearest number of frames."""
-    alike = [one for one in dark if one.exposure_ms == bright.exposure_ms]
-    if not alike and len({one.exposure_ms for one in dark}) == 1:
+    alike = [stack for stack in dark if stack.exposure_ms == bright.exposure_ms]
+    if not alike and len({stack.exposure_ms for stack in dark}) == 1:
         alike = list(dark)
     if not alike:
         at, *known = (
-            "unknown" if one.exposure_ms is None else f"{one.exposure_ms:g} ms" for one in (bright, *dark[:6])
+            "unknown" if stack.exposure_ms is None else f"{stack.exposure_ms:g} ms"
+            for stack in (bright, *dark[:6])
         )
         raise DataError(
             f"{bright.name}: found no dark frames for its exposure ({at}), expected {', '.join(known)}"
         )
-    return min(alike, key=lambda one: abs(one.n_frames - bright.n_frames))
+    return min(alike, key=lambda stack: abs(stack.n_frames - bright.n_frames))
 
 
 def _with_common_frames(stacks: Sequence[S]) -> list[S]:
@@ -460,8 +463,8 @@ def _with_common_frames(stacks: Sequence[S]) -> list[S]:
 
     The others are stacks of many frames for the spatial measurement, which the standard takes on its own.
     """
-    ((n_frames, count),) = Counter(one.n_frames for one in stacks).most_common(1)
-    return [one for one in stacks if one.n_frames == n_frames or count < 3]
+    ((n_frames, count),) = Counter(stack.n_frames for stack in stacks).most_common(1)
+    return [stack for stack in stacks if stack.n_frames == n_frames or count < 3]
 
 
 def _saturation(points: Sequence[TransferPoint]) -> int | None:
@@ -469,11 +472,11 @@ def _saturation(points: Sequence[TransferPoint]) -> int | None:
 
     Behind it the variance falls, or values are at the end of the scale.
     """
-    variances = [one.bright.temporal for one in points]
+    variances = [point.bright.temporal for point in points]
     most = max(variances)
     index = variances.index(most)
     # By noise alone, the variance of a pair of 64 x 64 pixels falls to 0.8 of the largest once in 10¹⁰.
-    is_reached = any(one.bright.temporal < 0.8 * most or one.is_saturated for one in points[index + 1 :])
+    is_reached = any(point.bright.temporal < 0.8 * most or point.is_saturated for point in points[index + 1 :])
     return index if is_reached else None
 
 
@@ -527,9 +530,9 @@ class _Camera:
         self, of_bright: Sequence[StackNoise], of_dark: Sequence[StackNoise], full_scale: float | None
     ) -> None:
         self.of_dark = of_dark
-        self.darkest = min(of_dark, key=lambda one: (one.exposure_ms or 0.0, -one.n_frames))
-        of_bright = sorted(of_bright, key=lambda one: one.mean)
-        points = [TransferPoint.of(one, _dark_of(one, of_dark)) for one in of_bright]
+        self.darkest = min(of_dark, key=lambda stack: (stack.exposure_ms or 0.0, -stack.n_frames))
+        of_bright = sorted(of_bright, key=lambda stack: stack.mean)
+        points = [TransferPoint.of(stack, _dark_of(stack, of_dark)) for stack in of_bright]
         _check_light(points)
         self.series = _with_common_frames(points)
         self.saturated = _saturation(self.series)
@@ -537,20 +540,22 @@ class _Camera:
             self.most = self.series[self.saturated].signal_dn
         else:
             self.most = math.inf if full_scale is None else full_scale - points[0].dark.mean
-        good = [one for one in points if one.signal_dn > 0.0 and not one.is_saturated]
-        good = [one for one in good if one.signal_dn <= 0.7 * self.most] or good  # EMVA 1288 release 4.0 linear
-        self.fitted = [one for one in good if one in self.series] or good
-        self.points = [structs.replace(one, is_fitted=one in self.fitted) for one in points]
+        good = [point for point in points if point.signal_dn > 0.0 and not point.is_saturated]
+        good = [
+            point for point in good if point.signal_dn <= 0.7 * self.most
+        ] or good  # EMVA 1288 release 4.0 linear
+        self.fitted = [point for point in good if point in self.series] or good
+        self.points = [structs.replace(point, is_fitted=point in self.fitted) for point in points]
         self.spatial = _spatial_point(good, self.most)
-        self.step = math.gcd(*(one.step for one in (*of_dark, *of_bright)))
+        self.step = math.gcd(*(stack.step for stack in (*of_dark, *of_bright)))
         self.rng = np.random.default_rng(SEED)
-        self.drawn = {one: _drawn(one, self.rng) for one in (*of_dark, *of_bright)}
+        self.drawn = {stack: _drawn(stack, self.rng) for stack in (*of_dark, *of_bright)}
         self._fit_gain()
         self.response = self._response()
         self.least_electrons = np.sqrt(self.drawn[self.darkest].temporal) / self.gain + 0.5
 
     def _fit_gain(self) -> None:
-        drawn = [(self.drawn[one.bright], self.drawn[one.dark]) for one in self.fitted]
+        drawn = [(self.drawn[point.bright], self.drawn[point.dark]) for point in self.fitted]
         signals = np.array([bright.mean - dark.mean for bright, dark in drawn])
         variances = np.array([bright.temporal - dark.temporal for bright, dark in drawn])
         gains = (signals * variances).sum(axis=0) / (signals**2).sum(axis=0)
@@ -565,9 +570,9 @@ class _Camera:
         self.gain: FloatArray = gains[0] + self.misfit * (gains - gains[0])
 
     def _response(self) -> FloatArray | None:
-        if not all(one.photons for one in self.fitted):
+        if not all(point.photons for point in self.fitted):
             return None
-        photons, signal = np.array([(one.photons, one.signal_dn) for one in self.fitted], np.float64).T
+        photons, signal = np.array([(point.photons, point.signal_dn) for point in self.fitted], np.float64).T
         n = len(photons)
         if n == 1:
             point = self.fitted[0]
@@ -609,12 +614,12 @@ class _Camera:
             return figures | {"dark_noise": Estimate(0.4 * step, (0.0, 0.4 * step))}
         noise = _root(variance - ROUNDING_VARIANCE * self.step**2)
         figures["dark_noise"] = _estimate(noise / self.gain, 1.0 / self.to_faint)
-        known = [one for one in _with_common_frames(self.of_dark) if one.exposure_ms is not None]
-        seconds = np.array([one.exposure_ms for one in known], np.float64) / 1e3
+        known = [stack for stack in _with_common_frames(self.of_dark) if stack.exposure_ms is not None]
+        seconds = np.array([stack.exposure_ms for stack in known], np.float64) / 1e3
         if len(np.unique(seconds)) >= 3:
             quantities = (("dark_current", "mean", 1), ("dark_current_from_variance", "temporal", 2))
             for name, quantity, power in quantities:
-                slope, error, _ = straight_line(seconds, np.array([getattr(one, quantity) for one in known]))
+                slope, error, _ = straight_line(seconds, np.array([getattr(stack, quantity) for stack in known]))
                 slopes = np.append(slope, slope + error * self.rng.standard_t(len(known) - 2, DRAWS))
                 figures[name] = _estimate(slopes / self.gain**power, self.to_faint**-power)
         return figures
@@ -675,7 +680,7 @@ class _Camera:
             )
 
     def _of_dark(self) -> Iterator[RecordingWarning]:
-        crushed = max(self.of_dark, key=lambda one: one.crushed)
+        crushed = max(self.of_dark, key=lambda stack: stack.crushed)
         if crushed.crushed > MOST_SATURATED:
             yield RecordingWarning(
                 "saturated",
@@ -730,7 +735,7 @@ def _check_light(points: Sequence[TransferPoint]) -> None:
             + ", and all other stacks are brighter" * (len(points) > 1)
             + "; expected a stack below saturation"
         )
-    if brightest.signal_dn <= 0.0 or all(one.variance_dn2 <= 0.0 for one in points):
+    if brightest.signal_dn <= 0.0 or all(point.variance_dn2 <= 0.0 for point in points):
         raise DataError(
             f"{brightest.bright.name}: its mean is {brightest.bright.mean:.4g} and that of dark frames "
             f"{brightest.dark.mean:.4g}, with no more noise; expected brighter frames; are they exchanged?"
@@ -753,13 +758,13 @@ def _bend(fitted: Sequence[TransferPoint], errors: FloatArray) -> float:
     from scipy.special import stdtrit
 
     n = len(fitted)
-    signal = np.array([one.signal_dn for one in fitted])
+    signal = np.array([point.signal_dn for point in fitted])
     # With fewer stacks, or nearer ones, scatter looks like a bend.
     if n < 4 or np.ptp(signal) < 0.2 * signal.max():
         return 0.0
-    photons = [one.photons for one in fitted]
+    photons = [point.photons for point in fitted]
     has_photons = all(photons)
-    ratio = signal / photons if has_photons else np.array([one.variance_dn2 for one in fitted]) / signal
+    ratio = signal / photons if has_photons else np.array([point.variance_dn2 for point in fitted]) / signal
     weights = (signal / (1.0 if has_photons else errors)) ** 2
     x = signal - weights @ signal / weights.sum()
     slope = float(weights @ (x * ratio) / (weights @ x**2))
@@ -788,17 +793,19 @@ def _misfit(signal: FloatArray, variance: FloatArray, errors: FloatArray) -> flo
 
 def _spatial_point(points: Sequence[TransferPoint], most: float) -> TransferPoint:
     """Return the point of the spatial measurement: most frames, and nearest to half of saturation."""
-    n_frames = max(one.n_frames for one in points)
+    n_frames = max(point.n_frames for point in points)
     middle = most / 2.0 if math.isfinite(most) else points[-1].signal_dn
-    return min((one for one in points if one.n_frames == n_frames), key=lambda one: abs(one.signal_dn - middle))
+    return min(
+        (point for point in points if point.n_frames == n_frames), key=lambda point: abs(point.signal_dn - middle)
+    )
 
 
 def _linearity(points: Sequence[TransferPoint], most: float) -> tuple[float, float] | None:
     """Return the smallest and largest deviation from the line of least relative deviation, in percent."""
     used = [
-        (one.photons, one.signal_dn)
-        for one in points
-        if one.photons and math.isfinite(most) and LINEAR[0] * most <= one.signal_dn <= LINEAR[1] * most
+        (point.photons, point.signal_dn)
+        for point in points
+        if point.photons and math.isfinite(most) and LINEAR[0] * most <= point.signal_dn <= LINEAR[1] * most
     ]
     if len(used) < 3:
         return None

@@ -70,7 +70,9 @@ def noise_table(results: Results, lines: Mapping[str, float] | None = None) -> J
 def emva_xml(values: Results) -> bytes:
     """Return the XML file of results in UTF-8, without those that are not known."""
     root = ElementTree.Element("results")
-    sections = {name: ElementTree.SubElement(root, name) for name in dict.fromkeys(one.section for one in LEAVES)}
+    sections = {
+        name: ElementTree.SubElement(root, name) for name in dict.fromkeys(leaf.section for leaf in LEAVES)
+    }
     for section, name, unit, symbol, meaning, _ in LEAVES:
         value = "4.0" if name == "release" else values.get(name)
         if value is None:
@@ -90,7 +92,7 @@ def read_emva_xml(path: Path) -> Json:
     DataError if the file cannot be read, is of another release or form, or has a value that no camera has.
     """
     results = _results(path)
-    values = {one.name: _number(path, results, one) for one in LEAVES}
+    values = {leaf.name: _number(path, results, leaf) for leaf in LEAVES}
     if values["K"] is None and (inverse := values["inverse_K"]) is not None:
         values["K"] = 1.0 / inverse if inverse > 0.0 else math.nan
     for name in ("K", "sigma_d"):

@@ -56,7 +56,7 @@ class CameraView(NamedTuple):
             raise DataError(
                 f"{dark.path}: has {columns} x {rows} pixels, expected {across} x {of_film} as the film"
             )
-        regions = np.array([one.region for one in self.patches])
+        regions = np.array([patch.region for patch in self.patches])
         width, height = regions[:, 2:].min(axis=0).tolist()
         starts = (regions[:, :2] + (regions[:, 2:] - (width, height)) // 2).tolist()
         films = _cut(self.recording, [(left, top, width, height) for left, top in starts])
@@ -111,10 +111,10 @@ class _SeenFilm:
         where = self.recording.path
         frame = next(self.recording.frames())
         seen = self.finder.look(frame.values)
-        found = None if seen is None else page_of(seen.ids)
-        if seen is None or found is None:
+        shown = None if seen is None else page_of(seen.ids)
+        if seen is None or shown is None:
             raise DataError(f"{where}: {frame.source}: found no page of a chart, expected its four markers")
-        page, key = found
+        page, key = shown
         if key != self.chart.key or page >= len(self.chart.pages):
             raise DataError(
                 f"{where}: {frame.source}: found page {page} of the chart with the key {key}, expected one of the "
@@ -149,18 +149,18 @@ class _SeenFilm:
         if page is None:
             return None
         wanted = set(best)
-        return page, best, [one for at, one in edges if at in wanted]
+        return page, best, [seen for at, seen in edges if at in wanted]
 
     def _clip_frames(self, edges: list[tuple[int, SeenEdges]], progress: Progress | None) -> Iterator[ClipFrame]:
         """Yield the frames that show a page, named by their numbers; keep the edges of those for the camera."""
         frames = counted(self.recording.frames(), self.recording.n_frames, progress)
         for number, frame in enumerate(frames):
             seen = self.finder.look(frame.values)
-            found = None if seen is None else page_of(seen.ids)
-            if seen is None or found is None:
+            shown = None if seen is None else page_of(seen.ids)
+            if seen is None or shown is None:
                 self.other_keys |= set() if self.finder.key is None else {self.finder.key}
                 continue
-            page, key = found
+            page, key = shown
             self.other_keys.add(key)
             if key == self.chart.key and page < len(self.chart.pages):
                 if self.chart.pages[page].edges:
@@ -170,9 +170,9 @@ class _SeenFilm:
     def view(self, page: Page, numbers: Sequence[int], edges: Sequence[SeenEdges]) -> CameraView:
         """Return the view of a page in the frames of a clip in which the chart is at rest."""
         pieces, path = self.finder.pieces, self.recording.path
-        measured = [one.measured(pieces) for one in edges]
+        measured = [seen.measured(pieces) for seen in edges]
         moved_px = _moved_px(measured)
-        still = [k for k, one in enumerate(moved_px) if one <= 0.2]
+        still = [k for k, moved in enumerate(moved_px) if moved <= 0.2]
         moves = f"the chart moves in {len(numbers) - len(still)} of the {len(numbers)} frames that show its page"
         if len(still) < max(2, len(numbers) // 4) and len(numbers) > 1:
             raise DataError(
@@ -182,7 +182,7 @@ class _SeenFilm:
         some = [still[k] for k in np.unique(np.linspace(0, len(still) - 1, MOST_SOLVED).round().astype(int))]
         shape = self.recording.shape
         choice = choose_lens(
-            pieces, [measured[k] for k in some], [lambda one: _places(page, one) for _ in some], shape
+            pieces, [measured[k] for k in some], [lambda geometry: _places(page, geometry) for _ in some], shape
         )
         if choice is None:
             raise DataError(
@@ -219,15 +219,15 @@ def _cut(recording: Recording, regions: Sequence[Box]) -> list[Recording]:
 
 def _moved_px(measured: Sequence[MeasuredEdges]) -> list[float]:
     """Return how far the markers' edges of each frame are from their median place, in the median of the edges."""
-    places = np.array([one.places_px for one in measured])
+    places = np.array([frame.places_px for frame in measured])
     away = ((places - np.nanmedian(places, axis=0)) ** 2).sum(axis=-1)
-    return [float(one) for one in np.sqrt(np.nanmedian(away, axis=1))]
+    return [float(distance) for distance in np.sqrt(np.nanmedian(away, axis=1))]
 
 
 def _places(page: Page, geometry: Geometry) -> FloatArray:
     """Return the places and sizes of the patches of a page, (n, 3), by which the error of a lens is judged."""
-    middles = np.array([(one.x_mm, one.y_mm) for one in page.patches])
-    sizes = [geometry.scale_px_per_mm(one) for one in middles]
+    middles = np.array([(patch.x_mm, patch.y_mm) for patch in page.patches])
+    sizes = [geometry.scale_px_per_mm(middle) for middle in middles]
     return np.column_stack([geometry.to_px(middles), sizes])
 
 
@@ -245,8 +245,8 @@ def _edges(
         across = np.array([-dy, dx]) / np.hypot(dx, dy) * edge.free_mm
         # Where the next thing is on either side, and the other edges.
         beside = [geometry.to_px(edge.ends_mm + sign * across) for sign in (1.0, -1.0)]
-        others = [geometry.to_px(one.ends_mm) for one in edges if one is not edge]
-        box = box_about(ends_px, [points_between(one) for one in (*others, *beside)], shape)
+        others = [geometry.to_px(other.ends_mm) for other in edges if other is not edge]
+        box = box_about(ends_px, [points_between(line) for line in (*others, *beside)], shape)
         step_px = 0.0
         if step_mm is not None:
             jacobian = geometry.jacobian(edge.ends_mm.mean(axis=0))
@@ -270,9 +270,11 @@ def _edges(
 
 
 def _patches(patches: Sequence[Patch], geometry: Geometry) -> list[FramePatch]:
-    levels = [one.luminance_cd_m2 if one.reflectance is None else one.reflectance for one in patches]
+    levels = [patch.luminance_cd_m2 if patch.reflectance is None else patch.reflectance for patch in patches]
     # Each has one of them, as its settings are checked.
-    return [FramePatch(_inner(one, geometry), level or 0.0) for one, level in zip(patches, levels, strict=True)]
+    return [
+        FramePatch(_inner(patch, geometry), level or 0.0) for patch, level in zip(patches, levels, strict=True)
+    ]
 
 
 def _inner(patch: Patch, geometry: Geometry) -> Box:

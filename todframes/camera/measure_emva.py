@@ -122,7 +122,7 @@ class Emva(Content, frozen=True, kw_only=True):
             "snr": "SNR",
             "is_fitted": "in the fit",
         }
-        points = [structs.asdict(one) for one in numbers.points]
+        points = [structs.asdict(point) for point in numbers.points]
         of_points = [Column(key=key, header=header) for key, header in headers.items()]
         title = f"Variances at a mean of {plain(numbers.bright.mean, 4)} DN"
         transfer = Table.of("Photon transfer", "photon_transfer.csv", of_points, points).without_empty_columns()
@@ -141,7 +141,7 @@ class Emva(Content, frozen=True, kw_only=True):
             interval = "" if ends is None else f" ({interval_phrase(ends)})"
             return f"{plain(getattr(numbers, key), digits)} {unit}{interval}"
 
-        n_fitted = sum(one.is_fitted for one in numbers.points)
+        n_fitted = sum(point.is_fitted for point in numbers.points)
         stacks = f"{count(n_fitted, 'bright stack')} of {len(numbers.points)}"
         texts = [
             f"System gain {known('system_gain', 'DN per electron', 4)}, from {stacks}.",
@@ -212,28 +212,30 @@ class Emva(Content, frozen=True, kw_only=True):
     def _draw_transfer(self, axes: Axes) -> None:
         points, gain = self.noise.emva1288.points, self.noise.emva1288.system_gain
         for is_fitted, face, label in ((True, COLOURS[0], "in the fit"), (False, PAPER, "beyond it")):
-            shown = [(one.signal_dn, one.variance_dn2) for one in points if one.is_fitted == is_fitted]
+            shown = [(point.signal_dn, point.variance_dn2) for point in points if point.is_fitted == is_fitted]
             if shown:
                 axes.plot(*zip(*shown, strict=True), "o", color=COLOURS[0], mfc=face, markersize=4, label=label)
-        signal = np.array([0.0, max(one.signal_dn for one in points)])
+        signal = np.array([0.0, max(point.signal_dn for point in points)])
         axes.plot(signal, gain * signal, color=COLOURS[4], label=f"K = {plain(gain, 4)} DN/e⁻", zorder=1)
         axes.set(xlabel="signal above dark (DN)", ylabel="variance above dark (DN²)")
-        most = max(one.variance_dn2 for one in points)
-        axes.set_ylim(min(0.0, *(one.variance_dn2 for one in points)) - 0.03 * most, 1.12 * most)
+        most = max(point.variance_dn2 for point in points)
+        axes.set_ylim(min(0.0, *(point.variance_dn2 for point in points)) - 0.03 * most, 1.12 * most)
         add_legend(axes)
 
     def _draw_snr(self, axes: Axes) -> None:
         numbers = self.noise.emva1288
         # Without a quantum efficiency the abscissa is electrons; ideal is the camera that counts all of them.
         per_photon = numbers.quantum_efficiency or 1.0
-        points = [one for one in numbers.points if one.signal_dn > 0.0 and not one.is_saturated]
-        x = np.array([one.signal_dn / numbers.system_gain / per_photon for one in points])
+        points = [point for point in numbers.points if point.signal_dn > 0.0 and not point.is_saturated]
+        x = np.array([point.signal_dn / numbers.system_gain / per_photon for point in points])
         light = np.geomspace(SNR_SPAN[0] * x.min(), SNR_SPAN[1] * x.max(), 200)
         axes.plot(light, np.sqrt(light), color=INK, ls=":", label="ideal: every photon counts")
         axes.plot(light, self.snr(light * per_photon), color=COLOURS[0], label="temporal noise")
         total = self.snr(light * per_photon, with_spatial=True)
         axes.plot(light, total, color=COLOURS[4], ls="--", label="with DSNU and PRNU")
-        axes.plot(x, [one.snr or np.inf for one in points], "o", color=COLOURS[0], markersize=4, label="measured")
+        axes.plot(
+            x, [point.snr or np.inf for point in points], "o", color=COLOURS[0], markersize=4, label="measured"
+        )
         what = "electrons" if numbers.quantum_efficiency is None else "photons"
         axes.set(xscale="log", yscale="log", xlabel=f"{what} of a pixel", ylabel="SNR")
         plain_ticks(axes.yaxis, np.sqrt(light).tolist())
@@ -327,7 +329,7 @@ def emva_noise(
         bits, name = described_bits if bits is None else bits, str(descriptor)
     else:
         films, covered = (
-            [_opened(one, f"{what}[{number}]", max_frame_mb) for number, one in enumerate(stacks)]
+            [_opened(stack, f"{what}[{number}]", max_frame_mb) for number, stack in enumerate(stacks)]
             for what, stacks in (("bright", bright), ("dark", dark))
         )
         if not films or not covered:
@@ -364,7 +366,7 @@ def emva_noise(
         of_bright, of_dark, bits=bits, region=region, source=name, background=background, progress=progress
     )
     numbers = structs.replace(numbers, background_cd_m2=luminance)
-    of_codes = [ResultWarning(code=one.code, message=one.message) for one in warnings]
+    of_codes = [ResultWarning(**warning._asdict()) for warning in warnings]
     return Result.made("emva", started, warnings=of_codes, noise=as_read(EmvaKey(emva1288=numbers), EmvaKey))
 
 
@@ -413,7 +415,7 @@ def _described(path: Path, max_frame_mb: int) -> tuple[list[Stack], list[Stack],
             if not values.startswith(("3.", "4.")):  # their form is the same
                 raise DataError(f"{where}: found version {values[:20]!r}, expected one from 3 to 4")
         elif kind == "n":
-            size = [round(one) for one in _numbers(where, line, "n bits width height", 3)]
+            size = [round(value) for value in _numbers(where, line, "n bits width height", 3)]
             if not 1 <= size[0] <= 32 or min(size) < 1:
                 raise DataError(f"{where}: found {values!r}, expected 1 to 32 bits, width and height > 0")
         elif kind == "b":
@@ -450,7 +452,7 @@ def _numbers(where: str, line: str, form: str, n: int) -> list[float]:
         values = [float(part) for part in line.split()[1:]]
     except ValueError:
         values = []
-    if len(values) != n or not all(math.isfinite(one) and one >= 0.0 for one in values):
+    if len(values) != n or not all(math.isfinite(value) and value >= 0.0 for value in values):
         raise DataError(f"{where}: found {line.strip()[:40]!r}, expected {form}, numbers of 0 or more")
     return values
 
@@ -461,6 +463,6 @@ def _of_each(values: Sequence[float], n: int, name: str) -> list[float | None]:
         return [None] * n
     if len(values) != n:
         raise SettingsError(f"{name}: found {len(values)} numbers for {n} bright stacks, expected one for each")
-    if not all(np.isfinite(one) and one > 0.0 for one in values):
-        raise SettingsError(f"{name}: found {', '.join(f'{one:g}' for one in values)}, expected numbers > 0")
-    return [float(one) for one in values]
+    if not all(np.isfinite(value) and value > 0.0 for value in values):
+        raise SettingsError(f"{name}: found {', '.join(f'{value:g}' for value in values)}, expected numbers > 0")
+    return [float(value) for value in values]

@@ -178,21 +178,21 @@ class Mtf(Content, frozen=True, kw_only=True):
 
     def table(self) -> Table:
         """Return all frequencies, whose CSV `sensor_sim` reads."""
-        found = self.mtf
-        decimals = 4 if found.unit == "cyc_per_pixel" else None
-        columns = [Column(key=f"frequency_{found.unit}", header=UNITS[found.unit], decimals=decimals)]
-        curves = [found.frequency]
-        own = {RADIAL: found.mtf, "mtf_lower": found.mtf_lower, "mtf_upper": found.mtf_upper}
-        others = {f"mtf_{name.replace(' ', '_')}": curve for name, curve in found.others.items()}
+        numbers = self.mtf
+        decimals = 4 if numbers.unit == "cyc_per_pixel" else None
+        columns = [Column(key=f"frequency_{numbers.unit}", header=UNITS[numbers.unit], decimals=decimals)]
+        curves = [numbers.frequency]
+        own = {RADIAL: numbers.mtf, "mtf_lower": numbers.mtf_lower, "mtf_upper": numbers.mtf_upper}
+        others = {f"mtf_{name.replace(' ', '_')}": curve for name, curve in numbers.others.items()}
         for name, curve in (own | others).items():
             if curve is not None:
                 header = name.removeprefix("mtf_").replace("_", " ")
                 rank = len(curves) * (name not in own)
                 columns.append(Column(key=name, header=header, decimals=3, rank=rank))
                 curves.append(curve)
-        keys = [one.key for one in columns]
+        keys = [column.key for column in columns]
         records = [dict(zip(keys, row, strict=True)) for row in zip(*curves, strict=True)]
-        return Table.of(f"MTF of {path_name(found.source)}", "mtf.csv", columns, records)
+        return Table.of(f"MTF of {path_name(numbers.source)}", "mtf.csv", columns, records)
 
     def tables(self) -> list[Table]:
         """List some frequencies, the edges, and folded all frequencies."""
@@ -225,32 +225,32 @@ class Mtf(Content, frozen=True, kw_only=True):
             )
             for key in EdgeRecord.__struct_fields__
         ]
-        records = [structs.asdict(one) for one in self.mtf.edges]
+        records = [structs.asdict(edge) for edge in self.mtf.edges]
         return [Table.of("Edges, MTF50 in cycles/pixel", "edges.csv", columns, records).without_empty_columns()]
 
     def sentences(self) -> list[str]:
         """Return the findings in words."""
-        found, unit = self.mtf, UNITS[self.mtf.unit]
-        if found.mtf50 is None:
-            texts = [f"The MTF stays above 0.5 up to {plain(found.frequency[-1])} {unit}."]
+        numbers, unit = self.mtf, UNITS[self.mtf.unit]
+        if numbers.mtf50 is None:
+            texts = [f"The MTF stays above 0.5 up to {plain(numbers.frequency[-1])} {unit}."]
         else:
-            texts = [f"MTF50 {plain(found.mtf50, 3)}{_within(found.mtf50_ci95)} {unit}."]
-        if found.mtf_at_nyquist is not None:
-            within = _within(found.mtf_at_nyquist_ci95)
+            texts = [f"MTF50 {plain(numbers.mtf50, 3)}{_within(numbers.mtf50_ci95)} {unit}."]
+        if numbers.mtf_at_nyquist is not None:
+            within = _within(numbers.mtf_at_nyquist_ci95)
             texts.append(
-                f"MTF {plain(found.mtf_at_nyquist, 3)}{within} at the Nyquist frequency, 0.5 cycles/pixel."
+                f"MTF {plain(numbers.mtf_at_nyquist, 3)}{within} at the Nyquist frequency, 0.5 cycles/pixel."
             )
         resolution = Resolution(
-            found.mtf10, found.resolution_limit_cyc_per_pixel, found.aliased_from_cyc_per_pixel
+            numbers.mtf10, numbers.resolution_limit_cyc_per_pixel, numbers.aliased_from_cyc_per_pixel
         )
-        within = _within(found.mtf10_ci95)
-        texts += resolution.sentences(unit, NYQUIST_CYC_PER_PIXEL, within, found.effective_width_px)
-        if found.n_frames is not None:
-            n_edges = len({one.edge for one in found.edges})
-            texts.append(f"Mean of {count(n_edges, 'edge')} in {count(found.n_frames, 'frame')}.")
+        within = _within(numbers.mtf10_ci95)
+        texts += resolution.sentences(unit, NYQUIST_CYC_PER_PIXEL, within, numbers.effective_width_px)
+        if numbers.n_frames is not None:
+            n_edges = len({record.edge for record in numbers.edges})
+            texts.append(f"Mean of {count(n_edges, 'edge')} in {count(numbers.n_frames, 'frame')}.")
             texts.append(
                 "Measured is the luminance of the display."
-                if found.is_light
+                if numbers.is_light
                 else "The values were taken as proportional to light."
             )
         return texts
@@ -277,33 +277,37 @@ class Mtf(Content, frozen=True, kw_only=True):
         return {**super().files(), **self._mapper_file()}
 
     def _draw(self, axes: Axes) -> None:
-        found = self.mtf
-        band = None if found.mtf_lower is None or found.mtf_upper is None else (found.mtf_lower, found.mtf_upper)
-        label = "mean" if any(name.startswith("edge") for name in found.others) else "MTF"
-        lines = [MtfLine(label=label, mtf=found.mtf, band=band, style={"color": INK, "lw": 2.0})]
-        for k, (name, curve) in enumerate(list(found.others.items())[:MOST_LINES]):
+        numbers = self.mtf
+        band = (
+            None
+            if numbers.mtf_lower is None or numbers.mtf_upper is None
+            else (numbers.mtf_lower, numbers.mtf_upper)
+        )
+        label = "mean" if any(name.startswith("edge") for name in numbers.others) else "MTF"
+        lines = [MtfLine(label=label, mtf=numbers.mtf, band=band, style={"color": INK, "lw": 2.0})]
+        for k, (name, curve) in enumerate(list(numbers.others.items())[:MOST_LINES]):
             colour = LINE_COLOURS.get(name, COLOURS[k % len(COLOURS)])
             lines.append(MtfLine(label=name, mtf=curve, style={"color": colour, "lw": 1.0}))
         draw_mtf(
             axes,
-            found.frequency,
+            numbers.frequency,
             lines,
-            end=found.frequency[-1],
-            marks={"Nyquist": NYQUIST_CYC_PER_PIXEL} if found.unit == "cyc_per_pixel" else {},
-            xlabel=f"frequency ({UNITS[found.unit]})",
+            end=numbers.frequency[-1],
+            marks={"Nyquist": NYQUIST_CYC_PER_PIXEL} if numbers.unit == "cyc_per_pixel" else {},
+            xlabel=f"frequency ({UNITS[numbers.unit]})",
             ylabel="MTF",
         )
 
     def _mapper_file(self) -> dict[str, bytes]:
         """Return `edge_sfr_values.txt` with each edge, or `raw_sfr_values.txt` with the curve of a table."""
-        found, measured = self.mtf, self.measured
-        if found.unit != "cyc_per_pixel":
+        numbers, measured = self.mtf, self.measured
+        if numbers.unit != "cyc_per_pixel":
             return {}
         frequency = np.arange(MAPPER_PER_CYC_PER_PIXEL) / MAPPER_PER_CYC_PER_PIXEL
         if measured is None:
-            if found.n_frames is not None or found.frequency[-1] < frequency[-1]:
+            if numbers.n_frames is not None or numbers.frequency[-1] < frequency[-1]:
                 return {}
-            values = np.interp(frequency, found.frequency, found.mtf, left=1.0)
+            values = np.interp(frequency, numbers.frequency, numbers.mtf, left=1.0)
             return {"raw_sfr_values.txt": _line([0.0, *values])}
         rows, columns = measured.image.shape
         lines = []
@@ -320,7 +324,7 @@ def _within(ends: Ends | None) -> str:
 
 
 def _line(values: Sequence[float]) -> bytes:
-    return (" ".join(f"{one:.6g}" for one in values) + "\n").encode()
+    return (" ".join(f"{value:.6g}" for value in values) + "\n").encode()
 
 
 def _draw_profiles(axes: Axes, measured: RecordingMtf) -> None:
@@ -430,9 +434,9 @@ def mtf(
         shown, edges = view.recording, view.edges
     measured = measure_mtf(shown, edges=edges, needs_all=bool(boxes), display=light, progress=progress)
     mean = measured.means[LUMA]
-    curves = {RADIAL: mean.mtf} | {name: one.mtf for name, one in measured.means.items() if name != LUMA}
+    curves = {RADIAL: mean.mtf} | {name: band.mtf for name, band in measured.means.items() if name != LUMA}
     if len(measured.edges) > 1:
-        curves |= {f"edge {k}": one[LUMA].mtf for k, one in enumerate(measured.edges, 1)}
+        curves |= {f"edge {k}": by_colour[LUMA].mtf for k, by_colour in enumerate(measured.edges, 1)}
     return _result(
         MtfTable("cyc_per_pixel", FREQUENCY_CYC_PER_PIXEL, curves, mean.lower, mean.upper),
         in_utf8(str(shown.path)),
@@ -466,8 +470,8 @@ def _result(
     # Each has its value, and with a band those of the lower and the upper end.
     estimates: dict[str, Sequence[float | None]] = {
         "mtf50": [falls_to(0.5, frequency, curve) for curve in curves],
-        "mtf10": [one.mtf10 for one in resolutions],
-        "resolution_limit_cyc_per_pixel": [one.limit for one in resolutions],
+        "mtf10": [resolution.mtf10 for resolution in resolutions],
+        "resolution_limit_cyc_per_pixel": [resolution.limit for resolution in resolutions],
         "mtf_at_nyquist": [float(np.interp(nyquist, frequency, curve)) for curve in curves]
         if nyquist is not None and frequency[-1] >= nyquist
         else [None],
@@ -480,7 +484,7 @@ def _result(
         "mtf": mtf,
         "mtf_lower": table.lower,
         "mtf_upper": table.upper,
-        "others": {name.removeprefix("mtf_"): one for name, one in table.curves.items() if name != RADIAL},
+        "others": {name.removeprefix("mtf_"): curve for name, curve in table.curves.items() if name != RADIAL},
         **{name: value for name, (value, *_) in estimates.items()},
         **{f"{name}_ci95": ends or None for name, (_, *ends) in estimates.items()},
         "effective_width_px": None if measured is None or not limit else 2.0 * limit * measured.image.shape[1],
@@ -490,7 +494,7 @@ def _result(
         "is_light": is_light,
         "edges": edges,
     }
-    of_codes = [ResultWarning(**one._asdict()) for one in warnings]
+    of_codes = [ResultWarning(**warning._asdict()) for warning in warnings]
     made = Result.made("mtf", started, warnings=of_codes, mtf=as_read(numbers, MtfNumbers))
     return made if measured is None else made.holding(measured=measured)
 
@@ -509,25 +513,25 @@ def _record(number: int, colour: str | None, edge: EdgeMtf) -> EdgeRecord:
 
 def _of_mapper(edges: Sequence[MapperEdge], source: str, started: float) -> Result[Mtf]:
     """Return the result of a file of MTF Mapper; DataError if its edges differ in their number of frequencies."""
-    lengths = sorted({len(one.table.frequency) for one in edges})
+    lengths = sorted({len(edge.table.frequency) for edge in edges})
     if len(lengths) > 1:
         raise DataError(
             f"{source}: found lines with {lengths[0]} and {lengths[-1]} values, expected as many in all"
         )
-    curves = [one.table.curves[RADIAL] for one in edges]
+    curves = [edge.table.curves[RADIAL] for edge in edges]
     table = replace(edges[0].table, curves={RADIAL: np.mean(curves, 0)})
     records = [
         EdgeRecord(
             edge=number,
-            x_px=None if one.centre_px is None else one.centre_px[0],
-            y_px=None if one.centre_px is None else one.centre_px[1],
-            angle_deg=one.angle_deg,
+            x_px=None if edge.centre_px is None else edge.centre_px[0],
+            y_px=None if edge.centre_px is None else edge.centre_px[1],
+            angle_deg=edge.angle_deg,
             mtf50_cyc_per_pixel=falls_to(0.5, table.frequency, curve),
             mtf_at_nyquist=float(np.interp(NYQUIST_CYC_PER_PIXEL, table.frequency, curve)),
         )
-        for number, (one, curve) in enumerate(zip(edges, curves, strict=True), 1)
+        for number, (edge, curve) in enumerate(zip(edges, curves, strict=True), 1)
     ]
-    named = {f"edge {k}": one for k, one in enumerate(curves, 1)} if len(curves) > 1 else {}
+    named = {f"edge {k}": curve for k, curve in enumerate(curves, 1)} if len(curves) > 1 else {}
     whole = replace(table, curves=table.curves | named)
     return _result(whole, source, edges=records, warnings=_of_table(table), started=started)
 
@@ -535,7 +539,7 @@ def _of_mapper(edges: Sequence[MapperEdge], source: str, started: float) -> Resu
 def _of_table(table: MtfTable) -> list[RecordingWarning]:
     """Return warnings about a table: values above 1, and an end where the MTF is not small."""
     warnings = []
-    highest = max(float(one.max()) for one in table.curves.values())
+    highest = max(float(curve.max()) for curve in table.curves.values())
     if highest > 1.0:
         message = (
             f"the MTF rises to {highest:.3g}, which no lens or detector reaches: the picture was sharpened, "

@@ -63,8 +63,8 @@ class RecordedNoise(Content, frozen=True, kw_only=True):
         else:
             meanings = {name: f"{PARTS[name]} and from frame to frame" for name in named}
         records = [
-            {"part": name, "meaning": meanings[name], "sd": one.sd, "sd_ci95": one.ci95, "sd_mk": one.sd_mk}
-            for name, one in named.items()
+            {"part": name, "meaning": meanings[name], "sd": part.sd, "sd_ci95": part.ci95, "sd_mk": part.sd_mk}
+            for name, part in named.items()
         ]
         columns = [
             Column(key="part", is_name=True),
@@ -75,15 +75,15 @@ class RecordedNoise(Content, frozen=True, kw_only=True):
         ]
         tables = [Table.of(title, "noise.csv", columns, records).without_empty_columns()]
         if noise.snr:
-            ratios = [structs.asdict(one) for one in noise.snr]
+            ratios = [structs.asdict(ratio) for ratio in noise.snr]
             columns = [Column(key="signal"), Column(key="frames", header="frames averaged")]
             columns.append(Column(key="snr", header="SNR"))
             tables.append(Table.of("Signal-to-noise ratio of a pixel", "snr.csv", columns, ratios))
         if noise.patches:
             patches: list[Json] = [
-                {"level": one.level, "mean": one.mean, "snr": one.snr}
-                | {"dynamic": one.dynamic and one.dynamic.sd, "fixed_pattern": one.fixed and one.fixed.sd}
-                for one in noise.patches
+                {"level": patch.level, "mean": patch.mean, "snr": patch.snr}
+                | {"dynamic": patch.dynamic and patch.dynamic.sd, "fixed_pattern": patch.fixed and patch.fixed.sd}
+                for patch in noise.patches
             ]
             headers = {"dynamic": "dynamic SD", "fixed_pattern": "fixed SD", "snr": "SNR against the first"}
             columns = [Column(key=key, header=headers.get(key, "")) for key in ("level", "mean", *headers)]
@@ -149,7 +149,7 @@ class RecordedNoise(Content, frozen=True, kw_only=True):
 
     def _draw_parts(self, axes: Axes) -> None:
         names, parts = list(self.noise.parts), self.noise.parts.values()
-        sd, ends = np.array([one.sd for one in parts]), np.array([one.ci95 for one in parts])
+        sd, ends = np.array([part.sd for part in parts]), np.array([part.ci95 for part in parts])
         errors = np.maximum([sd - ends[:, 0], np.minimum(ends[:, 1], 3 * sd.max()) - sd], 0.0)
         axes.bar(names, sd, color=COLOURS[0], width=0.6)
         axes.errorbar(names, sd, yerr=errors, fmt="none", ecolor=INK, elinewidth=1.0, capsize=3)
@@ -251,7 +251,7 @@ def noise(
 
         view = view_of_camera_page(shown, Path(chart), progress=progress)
         shown, levels = view.recording, [*levels, *view.patches]
-        region = region or max((one.region for one in levels), key=lambda box: box[2] * box[3])
+        region = region or max((patch.region for patch in levels), key=lambda box: box[2] * box[3])
     measured = measure_noise(
         shown,
         region=region,
@@ -261,6 +261,6 @@ def noise(
         progress=progress,
     )
     numbers = {name: getattr(measured, name) for name in NoiseNumbers.__struct_fields__}
-    warnings = [ResultWarning(**one._asdict()) for one in measured.warnings]
+    warnings = [ResultWarning(**warning._asdict()) for warning in measured.warnings]
     made = Result.made("noise", started, warnings=warnings, noise=as_read(numbers, NoiseNumbers))
     return made.holding(measured=measured)

@@ -74,7 +74,7 @@ class MtfTable:
     @property
     def end_mtf(self) -> float:
         """The largest MTF at the last frequency."""
-        return max(float(one[-1]) for one in self.curves.values())
+        return max(float(curve[-1]) for curve in self.curves.values())
 
     @property
     def stops_early(self) -> bool:
@@ -227,7 +227,7 @@ def read_mtf_mapper(path: Path) -> list[MapperEdge]:
                 f"{where} found {len(fields)} numbers, expected an angle and 64 or 128 values, or five columns "
                 "and as many, as MTF Mapper writes"
             )
-        values = [number(one, f"{where} column {k}") for k, one in enumerate(fields, 1)]
+        values = [number(field, f"{where} column {k}") for k, field in enumerate(fields, 1)]
         place = lengths[len(fields)]
         mtf = np.array(values[place + 1 + (place > 0) :])
         frequency = np.arange(len(mtf), dtype=np.float64) / MAPPER_PER_CYC_PER_PIXEL

@@ -236,10 +236,10 @@ def measure_noise(
     Patches of known levels give the signal transfer and a signal-to-noise ratio for each level. SettingsError for
     a region that is not within the frame or too small, and for levels of patches that are all the same.
     """
-    levels = {one.level for one in patches}
+    levels = {patch.level for patch in patches}
     if patches and (len(levels) < 2 or not all(map(math.isfinite, levels))):
         raise SettingsError(f"patches: found levels {sorted(levels)}, expected at least two different numbers")
-    whole, *of_patches = (FrameSums(recording, one) for one in (region, *(patch.region for patch in patches)))
+    whole, *of_patches = (FrameSums(recording, box) for box in (region, *(patch.region for patch in patches)))
     times: list[float | None] = []
     for frame in counted(recording.frames(), recording.n_frames, progress):
         times.append(frame.time_s)
@@ -277,7 +277,7 @@ def measure_noise(
         mk_per_unit=mk_per_count,
         snr=tuple(ratios),
         patches=tuple(shown),
-        signal_transfer=fit_transfer([one.level for one in shown], [one.mean for one in shown]) if shown else None,
+        signal_transfer=fit_transfer(shown) if shown else None,
         mean_image=whole.mean_image(),
         temporal_sd=whole.temporal_sd() if whole.n > 1 else None,
         frame_means=frame_means,
@@ -292,7 +292,7 @@ def _parts(sums: FrameSums, mk_per_unit: float | None) -> dict[str, NoisePart]:
     if sums.n > 1:
         groups = {"dynamic": DYNAMIC, "fixed_pattern": STATIC}
         weights |= {name: added([weights[part] for part in group]) for name, group in groups.items()}
-    return {name: estimate(one, squares, degrees, mk_per_unit) for name, one in weights.items()}
+    return {name: estimate(combination, squares, degrees, mk_per_unit) for name, combination in weights.items()}
 
 
 def _snr(signal: float, parts: Mapping[str, NoisePart], n_averaged: int = 1) -> float:
@@ -332,8 +332,8 @@ def combinations(n_frames: int, n_rows: int, n_columns: int) -> dict[str, Combin
 
 def added(weights: Sequence[Combination]) -> Combination:
     """Return the sum of combinations."""
-    names = dict.fromkeys(name for one in weights for name in one)
-    return {name: sum(one.get(name, 0.0) for one in weights) for name in names}
+    names = dict.fromkeys(name for combination in weights for name in combination)
+    return {name: sum(combination.get(name, 0.0) for combination in weights) for name in names}
 
 
 def estimate(
@@ -355,7 +355,7 @@ def estimate(
     down, up = 1 - df / (2 * gammaincinv(df / 2, 0.975)), df / (2 * gammaincinv(df / 2, 0.025)) - 1
     below, above = (np.linalg.norm(terms * np.where(terms > 0, *ways)) for ways in ((down, up), (up, down)))
     variance = float(terms.sum())
-    sd, low, high = (math.sqrt(max(one, 0.0)) for one in (variance, variance - below, variance + above))
+    sd, low, high = (math.sqrt(max(value, 0.0)) for value in (variance, variance - below, variance + above))
     return NoisePart(sd, (low, high), variance, None if mk_per_unit is None else sd * mk_per_unit)
 
 
@@ -364,16 +364,16 @@ def fit_drift(frame_means: FloatArray, times_s: list[float | None]) -> Drift | N
     n = len(frame_means)
     if n < 3:
         return None
-    known = [one for one in times_s if one is not None]
+    known = [time for time in times_s if time is not None]
     x = np.array(known if len(known) == n else range(n), np.float64)
     slope, error, _ = straight_line(x, frame_means)
     duration = float(x[-1] - x[0])
     return Drift(slope, error, slope * duration, error * duration)
 
 
-def fit_transfer(levels: Sequence[float], means: Sequence[float]) -> Transfer:
+def fit_transfer(patches: Sequence[PatchNoise]) -> Transfer:
     """Fit a straight line to the means of patches of at least two different levels by least squares."""
-    x, y = np.array(levels, np.float64), np.array(means, np.float64)
+    x, y = np.array([(patch.level, patch.mean) for patch in patches], np.float64).T
     gain, error, rest = straight_line(x, y)
     reach = float(np.ptp(y))
     nonlinearity = float(np.abs(rest).max()) / reach if reach > 0 else 0.0
@@ -481,7 +481,7 @@ class FrameSums:
             sums["tvh"] = of_pixels - sums["t"] - sums["tv"] - sums["th"]
             degrees |= {"t": t - 1, "tv": (t - 1) * (v - 1), "th": (t - 1) * (h - 1)}
             degrees["tvh"] = (t - 1) * (v - 1) * (h - 1)
-        return {name: max(one, 0.0) / degrees[name] for name, one in sums.items()}, degrees
+        return {name: max(square_sum, 0.0) / degrees[name] for name, square_sum in sums.items()}, degrees
 
 
 def _warnings(sums: FrameSums, of_pixels: NoisePart | None, drift: Drift | None) -> Iterator[RecordingWarning]:

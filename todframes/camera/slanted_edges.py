@@ -88,7 +88,7 @@ def measure_mtf(
     if not measured:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise DataError(f"{recording.path}: no edge can be measured: {problems[0]}{more}")
-    warnings += [RecordingWarning("edge_left_out", f"left out: {one}") for one in problems]
+    warnings += [RecordingWarning("edge_left_out", f"left out: {problem}") for problem in problems]
     names = dict.fromkeys(name for edge in measured for name in edge)
     means = {name: mean_band([edge[name] for edge in measured if name in edge]) for name in names}
     return RecordingMtf(
