@@ -153,7 +153,7 @@ def _results(
         return
     left: Sequence[int] = range(len(items))
     if len(store):
-        left = yield from _kept(work, items, engine, store)
+        left = yield from _kept(work, items, store)
         if len(left) < len(items):
             store.tell(
                 f"{len(items) - len(left)} of {len(items)} parts of the work are there from an earlier run; "
@@ -171,12 +171,11 @@ def _results(
 
 @dataclass
 class Keyed(Generic[Item]):
-    """Work that gives each result after its key and the key by its stamp, or only the key of each item. So keys
-    are computed where the work is done. A result without a key is not kept.
+    """Work that gives each result after its key and the key by its stamp. So keys are computed where the work is
+    done. A result without a key is not kept.
     """
 
     work: StoredWork[Item, Any]
-    is_key_alone: bool = False
 
     @property
     def items_at_once(self) -> int:
@@ -186,8 +185,6 @@ class Keyed(Generic[Item]):
     def function(self) -> Callable[[Item], tuple[bytes | None, bytes | None, Any]]:
         """Return the function of an item."""
         work = self.work
-        if self.is_key_alone:
-            return lambda item: (work.key(item, is_done=False), None, None)
         function = work.function()
 
         def do(item: Item) -> tuple[bytes | None, bytes | None, Any]:
@@ -206,12 +203,14 @@ class Keyed(Generic[Item]):
 
 
 def _kept(
-    work: StoredWork[Item, Result], items: Sequence[Item], engine: Engine, store: Store
+    work: StoredWork[Item, Result], items: Sequence[Item], store: Store
 ) -> Generator[tuple[int, Result], None, Sequence[int]]:
     """Yield the results that the store has; return the indices of the other items."""
     left = array("q")
-
-    def result_of(number: int, key: bytes | None) -> Iterator[tuple[int, Result]]:
+    for number, item in enumerate(items):
+        stamped_key = work.stamped_key(item, work.stamp(item))
+        key = None if stamped_key is None else store.get(stamped_key)
+        key = work.key(item, is_done=False) if key is None else key
         encoded, result = None if key is None else store.get(key), None
         with suppress(ValueError, msgspec.MsgspecError):  # another program has written it
             result = None if encoded is None else work.decode(encoded)
@@ -220,18 +219,4 @@ def _kept(
         else:
             store.n_used += 1
             yield number, result
-
-    unread = array("q")
-    for number, item in enumerate(items):
-        stamped_key = work.stamped_key(item, work.stamp(item))
-        key = None if stamped_key is None else store.get(stamped_key)
-        if key is None:
-            unread.append(number)
-        else:
-            yield from result_of(number, key)
-    keys = Keyed(work, is_key_alone=True)
-    with closing(engine.run(keys, ((number, items[number]) for number in unread))) as batches:
-        for batch in batches:
-            for number, (key, *_) in batch:
-                yield from result_of(number, key)
-    return array("q", sorted(left))
+    return left
