@@ -14,7 +14,9 @@ from triangles import DISPLAY
 
 import todframes as tod
 from todframes.diagnosis.findings import frame_warnings
-from todframes.diagnosis.inspection import inspect
+from todframes.diagnosis.inspection import Inspection, inspect
+from todframes.frames.memory import memory_dataset
+from todframes.stimulus import Stimulus
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
 SIDE, SIZE_PX, PITCH_MRAD = 72, 9.0, 0.25
@@ -198,6 +200,82 @@ SPOILT = {
 @pytest.mark.parametrize(("name", "changes"), SPOILT.items(), ids=SPOILT.keys())
 def test_each_mishap_has_its_warning(name, changes) -> None:
     assert name.split()[0] in codes(recorded(**changes))
+
+
+SOUND = Inspection(
+    group=(2.25,), stimulus=Stimulus(2.25), size_px=9.0, stated_px=(35.5, 35.5), are_windows=False, n_trials=24,
+    frame_sizes_px=((72, 72),), background_luminance_cd_m2=50.0, ring_luminance_cd_m2=50.0, ring_ratio=1.0,
+    ring_ratio_error=0.001, ring_scatter=0.01, level=0.1, noise_contrast=0.01, contrast_slope=1.0,
+    contrast_slope_error=0.005, offset_px=(0.0, 0.0), offset_error_px=(0.003, 0.004), scatter_px=0.0,
+    size_ratio=1.0, size_ratio_error=0.002, size_scatter=0.0, turned_rad=0.0, turned_error_rad=0.001, blur_px=0.5,
+    shown_as="as stated", n_orientation=100, n_level=100, level_scatter=0.1, signal=100.0, saturated_share=0.0,
+    crushed_share=0.0, peak_code=65535, full_scale=65535, code_step_contrast=0.001,
+)  # fmt: skip
+COARSE = 4.0 / PITCH_MRAD  # times the pixels of 0.25 mrad, which are 4 mrad wide then
+
+# Code of a warning, what else is measured, and a value that is passed over and the next one that is not.
+LIMITS = [
+    ("background_mismatch", {}, "ring_ratio", 1.0299, 1.0301),
+    ("background_mismatch", {}, "ring_ratio", 0.9701, 0.9699),
+    ("background_mismatch", {"noise_contrast": 0.08}, "ring_ratio", 1.0399, 1.0401),
+    ("background_mismatch", {"ring_ratio": 1.08}, "noise_contrast", 0.1601, 0.1),
+    ("background_mismatch", {"noise_contrast": 0.3}, "ring_ratio", 1.0999, 1.1001),
+    ("background_mismatch", {"ring_ratio_error": 0.02, "ring_scatter": 0.04}, "ring_ratio", 1.0999, 1.1001),
+    ("background_mismatch", {"noise_contrast": 0.015, "ring_ratio_error": 0.1, "ring_scatter": 0.02}, "ring_ratio",
+     1.0749, 1.0751),
+    ("bit_depth", {"ring_ratio": 0.3}, "peak_code", 16384, 16383),
+    ("bit_depth", {"peak_code": 4095}, "ring_ratio", 0.5, 0.4999),
+    ("bit_depth", {"peak_code": 1023, "ring_ratio": 0.3}, "full_scale", 255, 65535),
+    ("background_uneven", {}, "uneven", 0.0149, 0.0151),
+    ("background_uneven", {"contrast_slope": -2.0}, "uneven", 0.0299, 0.0301),
+    ("background_uneven", {"uneven_error": 0.004}, "uneven", 0.0199, 0.0201),
+    ("background_uneven", {"uneven_texture": 0.01}, "uneven", 0.0399, 0.0401),
+    ("saturated", {}, "saturated_share", 0.002, 0.0021),
+    ("saturated", {"noise_contrast": 0.1}, "saturated_share", 0.01, 0.0101),
+    ("crushed", {}, "crushed_share", 0.002, 0.0021),
+    ("coarse_codes", {}, "code_step_contrast", 0.05, 0.0501),
+    ("coarse_codes", {"code_step_contrast": 0.06}, "noise_contrast", 0.0361, 0.0359),
+    ("contrast_mismatch", {}, "contrast_slope", 1.0499, 1.0501),
+    ("contrast_mismatch", {}, "contrast_slope", 0.9501, 0.9499),
+    ("contrast_mismatch", {"contrast_slope_error": 0.02}, "contrast_slope", 1.0999, 1.1001),
+    ("contrast_mismatch", {"contrast_slope": 1.08}, "size_ratio", 0.985, 0.99),  # their light is 1.048 and 1.0585
+    ("contrast_mismatch", {}, "signal", 0.1, 0.0),
+    ("contrast_mismatch", {}, "wrong_level", 3, 4),
+    ("contrast_mismatch", {"n_level": 20}, "wrong_level", 1, 2),
+    ("contrast_mismatch", {}, "level_scatter", 0.4, 0.4001),
+    ("polarity_mismatch", {}, "contrast_slope", -0.0249, -0.0251),
+    ("mirrored", {}, "shown_as", "as stated", "mirrored"),
+    ("turned", {}, "turned_rad", np.radians(2.0) + 0.0049, np.radians(2.0) + 0.0051),
+    ("turned", {}, "turned_rad", -np.radians(2.0) - 0.0049, -np.radians(2.0) - 0.0051),
+    ("orientation_mismatch", {}, "wrong_orientation", 3, 4),
+    ("orientation_mismatch", {"n_orientation": 20}, "wrong_orientation", 1, 2),
+    ("position_offset", {}, "offset_px", (0.1919, 0.2559), (-0.1921, 0.2561)),
+    ("position_offset", {"blur_px": 2.0}, "offset_px", (0.0, 0.599), (0.0, 0.601)),
+    ("position_offset", {"offset_error_px": (0.06, 0.08)}, "offset_px", (0.499, 0.0), (0.501, 0.0)),
+    ("position_offset", {"size_px": 9.0 / COARSE, "blur_px": 0.0}, "offset_px", (0.0, 0.0499), (0.0, 0.0501)),
+    ("position_scatter", {}, "scatter_px", 0.3999, 0.4001),
+    ("position_scatter", {"blur_px": 2.0}, "scatter_px", 0.799, 0.801),
+    ("position_scatter", {"size_px": 9.0 / COARSE, "blur_px": 0.0}, "scatter_px", 0.0499, 0.0501),
+    ("size_mismatch", {}, "size_ratio", 1.0355, 1.0356),
+    ("size_mismatch", {"blur_px": 2.0}, "size_ratio", 1.0693, 1.0695),
+    ("size_mismatch", {"size_ratio_error": 0.02}, "size_ratio", 0.9001, 0.8999),
+    ("mixed_sizes", {}, "size_scatter", 0.2, 0.2001),
+    ("mixed_sizes", {"blur_px": 2.0}, "size_scatter", 0.3333, 0.3334),
+    ("size_unit", {}, "size_px", 2.0, 1.999),
+    ("mixed_frame_sizes", {}, "frame_sizes_px", ((72, 72),), ((72, 72), (80, 72))),
+    ("mixed_frame_sizes", {"frame_sizes_px": ((72, 72), (80, 72))}, "are_windows", True, False),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("code", "measured", "name", "passed", "reported"), LIMITS)
+def test_a_warning_begins_at_its_limit(code, measured, name, passed, reported) -> None:
+    display = replace(DISPLAY, pixel_pitch_mrad=4.0 if "size_px" in measured else PITCH_MRAD)
+    grey = [np.full((8, 8), 50.0)] * 4
+    data = memory_dataset(grey, orientation=tod.ORIENTATIONS, level=0.1, size_mrad=2.25, display=display)
+    shown = replace(SOUND, **measured)
+    assert frame_warnings(data, [SOUND]) == []
+    assert code not in {one.code for one in frame_warnings(data, [replace(shown, **{name: passed})])}
+    assert code in {one.code for one in frame_warnings(data, [replace(shown, **{name: reported})])}
 
 
 def test_windows_cut_at_a_border_are_no_mishap_and_frames_of_two_scales_are() -> None:
