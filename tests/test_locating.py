@@ -171,6 +171,12 @@ def test_triangles_that_are_not_as_stated_are_found(
     warnings = location_warnings(placed, [found])
     assert tuple(one.code for one in warnings) == codes
     assert all(one.group == {"size_mrad": 2.0} for one in warnings)
+    scattered = [
+        found._replace(n_trials=8, sure_level=sure_level, scatter_px=1.5) for sure_level in (0.2, 0.21, None)
+    ]
+    for one, n_more in zip(scattered, (0, 1, 1), strict=True):
+        faint = location_warnings(placed, [one], {(2.0,): 0.2})[len(codes) :]
+        assert [(one.code, one.found, one.expected) for one in faint] == [("position_scatter", 1.5, 0.0)] * n_more
 
 
 HALF_A_FRAME = {"size_px": 22.0, "stated_px": 22.0, "levels": (0.3,), "noise_sd": 0.01}

@@ -153,6 +153,9 @@ def test_markers_and_ruler(made) -> None:
         centres = np.array([of_corner[k][1].mean(axis=0) for k in range(4)]) / px_per_mm
         # Corners are found to whole pixels, two of which may be wrong by rounding.
         assert np.abs(centres - chart.markers.centres_mm).max() < 2.0 / px_per_mm
+        for path, _ in [(path, fill) for path, fill in drawn if fill == "rgb(255,255,255)"]:
+            in_marker = np.abs(path[:, None] - chart.markers.all_centres_mm).max(axis=(0, 2)).min()
+            assert in_marker <= chart.markers.side_mm * 5 / 14 + 1e-4 or len(np.unique(path, axis=0)) == 4
         ticks = sorted(path[0, 0] for path, _ in drawn if np.allclose(np.ptp(path, axis=0), [0.2, 3.0]))
         assert np.allclose(np.diff(ticks), 10.0) and len(ticks) == 21
 
@@ -204,19 +207,28 @@ REFUSED = {
     ("print", "--contrasts=5"): "--contrasts: found 5, expected 0.012 to 1.82, which the paper's greys have",
     # At codes 153 and 154 it is 0.2980 and 0.3017, and 0.04 is 0.867 less.
     ("print", "--contrasts=0.9 --polarity=-1"): "--contrasts: found -0.9, expected 0.012 to 0.867, which",
-    ("print", "--contrasts=0.1,0.101"): "0.1 and 0.101 have the same printed grey",
-    ("print", "--sizes-mrad=8"): "are 80 mm, and with the background that the observer needs 400 mm",
-    ("print", "--sizes-mrad=0.1"): "0.1 mrad at 10 m are 1 mm, in which the printer's dots show",
-    ("print", "--paper=9000,9000"): "--paper: found 9000.0",
-    ("print", "--margin-mm=nan"): "--margin-mm: found nan",
+    (
+        "print",
+        "--contrasts=0.1,0.101",
+    ): "printed grey (code value 162); expected --contrasts at least 0.012 apart",
+    ("print", "--sizes-mrad=8"): "needs 400 mm; the paper has 211.9 mm; expected at most 4.24 mrad, larger paper",
+    ("print", "--sizes-mrad=0.1"): "1 mm, in which the printer's dots show; expected at least 2 mm (0.2 mrad)",
+    ("print", "--paper=9000,9000"): "--paper: found 9000.0, expected a number from 10 to 2000",
+    ("print", "--margin-mm=nan"): "--margin-mm: found nan, expected a number from 0 to 1000",
     ("print", "--paper=A9"): "--paper: found 'A9', expected A4, A3, A2, A1, A0, or WIDTH,HEIGHT",
-    ("print", "--paper=60,60"): "found 60 × 60, too small for markers of 4.8 mm",
+    ("print", "--paper=60,60"): "found 60 × 60, too small for markers of 4.8 mm and margins of 10 mm",
     ("print", "--reflectances=none.csv"): "none.csv: no such file",
-    ("print", "--background-reflectance=0.9"): "found 0.9, which is black or paper",
-    ("print", "--black-reflectance=0.9"): "--black-reflectance: found 0.9, expected less",
+    ("print", "--background-reflectance=0.9"): "which is black or paper; expected a value between 0.04 and 0.85",
+    (
+        "print",
+        "--black-reflectance=0.9",
+    ): "found 0.9, expected less than --paper-reflectance (0.85)",
     ("print", "--width-px=9"): "--width-px: is given, but a print chart has none; it is for screen",
-    ("thermal", "--sizes-mrad=0.05"): "0.05 mrad at 10 m are 0.5 mm, whose corners cannot be cut",
-    ("thermal", "--plate-mm=10"): "--plate-mm: found 10, expected at least 50",
+    ("thermal", "--sizes-mrad=0.05"): "0.5 mm, whose corners cannot be cut; expected at least 1 mm (0.1 mrad)",
+    (
+        "thermal",
+        "--plate-mm=10",
+    ): "found 10, expected at least 50: five sizes of the largest triangle (10 mm)",
     ("thermal", "--delta-t-k=0"): "--contrasts or --delta-t-k: found 0.0",
     ("thermal", "--contrasts=0.1"): "--contrasts: is given, but a thermal chart has none; expected --delta-t-k",
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -50,15 +49,6 @@ class ContrastPatch(NamedTuple):
         for values in row_bands(self.values):
             yield ContrastPatch(self.to_contrast(values, begin, self.column), begin, self.column, 0)
             begin += len(values)
-
-    def held(self) -> ContrastPatch:
-        """Return the patch for storage: as contrast if it is small, else as a copy of its stored values alone."""
-        if self.to_contrast is None:
-            return self
-        if math.prod(self.values.shape[:2]) <= MOST_HELD_PX:
-            contrast = self.to_contrast(self.values, self.row, self.column)
-            return self._replace(values=contrast, to_contrast=None)
-        return self._replace(values=np.ascontiguousarray(self.values))
 
 
 def row_bands(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
