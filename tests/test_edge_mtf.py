@@ -241,8 +241,8 @@ def test_colours_and_files_have_the_same_numbers(tmp_path):
     table = read_mtf_table(tmp_path / "mtf.csv", may_exceed_1=True)
     np.testing.assert_array_equal(table.curves["mtf"], found.mtf.mtf)
     np.testing.assert_array_equal([table.lower, table.upper], [found.mtf.mtf_lower, found.mtf.mtf_upper])
-    (edge,) = read_mtf_mapper(tmp_path / "edge_sfr_values.txt")
-    np.testing.assert_allclose(edge.table.curves["mtf"], found.mtf.mtf[:64], rtol=1e-5)  # six digits
+    table, (edge,) = read_mtf_mapper(tmp_path / "edge_sfr_values.txt")
+    np.testing.assert_allclose(table.curves["mtf"], found.mtf.mtf[:64], rtol=1e-5)  # six digits
     assert edge.angle_deg == pytest.approx(6.0, abs=0.02)
     with pytest.raises(tod.SettingsError, match=r"boxes: .*mtf.csv is a table of an MTF, expected a recording"):
         tod.mtf(tmp_path / "mtf.csv", boxes=[(0, 0, 72, 72)])

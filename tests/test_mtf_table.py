@@ -96,13 +96,14 @@ def test_above_1_within_the_error_or_where_it_may_be(written):
 def test_files_of_mtf_mapper(written, n):
     mtf = np.exp(-np.arange(n) / 20.0)
     values = " ".join(f"{one:.6f}" for one in mtf)
-    first, second = read_mtf_mapper(written(f"5.25 {values} ", "", f"-3 {values}", name="raw_sfr_values.txt"))
-    assert (first.angle_deg, first.centre_px, second.angle_deg) == (5.25, None, -3.0)
-    np.testing.assert_array_equal(first.table.frequency, np.arange(n) / 64)
-    np.testing.assert_allclose(first.table.curves["mtf"], mtf, atol=5.1e-7)  # six decimals
-    (edge,) = read_mtf_mapper(written(f"7 100.5 20.25 5.25 33.1 {values}", name="edge_sfr_values.txt"))
-    assert (edge.angle_deg, edge.centre_px) == (5.25, (100.5, 20.25))
-    np.testing.assert_allclose(edge.table.curves["mtf"], mtf, atol=5.1e-7)
+    table, edges = read_mtf_mapper(written(f"5.25 {values} ", "", f"-3 {values}", name="raw_sfr_values.txt"))
+    assert [(one.edge, one.angle_deg, one.x_px) for one in edges] == [(1, 5.25, None), (2, -3.0, None)]
+    np.testing.assert_array_equal(table.frequency, np.arange(n) / 64)
+    for name in ("edge 1", "edge 2"):
+        np.testing.assert_allclose(table.curves[name], mtf, atol=5.1e-7)  # six decimals
+    table, (edge,) = read_mtf_mapper(written(f"7 100.5 20.25 5.25 33.1 {values}", name="edge_sfr_values.txt"))
+    assert (edge.angle_deg, edge.x_px, edge.y_px) == (5.25, 100.5, 20.25)
+    np.testing.assert_allclose(table.curves["mtf"], mtf, atol=5.1e-7)
 
 
 @pytest.mark.parametrize(
@@ -112,6 +113,7 @@ def test_files_of_mtf_mapper(written, n):
         ("5.0 x" + " 0.5" * 63, "line 1: column 2: found 'x', expected a finite number"),
         ("5.0" + " 0.5" * 64, "line 1: found mtf 0.5 at frequency 0, expected 1"),
         ("", "found no edge, expected a line for each"),
+        ("5.0 1" + " 0.5" * 63 + "\n5.0 1" + " 0.5" * 127, "found lines with 64 and 128 values, expected as many"),
     ],
 )
 def test_what_is_no_file_of_mtf_mapper_is_one_line(written, line, message):

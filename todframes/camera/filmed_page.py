@@ -131,7 +131,7 @@ class _SeenFilm:
 
         The search ends with the first clip of `ENOUGH_FRAMES`.
         """
-        edges: list[tuple[int, SeenEdges]] = []
+        edges: dict[int, SeenEdges] = {}
         best: list[int] = []
         present: list[int] = []
         number = None
@@ -146,12 +146,9 @@ class _SeenFilm:
                 present.append(int(frame.source))
                 if len(present) > len(best):
                     best, page = present, self.chart.pages[clip.page]
-        if page is None:
-            return None
-        wanted = set(best)
-        return page, best, [seen for at, seen in edges if at in wanted]
+        return None if page is None else (page, best, [edges[number] for number in best])
 
-    def _clip_frames(self, edges: list[tuple[int, SeenEdges]], progress: Progress | None) -> Iterator[ClipFrame]:
+    def _clip_frames(self, edges: dict[int, SeenEdges], progress: Progress | None) -> Iterator[ClipFrame]:
         """Yield the frames that show a page, named by their numbers; keep the edges of those for the camera."""
         frames = counted(self.recording.frames(), self.recording.n_frames, progress)
         for number, frame in enumerate(frames):
@@ -164,7 +161,7 @@ class _SeenFilm:
             self.other_keys.add(key)
             if key == self.chart.key and page < len(self.chart.pages):
                 if self.chart.pages[page].edges:
-                    edges.append((number, seen.edges))
+                    edges[number] = seen.edges
                 yield ClipFrame(page, frame.time_s, str(number), frame.values, (), seen.modules)
 
     def view(self, page: Page, numbers: Sequence[int], edges: Sequence[SeenEdges]) -> CameraView:

@@ -15,16 +15,17 @@ from msgspec import Struct, structs
 from numpy.typing import NDArray
 
 from todframes.base._typing import Json
-from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.errors import SettingsError, argument
 from todframes.base.safe_text import in_utf8
 from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, EdgeMtf
 from todframes.camera.mtf_table import (
     MAPPER_PER_CYC_PER_PIXEL,
+    NYQUIST_CYC_PER_PIXEL,
     RADIAL,
+    EdgeRecord,
     Ends,
     Estimate,
     FrequencyUnit,
-    MapperEdge,
     MtfLine,
     MtfTable,
     Resolution,
@@ -56,8 +57,6 @@ UNITS: dict[FrequencyUnit, str] = {
     "cyc_per_mm": "cycles/mm",
 }
 
-NYQUIST_CYC_PER_PIXEL = 0.5
-
 LINE_COLOURS = {"red": COLOURS[5], "green": COLOURS[2], "blue": COLOURS[0], "tangential": COLOURS[4]}
 """Colours of curves; of others they follow in the order of `COLOURS`."""
 
@@ -71,31 +70,6 @@ MOST_LINES = 12
 """Largest number of edges that the figure shows beside their mean."""
 
 Curve = tuple[float, ...]
-
-
-class EdgeRecord(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """An edge in one colour, as in `edges.csv`."""
-
-    edge: int
-    colour: str | None = None
-    x_px: int | float | None = None
-    y_px: int | float | None = None
-    width_px: int | None = None
-    height_px: int | None = None
-    angle_deg: float | None = None
-    normal_deg: float | None = None
-    bend_px: float | None = None
-    dark: float | None = None
-    bright: float | None = None
-    noise_percent: float | None = None
-    mtf50_cyc_per_pixel: float | None = None
-    mtf50_cyc_per_pixel_ci95: Ends | None = None
-    mtf_at_nyquist: float | None = None
-    mtf_at_nyquist_ci95: Ends | None = None
-    overshoot: float | None = None
-    overshoot_ci95: Ends | None = None
-    undershoot: float | None = None
-    undershoot_ci95: Ends | None = None
 
 
 class MtfNumbers(Struct, frozen=True, kw_only=True):
@@ -415,14 +389,17 @@ def mtf(
         given = {argument.boxes: boxes or None, argument.chart: chart, argument.display: display}
         for option in (name for name, value in given.items() if value is not None):
             raise SettingsError(f"{option}: {paths[0]} is a table of an MTF, expected a recording")
-        name = in_utf8(str(paths[0]))
-        if paths[0].suffix.lower() != ".csv":
-            return _of_mapper(read_mtf_mapper(paths[0]), name, started)
-        table = read_mtf_table(paths[0], may_exceed_1=True)
+        records: Sequence[EdgeRecord] = ()
+        if paths[0].suffix.lower() == ".csv":
+            table = read_mtf_table(paths[0], may_exceed_1=True)
+        else:
+            table, records = read_mtf_mapper(paths[0])
         if RADIAL not in table.curves:
-            mean = np.mean(list(table.curves.values()), 0)
-            table = replace(table, curves={**table.curves, RADIAL: mean})
-        return _result(table, name, warnings=_of_table(table), started=started)
+            mean_mtf = np.mean(list(table.curves.values()), 0)
+            table = replace(table, curves={**table.curves, RADIAL: mean_mtf})
+        judged = replace(table, curves={RADIAL: table.curves[RADIAL]}) if records else table
+        name = in_utf8(str(paths[0]))
+        return _result(table, name, edges=records, warnings=_of_table(judged), started=started)
     shown, edges = one_recording(recording, "mtf", max_frame_mb=max_frame_mb), [PlacedEdge(box) for box in boxes]
     light = None if display is None else find_display(display).display
     if chart is not None:
@@ -509,31 +486,6 @@ def _record(number: int, colour: str | None, edge: EdgeMtf) -> EdgeRecord:
         if estimate is not None:
             values |= {name: estimate.value, f"{name}_ci95": estimate.ci95}
     return EdgeRecord(**values)
-
-
-def _of_mapper(edges: Sequence[MapperEdge], source: str, started: float) -> Result[Mtf]:
-    """Return the result of a file of MTF Mapper; DataError if its edges differ in their number of frequencies."""
-    lengths = sorted({len(edge.table.frequency) for edge in edges})
-    if len(lengths) > 1:
-        raise DataError(
-            f"{source}: found lines with {lengths[0]} and {lengths[-1]} values, expected as many in all"
-        )
-    curves = [edge.table.curves[RADIAL] for edge in edges]
-    table = replace(edges[0].table, curves={RADIAL: np.mean(curves, 0)})
-    records = [
-        EdgeRecord(
-            edge=number,
-            x_px=None if edge.centre_px is None else edge.centre_px[0],
-            y_px=None if edge.centre_px is None else edge.centre_px[1],
-            angle_deg=edge.angle_deg,
-            mtf50_cyc_per_pixel=falls_to(0.5, table.frequency, curve),
-            mtf_at_nyquist=float(np.interp(NYQUIST_CYC_PER_PIXEL, table.frequency, curve)),
-        )
-        for number, (edge, curve) in enumerate(zip(edges, curves, strict=True), 1)
-    ]
-    named = {f"edge {k}": curve for k, curve in enumerate(curves, 1)} if len(curves) > 1 else {}
-    whole = replace(table, curves=table.curves | named)
-    return _result(whole, source, edges=records, warnings=_of_table(table), started=started)
 
 
 def _of_table(table: MtfTable) -> list[RecordingWarning]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray, Json
@@ -38,6 +39,8 @@ BAND = ("mtf_lower", "mtf_upper")
 LARGEST_END = 0.05
 """MTF at the last frequency above which a table stops early: what follows may be a visible part of an edge."""
 
+NYQUIST_CYC_PER_PIXEL = 0.5
+
 LIMITING_MTF = 0.1
 """MTF at the limit of resolution, as in ISO 12233 and ISO 16505."""
 
@@ -61,8 +64,8 @@ class Estimate(NamedTuple):
 class MtfTable:
     """An MTF at two or more ascending frequencies >= 0, shape (n,).
 
-    The curves by column are "mtf", or "mtf_tangential" and "mtf_sagittal", or all three; none is negative. `lower`
-    and `upper` are the ends of the 95 % band of "mtf", if it has one.
+    The curves by column are "mtf", or "mtf_tangential" and "mtf_sagittal", or all three; or those of edges by
+    their names. None is negative. `lower` and `upper` are the ends of the 95 % band of "mtf", if it has one.
     """
 
     unit: FrequencyUnit
@@ -138,15 +141,29 @@ class Resolution(NamedTuple):
         return texts
 
 
-class MapperEdge(NamedTuple):
-    """One edge in a file of MTF Mapper.
+class EdgeRecord(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """An edge in one colour, as in `edges.csv`."""
 
-    `angle_deg` is that of the edge against rows or columns; `centre_px` is (x, y), None if the file has no places.
-    """
-
-    angle_deg: float
-    centre_px: tuple[float, float] | None
-    table: MtfTable
+    edge: int
+    colour: str | None = None
+    x_px: int | float | None = None
+    y_px: int | float | None = None
+    width_px: int | None = None
+    height_px: int | None = None
+    angle_deg: float | None = None
+    normal_deg: float | None = None
+    bend_px: float | None = None
+    dark: float | None = None
+    bright: float | None = None
+    noise_percent: float | None = None
+    mtf50_cyc_per_pixel: float | None = None
+    mtf50_cyc_per_pixel_ci95: Ends | None = None
+    mtf_at_nyquist: float | None = None
+    mtf_at_nyquist_ci95: Ends | None = None
+    overshoot: float | None = None
+    overshoot_ci95: Ends | None = None
+    undershoot: float | None = None
+    undershoot_ci95: Ends | None = None
 
 
 def read_mtf_table(path: Path, *, may_exceed_1: bool = False) -> MtfTable:
@@ -209,34 +226,49 @@ def _check(table: MtfTable, places: Sequence[str], *, may_exceed_1: bool) -> Non
                 )
 
 
-def read_mtf_mapper(path: Path) -> list[MapperEdge]:
-    """Return the edges of a text file that MTF Mapper wrote, whose MTF is at multiples of 1/64 cycles/pixel.
+def read_mtf_mapper(path: Path) -> tuple[MtfTable, list[EdgeRecord]]:
+    """Return the curves and the edges of a text file of MTF Mapper: "mtf" of a single edge, "edge 1" and so on.
 
-    A line of `raw_sfr_values.txt` has the edge's angle and the MTF; a line of `edge_sfr_values.txt` has a number,
-    x, y, the edge's angle, the radial angle and the MTF. The manual page of mtf_mapper 0.7 describes both.
-    Sharpened pictures may have values above 1. DataError names a line with other fields.
+    A line of `raw_sfr_values.txt` has the edge's angle and the MTF, at multiples of 1/64 cycles/pixel; a line of
+    `edge_sfr_values.txt` has a number, x, y, the edge's angle, the radial angle and the MTF. The manual page of
+    mtf_mapper 0.7 describes both. Sharpened pictures may have values above 1. DataError names a line with other
+    fields; also if lines differ in their number of values.
     """
-    edges = []
-    lengths = {n + 1: 0 for n in MAPPER_LENGTHS} | {n + 5: 3 for n in MAPPER_LENGTHS}
+    curves: list[FloatArray] = []
+    edges: list[EdgeRecord] = []
+    before_angle = {n + 1: 0 for n in MAPPER_LENGTHS} | {n + 5: 3 for n in MAPPER_LENGTHS}
     for n_line, line in enumerate(read_text(path, most_mb=MAX_CSV_MB).splitlines(), 1):
         fields, where = line.split(), f"{path}, line {n_line}:"
         if not fields:
             continue
-        if len(fields) not in lengths:
+        if len(fields) not in before_angle:
             raise DataError(
                 f"{where} found {len(fields)} numbers, expected an angle and 64 or 128 values, or five columns "
                 "and as many, as MTF Mapper writes"
             )
         values = [number(field, f"{where} column {k}") for k, field in enumerate(fields, 1)]
-        place = lengths[len(fields)]
-        mtf = np.array(values[place + 1 + (place > 0) :])
+        n_before = before_angle[len(fields)]
+        mtf = np.array(values[n_before + 1 + (n_before > 0) :])
         frequency = np.arange(len(mtf), dtype=np.float64) / MAPPER_PER_CYC_PER_PIXEL
-        table = MtfTable("cyc_per_pixel", frequency, {RADIAL: mtf})
-        _check(table, [where] * len(mtf), may_exceed_1=True)
-        edges.append(MapperEdge(values[place], (values[1], values[2]) if place else None, table))
+        _check(MtfTable("cyc_per_pixel", frequency, {RADIAL: mtf}), [where] * len(mtf), may_exceed_1=True)
+        record = EdgeRecord(
+            edge=len(edges) + 1,
+            x_px=values[1] if n_before else None,
+            y_px=values[2] if n_before else None,
+            angle_deg=values[n_before],
+            mtf50_cyc_per_pixel=falls_to(0.5, frequency, mtf),
+            mtf_at_nyquist=float(np.interp(NYQUIST_CYC_PER_PIXEL, frequency, mtf)),
+        )
+        edges.append(record)
+        curves.append(mtf)
     if not edges:
         raise DataError(f"{path}: found no edge, expected a line for each")
-    return edges
+    lengths = sorted(set(map(len, curves)))
+    if len(lengths) > 1:
+        raise DataError(f"{path}: found lines with {lengths[0]} and {lengths[-1]} values, expected as many in all")
+    frequency = np.arange(lengths[0]) / MAPPER_PER_CYC_PER_PIXEL
+    named = {f"edge {k}": mtf for k, mtf in enumerate(curves, 1)} if len(curves) > 1 else {RADIAL: curves[0]}
+    return MtfTable("cyc_per_pixel", frequency, named), edges
 
 
 def is_table(path: Path) -> bool:

@@ -64,8 +64,8 @@ def measure_mtf(
     SettingsError if a box is not within the frame or too small, or values without a white are to be displayed;
     DataError if there is no edge, or one that is needed cannot be measured.
     """
-    frames = _mean(recording, display, progress)
-    whole = frames.colours[LUMA]
+    n_frames, colours, saturated = _mean(recording, display, progress)
+    whole = colours[LUMA]
     warnings = list(recording.warnings)
     measured: list[dict[str, EdgeMtf]] = []
     try:
@@ -75,9 +75,9 @@ def measure_mtf(
     problems = []
     for box, step_px in edges:
         edge: dict[str, EdgeMtf] = {}
-        for name, image in frames.colours.items():
+        for name, image in colours.items():
             try:
-                edge[name] = measure_edge(image, box, step_px=step_px, saturated=frames.saturated)
+                edge[name] = measure_edge(image, box, step_px=step_px, saturated=saturated)
             except (DataError, SettingsError) as error:
                 if name == LUMA and needs_all:
                     raise type(error)(f"{recording.path}: {error}") from None
@@ -92,19 +92,14 @@ def measure_mtf(
     names = dict.fromkeys(name for edge in measured for name in edge)
     means = {name: mean_band([edge[name] for edge in measured if name in edge]) for name in names}
     return RecordingMtf(
-        n_frames=frames.n, edges=tuple(measured), means=means, image=whole, warnings=tuple(warnings)
+        n_frames=n_frames, edges=tuple(measured), means=means, image=whole, warnings=tuple(warnings)
     )
 
 
-class _MeanFrame(NamedTuple):
-    """Means over frames by colour, and the pixels that were at an end of their scale in any frame."""
-
-    colours: dict[str, FloatArray]
-    saturated: NDArray[np.bool_] | None
-    n: int
-
-
-def _mean(recording: Recording, display: Display | None, progress: Progress | None) -> _MeanFrame:
+def _mean(
+    recording: Recording, display: Display | None, progress: Progress | None
+) -> tuple[int, dict[str, FloatArray], NDArray[np.bool_]]:
+    """Return the number of frames, their means by colour, and which pixels were at an end of their scale."""
     white, black = recording.full_scale, recording.zero
     if display is not None and white is None:
         raise SettingsError(
@@ -127,7 +122,7 @@ def _mean(recording: Recording, display: Display | None, progress: Progress | No
     colours = {LUMA: mean if mean.ndim == 2 else mean @ REC_709_LUMINANCE_WEIGHTS}
     if mean.ndim == 3 and np.ptp(mean, 2).any():  # grey pictures may be stored in three equal channels
         colours |= {name: mean[..., k] for k, name in enumerate(COLOURS)}
-    return _MeanFrame(colours, None if white is None else saturated, n)
+    return n, colours, saturated
 
 
 def find_edges(image: FloatArray) -> list[Box]:
