@@ -107,6 +107,7 @@ def test_luminance_rises_with_the_code_whatever_the_readings():
         ({"gamma": None}, "calibration", "gamma, half_tone_code, photometer: found none of them"),
         ({"gamma": 9.0}, "calibration", "gamma: found 9.0, expected 1 to 4; match the half-tone again"),
         ({"gamma": None, "half_tone_code": 255.0}, "calibration", "half_tone_code: found 255.0"),
+        ({"gamma": None, "half_tone_code": 0.0}, "calibration", "half_tone_code: found 0.0"),
         ({"photometer": ((0, 1.0), (255, 90.0))}, "calibration", "lut: found 2 readings"),
         ({"photometer": ((0, 1.0), (9, 2.0), (8, 4.0), (255, 90.0))}, "calibration", "read these codes again"),
         ({"photometer": ((0, 1.0), (9, 2.0), (9, 4.0), (255, 90.0))}, "calibration", "to rise with the code"),

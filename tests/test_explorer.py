@@ -182,6 +182,7 @@ def test_a_plot_has_the_values_the_bands_and_crosses_where_nothing_is_reached():
     np.testing.assert_array_equal(crosses.get_xydata(), [[0.4, 0.0]])
     vertices = axes.collections[0].get_paths()[0].vertices
     assert (vertices[:, 1].min(), vertices[:, 1].max()) == (0.9, 2.2)
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["2: before", "now"]
     # A pinned curve has the colour of its number on the page, and the present one the blue of all figures.
     style = (files("sensor_sim.explorer") / "static" / "explorer.css").read_text()
     of_page = re.search(r"--pin-2: (#\w+)", style)[1]

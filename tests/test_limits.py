@@ -11,6 +11,7 @@ from msgspec import structs
 
 import sensor_sim as ss
 import todframes as tod
+from sensor_sim.limits import advise
 from sensor_sim.limits.crossing import Try, find_crossing
 from sensor_sim.limits.limit import Limit, SensorLimit
 from sensor_sim.limits.varied import find_varied
@@ -160,6 +161,25 @@ def test_an_aperture_takes_the_netd_along_where_it_is_coupled():
 def test_what_does_not_fit_is_refused(arguments, message):
     with pytest.raises(SettingsError, match=message):
         ss.limit(THERMAL, **arguments)
+
+
+def test_gains_are_those_of_a_power_law(monkeypatch):
+    """Thresholds NETD / aperture² with an error of 3 %; a tenth more transmission than 1 cannot be had."""
+
+    def threshold(sensor, *_, **__):
+        return sensor.noise.netd_mk / sensor.optics.aperture_mm**2 / sensor.optics.transmission, 0.03
+
+    monkeypatch.setattr(advise, "threshold_of", threshold)
+    sensor = ss.load_sensor(THERMAL)
+    first, *others = advise._gains(sensor, None, 4.0, None, {})
+    gains = {one.key: one.change_percent for one in (first, *others)}
+    assert (first.key, first.value, first.unit) == ("optics.aperture_mm", 220.0, "mm")
+    expected = {"optics.aperture_mm": 100 * (1.1**-2 - 1), "noise.netd_mk": 10.0}
+    expected |= {"optics.transmission": 100 * (1 / 1.1 - 1)}
+    assert {key: value for key, value in gains.items() if value} == pytest.approx(expected)
+    assert first.error_percent == pytest.approx(3.0 * math.sqrt(2.0))
+    monkeypatch.setattr(advise, "threshold_of", lambda *_, **__: (None, 0.0))
+    assert advise._gains(sensor, None, 4.0, None, {}) == ()
 
 
 @pytest.mark.slow

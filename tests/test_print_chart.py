@@ -331,3 +331,9 @@ def test_commands_say_what_to_do(tmp_path: Path, todframes) -> None:
     assert status == 0 and "2 sheets" in shown and "at 100 %" in shown and "0.4037" in shown
     status, shown, _ = todframes("chart", "--for=thermal", *given, "--delta-t-k=0.5", "-o", tmp_path / "b")
     assert status == 0 and "4 settings" in shown and "15.20" in shown and "schedule.csv" in shown
+    monitor = ["--pixel-pitch-mm=0.25", "--width-px=640", "--height-px=480", "--bits=10"]
+    status, shown, _ = todframes(
+        "chart", "--for=screen", *given, "--contrasts=0.0013", *monitor, "-o", tmp_path / "c"
+    )
+    assert status == 0 and "play.html shows the pages in 0.1 minutes." in shown  # 4 pages of 2 s
+    assert "Dithered triangles mix pixels of two" in shown and "The PNG files have 16 bits" in shown

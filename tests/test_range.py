@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import error_line
+from matplotlib.figure import Figure
 from scipy.special import ndtri
 
 import sensor_sim as ss
@@ -439,12 +440,38 @@ def test_a_terminal_of_80_columns_shows_each_status(air, tmp_path, monkeypatch, 
     )
 
 
+def test_figures_show_the_contrast_that_arrives_the_thresholds_and_the_ranges(table) -> None:
+    found = tod.acquisition_range(table, target=NATO, atmosphere=BEER)
+    by_size = tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER)
+    figures = [*found.figures(), by_size.figures()[-1]]
+    probability, crossing, against_k = axes = [Figure().subplots() for _ in figures]
+    for one, figure in zip(axes, figures, strict=True):
+        figure.draw(one)
+    arriving, *needed = crossing.lines
+    km = arriving.get_xdata()
+    np.testing.assert_allclose(arriving.get_ydata(), 2.0 * np.exp(-SIGMA_PER_KM * km))
+    for line, band, n in zip(needed, crossing.collections, (1, 3, 6), strict=True):
+        np.testing.assert_allclose(line.get_xdata(), FREQUENCIES * 2.3 / n)
+        np.testing.assert_allclose(line.get_ydata(), A_K * np.exp(FREQUENCIES), rtol=1e-9)
+        assert band.get_paths()[0].vertices[:, 1].min() < A_K * math.exp(FREQUENCIES[0])
+    assert crossing.get_xlim() == (0.0, km[-1]) and crossing.get_ylabel().startswith("ΔT (K)")
+    for number, one in enumerate(found.numbers.probability):
+        dotted, solid = (line.get_ydata() for line in probability.lines[2 * number : 2 * number + 2])
+        np.testing.assert_array_equal(dotted, one.probability)
+        np.testing.assert_array_equal(np.isnan(solid), np.array(one.bound) != 0.0)
+    assert [line.get_ydata()[0] for line in probability.lines[6:]] == [0.5, 0.75, 0.9]
+    curve, own = against_k.lines
+    k, ranges = curve.get_data()
+    np.testing.assert_allclose(ranges, np.log(100.0) / (SIGMA_PER_KM + B_MRAD * np.array(k) / 2.3), rtol=1e-9)
+    assert (k[0], k[-1], own.get_xdata()[0]) == (1.0, pytest.approx(16.0), 3.0)
+
+
 def test_units_of_a_table_are_those_of_its_header(table, tmp_path) -> None:
-    """The same curve in mK over cycles/deg, and as a TOD of sizes, which needs k."""
+    """The same curve in mK over cycles/deg, and as a TOD of sizes, which needs k; intervals may have no width."""
     rows = [[float(one) for one in line.split(",")] for line in table.read_text().splitlines()[1:]]
     per_deg = tmp_path / "deg.csv"
-    lines = [f"{f * math.pi / 0.18!r},{1e3 * value!r}" for f, value, *_ in rows]
-    per_deg.write_text("\n".join(["frequency_cyc_per_deg,mrtd_mk", *lines]))
+    lines = [f"{f * math.pi / 0.18!r}{f',{1e3 * value!r}' * 3}" for f, value, *_ in rows]
+    per_deg.write_text("\n".join(["frequency_cyc_per_deg,mrtd_mk,ci95_low,ci95_high", *lines]))
     sizes = tmp_path / "sizes.csv"
     sizes.write_text("\n".join(["size_mrad,delta_t_k", *(f"{1 / f!r},{value!r}" for f, value, *_ in rows)]))
     expected = math.log(100.0) / (SIGMA_PER_KM + 3.0 / 2.3)
@@ -482,6 +509,9 @@ def test_a_result_is_a_curve_in_the_field() -> None:
     magnified = tod.acquisition_range(displayed, target=DAYLIGHT, atmosphere=BEER, magnification=2.0)
     assert not magnified.warnings
     np.testing.assert_allclose(magnified.acquired.curve.per_mrad, 2.0 * FREQUENCIES, rtol=1e-12)
+    for aim, unit in ((DAYLIGHT, "Weber contrast"), (replace(NATO, k={"seen": 3.0}), "K")):
+        (warning,) = tod.acquisition_range(of_fits("level"), target=aim, atmosphere=BEER).warnings
+        assert warning.code == "level_without_unit" and warning.message.endswith(f"contrast, {unit}")
 
 
 def test_a_sensor_s_curve_has_its_pitch_and_delta_t() -> None:

@@ -11,9 +11,11 @@ import todframes as tod
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
 
 
-def test_the_samples_are_those_of_the_repository(tmp_path):
-    made = tod.sample(tmp_path / "made")
-    assert made == {"naked_eye": 336, "staring_camera": 162}
+def test_the_samples_are_those_of_the_repository(tmp_path, todframes):
+    status, out, _ = todframes("sample", tmp_path / "made")
+    made = {"naked_eye": 336, "staring_camera": 162}
+    lines = [f"written: {tmp_path / 'made' / name}: {n} frames" for name, n in made.items()]
+    assert (status, out.splitlines()) == (0, [*lines, f"Try: todframes score {tmp_path / 'made' / 'naked_eye'}"])
     for name, n_frames in made.items():
         ours, theirs = (sorted((root / name).rglob("*.*")) for root in (tmp_path / "made", SAMPLES))
         assert [path.name for path in ours] == [path.name for path in theirs]
