@@ -385,6 +385,7 @@ def test_predictions_of_two_persons(small: Path, tmp_path: Path) -> None:
     x = np.linspace(-8.0, 18.0, 4001)
     for person in result.persons:
         assert person.aic == pytest.approx(2.0 - 2.0 * person.log_likelihood)
+        assert (person.status, person.lapse_rate) == ("ok", 0.09)
         assert [one.group for one in person.predicted] == [
             {"subject": person.subject, "size_mrad": size} for size in (1.0, 2.0)
         ]

@@ -134,7 +134,8 @@ def truth_of(camera: PhotonCamera) -> dict[str, float]:
 
 def test_figures_of_a_simulated_camera_are_within_their_intervals() -> None:
     """The seed is one of those where all 95 % intervals hold."""
-    found = tod.emva_noise(**stacks())
+    made = stacks()
+    found = tod.emva_noise(**made)
     measured = found.noise.emva1288
     truth = truth_of(CAMERA) | {"dark_current": CAMERA.dark_current_electrons_per_s}
     for name, value in truth.items():
@@ -146,6 +147,17 @@ def test_figures_of_a_simulated_camera_are_within_their_intervals() -> None:
     assert not measured.is_saturation_reached
     assert measured.saturation_electrons * measured.system_gain == pytest.approx(4095 - 30, abs=1.0)
     assert [one.code for one in found.warnings] == ["saturation_not_reached"]
+    # EMVA 1288 release 4.0 linear: μ_p.min = (σ_d in e⁻ + 1/2) / η, and a dynamic range of μ_p.sat / μ_p.min.
+    dark = made["dark"][0] - made["dark"][0].mean(axis=(1, 2), keepdims=True)
+    least = dark.var(axis=0, ddof=1).mean() ** 0.5 / measured.system_gain + 0.5
+    assert measured.sensitivity_threshold == pytest.approx(least / measured.quantum_efficiency, rel=1e-9)
+    assert measured.dynamic_range == pytest.approx(measured.saturation_electrons / least, rel=1e-9)
+    # A bright stack without light changes nothing.
+    black = made["bright"] + made["dark"][:1], made["dark"] + made["dark"][:1]
+    names = ("exposure_ms", "photons")
+    more = dict(zip(names, ([*made["exposure_ms"], 2.0], [*made["photons"], 1.0]), strict=True))
+    again = tod.emva_noise(**made | more | dict(zip(("bright", "dark"), black, strict=True))).noise.emva1288
+    assert again.system_gain == pytest.approx(measured.system_gain, rel=1e-3)
 
 
 def codes_of(found: Any) -> set[str]:

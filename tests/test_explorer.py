@@ -17,7 +17,7 @@ import time
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import replace
 from importlib.resources import files
 from itertools import pairwise
@@ -39,7 +39,7 @@ from sensor_sim.chain.sensor import NOISE_MODELS, TABLES, sensor_from, sensor_se
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.cli import cli
 from sensor_sim.explorer import routes
-from sensor_sim.explorer.live import CurvePoint, LiveCurve, LiveCurves, Request, ThresholdEngine
+from sensor_sim.explorer.live import CurvePoint, LiveCurve, Request, ThresholdEngine
 from sensor_sim.explorer.parameters import SLIDERS, observer_fields, sensor_fields
 from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves
 from sensor_sim.explorer.ranges import ThresholdSent, range_answer, range_from, weibull_slope
@@ -150,23 +150,6 @@ def test_the_sample_sensors_are_among_the_presets():
     for path in SAMPLES.glob("*.toml"):
         assert presets[path.name] == ss.load_sensor(path)
     assert routes.CHIP_PITCH_UM.keys() == presets.keys() - {path.name for path in SAMPLES.glob("*.toml")}
-
-
-@pytest.mark.slow
-def test_sizes_are_chosen_from_the_smallest_one_that_is_seen():
-    """Of the sample sensor, where sizes 2 and 3 are never reached; and of one that shows nothing."""
-    with closing(LiveCurves()) as curves:
-        explorer = Explorer(SENSOR)
-        explorer._live = curves
-        first = next(explorer.curve(asked(sizes_detectors=None), lambda: True))
-        assert [one["size_detectors"] for one in first["thresholds"]] == [4.0, 5.0, 6.0, 8.0, 10.0]
-        assert {one["status"] for one in first["thresholds"]} == {"ok"}
-        tables = TABLES_SENT | {"display": TABLES_SENT["display"] | {"gain": 1e-3}}
-        dark = next(explorer.curve(asked(2, sensor=tables, sizes_detectors=None), lambda: True))
-        assert {one["status"] for one in dark["thresholds"]} == {"never_reached"}
-        near = TABLES_SENT | {"display": TABLES_SENT["display"] | {"viewing_distance_mm": 0.1}}
-        with pytest.raises(SettingsError, match=r"^size_mrad: found 10752\.7 mrad at the eye"):
-            next(explorer.curve(asked(3, sensor=near, sizes_detectors=None), lambda: True))
 
 
 def test_a_plot_has_the_values_the_bands_and_crosses_where_nothing_is_reached():

@@ -32,12 +32,12 @@ def drawn(result: Result[Any], number: int = 0) -> Axes:
 
 def points(axes: Axes) -> dict[str, Any]:
     """Points of each line of the legend."""
-    return {line.get_label(): line.get_xydata() for line in axes.lines if not line.get_label().startswith("_")}
+    return {line.get_label(): line.get_xydata().tolist() for line in axes.lines if line.get_label()[0] != "_"}
 
 
 def unnamed(axes: Axes, style: str | None = None) -> list[Any]:
     """Points of the lines that are not in the legend, of one line style."""
-    lines = [line for line in axes.lines if line.get_label().startswith("_")]
+    lines = [line for line in axes.lines if line.get_label()[0] == "_"]
     return [line.get_xydata().tolist() for line in lines if style in (None, line.get_linestyle())]
 
 
@@ -55,7 +55,14 @@ def fitted(*fits: Fit) -> Result[Any]:
     return Result.made("fit", 0.0, fits=fits)
 
 
-# Thresholds ----------------------------------------------------------------------------------------------------
+def segments(axes: Axes) -> list[Any]:
+    """Ends of the bars and lines of collections."""
+    return [
+        one.tolist()
+        for lines in axes.collections
+        if hasattr(lines, "get_segments")
+        for one in lines.get_segments()
+    ]
 
 
 def test_tod_curves_have_thresholds_intervals_and_open_ends() -> None:
@@ -67,16 +74,11 @@ def test_tod_curves_have_thresholds_intervals_and_open_ends() -> None:
         fit(2.0, None, "never_reached", group=group[3]),
     )
     axes = drawn(fitted(*fits))
-    assert {name: xy.tolist() for name, xy in points(axes).items()} == {
-        "eye left": [[1.0, 0.4], [0.5, 0.2]],
-        "eye right": [[1.0, 0.8]],
-    }
+    assert points(axes) == {"eye left": [[1.0, 0.4], [0.5, 0.2]], "eye right": [[1.0, 0.8]]}
     assert legend(axes) == ["eye left", "eye right"]
-    top = axes.get_ylim()[1]
     assert unnamed(axes, "-") == [[[1.0, 0.3], [1.0, 0.6]], [[0.5, 0.1], [0.5, 0.2]], [[0.5, 0.2]]]
-    assert unnamed(axes, ":") == [[[0.5, 0.2], [0.5, top]]]
-    (above,) = axes.child_axes
-    assert [tick.get_text() for tick in above.get_xticklabels()] == ["2", "1"]  # 1 / size = 0.5 and 1
+    assert unnamed(axes, ":") == [[[0.5, 0.2], [0.5, axes.get_ylim()[1]]]]
+    assert [tick.get_text() for tick in axes.child_axes[0].get_xticklabels()] == ["2", "1"]  # 1 / size = 0.5 and 1
     assert legend(drawn(fitted(*fits[:2]))) == []
     heated = [fit(size, snr, level="snr", delta_t_mk=20.0 * snr) for size, snr in ((1.0, 2.0), (2.0, 1.0))]
     right = drawn(fitted(*heated)).child_axes[1]
@@ -110,6 +112,8 @@ def test_computed_points_are_joined_where_no_curve_was_fitted() -> None:
     shown = tuple(FitPoint(level, 0, p) for level, p in ((0.1, 0.3), (0.2, 0.6)))
     axes = drawn(fitted(fit(1.0, 0.15, points=shown)))
     assert unnamed(axes, "-") == [[[0.1, 0.3], [0.2, 0.6]]]
+    with pytest.raises(tod.DataError, match="plot: the result of fit has nothing to draw"):
+        fitted(fit(1.0, None, "never_reached")).plot()
     assert len(set(axes.collections[0].get_sizes())) == 1
 
 
@@ -125,34 +129,27 @@ def test_persons_have_marks_and_their_models_lines(results) -> None:
     assert [line.get_linestyle() for line in marks] == ["None"] * 2
 
 
-# A comparison --------------------------------------------------------------------------------------------------
-
-
 FITS = (fit(1.0, 0.2), fit(2.0, 0.1))
 
 
-def ratio(group: int, value: float | None, verdict: str, low: float | None, high: float | None) -> Ratio:
-    return Ratio(group=FITS[group].group, ratio=value, verdict=verdict, ratio_ci95=(low, high))
-
-
 def test_ratios_have_intervals_and_are_filled_where_a_difference_is_shown() -> None:
+    names, whole = ("ratio", "verdict", "ratio_ci95"), Ratio(ratio=1.5, verdict="worse", ratio_ci95=(1.2, 1.8))
     each = {
-        "blur": (ratio(0, 2.0, "worse", 1.5, 2.5), ratio(1, 1.2, "no difference shown", 0.5, None)),
-        "sharp": (ratio(0, 0.5, "better", 0.4, 0.6), ratio(1, None, "lost", None, None)),
+        "blur": ((2.0, "worse", (1.5, 2.5)), (1.2, "no difference shown", (0.5, None))),
+        "sharp": ((0.5, "better", (0.4, 0.6)), (None, "lost", (None, None))),
     }
-    whole = Ratio(ratio=1.5, verdict="worse", ratio_ci95=(1.2, 1.8))
-    compared = [Algorithm(name=name, fits=FITS, ratios=of, overall=whole) for name, of in each.items()]
+    compared = []
+    for name, values in each.items():
+        own = (dict(zip(names, one, strict=True)) for one in values)
+        ratios = tuple(Ratio(group=at.group, **one) for at, one in zip(FITS, own, strict=True))
+        compared.append(Algorithm(name=name, fits=FITS, ratios=ratios, overall=whole))
     axes = drawn(Result.made("compare", 0.0, algorithms=(Algorithm(name="none", fits=FITS), *compared)))
     assert legend(axes) == ["blur", "sharp"]
     assert [tick.get_text() for tick in axes.get_xticklabels()] == ["1 mrad", "2 mrad", "all groups"]
     left, right = -0.15, 0.15  # two algorithms share 0.6 of the width of a group
-    assert [np.round(one, 9).tolist() for one in unnamed(axes, "-")] == [
-        [[left, 1.5], [left, 2.5]],
-        [[2 + left, 1.2], [2 + left, 1.8]],
-        [[right, 0.4], [right, 0.6]],
-        [[2 + right, 1.2], [2 + right, 1.8]],
-        [[0.0, 1.0], [1.0, 1.0]],  # the reference
-    ]
+    bars = [(left, 1.5, 2.5), (2 + left, 1.2, 1.8), (right, 0.4, 0.6), (2 + right, 1.2, 1.8)]
+    assert unnamed(axes, "-")[:-1] == [pytest.approx(np.array([[x, low], [x, high]])) for x, low, high in bars]
+    assert unnamed(axes, "-")[-1] == [[0.0, 1.0], [1.0, 1.0]]  # the reference
     assert unnamed(axes, ":") == [[[1 + left, 0.5], [1 + left, 1.2]]]
     marks = [line for line in axes.lines if line.get_linestyle() == "None" and len(line.get_xdata())]
     assert [line.get_ydata()[0] for line in marks] == [2.0, 1.2, 1.5, 0.5, 1.5]
@@ -172,12 +169,8 @@ def test_contrasts_after_an_algorithm_have_errors_and_the_line_of_no_change() ->
     assert legend(axes) == ["twice"]
     of_points, no_change = (one for one in unnamed(axes, "-") if len(one) == 2)
     assert (of_points, no_change) == ([[0.1, 0.2], [0.4, 0.8]], [[0.1, 0.1], [0.4, 0.4]])
-    (bars,) = (one for one in axes.collections if hasattr(one, "get_segments"))
-    ends = np.array([one[:, 1] for one in bars.get_segments()])
+    ends = np.array(segments(axes))[..., 1]
     np.testing.assert_allclose(ends, [[0.18, 0.22], [0.72, 0.88]])  # two standard errors of the gain
-
-
-# Cameras and sensors -------------------------------------------------------------------------------------------
 
 
 def test_noise_has_bars_with_intervals_the_means_of_frames_and_images() -> None:
@@ -186,11 +179,9 @@ def test_noise_has_bars_with_intervals_the_means_of_frames_and_images() -> None:
     axes = drawn(result)
     parts = result.noise.parts
     assert [bar.get_height() for bar in axes.patches] == [one.sd for one in parts.values()]
-    (bars,) = (one for one in axes.collections if hasattr(one, "get_segments"))
     most = 3.0 * max(one.sd for one in parts.values())
-    for segment, one in zip(bars.get_segments(), parts.values(), strict=True):
-        low, high = one.ci95
-        assert segment[:, 1] == pytest.approx([min(low, one.sd), max(min(high, most), one.sd)])
+    for ((_, low), (_, high)), one in zip(segments(axes), parts.values(), strict=True):
+        assert (low, high) == pytest.approx((min(one.ci95[0], one.sd), max(min(one.ci95[1], most), one.sd)))
     titles = [one.title for one in result.figures()]
     (means,) = drawn(result, titles.index("Mean of each frame")).lines
     assert means.get_xdata() == pytest.approx(np.arange(6) / 50.0)
@@ -202,10 +193,11 @@ def test_noise_has_bars_with_intervals_the_means_of_frames_and_images() -> None:
 def test_photon_transfer_and_signal_to_noise_are_those_of_the_points() -> None:
     result = tod.emva_noise(**stacks(n=2))
     numbers = result.noise.emva1288
-    x, variances, snr = (
-        [getattr(one, name) for one in numbers.points] for name in ("signal_dn", "variance_dn2", "snr")
+    names = ("signal_dn", "variance_dn2", "snr")
+    x, variances, snr = ([getattr(one, name) for one in numbers.points] for name in names)
+    ratios, transfer = (
+        {name: np.array(xy) for name, xy in points(drawn(result, number)).items()} for number in (0, 1)
     )
-    ratios, transfer = (points(drawn(result, number)) for number in (0, 1))
     np.testing.assert_array_equal(transfer.pop("in the fit"), np.transpose([x, variances]))
     (line,) = transfer.values()
     np.testing.assert_allclose(line, [[0.0, 0.0], [max(x), numbers.system_gain * max(x)]])
@@ -220,119 +212,109 @@ def test_photon_transfer_and_signal_to_noise_are_those_of_the_points() -> None:
     assert (total < temporal).all() and (temporal < ideal).all()
 
 
-def test_advice_has_a_bar_for_each_number_the_most_important_on_top() -> None:
-    gains = [
-        Gain(key=key, unit="", value=1.0, change_percent=p, error_percent=0.5) for key, p in (("a", 9), ("b", -2))
-    ]
-    sizes = {"sizes_detectors": (3.0,), "sizes_mrad": (0.2,), "size_detectors": 3.0, "limits": "."}
-    shares = {"internal": 0.2, "detector": 0.3, "sampling": 0.5}
-    axes = drawn(Result.made("advise", 0.0, sensor="", gains=tuple(gains), **sizes, **shares))
-    assert [bar.get_width() for bar in axes.patches] == [-2.0, 9.0]
+def test_advice_limits_and_worth_have_bars_crosses_and_intervals() -> None:
+    of_gain = {"unit": "", "value": 1.0, "error_percent": 0.5}
+    gains = tuple(Gain(key=key, change_percent=p, **of_gain) for key, p in (("a", 9), ("b", -2)))
+    known = {"sizes_detectors": (3.0,), "sizes_mrad": (0.2,), "size_detectors": 3.0, "limits": ".", "sensor": ""}
+    known |= {"internal": 0.2, "detector": 0.3, "sampling": 0.5}
+    axes = drawn(Result.made("advise", 0.0, gains=gains, **known))
+    assert [bar.get_width() for bar in axes.patches] == [-2.0, 9.0]  # the most important on top
     assert [tick.get_text() for tick in axes.get_yticklabels()] == ["b", "a"]
-    (errors,) = (one for one in axes.collections if hasattr(one, "get_segments"))
-    assert [one[:, 0].tolist() for one in errors.get_segments()] == [[-2.5, -1.5], [8.5, 9.5]]
+    assert [[x for x, _ in one] for one in segments(axes)] == [[-2.5, -1.5], [8.5, 9.5]]
 
-
-def test_limits_have_their_thresholds_the_target_and_a_cross() -> None:
-    each = [
-        {"size": 0.5, "value": 20.0, "values": (10.0, 40.0, 80.0), "thresholds": (0.1, 0.4, None)},
-        {"size": 0.2, "value": None, "values": (10.0, 40.0, 80.0), "thresholds": (None, None, None)},
-    ]
-    more = {"status": "ok", "error": 1.0, "is_least": False, "own_threshold": 0.2}
+    more = {"status": "ok", "error": 1.0, "is_least": False, "own_threshold": 0.2, "values": (10.0, 40.0, 80.0)}
+    each = [(0.5, 20.0, (0.1, 0.4, None)), (0.2, None, (None, None, None))]
+    limits = tuple(Limit(size=size, value=value, thresholds=of, **more) for size, value, of in each)
     known = {"sensor": "a", "parameter": "noise.netd_mk", "unit": "mK", "own_value": 30.0, "level": "snr"}
-    limits = tuple(Limit(**one, **more) for one in each)
     axes = drawn(Result.made("limit", 0.0, target=0.25, limits=limits, **known))
-    assert {name: xy.tolist() for name, xy in points(axes).items()} == {"0.5 mrad": [[10.0, 0.1], [40.0, 0.4]]}
+    assert points(axes) == {"0.5 mrad": [[10.0, 0.1], [40.0, 0.4]]} and legend(axes) == ["0.5 mrad"]
     assert unnamed(axes) == [[[20.0, 0.25]], [[0.0, 0.25], [1.0, 0.25]]]
-    assert legend(axes) == ["0.5 mrad"]
+
+    factors = [("a", 4.0, 2.0, (1.5, 3.0)), ("a", 6.0, 1.2, (1.1, None)), ("b", 4.0, None, (None, None))]
+    names, more = (
+        ("algorithm", "size_detectors", "factor", "factor_ci95"),
+        {"ratio": 0.5, "ratio_ci95": (0.4, 0.6)},
+    )
+    worth = tuple(Worth(**more, **dict(zip(names, one, strict=True))) for one in factors)
+    axes = drawn(Result.made("worth", 0.0, worth=worth, sensor="a", parameter="light", unit="", own_value=1.0))
+    assert points(axes) == {"a": [[4.0, 2.0], [6.0, 1.2]], "b": []} and unnamed(axes) == [[[0.0, 1.0], [1.0, 1.0]]]
+    assert segments(axes) == [[[4.0, 1.5], [4.0, 3.0]]]
 
 
-def test_worth_has_factors_with_intervals() -> None:
-    def worth(algorithm: str, size: float, factor: float | None, *ends: float | None) -> Worth:
-        return Worth(
-            algorithm=algorithm,
-            size_detectors=size,
-            ratio=0.5,
-            ratio_ci95=(0.4, 0.6),
-            factor=factor,
-            factor_ci95=ends,
-        )
-
-    each = (worth("a", 4.0, 2.0, 1.5, 3.0), worth("a", 6.0, 1.2, 1.1, None), worth("b", 4.0, None, None, None))
-    known = {"sensor": "a", "parameter": "light", "unit": "", "own_value": 1.0}
-    axes = drawn(Result.made("worth", 0.0, worth=each, **known))
-    assert {name: xy.tolist() for name, xy in points(axes).items()} == {"a": [[4.0, 2.0], [6.0, 1.2]], "b": []}
-    assert [one.get_segments()[0].tolist() for one in axes.collections] == [[[4.0, 1.5], [4.0, 3.0]]]
-    assert unnamed(axes) == [[[0.0, 1.0], [1.0, 1.0]]]
-
-
-def swept(values: dict[str, list[float]], columns: dict[str, list[Any]], **settings: Any) -> Result[Any]:
-    """A sweep whose numbers are given; rows of a design are together."""
-    sizes = [4.0, 6.0]
+def swept(values: dict[str, list[float]], columns: dict[str, list[Any]], *minimise: str) -> Result[Any]:
+    """A sweep at 4 and 6 detectors whose numbers are given; rows of a design are together."""
     n = len(next(iter(values.values())))
-    keys = {key: np.repeat(value, len(sizes)).tolist() for key, value in values.items()}
-    usual = {"sensor": {"name": "camera"}, "size_detectors": sizes, "minimise": ["threshold_snr"], "maximise": []}
-    usual |= {"keep_fill_factor": False, "couple_netd": False}
-    full = {"design": np.repeat(np.arange(1, n + 1), len(sizes)).tolist(), **keys} | columns
-    full.setdefault("status", ["never_reached" if one is None else "ok" for one in full["threshold_snr"]])
-    full.setdefault("reason", [None] * len(full["status"]))
-    full.setdefault("on_front", [0.0] * len(full["status"]))
+    settings = {"sensor": {"name": "camera"}, "size_detectors": [4.0, 6.0], "maximise": []}
+    settings |= {"minimise": ["threshold_snr", *minimise], "keep_fill_factor": False, "couple_netd": False}
+    snr, keys = columns["threshold_snr"], {key: np.repeat(value, 2).tolist() for key, value in values.items()}
+    full = {"design": np.repeat(np.arange(1, n + 1), 2).tolist(), **keys, "reason": [None] * 2 * n}
+    full |= {
+        "status": ["never_reached" if one is None else "ok" for one in snr],
+        "on_front": [0.0] * 2 * n,
+    } | columns
     more = {"columns": full, "keys": tuple(values), "n_designs": n, "n_computed": n}
-    return Result.made("sweep", 0.0, **more, settings=usual | settings)
+    return Result.made("sweep", 0.0, **more, settings=settings)
 
 
 GRID = {"optics.aperture_mm": [10.0, 10.0, 20.0, 20.0], "noise.netd_mk": [16.0, 48.0, 16.0, 48.0]}
 SNR: list[float | None] = [4.0, 3.0, 8.0, 6.0, 2.0, 1.0, None, 2.0]
 
 
+def cells(axes: Axes) -> list[float]:
+    return np.ma.filled(axes.collections[0].get_array().ravel(), -1.0).tolist()
+
+
 def test_a_sweep_has_its_curves_map_and_front() -> None:
     result = swept(GRID, {"threshold_snr": SNR})
-    (curves,) = (one for one in result.plot_tod().collections if hasattr(one, "get_segments"))
-    # 1 / size from the largest size on; a design with one threshold has no line.
+    # A design with one threshold has no line.
     third, quarter = 1 / 6, 1 / 4
-    assert [one.tolist() for one in curves.get_segments()] == [
-        [[third, 3.0], [quarter, 4.0]],
-        [[third, 6.0], [quarter, 8.0]],
-        [[third, 1.0], [quarter, 2.0]],
-    ]
-    assert curves.get_array().tolist() == [10.0, 10.0, 20.0]
-    for size, wanted in enumerate(([4.0, 2.0, 8.0, np.nan], [3.0, 1.0, 6.0, 2.0])):
-        cells = result.plot_map(size).collections[0]
-        np.testing.assert_array_equal(np.ma.filled(cells.get_array().ravel(), np.nan), wanted)
+    curves = [(3.0, 4.0), (6.0, 8.0), (1.0, 2.0)]
+    assert segments(result.plot_tod()) == [[[third, six], [quarter, four]] for six, four in curves]
+    assert result.plot_tod().collections[0].get_array().tolist() == [10.0, 10.0, 20.0]
+    assert [cells(result.plot_map(size)) for size in (0, 1)] == [[4.0, 2.0, 8.0, -1.0], [3.0, 1.0, 6.0, 2.0]]
     titles = [one.title for one in result.figures()]
     assert titles == ["Map at 4 detectors", "Map at 6 detectors", "TOD curves"]
+    (problem,) = result.tables()[1].records
+    assert [problem[key] for key in ("status", "thresholds", "first_design")] == ["never_reached", 1, 4]
     # A longer range is better where a third key hides designs behind one another.
     both = {key: value * 2 for key, value in GRID.items()} | {"display.gain": [1.0] * 4 + [2.0] * 4}
-    ranges = [1.0, 2.0, 3.0, None, 5.0, 1.0, 2.0, 4.0]
-    of_range = {"range_km": np.repeat(ranges, 2).tolist(), "range_at_least_km": [None] * 14 + [4.0] * 2}
-    of_range |= {"range_status": ["ok"] * 16, "threshold_snr": SNR * 2}
-    longest = swept(both, of_range)
-    np.testing.assert_array_equal(longest.plot_range_map().collections[0].get_array().ravel(), [5, 3, 2, 4])
-    np.testing.assert_array_equal(longest.plot_map().collections[0].get_array().ravel()[:3], [4, 2, 8])
+    of_range = {"range_km": np.repeat([1.0, 2.0, 3.0, None, 5.0, 1.0, 2.0, 4.0], 2).tolist()}
+    of_range |= {"range_at_least_km": [None] * 14 + [4.0] * 2, "range_status": ["ok"] * 16}
+    longest = swept(both, of_range | {"threshold_snr": SNR * 2})
+    assert cells(longest.plot_range_map()) == [5.0, 3.0, 2.0, 4.0]
+    assert cells(longest.plot_map())[:3] == [4.0, 2.0, 8.0]
     assert longest.figures()[0].title == "Map of range"
-    assert "The range of 1 design is beyond the smallest size, at 4.00 km or more; add smaller sizes." in (
-        longest.sentences()
-    )
-    low = {"minimise": ["threshold_snr", "optics.aperture_mm"]}
-    traded = swept(GRID, {"threshold_snr": SNR, "on_front": [1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0]}, **low)
+    assert "The range of 1 design is beyond the smallest size, at 4.00 km or more" in " ".join(longest.sentences())
+    on_front = {"on_front": [1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0]}
+    traded = swept(GRID, {"threshold_snr": SNR} | on_front, "optics.aperture_mm")
     axes = traded.plot_front()
     assert axes.collections[0].get_offsets().tolist() == [[10.0, 4.0], [10.0, 8.0], [20.0, 2.0]]
-    assert points(axes)["trade-off front"].tolist() == [[10.0, 4.0], [20.0, 2.0]]
+    assert points(axes) == {"trade-off front": [[10.0, 4.0], [20.0, 2.0]]}
     assert [one["design"] for one in traded.tables()[0].records] == [3, 1]
     assert traded.figures()[0].title == "Trade-off at 4 detectors"
-    problems = traded.tables()[1].records
-    assert [(one["status"], one["thresholds"], one["first_design"]) for one in problems] == [
-        ("never_reached", 1, 4)
-    ]
+
+
+def test_impossible_and_never_reached_designs_look_different_on_the_map() -> None:
+    """Of a grid: hatches of three kinds at their cells; of points: two markers."""
+    snr: list[float | None] = [None] * 6 + [2.0, 2.0]
+    statuses = ["impossible", "never_reached", "always_exceeded", "ok"]
+    status = {"status": np.repeat(statuses, 2).tolist(), "threshold_snr": snr}
+    hatched = [one for one in swept(GRID, status).plot_map().collections if one.get_hatch()]
+    middles = {
+        one.get_hatch(): [path.vertices[:4].mean(axis=0).tolist() for path in one.get_paths()] for one in hatched
+    }
+    # Cells end half-way between the apertures and between the NETDs.
+    assert middles == {"////": [[10.0, 16.0]], "xx": [[10.0, 48.0]], "..": [[20.0, 16.0]]}
+    scattered = swept(
+        {"optics.aperture_mm": [10.0, 11.0, 20.0, 21.0], "noise.netd_mk": [1.0, 2.0, 3.0, 4.0]}, status
+    )
+    assert [len(one.get_offsets()) for one in scattered.plot_map().collections] == [1] * 4
 
 
 def test_one_varied_number_has_a_line_for_each_size() -> None:
-    result = swept({"noise.netd_mk": [48.0, 16.0]}, {"threshold_snr": [2.0, 3.0, None, 1.0]})
-    axes = drawn(result)
-    lines = points(axes)
-    np.testing.assert_array_equal(lines["4 detectors"], [[16.0, np.nan], [48.0, 2.0]])
-    np.testing.assert_array_equal(lines["6 detectors"], [[16.0, 1.0], [48.0, 3.0]])
-    assert legend(axes) == list(lines)
+    axes = drawn(swept({"noise.netd_mk": [48.0, 16.0]}, {"threshold_snr": [2.0, 3.0, None, 1.0]}))
+    assert legend(axes) == list(points(axes)) == ["4 detectors", "6 detectors"]
+    np.testing.assert_array_equal(list(points(axes).values()), [[[16, np.nan], [48, 2]], [[16, 1], [48, 3]]])
     assert [axes.get_xscale(), axes.get_yscale()] == ["linear", "log"]
     wide = drawn(swept({"noise.netd_mk": [5.0, 50.5]}, {"threshold_snr": [2.0, 3.0, 4.0, 1.0]}))
     assert wide.get_xscale() == "log"

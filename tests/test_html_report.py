@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import os
 import re
 import subprocess
@@ -256,39 +255,6 @@ def drawings(content: bytes) -> dict[str, ElementTree.Element]:
         if drawing is not None:
             found[words(figure.find("figcaption/strong")).rstrip(".")] = drawing  # type: ignore[arg-type]
     return found
-
-
-def texts(drawing: ElementTree.Element) -> list[str]:
-    return ["".join(text.itertext()) for text in drawing.iter("text")]
-
-
-@pytest.mark.parametrize("command", ["score", "curve"])
-def test_tod_curve_shows_thresholds_and_intervals(results, pages, command: str) -> None:
-    """Places in the figure are as far apart as the logarithms of what they stand for."""
-    drawing = drawings(pages[command])["TOD curve"]
-    colour = "fill: #3b76c4"
-    found = {
-        (float(use.attrib["x"]), float(use.attrib["y"]))
-        for use in drawing.iter("use")
-        if colour in use.get("style", "")
-    }
-    expected = [
-        (-math.log(size), math.log(level))
-        for fit in results[command]["fits"]
-        if fit["threshold"] is not None
-        for size in fit["group"].values()
-        for level in (fit["threshold"], *(fit["threshold_ci95"] or ()))
-    ]
-    x, y = zip(*sorted(found), strict=True)
-    log_x, log_y = zip(*sorted(expected, key=lambda place: (place[0], -place[1])), strict=True)
-    assert len(found) == len(expected) >= 2
-    # Places are rounded to 0.01 of about 350 units.
-    for places, logarithms in ((x, log_x), (y, log_y)):
-        scale = (places[-1] - places[0]) / (logarithms[-1] - logarithms[0])
-        assert [place - places[0] for place in places] == pytest.approx(
-            [scale * (value - logarithms[0]) for value in logarithms], abs=0.03
-        )
-    assert ("ΔT (mK)" in texts(drawing)) == (command == "curve")
 
 
 @pytest.mark.parametrize("curve", ["observer", "weibull"])

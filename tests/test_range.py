@@ -372,37 +372,6 @@ def test_a_sweep_has_the_ranges_of_its_curves() -> None:
     assert (first["range_status"], first["range_km"]) == ("ok", pytest.approx(expected, rel=1e-9))
 
 
-@pytest.mark.slow
-def test_ranges_of_designs_are_compared_whatever_the_first_size() -> None:
-    """Triangles of 3 detectors are never seen: a front of aperture and range has the designs all the same."""
-    camera = Path(__file__).parent.parent / "sample_frames" / "star_like.toml"
-    target = tod.Target(size_m=2.3, delta_t_k=0.018, k={"seen": 8.0})
-    vary = {"optics.aperture_mm": "110:220:2", "noise.netd_mk": "16:32:2"}
-    kinds = {"size_detectors": [3.0, 4.0, 6.0, 9.0], "tolerance": 0.1, "target": target, "atmosphere": BEER}
-    swept = ss.sweep(camera, vary=vary, minimise=["optics.aperture_mm"], maximise=["range_km"], **kinds)
-    ranges = swept.column("range_km")[:, 0]
-    apertures, netds = swept.values.T
-    assert {*swept.column("status")[:, 0]} == {"never_reached"}
-    assert np.isfinite(ranges).sum() >= 3
-    # By hand: of each aperture the one of the least NETD; the larger aperture only where it sees farther.
-    best = [int(np.nanargmax(np.where(apertures == one, ranges, np.nan))) for one in (110.0, 220.0)]
-    assert all(netds[row] == 16.0 for row in best) and ranges[best[1]] > ranges[best[0]]
-    assert np.flatnonzero(swept.on_front[:, 0]).tolist() == sorted(best)
-    table = swept.best()
-    assert table.title == "Trade-off front" and len(list(table.records)) == 2
-    assert any(one.endswith("has the lowest aperture: 110 mm.") for one in swept.sentences())
-
-    cells = swept.plot_range_map().collections[0].get_array()
-    expected = np.array(
-        [[ranges[(netds == n) & (apertures == a)][0] for a in (110.0, 220.0)] for n in (16.0, 32.0)]
-    )
-    assert np.ma.filled(cells, np.nan).reshape(2, 2) == pytest.approx(expected, nan_ok=True)
-    assert "range_map.png" in swept.files()
-    # With a column that has a value for each size, designs are compared at that size as before.
-    by_size = ss.sweep(camera, vary=vary, minimise=["delta_t_mk"], maximise=["range_km"], **kinds)
-    assert not by_size.on_front[:, 0].any() and by_size.on_front[:, 2].any()
-
-
 # Files and commands
 
 

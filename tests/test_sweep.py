@@ -16,8 +16,6 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 import pytest
 from conftest import error_line
-from matplotlib.figure import Figure
-from msgspec import structs
 
 import sensor_sim as ss
 import todframes as tod
@@ -25,7 +23,6 @@ from sensor_sim.chain.measured import MeasuredPsf
 from sensor_sim.chain.sensor import TABLES, Optics, PhotonNoise, part_of, sensor_from
 from sensor_sim.sweeps.designs import Base, grid, latin_hypercube, make_designs, numeric_keys
 from sensor_sim.sweeps.goals import acuity, front
-from sensor_sim.sweeps.result import draw_map
 from sensor_sim.sweeps.sweep import missed_tolerance
 from sensor_sim.sweeps.work import SweepWork, plan_sweep, run_sweep
 from sensor_sim.thresholds.sharing import Kept, as_computed
@@ -437,39 +434,6 @@ def test_every_number_of_a_sensor_can_be_varied(name: str, tmp_path: Path) -> No
         if key != "detector.fill_factor":
             assert getattr(getattr(made, part_of(table, camera)), setting) == value
         assert (as_computed(made) == as_computed(camera)) == (key in without_effect), key
-
-
-def test_impossible_and_never_reached_designs_look_different_on_the_map() -> None:
-    """Of a grid: hatches of two kinds at their cells; of points: two markers."""
-    vary = {"detector.pitch_mrad": [0.05, 0.0681, 0.07], "optics.aperture_mm": [20.0, 220.0]}
-    result = ss.sweep(small_camera(), size_detectors=[4], vary=vary, tolerance=ROUGH)
-    wanted = ["impossible"] * 2 + ["never_reached", "ok"] * 2
-    assert result.column("status")[:, 0].tolist() == wanted
-    axes = Figure().subplots()
-    draw_map(axes, result.data, 0)
-    hatched = {one.get_hatch(): one.get_paths() for one in axes.collections if one.get_hatch()}
-    middles = {
-        hatch: sorted(tuple(path.vertices[:4].mean(axis=0).round(4)) for path in paths)
-        for hatch, paths in hatched.items()
-    }
-    assert {hatch: [x for x, _ in found] for hatch, found in middles.items()} == {
-        "////": pytest.approx([0.041, 0.041], abs=0.02),
-        "xx": pytest.approx([0.0645, 0.0709], abs=0.01),
-    }
-    exceeded = ["always_exceeded" if one == "never_reached" else one for one in result.columns["status"]]
-    axes = Figure().subplots()
-    draw_map(axes, structs.replace(result.data, columns=result.columns | {"status": exceeded}), 0)
-    dotted = {one.get_hatch(): len(one.get_paths()) for one in axes.collections if one.get_hatch()}
-    assert dotted == {"////": 2, "..": 2}
-    points = [
-        {"detector.pitch_mrad": x, "optics.aperture_mm": y}
-        for x, y in ((0.05, 20.0), (0.068, 21.0), (0.07, 220.0))
-    ]
-    scattered = ss.sweep(small_camera(), size_detectors=[4], design=points, tolerance=ROUGH)
-    assert scattered.column("status")[:, 0].tolist() == ["impossible", "impossible", "ok"]
-    axes = Figure().subplots()
-    draw_map(axes, scattered.data, 0)
-    assert [len(one.get_offsets()) for one in axes.collections] == [1, 2, 0, 0]
 
 
 def test_command_is_the_call(sensor_sim, tmp_path: Path) -> None:
