@@ -9,29 +9,27 @@ scenes, but for those that docs/scenes.md names.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scenes import SAMPLES, parser_of
 
 import sensor_sim as ss
 import todframes as tod
 
-ROOT = Path(__file__).parents[2]
-sys.path.append(str(ROOT / "tests" / "mishaps"))
+sys.path.append(str(Path(__file__).parents[1] / "mishaps"))
 import mishaps  # noqa: E402 - it is beside the tests
 
 NOT_FOUND_ON_SCENES = {"jpeg", "late_frames"}
 """Mishaps that are found on an even field alone."""
 
 PHOTOGRAPHS = ("astronaut", "brick", "camera", "chelsea", "coffee", "coins", "grass", "gravel", "moon", "rocket")
-CAMERA = ROOT / "sample_frames" / "staring_camera.toml"
 
 
 def field(rng: np.random.Generator, side: int, power: float) -> NDArray[np.float64]:
@@ -82,7 +80,7 @@ def clean(rng: np.random.Generator, folder: Path) -> tuple[str, tod.Result]:
     except tod.DataError as error:
         if "beyond black" not in str(error) and "found no window" not in str(error):
             raise
-        return f"refused: {error}", tod.validate(ROOT / "sample_frames" / "naked_eye")
+        return f"refused: {error}", tod.validate(SAMPLES / "naked_eye")
     return f"{shown} {asked}", tod.validate(folder / "dataset")
 
 
@@ -98,7 +96,7 @@ def simulated(rng: np.random.Generator, folder: Path) -> tuple[str, tod.Result]:
         "trials": 8 * int(rng.integers(3, 8)),
         "rng": int(rng.integers(1000)),
     }
-    ss.simulate(CAMERA, background=images, out=folder / "dataset", **asked)
+    ss.simulate(SAMPLES / "staring_camera.toml", background=images, out=folder / "dataset", **asked)
     return f"simulated {asked}", tod.validate(folder / "dataset")
 
 
@@ -145,7 +143,6 @@ def on_scenes(recording: mishaps.Recording, n: int) -> mishaps.Recording:
 
 
 def warned(recording: mishaps.Recording) -> set[str]:
-    """Return the codes of the warnings of a recording."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "dataset"
         recording.write(folder)
@@ -172,14 +169,10 @@ def mishap_sets(n: int, seed: int, first: int) -> bool:  # noqa: ARG001
 PARTS: dict[str, Callable[[int, int, int], bool]] = {"clean": clean_sets, "mishaps": mishap_sets}
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a part of the campaign. Returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=list(PARTS))
-    parser.add_argument("n", type=int)
-    parser.add_argument("--seed", type=int, default=1)
+def main() -> int:
+    parser = parser_of(__doc__, *PARTS)
     parser.add_argument("--first", type=int, default=0, help="number of the first case, to repeat one")
-    asked = parser.parse_args(arguments)
+    asked = parser.parse_args()
     return int(not PARTS[asked.part](asked.n, asked.seed, asked.first))
 
 

@@ -11,13 +11,12 @@ docs/scenes.md have the figures.
 
 from __future__ import annotations
 
-import argparse
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scenes import parser_of
 
 from todframes.psychometrics.bootstrap import draw_backgrounds
 from todframes.psychometrics.curves import d_prime_of, observer_curve
@@ -110,13 +109,11 @@ def ends(interval: tuple[float | None, float | None] | None) -> Ends:
     return low or 0.0, math.inf if high is None else high
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> int:
     """Print the coverage of each kind; exit status 1 if one is outside 93 to 97 % beyond chance."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("n", nargs="?", type=int, default=300)
+    parser = parser_of(__doc__)
     parser.add_argument("--only", default="", help="part of the name of a kind")
-    parser.add_argument("--seed", type=int, default=1)
-    asked = parser.parse_args(arguments)
+    asked = parser.parse_args()
     status = 0
     for kind in KINDS:
         if asked.only not in kind.name:

@@ -8,7 +8,6 @@ docs/validation.md has the figures.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from collections import Counter
@@ -22,18 +21,17 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from people import a_monitor, sit
+from scenes import SAMPLES, parser_of
 
 from todframes import find_observer
-from todframes.experiment.answers import Session, read_answers
-from todframes.experiment.noise_fit import AnswerTable, NoiseFit, fit_noise, with_lapses
+from todframes.experiment.answers import read_answers
+from todframes.experiment.noise_fit import NoiseFit, fit_noise, with_lapses
 from todframes.experiment.order import TrialOrder
-from todframes.experiment.person import AnsweredTrials, answered_trials, cells_of, noise_grid, noise_observers
-from todframes.frames.dataset import Dataset, load_dataset
+from todframes.experiment.person import answered_trials, cells_of, noise_grid, noise_observers
+from todframes.frames.dataset import load_dataset
 from todframes.observers.interface import Observer
 from todframes.parameters import Method
 from todframes.stimulus import ORIENTATIONS, Orientation
-
-FRAMES = Path(__file__).parents[2] / "sample_frames" / "naked_eye"
 
 
 def summary(fits: Sequence[NoiseFit], noise: float) -> dict[str, object]:
@@ -48,22 +46,17 @@ def summary(fits: Sequence[NoiseFit], noise: float) -> dict[str, object]:
     return of_people | of_bias | {"small_p": float(np.mean(np.array(p_values) <= 0.05)) if p_values else math.nan}
 
 
-def tabulated(dataset: Dataset, session: Session, observer: Observer) -> tuple[AnsweredTrials, AnswerTable]:
-    """Show a session to an observer and compute its answers."""
-    observers, blurs = noise_observers(observer, dataset.trials[0].stimulus, blur_is_free=False)
-    answered = answered_trials(dataset, session, observers)
-    return answered, answered.table(noise_grid([answered]), blurs)
-
-
 def redrawn(
     n: int, *, observer: Observer, noise: float, lapses: float, free: bool, method: Method, trials: int, seed: int
 ) -> Iterator[NoiseFit]:
     """Yield the fit of each person who answers frames of one session, in an order of their own."""
-    dataset = load_dataset(FRAMES)
+    dataset = load_dataset(SAMPLES / "naked_eye")
     with TemporaryDirectory() as folder:
         sit(dataset, Path(folder), lambda *_: Orientation.UP, a_monitor(dataset.display.pitch_mrad))
         (session,) = read_answers(folder)
-    answered, table = tabulated(dataset, session, observer)
+    observers, blurs = noise_observers(observer, dataset.trials[0].stimulus, blur_is_free=False)
+    answered = answered_trials(dataset, session, observers)
+    table = answered.table(noise_grid([answered]), blurs)
     # A lapse is a guess with probability λ, and δ = λ (1 − γ).
     p_correct = with_lapses(table.at(np.log([noise]))[:, 0, 0], 0.75 * lapses)
     cells = cells_of([answered])
@@ -79,27 +72,23 @@ def redrawn(
             response = row.orientation if rng.random() < p_correct[place] else wrong
             rows.append(replace(row, number=len(rows) + 1, response=response))
             places.append(place)
-        is_correct, cell = (
-            np.array([row.is_correct for row in rows]),
-            np.unique(cells[places], return_inverse=True)[1],
-        )
+        is_correct = np.array([row.is_correct for row in rows])
+        cell = np.unique(cells[places], return_inverse=True)[1]
         rates, resamples = (0.0, 0.05 if free else 0.0), 0 if free else 200
         answers = table.select(np.array(places))
         yield fit_noise(answers, is_correct, cell, lapse_rates=rates, resamples=resamples, rng=rng)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> int:
     """Print coverage and bias; exit status 1 where they are beyond 93 to 98 %, and 2 %."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("n", type=int, help="number of people")
+    parser = parser_of(__doc__)
     parser.add_argument("--method", choices=["constant", "quest"], default="constant")
     parser.add_argument("--observer", choices=["pyramid", "csf"], default="pyramid")
     parser.add_argument("--noise", type=float, default=0.35, help="0.1 of csf, an efficiency of 100")
     parser.add_argument("--lapses", type=float, default=0.0, help="probability of a guess")
     parser.add_argument("--free", choices=["lapse"])
     parser.add_argument("--trials", type=int, default=240)
-    parser.add_argument("--seed", type=int, default=1)
-    asked = vars(parser.parse_args(arguments))
+    asked = vars(parser.parse_args())
     n, noise = asked.pop("n"), asked["noise"]
     asked["free"] = asked["free"] is not None
     asked["observer"] = find_observer(asked["observer"])()

@@ -9,14 +9,14 @@ status is 1 if the intervals at 50 % hold less than 93 or more than 97 % of the 
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from scenes import parser_of
 
 import todframes as tod
 
@@ -111,13 +111,8 @@ def coverage(measure: Callable[[np.random.Generator], list[Case]], n: int, seed:
     return as_asked
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a part of the campaign. Returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=["tables", "people"])
-    parser.add_argument("n", type=int)
-    parser.add_argument("--seed", type=int, default=1)
-    asked = parser.parse_args(arguments)
+def main() -> int:
+    asked = parser_of(__doc__, "tables", "people").parse_args()
     return int(not coverage(of_table if asked.part == "tables" else of_people, asked.n, asked.seed))
 
 

@@ -13,7 +13,6 @@ and number alone.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
@@ -332,14 +331,12 @@ def judged(end: Ran, target: Target, *, is_same: bool, wrote: bool) -> tuple[str
     return "other numbers", target.is_checked or (is_exr and not is_told)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> int:
     """Run cases and print counts of their ends. Returns 1 if one is a fault."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("n", type=int)
-    parser.add_argument("--seed", type=int, default=1)
+    parser = scenes.parser_of(__doc__)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--only", default="")
-    asked = parser.parse_args(arguments)
+    asked = parser.parse_args()
     counts: Counter[tuple[str, str]] = Counter()
     n_faults, slowest, largest = 0, 0.0, 0.0
     with tempfile.TemporaryDirectory() as made, chdir(made):

@@ -10,7 +10,6 @@ store when a run began, so that only what was in flight is done twice.
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import re
@@ -71,7 +70,6 @@ class Tally:
     faults: list[str] = field(default_factory=list)
 
     def line(self) -> str:
-        """Return the tally in one line."""
         kills = ", ".join(f"{count} of the {target}" for target, count in sorted(self.kills.items()))
         return (
             f"{self.name}: kills: {kills}; {self.n_items} items, {self.n_done - self.n_items} done again "
@@ -130,13 +128,11 @@ class Processes:
             self._cluster[name] = self.start("-m", "distributed.cli.dask_worker", address, *more)
 
     def kill(self, target: Target, rng: random.Random) -> None:
-        """Kill a worker or the scheduler."""
         process = self._cluster[target if target == "scheduler" else rng.choice(["worker 1", "worker 2"])]
         process.kill()
         process.wait()
 
     def end_cluster(self) -> None:
-        """End the cluster."""
         for process in self._cluster.values():
             process.kill()
             process.wait()
@@ -316,10 +312,7 @@ def long_run(folder: Path, n_frames: int, n: int) -> list[tuple[Command, list[Ta
 
 
 def main() -> int:
-    """Run a campaign. Returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("n", type=int)
-    parser.add_argument("--seed", type=int, default=1)
+    parser = scenes.parser_of(__doc__)
     parser.add_argument("--only", default="", help="part of the name of a command")
     parser.add_argument("--long", type=int, metavar="FRAMES", help="kill one run of so many frames")
     asked = parser.parse_args()

@@ -1,7 +1,8 @@
-"""Small datasets, recordings and settings files for the campaigns."""
+"""What campaigns share: their command line, small datasets, recordings and settings files."""
 
 from __future__ import annotations
 
+import argparse
 import csv
 import json
 import os
@@ -60,6 +61,16 @@ COUNTS_CSV = "level,n_correct,n_trials,eye\n" + "".join(
 )
 
 
+def parser_of(about: str, *parts: str) -> argparse.ArgumentParser:
+    """Return a parser of a campaign's part, if it has some, number of cases and seed."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    if parts:
+        parser.add_argument("part", choices=parts)
+    parser.add_argument("n", type=int, help="number of cases")
+    parser.add_argument("--seed", type=int, default=1)
+    return parser
+
+
 def write_dataset(
     path: Path,
     *,
@@ -73,10 +84,7 @@ def write_dataset(
     with_sha256: bool = False,
     noise: float = 0.0,
 ) -> list[str]:
-    """Write a dataset: a frame for each contrast and orientation, with `repeats` links to it.
-
-    Returns the names of the frames, in the order of the manifest's rows.
-    """
+    """Write a frame for each contrast and orientation, with `repeats` links to it; return the manifest's frames."""
     (path / "frames").mkdir(parents=True)
     rng = np.random.default_rng(1)
     middle = (side_px - 1) / 2
@@ -126,10 +134,7 @@ def without_times(value: Any) -> Any:
 
 
 def content(folder: Path) -> dict[str, Any]:
-    """Return the files of a result or dataset by name, without measured times and without hidden files.
-
-    `report.html` prints the run time, so only its presence counts.
-    """
+    """Return the files of a result or dataset by name, without hidden ones, measured times and what is in a page."""
     contents: dict[str, Any] = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()

@@ -11,16 +11,16 @@ The edges are those of tests/edges.py, of 120 x 80 pixels. docs/validation.md ha
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scenes import parser_of
 from scipy.ndimage import convolve, gaussian_filter, uniform_filter
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -181,22 +181,20 @@ def refusals(n: int, *, seed: int, are_torn: bool) -> int:
     return n_wrong
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> int:
     """Print bias and coverage; exit status 1 beyond 0.5 % and four standard errors, or 93 to 97 % over all.
 
     With noise that neighbouring pixels share, 90 % or more are asked for.
 
     With --smooth, exit status 1 if an edge is refused; with --torn, if more than 1 % are measured.
     """
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("n", type=int, help="number of seeds")
+    parser = parser_of(__doc__)
     parser.add_argument("--noise", type=float, default=0.02, help="of a pixel, in units of the contrast")
-    parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="part of the name of an edge")
     parser.add_argument("--shared", choices=SHARED, default="none", help="how pixels share their noise")
     parser.add_argument("--smooth", action="store_true", help="random smooth edges: is one refused?")
     parser.add_argument("--torn", action="store_true", help="random edges that are not straight: is one measured?")
-    asked = parser.parse_args(arguments)
+    asked = parser.parse_args()
     if asked.smooth or asked.torn:
         return int(refusals(asked.n, seed=asked.seed, are_torn=asked.torn) > 0.01 * asked.n * asked.torn)
     how = {"noise": asked.noise, "seed": asked.seed, "shared": asked.shared}

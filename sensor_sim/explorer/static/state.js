@@ -241,7 +241,7 @@ function isPlain(value) {
   return value === null || ["number", "string", "boolean"].includes(typeof value);
 }
 
-/** What a reload of the tab brings back: state, axes and pinned curves, unless the address has another link since. */
+/** What a reload of the tab brings back: state, axes and pinned curves. A link that is opened has its own state. */
 export class Session {
   #key;
   state = null;
@@ -257,7 +257,9 @@ export class Session {
     try {
       const { hash, state, view, pins } = JSON.parse(sessionStorage.getItem(this.#key));
       this.pins = pins;
-      if (hash === location.hash) Object.assign(this, { state, view });
+      // A reload may overtake the last change of the address.
+      const isReload = performance.getEntriesByType("navigation")[0].type === "reload";
+      if (isReload || hash === location.hash) Object.assign(this, { state, view });
     } catch {
       // Nothing is kept, or the browser keeps nothing.
     }
