@@ -274,3 +274,5 @@ def _without_messages() -> Iterator[None]:
     finally:
         for logger, level in levels.items():
             logger.setLevel(level)
+        # Where Python ends before a process that was killed, Dask would report that it ends it.
+        logging.getLogger("distributed.process").setLevel(logging.WARNING)
