@@ -649,8 +649,10 @@ def test_the_first_page_is_small_and_has_names_tables_and_results_for_readers_of
         "[...performance.getEntriesByType('navigation'), ...performance.getEntriesByType('resource')]"
         ".map((one) => [one.name.split('/').at(-1), one.transferSize])"
     )
-    assert {"explorer.js", "uPlot.iife.min.js", "start", "curve", "mtf"} <= {name for name, _ in sizes}
-    assert all(size > 0 for _, size in sizes) and sum(size for _, size in sizes) <= 150_000, sizes
+    sizes = dict(reversed(sizes))  # the first of a name: the page asks again and again whether the server is there
+    assert sizes.pop("curve") > 0  # it has a line for each estimate: a slow machine sends more of them
+    assert {"explorer.js", "uPlot.iife.min.js", "start", "mtf"} <= sizes.keys()
+    assert min(sizes.values()) > 0 and sum(sizes.values()) <= 140_000, sizes
 
 
 def test_a_camera_that_counts_photons_has_its_own_sliders_and_its_range(open_page, tmp_path: Path) -> None:

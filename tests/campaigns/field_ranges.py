@@ -19,6 +19,7 @@ import numpy as np
 from scenes import parser_of
 
 import todframes as tod
+from todframes.field.acquisition import TaskRange
 
 DELTA_T_K, SIZE_M, EXTINCTION_PER_KM = 2.0, 2.3, 0.2
 A_K, B_MRAD = 0.02, 1.0
@@ -45,6 +46,10 @@ def true_range_km(kappa: float, ln_ratio: float = 0.0) -> float:
     return (math.log(DELTA_T_K / A_K) - ln_ratio) / (EXTINCTION_PER_KM + B_MRAD * kappa / SIZE_M)
 
 
+def case(found: TaskRange, true_km: float) -> Case:
+    return found.probability, true_km, found.range_km or math.nan, found.range_ci95_km or (None, None)
+
+
 def of_table(rng: np.random.Generator) -> list[Case]:
     """Measure an MRTD at six frequencies with errors that the table states; return the ranges at 50 %."""
     frequency = np.array([0.3, 1.0, 2.0, 3.0, 4.0, 5.5]) * rng.uniform(0.8, 1.2)
@@ -58,11 +63,7 @@ def of_table(rng: np.random.Generator) -> list[Case]:
         path.write_text("\n".join(["frequency_cyc_per_mrad,mrtd_k,ci95_low,ci95_high", *lines]))
         target = tod.Target(size_m=SIZE_M, delta_t_k=DELTA_T_K)
         found = tod.acquisition_range(path, target=target, atmosphere=AIR, rng=rng).acquired.ranges
-    return [
-        (0.5, true_range_km(LINE_PAIRS[one.task]), one.range_km or math.nan, one.range_ci95_km or (None, None))
-        for one in found
-        if one.probability == 0.5
-    ]
+    return [case(one, true_range_km(LINE_PAIRS[one.task])) for one in found if one.probability == 0.5]
 
 
 def of_people(rng: np.random.Generator) -> list[Case]:
@@ -83,14 +84,10 @@ def of_people(rng: np.random.Generator) -> list[Case]:
             rows.append((size, float(level), int(rng.binomial(TRIALS, p)), TRIALS))
     sizes, levels, right, trials = zip(*rows, strict=True)
     fitted = tod.fit_counts(levels, right, trials, groups={"object_size_mrad": sizes}, rng=rng)
-    k = 3.0
-    target = tod.Target(size_m=SIZE_M, delta_t_k=DELTA_T_K, k={"seen": k})
+    target = tod.Target(size_m=SIZE_M, delta_t_k=DELTA_T_K, k={"seen": 3.0})
     found = tod.acquisition_range(fitted, target=target, atmosphere=AIR, rng=rng).acquired.ranges
     ln_ratios = [math.log(halves(one.probability) / halves(0.75)) / BETA for one in found]
-    return [
-        (one.probability, true_range_km(k, ln_ratio), one.range_km or math.nan, one.range_ci95_km or (None, None))
-        for one, ln_ratio in zip(found, ln_ratios, strict=True)
-    ]
+    return [case(one, true_range_km(3.0, ln_ratio)) for one, ln_ratio in zip(found, ln_ratios, strict=True)]
 
 
 def coverage(measure: Callable[[np.random.Generator], list[Case]], n: int, seed: int) -> bool:

@@ -52,8 +52,6 @@ ASIDE = re.compile(
 Rng = np.random.Generator
 Others = Sequence[bytes]
 
-# Mutations -----------------------------------------------------------------------------------------------------
-
 
 def flip_bits(content: bytes, rng: Rng, _: Others) -> bytes:
     values = np.frombuffer(content, np.uint8).copy()
@@ -135,8 +133,6 @@ def strange_letters(content: bytes, rng: Rng, _: Others) -> bytes:
 
 BYTES = (flip_bits, truncate, fill_range, insert_bytes, other_number, splice_files)
 TEXT = (change_value, change_value, change_value, change_lines, change_lines, strange_letters, *BYTES)
-
-# The files -----------------------------------------------------------------------------------------------------
 
 
 class Target(NamedTuple):
@@ -259,9 +255,6 @@ def targets(folder: Path, only: str) -> list[Target]:
 def prepared(only: str) -> tuple[list[Target], list[str]]:
     """Return the targets and the modules that their commands import; in a process whose threads end with it."""
     return targets(Path.cwd(), only), list(sys.modules)
-
-
-# Judging -------------------------------------------------------------------------------------------------------
 
 
 def printed(package: str, *arguments: str) -> str:

@@ -4,8 +4,7 @@ python tests/campaigns/kills.py 100                # clients, workers and schedu
 python tests/campaigns/kills.py 100 --long 20000   # one `score` of 20,000 frames; an hour
 
 SIGKILL ends the client, a worker or the scheduler at a random moment. The same command is then given again, until
-enough was killed; the last run goes to its end. A log tells which items were done: none whose result was in the
-store when a run began, so that only what was in flight is done twice.
+enough was killed; the last run goes to its end.
 """
 
 from __future__ import annotations
@@ -75,9 +74,6 @@ class Tally:
             f"{self.name}: kills: {kills}; {self.n_items} items, {self.n_done - self.n_items} done again "
             f"({self.most_lost} at most after one run); {len(self.faults)} faults {self.faults}"
         )
-
-
-# Processes -----------------------------------------------------------------------------------------------------
 
 
 class Processes:
@@ -170,9 +166,6 @@ def _wait(client: subprocess.Popen[bytes], timeout: float = LONGEST_RUN_S) -> in
         return TIMED_OUT
 
 
-# A campaign ----------------------------------------------------------------------------------------------------
-
-
 def kill_repeatedly(command: Command, kills: Sequence[Target], folder: Path, seed: int) -> Tally:
     """Kill a run, or a part of the cluster that does it, again and again, and compare its end.
 
@@ -260,9 +253,6 @@ def stored_keys(out: Path) -> set[str]:
         if place <= len(content):
             keys.add(content[key : key + n_key].hex())
     return keys
-
-
-# The campaigns -------------------------------------------------------------------------------------------------
 
 
 def commands(folder: Path) -> list[Command]:

@@ -1,6 +1,6 @@
 """Lenses from k1 = -0.35 to +0.1 in fine steps, by the page's width and place: are triangles where import says?
 
-python tests/campaigns/lens_sweep.py [--k1 FROM:TO] [--widths 50,97] [--places 0,0.5] [--noise N] [--workers 2]
+python tests/campaigns/lens_sweep.py [--k1 FROM:TO] [--widths 50 97] [--places 0 0.5] [--noise N] [--workers 2]
     [--minutes M]
 
 All of it takes a day on one processor. The order is random, so that the cases of the first M minutes are a sample
@@ -117,15 +117,11 @@ def shortest_side_px(film: Film) -> float:
     return float(np.linalg.norm(markers - np.roll(markers, 1, axis=1), axis=2).min())
 
 
-def numbers(text: str) -> list[float]:
-    return [float(one) for one in text.split(",")]
-
-
 def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--k1", default="{}:{}".format(*K1))
-    parser.add_argument("--widths", type=numbers, default=[*map(float, WIDTHS)])
-    parser.add_argument("--places", type=numbers, default=PLACES)
+    parser.add_argument("--widths", type=float, nargs="+", default=[*map(float, WIDTHS)])
+    parser.add_argument("--places", type=float, nargs="+", default=PLACES)
     parser.add_argument("--noise", type=float, default=0.0)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=math.inf)

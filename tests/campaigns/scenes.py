@@ -84,7 +84,7 @@ def write_dataset(
     with_sha256: bool = False,
     noise: float = 0.0,
 ) -> list[str]:
-    """Write a frame for each contrast and orientation, with `repeats` links to it; return the manifest's frames."""
+    """Write a frame for each contrast and orientation, with `repeats` links to it; return their names."""
     (path / "frames").mkdir(parents=True)
     rng = np.random.default_rng(1)
     middle = (side_px - 1) / 2
@@ -134,7 +134,7 @@ def without_times(value: Any) -> Any:
 
 
 def content(folder: Path) -> dict[str, Any]:
-    """Return the files of a result or dataset by name, without hidden ones, measured times and what is in a page."""
+    """Return the files of a result or dataset by name, without hidden ones, times and what is in a page."""
     contents: dict[str, Any] = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()

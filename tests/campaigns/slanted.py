@@ -182,11 +182,9 @@ def refusals(n: int, *, seed: int, are_torn: bool) -> int:
 
 
 def main() -> int:
-    """Print bias and coverage; exit status 1 beyond 0.5 % and four standard errors, or 93 to 97 % over all.
-
-    With noise that neighbouring pixels share, 90 % or more are asked for.
-
-    With --smooth, exit status 1 if an edge is refused; with --torn, if more than 1 % are measured.
+    """Print bias and coverage; exit status 1 beyond 0.5 % and four standard errors, or 93 to 97 % over all;
+    with noise that neighbouring pixels share, below 90 %. With --smooth, 1 if an edge is refused; with --torn, if
+    more than 1 % are measured.
     """
     parser = parser_of(__doc__)
     parser.add_argument("--noise", type=float, default=0.02, help="of a pixel, in units of the contrast")
