@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from inspect import signature
-from itertools import chain
+from itertools import chain, starmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import ArrayLike
 
-from todframes.base._typing import FloatArray
+from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError, argument
 from todframes.base.seeds import Rng, seed_of
 from todframes.display.display import Display
@@ -49,9 +49,9 @@ from todframes.enhancement.contrast_gain import (
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader, check_warm_up_there
 from todframes.enhancement.finding import find_enhancement, plain_value
 from todframes.enhancement.repeatability import RepeatedFrames
-from todframes.frames.dataset import Dataset
+from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.position import check_places
-from todframes.frames.trials import Trial
+from todframes.frames.trials import Trial, Trials
 from todframes.jobs.run import Run, opened_run
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, Readout
@@ -72,7 +72,7 @@ from todframes.parameters import (
 from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings
 from todframes.psychometrics.paired_bootstrap import RatioDraws, threshold_ratio
 from todframes.results.advice import levels_to_add
-from todframes.results.data import Example, group_of
+from todframes.results.data import Example, ResultWarning, group_of
 from todframes.results.result import Result, repeatable
 from todframes.results.thumbnails import ExamplePatch, pictures
 from todframes.results.wording import evenly
@@ -93,7 +93,7 @@ from todframes.scoring.score import (
 )
 from todframes.scoring.seen_trials import Scoring, SeenTrial, SeenTrials, see, trial_viewing
 from todframes.scoring.work import see_trials
-from todframes.stimulus import ORIENTATIONS
+from todframes.stimulus import ORIENTATIONS, Centre
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store
@@ -214,8 +214,9 @@ def compare(
     [None, 'no difference shown']
     """
     started, seed, fit = time.perf_counter(), seed_of(rng), fit or FitSettings()
-    asked = [enhance] if isinstance(enhance, str) or not isinstance(enhance, Iterable) else enhance
-    enhancements = [find_enhancement(each) for each in asked]
+    if isinstance(enhance, str) or not isinstance(enhance, Iterable):
+        enhance = [enhance]
+    enhancements = [find_enhancement(each) for each in enhance]
     if not enhancements:
         raise SettingsError(f"{argument.enhance}: found none, expected one algorithm or more")
     gazes = gazes_of(gaze)
@@ -239,19 +240,11 @@ def compare(
             skip_bad_frames=is_skip(on_error),
             run=run,
         )
+    judged = named(list(map(_judged_by, each_settings, each_results)))
+    compared, advice = judged[0][1].algorithms, list(starmap(_advice, judged))
     results, reference = each_results[0], each_results[0][0].scored
-    each_judged = [
-        JudgedBy(settings=own, algorithms=tuple(result.record for result in of_judge))
-        for own, of_judge in zip(each_settings, each_results, strict=True)
-    ]
-    judged, compared = named(each_judged), each_judged[0].algorithms
-    advice = [
-        of_observer(name, levels_to_add(thresholds_of(by.algorithms), by.settings.get("aperture_sd_deg")))
-        for name, by in judged
-    ]
     if examples:
         more["examples"] = compare_examples(data, results, judges[0], screen)
-    black, peak = screen.luminance_range
     record, shown_wrong = inspected(data, reference.trials, judges[0].centre)
     scored = [({"algorithm": result.enhancement.spec}, result.scored) for result in results]
     return Result.made(
@@ -263,8 +256,8 @@ def compare(
         | {"plan": plan, "white": white, "allow_clipping": allow_clipping},
         seed=seed,
         algorithms=compared,
-        observers=tuple(each_judged[1:]),
-        data_range_cd_m2=peak - black,
+        observers=tuple(of_judge for _, of_judge in judged[1:]),
+        data_range_cd_m2=screen.data_range_cd_m2,
         verdict=comparisons(judged),
         plan=tuple(plan_object(reference.plan, 1.0)),
         skipped=tuple(skipped._asdict() for skipped in reference.skipped),
@@ -352,13 +345,7 @@ def compare_observers(
         raise SettingsError("resamples: found 0, expected 40 or more: a comparison rests on them")
     algorithms = _with_reference(enhancements, observers)
     screen = screen or AlgorithmDisplay(dataset.display)
-    whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
-    if of_clips := [algorithm for algorithm in algorithms if algorithm.declaration.clip]:
-        whole = whole.with_warm_up(max(algorithm.warm_up_frames for algorithm in of_clips))
-    if not skip_bad_frames:
-        for trial in whole if of_clips else ():
-            check_warm_up_there(dataset, trial, of_clips)
-        check_places(dataset, whole, observers[0].centre)
+    whole, skipped = _usable_trials(dataset, algorithms, observers[0].centre, skip_bad_frames=skip_bad_frames)
     reader, expected = TrialReader(algorithms, screen), decisions == "expected"
     gazes = tuple(gazes) or (dataset.gaze,)
     repeated = RepeatedFrames(reader, dataset, whole)  # before all others: the first frame may be special
@@ -398,8 +385,7 @@ def compare_observers(
             [(plan.observer, plan.whole_frames, sorted(map(repr, plan.stimuli.items()))) for plan in plans[1:]],
             repeated.fingerprint,
         ),
-        with_references=True,
-        with_levels=True,
+        with_rows=True,
     )
     repeated.finish(run)
     check_seen(dataset, measured, skipped)
@@ -411,20 +397,23 @@ def compare_observers(
         scored = [replace(fit(scores), skipped=tuple(skipped)) for scores in of_plan]
         responses = contrast_responses(of_plan[0].trials, contrasts[number % len(gazes), is_seen])
         gains = contrast_gains(responses)
-        # The reference after plain gains of contrast; groups whose gain is not known stay as they are.
-        groups, codes = of_plan[0].trials.groups, of_plan[0].trials.group_codes
         is_linear = expected and not np.isnan(of_plan[0]["deviations"]).any()
-        each = [np.array([known.get(group, 1.0) for group in groups])[codes] for known in gains[1:] if is_linear]
         once = replace(fit_settings, resamples=0)
-        plain = [fit(of_plan[0].amplified(gain), fit_settings=once) for gain in each]
+        plain = [fit(_amplified(of_plan[0], of_gain), fit_settings=once) for of_gain in gains[1:] if is_linear]
         ratios = _ratios(dataset, scored, plain, gains, seed, fit_settings)
-        results.append([
-            AlgorithmResult(algorithm, own, _judged(record, dataset, own, of_algorithm, response, repeated))
-            for algorithm, own, record, of_algorithm, response in zip(
-                algorithms, scored, described, ratios, responses, strict=True
-            )
-        ])  # fmt: skip
+        records = map(partial(_judged, dataset, repeated), described, scored, ratios, responses)
+        results.append(list(map(AlgorithmResult, algorithms, scored, records)))
     return results
+
+
+def _judged_by(settings: Json, results: Sequence[AlgorithmResult]) -> JudgedBy:
+    return JudgedBy(settings=settings, algorithms=tuple(result.record for result in results))
+
+
+def _advice(name: str, judged: JudgedBy) -> tuple[ResultWarning, ...]:
+    """Return warnings about levels to add for an observer."""
+    levels = levels_to_add(thresholds_of(judged.algorithms), judged.settings.get("aperture_sd_deg"))
+    return of_observer(name, levels)
 
 
 def _with_reference(enhancements: Sequence[Enhancement], observers: Sequence[Observer]) -> list[Enhancement]:
@@ -437,6 +426,29 @@ def _with_reference(enhancements: Sequence[Enhancement], observers: Sequence[Obs
     if n_times > 1:
         raise SettingsError(f"enhance {spec!r}: found twice, expected once")
     return algorithms
+
+
+def _usable_trials(
+    dataset: Dataset, algorithms: Sequence[Enhancement], centre: Centre, *, skip_bad_frames: bool
+) -> tuple[Trials, list[Skipped]]:
+    """Return the trials with the frames that algorithms need before them, and the bad rows that are skipped.
+
+    Raises FrameError for frames or places that are missing, unless these are skipped.
+    """
+    trials, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
+    if of_clips := [algorithm for algorithm in algorithms if algorithm.declaration.clip]:
+        trials = trials.with_warm_up(max(algorithm.warm_up_frames for algorithm in of_clips))
+    if not skip_bad_frames:
+        for trial in trials if of_clips else ():
+            check_warm_up_there(dataset, trial, of_clips)
+        check_places(dataset, trials, centre)
+    return trials, skipped
+
+
+def _amplified(seen: SeenTrials, gains: Mapping[GroupValues, float]) -> SeenTrials:
+    """Return scores after a plain gain of contrast; groups whose gain is not known stay as they are."""
+    of_groups = np.array([gains.get(group, 1.0) for group in seen.trials.groups])
+    return seen.amplified(of_groups[seen.trials.group_codes])
 
 
 def parts_of(algorithms: Sequence[Enhancement]) -> list[object]:
@@ -454,14 +466,14 @@ def _described(
 
     `measured`, (algorithm, frame, `MEASUREMENTS`), may have its frames in any order: `math.fsum` rounds once.
     """
-    names, (black, white) = [algorithm.name for algorithm in algorithms], screen.luminance_range
+    names = [algorithm.name for algorithm in algorithms]
     records: list[Algorithm] = []
     for algorithm, of_frames in zip(algorithms, measured, strict=True):
         errors, ssims, edges, clipped, cpu_s, memory = (column[~np.isnan(column)] for column in of_frames.T)
         error, ssim, cpu_mean_s = (
             math.fsum(column) / len(column) if len(column) else None for column in (errors, ssims, cpu_s)
         )
-        psnr = 10.0 * math.log10((white - black) ** 2 / error) if error else None
+        psnr = 10.0 * math.log10(screen.data_range_cd_m2**2 / error) if error else None
         psnr_before, ssim_before = (records[0].psnr_db, records[0].ssim) if records else (psnr, ssim)
         record = Algorithm(
             name=algorithm.name if names.count(algorithm.name) == 1 else algorithm.spec,
@@ -486,12 +498,12 @@ def _described(
 
 
 def _judged(
-    algorithm: Algorithm,
     dataset: Dataset,
+    repeated: RepeatedFrames,
+    algorithm: Algorithm,
     scored: ScoredDataset,
     ratios: Sequence[Ratio],
     points: Mapping[GroupValues, tuple[ContrastPoint, ...]],
-    repeated: RepeatedFrames,
 ) -> Algorithm:
     """Return the record of an algorithm with what an observer finds; the reference has no ratios."""
     verdict, scenes = ratios[-1].verdict if ratios else None, scored.trials.scene_numbers
@@ -659,21 +671,20 @@ def compare_examples(
         trial = reference.trials[row]
         grid, displaced = observer.grid(trial.stimulus), np.nan_to_num(reference.displacement_samples[row])
         dx, dy = displaced.tolist()
+        draw = partial(pictures, observer=observer, stimulus=trial.stimulus)
         drawings = [
             partial(
-                pictures,
+                draw,
                 [ExamplePatch(*part) for part in zip(shown.patches, shown.x_px, shown.y_px, strict=True)],
                 retina_image(shown, grid, (dx, dy)),
-                observer=observer,
-                stimulus=trial.stimulus,
                 pixel_pitch_mrad=shown.pixel_pitch_mrad,
             )
             for shown in reader(dataset, trial, observer, grid, [(dx, dy)], whole=True)
         ]
-        white = max(draw()[1][0].scale or 0.0 for draw in drawings)
-        for result, draw in zip(some, drawings, strict=True):
+        white = max(drawn()[1][0].scale or 0.0 for drawn in drawings)
+        for result, drawn in zip(some, drawings, strict=True):
             p_correct, spec = float(result.scored.p_correct[row]), result.enhancement.spec
-            examples.append(example_of(dataset, trial, p_correct, *draw(white=white), algorithm=spec))
+            examples.append(example_of(dataset, trial, p_correct, *drawn(white=white), algorithm=spec))
     return tuple(examples)
 
 

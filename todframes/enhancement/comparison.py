@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -246,7 +246,7 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
     algorithms: tuple[Algorithm, ...] = ()
     observers: tuple[JudgedBy, ...] = ()
     data_range_cd_m2: float | None = None
-    verdict: tuple[Any, ...] | str = ()
+    verdict: tuple[str, ...] = ()
 
     inference: ClassVar[str] = "Intervals and verdicts"
 
@@ -285,14 +285,11 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
 
     def findings(self) -> list[str]:
         """Return a sentence for each algorithm, as stored when the result was made."""
-        return self._verdicts() or super().findings()
+        return list(self.verdict) or super().findings()
 
     def printed(self) -> list[str]:
         """Return the verdicts and the cautions."""
-        return [*self._verdicts(), *self.cautions()]
-
-    def _verdicts(self) -> list[str]:
-        return [self.verdict] if isinstance(self.verdict, str) else list(map(str, self.verdict))
+        return [*self.verdict, *self.cautions()]
 
     def notes(self) -> list[str]:
         """Return what was skipped, and how many values an algorithm clipped."""

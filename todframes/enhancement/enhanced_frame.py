@@ -60,12 +60,18 @@ class AlgorithmDisplay:
 
     @property
     def luminance_range(self) -> tuple[float, float]:
-        """The luminances of black and white in cd/m²; the data range of PSNR and SSIM is their difference."""
+        """The luminances of black and white in cd/m²."""
         if self.display.lut is not None:
             measured = self.display.lut.luminance_cd_m2
             return float(measured.min()), float(measured.max())
         black, white = self.display.luminance(np.array(self.code_range).reshape(2, 1, 1))[:, 0]
         return float(black), float(white)
+
+    @property
+    def data_range_cd_m2(self) -> float:
+        """The data range of PSNR and SSIM."""
+        black, white = self.luminance_range
+        return white - black
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,10 +187,8 @@ class DecodedFrame:
     def looked_at(
         self, picture: EnhancedImage, place: Placement, frame: FrameReference, *, whole: bool
     ) -> tuple[ContrastPatch, float, float, float]:
-        """Return the part of a picture that a retina grid touches, or all of it, as contrast.
-
-        Then come the middle of the undisplaced retina, x and y in pixels from the picture's first, and the factor
-        by which the algorithm changes the luminance of the outermost pixels, divided by that around the triangle.
+        """Return the part of a picture that a retina grid touches, or all of it, as contrast. Then come the middle
+        of the undisplaced retina, x and y in pixels from the picture's first, and the factor of `_brightening`.
         A background that is given, or lies at the border, gets as much brighter as the triangle's surroundings.
         """
         m = picture.magnification
@@ -265,10 +269,9 @@ class TrialReader:
         *,
         whole: bool = False,
     ) -> tuple[list[Shown], FloatArray]:
-        """Return the trial as shown after each algorithm; parameters are those of `read_trial`.
-
-        Then come measurements, (algorithm, frame, `MEASUREMENTS`), NaN for what is not measured. FrameError if a
-        frame cannot be used, the triangle is not on it, or an algorithm fails with it.
+        """Return the trial as shown after each algorithm, and (algorithm, frame, `MEASUREMENTS`), NaN for what is
+        not measured; parameters are those of `read_trial`. FrameError if a frame cannot be used, the triangle is
+        not on it, or an algorithm fails with it.
         """
 
         def opened() -> Iterator[tuple[DecodedFrame, Placement]]:
@@ -380,8 +383,7 @@ class TrialReader:
         reference = self.reference_luminance(path, dataset.max_frame_mb)
         if picture.values.shape[:2] != reference.shape:
             return None, None
-        black, white = self.screen.luminance_range
-        return squared_error_and_ssim(picture.luminance(), reference, data_range=white - black)
+        return squared_error_and_ssim(picture.luminance(), reference, data_range=self.screen.data_range_cd_m2)
 
     def _reference_luminance(self, path: Path, max_frame_mb: int) -> FloatArray:
         with of_frame(path):
@@ -391,10 +393,8 @@ class TrialReader:
 def squared_error_and_ssim(
     image: FloatArray, reference: FloatArray, *, data_range: float
 ) -> tuple[float, float | None]:
-    """Compute the mean squared error in (cd/m²)² and the mean structural similarity (SSIM) of two images in cd/m².
-
-    SSIM has the Gaussian window and the constants of Wang et al. 2004, IEEE Trans. Image Process. 13, 600. It is
-    None for images with a side of fewer than 11 pixels.
+    """Compute the mean squared error in (cd/m²)² and the mean structural similarity of two images in cd/m². SSIM,
+    as in Wang et al. 2004, IEEE Trans. Image Process. 13, 600, is None for a side of fewer than 11 pixels.
     """
     from skimage.metrics import structural_similarity  # its mean_squared_error loads all of scipy.stats
 

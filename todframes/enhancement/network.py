@@ -7,7 +7,7 @@ say the rest.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -114,7 +114,9 @@ class Network:
         ]
         if image.ndim == 3 and channels == 3:
             return found[0]
-        greys = [one[..., 0] if one.shape[2] == 1 else _grey(one) for one in found]
+        # The luminance of a coloured picture to first order in its colours, and exactly so on a linear display.
+        weights = REC_709_LUMINANCE_WEIGHTS.astype(np.float32)
+        greys = [one[..., 0] if one.shape[2] == 1 else np.asarray(one @ weights) for one in found]
         return greys[0] if len(greys) == 1 else np.stack(greys, axis=-1)
 
     @cached_property
@@ -148,10 +150,9 @@ def examined(
 ) -> tuple[Network, Found]:
     """Try a network in another process; return it with all its weights, and what the model has shown.
 
-    `values` are its settings by name; those that are None are as the model has them. Its weights may lie in files
-    beside `path`; messages about settings begin with `where`. With `answers` it classifies with so many values.
-    DataError if it cannot be read or run, or does not give a picture or so many values for one; SettingsError if a
-    setting contradicts the model, or has to be given because the model does not say it.
+    `values` are its settings by name, None: as the model has them. Its weights may lie in files beside `path`;
+    messages about settings begin with `where`. With `answers` it classifies with so many values. Raises errors as
+    `probe` does.
     """
     taken = [name for name in ProbeRequest.__struct_fields__ if name in values]
     shared = {name: values[name] for name in taken} | {"inputs": values["inputs"] or {}, "answers": answers}
@@ -242,15 +243,6 @@ def _apply(
     ]
 
 
-def _grey(picture: Picture) -> Picture:
-    """Return one channel for three.
-
-    By the weights of luminance: this is the luminance of the coloured picture to first order in its colours, and
-    exactly so on a linear display.
-    """
-    return np.asarray(picture @ REC_709_LUMINANCE_WEIGHTS.astype(np.float32))
-
-
 def in_tiles(
     function: Callable[[Picture], Picture],
     image: Picture,
@@ -260,51 +252,42 @@ def in_tiles(
     scale: int = 1,
     border_px: int = 0,
 ) -> Picture:
-    """Apply a function of neighbourhoods to an image, (rows, columns, channels) and at least as large as a tile,
-    in tiles of one size without seams.
+    """Apply a function of neighbourhoods to an image, at least as large as a tile, in tiles without seams.
 
-    The function takes a picture of shape (*tile, channels) and returns one without its border, of shape (scale ·
-    (tile − 2 · border_px), channels). `overlap_px`, >= 0 and smaller than such a tile, is the smallest overlap of
-    neighbouring tiles without their borders. The result has scale · (rows − 2 · border_px) rows, and columns
-    likewise.
-
-    In an overlap, the outer quarter of each tile is left out, because the function has the tile's border in view
-    there; between the two quarters one tile fades into the next. So the result is that of the whole image for a
-    function whose pixels depend on no more than a quarter of the overlap around them.
+    The function takes a picture, (*tile, channels), and returns it `scale` times as large, without its border.
+    Neighbouring tiles overlap by `overlap_px` at least. The outer quarter of each overlap is left out, because a
+    tile's border is in view there; between the two quarters one tile fades into the next.
     """
     lengths = [length - 2 * border_px for length in image.shape[:2]]
     inner = [side - 2 * border_px for side in tile]
-    axes = [list(_spans(length, side, overlap_px, scale)) for length, side in zip(lengths, inner, strict=True)]
-    totals = [np.zeros(scale * length) for length in lengths]
-    for spans, total in zip(axes, totals, strict=True):
-        for start, weights in spans:
-            total[scale * start : scale * start + len(weights)] += weights
+    rows, columns = (_spans(*axis, overlap_px, scale) for axis in zip(lengths, inner, strict=True))
     result: Picture | None = None
-    for row, of_rows in axes[0]:
-        for column, of_columns in axes[1]:
+    for row, of_rows in rows:
+        for column, of_columns in columns:
             found = function(np.ascontiguousarray(image[row : row + tile[0], column : column + tile[1]]))
             if result is None:
-                result = np.zeros((*(len(total) for total in totals), found.shape[2]), np.float32)
+                result = np.zeros((scale * lengths[0], scale * lengths[1], found.shape[2]), np.float32)
             y, x = (slice(scale * at, scale * (at + side)) for at, side in zip((row, column), inner, strict=True))
-            weights = np.outer(of_rows / totals[0][y], of_columns / totals[1][x])
-            result[y, x] += found * weights[..., None].astype(np.float32)
+            result[y, x] += found * np.outer(of_rows, of_columns)[..., None].astype(np.float32)
     assert result is not None  # there is one tile at least
     return result
 
 
-def _spans(length: int, side: int, overlap_px: int, scale: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """Yield the first pixel of each tile along an axis, and the weights of its output pixels."""
+def _spans(length: int, side: int, overlap_px: int, scale: int) -> list[tuple[int, NDArray[np.float64]]]:
+    """Return the first pixel of each tile along an axis, and the weights of its output pixels: they sum to 1."""
     step = side - overlap_px
     n_tiles = max(1, -(-(length - overlap_px) // step))
-    at = (np.arange(scale * side) + 0.5) / scale
-    for number in range(n_tiles):
-        start = min(number * step, length - side)
+    starts = [min(number * step, length - side) for number in range(n_tiles)]
+    at, total, spans = (np.arange(scale * side) + 0.5) / scale, np.zeros(scale * length), []
+    for start in starts:
         weights = np.ones(len(at))
-        if number > 0:
+        if start != starts[0]:
             weights = np.minimum(weights, _fade(at, overlap_px))
-        if number < n_tiles - 1:
+        if start != starts[-1]:
             weights = np.minimum(weights, _fade(side - at, overlap_px))
-        yield start, weights
+        spans.append((slice(scale * start, scale * (start + side)), weights))
+        total[spans[-1][0]] += weights
+    return [(start, weights / total[pixels]) for start, (pixels, weights) in zip(starts, spans, strict=True)]
 
 
 def _fade(depth_px: NDArray[np.float64], overlap_px: int) -> NDArray[np.float64]:

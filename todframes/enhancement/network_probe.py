@@ -94,10 +94,9 @@ class Model(NamedTuple):
         constants: Mapping[str, float],
         constant_channel: float | None,
     ) -> NDArray[np.float32]:
-        """Run the network on a picture, (rows, columns, channels) in the values that it takes.
-
-        `constants` are the values of its other inputs; `constant_channel` is the value of a channel that it takes
-        behind those of the picture, None: it takes none. Returns the first output, in the same layout.
+        """Run the network on a picture, (rows, columns, channels), and return the first output, in its layout.
+        `constants` are the values of its other inputs; `constant_channel` that of a channel behind those of the
+        picture, None: it takes none.
         """
         rows, columns = picture.shape[:2]
         if constant_channel is not None:
@@ -114,15 +113,12 @@ class Model(NamedTuple):
 
 
 def with_weights(content: bytes, folder: Path) -> bytes:
-    """Return the bytes of a model with all its weights, also those that lie in files beside it.
-
-    Files are read from the folder alone: the package onnx refuses links, `..` and absolute paths. Raises DataError
-    if a file cannot be read, lies elsewhere, or model and weights are too large, and SettingsError if the package
-    onnx is not installed.
+    """Return the bytes of a model with all its weights, also those that lie in files beside it. Raises DataError
+    if a file cannot be read, lies elsewhere, or model and weights are too large.
     """
     if not ELSEWHERE.search(content):
         return content
-    onnx = _imported("onnx")
+    onnx = _imported("onnx")  # it refuses links, `..` and absolute paths
     n_bytes, helper = len(content), onnx.external_data_helper
     try:
         model = onnx.load_model_from_string(content)
@@ -145,11 +141,9 @@ def with_weights(content: bytes, folder: Path) -> bytes:
 
 
 def read_model(content: bytes) -> Model:
-    """Read a network from the bytes of an ONNX file, which has all its weights.
-
-    A damaged file can crash the process: `network_probe` reads each file in a process of its own first. Raises
-    DataError if ONNX Runtime cannot read it, or parts of it are in other files, and SettingsError if ONNX Runtime
-    is not installed.
+    """Read a network from the bytes of an ONNX file, which has all its weights. A damaged file can crash the
+    process, so `probe` tries each file first. Raises DataError if ONNX Runtime cannot read it, or parts of it are
+    in other files.
     """
     if ELSEWHERE.search(content):
         # ONNX Runtime might read any file that a model names, and a picture could show what the file holds.
@@ -216,7 +210,7 @@ class ProbeRequest(msgspec.Struct, frozen=True):
     """Number of values that it gives for a picture, a classifier; 0: it gives a picture."""
 
 
-class Found(msgspec.Struct, frozen=True, tag=True):
+class Found(msgspec.Struct, frozen=True):
     """The properties of a network that runs.
 
     `rows` and `columns` are those of its pictures; None if it takes any size that is a multiple of `multiple_px`.
@@ -235,22 +229,19 @@ class Found(msgspec.Struct, frozen=True, tag=True):
     gives_probabilities: bool = False
 
 
-class _Works(msgspec.Struct, frozen=True, tag=True):
-    found: Found
-    content: bytes
+class _Answer(msgspec.Struct, frozen=True):
+    """The answer of the process: what was found and the model with its weights, or the problem."""
 
-
-class _Failed(msgspec.Struct, frozen=True, tag=True):
-    problem: str
-    is_setting: bool
+    found: Found | None = None
+    content: bytes = b""
+    problem: str = ""
+    is_setting: bool = False
 
 
 def probe(content: bytes, folder: Path, request: ProbeRequest) -> tuple[Found, bytes]:
-    """Read a model and run small pictures through it in another process; return its properties and the model with
-    all its weights, some of which may lie in files of `folder`.
-
-    Raises DataError if it cannot be read or run, or is no network of one picture that gives one picture, and
-    SettingsError if a setting contradicts the model, or has to be given because the model does not say it.
+    """Run small pictures through a model in another process; return its properties and the model with all its
+    weights, some of which may lie in files of `folder`. Raises DataError if it cannot be read or run, or does not
+    give what is expected for one picture; SettingsError if a setting contradicts the model, or is needed.
     """
     command = [sys.executable, "-m", __name__, msgspec.json.encode(request).decode(), str(folder)]
     try:
@@ -265,10 +256,10 @@ def probe(content: bytes, folder: Path, request: ProbeRequest) -> tuple[Found, b
     except subprocess.TimeoutExpired:
         raise DataError(f"ONNX Runtime did not finish small pictures within {TIME_LIMIT_S:g} s") from None
     try:
-        answer = msgspec.msgpack.decode(done.stdout, type=_Works | _Failed)
+        answer = msgspec.msgpack.decode(done.stdout, type=_Answer)
     except msgspec.MsgspecError:
         raise DataError(f"ONNX Runtime crashes with it ({_end(done.returncode)}); it may be damaged") from None
-    if isinstance(answer, _Failed):
+    if answer.found is None:
         raise (SettingsError if answer.is_setting else DataError)(answer.problem)
     return answer.found, answer.content
 
@@ -447,14 +438,13 @@ def main() -> None:
     os.dup2(2, 1)  # libraries may print
     _limit_memory()
     request = msgspec.json.decode(sys.argv[1], type=ProbeRequest)
-    found: _Works | _Failed
     try:
         content = with_weights(sys.stdin.buffer.read(), Path(sys.argv[2]))
-        found = _Works(examine(read_model(content), request), content)
+        found = _Answer(examine(read_model(content), request), content)
     except TodframesError as error:
-        found = _Failed(str(error), isinstance(error, SettingsError))
+        found = _Answer(problem=str(error), is_setting=isinstance(error, SettingsError))
     except MemoryError:
-        found = _Failed("needs more memory than there is", is_setting=False)
+        found = _Answer(problem="needs more memory than there is")
     with os.fdopen(answer, "wb") as file:
         file.write(msgspec.msgpack.encode(found))
     os._exit(0)  # nothing of the library runs any more

@@ -45,17 +45,15 @@ The readout is None if the observer is not linear. Raises FrameError if a frame 
 class TrialWork(StoredWork[Trial, bytes | FrameError], Generic[T]):
     """The showing of trials to an observer. Its results, of type `kind`, are NamedTuples of numbers, arrays of
     float64 and such tuples. They are encoded where the work is done: as bytes they take a tenth of the time to
-    another process. `depends_on` is what results depend on besides the scoring and the frames; `with_references`
-    states whether the frames without noise are read too, `with_levels` whether a result also depends on the level
-    and the group of its trial.
+    another process. `depends_on` is what results depend on besides the scoring and the frames; with `with_rows` a
+    result also depends on the frames without noise, the level and the group of its trial.
     """
 
     scoring: Scoring
     show: Show[T]
     kind: type[T]
     depends_on: object = None
-    with_references: bool = False
-    with_levels: bool = False
+    with_rows: bool = False
 
     def function(self) -> Callable[[Trial], bytes | FrameError]:
         """Return the function that shows a trial and encodes the result; a frame that cannot be used is one."""
@@ -134,7 +132,7 @@ class TrialWork(StoredWork[Trial, bytes | FrameError], Generic[T]):
             item.stimulus.size_mrad,
             item.stimulus.polarity,
             (item.x_px, item.y_px),
-            (item.level, item.group) if self.with_levels else None,
+            (item.level, item.group) if self.with_rows else None,
             len(item.warm_up),
             [(frame.time_s, frame.motion_px) for frame in (*item.warm_up, *item.frames)],
             contents,
@@ -180,7 +178,7 @@ class TrialWork(StoredWork[Trial, bytes | FrameError], Generic[T]):
         """Return the checksums of the files of a frame and the luminance that the manifest gives with it."""
         dataset = self.scoring.dataset
         references = []
-        if self.with_references and frame.reference is not None:
+        if self.with_rows and frame.reference is not None:
             path = dataset.path / frame.reference
             is_local = isinstance(path, Path)
             of_reference = frame._replace(path=frame.reference)
@@ -198,8 +196,7 @@ def see_trials(
     skip_bad_frames: bool,
     run: Run,
     depends_on: object = None,
-    with_references: bool = False,
-    with_levels: bool = False,
+    with_rows: bool = False,
 ) -> list[Skipped]:
     """Show trials to the observer; return the frames that were skipped. `show` and what follows `run` are as in
     `TrialWork`. `collect` is called with the index of each trial that was seen, in any order, and its result.
@@ -207,7 +204,7 @@ def see_trials(
     their frames listed.
     """
     bare = replace(scoring, dataset=replace(scoring.dataset, trials=Trials.of(())))
-    work = TrialWork(bare, show, kind, depends_on, with_references, with_levels)
+    work = TrialWork(bare, show, kind, depends_on, with_rows)
     # In the order of their stimuli, so that few readouts are held at a time.
     keys = np.array([(stimulus.polarity, stimulus.size_mrad) for stimulus in trials.stimuli])
     order = np.lexsort(keys[trials.stimulus_codes].T)
