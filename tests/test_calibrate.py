@@ -21,8 +21,8 @@ from todframes.experiment.answers import read_answers, sidecar_path
 from todframes.experiment.calibration import PersonResult
 from todframes.experiment.noise_fit import AnswerTable, NoiseFit, fit_noise, joined
 from todframes.experiment.person import (
-    Calibrated,
     answered_trials,
+    calibration_warnings,
     model_difference,
     noise_grid,
     noise_observers,
@@ -554,11 +554,11 @@ def test_warnings(fitted_name: str, words: str) -> None:
         return PersonResult(subject=subject, status="ok", **numbers, **ends)
 
     people = (person("m1", 0.002), person("p2", 0.5))
-    poor, differ = Calibrated(people, person(None, 0.001), (), 1e-4, (), fitted_name).warnings()
+    poor, differ = calibration_warnings(people, 1e-4, fitted_name)
     assert (poor.code, poor.group, poor.found) == ("poor_fit", {"subject": "m1"}, 0.002)
     assert (differ.code, differ.group, differ.found) == ("persons_differ", {}, 1e-4)
     assert f"one {words} " in poor.message and f"the same {words} " in differ.message
-    assert Calibrated(people[1:], None, (), None, (), fitted_name).warnings() == ()
+    assert not list(calibration_warnings(people[1:], None, fitted_name))
 
 
 def test_a_display_that_has_changed(small: Path, tmp_path: Path) -> None:

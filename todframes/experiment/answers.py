@@ -54,15 +54,6 @@ an earlier response began before the picture."""
 NO_RESPONSE = "none"
 """Response of a trial whose time limit passed."""
 
-BEFORE_LEVEL = (
-    *("trial", "phase", "frame", "sha256", "orientation"),
-    *("response", "correct", "response_time_ms", "flag"),
-)
-"""Columns in front of the level and the columns of `group_by`."""
-
-AFTER_GROUPS = ("size_mrad", "dither_seed", "clipped_px", "shown_at")
-"""Columns behind them; `size_mrad` is not repeated if it is the level or in `group_by`."""
-
 SAME_PITCH = 0.005
 """Relative difference of two pitches of a pixel in mrad that a ruler cannot resolve."""
 
@@ -94,7 +85,8 @@ DESCRIPTIONS: Mapping[str, tuple[str, str | None]] = {
     "clipped_px": ("Number of pixels that the monitor could not show", None),
     "shown_at": ("Time at which the page asked for the trial, ISO 8601, UTC", None),
 }
-"""Descriptions and units of the columns of a data file."""
+"""Descriptions and units of the columns of a data file. Behind the flag come the level and the columns of
+`group_by`; `size_mrad` is not repeated if it is one of them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -218,11 +210,12 @@ def columns(level: str, group_by: tuple[str, ...]) -> tuple[str, ...]:
     varied = (level, *group_by)
     for name in varied:
         is_count = name in COUNT_COLUMNS and name in group_by
-        if is_count or (name in (*BEFORE_LEVEL, *AFTER_GROUPS) and name not in SHARED):
+        if is_count or (name in DESCRIPTIONS and name not in SHARED):
             raise SettingsError(
                 f"level, group_by: found {name!r}, which is a column of the answers; rename it in the manifest"
             )
-    return tuple(dict.fromkeys([*BEFORE_LEVEL, *varied, *AFTER_GROUPS]))
+    n_before = list(DESCRIPTIONS).index("flag") + 1
+    return tuple(dict.fromkeys([*list(DESCRIPTIONS)[:n_before], *varied, *DESCRIPTIONS]))
 
 
 def data_path(folder: Path, subject: str) -> Path:

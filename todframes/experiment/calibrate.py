@@ -140,7 +140,7 @@ def calibrate(
         warnings=tuple(
             warning
             for name, calibrated in zip(names, each, strict=True)
-            for warning in of_observer(name, calibrated.warnings())
+            for warning in of_observer(name, calibrated.warnings)
         ),
     )
 

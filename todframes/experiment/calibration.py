@@ -347,16 +347,14 @@ def observers_table(each_observer: Sequence[tuple[str, FurtherObserver]]) -> Tab
             | {key: getattr(person, key) for key in keys}
             for name, person in zip(names, persons, strict=True)
         ]
+    as_in_noise = {column.key: column for column in NOISE_COLUMNS}
     columns = (
-        Column(key=SUBJECT, header="person", is_name=True),
+        as_in_noise[SUBJECT],
         Column(key="observer", is_name=True),
-        Column(key="internal_noise", header="internal noise", digits=3),
-        Column(key="efficiency", digits=3),
+        *(as_in_noise[key] for key in ("internal_noise", "efficiency")),
         Column(key="aic", header="AIC", digits=5, rank=1),
         Column(key="aic_difference", header="difference", digits=2),
-        Column(key="deviance", digits=3, rank=2),
-        Column(key="n_cells", header="cells", rank=2),
-        Column(key="deviance_p_value", header="p", digits=2),
+        *(as_in_noise[key] for key in ("deviance", "n_cells", "deviance_p_value")),
     )
     return Table.of("Which observer explains the answers better", "observers.csv", columns, records)
 

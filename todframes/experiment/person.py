@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -342,12 +342,10 @@ def noise_grid(answered: Sequence[AnsweredTrials]) -> FloatArray:
     return np.linspace(low, high, math.ceil((high - low) / NOISE_GRID_STEP) + 1)
 
 
-@dataclass(frozen=True, slots=True)
-class Calibrated:
+class Calibrated(NamedTuple):
     """The fits of all persons, and of all answers together with one noise for all; None for a single person. `own`
     are the persons' own thresholds, from their counts alone. `equal_noise_p_value` is that of the likelihood-ratio
-    test that all persons have the pooled parameters; `fitted` is the name of the setting of the observer that was
-    fitted: "internal_noise" or "efficiency".
+    test that all persons have the pooled parameters.
     """
 
     persons: tuple[PersonResult, ...]
@@ -355,29 +353,31 @@ class Calibrated:
     own: tuple[Fit, ...]
     equal_noise_p_value: float | None
     skipped: tuple[Skipped, ...]
-    fitted: str
+    warnings: tuple[ResultWarning, ...]
 
-    def warnings(self) -> tuple[ResultWarning, ...]:
-        """Return warnings about persons whom the model does not describe, and about persons who differ."""
-        name = self.fitted.replace("_", " ")
-        warnings = []
-        for person in self.persons:
-            p_value = person.deviance_p_value
-            if p_value is not None and p_value < SURPRISING:
-                message = (
-                    f"the model with one {name} does not describe these answers (deviance "
-                    f"{person.deviance:.3g} in {person.n_cells} cells, p = {p_value:.2g}); compare the "
-                    "thresholds of each group with those of the model"
-                )
-                warnings.append(_surprising("poor_fit", message, p_value, subject=str(person.subject)))
-        p_value = self.equal_noise_p_value
+
+def calibration_warnings(
+    persons: Sequence[PersonResult], equal_noise_p_value: float | None, fitted: str
+) -> Iterator[ResultWarning]:
+    """Yield warnings about persons whom the model does not describe, and about persons who differ. `fitted` is the
+    name of the setting of the observer that was fitted.
+    """
+    name = fitted.replace("_", " ")
+    for person in persons:
+        p_value = person.deviance_p_value
         if p_value is not None and p_value < SURPRISING:
             message = (
-                f"the persons do not have the same {name} (p = {p_value:.2g}); that of all together is a "
-                "mean of them, and its interval does not describe how they differ"
+                f"the model with one {name} does not describe these answers (deviance {person.deviance:.3g} in "
+                f"{person.n_cells} cells, p = {p_value:.2g}); compare the thresholds of each group with those of "
+                "the model"
             )
-            warnings.append(_surprising("persons_differ", message, p_value))
-        return tuple(warnings)
+            yield _surprising("poor_fit", message, p_value, subject=str(person.subject))
+    if equal_noise_p_value is not None and equal_noise_p_value < SURPRISING:
+        message = (
+            f"the persons do not have the same {name} (p = {equal_noise_p_value:.2g}); that of all together is a "
+            "mean of them, and its interval does not describe how they differ"
+        )
+        yield _surprising("persons_differ", message, equal_noise_p_value)
 
 
 def _surprising(code: str, message: str, p_value: float, **group: float | str) -> ResultWarning:
@@ -389,21 +389,15 @@ def calibrate_persons(
     sessions: Sequence[Session],
     observer: Observer,
     *,
-    free: Sequence[Free] = (),
-    fit_settings: FitSettings | None = None,
-    seed: int = 1,
-    skip_bad_frames: bool = False,
-    run: Run | None = None,
+    free: Sequence[Free],
+    fit_settings: FitSettings,
+    seed: int,
+    skip_bad_frames: bool,
+    run: Run,
 ) -> Calibrated:
-    """Fit the internal noise of an observer to the answers of each person, and to all of them together.
-
-    The observer's own noise is not used. `free` names parameters that are fitted besides: the lapse rate δ, up to
-    `lapse_rate_max`, and the template blur. `fit_settings` are those of the persons' own curves; their criterion
-    is that of the predicted thresholds too, and their `lapse_rate` that of the model unless free; 0 without one.
-    `seed` is that of the displacements of the retina and of repeated experiments.
-
-    Raises DataError or FrameError if the answers are to another dataset, or a frame cannot be used or has changed
-    since, which `skip_bad_frames` leaves out; SettingsError if the observer's noise cannot be fitted.
+    """Fit the internal noise of an observer to the answers of each person, and to all of them together. Parameters
+    and errors are those of `calibrate`. The observer's own noise is not used; the criterion of `fit_settings` is
+    that of the predicted thresholds too, and their `lapse_rate` that of the model unless free; 0 without one.
     """
     fit_settings = settings_of_experiment(fit_settings, dataset.experiment)
     stimulus = dataset.trials[0].stimulus
@@ -454,7 +448,8 @@ def calibrate_persons(
         pooled = fitted(None, range(len(answered)), 0)
         p_value = _equal_noise(persons, pooled, 1 + len(set(free)))
     skipped = tuple(skipped for answers in answered for skipped in answers.skipped)
-    return Calibrated(persons, pooled, tuple(own), p_value, skipped, setting)
+    warnings = tuple(calibration_warnings(persons, p_value, setting))
+    return Calibrated(persons, pooled, tuple(own), p_value, skipped, warnings)
 
 
 def _person_result(

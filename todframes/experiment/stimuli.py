@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import FrameError, TodframesError
+from todframes.base.errors import FrameError, of_frame
 from todframes.display.dither import TILE, dithered
 from todframes.experiment.monitor import ContrastRange, Monitor
 from todframes.frames.contrast import read_contrast
@@ -52,7 +52,7 @@ def trial_image(dataset: Dataset, trial: Trial) -> TrialImage:
             background = patch.background_luminance_cd_m2
             assert background is not None  # it was read from a frame
             contrast = np.zeros((header.height, header.width))
-            try:
+            with of_frame(file.path):
                 for band in file.bands():
                     rows, columns = (
                         slice(first, first + size)
@@ -61,10 +61,6 @@ def trial_image(dataset: Dataset, trial: Trial) -> TrialImage:
                         )
                     )
                     contrast[rows, columns] = display.luminance(band.values) / background - 1.0
-            except FrameError:
-                raise
-            except TodframesError as error:
-                raise FrameError(file.path, str(error)) from None
         if total is not None and total.shape != contrast.shape:
             raise FrameError(
                 file.path,
