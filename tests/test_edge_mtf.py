@@ -47,9 +47,9 @@ def test_closed_forms(optics, angle_deg, largest):
     found = measure_edge(image, whole(image))
     assert np.abs(found.mtf[: NYQUIST + 1] - true_mtf(TO_NYQUIST, optics, angle_deg)).max() < largest
     # The direction is that from dark to bright; a turn of 0.01° moves the ends by 0.006 pixels.
-    assert abs((found.normal_deg - angle_deg + 180) % 360 - 180) < 0.01
-    assert found.overshoot.value < 0.004  # at 45° the gaps of 0.7 pixels leave some ripple
-    assert (found.dark, found.bright) == (pytest.approx(0.2, abs=1e-3), pytest.approx(0.8, abs=1e-3))
+    assert abs((found.record.normal_deg - angle_deg + 180) % 360 - 180) < 0.01
+    assert found.record.overshoot < 0.004  # at 45° the gaps of 0.7 pixels leave some ripple
+    assert (found.record.dark, found.record.bright) == (pytest.approx(0.2, abs=1e-3), pytest.approx(0.8, abs=1e-3))
 
 
 def test_a_bent_edge_has_the_mtf_of_a_straight_one():
@@ -57,7 +57,7 @@ def test_a_bent_edge_has_the_mtf_of_a_straight_one():
     image = edge_image((72, 72), 8.0, optics, radius_px=400.0)
     found = measure_edge(image, whole(image))
     # The arc's sagitta: 72² / (8 · 400) / cos³ 8° = 1.66 pixels.
-    assert found.bend_px == pytest.approx(1.66, rel=0.05)
+    assert found.record.bend_px == pytest.approx(1.66, rel=0.05)
     # Its normal turns by up to 5° from that in the middle: the pixel's MTF at Nyquist changes by less than 1e-3.
     assert np.abs(found.mtf[: NYQUIST + 1] - true_mtf(TO_NYQUIST, optics, 8.0)).max() < 2e-3
 
@@ -73,8 +73,8 @@ def test_overshoot_of_a_sharpened_edge():
     grid = np.linspace(-8, 8, 1601)
     means = np.convolve(sharpened(grid), np.full(100, 0.01), "valid")
     found = measure_edge(0.3 + 0.4 * sharpened(d), whole(d))
-    assert found.overshoot.value == pytest.approx(means.max() - 1.0, abs=1e-3)  # places are 0.05 pixels apart
-    assert found.undershoot.value == pytest.approx(-means.min(), abs=1e-3)
+    assert found.record.overshoot == pytest.approx(means.max() - 1.0, abs=1e-3)  # places are 0.05 pixels apart
+    assert found.record.undershoot == pytest.approx(-means.min(), abs=1e-3)
     assert found.mtf.max() > 1.1
 
 
@@ -158,7 +158,7 @@ def test_a_smooth_edge_is_not_refused_for_its_noise(kind):
         noise = noise * np.sqrt(2.0 * np.clip(image, 0.0, 1.0))
     found = measure_edge(image + noise, whole(image))
     expected = np.sqrt(np.log(2) / 2) / np.pi / np.hypot(0.9, np.sqrt(1 / 12))  # a pixel has a variance of 1/12
-    assert found.mtf50_cyc_per_pixel.value == pytest.approx(expected, rel=0.15)  # four standard errors
+    assert found.record.mtf50_cyc_per_pixel == pytest.approx(expected, rel=0.15)  # four standard errors
 
 
 def test_dead_pixels_on_the_edge_change_nothing_that_noise_would_not():
@@ -174,7 +174,7 @@ def test_dead_pixels_on_the_edge_change_nothing_that_noise_would_not():
     to_nyquist = slice(1, NYQUIST + 1)
     changed = np.abs(found.mtf - alive.mtf)[to_nyquist]
     assert (changed < 0.125 * (alive.upper - alive.lower)[to_nyquist]).all()
-    assert found.noise_sd == pytest.approx(alive.noise_sd, rel=0.01)
+    assert found.record.noise_percent == pytest.approx(alive.record.noise_percent, rel=0.01)
 
 
 def test_a_saturated_edge_and_a_box_outside_are_one_line(tmp_path, capsys):

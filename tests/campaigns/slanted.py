@@ -94,7 +94,8 @@ def repeated(name: str, angle_deg: float, n: int, *, noise: float, seed: int, sh
     k = int(np.argmax(np.abs(bias)))
     errors = float(bias[k]), float(mtf[:, k].std() / math.sqrt(n))
     edge = Edge(*errors, float(held.mean()), float(held[:, :LOW].mean()), float((high - low).min()))
-    ends = [one.mtf50_cyc_per_pixel.ci95 for one in measured if one.mtf50_cyc_per_pixel is not None]
+    records = [one.record for one in measured if one.record.mtf50_cyc_per_pixel is not None]
+    ends = [one.mtf50_cyc_per_pixel_ci95 or (None, None) for one in records]
     mtf50_covered = np.mean([(a or 0.0) <= mtf50 <= (b or 1.0) for a, b in ends])
     noiseless = np.abs(measure_edge(image, box).mtf[1 : NYQUIST + 1] - truth).max()
     print(
@@ -168,7 +169,7 @@ def refusals(n: int, *, seed: int, are_torn: bool) -> int:
     for number in range(n):
         image, name = (torn_edge if are_torn else smooth_edge)(np.random.default_rng([seed, number]))
         try:
-            end = f"MTF50 {measure_edge(image, (0, 0, image.shape[1], image.shape[0])).mtf50_cyc_per_pixel}"
+            end = f"MTF50 {measure_edge(image, (0, 0, image.shape[1], image.shape[0])).record.mtf50_cyc_per_pixel}"
         except DataError as error:
             end = str(error).split(": ", 1)[1]
         known = ("MTF50", "found an edge that departs", "found no edge", "noise of")

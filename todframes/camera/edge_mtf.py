@@ -24,9 +24,9 @@ import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import NDArray
 
-from todframes.base._typing import ComplexArray, FloatArray
+from todframes.base._typing import ComplexArray, FloatArray, Json
 from todframes.base.errors import DataError, SettingsError
-from todframes.camera.mtf_table import Estimate, falls_to
+from todframes.camera.mtf_table import EdgeRecord, falls_to, with_ends
 from todframes.parameters import Box
 from todframes.psychometrics.bootstrap import NORMAL_95
 
@@ -76,53 +76,20 @@ class MtfBand:
     lower: FloatArray
     upper: FloatArray
 
-    @property
-    def mtf50_cyc_per_pixel(self) -> Estimate | None:
-        """Frequency at which the MTF falls to 0.5, and those at which its band does; None if it stays above."""
-        value, *ends = (
-            falls_to(0.5, FREQUENCY_CYC_PER_PIXEL, curve) for curve in (self.mtf, self.lower, self.upper)
-        )
-        return None if value is None else Estimate(value, (ends[0], ends[1]))
-
-    @property
-    def mtf_at_nyquist(self) -> Estimate:
-        """MTF at 0.5 cycles/pixel."""
-        return Estimate(float(self.mtf[NYQUIST]), (float(self.lower[NYQUIST]), float(self.upper[NYQUIST])))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EdgeMtf(MtfBand):
     """The MTF across one edge, and the edge.
 
-    `centre_px` is a point of the edge, (x, y); (0, 0) is the centre of the frame's first pixel. `normal_deg` is
-    the direction in which the MTF is measured, from dark to bright: 0 is right, 90 is down. `bend_px` is the
-    largest distance of the edge from a straight line. The levels beside the edge, and the standard deviation of a
-    pixel from the fitted edge, are in units of the values. Overshoot and undershoot say how far the profile,
-    averaged over one pixel, goes beyond both levels, relative to the contrast; 0 where it stays between them. In
-    the fitted profile, shape (n,), 0 is the dark level and 1 the bright one.
+    `centre_px` is a point of the edge, (x, y); (0, 0) is the centre of the frame's first pixel. In the fitted
+    profile, shape (n,), 0 is the dark level and 1 the bright one. The record has the number 1 and no colour.
     """
 
+    record: EdgeRecord
     box: Box
     centre_px: tuple[float, float]
-    normal_deg: float
-    bend_px: float
-    dark: float
-    bright: float
-    noise_sd: float
-    overshoot: Estimate
-    undershoot: Estimate
     distance_px: FloatArray
     profile: FloatArray
-
-    @property
-    def angle_deg(self) -> float:
-        """Angle of the edge against rows or columns of pixels, whichever is nearer: 0 to 45."""
-        return abs((self.normal_deg + 45.0) % 90.0 - 45.0)
-
-    @property
-    def relative_noise(self) -> float:
-        """Noise of a pixel in units of the contrast."""
-        return self.noise_sd / (self.bright - self.dark)
 
 
 def mean_band(bands: Sequence[MtfBand]) -> MtfBand:
@@ -164,13 +131,13 @@ def measure_edge(
                 "its MTF is lost; change exposure or gain"
             )
     edge = _fitted(values, _fitted_curve(values, where), box, step_px, where)
-    mtf50 = edge.mtf50_cyc_per_pixel
-    if mtf50 is not None:
-        low, high = mtf50.ci95 or (None, None)
-        if low is None or high is None or high - low > 2 * LARGEST_ERROR * mtf50.value:
-            ends = f"{low or 0:.2g} to {'above 1' if high is None else f'{high:.2g}'}"
+    mtf50, ends = edge.record.mtf50_cyc_per_pixel, edge.record.mtf50_cyc_per_pixel_ci95
+    if mtf50 is not None and ends is not None:
+        low, high = ends
+        if low is None or high is None or high - low > 2 * LARGEST_ERROR * mtf50:
+            shown = f"{low or 0:.2g} to {'above 1' if high is None else f'{high:.2g}'}"
             raise DataError(
-                f"{where}noise of {100 * edge.relative_noise:.1f} % of the contrast leaves MTF50 at {ends} "
+                f"{where}noise of {edge.record.noise_percent:.1f} % of the contrast leaves MTF50 at {shown} "
                 "cycles/pixel, expected an interval within a quarter of it; average frames, or use a longer edge"
             )
     return edge
@@ -187,6 +154,16 @@ class _Curve(NamedTuple):
     y: float
     normal: tuple[float, float]
     polynomial: FloatArray
+
+    @property
+    def normal_deg(self) -> float:
+        """Direction of the normal: 0 is right, 90 is down."""
+        return math.degrees(math.atan2(self.normal[1], self.normal[0]))
+
+    @property
+    def angle_deg(self) -> float:
+        """Angle against rows or columns of pixels, whichever is nearer: 0 to 45."""
+        return abs((self.normal_deg + 45.0) % 90.0 - 45.0)
 
     def distance(self, x: NDArray[Any], y: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
         """Return the distance of points from the edge along its normal, and s.
@@ -386,11 +363,10 @@ def _check_gaps(esf: _Esf, uniform_px: float, curve: _Curve, where: str) -> None
     near = np.sort(esf.distance[np.abs(esf.distance) <= uniform_px])
     gap_px = float(np.diff(near).max()) if len(near) > 1 else math.inf
     if gap_px > WIDEST_GAP_PX:
-        angle = abs((math.degrees(math.atan2(curve.normal[1], curve.normal[0])) + 45.0) % 90.0 - 45.0)
         raise DataError(
-            f"{where}found an edge {angle:.2f}° from rows or columns, whose pixels leave a gap of {gap_px:.3g} "
-            f"pixels in its profile, expected at most {WIDEST_GAP_PX}; turn target or camera by 2° to 10°, or use "
-            "a longer edge"
+            f"{where}found an edge {curve.angle_deg:.2f}° from rows or columns, whose pixels leave a gap of "
+            f"{gap_px:.3g} pixels in its profile, expected at most {WIDEST_GAP_PX}; turn target or camera by 2° to "
+            "10°, or use a longer edge"
         )
 
 
@@ -524,27 +500,41 @@ def _edge_mtf(
     in_pixels = (sums[n_in_pixel:] - sums[:-n_in_pixel]) / n_in_pixel
     level = in_pixels @ means
 
-    def beyond(k: int, height: float, sign: float) -> Estimate:
+    def beyond(name: str, k: int, height: float, sign: float) -> Json:
         value = max(sign * (float(level[k]) - height), 0.0)
         reach = NORMAL_95 * float(error(in_pixels[k : k + 1] - level[k] * levels[CONTRAST] / contrast)[0])
-        return Estimate(value, (max(value - reach, 0.0), value + reach))
+        return {name: value, f"{name}_ci95": (max(value - reach, 0.0), value + reach)}
 
     visible = esf.along[np.abs(esf.distance) < 1.0]
     ends = np.linspace(visible.min(), visible.max(), 101)
     line = polyval(ends, curve.polynomial)
-    return EdgeMtf(
-        mtf=mtf,
-        lower=np.maximum(mtf - half, 0.0),
-        upper=np.abs(ratio) + half,
-        box=box,
-        centre_px=(curve.x + box[0], curve.y + box[1]),
-        normal_deg=math.degrees(math.atan2(curve.normal[1], curve.normal[0])),
+    curves = mtf, np.maximum(mtf - half, 0.0), np.abs(ratio) + half
+    mtf50 = with_ends("mtf50_cyc_per_pixel", lambda values: falls_to(0.5, FREQUENCY_CYC_PER_PIXEL, values), curves)
+    left, top, width, height = box
+    record = EdgeRecord(
+        edge=1,
+        x_px=left,
+        y_px=top,
+        width_px=width,
+        height_px=height,
+        angle_deg=curve.angle_deg,
+        normal_deg=curve.normal_deg,
         bend_px=float(np.ptp(line - np.polyval(np.polyfit(ends, line, 1), ends))),
         dark=dark,
         bright=dark + contrast,
-        noise_sd=float(esf.residual.std()),
-        overshoot=beyond(int(np.argmax(level)), 1.0, 1.0),
-        undershoot=beyond(int(np.argmin(level)), 0.0, -1.0),
+        noise_percent=100.0 * float(esf.residual.std()) / contrast,
+        **(mtf50 if mtf50["mtf50_cyc_per_pixel"] is not None else {}),
+        **with_ends("mtf_at_nyquist", lambda values: float(values[NYQUIST]), curves),
+        **beyond("overshoot", int(np.argmax(level)), 1.0, 1.0),
+        **beyond("undershoot", int(np.argmin(level)), 0.0, -1.0),
+    )
+    return EdgeMtf(
+        mtf=curves[0],
+        lower=curves[1],
+        upper=curves[2],
+        record=record,
+        box=box,
+        centre_px=(curve.x + left, curve.y + top),
         distance_px=distance_px,
         profile=(values @ means - dark) / contrast,
     )

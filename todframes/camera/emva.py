@@ -22,7 +22,7 @@ from msgspec import Struct, structs
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, argument
 from todframes.camera.emva_xml import LEAVES, noise_table
-from todframes.camera.mtf_table import Ends, Estimate
+from todframes.camera.mtf_table import Ends
 from todframes.camera.noise3d import (
     DRIFT_ERRORS,
     MOST_SATURATED,
@@ -65,6 +65,13 @@ LINES = {
 
 MIXED_ERRORS = 10.0
 """Least step between frames of two exposures, in standard errors of a frame's mean and in those of flicker."""
+
+
+class Estimate(NamedTuple):
+    """A value with its 95 % interval."""
+
+    value: float
+    ci95: Ends | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,17 +14,15 @@ import numpy as np
 from msgspec import Struct, structs
 from numpy.typing import NDArray
 
-from todframes.base._typing import Json
 from todframes.base.errors import SettingsError, argument
 from todframes.base.safe_text import in_utf8
-from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, EdgeMtf
+from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL
 from todframes.camera.mtf_table import (
     MAPPER_PER_CYC_PER_PIXEL,
     NYQUIST_CYC_PER_PIXEL,
     RADIAL,
     EdgeRecord,
     Ends,
-    Estimate,
     FrequencyUnit,
     MtfLine,
     MtfTable,
@@ -34,6 +32,7 @@ from todframes.camera.mtf_table import (
     is_table,
     read_mtf_mapper,
     read_mtf_table,
+    with_ends,
 )
 from todframes.camera.slanted_edges import LUMA, PlacedEdge, RecordingMtf, measure_mtf
 from todframes.parameters import Box, ChartFile, DisplayName, FrameLimit, Progress
@@ -289,7 +288,8 @@ class Mtf(Content, frozen=True, kw_only=True):
             edge = by_colour[LUMA]
             x, y = edge.centre_px
             radial_deg = math.degrees(math.atan2(y - (rows - 1) / 2, x - (columns - 1) / 2))
-            lines.append(_line([number, x, y, edge.angle_deg, radial_deg, *edge.mtf[: len(frequency)]]))
+            angle_deg = edge.record.angle_deg or 0.0
+            lines.append(_line([number, x, y, angle_deg, radial_deg, *edge.mtf[: len(frequency)]]))
         return {"edge_sfr_values.txt": b"".join(lines)}
 
 
@@ -418,7 +418,7 @@ def mtf(
         MtfTable("cyc_per_pixel", FREQUENCY_CYC_PER_PIXEL, curves, mean.lower, mean.upper),
         in_utf8(str(shown.path)),
         edges=[
-            _record(number, colour if len(measured.means) > 1 else None, edge)
+            structs.replace(edge.record, edge=number, colour=colour if len(measured.means) > 1 else None)
             for number, by_colour in enumerate(measured.edges, 1)
             for colour, edge in by_colour.items()
         ],
@@ -443,17 +443,8 @@ def _result(
     frequency, mtf = table.frequency, table.curves[RADIAL]
     nyquist = NYQUIST_CYC_PER_PIXEL if table.unit == "cyc_per_pixel" else None
     curves = [mtf] if table.lower is None or table.upper is None else [mtf, table.lower, table.upper]
-    resolutions = [Resolution.of(frequency, curve, nyquist) for curve in curves]
-    # Each has its value, and with a band those of the lower and the upper end.
-    estimates: dict[str, Sequence[float | None]] = {
-        "mtf50": [falls_to(0.5, frequency, curve) for curve in curves],
-        "mtf10": [resolution.mtf10 for resolution in resolutions],
-        "resolution_limit_cyc_per_pixel": [resolution.limit for resolution in resolutions],
-        "mtf_at_nyquist": [float(np.interp(nyquist, frequency, curve)) for curve in curves]
-        if nyquist is not None and frequency[-1] >= nyquist
-        else [None],
-    }
-    limit = resolutions[0].limit
+    beyond_nyquist = curves if nyquist is not None and frequency[-1] >= nyquist else []
+    resolution = Resolution.of(frequency, mtf, nyquist)
     numbers = {
         "source": source,
         "unit": table.unit,
@@ -462,11 +453,21 @@ def _result(
         "mtf_lower": table.lower,
         "mtf_upper": table.upper,
         "others": {name.removeprefix("mtf_"): curve for name, curve in table.curves.items() if name != RADIAL},
-        **{name: value for name, (value, *_) in estimates.items()},
-        **{f"{name}_ci95": ends or None for name, (_, *ends) in estimates.items()},
-        "effective_width_px": None if measured is None or not limit else 2.0 * limit * measured.image.shape[1],
-        "aliased_from_cyc_per_pixel": resolutions[0].aliased_from,
+        **with_ends("mtf50", lambda curve: falls_to(0.5, frequency, curve), curves),
+        **with_ends("mtf10", lambda curve: Resolution.of(frequency, curve, nyquist).mtf10, curves),
+        **with_ends(
+            "resolution_limit_cyc_per_pixel", lambda curve: Resolution.of(frequency, curve, nyquist).limit, curves
+        ),
+        "effective_width_px": None
+        if measured is None or not resolution.limit
+        else 2.0 * resolution.limit * measured.image.shape[1],
+        "aliased_from_cyc_per_pixel": resolution.aliased_from,
         "nyquist_cyc_per_pixel": nyquist,
+        **with_ends(
+            "mtf_at_nyquist",
+            lambda curve: float(np.interp(NYQUIST_CYC_PER_PIXEL, frequency, curve)),
+            beyond_nyquist,
+        ),
         "n_frames": None if measured is None else measured.n_frames,
         "is_light": is_light,
         "edges": edges,
@@ -474,18 +475,6 @@ def _result(
     of_codes = [ResultWarning(**warning._asdict()) for warning in warnings]
     made = Result.made("mtf", started, warnings=of_codes, mtf=as_read(numbers, MtfNumbers))
     return made if measured is None else made.holding(measured=measured)
-
-
-def _record(number: int, colour: str | None, edge: EdgeMtf) -> EdgeRecord:
-    left, top, width, height = edge.box
-    values: Json = {"edge": number, "colour": colour, "x_px": left, "y_px": top}
-    values |= {"width_px": width, "height_px": height, "noise_percent": 100.0 * edge.relative_noise}
-    values |= {name: getattr(edge, name) for name in ("angle_deg", "normal_deg", "bend_px", "dark", "bright")}
-    for name in ("mtf50_cyc_per_pixel", "mtf_at_nyquist", "overshoot", "undershoot"):
-        estimate: Estimate | None = getattr(edge, name)
-        if estimate is not None:
-            values |= {name: estimate.value, f"{name}_ci95": estimate.ci95}
-    return EdgeRecord(**values)
 
 
 def _of_table(table: MtfTable) -> list[RecordingWarning]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -51,13 +51,7 @@ MAPPER_LENGTHS = (64, 128)
 """Numbers of MTF values of an edge in these files, without and with the option --full-sfr."""
 
 Ends = tuple[float | None, float | None]
-
-
-class Estimate(NamedTuple):
-    """A value with its 95 % interval; an end is None where the data do not give one."""
-
-    value: float
-    ci95: Ends | None = None
+"""Ends of a 95 % interval; None where the data do not give one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,6 +97,15 @@ def falls_to(value: float, frequency: FloatArray, mtf: FloatArray) -> float | No
     return float(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
 
 
+def with_ends(name: str, value: Callable[[FloatArray], float | None], curves: Sequence[FloatArray]) -> Json:
+    """Return a value of an MTF and, in the key with `_ci95`, those of the ends of its band, None without a band.
+
+    `curves` are the MTF, and with a band its lower and upper end; without curves the value is None.
+    """
+    first, *ends = [value(curve) for curve in curves] or [None]
+    return {name: first, f"{name}_ci95": ends or None}
+
+
 class Resolution(NamedTuple):
     """Limit of resolution of an MTF before sampling, in the unit of its frequencies; None where it is not known.
 
@@ -142,7 +145,13 @@ class Resolution(NamedTuple):
 
 
 class EdgeRecord(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """An edge in one colour, as in `edges.csv`."""
+    """An edge in one colour, as in `edges.csv`.
+
+    `normal_deg` is the direction in which the MTF is measured, from dark to bright: 0 is right, 90 is down.
+    `bend_px` is the largest distance of the edge from a straight line, `dark` and `bright` the levels beside it,
+    and the noise that of a pixel in percent of the contrast. Overshoot and undershoot say how far the profile,
+    averaged over one pixel, goes beyond both levels, relative to the contrast; 0 where it stays between them.
+    """
 
     edge: int
     colour: str | None = None
