@@ -365,8 +365,8 @@ def _check_gaps(esf: _Esf, uniform_px: float, curve: _Curve, where: str) -> None
     if gap_px > WIDEST_GAP_PX:
         raise DataError(
             f"{where}found an edge {curve.angle_deg:.2f}° from rows or columns, whose pixels leave a gap of "
-            f"{gap_px:.3g} pixels in its profile, expected at most {WIDEST_GAP_PX}; turn target or camera by 2° to "
-            "10°, or use a longer edge"
+            f"{gap_px:.3g} pixels in its profile, expected at most {WIDEST_GAP_PX}; turn target or camera by 2° "
+            "to 10°, or use a longer edge"
         )
 
 
