@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from msgspec import Struct, structs
@@ -65,13 +65,6 @@ LINES = {
 
 MIXED_ERRORS = 10.0
 """Least step between frames of two exposures, in standard errors of a frame's mean and in those of flicker."""
-
-
-class Estimate(NamedTuple):
-    """A value with its 95 % interval."""
-
-    value: float
-    ci95: Ends | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -327,18 +320,13 @@ def measure_emva(
     if background is not None:
         name = str(background.recording.path)
         signal_dn = next(point.signal_dn for point in camera.points if point.bright.name == name)
-        figures["background_electrons"] = _estimate(signal_dn / camera.gain, 1.0 / camera.to_faint)
-    values: dict[str, Any] = {name: figure.value for name, figure in figures.items()}
-    values |= {f"{name}_ci95": figure.ci95 for name, figure in figures.items()}
-    if electrons := figures.get("saturation_electrons"):
-        values["snr_max"] = math.sqrt(electrons.value)
-        values["dynamic_range"] = electrons.value / float(camera.least_electrons[0])
+        figures |= _figure("background_electrons", signal_dn / camera.gain, 1.0 / camera.to_faint)
     spatial = camera.spatial
     numbers = EmvaNumbers(
         source=source,
         bits=bits,
         exposure_ms=spatial.bright.exposure_ms,
-        **values,
+        **figures,
         lines_electrons={key: sd / gain for key, sd in spatial.dark.lines_dn().items()},
         rounding_variance_dn2=ROUNDING_VARIANCE * camera.step**2,
         linearity_percent=_linearity(camera.series, camera.most),
@@ -589,38 +577,42 @@ class _Camera:
         error = math.sqrt(float(rest @ rest) / (n - 1) / float(photons @ photons))
         return np.append(slope, slope + error * self.rng.standard_t(n - 1, DRAWS))
 
-    def figures(self) -> dict[str, Estimate]:
-        """Return the figures that are known, by their names in `EmvaNumbers`."""
+    def figures(self) -> Json:
+        """Return the figures that are known, with their intervals, by their names in `EmvaNumbers`."""
         bright, dark = self.drawn[self.spatial.bright], self.drawn[self.spatial.dark]
         prnu = _root(bright.spatial - dark.spatial) / (bright.mean - dark.mean)
         figures = {
-            "system_gain": _estimate(self.gain, self.to_faint),
-            "prnu": _estimate(100.0 * prnu, 1.0 / (1.0 + self.bend * self.spatial.signal_dn / 3.0)),
+            **_figure("system_gain", self.gain, self.to_faint),
+            **_figure("prnu", 100.0 * prnu, 1.0 / (1.0 + self.bend * self.spatial.signal_dn / 3.0)),
             **self._dark_figures(),
             **self._capacity(),
         }
         if self.response is not None:
             efficiency = self.response / self.gain
-            figures["quantum_efficiency"] = _estimate(efficiency, 1.0 / self.to_faint)
-            figures["responsivity"] = _estimate(self.response)
-            figures["sensitivity_threshold"] = _estimate(self.least_electrons / efficiency)
+            figures |= _figure("quantum_efficiency", efficiency, 1.0 / self.to_faint)
+            figures |= _figure("responsivity", self.response)
+            figures |= _figure("sensitivity_threshold", self.least_electrons / efficiency)
+        if electrons := figures.get("saturation_electrons"):
+            figures["snr_max"] = math.sqrt(electrons)
+            figures["dynamic_range"] = electrons / float(self.least_electrons[0])
         return figures
 
     def _is_rounded(self, dark: StackNoise) -> bool:
         """Return whether rounding decides the noise of a dark stack (EMVA 1288 release 4.0 linear)."""
         return dark.temporal < LEAST_DARK_VARIANCE * self.step**2
 
-    def _dark_figures(self) -> dict[str, Estimate]:
+    def _dark_figures(self) -> Json:
         """Return the figures of dark frames: noise, nonuniformity, and current with three exposures and more."""
         variance, step = self.drawn[self.darkest].temporal, self.step / float(self.gain[0])
-        dsnu = _estimate(_root(self.drawn[self.spatial.dark].spatial) / self.gain, 1.0 / self.to_faint)
+        figures = _figure("dark_noise_dn", np.sqrt(variance))
+        figures |= _figure("dsnu", _root(self.drawn[self.spatial.dark].spatial) / self.gain, 1.0 / self.to_faint)
         if self._is_rounded(self.spatial.dark):  # no noise smooths the pattern
-            dsnu = Estimate(dsnu.value, (max(dsnu.value - 0.5 * step, 0.0), dsnu.value + 0.5 * step))
-        figures = {"dark_noise_dn": _estimate(np.sqrt(variance)), "dsnu": dsnu}
+            dsnu = figures["dsnu"]
+            figures["dsnu_ci95"] = max(dsnu - 0.5 * step, 0.0), dsnu + 0.5 * step
         if self._is_rounded(self.darkest):
-            return figures | {"dark_noise": Estimate(0.4 * step, (0.0, 0.4 * step))}
+            return figures | {"dark_noise": 0.4 * step, "dark_noise_ci95": (0.0, 0.4 * step)}
         noise = _root(variance - ROUNDING_VARIANCE * self.step**2)
-        figures["dark_noise"] = _estimate(noise / self.gain, 1.0 / self.to_faint)
+        figures |= _figure("dark_noise", noise / self.gain, 1.0 / self.to_faint)
         known = [stack for stack in _with_common_frames(self.of_dark) if stack.exposure_ms is not None]
         seconds = np.array([stack.exposure_ms for stack in known], np.float64) / 1e3
         if len(np.unique(seconds)) >= 3:
@@ -628,10 +620,10 @@ class _Camera:
             for name, quantity, power in quantities:
                 slope, error, _ = straight_line(seconds, np.array([getattr(stack, quantity) for stack in known]))
                 slopes = np.append(slope, slope + error * self.rng.standard_t(len(known) - 2, DRAWS))
-                figures[name] = _estimate(slopes / self.gain**power, self.to_faint**-power)
+                figures |= _figure(name, slopes / self.gain**power, self.to_faint**-power)
         return figures
 
-    def _capacity(self) -> dict[str, Estimate]:
+    def _capacity(self) -> Json:
         """Return the saturation capacity in electrons and in photons, as far as it is known.
 
         With photons it is their number at the saturation point, times the quantum efficiency; otherwise the signal
@@ -639,13 +631,13 @@ class _Camera:
         """
         photons = None if self.saturated is None else self.series[self.saturated].photons
         if photons is not None and self.response is not None:
-            electrons = _estimate(photons * (self.response / self.gain))
-            return {"saturation_electrons": electrons, "saturation_photons": Estimate(photons)}
+            electrons = _figure("saturation_electrons", photons * (self.response / self.gain))
+            return electrons | {"saturation_photons": photons}
         if not math.isfinite(self.most):
             return {}
-        figures = {"saturation_electrons": _estimate(self.most / self.gain, 1.0 / self.to_faint)}
+        figures = _figure("saturation_electrons", self.most / self.gain, 1.0 / self.to_faint)
         if self.response is not None:
-            figures["saturation_photons"] = _estimate(self.most / self.response)
+            figures |= _figure("saturation_photons", self.most / self.response)
         return figures
 
     def warnings(self, *, has_bits: bool) -> Iterator[RecordingWarning]:
@@ -749,10 +741,10 @@ def _check_light(points: Sequence[TransferPoint]) -> None:
         )
 
 
-def _estimate(drawn: FloatArray, factor: float = 1.0) -> Estimate:
-    """Return a value with its 95 % interval, which reaches as far as that of the value times a factor."""
+def _figure(name: str, drawn: FloatArray, factor: float = 1.0) -> Json:
+    """Return a value and its 95 % interval, which reaches as far as that of the value times a factor."""
     low, high = np.quantile(drawn[1:], (0.025, 0.975)).tolist()
-    return Estimate(float(drawn[0]), (low * min(factor, 1.0), high * max(factor, 1.0)))
+    return {name: float(drawn[0]), f"{name}_ci95": (low * min(factor, 1.0), high * max(factor, 1.0))}
 
 
 def _bend(fitted: Sequence[TransferPoint], errors: FloatArray) -> float:
