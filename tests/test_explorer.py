@@ -26,7 +26,6 @@ from types import NoneType
 from typing import Any, get_type_hints
 from xml.etree import ElementTree
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -34,6 +33,7 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 import sensor_sim as ss
+from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.pictures import trial_stages
 from sensor_sim.chain.sensor import NOISE_MODELS, TABLES, sensor_from, sensor_settings, sensor_toml
 from sensor_sim.chain.simulation import SimulatedTrial
@@ -50,9 +50,8 @@ from sensor_sim.thresholds.predict import PredictedThreshold
 from sensor_sim.thresholds.shares import Shares
 from todframes.base.errors import DataError, SettingsError
 from todframes.cli.console import run
-from todframes.field.acquisition_range import acquisition_range
-from todframes.field.atmosphere import find_atmosphere
-from todframes.field.target import find_target
+from todframes.field.atmosphere import Atmosphere, find_atmosphere
+from todframes.field.target import Target, find_target
 from todframes.observers.csf import CsfObserver, CsfSettings
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
@@ -265,57 +264,6 @@ def test_a_broken_file_gives_the_line_that_the_command_gives(tmp_path):
         assert str(by_command.value) == str(tmp_path / str(by_page.value))
 
 
-def explored(sensor: ss.Sensor, sizes: tuple[float, ...], n_points: int = routes.RANGE_POINTS) -> LiveCurve:
-    """Return the refined curve of the page, without its processes."""
-    engine, unit = ThresholdEngine(lambda: None), pickle.dumps(PyramidObserver())
-    asked = Request(1, sensor, unit, tuple(enumerate(sizes)), 0.75, (0.03, 0.02), "snr", n_points)
-    found = {one.index: one for one in engine.answers(asked)}
-    return LiveCurve(tuple(found[place] for place in range(len(sizes))), 0.02, 0.0, True)
-
-
-def sent(sensor: ss.Sensor, curve: LiveCurve) -> list[ThresholdSent]:
-    """Return the thresholds of a curve as the page sends them back."""
-    level = sensor.level
-    rows = msgspec.json.decode(msgspec.json.encode(routes._line(1, sensor, level, curve)))["thresholds"]
-    names = ("size_detectors", "status", "points", "slope")
-    return [
-        msgspec.convert(
-            {name: row[name] for name in names} | {"threshold": row[level], "error": row[f"{level}_error"]},
-            ThresholdSent,
-        )
-        for row in rows
-    ]
-
-
-@pytest.mark.slow
-def test_the_range_is_that_of_the_curves_result():
-    """Of a refined curve, as `todframes range` gives it for the result of the copied command."""
-    sizes, camera = (4.0, 6.0, 9.0), replace(SMALL, noise=replace(SMALL.noise, netd_mk=30.0))
-    result = ss.curve(camera, size_detectors=sizes, tolerance=0.02, examples=False)
-    in_the_middle = result.thresholds[1].delta_t_mk / 1000.0
-    target = replace(find_target("nato"), k={"identification": 30.0}, delta_t_k=in_the_middle)
-    aim = Aim(target, find_atmosphere("lwir_23km"))
-    found = range_from(aim, camera, sent(camera, explored(camera, sizes)), 0.75)
-    expected = acquisition_range(result, target=aim.target, atmosphere=aim.atmosphere)
-    statuses = [(one.probability, one.status) for one in found.acquired.ranges]
-    assert statuses == [(0.5, "beyond_curve"), (0.75, "ok"), (0.9, "never_reached")]
-    for one, other in zip(found.acquired.ranges, expected.acquired.ranges, strict=True):
-        assert one.status == other.status
-        assert one.at_least_km == other.at_least_km
-        assert (one.range_km or 0.0) == pytest.approx(other.range_km or 0.0, rel=1e-4)  # the same places
-    (_, middle, _), (_, of_result, _) = found.acquired.ranges, expected.acquired.ranges
-    assert middle.range_ci95_km == pytest.approx(of_result.range_ci95_km, rel=1e-4)
-    answer = range_answer(found)
-    assert answer["ranges"][1]["words"] in found.sentences()[0] and "95 % interval" in found.sentences()[0]
-    (shown,) = answer["curves"]
-    assert len(shown["probability"]) == len(shown["low"]) == len(shown["is_bound"]) == len(shown["range_km"])
-    # Of an estimate, the slope at the threshold stands for the points.
-    quick = range_answer(range_from(aim, camera, sent(camera, explored(camera, sizes, n_points=0)), 0.75))
-    near = np.interp(0.6, shown["probability"][::-1], shown["range_km"][::-1])
-    found_km = np.interp(0.6, quick["curves"][0]["probability"][::-1], quick["curves"][0]["range_km"][::-1])
-    assert found_km == pytest.approx(near, rel=0.03)
-
-
 def test_the_slope_of_a_weibull_function_gives_its_beta():
     alpha, beta, step = 1.7, 2.3, 1e-6
     for level in (1.2, 1.7, 2.4):
@@ -324,6 +272,26 @@ def test_the_slope_of_a_weibull_function_gives_its_beta():
             for by in (-step, 0.0, step)
         )
         assert weibull_slope((high - low) / (2.0 * step), p) == pytest.approx(beta, rel=1e-6)
+
+
+def test_the_range_of_thresholds_is_the_closed_form():
+    """ΔT = a exp(b / S) with S in mrad at the camera: R = ln(ΔT/a) / (σ + b k / size) at the curve's criterion."""
+    camera, (a_k, b_mrad, k) = replace(SMALL, noise=replace(SMALL.noise, netd_mk=30.0)), (0.02, 0.3, 3.0)
+    mk, pitch = float(delta_t_mk(1.0, noise=camera.noise)), camera.detector.pitch_mrad
+    snr = {size: 1e3 * a_k * math.exp(b_mrad / (size * pitch)) / mk for size in (16.0, 8.0, 4.0, 2.0)}
+    known = [ThresholdSent(size, "ok", value, 0.01 * value, slope=0.5) for size, value in snr.items()]
+    target = Target(size_m=2.3, delta_t_k=0.2, k={"seen": k})
+    found = range_from(Aim(target, Atmosphere(extinction_per_km=0.2)), camera, known, 0.75)
+    expected = math.log(0.2 / a_k) / (0.2 + b_mrad * k / 2.3)
+    (middle,) = (one for one in found.acquired.ranges if one.probability == 0.75)
+    assert middle.range_km == pytest.approx(expected, rel=1e-9)
+    answer = range_answer(found)
+    assert answer["ranges"][1]["words"] in found.sentences()[0] and "95 % interval" in found.sentences()[0]
+    (shown,) = answer["curves"]
+    assert len({len(shown[name]) for name in ("probability", "low", "is_bound", "range_km")}) == 1
+    assert np.interp(0.75, shown["probability"][::-1], shown["range_km"][::-1]) == pytest.approx(
+        expected, rel=1e-2
+    )
 
 
 def test_a_range_that_is_missing_has_its_reason_in_words():

@@ -148,11 +148,6 @@ def test_score_is_the_command(commanded, make_dataset) -> None:
     assert same(scored, commanded(cli, "score", path, "--set", "resamples=200"))
 
 
-def test_curve_is_the_command(commanded) -> None:
-    arguments = ("curve", CAMERA, "--size-detectors", "4", "--tolerance", "0.05")
-    assert same(ss.curve(CAMERA, size_detectors=[4], tolerance=0.05), commanded(sensor_cli, *arguments))
-
-
 def test_counts_by_group_are_fitted_one_by_one() -> None:
     level, right, n = [0.1, 0.2, 0.4, 0.8], [12, 18, 30, 38], [40] * 4
     alone = tod.fit_counts(level, right, n).fits[0]
@@ -283,13 +278,6 @@ def test_own_observer_from_a_module(working_folder: Path, commanded) -> None:
 def test_observers_that_are_none(name: str, message: str) -> None:
     with pytest.raises(tod.SettingsError, match=message):
         tod.find_observer(name)
-
-
-def test_stages_are_those_of_the_clearest_trial(tmp_path: Path) -> None:
-    sizes, snr = [3.0, 4.0], [1.0, 8.0, 2.0]
-    ss.simulate(CAMERA, size_detectors=sizes, snr=snr, trials=1, out=tmp_path / "out", stages=True)
-    found = {path.name for path in (tmp_path / "out" / "stages").iterdir()}
-    assert "stages.png" in found and len(found) == 8
 
 
 def test_result_of_the_least_fields() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -104,29 +103,6 @@ def test_table_is_a_curve_that_range_reads(found, tmp_path):
         assert curve.ln_sd.mean(axis=0) == pytest.approx(ends, rel=0.02)
     with pytest.raises(tod.DataError, match=r"command: found 'mrtd', .* in mrtd\.csv, which"):
         tod.acquisition_range(tmp_path / "out", target="nato", atmosphere="mwir_23km")
-
-
-@pytest.mark.slow
-def test_command_prints_what_the_call_returns(found, sensor_sim, tmp_path):
-    arguments = ["mrtd", CAMERA, "--frequency-nyquist", "1.2,1,2", "--size-detectors", 6, "--tolerance", 0.05]
-    out = tmp_path / "out"
-    status, printed, _ = sensor_sim(*arguments, "--json", "-o", out, "--quiet")
-    printed = json.loads(printed)
-    assert status == 0
-    written = json.loads((out / "result.json").read_text())
-    assert {*written.pop("files"), "result.json"} == {file.name for file in out.iterdir()} and written == printed
-    called = json.loads(found.to_json())
-    for one in (printed, called):
-        del one["run_time_s"], one["call"]
-        for fit in one["tod"]:
-            fit.pop("run_time_s")
-            fit.pop("plan")
-    assert printed == called
-    assert (out / "mrtd.png").read_bytes().startswith(b"\x89PNG")
-    assert {file.name for file in out.iterdir()} == {
-        *("bars.csv", "tod.csv", "mrtd.csv", "mrtd_best_phase.csv", "mrtd_lloyd.csv", "mrtd.png"),
-        *("report.html", "result.json"),
-    }
 
 
 @pytest.mark.usefixtures("blank_pictures")

@@ -436,19 +436,6 @@ def test_every_number_of_a_sensor_can_be_varied(name: str, tmp_path: Path) -> No
         assert (as_computed(made) == as_computed(camera)) == (key in without_effect), key
 
 
-def test_command_is_the_call(sensor_sim, tmp_path: Path) -> None:
-    path = tmp_path / "designs.csv"
-    path.write_text("name,optics.aperture_mm,display.pixels_per_detector\nsmall,60,2\nlarge,220,2\n")
-    arguments = ["sweep", CAMERA, "--design", path, "--size-detectors", "4", "--tolerance", ROUGH, "--json"]
-    status, out, _ = sensor_sim(*arguments)
-    made = json.loads(out)
-    assert status == 0
-    call = json.loads(ss.sweep(CAMERA, design=path, size_detectors=[4], tolerance=ROUGH).to_json())
-    assert made["columns"]["name"] == ["small", "large"]
-    assert made["columns"] == call["columns"]
-    assert made["settings"] == call["settings"] and made["settings"]["design"] == str(path)
-
-
 @pytest.mark.parametrize(
     ("sizes", "advice"),
     [
