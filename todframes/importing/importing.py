@@ -230,12 +230,16 @@ def import_recordings(
             notes=(*source.notes(), *_of_time(opened, time_s), *_of_warm_up(division, warm_up_frames)),
             warnings=warnings,
         )
-        report: dict[str, Any] = {"version": __version__}
-        report |= {name: getattr(imported, name) for name in ("n_frames", "n_trials", "n_clips")}
-        report |= {"from_store": store.n_used, "warnings": [one._asdict() for one in warnings]}
-        text = json.dumps(report | {"found": source.report()}, indent=1, ensure_ascii=False) + "\n"
-        (folder / REPORT_FILE).write_text(in_utf8(text), encoding="utf-8")
+        (folder / REPORT_FILE).write_text(_report(imported, source, store.n_used), encoding="utf-8")
     return imported
+
+
+def _report(imported: Imported, source: Source, n_from_store: int) -> str:
+    """Return what was found, as JSON."""
+    report: dict[str, Any] = {"version": __version__}
+    report |= {name: getattr(imported, name) for name in ("n_frames", "n_trials", "n_clips")}
+    report |= {"from_store": n_from_store, "warnings": [warning._asdict() for warning in imported.warnings]}
+    return in_utf8(json.dumps(report | {"found": source.report()}, indent=1, ensure_ascii=False) + "\n")
 
 
 def check_source(

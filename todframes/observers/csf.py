@@ -321,11 +321,7 @@ def _padded(side: int) -> int:
 
 def _convolved(image: FloatArray, transfer: FloatArray) -> FloatArray:
     """Apply a filter of this transfer, (period, period // 2 + 1), to an image that is 0 beyond its edges."""
-    from scipy.fft import fft, ifft, irfft, rfft
+    from scipy.fft import irfft2, rfft2
 
-    side, period = len(image), len(transfer)
-    # Along the rows, only those of the image are transformed: the others are 0 before, and not needed after.
-    spectrum = fft(rfft(image, period), period, axis=0)
-    spectrum *= transfer
-    rows = ifft(spectrum, axis=0, overwrite_x=True)[:side]
-    return np.ascontiguousarray(irfft(rows, period)[:, :side])
+    side, period = len(image), (len(transfer),) * 2
+    return np.ascontiguousarray(irfft2(rfft2(image, period) * transfer, period)[:side, :side])
