@@ -144,9 +144,6 @@ CHUNKED = "Transfer-Encoding: chunked"
 CLOSE = "Connection: close"
 
 
-# Answers ---------------------------------------------------------------------------------------------------------
-
-
 def endless_chunks(asked: Asked) -> None:
     asked.send(CHUNKED)
     asked.endless(chunk(ZEROS))

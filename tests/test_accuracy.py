@@ -41,8 +41,6 @@ from todframes.studies.accuracy.recorded import recorded
 
 ROOT = Path(__file__).parent.parent
 
-# Arithmetic ---------------------------------------------------------------------------------------------------
-
 
 def draws(constant: float, each_s: float, set_up_s: float) -> list[BudgetPoint]:
     """An error that falls as constant/√N, in blocks of 1 to 64 trials."""
@@ -109,9 +107,6 @@ def test_standard_error_of_a_slope_is_its_spread():
     # The mean of 400 within four of its standard errors; a standard deviation of 400 is known to 1/√800.
     assert abs(np.mean(slopes) + 0.5) < 4.0 * error / math.sqrt(400)
     assert np.std(slopes) == pytest.approx(error, rel=4.0 / math.sqrt(800))
-
-
-# A scene with a known answer ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -184,8 +179,6 @@ def test_errors_of_a_closed_form(known):
     assert (same["p_correct_change"], same["threshold_change"]) == (0.0, 0.0)
     assert other["threshold_change"] == pytest.approx(math.log(1.01))
 
-
-# Real scenes ----------------------------------------------------------------------------------------------------
 
 UNDER_SAMPLED = Sensor(
     optics=Optics(aperture_mm=100.0, wavelength_um=10.0),
@@ -311,9 +304,6 @@ def test_detector_noise_decides_where_the_title_says_so():
     assert share(0.1) == pytest.approx(0.07, abs=0.01)
 
 
-# The stated error -----------------------------------------------------------------------------------------------
-
-
 class NoisyChain(FoldedChain):
     """A chain whose P(correct) is a known curve, but for an error that falls with the root of the trials."""
 
@@ -349,9 +339,6 @@ def test_error_that_ends_a_refinement_is_honest(spread):
     # The refinement ended after one number of places or another.
     assert len({one.n_phases for one in found}) >= 4
     assert np.mean([abs(one.threshold - exact) <= one.numerical_error for one in found]) >= 0.93
-
-
-# The command ----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -125,9 +125,6 @@ def tree(folder):
     return {path: path.is_dir() or path.lstat().st_mtime_ns for path in folder.rglob("*")}
 
 
-# Frames -------------------------------------------------------------------------------------------------------
-
-
 def png_chunk(kind, content):
     return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
@@ -339,8 +336,6 @@ def test_validate_looks_at_all_frames_of_a_trial_with_a_bad_row(make_dataset, to
     assert_validate_finds(dataset, [(BAD_LINE, "north"), missing], todframes)
 
 
-# Rows of the manifest -----------------------------------------------------------------------------------------
-
 ROWS = {
     "orientation unknown": ({"orientation": "north"}, ("orientation", "'north'", "up, right, down or left")),
     "orientation in capitals": ({"orientation": "Up"}, ("found 'Up', expected up, .*; write up$",)),
@@ -458,8 +453,6 @@ def test_frames_of_a_trial_disagree(field, changes, make_dataset):
     assert sum(group.fit.n_trials for group in score(data, skip_bad_frames=True).fits) == 7
 
 
-# The manifest as a whole --------------------------------------------------------------------------------------
-
 HEADER = "frame,orientation,size_mrad,contrast"
 MANIFESTS = {
     "empty": (b"", ("column 'frame' is missing",)),
@@ -512,8 +505,6 @@ def test_dataset_is_no_folder(name, tmp_path):
     with refused(DataError, (re.escape(str(tmp_path / name)), "not a folder", "dataset.toml")):
         load_dataset(tmp_path / name)
 
-
-# Files that are none, and those of others --------------------------------------------------------------------
 
 SECRET = "root:x:0:0,secret\n"
 NO_SECRET = "^(?!.*root:x)"
@@ -616,8 +607,6 @@ def test_bad_rows_have_a_limit(fails, make_dataset):
     made.manifest_file.write_text("frame,orientation,size_mrad,contrast\n" + "x\n" * 200_000)
     fails("score", made.path, "--on-error", "skip", status=BAD_DATA, wanted=("found more than 100000 bad rows",))
 
-
-# dataset.toml -------------------------------------------------------------------------------------------------
 
 DISPLAYS = {
     "unknown key": ({"pixel_pich_mrad": 1.0}, ("'pixel_pich_mrad'", "'pixel_pitch_mrad'")),
@@ -736,8 +725,6 @@ def test_bad_file_of_a_dataset(name, kind, content, wanted, make_dataset):
     with refused(kind, (re.escape(str(path / name)), *wanted)):
         load_dataset(path)
 
-
-# Command line -------------------------------------------------------------------------------------------------
 
 ONE_MRAD = "naked-eye --size-mrad 1"
 USAGES = {
@@ -860,8 +847,6 @@ def test_a_message_names_what_was_given(arguments, message, fails, tmp_path, mon
     fails("naked-eye", "--size-mrad", "3", *arguments, status=BAD_SETTINGS, wanted=(f"^error: {message}",))
 
 
-# Counts -------------------------------------------------------------------------------------------------------
-
 COUNTS = {
     "empty": (b"", ("column 'level' is missing",)),
     "header only": (b"level,n_correct,n_trials\n", ("no counts", "rows")),
@@ -882,9 +867,6 @@ def test_bad_counts(content, wanted, tmp_path):
     path.write_bytes(content)
     with refused(DataError, (re.escape(str(path)), *wanted)):
         read_counts(path)
-
-
-# Where results go ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["result.json", "scores.csv"])
@@ -925,9 +907,6 @@ def test_an_interruption_says_that_results_were_written(make_dataset, todframes,
     assert (out / "result.json").is_file()
     status, _, errors = todframes("score", dataset.path)
     assert (status, errors) == (INTERRUPTED, ["error: interrupted, nothing was written"])
-
-
-# Standard output ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("options", ["", "--locate", "--quiet"])
@@ -989,9 +968,6 @@ def test_arguments_are_shown_without_control_characters(arguments, todframes):
     status, out, errors = todframes(*arguments)
     assert (status != 0, out, len(errors)) == (True, "", 1)
     assert errors[0].isprintable(), errors
-
-
-# In a process of its own --------------------------------------------------------------------------------------
 
 
 def process(*arguments, stdout=subprocess.PIPE, **options):

@@ -61,9 +61,6 @@ def fitted(table: AnswerTable, is_correct: np.ndarray, cell: np.ndarray | None =
     return fit_noise(table, is_correct, cell, rng=np.random.default_rng(0), **{"resamples": 0, **settings})
 
 
-# The likelihood ------------------------------------------------------------------------------------------------
-
-
 def test_equal_trials_have_a_closed_form() -> None:
     """With n equal trials the most likely P is k/n, and the interval that of a binomial likelihood ratio."""
     n, k = 200, 150
@@ -199,9 +196,6 @@ def test_the_worst_group_decides() -> None:
     assert high - low == pytest.approx(2 * 1.645 * math.sqrt(0.9 * 0.1 / 50))
 
 
-# The frames as they were seen ----------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def small(make_dataset) -> Path:
     return make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.4), repeats=2).path
@@ -320,9 +314,6 @@ def test_frames_that_have_changed_are_told(small: Path, tmp_path: Path) -> None:
     assert row.frame in skipped.frame and "has changed" in skipped.error
 
 
-# Observers -----------------------------------------------------------------------------------------------------
-
-
 IDEAL = tod.CsfObserver(template="ideal", external_noise_deg=0.01, retina_pitch_mrad=0.2)
 
 
@@ -357,9 +348,6 @@ def test_an_efficiency_is_the_inverse_square_of_a_noise() -> None:
     assert one.settings.efficiency == 1.0
     plain, keen = (tod.CsfObserver(efficiency=e).readout(stimulus).noise_covariance for e in (1.0, 16.0))
     np.testing.assert_allclose(plain, 16.0 * keen, rtol=1e-12)
-
-
-# The command ---------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -296,8 +296,6 @@ def test_a_wider_smoothing_registers_in_noise() -> None:
     assert rms[11] < 0.75 * rms[5]
 
 
-# What they do to thresholds
-
 DISPLAY = tod.Display(
     eotf="linear", white_luminance_cd_m2=100.0, background_luminance_cd_m2=50.0, pixel_pitch_mrad=0.3
 )

@@ -92,9 +92,6 @@ def squares(n: int) -> dict[int, int]:
     return {number: number**2 for number in range(n)}
 
 
-# Without Dask -------------------------------------------------------------------------------------------------
-
-
 def test_asking_for_a_cluster_without_dask_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engines, "find_spec", lambda _: None)
     message = r"^cluster: needs the package distributed.*: pip install 'todframes\[cluster\]'$"
@@ -105,9 +102,6 @@ def test_asking_for_a_cluster_without_dask_is_one_line(monkeypatch: pytest.Monke
 def test_dask_is_imported_for_a_cluster_alone() -> None:
     code = "import sys, todframes.jobs.run; sys.exit(bool({'dask', 'distributed'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-# Two processes of this machine ----------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -261,9 +255,6 @@ def test_a_work_that_a_worker_cannot_load_is_one_line(local: ClusterEngine) -> N
         results_of(local, Elsewhere(), [0])
 
 
-# Death of workers -----------------------------------------------------------------------------------------------
-
-
 @dask
 def test_a_dead_worker_costs_what_it_had_in_flight(local: ClusterEngine, tmp_path: Path) -> None:
     def call(item: int) -> tuple[int, int]:
@@ -292,9 +283,6 @@ def test_a_batch_that_kills_its_workers_again_and_again_is_named(local: ClusterE
     first, *_, last = map(int, re.findall("item ([0-9]+)", str(raised.value)) * 2)
     assert first <= 5 <= last
     assert results_of(local, Squares(), range(10)) == squares(10)
-
-
-# A scheduler of somebody else's ---------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
@@ -435,9 +423,6 @@ def test_a_scheduler_without_workers_is_one_line() -> None:
         message = f"^{address}: the scheduler has no workers"
         with pytest.raises(ClusterError, match=message), open_engine(address, 1):
             pass
-
-
-# Batches and interruptions --------------------------------------------------------------------------------------
 
 
 class Instant(handing.PoolEngine):

@@ -234,9 +234,6 @@ def test_joining_pixels_is_seeing_a_coarser_display(make_dataset) -> None:
     assert np.allclose(joined.scores, expected.scores, rtol=0.0, atol=2e-4)
 
 
-# Physics
-
-
 def test_gain_is_as_good_as_less_internal_noise(make_dataset) -> None:
     """Contrast twice as high and twice the internal noise: the same answers, trial by trial."""
     made = make_dataset(suffix=".png", contrasts=(0.03, 0.06, 0.1))
@@ -424,9 +421,6 @@ def test_validate_looks_at_references(make_dataset) -> None:
     data = load_dataset(made.path)
     (problem,) = (str(error) for trial in data.trials for error in frame_problems(data, trial))
     assert "clean/2.png: found an empty file, expected EXR or PNG" in problem
-
-
-# Verdicts
 
 
 def test_corrected_for_all_comparisons(make_dataset) -> None:

@@ -83,9 +83,6 @@ def independent(score, deviation):
     return np.array(answers)
 
 
-# Closed forms and published figures
-
-
 @pytest.mark.parametrize(
     "template",
     [
@@ -215,9 +212,6 @@ def test_random_covariances_by_integration(seed):
     assert answer_probabilities(score, factor @ factor.T) == pytest.approx(expected, abs=1e-10)
 
 
-# Improbable answers
-
-
 @pytest.mark.parametrize("overlap", [CENTROID, BOUNDING_BOX, np.eye(4)], ids=["centroid", "bounding box", "none"])
 @pytest.mark.parametrize("level", [5, 10, 15, 20, 28])
 def test_improbable_answers_are_right_relatively(overlap, level):
@@ -229,9 +223,6 @@ def test_improbable_answers_are_right_relatively(overlap, level):
     # exp(−b²/2), so the quadrature over 128 nodes decides: 1e-9 was found against 600 nodes.
     assert found[1:][relevant] == pytest.approx(expected[relevant], rel=1e-7, abs=0)
     assert found[1] == pytest.approx(found[3], rel=1e-12, abs=0)
-
-
-# No noise, and identical templates
 
 
 def test_without_noise_the_largest_wins_and_equals_share():
@@ -257,9 +248,6 @@ def test_identical_templates_share_or_yield():
     assert found == pytest.approx([first / 2, 1 - first, first / 2, 0], abs=SMOOTH)
 
 
-# The noise as a factor
-
-
 def test_factor_is_as_good_as_its_covariance():
     rng = np.random.default_rng(6)
     factor, scores = rng.normal(size=(7, 4, 5)), rng.normal(size=(7, 4))
@@ -280,8 +268,6 @@ def test_factors_of_any_rank():
         expected = answer_probabilities(score, template @ template.T)
         assert answer_probabilities(score, factor=template) == pytest.approx(expected, abs=SMOOTH)
 
-
-# Laws
 
 finite = st.floats(-5, 5, allow_subnormal=False)
 score_lists = st.lists(finite, min_size=4, max_size=4).map(np.array)
@@ -320,9 +306,6 @@ def test_constants_do_not_matter(score, template, offset, shared):
     assert moved == pytest.approx(answer_probabilities(score, covariance), abs=SMOOTH)
 
 
-# Batches and extremes
-
-
 def test_one_matrix_per_score_and_one_for_all_agree():
     rng = np.random.default_rng(3)
     scores = rng.normal(size=(2, 75, 4))
@@ -334,9 +317,6 @@ def test_one_matrix_per_score_and_one_for_all_agree():
         one[0, 0], abs=1e-15
     )
     assert answer_probabilities(np.zeros((0, 4)), BOUNDING_BOX).shape == (0, 4)
-
-
-# Refusals
 
 
 SKEW = np.eye(4) + 1e-6 * np.eye(4, k=1)

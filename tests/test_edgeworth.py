@@ -17,9 +17,6 @@ from todframes.stimulus import Stimulus
 UNIFORM = -1.2
 
 
-# The derivatives
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_term_is_the_fourth_derivative_along_each_neuron_s_weights(seed):
     rng = np.random.default_rng(seed)
@@ -81,9 +78,6 @@ def test_nothing_where_noise_does_not_decide_or_lies_in_a_plane():
         assert not edgeworth_correction([1.0, 0.0, 0.0, 0.0], factor @ factor.T, cumulant).any()
 
 
-# Sums of uniform numbers
-
-
 def irwin_hall(x, n, power):
     """(x − k)₊^power summed with signs: density (power n − 1) and distribution (power n) of n uniform numbers."""
     return sum((-1) ** k * comb(n, k) * np.maximum(x - k, 0.0) ** power for k in range(n + 1)) / factorial(power)
@@ -109,9 +103,6 @@ def test_four_independent_sums_of_uniform_numbers(n, most):
     assert sd > 0.5
     assert max(left) < most
     assert max(left) < max(gaussian) / 4.0
-
-
-# The observer's neurons
 
 
 def sign_series_probability(score, weights, answer):

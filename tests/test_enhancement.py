@@ -71,9 +71,6 @@ def test_uniform_stays_as_it_is(name: str) -> None:
     assert np.allclose(run(name, np.full((30, 36), 0.4, np.float32)), 0.4, rtol=0.0, atol=2e-5)
 
 
-# What the single ones do, by other means
-
-
 def test_gaussian_is_scipys() -> None:
     image = picture()
     expected = ndimage.gaussian_filter(image, 1.5, mode="mirror", radius=6)

@@ -92,9 +92,6 @@ def refused(error: type[Exception], message: str, *arguments: Any, **more: Any) 
         pass
 
 
-# The order -----------------------------------------------------------------------------------------------------
-
-
 def order(dataset, out, **design: Any) -> tuple[TrialOrder, Any]:
     with open_sitting(dataset, out, design=SessionDesign(**({"seed": 5} | design))) as sitting:
         return TrialOrder(dataset.trials, sitting.record), sitting.record
@@ -209,9 +206,6 @@ def test_practice_comes_again_until_enough_is_correct(dataset, out):
 def test_a_level_with_one_group_only_is_enough(make_dataset, out):
     data = load_dataset(make_dataset(contrasts=(0.3,), experiment={"group_by": []}).path)
     assert len(sit_through(data, order(data, out, method="quest", trials=4, practice=1)[0])) == 5
-
-
-# The steps -----------------------------------------------------------------------------------------------------
 
 
 def test_a_session_from_consent_to_the_last_answer(dataset, out):
@@ -413,9 +407,6 @@ def test_a_frame_that_is_damaged_meanwhile_is_told(dataset, out):
             answer_rightly(sitting)
 
 
-# Going on ------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("method", ["constant", "quest"])
 def test_a_session_that_was_ended_after_each_answer_is_as_one_in_one_go(dataset, tmp_path, method):
     design = SessionDesign(method=method, trials=4, practice=2, break_every=2, seed=5)
@@ -550,9 +541,6 @@ def test_files_of_a_session_that_are_damaged_are_told(dataset, out, file, old, n
     else:
         path.write_text(path.read_text().replace(old, new))
     refused(DataError, message, dataset, out, subject="P1")
-
-
-# The server's side ---------------------------------------------------------------------------------------------
 
 
 class Page:
@@ -692,9 +680,6 @@ def test_a_folder_that_is_gone_is_told(dataset, out):
         assert sitting.state()["step"] == "consent"
         (out / "elsewhere").rename(out / "data")
         assert page.post("/api/consent", agreed=True)[1]["step"] == "monitor"
-
-
-# The command ---------------------------------------------------------------------------------------------------
 
 
 def test_the_command_tells_what_is_wrong_in_one_line(dataset, out, todframes):

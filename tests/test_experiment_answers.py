@@ -242,9 +242,6 @@ def test_columns_that_the_file_has_itself_are_refused_but_size_and_orientation()
     assert (found.count("size_mrad"), found.count("orientation")) == (1, 1)
 
 
-# Counts and description ----------------------------------------------------------------------------------------
-
-
 def test_counts_are_those_of_main_trials_with_a_response(path):
     practice = replace(ROW, phase="practice")
     more = [replace(ROW, group=("warm", 3.0)), replace(ROW, level=0.01, response=Orientation.DOWN)]

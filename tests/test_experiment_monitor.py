@@ -44,9 +44,6 @@ def made(*, background: float = 0.5, dither: bool = True, **changes: object) -> 
 MONITOR = made()
 
 
-# Calibration ---------------------------------------------------------------------------------------------------
-
-
 def test_card_distance_and_half_tone_give_pitch_angle_and_gamma():
     found = made(pixel_pitch_mm=None, pixels_per_card=342.4, gamma=None, half_tone_code=255.0 / math.sqrt(2.0))
     # 85.6 mm over 342.4 pixels is 0.25 mm, at 1 m 0.25 mrad; 2^(-1/2) to the power 2 is 1/2.
@@ -174,9 +171,6 @@ def test_without_dither_a_contrast_below_half_a_code_step_is_refused():
 def test_a_monitor_that_contradicts_itself_is_no_monitor(changes, message):
     with pytest.raises(SettingsError, match=message):
         replace(MONITOR, **changes)
-
-
-# Pixels --------------------------------------------------------------------------------------------------------
 
 
 def test_a_monitor_like_the_display_shows_the_codes_of_the_frame(make_dataset):

@@ -110,9 +110,6 @@ def test_a_pattern_is_folded_through_the_eye() -> None:
     assert float((found.weights * image).sum()) == pytest.approx(expected, abs=1e-10 * max(1.0, abs(expected)))
 
 
-# Pupil and light.
-
-
 def test_a_natural_pupil_changes_nothing() -> None:
     f = np.array([0.5, 4.0, 20.0])
     for luminance in (0.1, 3.0, 200.0):

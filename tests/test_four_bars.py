@@ -43,9 +43,6 @@ NYQUIST = SENSOR.detector.nyquist_cyc_per_mrad
 COARSE = {"retina_pitch_mrad": 0.6, "template_blur_samples": 1.0}
 
 
-# Pattern.
-
-
 @pytest.mark.parametrize("against", ["background", "square"])
 def test_spectrum_is_the_transform_of_the_drawn_pattern(against):
     bars, n, pitch = FourBars(1.35, against), 120, 0.05  # edges of the bars are edges of pixels
@@ -317,9 +314,6 @@ def test_answers_of_the_literal_model_are_as_often_correct_as_computed():
     rng, n = np.random.default_rng(5), 200
     share = np.mean([literal_answer(chain, alone, found.threshold, rng) for _ in range(n)])
     assert abs(share - 0.75) < 4.0 * math.sqrt(0.75 * 0.25 / n)
-
-
-# Bars of the same size as seen through different sensors.
 
 
 def test_lying_bars_of_a_sensor_without_direction_are_as_hard():

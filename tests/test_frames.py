@@ -80,9 +80,6 @@ def flip(path, position, mask=0x10):
     path.write_bytes(content)
 
 
-# Round trips
-
-
 @pytest.mark.parametrize("shape", [(HEIGHT, WIDTH), (HEIGHT, WIDTH, 1), (HEIGHT, WIDTH, 3)])
 @pytest.mark.parametrize(
     ("pixel_type", "compression"),
@@ -156,9 +153,6 @@ def test_same_values_give_the_same_bytes(tmp_path):
         content = (tmp_path / name).read_bytes()
         assert content == (tmp_path / "other" / other).read_bytes()
         assert frame_sha256(tmp_path / name) == hashlib.sha256(content).hexdigest()
-
-
-# Layouts
 
 
 TILES = {"tile_width": 16, "tile_height": 8}
@@ -243,8 +237,6 @@ def test_only_the_rows_asked_for_are_decoded(tmp_path, tiles):
     with pytest.raises(FrameError, match="rows 40 to 63 cannot be decoded"):
         read_frame(path, rows=(40, 64))
 
-
-# Channels
 
 VALUES = {"R": 1.0, "G": 2.0, "B": 3.0, "Y": 4.0, "A": 0.5, "X": 8.0, "Z": 9.0}
 
@@ -396,8 +388,6 @@ def test_an_exr_of_another_kind_is_refused(tmp_path, write, problem):
         read_frame(tmp_path / "a.exr")
 
 
-# PNG by hand
-
 PALETTE = png_chunk(b"PLTE", bytes([255, 0, 0, 0, 255, 0, 0, 0, 51]))
 
 
@@ -426,9 +416,6 @@ def test_png_code_values_are_expanded_and_nothing_else(tmp_path, content, expect
     frame = read_frame(tmp_path / "a.png")
     assert np.array_equal(frame.values[0], np.float32(expected) / np.float32(255))
     assert (frame.first_row, frame.first_column, frame.height) == (0, 0, 1)
-
-
-# Bad files
 
 
 def assert_refused(path, problem, read=read_frame):
@@ -538,9 +525,6 @@ def test_exr_with_absurd_tiles(tmp_path):
         assert_refused(path, "cannot be|expected")
 
 
-# Bad input to the writer
-
-
 @pytest.mark.parametrize(
     ("name", "values", "problem"),
     [
@@ -629,9 +613,6 @@ def test_disk_full_leaves_the_old_file(tmp_path, suffix):
     run_python(script, cwd=tmp_path)
     assert path.read_bytes() == content
     assert list(tmp_path.iterdir()) == [path]
-
-
-# Processes and threads
 
 
 def run_python(script, cwd):

@@ -104,9 +104,6 @@ def test_same_bytes_in_another_process(results, pages, tmp_path: Path) -> None:
     assert (tmp_path / "report.html").read_bytes() == pages["score"]
 
 
-# What is said --------------------------------------------------------------------------------------------------
-
-
 def test_first_table_holds_what_that_of_the_terminal_holds(results, pages) -> None:
     """All else about thresholds is behind *Details*; the files of both have all values."""
     result = read_result(encode(results["score"]), "result")
@@ -180,9 +177,6 @@ def test_remarks_on_error(pages) -> None:
     assert "Numerical error of the thresholds: 0.24 % at most." in words(tree(pages["curve"]))
 
 
-# Tables --------------------------------------------------------------------------------------------------------
-
-
 NUMBERS = ("threshold", "alpha", "beta", "delta", "p_correct", "threshold_numerical_error", "delta_t_mk")
 
 
@@ -243,9 +237,6 @@ def test_long_tables_are_cut_and_their_files_are_not(results) -> None:
     (table,) = [one for one in tree(content).iter("table") if words(one[0]) == "Frames left out"]
     assert len(list(table.iter("tr"))) == 201
     assert "300 more rows are in the file." in words(tree(content))
-
-
-# Figures -------------------------------------------------------------------------------------------------------
 
 
 def drawings(content: bytes) -> dict[str, ElementTree.Element]:
@@ -374,9 +365,6 @@ def test_many_curves(results) -> None:
     assert len(content) < 2**20
 
 
-# Names are data ------------------------------------------------------------------------------------------------
-
-
 def with_texts(result: Any, texts: Iterator[str]) -> Any:
     """A result with texts in every place where a user's text can stand, the next one in each."""
     changed = json.loads(json.dumps(result))
@@ -442,9 +430,6 @@ def elements_of(content: bytes) -> list[tuple[str, list[str]]]:
     parser.feed(content.decode())
     drawn = {tag.lower() for tag in SVG_TAGS}
     return [one for one in elements if one[0] not in drawn]
-
-
-# Odd results ---------------------------------------------------------------------------------------------------
 
 
 def test_keys_that_may_be_missing() -> None:

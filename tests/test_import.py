@@ -371,9 +371,6 @@ def test_values_without_a_white_need_a_range(tmp_path: Path, chart: Path, pages:
     )
 
 
-# Schedules ---------------------------------------------------------------------------------------------------
-
-
 def test_a_schedule_says_what_is_shown(tmp_path: Path) -> None:
     frames = np.random.default_rng(1).integers(0, 255, (12, 200, 220)).astype(np.uint8)
     path = saved(tmp_path, frames)
@@ -473,9 +470,6 @@ def test_rows_of_a_schedule_and_what_is_recorded(tmp_path: Path, rows: str, mess
         return
     with pytest.raises(DataError, match=message):
         tod.import_recordings(path, **settings)
-
-
-# Parts --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.4])

@@ -60,9 +60,6 @@ def discriminability(readout: Readout, signals: np.ndarray, covariance: np.ndarr
     return np.array(found)
 
 
-# The expected display image.
-
-
 @pytest.mark.parametrize("blur_px", [pytest.param(0.0, marks=pytest.mark.slow), 2.0])
 def test_expected_image_is_the_mean_over_the_places_on_the_detectors(blur_px: float) -> None:
     """Against simulated frames, of a sensor that is nowhere like a filter: sampled, held, shown in pixels.
@@ -151,9 +148,6 @@ def test_what_is_left_out_is_no_more_than_it_says(display: dict) -> None:
     assert observer(sample_noise_sd=0.1).omitted_bands(stimulus) is None
 
 
-# Which neurons.
-
-
 def test_all_neurons_and_a_sharp_display_are_the_papers_observer() -> None:
     """What the four templates have in common cancels in the decision; the rest are the same weights."""
     for stimulus in (Stimulus(0.4), Stimulus(2.0, -1)):
@@ -193,9 +187,6 @@ def test_one_neuron_in_twenty_is_enough() -> None:
     for size_mrad in (1.0, 3.0):
         few = contrast_threshold(observer(), size_mrad=size_mrad).threshold
         assert few == pytest.approx(contrast_threshold(PyramidObserver(), size_mrad=size_mrad).threshold, rel=5e-3)
-
-
-# Ideal weights.
 
 
 @pytest.mark.parametrize("display", DISPLAYS, ids=str)
@@ -258,9 +249,6 @@ def test_weights_are_those_of_the_covariance_of_all_noise(share: float) -> None:
         # Residual 1e-10 of d, over the smallest eigenvalue of K, which is its largest over 24.
         assert np.allclose(weights[used], expected, rtol=0.0, atol=1e-8 * np.abs(expected).max())
         assert not weights[~used].any()
-
-
-# A filter that the observer knows.
 
 
 class Sharpening(HotellingObserver):

@@ -325,9 +325,6 @@ def test_sizes_that_belong_on_one_curve_are_not(make_dataset, sizes_mrad, experi
     assert of_sizes(make_dataset, *sizes_mrad, **experiment) == []
 
 
-# The commands
-
-
 @pytest.fixture
 def mistaken(make_dataset):
     return make_dataset(suffix=".png", contrasts=(0.1, 0.3), display={"background_luminance_cd_m2": 40.0})

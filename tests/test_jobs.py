@@ -33,9 +33,6 @@ def store(tmp_path: Path):
     signals.kept.clear()
 
 
-# The store -----------------------------------------------------------------------------------------------------
-
-
 def test_nothing_is_written_before_the_store_begins(store: Store) -> None:
     store.add([])
     assert not store.is_begun
@@ -149,9 +146,6 @@ def test_a_store_that_another_process_uses_is_refused(store: Store) -> None:
         Store(store.path, "OUT").get(b"a")
 
 
-# Fingerprints --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("one", "other"),
     [
@@ -201,9 +195,6 @@ def test_the_code_of_a_users_module_counts(tmp_path: Path, monkeypatch: pytest.M
     assert found[0] != found[1]
     sys.modules.pop("users_own")
     code_fingerprint.cache_clear()
-
-
-# Work that goes on ---------------------------------------------------------------------------------------------
 
 
 @dataclass

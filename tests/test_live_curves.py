@@ -86,9 +86,6 @@ MOVES = [
 ]
 
 
-# Folding -------------------------------------------------------------------------------------------------------
-
-
 def test_folding_of_many_places_takes_the_memory_of_one():
     display = replace(SENSOR.display, pixels_per_detector=600, pixel_pitch_mm=0.25 * 4 / 600)
     sensor, grid = replace(SENSOR, display=display), RetinaGrid(65, 0.153)
@@ -103,9 +100,6 @@ def test_folding_of_many_places_takes_the_memory_of_one():
         tracemalloc.stop()
     # The weights themselves are small; the next place is begun before the last one is let go.
     assert peaks[1] < 2.5 * peaks[0]
-
-
-# Numbers ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -238,9 +232,6 @@ def test_stated_errors_hold_over_many_sensors():
     assert np.count_nonzero(error > 0.03) <= 1
 
 
-# What limits --------------------------------------------------------------------------------------------------
-
-
 def test_shares_are_those_of_drawn_decisions():
     """Against the variance of score differences of trials with their noise drawn."""
     rng = np.random.default_rng(1)
@@ -295,9 +286,6 @@ def test_sentence_says_what_limits_and_where_nothing_is_seen():
     assert limits_of(unseen)[1] == "No threshold at 2 detectors, even without detector noise."
     balanced = limits_of((2.0, 1.0, (0.4, 0.35, 0.25)))
     assert balanced[1].startswith("The observer's internal noise weighs most: 40 %")
-
-
-# Processes ----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -60,9 +60,6 @@ def picture(rows: int = 70, columns: int = 90, channels: int = 0, seed: int = 0)
     return np.random.default_rng(seed).random(shape, np.float32)
 
 
-# What a network gets, and what comes back
-
-
 @pytest.mark.every_case
 @pytest.mark.parametrize("values", ["", "black=0,white=255", "black=-1,white=1"])
 @pytest.mark.parametrize(("channels", "layout"), [(1, "nchw"), (3, "nchw"), (1, "nhwc"), (3, "nhwc")])
@@ -320,8 +317,6 @@ def test_results_in_the_store_are_those_of_the_bytes_of_the_model(tmp_path: Path
     assert keys[0] == keys[1]
     assert len(set(keys[1:])) == 3
 
-
-# A constant input or channel, as a noise level
 
 FLOAT, HALF, INT64 = TensorProto.FLOAT, TensorProto.FLOAT16, TensorProto.INT64
 CONSTANT = {

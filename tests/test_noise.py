@@ -31,9 +31,6 @@ SETTINGS = st.builds(
 )
 
 
-# Standard deviations
-
-
 def test_one_frame_without_fixed_pattern_has_the_noise_of_one_frame():
     assert k_factor(Noise()) == 1.0
     assert sample_parts(Noise(), total_sd=0.3) == (0.3, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -50,9 +47,6 @@ def test_parts_add_up_to_the_total_and_have_the_ratio_of_one_frame(noise, total_
     assert static == pytest.approx(noise.fixed_pattern_ratio * single_frame, rel=1e-14)
 
 
-# Temperature
-
-
 def test_temperature_of_the_paper_s_sensor():
     # The paper's k is 1.7496: 16 mK / 1.7496 and 16 mK · 1.7496 an SNR of 1, by hand.
     np.testing.assert_allclose(delta_t_mk([1.0, 2.5], noise=PAPER), [9.145, 22.862], atol=1e-3)
@@ -64,8 +58,6 @@ def test_temperature_needs_a_netd():
         with pytest.raises(SettingsError, match=r"^netd_mk: is missing, expected a number of mK"):
             temperature(1.0, noise=Noise())
 
-
-# Draws
 
 N = 200_000
 

@@ -277,9 +277,6 @@ def test_a_turned_image_has_the_turned_activity(name: str, variant: dict) -> Non
             assert np.allclose(band, turned, rtol=0.0, atol=1e-13 * np.abs(band).max())
 
 
-# The pyramid observer itself.
-
-
 @pytest.mark.parametrize("size_samples", [0.01, 0.3, 0.5698])
 @pytest.mark.parametrize("polarity", [1, -1])
 def test_a_triangle_within_one_sample_looks_the_same_to_all_templates(size_samples: float, polarity: int) -> None:
@@ -322,9 +319,6 @@ def test_literal_noise_is_on_every_neuron(observer: PyramidObserver) -> None:
     templates = flat_templates(observer, stimulus)
     noise = np.random.default_rng(3).uniform(-half_width, half_width, templates.shape[1])
     assert np.allclose(noisy - observer.literal_scores(seen, stimulus), templates @ noise, rtol=0.0, atol=1e-12)
-
-
-# Published figures.
 
 
 def test_naked_eye_at_one_mrad() -> None:

@@ -109,9 +109,6 @@ def test_wrong_settings_are_one_line(cli, name: str, assignment: str, wanted: st
     assert wanted in error_line((status, *capsys.readouterr()))
 
 
-# docs/observers.md.
-
-
 def test_documented_settings_are_the_settings() -> None:
     common = {field.name for field in fields(PyramidSettings)}
     light = {"luminance_cd_m2", "age_years", "pupil_mm"}  # they mean more to csf than to the pyramid's eye

@@ -35,9 +35,6 @@ def level_of(p_correct: float, *, alpha: float, beta: float, max_d_prime: float 
     return brentq(lambda level: observer_curve(level, **curve) - p_correct, 1e-9, 1e9, xtol=1e-14, rtol=1e-13)
 
 
-# The curve
-
-
 def test_curve_is_the_largest_of_four_independent_scores():
     d_prime = np.linspace(0.0, 12.0, 97)
     scores = d_prime[:, None] * np.array([1.0, 0.0, 0.0, 0.0])
@@ -84,9 +81,6 @@ def test_derivatives_are_those_of_the_curve(location: float, ln_slope: float, li
         ]
         # The central difference errs by step² times third derivatives below 100, and by roundings over the step.
         assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(derivative, abs=3e-8)
-
-
-# The fit
 
 
 @settings(max_examples=15, deadline=None)
@@ -153,9 +147,6 @@ def test_an_observer_without_noise_answers_with_certainty():
     low, high = fit.threshold_ci95
     assert low < level_of(0.75, alpha=0.6, beta=1.0, max_d_prime=None) < high
     assert low < fit.threshold < high
-
-
-# Real observers: exact points, and repeated experiments
 
 
 @pytest.fixture(scope="module")

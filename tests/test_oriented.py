@@ -71,9 +71,6 @@ def test_what_is_left_out_is_what_a_wider_readout_adds() -> None:
     assert observer(complex_cells=True).omitted_bands(stimulus) is None
 
 
-# Complex cells.
-
-
 def test_complex_cells_see_neither_polarity_nor_uniform_fields(complex_observer: OrientedObserver) -> None:
     image = np.random.default_rng(0).normal(size=(65, 65))
     activity = complex_observer.activity(image)

@@ -82,9 +82,6 @@ def tree(path: Path) -> dict[Path, object]:
     return {file: file.is_dir() or file.lstat().st_mtime_ns for file in path.rglob("*")}
 
 
-# Signals and kills at every call ------------------------------------------------------------------------------
-
-
 def ended_at(call: int, number: int, act: Callable[[], None]) -> int:
     """Send a signal to a child process before one of its calls that change something on disk.
 
@@ -192,9 +189,6 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int) -> 
     assert set(seen) == {"old", "new"}
 
 
-# Files that the run did not write -----------------------------------------------------------------------------
-
-
 def test_a_result_takes_only_its_own_files_with_it(tmp_path: Path) -> None:
     """Those that it names, and none outside of its folder."""
     path = tmp_path / "out"
@@ -256,9 +250,6 @@ def test_a_staging_folder_of_somebody_else(tmp_path: Path) -> None:
         with pytest.raises(OutputError, match="was not made by todframes"):
             act()
     assert tree(tmp_path) == before
-
-
-# Places -------------------------------------------------------------------------------------------------------
 
 
 def not_here(*_: object) -> None:
@@ -333,9 +324,6 @@ def test_a_place_that_cannot_be_written_is_found_before_the_work() -> None:
         assert contents(parent) == {}
 
 
-# Two runs -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("second", ["results", "dataset"])
 @pytest.mark.parametrize("first", ["results", "dataset"])
 def test_the_second_run_into_a_folder_is_refused_at_once(tmp_path: Path, first: str, second: str) -> None:
@@ -405,9 +393,6 @@ def test_where_files_cannot_be_locked_an_interrupted_run_goes_on(tmp_path: Path,
         assert store_path(folder).is_dir()
         (folder / "dataset.toml").write_text("")
     assert staging_folders(tmp_path) == []
-
-
-# Signals ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no such signal")

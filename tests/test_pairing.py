@@ -234,9 +234,6 @@ def test_holm() -> None:
     assert holm([]).size == 0
 
 
-# Backgrounds -----------------------------------------------------------------------------------------------------
-
-
 def on_backgrounds(
     effects: np.ndarray, *, n_trials: int = 4, noise: float = 0.1, groups: int = 1
 ) -> list[RatioDraws]:

@@ -37,9 +37,6 @@ def forbidden(*_args, **_more):
     raise AssertionError("this was to be left out")
 
 
-# The bound itself ---------------------------------------------------------------------------------------------
-
-
 def test_decisions_change_by_less_than_the_bound():
     rng = np.random.default_rng(1)
     mixing = rng.normal(size=(400, 4, 6))
@@ -99,9 +96,6 @@ def test_left_out_bands_are_those_of_a_wider_readout(size_samples, settings):
     assert found == pytest.approx(expected, abs=0.2 * np.abs(expected).max())
     covariance = wide.noise_covariance - usual.noise_covariance
     assert missing.noise_covariance == pytest.approx(covariance, abs=0.2 * np.abs(covariance).max())
-
-
-# Curves -------------------------------------------------------------------------------------------------------
 
 
 WEEKLY = [pytest.param(seed, marks=pytest.mark.weekly) for seed in range(1000, 1030)]
@@ -189,9 +183,6 @@ def test_explained_curve_and_scoring():
         assert told.exit_code == 0 and all(text in told.stdout for text in wanted)
     full = CliRunner().invoke(sensor_cli, [*curve, "--plan", "full"])
     assert "left out" not in full.stdout
-
-
-# Scoring ------------------------------------------------------------------------------------------------------
 
 
 def test_a_large_frame_is_read_where_the_triangle_is(make_dataset, monkeypatch):

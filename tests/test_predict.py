@@ -73,9 +73,6 @@ def phases_of(chain: FoldedChain, places: int = 9, seed: int = 1):
     return chain.phases(places, np.random.default_rng(seed))
 
 
-# Closing the loop ---------------------------------------------------------------------------------------------
-
-
 class Seen(NamedTuple):
     """Frames as the observer sees them: level, correct answer, retina image and its displacement's P(correct)."""
 
@@ -135,9 +132,6 @@ def test_frames_have_the_computed_threshold(sensor, size, observer):
     # Binomial with a probability of its own for each frame: four standard errors. That the summed noise is not
     # quite Gaussian is below 0.003 of P, a tenth of one.
     assert abs(right - p.sum()) < 4 * math.sqrt((p * (1 - p)).sum())
-
-
-# Brute force over phases --------------------------------------------------------------------------------------
 
 
 def brute_force(sensor: Sensor, observer: Observer, size: float, snr: float, n: int, seed: int) -> np.ndarray:
@@ -266,9 +260,6 @@ def test_a_spot_of_100_detectors_points_nowhere(size, observer):
     assert found.status == "never_reached" and found.highest == pytest.approx(0.25, abs=1e-3)
 
 
-# Limits -------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("size_mrad", [0.4, 0.6])
 def test_dense_sampling_without_noise_is_the_naked_eye(size_mrad, observer):
@@ -324,16 +315,10 @@ def test_proportion_correct_goes_from_a_quarter_up(observer):
     assert np.all(np.diff(proportions) > 0)
 
 
-# Published ----------------------------------------------------------------------------------------------------
-
-
 def test_published_threshold_of_the_star_like_sensor(observer):
     """Averaged over detector phase, retina jitter and orientation, by brute force and independent code."""
     found = predict_threshold(FoldedChain(load_sensor(STAR_LIKE), observer, 4.0))
     assert found.threshold == pytest.approx(2.092, rel=0.005)
-
-
-# The stated error ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -389,9 +374,6 @@ def test_points_lie_about_the_threshold_and_pass_the_criterion(level, observer):
     # A point is of one replicate of eight; a slope of about 0.4 per factor e.
     at_threshold = np.interp(math.log(found.threshold), np.log(levels), proportions)
     assert at_threshold == pytest.approx(0.7, abs=0.4 * 8 * 2e-3)
-
-
-# Refused ------------------------------------------------------------------------------------------------------
 
 
 NO_NUMBERS = (0.0, -1.0, math.nan)

@@ -37,9 +37,6 @@ def alpha_of(threshold: float, *, beta: float, lapse_rate: float) -> float:
     return threshold / math.log2((1 - lapse_rate - 0.25) / (0.25 - lapse_rate)) ** (1 / beta)
 
 
-# The curve
-
-
 @pytest.mark.parametrize(("lapse_rate", "expected"), [(0.0, 0.625), (0.01, 0.62), (0.02, 0.615)])
 def test_half_of_the_span_is_reached_at_alpha(lapse_rate, expected):
     assert weibull(0.7, alpha=0.7, beta=3.1, guess_rate=0.25, lapse_rate=lapse_rate) == pytest.approx(expected)
@@ -60,9 +57,6 @@ def test_level_is_the_inverse_of_the_curve(alpha, beta, guess_rate, lapse_rate, 
     p_correct = guess_rate + share * (1 - lapse_rate - guess_rate)
     # p is well conditioned in the level's exponent, so the round trip costs some ten roundings of 1.
     assert weibull(weibull_level(p_correct, **curve), **curve) == pytest.approx(p_correct, abs=1e-12)
-
-
-# The fit
 
 
 @settings(max_examples=25, deadline=None)
@@ -129,9 +123,6 @@ def test_no_curve_of_a_brute_force_search_is_more_likely(seed):
     reached = loglik((math.log(fit.alpha), math.log(fit.beta), fit.lapse_rate), level, n_correct, n_trials)
     # fatol is 1e-9; a likelihood that rises for ever with the slope is followed to within 1e-6 of its limit.
     assert reached >= max(-search.fun for search in searches) - 1e-6
-
-
-# Extremes
 
 
 @pytest.mark.parametrize(
@@ -232,9 +223,6 @@ def test_numbers_of_trials_up_to_2_53_have_intervals(level, n_correct, n_trials,
     assert fit_counts(level, n_correct, n_trials, settings=chosen, rng=generator()).status == "ok"
 
 
-# The interval
-
-
 def covered(fit: PsychometricFit, truth: float) -> bool:
     low, high = fit.threshold_ci95
     return (low is None or low <= truth) and (high is None or truth <= high)
@@ -314,9 +302,6 @@ def test_interval_is_random_through_its_generator_only():
     assert fits[0].threshold == fits[2].threshold
     assert fits[0].threshold_ci95 != fits[2].threshold_ci95
     assert counts([8, 12, 13, 18, 24, 28, 30]).threshold_ci95 is None
-
-
-# Bad input
 
 
 @pytest.mark.parametrize(

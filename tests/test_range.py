@@ -50,9 +50,6 @@ def at(found, probability=0.5) -> dict[str, float | None]:
     return {one.task: one.range_km for one in found.ranges if one.probability == probability}
 
 
-# Closed forms and published values
-
-
 def test_range_of_an_exponential_mrtd_in_beer_s_air() -> None:
     """R = ln(ΔT/a) / (σ + b n / size): 7.2547, 3.0612 and 1.6396 km for 1, 3 and 6 line pairs."""
     found = at(acquired())
@@ -195,9 +192,6 @@ def test_band_is_that_of_the_curve_s_errors() -> None:
     assert acquired().ranges[0].range_ci95_km is None
 
 
-# Off the curve
-
-
 def test_no_range_is_extrapolated() -> None:
     short = acquired(exponential(FREQUENCIES[:2]))  # up to 1 cycle/mrad, where the MRTD is 0.054 K
     one = short.ranges[0]
@@ -247,9 +241,6 @@ def test_a_curve_that_falls_counts_as_level() -> None:
     level = exponential(threshold=A_K * np.exp([0.2, 1.0, 2.0, 2.0, 8.0, 12.0]))
     assert not dip.is_rising
     assert at(acquired(dip)) == at(acquired(level))
-
-
-# Air
 
 
 def test_air_by_its_descriptions() -> None:
@@ -305,9 +296,6 @@ def test_targets_of_the_package() -> None:
     assert dict(replace(NATO, cycles="johnson").n50_cycles)["identification"] == 6.4
     assert tod.Target(size_m=1.0, reflectance=0.1, background_reflectance=0.4).signal == pytest.approx(0.75)
     assert tod.Target(size_m=1.0, delta_t_k=-3.0, delta_t_sd_k=4.0).signal == 5.0
-
-
-# Designs
 
 
 def test_range_of_a_design() -> None:
@@ -370,9 +358,6 @@ def test_a_sweep_has_the_ranges_of_its_curves() -> None:
     first, *_ = swept.records()
     # The same thresholds, to the last bit; the crossing is found from other draws.
     assert (first["range_status"], first["range_km"]) == ("ok", pytest.approx(expected, rel=1e-9))
-
-
-# Files and commands
 
 
 @pytest.fixture

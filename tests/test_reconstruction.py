@@ -32,9 +32,6 @@ def random(*shape):
     return np.random.default_rng(1).normal(size=shape)
 
 
-# The kernel
-
-
 @given(SIGMA)
 def test_kernel_has_sum_one_mean_zero_and_its_variance(sigma):
     kernel = gaussian_kernel(sigma)
@@ -55,9 +52,6 @@ def test_kernel_s_transfer_is_the_gaussian_s(sigma, tolerance):
     place = np.arange(kernel.size) - kernel.size // 2
     transfer = np.cos(2 * np.pi * np.outer(frequency, place)) @ kernel
     np.testing.assert_allclose(transfer, gaussian_mtf(frequency, sigma=sigma), atol=tolerance)
-
-
-# Sample & hold, blur
 
 
 @pytest.mark.parametrize("pixels", [1, 2, 6])
@@ -86,9 +80,6 @@ def test_variances_of_electronics_and_display_add():
     second = matrix_of(9 * 6, display=2.0, pixels=1)
     in_turn = (second @ matrix_of(electronics=1.5))[:, 4]
     np.testing.assert_allclose(in_turn[24:30], together[24:30, 4], rtol=1e-12)
-
-
-# Place
 
 
 @pytest.mark.parametrize("n", [8, 9])

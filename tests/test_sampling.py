@@ -47,9 +47,6 @@ def image_samples(image, cut_off, width=1.0, *, pitch=PITCH_MRAD, field=8, x=0.0
     )
 
 
-# Integration in space
-
-
 def point_spread(radius, cut_off, sigma):
     """Volume 1; by the Hankel transform of the transfer function, which is the Airy pattern without blur."""
     if sigma == 0.0:
@@ -122,8 +119,6 @@ def test_repetition_adds_no_more_than_its_bound():
     assert wrap_around_bound(repeated) / 30 < np.abs(added).max() < wrap_around_bound(repeated)
 
 
-# Conservation
-
 # Rounding of some thousand terms of at most size² each.
 AREA = {"rtol": 1e-12}
 
@@ -153,8 +148,6 @@ def test_what_falls_into_gaps_is_made_up_for_at_other_places():
     assert np.ptp(sums) > 0.01
 
 
-# Symmetries
-
 # Different sums of the same terms, or other phases: a rounding of 2π · 100 cycles.
 ROUNDING = {"rtol": 0.0, "atol": 2e-13}
 
@@ -179,9 +172,6 @@ def test_moving_by_whole_detectors_moves_the_samples(x, y, columns, rows):
 
 
 SHARP = sampler_of(3.3, width=0.7, field=9)
-
-
-# Sharp optics: exact areas
 
 
 @pytest.mark.parametrize("orientation", ORIENTATIONS)
@@ -213,9 +203,6 @@ def test_ever_sharper_optics_approach_the_areas_within_the_bound(monkeypatch):
         difference = np.abs(sharp.samples(x, y, orientation=Orientation.UP) - blurred).max()
         # The bound is the worst for each displacement on its own; not ten times what happens.
         assert sharp.neglected_bound / 10 < difference < sharp.neglected_bound
-
-
-# Image arrays
 
 
 def test_a_uniform_image_of_one_gives_one():
@@ -258,9 +245,6 @@ def test_a_triangle_as_an_image_approaches_the_sampler_s_samples():
     expected = sampler_of(cut_off, width=0.8).samples(*place, orientation=Orientation.LEFT)[0]
     extrapolated = (4.0 * samples_of_image(32) - samples_of_image(16)) / 3.0
     np.testing.assert_allclose(extrapolated, expected, atol=1e-4)
-
-
-# What is refused
 
 
 @pytest.mark.parametrize(

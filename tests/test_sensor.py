@@ -176,9 +176,6 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
         load_sensor(tmp_path / "none.toml")
 
 
-# Derived
-
-
 def test_cut_off_is_the_diameter_in_wavelengths():
     # 0.22 m of 4e-6 m waves: 55,000 cycles per radian.
     assert OPTICS.cut_off_cyc_per_mrad == pytest.approx(0.22 / 4e-6 / 1000)

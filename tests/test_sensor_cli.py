@@ -114,9 +114,6 @@ COMMANDS = {
 commands = pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS.keys())
 
 
-# simulate -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("frame_format", ["exr", pytest.param("png", marks=pytest.mark.slow)])
 def test_simulate_makes_what_todframes_scores(sensor_sim, sensor_file, capfd, frame_format):
     dataset = sensor_file.parent / "dataset"
@@ -143,9 +140,6 @@ def test_remark_on_clipping_can_be_silenced(sensor_sim, sensor_file):
     assert status == 0
     assert re.fullmatch(r"note: \d+(\.\d+)? % of the pixels were clipped", note)
     assert sensor_sim(*simulate(sensor_file, *more, "--quiet", "-o", sensor_file.with_name("other")))[2] == []
-
-
-# curve --------------------------------------------------------------------------------------------------------
 
 
 def test_curve_as_json(sensor_sim, sensor_file):
@@ -268,9 +262,6 @@ def test_curve_without_netd_has_no_temperatures(sensor_sim, sensor_file):
     assert fit["delta_t_mk"] is None
 
 
-# mtf ----------------------------------------------------------------------------------------------------------
-
-
 def test_mtf_as_json(sensor_sim, sensor_file):
     status, out, errors = sensor_sim("mtf", sensor_file, "--json")
     assert (status, errors) == (0, [])
@@ -301,9 +292,6 @@ def test_mtf_as_json(sensor_sim, sensor_file):
     np.testing.assert_allclose(stage["pre_sample"], pre_sample, atol=1e-12)
     post_sample = closed["hold"] * closed["electronics"] * closed["display"]
     np.testing.assert_allclose(stage["post_sample"], post_sample, atol=1e-12)
-
-
-# Bad SENSOR.toml: all the ways in which it can be wrong are in test_sensor ---------------------------------------
 
 
 def changed(table: str, key: str, value: str) -> str:
@@ -357,9 +345,6 @@ def test_slip_of_the_pen_in_an_exponent(sensor_sim, sensor_file, tmp_path, comma
         assert status in (BAD_DATA, BAD_SETTINGS)
         assert len(errors) == 1 and errors[0].startswith("error: ")
         assert tree(tmp_path) == before
-
-
-# Bad usage ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -417,9 +402,6 @@ def test_bad_usage(fails, sensor_file, line, wanted, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     arguments = [one.format(sensor=sensor_file, out=tmp_path / "out") for one in line.split()]
     fails(*arguments, wanted=wanted, status=BAD_DATA if "--snr=1e-5" in line else BAD_SETTINGS)
-
-
-# Bad places ---------------------------------------------------------------------------------------------------
 
 
 def test_python_m_is_the_command() -> None:

@@ -97,9 +97,6 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
 
 
-# The chain ----------------------------------------------------------------------------------------------------
-
-
 def test_the_largest_frame_is_one_that_is_read() -> None:
     assert min(MAX_SIDE_PX, math.isqrt(MAX_FRAME_MB * 2**20 // 2)) == LARGEST_SIDE_PX
 
@@ -145,9 +142,6 @@ def test_manifest_place_is_where_the_triangle_is_shown(orientation):
         assert (place @ shown.sum(axis=1)) / total == pytest.approx(frame.y_px, abs=3e-5)
 
 
-# Noise --------------------------------------------------------------------------------------------------------
-
-
 def noise_of(sensor: Sensor, snr: float, n: int, seed: int, size: float = 1.0) -> np.ndarray:
     simulator = Simulator(sensor, size, seed=seed)
     trials = plan_trials([size], [snr], n)
@@ -184,9 +178,6 @@ def test_fixed_pattern_is_the_same_in_all_frames_of_a_seed_and_scales_with_the_n
     assert abs(correlation) < 5 / np.sqrt(other.size)
 
 
-# Repeatable ---------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("frame_format", ["exr", "png"])
 def test_bytes_depend_on_the_seed_and_not_on_the_workers(tmp_path, frame_format):
@@ -199,9 +190,6 @@ def test_bytes_depend_on_the_seed_and_not_on_the_workers(tmp_path, frame_format)
     other = contents(written(tmp_path, "other", **options, seed=2))
     frames = [name for name in one if name.startswith("frames/")]
     assert len({*map(one.get, frames), *map(other.get, frames)}) == 2 * len(frames)
-
-
-# Datasets -----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(params=["exr", "png"])
@@ -253,9 +241,6 @@ def test_any_name_of_a_sensor_gives_a_readable_dataset_or_a_refusal(tmp_path, na
     assert len(load_dataset(folder).trials) == 1
 
 
-# Luminance beyond the range -----------------------------------------------------------------------------------
-
-
 def test_exr_keeps_luminance_below_zero(tmp_path):
     folder = written(tmp_path, "dataset", SHARP, snrs=(0.3,))
     assert all(pixels(folder / row["frame"]).min() < -50.0 for row in rows_of(folder))
@@ -298,9 +283,6 @@ def test_png_refuses_to_clip_more_than_one_in_a_hundred(tmp_path):
     assert written(tmp_path, "exr", GAUSSIAN, snrs=(2.0,), trials=12).is_dir()
 
 
-# Plans --------------------------------------------------------------------------------------------------------
-
-
 def test_plan_has_each_size_and_snr_so_many_times_and_the_orientations_in_turn():
     planned = plan_trials([2.0, 3.0], [1.0, 2.0, 4.0], 8)
     assert len(planned) == len({trial.key for trial in planned}) == 48
@@ -321,8 +303,6 @@ def test_plan_refuses(sizes, snrs, trials, match):
     with pytest.raises(SettingsError, match=match):
         plan_trials(sizes, snrs, trials)
 
-
-# Stages -------------------------------------------------------------------------------------------------------
 
 STAGES = [*("a_input", "b_optics", "c_detector_response", "d_samples", "e_noise", "f_hold", "g_display")]
 
@@ -363,9 +343,6 @@ def test_stages_are_written_as_pictures(simulate_command, tmp_path):
         # Black is −1, white 2; 8 bits.
         np.testing.assert_allclose(3.0 * grey - 1.0, np.clip(stages[name], -1.0, 2.0), atol=3 * 0.51 / 255)
     assert len(load_dataset(tmp_path / "dataset").trials) == 4
-
-
-# Where datasets go --------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -56,9 +56,6 @@ def test_both_packages_offer_cases() -> None:
     assert len({case.name for case in CASES}) == len(CASES)
 
 
-# What a case is
-
-
 @pytest.mark.parametrize(
     ("expected", "came", "scale", "digits"),
     [
@@ -111,9 +108,6 @@ def test_refusal_is_one_line_with_the_reason() -> None:
     assert refusal(lambda: None, "size_mrad") == "accepted"
 
 
-# The command
-
-
 @pytest.fixture
 def few_cases(monkeypatch) -> None:
     monkeypatch.setattr(stability, "find_cases", lambda: [EXACT, SHORT])
@@ -150,9 +144,6 @@ def test_json_is_one_object(todframes) -> None:
 
 def test_json_or_page(todframes) -> None:
     assert "expected one of them" in error_line(todframes("stability", "--json", "--markdown"))
-
-
-# The page
 
 
 def test_page_counts_the_cases() -> None:

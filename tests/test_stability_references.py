@@ -55,9 +55,6 @@ def _fifty_digits():
         yield
 
 
-# Orthants
-
-
 def normal(x):
     return mpmath.erfc(-x / mpmath.sqrt(2)) / 2
 
@@ -141,9 +138,6 @@ def of_independent(d_primes: Sequence[float]) -> list[mpf]:
         return mpmath.quad(density, [-30, 0, d / 2, d, d + 30])
 
     return [of_one(mpf(float(d))) for d in d_primes]
-
-
-# The observer
 
 
 def fixed(x) -> int:
@@ -235,9 +229,6 @@ def of_pattern() -> mpf:
     return 1 - errors_of_turned(deviations([inner(bands, template, k) for k in range(3)]), covariance)
 
 
-# Fits
-
-
 def likeliest(
     level: Sequence[float], right: Sequence[float], lapse_rate: float, start: tuple[float, float]
 ) -> mpf:
@@ -282,9 +273,6 @@ def of_lapses() -> list[mpf]:
     """Answers of a curve with 20 % lapses, fitted with at most 5 %."""
     right = [mpf("0.8") - mpf("0.55") * 2 ** (-((mpf(float(x)) / mpf("0.9")) ** 3)) for x in LEVELS]
     return [likeliest(LEVELS, right, 0.05, (1.2, 1.5)), mpf("0.05")]
-
-
-# Optics
 
 
 def of_diffraction() -> list[mpf]:

@@ -37,9 +37,6 @@ def airy(radius, cut_off):
     return np.pi * cut_off**2 * np.square(j1(v) / v)
 
 
-# Diffraction
-
-
 def test_diffraction_has_the_tabulated_values():
     expected = [0.872889, 0.685038, 0.391002, 0.144294, 0.037386]
     np.testing.assert_allclose(unit_diffraction([0.1, 0.25, 0.5, 0.75, 0.9]), expected, atol=5e-7)
@@ -80,9 +77,6 @@ def test_diffraction_is_the_transform_of_the_airy_pattern(frequency):
     assert psf == pytest.approx(airy(frequency, 2.0), abs=1e-12)
 
 
-# Gaussian, box
-
-
 @pytest.mark.parametrize(
     ("frequency", "sigma", "expected"),
     [(4, 0.01, 0.968910791191297), (8, 0.01, 0.881323136669471), (4, 0.05, 0.454040738727245)],
@@ -95,9 +89,6 @@ def test_gaussian_has_the_tabulated_values(frequency, sigma, expected):
 def test_box_is_the_mean_of_a_wave_over_its_width(frequency, width):
     mean = np.sum(NODE_WEIGHTS / 2.0 * np.cos(np.pi * frequency * width * NODES))
     assert box_mtf(frequency, width=width) == pytest.approx(mean, abs=1e-13)
-
-
-# Products
 
 
 @given(st.floats(0.0, 2 * math.pi), st.floats(0.0, 1.2))
@@ -133,9 +124,6 @@ def test_what_follows_sampling_is_that_of_a_displayed_point():
     frequency = np.linspace(0.0, 20.0, 50)
     waves = np.cos(2.0 * np.pi * np.outer(frequency * 0.0681 / 6.0, x_px))
     np.testing.assert_allclose(stages(frequency, sensor=SENSOR)["post_sample"], waves @ spread * 0.05, atol=1e-12)
-
-
-# Bounds
 
 
 @given(st.floats(0.1, 100.0), st.floats(0.0, 10.0))
