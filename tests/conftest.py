@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Protocol
+from typing import Any
 
 import pytest
 from markupsafe import Markup
@@ -192,22 +192,8 @@ class DatasetFolder:
         self.manifest_file.write_text(text.getvalue(), encoding="utf-8")
 
 
-class DatasetMaker(Protocol):
-    """What `make_dataset` gives."""
-
-    def __call__(
-        self,
-        name: str = "dataset",
-        *,
-        suffix: str = ".exr",
-        sizes_mrad: Sequence[float] = (2.0,),
-        contrasts: Sequence[float] = (0.05, 0.5),
-        repeats: int = 1,
-        side_px: int = 48,
-        display: Mapping[str, Any] | None = None,
-        experiment: Mapping[str, Any] | None = None,
-        row_changes: Mapping[int, Mapping[str, str]] | None = None,
-    ) -> DatasetFolder: ...
+DatasetMaker = Callable[..., DatasetFolder]
+"""`dataset_in` a folder that is chosen."""
 
 
 @pytest.fixture

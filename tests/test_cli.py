@@ -220,12 +220,6 @@ def test_fit(todframes, tmp_path: Path) -> None:
     assert "left" in todframes("fit", path)[1]
 
 
-def test_validate(todframes, make_dataset) -> None:
-    made = make_dataset(suffix=".png")
-    status, out, err = todframes("validate", made.path)
-    assert (status, out, err) == (0, f"{made.path}: 8 frames in 8 trials, all good\n", "")
-
-
 @pytest.mark.parametrize("module", ["todframes.cli.main", "sensor_sim.cli"])
 def test_help_imports_nothing_slow(module: str) -> None:
     code = f"import sys; from todframes.cli.console import run; from {module} import cli; run(cli, ['--help']); "

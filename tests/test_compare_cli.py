@@ -135,9 +135,14 @@ def check_files(folder: Path, algorithms: list[dict]) -> None:
     for one in algorithms[1:]:
         for fit, ratio in zip(one["fits"], one["ratios"], strict=True):
             row = by_place[one["name"], str(fit["group"]["size_mrad"])]
-            numbers = ratio["ratio"], (fit["threshold_ci95"] or [None])[0]
+            numbers = (
+                ratio["ratio"],
+                *(ratio["ratio_ci95"] or (None, None)),
+                *(fit["threshold_ci95"] or (None, None)),
+            )
             shown = ["" if number is None else str(number) for number in numbers]
-            assert [row["ratio"], row["threshold_low"]] == shown
+            columns = ("ratio", "ratio_low", "ratio_high", "threshold_low", "threshold_high")
+            assert [row[name] for name in columns] == shown and row["verdict"] == ratio["verdict"]
     assert (rows[0]["ratio"], rows[0]["verdict"]) == ("", "")
     scores = list(csv.DictReader(io.StringIO((folder / "scores.csv").read_text(encoding="utf-8"))))
     assert len(scores) == 4 * 32

@@ -202,26 +202,6 @@ def test_thresholds_and_points_come_back_from_csv(results, pages, command: str) 
     assert found or command == "naked-eye"
 
 
-def test_comparison_comes_back_from_csv(results, pages) -> None:
-    tables = tables_of(pages["compare"])
-    expected = [(one, ratio) for one in results["compare"]["algorithms"] for ratio in one.get("ratios", [])]
-    groups = [row for row in tables["compare.csv"] if row["size_mrad"] != "all"]
-    reference, rows = groups[:3], groups[3:]
-    assert [row["ratio"] for row in reference] == [""] * 3
-    assert len(rows) == len(expected) == 9
-    assert [row["ratio"] for row in tables["compare.csv"] if row["size_mrad"] == "all"] == ["1.1"] * 3
-    for row, (one, ratio) in zip(rows, expected, strict=True):
-        assert (row["algorithm"], row["verdict"]) == (one["name"], ratio["verdict"])
-        assert [float(row[key]) for key in ("ratio", "ratio_low", "ratio_high")] == [
-            ratio["ratio"],
-            *ratio["ratio_ci95"],
-        ]
-    assert [row["algorithm"] for row in tables["algorithms.csv"]] == ["none", "clahe", "blur", "median"]
-    assert [row["algorithm"] for row in tables["thresholds.csv"]] == [
-        name for name in ("none", "clahe", "blur", "median") for _ in range(3)
-    ]
-
-
 def test_settings_are_all_there(results) -> None:
     results["curve"]["settings"] = {"sensor": {"name": "a", "optics": {"aperture_mm": 0.1 + 0.2}}, "levels": None}
     rows = {row["name"]: row["value"] for row in tables_of(report_html(results["curve"]))["settings.csv"]}

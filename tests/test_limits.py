@@ -68,11 +68,7 @@ LIMIT = Limit(**FOUND, values=(0.1, 1.0), thresholds=(None, 0.2))
     [
         ({}, {}, "A contrast of 0.3 at 4 mrad needs a luminance of at least 0.500 ± 0.01 cd/m²."),
         ({"parameter": "range", "unit": "km"}, {}, "at 4 m is recognised up to 0.500 ± 0.01 km."),
-        (
-            {},
-            {"value": None, "status": "always_recognised"},
-            "at every luminance (cd/m²) that was tried",
-        ),
+        ({}, {"value": None, "status": "always_recognised"}, "at every luminance (cd/m²) that was tried"),
         ({}, {"value": None, "status": "never_recognised"}, "is recognised at no luminance"),
         ({"exposure_ms": 50.0}, {}, "The exposure is 50 ms; IEC 62676-5 allows 40 ms at most."),
     ],

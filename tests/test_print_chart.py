@@ -207,10 +207,7 @@ REFUSED = {
     ("print", "--contrasts=5"): "--contrasts: found 5, expected 0.012 to 1.82, which the paper's greys have",
     # At codes 153 and 154 it is 0.2980 and 0.3017, and 0.04 is 0.867 less.
     ("print", "--contrasts=0.9 --polarity=-1"): "--contrasts: found -0.9, expected 0.012 to 0.867, which",
-    (
-        "print",
-        "--contrasts=0.1,0.101",
-    ): "printed grey (code value 162); expected --contrasts at least 0.012 apart",
+    ("print", "--contrasts=0.1,0.101"): "printed grey (code value 162); expected --contrasts at least 0.012 apart",
     ("print", "--sizes-mrad=8"): "needs 400 mm; the paper has 211.9 mm; expected at most 4.24 mrad, larger paper",
     ("print", "--sizes-mrad=0.1"): "1 mm, in which the printer's dots show; expected at least 2 mm (0.2 mrad)",
     ("print", "--paper=9000,9000"): "--paper: found 9000.0, expected a number from 10 to 2000",
@@ -219,16 +216,10 @@ REFUSED = {
     ("print", "--paper=60,60"): "found 60 × 60, too small for markers of 4.8 mm and margins of 10 mm",
     ("print", "--reflectances=none.csv"): "none.csv: no such file",
     ("print", "--background-reflectance=0.9"): "which is black or paper; expected a value between 0.04 and 0.85",
-    (
-        "print",
-        "--black-reflectance=0.9",
-    ): "found 0.9, expected less than --paper-reflectance (0.85)",
+    ("print", "--black-reflectance=0.9"): "found 0.9, expected less than --paper-reflectance (0.85)",
     ("print", "--width-px=9"): "--width-px: is given, but a print chart has none; it is for screen",
     ("thermal", "--sizes-mrad=0.05"): "0.5 mm, whose corners cannot be cut; expected at least 1 mm (0.1 mrad)",
-    (
-        "thermal",
-        "--plate-mm=10",
-    ): "found 10, expected at least 50: five sizes of the largest triangle (10 mm)",
+    ("thermal", "--plate-mm=10"): "found 10, expected at least 50: five sizes of the largest triangle (10 mm)",
     ("thermal", "--delta-t-k=0"): "--contrasts or --delta-t-k: found 0.0",
     ("thermal", "--contrasts=0.1"): "--contrasts: is given, but a thermal chart has none; expected --delta-t-k",
 }
