@@ -405,16 +405,16 @@ def _check_smooth(esf: _Esf, rise: FloatArray, contrast: float, widest_px: float
     height = contrast / (sigma_px * math.sqrt(math.tau))
     row = np.floor(esf.along - esf.along.min()).astype(np.intp)
 
-    def slope_at(place_px: float) -> tuple[FloatArray, FloatArray]:
+    def slope_at(position_px: float) -> tuple[FloatArray, FloatArray]:
         """Return the slope of an edge at a distance, and the sum of its squares in each row."""
-        slope = height * np.exp(-0.5 * ((esf.distance - place_px) / sigma_px) ** 2)
+        slope = height * np.exp(-0.5 * ((esf.distance - position_px) / sigma_px) ** 2)
         return slope, np.bincount(row, slope**2).astype(np.float64)
 
     least_power = 0.5 * float(np.median(slope_at(0.0)[1]))
 
-    def displacements(place_px: float) -> FloatArray:
+    def displacements(position_px: float) -> FloatArray:
         """Return those that residuals at a distance show, less the polynomial that the curve may follow."""
-        slope, power = slope_at(place_px)
+        slope, power = slope_at(position_px)
         # Rows at the ends, and at corners of the box, have few pixels.
         seen = np.flatnonzero(power > least_power)
         if len(seen) < 2 * DEGREE + 2:
@@ -425,7 +425,9 @@ def _check_smooth(esf: _Esf, rise: FloatArray, contrast: float, widest_px: float
 
     farthest_px = max(widest_px - 2 * sigma_px, widest_px / 2)
     beside_px = np.append(np.arange(farthest_px - 4 * sigma_px, 4 * sigma_px, -4 * sigma_px), farthest_px)
-    beside = [shift for place in beside_px for side in (1.0, -1.0) if len(shift := displacements(side * place))]
+    beside = [
+        shift for position in beside_px for side in (1.0, -1.0) if len(shift := displacements(side * position))
+    ]
     on_edge = displacements(0.0)
     noise = float(np.mean([shift @ shift / len(shift) for shift in beside]))
     # Rows that share noise are fewer: the variance of a mean of squares (Bartlett).

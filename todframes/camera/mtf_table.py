@@ -203,10 +203,10 @@ def read_mtf_table(path: Path, *, may_exceed_1: bool = False) -> MtfTable:
     return table
 
 
-def _check(table: MtfTable, places: Sequence[str], *, may_exceed_1: bool) -> None:
-    """Raise DataError for values that no MTF has; `places` begin the messages, one for each frequency."""
+def _check(table: MtfTable, lines: Sequence[str], *, may_exceed_1: bool) -> None:
+    """Raise DataError for values that no MTF has; `lines` begin the messages, one for each frequency."""
     before = -math.inf
-    for k, (where, frequency) in enumerate(zip(places, table.frequency.tolist(), strict=True)):
+    for k, (where, frequency) in enumerate(zip(lines, table.frequency.tolist(), strict=True)):
         if frequency < 0.0:
             raise DataError(f"{where} found frequency {frequency:g}, expected 0 or more")
         if frequency <= before:

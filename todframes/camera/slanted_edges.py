@@ -147,10 +147,10 @@ def find_edges(image: FloatArray) -> list[Box]:
         if math.dist(*ends) < LEAST_LENGTH_PX or len(boxes) == 64:
             break
         # A line beside another, and not beyond its ends, is a part of the same edge.
-        places = ((other, *_coordinates(other, own)) for other in taken)
+        relations = ((other, *_coordinates(other, own)) for other in taken)
         if not any(
             beside.max() < SAME_PX and along.max() > 0.0 and along.min() < math.dist(*other)
-            for other, along, beside in places
+            for other, along, beside in relations
         ):
             taken.append(ends)
             box = box_about(ends, points, image.shape)
