@@ -19,6 +19,7 @@ from sensor_sim.chain.simulation import Simulator, plan_trials
 from sensor_sim.thresholds.curve_plan import full_plan, plan_curve
 from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
+from sensor_sim.thresholds.sizes import LADDER_DETECTORS, smallest_size
 from todframes.base.errors import SettingsError
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.interface import Observer, Readout
@@ -443,3 +444,16 @@ def test_a_smaller_field_is_bounded_for_any_sign_of_the_signal_outside(observer)
         change += (weights[0] - weights[k]) @ worst / math.sqrt(2.0 * math.pi * variance)
     assert margin > 0
     assert 0.0 < change <= stated
+
+
+@pytest.mark.parametrize(
+    ("sensor", "p_correct"), [(UNDER_SAMPLED, 0.75), (WELL_SAMPLED, 0.6), (LOW_FILL_FACTOR, 0.9)]
+)
+def test_the_smallest_size_is_the_first_that_reaches_the_criterion_when_all_is_computed(
+    sensor: Sensor, p_correct: float
+) -> None:
+    smallest = smallest_size(sensor, PyramidObserver(), p_correct=p_correct)
+    assert smallest is not None
+    for size in (size for size in LADDER_DETECTORS if size <= smallest):
+        is_reached = FoldedChain(sensor, PyramidObserver(), size).unreached(p_correct, seed=1) is None
+        assert is_reached is (size == smallest)

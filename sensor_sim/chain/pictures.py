@@ -22,8 +22,9 @@ from todframes.stimulus import Orientation, Stimulus, bounding_box_offset, cover
 
 FINE_PIXELS_PER_DETECTOR = 8
 
-MOST_EXAMPLES = 4
-"""Largest number of sizes of which a frame at threshold is drawn."""
+MOST_EXAMPLES, MOST_SAMPLES = 4, 4097
+"""Largest number of sizes of which a frame at threshold is drawn, and of samples along a side of its retina image:
+the picture of a larger one takes as long as its threshold."""
 
 
 def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[str, FloatArray]:
@@ -82,7 +83,13 @@ def threshold_examples(
     sensor: Sensor, observer: Observer, fits: Sequence[Fit], *, seed: int
 ) -> tuple[Example, ...]:
     """Draw a simulated frame at threshold for some sizes, as displayed and as the observer sees it."""
-    known = [fit for fit in fits if fit.threshold is not None]
+    pitch_mrad = sensor.display.detector_pitch_mrad
+    known = [
+        fit
+        for fit in fits
+        if fit.threshold is not None
+        and observer.grid(Stimulus(float(fit.group["size_detectors"]) * pitch_mrad)).side <= MOST_SAMPLES
+    ]
     return tuple(_threshold_example(sensor, observer, fit, seed) for fit in evenly(known, MOST_EXAMPLES))
 
 

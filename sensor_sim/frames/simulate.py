@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from sensor_sim.chain.sensor import Sensor, sensor_of
 from todframes.base.errors import SettingsError, argument
 from todframes.base.seeds import Rng, seed_of
+from todframes.observers.interface import described
 from todframes.parameters import (
     Cluster,
     Count,
@@ -141,7 +142,7 @@ def simulate(
     seed = seed_of(rng)
     from sensor_sim.chain.simulation import Filming, plan_trials
     from sensor_sim.frames.dataset import write_dataset
-    from sensor_sim.thresholds.sizes import sizes_in_detectors
+    from sensor_sim.thresholds.sizes import chosen_sizes, given_sizes, smallest_size
     from todframes.base.output import new_folder
     from todframes.jobs.run import continued, opened_run
 
@@ -151,7 +152,10 @@ def simulate(
         why = 'has no [noise] with model = "photon"' if sensor.level == "snr" else "counts photons"
         expected = getattr(argument, sensor.level)
         raise SettingsError(f"{sensor.level}: the sensor {why}; expected levels as {expected} and no others")
-    sizes = sizes_in_detectors(sensor, size_detectors, size_mrad)
+    sizes = given_sizes(sensor, size_detectors, size_mrad)
+    if not sizes:
+        judge, _ = described("pyramid")
+        sizes = chosen_sizes(sensor, judge, smallest_size(sensor, judge))
     filming = None
     if motion_mrad_per_s is not None or warm_up_frames:
         filming = Filming(float(motion_mrad_per_s or 0.0), warm_up_frames).checked()

@@ -12,9 +12,10 @@ from sensor_sim.chain.sensor import Sensor, part_of, sensor_of, sensor_settings
 from sensor_sim.limits.ideal_camera import IdealCamera, ideal_camera_of
 from sensor_sim.limits.varied import find_varied, threshold_of
 from sensor_sim.sweeps.designs import FILL_FACTOR, numeric_keys
-from sensor_sim.thresholds.curve import thresholds_at
 from sensor_sim.thresholds.shares import SATURATING, WITHOUT_NOISE, shares_at, what_limits
-from sensor_sim.thresholds.sizes import sizes_in_detectors
+from sensor_sim.thresholds.sharing import Shared
+from sensor_sim.thresholds.sizes import chosen_sizes, smallest_size
+from sensor_sim.thresholds.threshold import threshold_at
 from todframes.base.errors import SettingsError
 from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer, described
@@ -190,13 +191,9 @@ def advise(
     judge, settings = described(observer, lambda: background)
     FitSettings(p_correct=p_correct)  # checks it
     asked: dict[str, Any] = {"p_correct": p_correct, "seed": seed}
-    sizes = sizes_in_detectors(sensor, [], [], judge, places=1, **asked)
-    asked["tolerance"] = tolerance
-    plan: dict[str, Any] = {"plan": "needed", "places": 1, "progress": lambda _: None}
-    scenes = [] if sensor.scene is None else [sensor.scene]
-    thresholds = [
-        threshold for size in sizes for threshold in thresholds_at(sensor, scenes, judge, size, **plan, **asked)
-    ]
+    sizes = chosen_sizes(sensor, judge, smallest_size(sensor, judge, **asked))
+    asked |= {"tolerance": tolerance, "shared": Shared.of()}
+    thresholds = [threshold_at(sensor, judge, size, n_points=0, **asked) for size in sizes]
     shares = [shares_at(threshold.chain, "snr", threshold.found.threshold) for threshold in thresholds]
     reached = [threshold.found.threshold is not None for threshold in thresholds]
     mean, sentence = what_limits(sizes, shares, reached, WITHOUT_NOISE if sensor.photons is None else SATURATING)

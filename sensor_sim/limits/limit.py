@@ -10,7 +10,8 @@ from msgspec import Struct, structs
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.limits.crossing import Crossing, Try
 from sensor_sim.limits.varied import Varied, find_varied, threshold_of
-from sensor_sim.thresholds.sizes import sizes_in_detectors
+from sensor_sim.thresholds.sharing import Shared
+from sensor_sim.thresholds.sizes import given_sizes
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, distinct_numbers
 from todframes.base.seeds import Rng, seed_of
@@ -264,14 +265,14 @@ def limit(
             f"{name}: found {list(sizes)}, expected sizes, with {argument.limit} {limit}, and no others"
         )
     asked: dict[str, Any] = {"p_correct": p_correct, "tolerance": tolerance, "seed": seed}
-    asked["in_mk"] = level == "delta_t_mk"
+    asked |= {"in_mk": level == "delta_t_mk", "shared": Shared.of()}
     limits = []
     for size in counted(distinct_numbers(name, sizes), len(sizes), progress):
         varied = find_varied(sensor, limit, size)
 
         def at_value(value: float, size: float = size, varied: Varied = varied) -> Try:
             at, angle = varied.sensor_at(value), size / value if is_range else size
-            detectors = sizes_in_detectors(at, [], [angle])[0]
+            detectors = given_sizes(at, [], [angle])[0]
             return Try.of(value, *threshold_of(at, judge, detectors, **asked), target)
 
         limits.append(_record(size, varied.crossing(at_value), varied))

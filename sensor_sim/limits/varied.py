@@ -11,7 +11,7 @@ from sensor_sim.chain.sensor import Sensor, part_of
 from sensor_sim.limits.crossing import Crossing, Try, find_crossing
 from sensor_sim.sweeps.designs import Base, numeric_keys
 from sensor_sim.sweeps.goals import in_words
-from sensor_sim.thresholds.curve import thresholds_at
+from sensor_sim.thresholds.threshold import threshold_at
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys
 from todframes.observers.interface import Observer
@@ -47,13 +47,11 @@ def threshold_of(
     sensor: Sensor, observer: Observer, size_detectors: float, *, in_mk: bool = False, **asked: Any
 ) -> tuple[float | None, float]:
     """Return the threshold of a sensor at one size, None if it is never reached, and its relative error."""
-    scenes = [] if sensor.scene is None else [sensor.scene]
-    plan: dict[str, Any] = {"plan": "needed", "places": 1, "progress": lambda _: None}
-    [at_light] = thresholds_at(sensor, scenes, observer, size_detectors, **plan, **asked)
-    threshold = at_light.found.threshold
+    found, _ = threshold_at(sensor, observer, size_detectors, n_points=0, **asked)
+    threshold = found.threshold
     if threshold is None:
         return None, 0.0
-    error = (at_light.found.numerical_error or 0.0) / threshold
+    error = (found.numerical_error or 0.0) / threshold
     return float(delta_t_mk(threshold, noise=sensor.noise)) if in_mk else threshold, error
 
 

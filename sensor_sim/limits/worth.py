@@ -13,7 +13,8 @@ from msgspec import Struct, structs
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.limits.crossing import Try
 from sensor_sim.limits.varied import find_varied, threshold_of
-from sensor_sim.thresholds.sizes import sizes_in_detectors
+from sensor_sim.thresholds.sharing import Shared
+from sensor_sim.thresholds.sizes import given_sizes
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
@@ -213,6 +214,7 @@ def worth(
         "seed": seed,
     }
     asked["in_mk"] = sensor.noise.netd_mk is not None and sensor.level == "snr"
+    asked["shared"] = Shared.of()
     varied = find_varied(sensor, limit, 1.0)
 
     @cache
@@ -269,5 +271,5 @@ def _size_detectors(ratio: Ratio, sensor: Sensor, where: str) -> float:
     if "size_detectors" in ratio.group:
         return float(ratio.group["size_detectors"])
     if "size_mrad" in ratio.group:
-        return sizes_in_detectors(sensor, [], [float(ratio.group["size_mrad"]) / sensor.magnification])[0]
+        return given_sizes(sensor, [], [float(ratio.group["size_mrad"]) / sensor.magnification])[0]
     raise DataError(f"{where}: found groups without size_mrad or size_detectors, expected one of them")

@@ -19,6 +19,7 @@ from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor
 from sensor_sim.chain.simulation import Simulator
 from sensor_sim.chain.transfer import box_mtf, diffraction_mtf, gaussian_mtf
 from sensor_sim.four_bars.mrtd import mrtd
+from sensor_sim.thresholds.curve import curve
 from sensor_sim.thresholds.curve_plan import plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 from todframes.base._typing import FloatArray
@@ -146,6 +147,12 @@ def refused(sensor: Sensor, size: float, naming: str) -> str:
     return refusal(lambda: FoldedChain(sensor, PyramidObserver(), size), naming)
 
 
+def one_detector(detector_pitch_mrad: float) -> str:
+    """Return the status of a triangle of one detector; its warning needs the smallest size with a threshold."""
+    display = display_of(60, detector_pitch_mrad=detector_pitch_mrad, blur_sigma_px=2.0)
+    return curve(camera(display=display), size_detectors=[1.0]).fits[0].status
+
+
 def mrtd_mk(netd_mk: float) -> float:
     """Compute the MRTD at half the Nyquist frequency."""
     sensor = replace(camera(), noise=Noise(netd_mk=netd_mk))
@@ -239,6 +246,10 @@ ROWS: dict[str, list[tuple[Any, ...]]] = {
          lambda: status(camera(blur=100.0), 20.0)),
         ("cut-off of 1e-3 Nyquist", "refused", "nothing but the mean passes",
          lambda: refused(camera(0.0005), 5.0, "optics.aperture_mm: found 0.0005, which passes nothing")),
+        ("43 mrad a detector at the eye, 60 display pixels: threshold of one detector", "never_reached",
+         "a detector points nowhere", lambda: one_detector(43.0), 6, None, 40.0),
+        ("430 mrad a detector at the eye, 60 display pixels", "refused", "a retina of 8193 × 8193 samples",
+         lambda: refusal(lambda: one_detector(430.0), "size_mrad: found 430 mrad at the eye, expected at most")),
         ("cut-off of 2e6 and 2e9 Nyquist: P(correct), ratio", 1.0, "law: the optics leave no trace",
          lambda: ratio(camera(1e6), camera(1e9)), 5),
     ],

@@ -17,10 +17,10 @@ import numpy as np
 from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.sweeps.designs import Base, Changes, Designs
-from sensor_sim.thresholds.curve_plan import not_linear, plan_curve
-from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
-from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
+from sensor_sim.thresholds.curve_plan import not_linear
+from sensor_sim.thresholds.predict import PredictedThreshold
 from sensor_sim.thresholds.sharing import Shared, as_computed
+from sensor_sim.thresholds.threshold import threshold_at
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, distinct_numbers
@@ -86,25 +86,18 @@ class SweepWork(StoredWork[Chain, PredictedThreshold]):
         def compute(chain: Chain) -> PredictedThreshold:
             sensor, size = chain.sensor, chain.size_detectors
             try:
-                observer = observer_of(chain.observer_changes)
-                steps = plan_curve(
+                return threshold_at(
                     sensor,
-                    observer,
+                    observer_of(chain.observer_changes),
                     size,
-                    name=self.plan,
-                    tolerance=self.tolerance,
                     p_correct=self.p_correct,
+                    tolerance=self.tolerance,
+                    seed=self.seed,
+                    plan=self.plan,
+                    places=self.places,
                     shared=shared,
-                )
-                known = FoldedChain(sensor, observer, size, steps)
-                predict = predict_threshold
-                if self.places > 1:
-                    predict = partial(
-                        predict_at_unknown_place, UnknownPlaceChain(sensor, observer, size, self.places)
-                    )
-                return predict(
-                    known, p_correct=self.p_correct, tolerance=self.tolerance, seed=self.seed, n_points=0
-                )
+                    n_points=0,
+                ).found
             except SettingsError as error:
                 return PredictedThreshold(IMPOSSIBLE, size_detectors=size, reason=str(error))
             except MemoryError:

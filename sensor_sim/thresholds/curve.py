@@ -6,7 +6,8 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
 
 from sensor_sim.chain.sensor import Scene, Sensor, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError, argument
@@ -33,8 +34,8 @@ from todframes.results.wording import listed, plain
 from todframes.scoring.error_budget import Step, plan_object
 
 if TYPE_CHECKING:
-    from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold
     from sensor_sim.thresholds.shares import Shares
+    from sensor_sim.thresholds.threshold import Computed
     from todframes.results.thresholds import Thresholds
 
 SHARED_MB = 64
@@ -117,7 +118,9 @@ def curve(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     from sensor_sim.thresholds.shares import shares_at
-    from sensor_sim.thresholds.sizes import sizes_in_detectors
+    from sensor_sim.thresholds.sharing import NOTHING, Shared
+    from sensor_sim.thresholds.sizes import chosen_sizes, given_sizes, smallest_size
+    from sensor_sim.thresholds.threshold import threshold_at
 
     sensor = sensor_of(sensor)
     if places != 1:
@@ -130,25 +133,30 @@ def curve(
     luminances = distinct_numbers(argument.luminance_cd_m2, luminance_cd_m2) if len(luminance_cd_m2) else []
     scenes = _scenes(sensor, luminances)
     asked: dict[str, Any] = {"p_correct": p_correct, "places": places, "seed": seed}
-    sizes = sizes_in_detectors(
-        replace(sensor, scene=scenes[0]) if scenes else sensor, size_detectors, size_mrad, judge, **asked
-    )
+    at_first = replace(sensor, scene=scenes[0]) if scenes else sensor
+    smallest = cache(partial(smallest_size, observer=judge, **asked))
+    sizes = given_sizes(at_first, size_detectors, size_mrad)
+    sizes = sizes or chosen_sizes(at_first, judge, smallest(at_first))
     of_scenes: list[list[Fit]] = [[] for _ in scenes or (None,)]
     shares: list[list[Shares]] = [[] for _ in of_scenes]
-    unreached: dict[tuple[str, float | None], list[AtLight]] = {}
+    unreached: dict[tuple[str, float | None], list[Computed]] = {}
     done = 0.0
 
     def advance(share: float) -> None:
         nonlocal done
-        done += share
+        done += share / len(of_scenes)
         if progress is not None:
             progress(round(100 * done), 100 * len(sizes))
 
     for number, size in enumerate(sizes, 1):
         started_size = time.perf_counter()
-        thresholds = thresholds_at(
-            sensor, scenes, judge, size, tolerance=tolerance, plan=plan, progress=advance, **asked
-        )
+        # All lights have the same trials of the triangle, unless their plans differ.
+        shared = Shared.of(SHARED_MB * 2**20) if len(scenes) > 1 else NOTHING
+        computing: dict[str, Any] = asked | {"tolerance": tolerance, "plan": plan, "shared": shared}
+        thresholds = [
+            threshold_at(replace(sensor, scene=scene), judge, size, progress=advance, **computing)
+            for scene in scenes or (None,)
+        ]
         run_time_s = round((time.perf_counter() - started_size) / len(thresholds), 4)
         for at_light, fits_of_scene, shares_of_scene in zip(thresholds, of_scenes, shares, strict=True):
             scene = at_light.chain.sensor.scene
@@ -159,7 +167,7 @@ def curve(
                 shares_of_scene.append(shares_at(at_light.chain, "snr", at_light.found.threshold, seed))
             if at_light.found.highest is not None:
                 unreached.setdefault((at_light.found.reason, luminance), []).append(at_light)
-        advance(number - done)
+        advance((number - done) * len(of_scenes))
     fits = [fit for fits_of_scene in of_scenes for fit in fits_of_scene]
     more: dict[str, Any] = {"limits": tuple(map(_what_limits, of_scenes, shares)) if places == 1 else ()}
     if examples:
@@ -168,7 +176,7 @@ def curve(
         more["examples"] = threshold_examples(sensor, judge, fits, seed=seed)
     settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance, "plan": plan}
     settings |= {"places": places} if places > 1 else {}
-    never = (_never_reached(alike, judge, light, **asked) for (_, light), alike in unreached.items())
+    never = (_never_reached(alike, judge, smallest, light, p_correct) for (_, light), alike in unreached.items())
     warnings = (*never, *numerical_errors(fits, tolerance))
     return Result.made("curve", started, settings=settings, seed=seed, fits=tuple(fits), warnings=warnings, **more)
 
@@ -184,52 +192,7 @@ def _what_limits(fits: Sequence[Fit], shares: Sequence[Shares]) -> str:
     return sentence if luminance is None else f"At {luminance:g} cd/m²: {sentence}"
 
 
-class AtLight(NamedTuple):
-    """A threshold at one light, and the chain that it was computed with."""
-
-    found: PredictedThreshold
-    chain: FoldedChain
-
-
-def thresholds_at(
-    sensor: Sensor,
-    scenes: Sequence[Scene],
-    observer: Observer,
-    size: float,
-    *,
-    tolerance: float,
-    plan: PlanName,
-    progress: Callable[[float], None],
-    **asked: Any,
-) -> list[AtLight]:
-    """Return the thresholds of one size at each light; the only one where the sensor does not count photons."""
-    from sensor_sim.thresholds.curve_plan import plan_curve
-    from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
-    from sensor_sim.thresholds.sharing import NOTHING, Shared
-
-    p_correct, places = asked["p_correct"], asked["places"]
-    # All lights have the same trials of the triangle, unless their plans differ.
-    shared = Shared.of(SHARED_MB * 2**20) if len(scenes) > 1 else NOTHING
-    search: dict[str, Any] = {"p_correct": p_correct, "tolerance": tolerance, "seed": asked["seed"]}
-    search["progress"] = lambda share: progress(share / max(len(scenes), 1))
-    computed = []
-    for scene in scenes or (None,):
-        at_light = replace(sensor, scene=scene)
-        steps = plan_curve(
-            at_light, observer, size, name=plan, tolerance=tolerance, p_correct=p_correct, shared=shared
-        )
-        chain = FoldedChain(at_light, observer, size, steps)
-        if places == 1:
-            computed.append(AtLight(predict_threshold(chain, **search), chain))
-        else:
-            from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
-
-            unknown = UnknownPlaceChain(at_light, observer, size, places)
-            computed.append(AtLight(predict_at_unknown_place(unknown, chain, **search), unknown))
-    return computed
-
-
-def _fit(at_light: AtLight, group: dict[str, float | str], p_correct: float, run_time_s: float) -> Fit:
+def _fit(at_light: Computed, group: dict[str, float | str], p_correct: float, run_time_s: float) -> Fit:
     """Return the record of a threshold."""
     from sensor_sim.chain.detector_noise import delta_t_as_printed_mk, delta_t_mk
 
@@ -258,20 +221,24 @@ def _fit(at_light: AtLight, group: dict[str, float | str], p_correct: float, run
 
 
 def _never_reached(
-    alike: Sequence[AtLight], observer: Observer, luminance_cd_m2: float | None, **asked: Any
+    alike: Sequence[Computed],
+    observer: Observer,
+    smallest_at: Callable[[Sensor], float | None],
+    luminance_cd_m2: float | None,
+    p_correct: float,
 ) -> ResultWarning:
     """Return the warning about sizes without a threshold for one reason: it, and the smallest size with one."""
     from sensor_sim.thresholds.predict import HIDDEN, SATURATING
-    from sensor_sim.thresholds.sizes import LADDER_DETECTORS, smallest_size
+    from sensor_sim.thresholds.sizes import computed_sizes
 
     chain = alike[0].chain
     sensor, reason = chain.sensor, alike[0].found.reason
     highest = tuple(unreached.found.highest or 0.0 for unreached in alike)
     sizes = listed(f"{unreached.chain.size_detectors:.4g}" for unreached in alike)
     largest = listed(f"{100.0 * unreached.chain.largest_sample:.2g}" for unreached in alike)
-    smallest = smallest_size(sensor, observer, **asked)
+    smallest = smallest_at(sensor)
     if smallest is None:
-        what = f"No size up to {LADDER_DETECTORS[-1]:g} detectors is enough"
+        what = f"No size up to {max(computed_sizes(sensor, observer)):g} detectors is enough"
     else:
         at_camera = plain(smallest * sensor.detector.pitch_mrad)
         what = f"{smallest:g} detectors ({at_camera} mrad at the camera) are enough"
@@ -281,7 +248,7 @@ def _never_reached(
     )
     arcmin = plain(sensor.display.detector_pitch_mrad * ARCMIN_PER_MRAD, 2)
     shares = listed(f"{100.0 * p:.0f}" for p in highest)
-    criterion = f"{100.0 * asked['p_correct']:g} % correct is never reached at {sizes} detectors"
+    criterion = f"{100.0 * p_correct:g} % correct is never reached at {sizes} detectors"
     message = (
         f"{criterion}: {strong}, about {shares} % of the answers are correct at most. The largest sample has "
         f"{largest} % of the triangle's contrast, and a detector is {arcmin}′ wide at the eye: {reason}. {what}"
@@ -291,7 +258,7 @@ def _never_reached(
         group={} if luminance_cd_m2 is None else {"luminance_cd_m2": luminance_cd_m2},
         message=message,
         found=highest,
-        expected=asked["p_correct"],
+        expected=p_correct,
     )
 
 

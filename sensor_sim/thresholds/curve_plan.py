@@ -285,11 +285,11 @@ def is_alike_when_turned(sensor: Sensor) -> bool:
 def linear_readout(
     sensor: Sensor, observer: Observer, size_detectors: float, half_width: int | None = None
 ) -> Readout:
-    """Return the readout for a triangle as displayed; `half_width` is that of `CurvePlan`. SettingsError if the
-    observer is not linear.
+    """Return the readout for a triangle as displayed, with four deviations or with the first one, of which the
+    others are turns; `half_width` is that of `CurvePlan`. SettingsError if the observer is not linear.
     """
     stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
-    if half_width is not None and has_rough_readout(observer):
+    if has_rough_readout(observer):
         return observer.readout_within(stimulus, half_width)
     readout = observer.readout(stimulus)
     if readout is None:
@@ -476,8 +476,11 @@ class _CurvePlanner:
         if self._affordable(bound):
             why = f"a retina of {side} × {side} samples is wide enough for this tolerance"
             return plan, [Step(stage, False, why, bound, saves_once_s=3.0 * self.readout_s)]
+        wider = self.observer.with_extra_level()
+        if wider.grid(Stimulus(self.size * self.sensor.display.detector_pitch_mrad)) == self.readout.grid:
+            return plan, [Step(stage, False, f"{side} × {side} samples are the most that a retina has", bound)]
         why = f"one level more than for {side} × {side} samples, which would change P by up to {bound:.1g}"
-        return replace(plan, observer=self.observer.with_extra_level()), [Step(stage, True, why)]
+        return replace(plan, observer=wider), [Step(stage, True, why)]
 
     def _optics(self, plan: CurvePlan) -> Step:
         if not plan.sampler.sharp:

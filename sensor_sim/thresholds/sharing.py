@@ -21,6 +21,9 @@ T = TypeVar("T")
 OVERHEAD_BYTES = 1000
 """Size of a key and of an object, about; it is added to that of each value."""
 
+MOST_BYTES = 512 * 2**20
+"""Largest size of the parts that are shared, if no other is asked for."""
+
 
 class Kept(Generic[T]):
     """Values by key, up to a number of bytes; those not used for the longest time are dropped first. With 0 bytes
@@ -70,7 +73,7 @@ class Shared:
     trials: Kept[Any] = field(default_factory=lambda: Kept(0))
 
     @classmethod
-    def of(cls, most_bytes: int, check: Callable[[], None] = lambda: None) -> Shared:
+    def of(cls, most_bytes: int = MOST_BYTES, check: Callable[[], None] = lambda: None) -> Shared:
         """Return a `Shared` that keeps up to so many bytes: 40 % each of samples and weights, 10 % of others.
         `check` is that of `Kept`.
         """

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 
 from sensor_sim.chain.sampling import field_detectors, field_sampler
 from sensor_sim.chain.sensor import Sensor
+from sensor_sim.thresholds.curve_plan import coarse_plan
 from sensor_sim.thresholds.predict import FoldedChain
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import distinct_numbers
-from todframes.observers.interface import Observer, described
+from todframes.observers.interface import Observer
 from todframes.stimulus import Stimulus
 
 LADDER_DETECTORS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 24.0, 32.0)
@@ -18,6 +18,9 @@ LADDER_DETECTORS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.
 
 SIZES_CHOSEN = 5
 """Number of sizes that are chosen."""
+
+CLOSE = 0.01
+"""Distance of P(correct) from a criterion within which the coarse plan does not decide: 30 times its bound."""
 
 
 def computed_sizes(sensor: Sensor, observer: Observer) -> Iterator[float]:
@@ -33,45 +36,52 @@ def computed_sizes(sensor: Sensor, observer: Observer) -> Iterator[float]:
         yield size
 
 
-def smallest_size(sensor: Sensor, observer: Observer, *, p_correct: float, places: int, seed: int) -> float | None:
+def smallest_size(
+    sensor: Sensor, observer: Observer, *, p_correct: float = 0.75, places: int = 1, seed: int = 1
+) -> float | None:
     """Return the smallest size of the ladder at which the observer reaches a criterion; None if there is none."""
-    chain_of: Callable[[float], FoldedChain] = partial(FoldedChain, sensor, observer)
-    if places > 1:
-        from sensor_sim.thresholds.places import UnknownPlaceChain
-
-        chain_of = partial(UnknownPlaceChain, sensor, observer, places=places)
     for size in computed_sizes(sensor, observer):
-        if chain_of(size).unreached(p_correct, seed) is None:
+        if _is_reached(sensor, observer, size, p_correct=p_correct, places=places, seed=seed):
             return size
     return None
 
 
-def sizes_in_detectors(
-    sensor: Sensor,
-    size_detectors: Sequence[float],
-    size_mrad: Sequence[float],
-    observer: Observer | None = None,
-    *,
-    p_correct: float = 0.75,
-    places: int = 1,
-    seed: int = 1,
-) -> list[float]:
-    """Return sizes in detectors: those asked for, or the smallest one that has a threshold and the next ones.
-    Observer, by default `pyramid`, and criterion are for sizes that are chosen; if none has a threshold, they are
-    the largest. SettingsError if angles are given too, a size is not a positive number or is there twice, or an
-    angle is too large to compute.
+def _is_reached(
+    sensor: Sensor, observer: Observer, size: float, *, p_correct: float, places: int, seed: int
+) -> bool:
+    """Return whether a criterion is reached at a size. The coarse plan takes a small part of the time and memory
+    of the exact one, and decides unless P(correct) is close to the criterion.
+    """
+    coarse = FoldedChain(sensor, observer, size, coarse_plan(sensor, observer, size))
+    if coarse.unreached(p_correct - CLOSE, seed) is not None:
+        return False  # nor is it at an unknown place
+    if places > 1:
+        from sensor_sim.thresholds.places import UnknownPlaceChain
+
+        return UnknownPlaceChain(sensor, observer, size, places).unreached(p_correct, seed) is None
+    if coarse.unreached(p_correct + CLOSE, seed) is None:
+        return True
+    return FoldedChain(sensor, observer, size).unreached(p_correct, seed) is None
+
+
+def chosen_sizes(sensor: Sensor, observer: Observer, smallest: float | None) -> list[float]:
+    """Return the sizes, in detectors, that suit a sensor: its `smallest_size` and the next ones of the ladder; the
+    largest ones if none has a threshold.
+    """
+    sizes = list(computed_sizes(sensor, observer))
+    return sizes[-SIZES_CHOSEN:] if smallest is None else sizes[sizes.index(smallest) :][:SIZES_CHOSEN]
+
+
+def given_sizes(sensor: Sensor, size_detectors: Sequence[float], size_mrad: Sequence[float]) -> list[float]:
+    """Return the sizes that are asked for, in detectors; empty if none are. SettingsError if angles are given too,
+    a size is not a positive number or is there twice, or an angle is too large to compute.
     """
     if len(size_detectors) and len(size_mrad):
         both = f"{argument.size_detectors} and {argument.size_mrad}"
         raise SettingsError(f"found {both}, expected one of them, or none for sizes that suit the sensor")
     if len(size_mrad):
         return [_in_detectors(angle, sensor) for angle in distinct_numbers(argument.size_mrad, size_mrad)]
-    if len(size_detectors):
-        return distinct_numbers(argument.size_detectors, size_detectors)
-    judge = observer or described("pyramid")[0]
-    smallest = smallest_size(sensor, judge, p_correct=p_correct, places=places, seed=seed)
-    sizes = list(computed_sizes(sensor, judge))
-    return sizes[-SIZES_CHOSEN:] if smallest is None else sizes[sizes.index(smallest) :][:SIZES_CHOSEN]
+    return distinct_numbers(argument.size_detectors, size_detectors) if len(size_detectors) else []
 
 
 def _in_detectors(size_mrad: float, sensor: Sensor) -> float:

@@ -79,9 +79,9 @@ class NeuronObserver(Observer):
         """Fold neurons and templates onto the retina."""
         return self._folded(stimulus)
 
-    def _folded(self, stimulus: Stimulus, *, n: int = 4) -> Readout:
-        """Make the readout with the noise of all neurons. It has the first `n` deviations; if that is 1, the noise
-        is taken as Gaussian.
+    def _folded(self, stimulus: Stimulus, *, n: int = 4, is_gaussian: bool = False) -> Readout:
+        """Make the readout with the noise of all neurons, which may be taken as Gaussian. It has the first `n`
+        deviations.
         """
         upright, noise_sd = self._template_deviation(stimulus), self.settings.noise_sd
         folded, turned = self._fold(upright), [upright]
@@ -92,7 +92,7 @@ class NeuronObserver(Observer):
             find_common=lambda: self._fold(self._common_template(stimulus)),
             deviations=np.stack([np.rot90(folded, -k) for k in range(n)]),
             find_common_variance=lambda: summed_variance(self._common_template(stimulus), noise_sd),
-            **summed_noise(turned, noise_sd, self.noise_excess_kurtosis if n > 1 else 0.0)._asdict(),
+            **summed_noise(turned, noise_sd, 0.0 if is_gaussian else self.noise_excess_kurtosis)._asdict(),
         )
 
     def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection | None:

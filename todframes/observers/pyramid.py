@@ -274,12 +274,13 @@ class PyramidObserver(NeuronObserver):
         return self.activity(gaussian_blur(image, self.settings.template_blur_samples))
 
     @keeps_last(4)
-    def readout_within(self, stimulus: Stimulus, half_width: int) -> Readout:
-        """Return a rough readout: the observer sees so many samples on each side of the retina's middle one, at
-        most, with the deviations of the first score alone, of which the others are turns, and Gaussian noise.
+    def readout_within(self, stimulus: Stimulus, half_width: int | None) -> Readout:
+        """Return the readout with the deviations of the first score alone, of which the others are turns. With a
+        `half_width` it is rough: the observer sees so many samples on each side of the retina's middle one, at
+        most, with Gaussian noise.
         """
-        readout = self._folded(stimulus, n=1)
-        return readout.cropped(min(half_width, readout.grid.side // 2))
+        readout = self._folded(stimulus, n=1, is_gaussian=half_width is not None)
+        return readout if half_width is None else readout.cropped(min(half_width, readout.grid.side // 2))
 
     def noise_between_places(self, stimulus: Stimulus, offset_mrad: tuple[float, float]) -> FloatArray | None:
         """Compute the covariance of the noise on the scores of two places: the same neurons see both.

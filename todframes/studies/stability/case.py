@@ -197,7 +197,7 @@ PAGE = """\
 # Stability in the extremes
 
 `todframes stability` tries inputs from the edge of what can occur, {number} of them, and fails if one keeps
-fewer digits than required or takes more CPU time than it may, three seconds for most. All take half a minute
+fewer digits than required or takes more CPU time than it may, three seconds for most. All take 40 s
 and 2 GB; the tests run the same cases.
 
 The expected values come from sources outside of the code under test: closed forms, laws that hold exactly, and
