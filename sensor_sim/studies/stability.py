@@ -150,7 +150,7 @@ def refused(sensor: Sensor, size: float, naming: str) -> str:
 def one_detector(detector_pitch_mrad: float) -> str:
     """Return the status of a triangle of one detector; its warning needs the smallest size with a threshold."""
     display = display_of(60, detector_pitch_mrad=detector_pitch_mrad, blur_sigma_px=2.0)
-    return curve(camera(display=display), size_detectors=[1.0]).fits[0].status
+    return str(curve(camera(display=display), size_detectors=[1.0]).fits[0].status)
 
 
 def mrtd_mk(netd_mk: float) -> float:
