@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError
-from todframes.display.display import Display, border_values
-from todframes.frames.contrast import LuminanceFound
+from todframes.display.display import Display
+from todframes.frames.contrast import LuminanceFound, declared_background
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import FULL_SCALE, FrameSource
 from todframes.frames.position import centroid_position
@@ -125,13 +125,7 @@ def _measured(
         ring = surface.middle_cd_m2
         even_cd_m2 = ring if reach_px else surface.luminance_at(*rows_columns)
         noise = surface.noise_cd_m2 * sums.surround.block_px / ring
-    if rule == "column":
-        assert frame.background_luminance_cd_m2 is not None  # the manifest was checked for it
-        background = frame.background_luminance_cd_m2
-    elif rule == "surround":
-        background = ring
-    else:
-        background = sums.luminance.sum / sums.luminance.n_averaged if isinstance(rule, str) else rule
+    background = ring if rule == "surround" else declared_background(rule, sums.luminance, frame)
     if not (background > 0.0 and ring > 0.0):
         raise FrameError(file.path, "there is no background")
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -186,11 +180,7 @@ class _WindowSums:
         for band in file.bands() if is_whole else file.bands(rows=read.rows, columns=read.columns):
             luminance = display.luminance(band.values)
             begin, end = band.first_row, band.first_row + len(luminance)
-            if rule == "border":
-                is_top, is_bottom = begin == all_rows[0], end == all_rows[1]
-                self.luminance.average(border_values(luminance, top=is_top, bottom=is_bottom))
-            elif rule == "frame_mean":
-                self.luminance.average(luminance)
+            self.luminance.average(luminance, rule, top=begin == all_rows[0], bottom=end == all_rows[1])
             self.surround.add(luminance, begin, band.first_column)
             self.blocks.add(luminance, begin, band.first_column, read)
             if header.pixel_type in FULL_SCALE:

@@ -109,16 +109,13 @@ def read_contrast(
             luminance = display.luminance(band.values)
             begin, end = band.first_row, band.first_row + len(luminance)
             seen.add(luminance)
-            if rule == "border":
-                seen.average(border_values(luminance, top=begin == first_row, bottom=end == stop_row))
-            elif rule == "frame_mean":
-                seen.average(luminance)
-            elif surround is not None:
+            seen.average(luminance, rule, top=begin == first_row, bottom=end == stop_row)
+            if surround is not None:
                 surround.add(luminance, begin, band.first_column)
             if begin < bottom and end > top:
                 part = (luminance if is_small else band.stored)[max(top - begin, 0) : bottom - begin]
                 kept[max(begin - top, 0) : end - top] = part[:, left - band.first_column :][:, : right - left]
-        background = surround.surface() if surround is not None else _background(rule, seen, frame)
+        background = surround.surface() if surround is not None else declared_background(rule, seen, frame)
         check_contrast(seen.largest, background)
     if is_small:
         contrast = displayed_contrast(kept, background, top, left)
@@ -143,15 +140,17 @@ def check_pixels(file: FrameSource, display: Display, frame: FrameReference, tri
             seen.add(display.luminance(np.stack([code.min(axis=(0, 1)), code.max(axis=(0, 1))])[:, None]))
             if rule == "border":
                 ring = border_values(code, top=begin == first_row, bottom=end == stop_row)
-                seen.average(display.luminance(ring[None]))
+                seen.average(display.luminance(ring[None]), "frame_mean")  # of nothing but the ring
             elif rule == "frame_mean":
-                seen.average(display.luminance(code))
+                seen.average(display.luminance(code), rule)
             elif rule == "surround":
                 rows = _shared((begin, end), window.rows)
                 left, right = (at - band.first_column for at in window.columns)
                 part = code[rows[0] - begin : rows[1] - begin, left:right]
                 surround.add(display.luminance(part), rows[0], window.columns[0])
-        check_contrast(seen.largest, surround.surface() if rule == "surround" else _background(rule, seen, frame))
+        check_contrast(
+            seen.largest, surround.surface() if rule == "surround" else declared_background(rule, seen, frame)
+        )
 
 
 class LuminanceFound:
@@ -167,13 +166,20 @@ class LuminanceFound:
         self.largest = max(self.largest, -lowest, float(luminance.max()))
         self.n_negative += int(np.count_nonzero(luminance < 0.0)) if lowest < 0.0 else 0
 
-    def average(self, luminance: FloatArray) -> None:
-        """Add luminances to the mean that is the background."""
-        self.sum += float(luminance.sum())
-        self.n_averaged += luminance.size
+    def average(
+        self, luminance: FloatArray, rule: float | BackgroundRule, *, top: bool = True, bottom: bool = True
+    ) -> None:
+        """Add a band to the mean that is the background by the rules "border" and "frame_mean". `top` and `bottom`
+        state whether it has the first and the last row of the frame.
+        """
+        if rule in ("border", "frame_mean"):
+            averaged = border_values(luminance, top=top, bottom=bottom) if rule == "border" else luminance
+            self.sum += float(averaged.sum())
+            self.n_averaged += averaged.size
 
 
-def _background(rule: float | BackgroundRule, seen: LuminanceFound, frame: FrameReference) -> float:
+def declared_background(rule: float | BackgroundRule, seen: LuminanceFound, frame: FrameReference) -> float:
+    """Return the luminance of the background by any rule but "surround"."""
     if rule == "column":
         assert frame.background_luminance_cd_m2 is not None  # the manifest was checked for it
         return frame.background_luminance_cd_m2

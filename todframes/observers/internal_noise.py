@@ -64,15 +64,11 @@ def _participation(turned: Sequence[Bands]) -> float:
     """Compute Σw⁴ / (Σw²)² of the weights of a score difference, the larger of the two kinds."""
     largest = 0.0
     for other in turned[1:3]:
-        squares = [a - b for a, b in zip(turned[0], other, strict=True)]
-        total = 0.0
-        for band in squares:
-            np.square(band, out=band)
-            total += float(band.sum())
+        squares = [np.square(a - b) for a, b in zip(turned[0], other, strict=True)]
+        total = sum(float(band.sum()) for band in squares)
         if total > 0.0:
-            for band in squares:
-                band /= total
-            largest = max(largest, sum(map(inner_product, squares, squares)))
+            shares = [band / total for band in squares]
+            largest = max(largest, sum(map(inner_product, shares, shares)))
     return largest
 
 
