@@ -292,19 +292,19 @@ def described(name: str, spec: str, function: Callable[..., Any], where: str) ->
     except Exception:  # annotations may use names that exist for type checkers only
         kinds = {}
     declaration = getattr(function, DECLARATION, Declaration())
-    named = [one for one in signature[1:] if one.kind in (one.KEYWORD_ONLY, one.POSITIONAL_OR_KEYWORD)]
-    context = tuple(one.name for one in named if declaration.clip and one.name in ("judged", "frame_rate_hz"))
+    named = [each for each in signature[1:] if each.kind in (each.KEYWORD_ONLY, each.POSITIONAL_OR_KEYWORD)]
+    context = tuple(each.name for each in named if declaration.clip and each.name in ("judged", "frame_rate_hz"))
     return Enhancement(
         name=name,
         spec=spec,
         function=function,
         declaration=declaration,
         parameters=tuple(
-            Parameter(one.name, kinds.get(one.name, _kind_of(one.default)), one.default)
-            for one in named
-            if one.name not in context
+            Parameter(each.name, kinds.get(each.name, _kind_of(each.default)), each.default)
+            for each in named
+            if each.name not in context
         ),
-        any_parameter=any(one.kind is one.VAR_KEYWORD for one in signature),
+        any_parameter=any(each.kind is each.VAR_KEYWORD for each in signature),
         context=context,
     )
 
@@ -324,7 +324,7 @@ def values_of(
     algorithm: Enhancement, assignments: str, where: str, given: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     """Return the values of all parameters: those in `assignments`, `name=value,…`, then `given`, then defaults."""
-    known = {one.name: one for one in algorithm.parameters}
+    known = {own.name: own for own in algorithm.parameters}
     assigned: dict[str, Any] = {}
     written: set[str] = set()
     for assignment in filter(None, assignments.split(",")):
@@ -344,10 +344,10 @@ def values_of(
         if not algorithm.any_parameter:
             check_keys([name], known, where)
         assigned[name] = convert(value, known[name].kind, f"{where}: {name}") if name in known else value
-    for name, one in known.items():
-        if one.default is inspect.Parameter.empty and name not in assigned:
+    for name, own in known.items():
+        if own.default is inspect.Parameter.empty and name not in assigned:
             raise SettingsError(f"{where}: parameter {name!r} is missing")
-    values = {name: one.default for name, one in known.items()} | dict(given or {}) | assigned
+    values = {name: own.default for name, own in known.items()} | dict(given or {}) | assigned
     magnification = algorithm.declaration.magnification
     if isinstance(magnification, str):
         convert(values.get(magnification), Positive, f"{where}: magnification {magnification!r}")

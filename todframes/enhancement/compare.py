@@ -40,7 +40,6 @@ from todframes.enhancement.comparison import (
     thresholds_of,
 )
 from todframes.enhancement.contrast_gain import (
-    GroupValues,
     contrast_gains,
     contrast_responses,
     measured_trials,
@@ -51,7 +50,7 @@ from todframes.enhancement.finding import find_enhancement, plain_value
 from todframes.enhancement.repeatability import RepeatedFrames
 from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.position import check_places
-from todframes.frames.trials import Trial, Trials
+from todframes.frames.trials import Group, Trial, Trials
 from todframes.jobs.run import Run, opened_run
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, Readout
@@ -445,7 +444,7 @@ def _usable_trials(
     return trials, skipped
 
 
-def _amplified(seen: SeenTrials, gains: Mapping[GroupValues, float]) -> SeenTrials:
+def _amplified(seen: SeenTrials, gains: Mapping[Group, float]) -> SeenTrials:
     """Return scores after a plain gain of contrast; groups whose gain is not known stay as they are."""
     of_groups = np.array([gains.get(group, 1.0) for group in seen.trials.groups])
     return seen.amplified(of_groups[seen.trials.group_codes])
@@ -503,7 +502,7 @@ def _judged(
     algorithm: Algorithm,
     scored: ScoredDataset,
     ratios: Sequence[Ratio],
-    points: Mapping[GroupValues, tuple[ContrastPoint, ...]],
+    points: Mapping[Group, tuple[ContrastPoint, ...]],
 ) -> Algorithm:
     """Return the record of an algorithm with what an observer finds; the reference has no ratios."""
     verdict, scenes = ratios[-1].verdict if ratios else None, scored.trials.scene_numbers
@@ -588,7 +587,7 @@ def _ratios(
     dataset: Dataset,
     scored: Sequence[ScoredDataset],
     plain: Sequence[ScoredDataset],
-    gains: Sequence[Mapping[GroupValues, float]],
+    gains: Sequence[Mapping[Group, float]],
     seed: int,
     fit_settings: FitSettings,
 ) -> list[list[Ratio]]:

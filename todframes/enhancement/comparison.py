@@ -84,7 +84,7 @@ MEASURE_COLUMNS = (
 MEASURED = ("psnr_db", "ssim", "n_clipped", "cpu_s", "cpu_ms_per_frame", "memory_mb")
 """Columns of `compare.csv` that are measured on an algorithm as a whole."""
 
-TAKEN = THRESHOLDS_TAKEN | {"algorithm", "spec", *MEASURED, *(one.key for one in RATIO_COLUMNS)}
+TAKEN = THRESHOLDS_TAKEN | {"algorithm", "spec", *MEASURED, *(column.key for column in RATIO_COLUMNS)}
 """Column names in use; a group column with one of these names is renamed."""
 
 ALGORITHM = Column(key="algorithm", is_name=True, wraps=True)
@@ -263,7 +263,7 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
 
     def _curve_styles(self) -> dict[object, CurveStyle]:
         """Return the style of each algorithm, the same in all figures; the reference has the ink's."""
-        reference, *others = (one.name for one in self.algorithms)
+        reference, *others = (algorithm.name for algorithm in self.algorithms)
         styles: dict[object, CurveStyle] = {reference: reference_style()}
         return styles | {name: curve_style(number, len(others)) for number, name in enumerate(others)}
 
@@ -274,12 +274,14 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
     def tables(self) -> list[Table]:
         """List the ratios for each observer, the algorithms, and folded tables with all else."""
         measures, responses = measures_table(self.algorithms), responses_table(self.algorithms)
-        is_measured = any(one.psnr_db is not None or one.ssim is not None for one in self.algorithms)
+        is_measured = any(
+            algorithm.psnr_db is not None or algorithm.ssim is not None for algorithm in self.algorithms
+        )
         folded = [self.table(), *([] if responses is None else [responses])]
         return [
             *(ratios_table(judged.algorithms, observer) for observer, judged in self._each_observer()),
             measures if is_measured else measures.extra(),
-            *(one.folded() for one in folded),
+            *(table.folded() for table in folded),
             *self.tables_behind(),
         ]
 
@@ -293,41 +295,41 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
 
     def notes(self) -> list[str]:
         """Return what was skipped, and how many values an algorithm clipped."""
-        clipped = ((one.spec, one.n_clipped) for one in self.algorithms if one.n_clipped)
+        clipped = ((algorithm.spec, algorithm.n_clipped) for algorithm in self.algorithms if algorithm.n_clipped)
         return [*super().notes(), *(f"note: {spec}: {n} values were clipped" for spec, n in clipped)]
 
     def figures(self) -> list[ReportFigure]:
         """List the ratios for each observer, contrasts before and after, TOD and psychometric functions."""
         from todframes.results.figures import psychometric_figures, tod_figures
 
-        found, styles = [], self._curve_styles()
+        listed, styles = [], self._curve_styles()
         note = (
             "Below 1 the algorithm helps. Filled: a difference is shown; open: none is. Lines are 95 % intervals, "
             "dotted where the data leave an end open."
         )
         for number, (observer, judged) in enumerate(self._each_observer()):
-            if any(one.ratios for one in judged.algorithms):
+            if any(algorithm.ratios for algorithm in judged.algorithms):
                 title = "Thresholds with and without" + (f", for {observer}" if observer else "")
                 draw = partial(draw_ratios, algorithms=judged.algorithms, styles=styles)
-                found.append(ReportFigure(title, note, draw, "" if number else "compare.png"))
-        if any(response.is_contrast for one in self.algorithms for response in one.contrast_responses):
+                listed.append(ReportFigure(title, note, draw, "" if number else "compare.png"))
+        if any(response.is_contrast for algorithm in self.algorithms for response in algorithm.contrast_responses):
             note = (
                 "Displayed contrast of the triangle after each algorithm against that before it, a line for each "
                 "group; bars: two standard errors. A plain gain is parallel to the grey line, which changes "
                 "nothing."
             )
             draw = partial(draw_responses, algorithms=self.algorithms, styles=styles)
-            found.append(ReportFigure("Contrast before and after", note, draw, "contrast_response.png"))
-        found += tod_figures(self.thresholds, styles)
+            listed.append(ReportFigure("Contrast before and after", note, draw, "contrast_response.png"))
+        listed += tod_figures(self.thresholds, styles)
         groups: dict[str, list[Fit]] = {}
-        for one in self.algorithms:
-            for fit in one.fits:
-                curve = replace(fit, group={"algorithm": one.name})
+        for algorithm in self.algorithms:
+            for fit in algorithm.fits:
+                curve = replace(fit, group={"algorithm": algorithm.name})
                 groups.setdefault(group_phrase(fit.group) if fit.group else "", []).append(curve)
         for label, fits in evenly(list(groups.items()), MOST_GROUPS_OF_CURVES):
             title = "Psychometric functions" + (f": {label}" if label else "")
-            found += psychometric_figures(fits, styles, of=title)
-        return found
+            listed += psychometric_figures(fits, styles, of=title)
+        return listed
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return trials, ratios, and contrasts before and after."""
@@ -346,7 +348,11 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
 
 def thresholds_of(algorithms: Sequence[Algorithm]) -> tuple[Fit, ...]:
     """Return the fits of all algorithms, each with the algorithm's name in its group."""
-    return tuple(replace(fit, group={"algorithm": one.name} | fit.group) for one in algorithms for fit in one.fits)
+    return tuple(
+        replace(fit, group={"algorithm": algorithm.name} | fit.group)
+        for algorithm in algorithms
+        for fit in algorithm.fits
+    )
 
 
 def ratios_table(algorithms: Sequence[Algorithm], observer: str = "") -> Table:
@@ -357,13 +363,13 @@ def ratios_table(algorithms: Sequence[Algorithm], observer: str = "") -> Table:
     first = algorithms[0].fits[0] if algorithms[0].fits else None
     names = list(first.group) if first is not None else []
     records: list[Record] = []
-    for one in algorithms:
-        common = {"algorithm": one.name, "spec": one.spec} | {key: getattr(one, key) for key in MEASURED}
+    for algorithm in algorithms:
+        common = {"algorithm": algorithm.name} | {key: getattr(algorithm, key) for key in ("spec", *MEASURED)}
         rows: list[tuple[Group, Fit | None, Ratio | None]] = [
             (fit.group, fit, ratio)
-            for fit, ratio in zip(one.fits, one.ratios or (None,) * len(one.fits), strict=True)
+            for fit, ratio in zip(algorithm.fits, algorithm.ratios or (None,) * len(algorithm.fits), strict=True)
         ]
-        rows += [(dict.fromkeys(names, "all"), None, one.overall)] if one.overall is not None else []
+        rows += [(dict.fromkeys(names, "all"), None, algorithm.overall)] if algorithm.overall is not None else []
         for group, fit, ratio in rows:
             values = {name: getattr(fit, name, None) for name in ("status", "threshold", "threshold_ci95")}
             values |= {column.key: getattr(ratio, column.key, None) for column in RATIO_COLUMNS}
@@ -381,21 +387,21 @@ def ratios_table(algorithms: Sequence[Algorithm], observer: str = "") -> Table:
     ]
     title = "Threshold over that of the reference" + (f", for {observer}" if observer else "")
     table = Table.of(title, "compare.csv", columns, records)
-    return table.without_empty_columns(*(one.key for one in columns if one.key not in BEYOND_GAIN))
+    return table.without_empty_columns(*(column.key for column in columns if column.key not in BEYOND_GAIN))
 
 
 def measures_table(algorithms: Sequence[Algorithm]) -> Table:
     """Make the table of algorithms: the usual measures of image quality beside the observer's verdict."""
     records: list[Record] = [
         {
-            "algorithm": one.name,
-            "spec": one.spec,
-            "parameters": ", ".join(f"{name} {field_text(value)}" for name, value in one.parameters.items())
+            "algorithm": algorithm.name,
+            "spec": algorithm.spec,
+            "parameters": ", ".join(f"{name} {field_text(value)}" for name, value in algorithm.parameters.items())
             or None,
-            **{column.key: getattr(one, column.key) for column in MEASURE_COLUMNS},
-            "disagrees": " and ".join(name.upper() for name in one.disagrees) or None,
+            **{column.key: getattr(algorithm, column.key) for column in MEASURE_COLUMNS},
+            "disagrees": " and ".join(name.upper() for name in algorithm.disagrees) or None,
         }
-        for one in algorithms
+        for algorithm in algorithms
     ]
     columns = [
         ALGORITHM,
@@ -411,14 +417,16 @@ def responses_table(algorithms: Sequence[Algorithm]) -> Table | None:
     """Make the table of displayed contrasts before and after each algorithm; None if there are none."""
     keys = ContrastPoint.__struct_fields__
     records: list[Record] = [
-        {"algorithm": one.name} | group_record(response.group, TAKEN) | {key: getattr(point, key) for key in keys}
-        for one in algorithms
-        for response in one.contrast_responses
+        {"algorithm": algorithm.name}
+        | group_record(response.group, TAKEN)
+        | {key: getattr(point, key) for key in keys}
+        for algorithm in algorithms
+        for response in algorithm.contrast_responses
         for point in response.points
     ]
     if not records:
         return None
-    first = next(one for one in algorithms if one.contrast_responses)
+    first = next(algorithm for algorithm in algorithms if algorithm.contrast_responses)
     columns = [
         ALGORITHM,
         *group_columns(first.contrast_responses[0].group, TAKEN),
@@ -434,18 +442,18 @@ def responses_table(algorithms: Sequence[Algorithm]) -> Table | None:
 
 def draw_ratios(axes: Axes, algorithms: Sequence[Algorithm], styles: Mapping[object, CurveStyle]) -> None:
     """Draw thresholds divided by the reference's, by algorithm and group; filled if a difference is shown."""
-    others = [one for one in algorithms if one.ratios][:MOST_COMPARED]
+    others = [algorithm for algorithm in algorithms if algorithm.ratios][:MOST_COMPARED]
     compared = [
         {group_phrase(ratio.group) if ratio.group else "all groups": ratio for ratio in each if ratio}
-        for each in ((*one.ratios, one.overall) for one in others)
+        for each in ((*algorithm.ratios, algorithm.overall) for algorithm in others)
     ]
     labels = list(dict.fromkeys(label for ratios in compared for label in ratios))[:MOST_GROUPS]
     axes.set_yscale("log")
-    for number, (one, ratios) in enumerate(zip(others, compared, strict=True)):
-        colour, marker = styles[one.name]
+    for number, (algorithm, ratios) in enumerate(zip(others, compared, strict=True)):
+        colour, marker = styles[algorithm.name]
         shift = 0.6 * ((number + 0.5) / len(others) - 0.5)
         points: Json = {"color": colour, "marker": marker, "ls": ""}
-        axes.plot([], [], label=label_text(one.name), **points)
+        axes.plot([], [], label=label_text(algorithm.name), **points)
         for x, label in enumerate(labels):
             ratio = ratios.get(label)
             if ratio is None or ratio.ratio is None:
@@ -470,10 +478,10 @@ def draw_responses(axes: Axes, algorithms: Sequence[Algorithm], styles: Mapping[
     """Draw the displayed contrast of the triangle after each algorithm against that before it, on log axes."""
     axes.set(xscale="log", yscale="log", xlabel="displayed contrast before", ylabel="displayed contrast after")
     ends: list[float] = []
-    for one in [one for one in algorithms if one.contrast_responses][:MOST_COMPARED]:
-        style: Json = {"color": styles[one.name].colour, "marker": styles[one.name].marker, "ms": 4}
-        axes.plot([], [], label=label_text(one.name), **style)
-        for response in one.contrast_responses[:MOST_GROUPS]:
+    for algorithm in [algorithm for algorithm in algorithms if algorithm.contrast_responses][:MOST_COMPARED]:
+        style: Json = {"color": styles[algorithm.name].colour, "marker": styles[algorithm.name].marker, "ms": 4}
+        axes.plot([], [], label=label_text(algorithm.name), **style)
+        for response in algorithm.contrast_responses[:MOST_GROUPS]:
             points = [point for point in response.points if point.before > 0.0 and point.after > 0.0]
             before, after = ([within(getattr(point, key)) for point in points] for key in ("before", "after"))
             errors = [2.0 * (point.gain_standard_error or 0.0) * point.before for point in points]
@@ -506,41 +514,43 @@ def comparisons(each_observer: Sequence[tuple[str, JudgedBy]]) -> tuple[str, ...
     return (*(text for _, text in disagreements), *paragraphs)
 
 
-def _paragraph(one: Algorithm, reference: Algorithm) -> str:
-    text = f"{one.name}: {one.verdict}"
-    whole = one.overall or one.ratios[0]
+def _paragraph(algorithm: Algorithm, reference: Algorithm) -> str:
+    text = f"{algorithm.name}: {algorithm.verdict}"
+    whole = algorithm.overall or algorithm.ratios[0]
     if whole.ratio is not None:
-        mean = ", in the geometric mean of all groups" if one.overall else ""
+        mean = ", in the geometric mean of all groups" if algorithm.overall else ""
         sure = f"95 % interval {interval_phrase(whole.ratio_ci95 or (None, None))}"
-        level = level_name(one.fits[0].level)
+        level = level_name(algorithm.fits[0].level)
         text += f"; the threshold {level} is {plain(whole.ratio)} times that without it ({sure}){mean}"
     groups_of = {
-        verdict: [ratio.group for ratio in one.ratios if ratio.verdict == verdict]
+        verdict: [ratio.group for ratio in algorithm.ratios if ratio.verdict == verdict]
         for verdict in ("better", "worse", NO_DIFFERENCE)
     }
-    if one.overall and len({ratio.verdict for ratio in one.ratios}) > 1:
+    if algorithm.overall and len({ratio.verdict for ratio in algorithm.ratios}) > 1:
         texts = (f"{verdict} at {group_phrases(groups)}" for verdict, groups in groups_of.items() if groups)
         text += f"; {'; '.join(texts)}"
-    sentences = [text, *_beyond_gain(one, whole)]
-    for reason, groups in _without_ratio(one, reference).items():
+    sentences = [text, *_beyond_gain(algorithm, whole)]
+    for reason, groups in _without_ratio(algorithm, reference).items():
         sentences.append(f"At {group_phrases(groups)} {reason}" if groups[0] else reason[0].upper() + reason[1:])
-    if one.disagrees:
+    if algorithm.disagrees:
         changes = {
-            "psnr": f"PSNR changes by {_signed(one.psnr_change_db, '.1f')} dB",
-            "ssim": f"SSIM by {_signed(one.ssim_change, '.3f')}",
+            "psnr": f"PSNR changes by {_signed(algorithm.psnr_change_db, '.1f')} dB",
+            "ssim": f"SSIM by {_signed(algorithm.ssim_change, '.3f')}",
         }
-        sentences.append(f"The usual measures disagree: {' and '.join(changes[name] for name in one.disagrees)}")
+        sentences.append(
+            f"The usual measures disagree: {' and '.join(changes[name] for name in algorithm.disagrees)}"
+        )
     return ". ".join(sentences) + "."
 
 
-def _beyond_gain(one: Algorithm, ratio: Ratio) -> list[str]:
+def _beyond_gain(algorithm: Algorithm, ratio: Ratio) -> list[str]:
     """Return a sentence on an algorithm that helps: whether it does more than a plain gain of the same amount.
 
     Where its gain is another near the threshold, no plain gain is of the same amount.
     """
     if ratio.verdict not in ("better", "mixed") or ratio.beyond_gain is None or ratio.beyond_gain_ci95 is None:
         return []
-    if any(not_proportional([one])):
+    if any(not_proportional([algorithm])):
         return [
             "Whether it does more than amplify stays open: its contrast gain near the threshold is not that at "
             "the highest level"
@@ -557,10 +567,10 @@ def _beyond_gain(one: Algorithm, ratio: Ratio) -> list[str]:
     ]
 
 
-def _without_ratio(one: Algorithm, reference: Algorithm) -> dict[str, list[Group]]:
+def _without_ratio(algorithm: Algorithm, reference: Algorithm) -> dict[str, list[Group]]:
     """Return the reasons why groups have no ratio: phrases, and the groups for which each is true."""
     reasons: dict[str, list[Group]] = {}
-    for ratio, fit, before in zip(one.ratios, one.fits, reference.fits, strict=True):
+    for ratio, fit, before in zip(algorithm.ratios, algorithm.fits, reference.fits, strict=True):
         if ratio.ratio is None:
             what = f"{100 * fit.p_correct:g} % correct"
             after, without = (REACHED.get(either.status, "is reached") for either in (fit, before))
@@ -578,8 +588,10 @@ def not_proportional(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]
 
     A comparison with a plain gain, which has the gain of the highest level, then compares with a wrong one.
     """
-    for one in algorithms:
-        for fit, response, ratio in zip(one.fits, one.contrast_responses, one.ratios, strict=False):
+    for algorithm in algorithms:
+        for fit, response, ratio in zip(
+            algorithm.fits, algorithm.contrast_responses, algorithm.ratios, strict=False
+        ):
             points = [point for point in response.points if point.gain is not None and point.gain > 0.0]
             if ratio.beyond_gain is None or fit.threshold is None or len(points) < 2:
                 continue
@@ -595,7 +607,7 @@ def not_proportional(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]
                 f"threshold, at {near.level:.3g}, and {plain(top.gain)} at the highest level: beyond_gain, "
                 "which takes the latter, does not hold; see the table of the contrast before and after"
             )
-            group = {"algorithm": one.name} | fit.group
+            group = {"algorithm": algorithm.name} | fit.group
             yield ResultWarning(
                 code="not_proportional", group=group, message=message, found=near.gain, expected=top.gain
             )
@@ -603,26 +615,29 @@ def not_proportional(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]
 
 def frame_warnings(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]:
     """Yield warnings about algorithms that change the edge of frames otherwise, or a frame otherwise each time."""
-    for one in algorithms:
-        group: Group = {"algorithm": one.name}
-        if one.edge_factor is not None and abs(one.edge_factor - 1.0) > 0.02:
-            kind = "brighter" if one.edge_factor > 1.0 else "darker"
+    for algorithm in algorithms:
+        group: Group = {"algorithm": algorithm.name}
+        edge, difference = algorithm.edge_factor, algorithm.repeat_difference
+        if edge is not None and abs(edge - 1.0) > 0.02:
+            kind = "brighter" if edge > 1.0 else "darker"
             message = (
                 "compared with what surrounds the triangle, it makes the outermost pixels of a frame "
-                f"{plain(100.0 * abs(one.edge_factor - 1.0), 2)} % {kind}, as a network does that takes pixels "
+                f"{plain(100.0 * abs(edge - 1.0), 2)} % {kind}, as a network does that takes pixels "
                 "beyond the frame as black. Contrast refers to what surrounds the triangle. If triangles lie near "
                 "the edge, take larger frames, or let the algorithm mirror them"
             )
-            yield ResultWarning(
-                code="edge_brightness", group=group, message=message, found=one.edge_factor, expected=1.0
-            )
-        if one.repeat_difference:
+            yield ResultWarning(code="edge_brightness", group=group, message=message, found=edge, expected=1.0)
+        if difference:
             message = (
-                f"its pictures of the same frame differ by up to {plain(100.0 * one.repeat_difference, 2)} % of "
+                f"its pictures of the same frame differ by up to {plain(100.0 * difference, 2)} % of "
                 "their mean luminance: it depends on chance, on other frames or on a file that has changed. Its "
                 "ratio holds for this run alone. Give it a fixed seed, declare it with clip if it needs earlier "
                 "frames, and leave its files as they are"
             )
             yield ResultWarning(
-                code="not_repeatable", group=group, message=message, found=one.repeat_difference, expected=0.0
+                code="not_repeatable",
+                group=group,
+                message=message,
+                found=difference,
+                expected=0.0,
             )

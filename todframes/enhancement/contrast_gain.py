@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.enhancement.comparison import ContrastPoint
 from todframes.enhancement.contrast_on_scenes import OnScenes, contrasts_on_scenes, views_to_measure
-from todframes.frames.trials import Trial, Trials
+from todframes.frames.trials import Group, Trial, Trials
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Shown, retina_image
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, coverage
@@ -27,9 +27,7 @@ LEAST_GAIN = 1e-6
 MEASURED_TRIALS = 24
 """Largest number of trials of a level below the highest whose contrast is measured: evenly spread."""
 
-GroupValues = tuple[float | str, ...]
-
-Responses = dict[GroupValues, tuple[ContrastPoint, ...]]
+Responses = dict[Group, tuple[ContrastPoint, ...]]
 """Displayed contrasts of an algorithm in each group, at ascending levels."""
 
 
@@ -62,7 +60,7 @@ def triangle_contrasts(shown: Sequence[Shown], trial: Trial, *, grid: RetinaGrid
     of the trial's polarity. The triangle's `centre` lies in the middle of the grid.
     """
     found = np.full((len(shown), len(ORIENTATIONS)), np.nan)
-    images = [retina_image(one, grid) for one in shown]
+    images = [retina_image(after, grid) for after in shown]
     size_px = trial.stimulus.size_mrad / grid.pitch_mrad
     for turn in range(1 if trial.view is None else len(ORIENTATIONS)):
         orientation = ORIENTATIONS[(trial.orientation.quarter_turns + turn) % len(ORIENTATIONS)]
@@ -89,12 +87,12 @@ def sharp_share() -> float:
     middle = side // 2
     shown = coverage((side, side), size_px=size_px, x_px=middle, y_px=middle, orientation=ORIENTATIONS[0])
     own, opposite = (
-        float((_ring_weights(side, size_px, one, "centroid") * shown).sum()) for one in ORIENTATIONS[::2]
+        float((_ring_weights(side, size_px, turned, "centroid") * shown).sum()) for turned in ORIENTATIONS[::2]
     )
     return opposite / own
 
 
-def contrast_gains(responses: Sequence[Responses]) -> list[dict[GroupValues, float]]:
+def contrast_gains(responses: Sequence[Responses]) -> list[dict[Group, float]]:
     """Return the contrast gain of each algorithm in each group, against the first algorithm: at the highest level.
 
     Groups are left out where the contrast is not positive before or after.

@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
-from pathlib import Path
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError, SettingsError, argument, of_frame
 from todframes.base.reading import check_positive
+from todframes.base.remote import Location
 from todframes.display.display import Display, border_values
 from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
 from todframes.enhancement.brightening import background_factor
@@ -28,7 +28,7 @@ from todframes.frames.files import FULL_SCALE, FrameSource, read_frame
 from todframes.frames.memory import ArrayFrame
 from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import FrameReference, Trial
-from todframes.observers.interface import Observer
+from todframes.observers.interface import Observer, keeps_last
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Placement, Shown, place_grid
 
@@ -250,7 +250,6 @@ class TrialReader:
         self.screen = screen
         self._of_clips = [algorithm for algorithm in self.algorithms if algorithm.declaration.clip]
         self._meters = {algorithm.spec: MemoryMeter() for algorithm in self.algorithms}
-        self.reference_luminance = lru_cache(maxsize=16)(self._reference_luminance)
 
     def __reduce__(self) -> tuple[type, tuple[tuple[Enhancement, ...], AlgorithmDisplay]]:
         return TrialReader, (self.algorithms, self.screen)
@@ -380,12 +379,13 @@ class TrialReader:
         path = dataset.reference_path(frame)
         if path is None:
             return None, None
-        reference = self.reference_luminance(path, dataset.max_frame_mb)
+        reference = self._reference_luminance(path, dataset.max_frame_mb)
         if picture.values.shape[:2] != reference.shape:
             return None, None
         return squared_error_and_ssim(picture.luminance(), reference, data_range=self.screen.data_range_cd_m2)
 
-    def _reference_luminance(self, path: Path, max_frame_mb: int) -> FloatArray:
+    @keeps_last(16)
+    def _reference_luminance(self, path: Location, max_frame_mb: int) -> FloatArray:
         with of_frame(path):
             return self.screen.display.luminance(read_frame(path, max_frame_mb=max_frame_mb).values)
 

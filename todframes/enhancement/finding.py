@@ -49,24 +49,23 @@ def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
     >>> tod.find_enhancement("gaussian:sigma=1.5").values
     {'sigma': 1.5}
     """
-    if not isinstance(spec, str):
-        if not callable(spec):
-            raise SettingsError(f"enhance: found {spec!r}, expected the name of an algorithm or a function")
-        named = getattr(spec, "func", spec)
-        name = f"{named.__module__}:{getattr(named, '__qualname__', type(named).__name__)}"
-        found = described(name, name, _function(spec, f"enhance {name!r}"), f"enhance {name!r}")
-        return replace(found, values=values_of(found, "", f"enhance {name!r}"))
-    head, _, rest = spec.partition(":")
-    if head == NETWORK:
-        return _network(rest, spec)
-    function_name, _, assignments = ("", "", rest) if "=" in rest.partition(":")[0] else rest.partition(":")
-    where = f"enhance {spec!r}"
-    if function_name:
-        function = _function(import_named(head, function_name, where), where)
+    if isinstance(spec, str):
+        head, _, rest = spec.partition(":")
+        if head == NETWORK:
+            return _network(rest, spec)
+        function_name, _, assignments = ("", "", rest) if "=" in rest.partition(":")[0] else rest.partition(":")
+        name, text, where = f"{head}:{function_name}" if function_name else head, spec, f"enhance {spec!r}"
+        function = import_named(head, function_name, where) if function_name else _registered(head, where)
+    elif callable(spec):
+        function, named, assignments = spec, getattr(spec, "func", spec), ""
+        name = text = f"{named.__module__}:{getattr(named, '__qualname__', type(named).__name__)}"
+        where = f"enhance {name!r}"
     else:
-        function = _registered(head, where)
-    found = described(f"{head}:{function_name}" if function_name else head, spec, function, where)
-    return replace(found, values=values_of(found, assignments, where))
+        raise SettingsError(f"enhance: found {spec!r}, expected the name of an algorithm or a function")
+    if not callable(function):
+        raise SettingsError(f"{where}: found {type(function).__name__}, expected a function of an image")
+    algorithm = described(name, text, function, where)
+    return replace(algorithm, values=values_of(algorithm, assignments, where))
 
 
 def enhancement_names() -> list[str]:
@@ -75,20 +74,14 @@ def enhancement_names() -> list[str]:
     return sorted(found, key=lambda name: (not found[name].value.startswith("todframes."), name))
 
 
-def _registered(name: str, where: str) -> Callable[..., Any]:
+def _registered(name: str, where: str) -> Any:
     found = registered(ENTRY_POINT_GROUP)
     if name not in found:
         check_keys([name], found, f"{where}: expected a registered name or module:function")
     try:
-        return _function(found[name].load(), where)
+        return found[name].load()
     except (Exception, SystemExit) as error:
         raise SettingsError(f"{where}: {found[name].value} cannot be loaded ({in_words(error)})") from None
-
-
-def _function(found: Any, where: str) -> Callable[..., Any]:
-    if not callable(found):
-        raise SettingsError(f"{where}: found {type(found).__name__}, expected a function of an image")
-    return found  # type: ignore[no-any-return]
 
 
 def _network(rest: str, spec: str) -> Enhancement:
@@ -104,7 +97,7 @@ def _network(rest: str, spec: str) -> Enhancement:
         raise SettingsError(f"{where}: found {after or 'nothing'} behind {before}:, expected parameter=value")
     network = read_network(path)
     found = described(path.name, spec, network.enhanced, where)
-    beside = settings_beside(path, {one.name: one.kind for one in found.parameters})
+    beside = settings_beside(path, {parameter.name: parameter.kind for parameter in found.parameters})
     # Its magnification is not known before it has been tried.
     values = values_of(replace(found, declaration=Declaration()), assignments, where, beside)
     network, values = tried(network, values, path, where)
@@ -114,7 +107,7 @@ def _network(rest: str, spec: str) -> Enhancement:
 def plain_value(value: object) -> object:
     """Return a parameter's value as a JSON value, or as a text if JSON has no such value."""
     if isinstance(value, Mapping):
-        return {str(name): plain_value(one) for name, one in value.items()}
+        return {str(name): plain_value(part) for name, part in value.items()}
     return value if value is None or isinstance(value, bool | int | float | str) else repr(value)
 
 
@@ -129,14 +122,14 @@ def enhancement_record(algorithm: Enhancement) -> Record:
         "library": algorithm.declaration.library,
         "parameters": [
             {
-                "name": one.name,
-                "default": plain_value(one.default),
-                "unit": (one.meta.extra or {}).get("unit") or None,
-                "range": None if one.meta.ge is None else [one.meta.ge, one.meta.le],
-                "choices": list(one.choices) or None,
-                "what": one.meta.description or None,
+                "name": parameter.name,
+                "default": plain_value(parameter.default),
+                "unit": (parameter.meta.extra or {}).get("unit") or None,
+                "range": None if parameter.meta.ge is None else [parameter.meta.ge, parameter.meta.le],
+                "choices": list(parameter.choices) or None,
+                "what": parameter.meta.description or None,
             }
-            for one in algorithm.parameters
+            for parameter in algorithm.parameters
         ],
     }
 
@@ -144,10 +137,12 @@ def enhancement_record(algorithm: Enhancement) -> Record:
 def enhancements_table(listed: Sequence[Record]) -> Table:
     """Make the table of registered algorithms, with a row for each parameter below its algorithm."""
     records: list[Record] = []
-    for one in listed:
-        takes = one["domain"].replace("_", " ") + "s" * (one["domain"] == "code_value") + ", clips" * one["clip"]
-        records.append({"name": one["name"], "what": one["what"], "takes": takes, "from": one["library"]})
-        for parameter in one["parameters"]:
+    for each in listed:
+        takes = (
+            each["domain"].replace("_", " ") + "s" * (each["domain"] == "code_value") + ", clips" * each["clip"]
+        )
+        records.append({"name": each["name"], "what": each["what"], "takes": takes, "from": each["library"]})
+        for parameter in each["parameters"]:
             default, ends = parameter["default"], parameter["range"] or ()
             shown = f"{default:g}" if isinstance(default, float) else str(default)
             span = ", ".join(map(str, parameter["choices"] or ())) or " – ".join(f"{end:g}" for end in ends)

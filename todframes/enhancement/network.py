@@ -100,23 +100,25 @@ class Network:
 
         pictures = [image[..., None]] if image.ndim == 2 else [image]
         if channels == 3:
-            pictures = [np.repeat(one, 3, axis=2) if one.shape[2] == 1 else one for one in pictures]
+            pictures = [np.repeat(grey, 3, axis=2) if grey.shape[2] == 1 else grey for grey in pictures]
         else:
-            pictures = [one[..., k : k + 1] for one in pictures for k in range(one.shape[2])]
+            pictures = [colour[..., k : k + 1] for colour in pictures for k in range(colour.shape[2])]
         whole = [-(-(length + 2 * border_px) // multiple_px) * multiple_px for length in image.shape[:2]]
         sides = [
             fixed or (min(tile_px, length) if tile_px else length)
             for fixed, length in zip(self.size, whole, strict=True)
         ]
         found = [
-            _apply(run, one, (sides[0], sides[1]), overlap_px=overlap_px or 0, scale=scale, border_px=border_px)
-            for one in pictures
+            _apply(
+                run, picture, (sides[0], sides[1]), overlap_px=overlap_px or 0, scale=scale, border_px=border_px
+            )
+            for picture in pictures
         ]
         if image.ndim == 3 and channels == 3:
             return found[0]
         # The luminance of a coloured picture to first order in its colours, and exactly so on a linear display.
         weights = REC_709_LUMINANCE_WEIGHTS.astype(np.float32)
-        greys = [one[..., 0] if one.shape[2] == 1 else np.asarray(one @ weights) for one in found]
+        greys = [after[..., 0] if after.shape[2] == 1 else np.asarray(after @ weights) for after in found]
         return greys[0] if len(greys) == 1 else np.stack(greys, axis=-1)
 
     @cached_property

@@ -85,7 +85,7 @@ class Model(NamedTuple):
 
     def picture_input(self, constants: Mapping[str, float]) -> Input:
         """Return the input that takes the picture: the first that has no constant value."""
-        return next(one for one in self.inputs if one.name not in constants)
+        return next(port for port in self.inputs if port.name not in constants)
 
     def apply(
         self,
@@ -103,12 +103,12 @@ class Model(NamedTuple):
             picture = np.concatenate([picture, np.full((rows, columns, 1), constant_channel, np.float32)], axis=2)
         axes = np.moveaxis(picture, 2, 0) if layout == "nchw" else picture
         arrays = {
-            own.name: own.filled(constants[own.name], layout, rows, columns)
-            for own in self.inputs
-            if own.name in constants
+            port.name: port.filled(constants[port.name], layout, rows, columns)
+            for port in self.inputs
+            if port.name in constants
         }
-        own = self.picture_input(constants)
-        arrays[own.name] = np.ascontiguousarray(axes, own.kind)[None]
+        port = self.picture_input(constants)
+        arrays[port.name] = np.ascontiguousarray(axes, port.kind)[None]
         return np.asarray(self.session.run(None, arrays)[0], np.float32)
 
 
@@ -161,11 +161,11 @@ def read_model(content: bytes) -> Model:
         raise DataError(f"ONNX Runtime cannot read it ({reason(error)})") from None
     inputs = tuple(
         Input(
-            one.name,
-            KINDS.get(one.type, one.type),
-            tuple(side if isinstance(side, int) and side else None for side in one.shape),
+            port.name,
+            KINDS.get(port.type, port.type),
+            tuple(side if isinstance(side, int) and side else None for side in port.shape),
         )
-        for one in session.get_inputs()
+        for port in session.get_inputs()
     )
     return Model(inputs, session)
 
@@ -182,7 +182,7 @@ def reason(error: BaseException) -> str:
 
 def in_one_line(text: str) -> str:
     """Return a text of a model or a library without letters that cannot be printed, and not too long."""
-    text = "".join(one if one.isprintable() else "?" for one in text)
+    text = "".join(letter if letter.isprintable() else "?" for letter in text)
     return text if len(text) <= LONGEST_REASON else f"{text[:LONGEST_REASON]}…"
 
 
@@ -336,39 +336,39 @@ def _check_inputs(inputs: tuple[Input, ...], constants: Mapping[str, float]) -> 
     """Raise an error unless all inputs of a network but one have constant values that they can take."""
     if not inputs:
         raise DataError("has no inputs, expected one: a picture")
-    names = in_one_line(", ".join(one.name for one in inputs))
-    check_keys(constants, [one.name for one in inputs], f"inputs: the model takes {names}")
-    others = [one for one in inputs if one.name not in constants]
+    names = in_one_line(", ".join(port.name for port in inputs))
+    check_keys(constants, [port.name for port in inputs], f"inputs: the model takes {names}")
+    others = [port for port in inputs if port.name not in constants]
     if not others:
         raise SettingsError(f"inputs: found values for all inputs of the model, {names}; expected one without")
     if len(others) > 1:
-        further = in_one_line(next((one for one in others[::-1] if not _is_picture(one)), others[-1]).name)
+        further = in_one_line(next((port for port in others[::-1] if not _is_picture(port)), others[-1]).name)
         raise SettingsError(
             f"inputs: the model takes {names}; expected a value for each but the picture: inputs.{further}=VALUE, "
             f"or in its TOML file a table [inputs] with {further} = VALUE"
         )
-    for one in inputs:
-        if one.name in constants:
-            _check_constant(one, constants[one.name])
+    for port in inputs:
+        if port.name in constants:
+            _check_constant(port, constants[port.name])
 
 
-def _is_picture(one: Input) -> bool:
-    return len(one.shape) == 4 and bool({one.shape[1], one.shape[3]} & {*PICTURE_CHANNELS})
+def _is_picture(port: Input) -> bool:
+    return len(port.shape) == 4 and bool({port.shape[1], port.shape[3]} & {*PICTURE_CHANNELS})
 
 
-def _check_constant(one: Input, value: float) -> None:
+def _check_constant(port: Input, value: float) -> None:
     """Raise an error unless an input can be filled with a value."""
-    name = in_one_line(one.name)
-    if one.kind not in KINDS.values():
-        raise DataError(f"inputs: {name} takes values of {one.kind}, expected numbers")
-    if prod(side or 1 for side in one.shape) > MOST_TILE_PX**2:
-        raise DataError(f"inputs: {name} has shape {_shown(one.shape)}, expected at most {MOST_TILE_PX}² values")
-    if one.kind in ("int32", "int64"):
-        most = int(np.iinfo(one.kind).max)
+    name = in_one_line(port.name)
+    if port.kind not in KINDS.values():
+        raise DataError(f"inputs: {name} takes values of {port.kind}, expected numbers")
+    if prod(side or 1 for side in port.shape) > MOST_TILE_PX**2:
+        raise DataError(f"inputs: {name} has shape {_shown(port.shape)}, expected at most {MOST_TILE_PX}² values")
+    if port.kind in ("int32", "int64"):
+        most = int(np.iinfo(port.kind).max)
         if value != round(value) or abs(value) > most:
             raise SettingsError(f"inputs: {name}: found {value:g}, expected a whole number of at most {most}")
-    elif abs(value) > float(np.finfo(one.kind).max):
-        raise SettingsError(f"inputs: {name}: found {value:g}, expected a number that {one.kind} can hold")
+    elif abs(value) > float(np.finfo(port.kind).max):
+        raise SettingsError(f"inputs: {name}: found {value:g}, expected a number that {port.kind} can hold")
 
 
 def _shown(shape: tuple[int | None, ...]) -> str:
@@ -400,7 +400,7 @@ def _scale_and_loss(
     lost = candidates[0]
     if rows == columns:  # all are possible: up to the border that is given, a whole scale is the likely one
         likely = candidates[: (request.border_px or 0) + 1]
-        lost = next((one for one in likely if sides[0] % (rows - 2 * one) == 0), 0)
+        lost = next((px for px in likely if sides[0] % (rows - 2 * px) == 0), 0)
     return sides[0] / (rows - 2 * lost), lost
 
 
@@ -434,19 +434,19 @@ def _run(
 
 def main() -> None:
     """Read a model from standard input and write what it is to standard output, as MessagePack."""
-    answer = os.dup(1)
+    output = os.dup(1)
     os.dup2(2, 1)  # libraries may print
     _limit_memory()
     request = msgspec.json.decode(sys.argv[1], type=ProbeRequest)
     try:
         content = with_weights(sys.stdin.buffer.read(), Path(sys.argv[2]))
-        found = _Answer(examine(read_model(content), request), content)
+        answer = _Answer(examine(read_model(content), request), content)
     except TodframesError as error:
-        found = _Answer(problem=str(error), is_setting=isinstance(error, SettingsError))
+        answer = _Answer(problem=str(error), is_setting=isinstance(error, SettingsError))
     except MemoryError:
-        found = _Answer(problem="needs more memory than there is")
-    with os.fdopen(answer, "wb") as file:
-        file.write(msgspec.msgpack.encode(found))
+        answer = _Answer(problem="needs more memory than there is")
+    with os.fdopen(output, "wb") as file:
+        file.write(msgspec.msgpack.encode(answer))
     os._exit(0)  # nothing of the library runs any more
 
 
