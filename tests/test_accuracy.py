@@ -199,7 +199,6 @@ def some_recorded() -> StudyScene:
     return replace(whole, trials=whole.trials[::3], converged_nodes=(3, 4))
 
 
-SLOW = pytest.mark.slow
 SCENES = {
     "naked eye": lambda: NakedEye("eye", "", "", "contrast", 0.6, converged_nodes=(6, 8)),
     "external noise": lambda: CAMERA,
@@ -209,7 +208,7 @@ SCENES = {
 }
 
 
-@pytest.fixture(scope="module", params=["naked eye", *(pytest.param(one, marks=SLOW) for one in [*SCENES][1:])])
+@pytest.fixture(scope="module", params=[*[*SCENES][:-1], pytest.param("recorded", marks=pytest.mark.slow)])
 def scene(request) -> StudyScene:
     return SCENES[request.param]()
 
@@ -269,7 +268,6 @@ def test_naked_eye_converges_to_its_threshold():
     assert found.bound < 1e-3 * found.threshold
 
 
-@pytest.mark.slow
 def test_camera_with_external_noise_converges_to_its_threshold():
     found = CAMERA.converge()
     other = predict_threshold(FoldedChain(UNDER_SAMPLED, PyramidObserver(), 3.0), tolerance=5e-4)

@@ -185,7 +185,6 @@ def answered(observer: Observer, path, n: int) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", [PyramidObserver, CsfObserver])
 def test_a_dataset_with_places_against_noise_on_every_neuron(make_dataset: DatasetMaker, kind: type) -> None:
     made = placed(make_dataset)
@@ -209,7 +208,6 @@ def test_more_places_need_more_contrast(make_dataset: DatasetMaker) -> None:
     assert "any of 4 places" in found.plan[0].why
 
 
-@pytest.mark.slow
 def test_drawn_answers_of_a_dataset_with_places(make_dataset: DatasetMaker) -> None:
     """Of many seeds as many answers are right as is expected, and a trial has the same noise in each way shown."""
     made = load_dataset(placed(make_dataset).path)
@@ -217,7 +215,7 @@ def test_drawn_answers_of_a_dataset_with_places(make_dataset: DatasetMaker) -> N
     expected = score_dataset(made, observer).p_correct
     quick = FitSettings(resamples=0)
     drawn = [
-        score_dataset(made, observer, decisions="sampled", seed=seed, fit_settings=quick) for seed in range(20)
+        score_dataset(made, observer, decisions="sampled", seed=seed, fit_settings=quick) for seed in range(10)
     ]
     share = np.mean([one.p_correct for one in drawn], axis=0)
     assert set(np.unique(drawn[0].p_correct)) <= {0.0, 1.0} and np.isfinite(drawn[0].answers).all()
