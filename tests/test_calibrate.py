@@ -258,7 +258,6 @@ def answers_table(path: Path, folder: Path):
     return dataset, session, answered, answered.table(noise_grid([answered]), blurs)
 
 
-@pytest.mark.slow
 def test_noises_between_those_of_the_table(small: Path, tmp_path: Path) -> None:
     _, _, answered, table = answers_table(small, tmp_path / "answers")
     between = table.ln_noise[:-1] + np.diff(table.ln_noise) * np.random.default_rng(1).random(

@@ -111,8 +111,7 @@ def test_wide_triangles_have_an_error_too(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.every_case
-@pytest.mark.parametrize("pitch_mrad", [0.05, 0.13, 0.2])
-@pytest.mark.slow
+@pytest.mark.parametrize("pitch_mrad", [pytest.param(0.05, marks=pytest.mark.slow), 0.13, 0.2])
 def test_the_retina_is_a_step_of_the_computation(pitch_mrad: float) -> None:
     """A triangle of 4 mrad has next to nothing beyond 44 cycles/degree, the coarsest grid's limit."""
     expected = contrast_threshold(CsfObserver(retina_pitch_mrad=0.1), size_mrad=4.0).threshold

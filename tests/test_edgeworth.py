@@ -144,7 +144,6 @@ def sign_series_probability(score, weights, answer):
     return total / 8.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("size_mrad", "gaussian", "corrected"), [(0.3, 1.5e-3, 1e-4), (1.0, 5e-4, 1e-5)])
 def test_uniform_noise_on_the_observer_s_neurons(size_mrad, gaussian, corrected):
     observer = PyramidObserver(PyramidSettings())

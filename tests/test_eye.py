@@ -83,7 +83,6 @@ def test_the_settings_of_the_package_are_found_by_name(tmp_path, monkeypatch) ->
         settings_file("modelfst")
 
 
-@pytest.mark.slow
 def test_an_eye_costs_most_in_small_triangles_and_dim_light() -> None:
     """A wide pupil blurs more than a narrow one."""
     plain, bright, dim = (
@@ -139,7 +138,6 @@ def observers(luminance) -> list:
 
 
 @pytest.mark.parametrize("rule", [50.0, "surround"])
-@pytest.mark.slow
 def test_the_background_of_the_display_is_a_luminance(make_dataset, rule) -> None:
     """The frames of `make_dataset` have a background of 50 cd/m²; half floats have 11 bits."""
     path = make_dataset(contrasts=(0.05, 0.1, 0.2), display={"background_luminance_cd_m2": rule}).path
