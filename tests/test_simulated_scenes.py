@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,12 @@ from todframes.stimulus import ORIENTATIONS, Orientation
 
 CAMERA = ss.load_sensor("sample_frames/staring_camera.toml")
 SIZE, NO_NOISE = 4.0, 1e9
+
+
+def test_the_largest_contrast_of_scenes_is_that_of_their_brightest_pixel() -> None:
+    window = np.pad(np.full((40, 40), 10.0), ((1, 0), (1, 0)), constant_values=35.0)
+    shown = SimpleNamespace(backgrounds={2.0: [SimpleNamespace(luminance_cd_m2=window)]}, pixels_per_detector=4.0)
+    assert Scenery.largest_contrast(shown) == pytest.approx(2.5)
 
 
 @pytest.fixture(scope="module")
