@@ -228,7 +228,6 @@ def test_noise_of_lines_is_that_of_code_apart():
 
 
 @pytest.mark.every_case
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("nyquists", "against"), [(0.6, "square"), (0.75, "background"), (0.9, "square"), (1.2, "square")]
 )
@@ -305,7 +304,6 @@ def literal_score(chain, samples, middle, snr=math.inf, rng=None) -> float:
     return sum(map(inner_product, template, chain.observer.noisy_activity(seen, rng)))
 
 
-@pytest.mark.slow
 def test_answers_of_the_literal_model_are_as_often_correct_as_computed():
     chain = BarChain(SENSOR, PyramidObserver(**COARSE), 1.2 * NYQUIST)
     found = chain.averaged(0.75)

@@ -60,7 +60,7 @@ def discriminability(readout: Readout, signals: np.ndarray, covariance: np.ndarr
     return np.array(found)
 
 
-@pytest.mark.parametrize("blur_px", [pytest.param(0.0, marks=pytest.mark.slow), 2.0])
+@pytest.mark.parametrize("blur_px", [0.0, 2.0])
 def test_expected_image_is_the_mean_over_the_places_on_the_detectors(blur_px: float) -> None:
     """Against simulated frames, of a sensor that is nowhere like a filter: sampled, held, shown in pixels.
 
@@ -131,7 +131,6 @@ def test_the_field_grows_with_the_blur(size_mrad: float, display: dict, toleranc
     assert few == pytest.approx(many, rel=2 * tolerance)
 
 
-@pytest.mark.slow
 @pytest.mark.every_case
 @pytest.mark.parametrize("display", [{}, {"display_blur_mrad": 2.0}], ids=str)
 def test_what_is_left_out_is_no_more_than_it_says(display: dict) -> None:
@@ -303,7 +302,6 @@ def test_an_invertible_filter_in_front_of_all_noise_of_the_eye_changes_no_score(
         assert np.array_equal(found.argmax(axis=1), expected.argmax(axis=1))
 
 
-@pytest.mark.slow
 def test_such_an_observer_is_ideal_for_triangles_in_white_noise() -> None:
     """Whatever pyramid and display: d′ is that of the triangles themselves, ‖T_j − T_k‖/σ."""
     stimulus = Stimulus(1.0)
@@ -334,7 +332,6 @@ def test_only_then_does_a_filter_make_no_difference() -> None:
         assert np.abs(filtered / outside[0] - 1.0).max() > 0.005
 
 
-@pytest.mark.slow
 def test_weights_that_are_not_found_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A display that leaves next to nothing of fine detail, and an eye without noise that would want it back."""
     monkeypatch.setattr("todframes.observers.hotelling.MOST_STEPS", 50)

@@ -66,11 +66,10 @@ def test_hint_names_what_the_answers_show(mishap: dict[str, Any], codes: list[st
             "size_mismatch",
             r"0\.(49|5)\d* times the size .* Is it the root of the area",
         ),
-        pytest.param(
+        (
             {"size_px": SIZE_PX / 3.4377, "levels": (0.3, 0.6, 1.2)},
             "size_mismatch",
             r"0\.291 times the size .* Is size_mrad in arcmin\?",
-            marks=pytest.mark.slow,
         ),
     ],
 )
@@ -82,7 +81,6 @@ def test_hint_names_what_another_look_shows(mishap: dict[str, Any], code: str, w
     assert re.search(wanted, warning.message)
 
 
-@pytest.mark.slow
 def test_hint_at_a_camera_held_by_hand() -> None:
     """Triangles jump by a third of their size, so that few are where their mean is."""
     steps = np.random.default_rng(2).choice([-3.0, 0.0, 3.0], (36, 2))
@@ -139,7 +137,6 @@ def test_answers_are_of_the_strongest_trials(decisions: str) -> None:
     assert read_result(result.to_json(), "result.json").fits[0].answers == fit.answers
 
 
-@pytest.mark.slow
 def test_units_are_not_tried_that_exceed_the_largest_retina_grid() -> None:
     """24 degrees are 419 mrad, more than the observer sees: the search goes on without, and the scoring too."""
     coarse = replace(triangles.DISPLAY, pixel_pitch_mrad=3.0)

@@ -329,14 +329,12 @@ def test_naked_eye_at_one_mrad() -> None:
     assert found.numerical_error < 0.001 * found.threshold
 
 
-@pytest.mark.slow
 def test_acuity_inverts_the_contrast_threshold() -> None:
     observer = PyramidObserver()
     contrast = contrast_threshold(observer, size_mrad=0.7).threshold
     assert acuity(observer, contrast=contrast).threshold == pytest.approx(0.7, rel=1e-3)
 
 
-@pytest.mark.slow
 def test_criterion_is_met_at_the_threshold() -> None:
     found = contrast_threshold(PyramidObserver(), size_mrad=1.0, p_correct=0.9)
     at = proportion_correct(PyramidObserver(), size_mrad=1.0, contrast=found.threshold, nodes=32)

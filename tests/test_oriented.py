@@ -24,7 +24,6 @@ def complex_observer() -> OrientedObserver:
     return observer(complex_cells=True)
 
 
-@pytest.mark.slow
 def test_how_finely_orientation_and_phase_are_divided_is_no_matter() -> None:
     """Their noise is independent and their energy shared, so neither adds anything once the circle is covered."""
     reference = contrast_threshold(observer(), size_mrad=1.5).threshold
@@ -40,7 +39,6 @@ def test_how_finely_orientation_and_phase_are_divided_is_no_matter() -> None:
 
 
 @pytest.mark.parametrize("size_mrad", [1.0, 3.0])
-@pytest.mark.slow
 def test_noise_means_the_same_as_to_the_papers_observer(size_mrad: float) -> None:
     """Both kinds of neurons keep the energy of what they respond to, so thresholds are the same within a tenth."""
     ratio = (
@@ -50,7 +48,7 @@ def test_noise_means_the_same_as_to_the_papers_observer(size_mrad: float) -> Non
     assert 1.0 < ratio < 1.1
 
 
-@pytest.mark.parametrize("samples", [2.0, 17.5, pytest.param(35.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("samples", [2.0, 17.5, 35.0])
 def test_more_octaves_and_a_wider_field_change_nothing_that_matters(samples: float) -> None:
     """What is left out of the templates, at the worst sizes for the rule: below 1e-3 of the threshold."""
     stimulus = Stimulus(samples * 0.153)

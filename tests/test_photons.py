@@ -117,7 +117,6 @@ def drawn_scores(sensor: ss.Sensor, signal: np.ndarray, weights: np.ndarray, n: 
 PLACES = 12
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("draws", "error"), [(800, 0.05), pytest.param(20_000, 0.01, marks=pytest.mark.weekly)])
 def test_thresholds_of_photons_are_those_of_brute_force(tmp_path, draws, error):
     """12 places with exposures each: electrons are drawn and rounded, weights are dense overlaps, no covariance.
@@ -160,7 +159,6 @@ def test_frames_of_photons_have_the_computed_threshold(tmp_path):
     assert_frames_have_the_threshold(seen, fit.threshold, 0.0)
 
 
-@pytest.mark.slow
 def test_curves_at_several_lights_are_those_of_each_light(tmp_path):
     sensor, observer = camera(tmp_path), PyramidObserver(PyramidSettings())
     lights = [0.1, 1.0, 30.0]
@@ -242,7 +240,6 @@ def test_levels_of_another_kind_are_refused(tmp_path):
         replace(ss.load_sensor(snr), scene=sensor.scene)
 
 
-@pytest.mark.slow
 def test_a_sweep_over_light_has_the_thresholds_of_each_light(tmp_path):
     sensor = camera(tmp_path)
     swept = ss.sweep(sensor, size_detectors=[4], vary={"noise.exposure_ms": [5.0, 20.0]}, tolerance=0.01)

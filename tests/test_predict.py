@@ -181,8 +181,7 @@ SMOOTHED = replace(UNDER_SAMPLED, display=replace(UNDER_SAMPLED.display, blur_si
     [{}, {"centre": "bounding_box"}, {"position_jitter_samples": 0.0}, {"position_jitter_samples": 2.0}],
     ids=["default", "bounding box", "no jitter", "wide jitter"],
 )
-@pytest.mark.parametrize("snr", [1.5, math.inf])
-@pytest.mark.slow
+@pytest.mark.parametrize("snr", [1.5, pytest.param(math.inf, marks=pytest.mark.slow)])
 def test_proportion_correct_is_the_mean_over_random_phases(settings, snr):
     observer = PyramidObserver(PyramidSettings(**settings))
     chain = FoldedChain(SMOOTHED, observer, 3.0)
@@ -261,7 +260,6 @@ def test_a_spot_of_100_detectors_points_nowhere(size, observer):
     assert found.status == "never_reached" and found.highest == pytest.approx(0.25, abs=1e-3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("size_mrad", [0.4, 0.6])
 def test_dense_sampling_without_noise_is_the_naked_eye(size_mrad, observer):
     """Ten detectors a retina sample, one pixel each, no blur; the display's gain is the contrast."""
@@ -293,7 +291,6 @@ def test_gain_and_internal_noise_scaled_together_change_nothing():
     assert thresholds[0] == pytest.approx(thresholds[1], rel=1e-6)
 
 
-@pytest.mark.slow
 def test_without_detector_noise_the_curve_ends_at_what_the_sampling_leaves(observer):
     chain = FoldedChain(UNDER_SAMPLED, observer, 2.0)
     best = np.mean([chain.proportion_correct(phases_of(chain, 13, seed), math.inf) for seed in range(4)])

@@ -191,7 +191,6 @@ def test_without_optics_samples_are_covered_areas(orientation, parts):
     assert wrap_around_bound(sampler) == 0.0
 
 
-@pytest.mark.slow
 def test_ever_sharper_optics_approach_the_areas_within_the_bound(monkeypatch):
     monkeypatch.setattr(sampling, "MAX_NEGLECTED", 1.0)
     x, y = np.random.default_rng(2).uniform(-0.5, 0.5, (2, 50))

@@ -387,7 +387,6 @@ def test_mishaps_are_found_on_scenes(on_scenes: Path, tmp_path: Path, column, va
     assert found == set() if code is None else code in found
 
 
-@pytest.mark.slow
 def test_what_frames_on_scenes_show_is_measured(on_scenes: Path) -> None:
     """Without texture or noise in the way: contrast, place and size are those of the triangles, to the codes."""
     (one,) = tod.validate(on_scenes).dataset.measured["stimuli"]
@@ -398,7 +397,6 @@ def test_what_frames_on_scenes_show_is_measured(on_scenes: Path) -> None:
     assert one["noise_contrast"] < 0.01  # the texture's standard deviation is 0.2
 
 
-@pytest.mark.slow
 def test_triangles_are_not_looked_for_in_texture(on_scenes: Path, todframes) -> None:
     assert "--locate: the dataset has scenes" in error_line(todframes("score", on_scenes, "--locate"))
 

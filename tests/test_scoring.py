@@ -133,7 +133,6 @@ def test_threshold_is_the_closed_form_one(make_dataset) -> None:
     assert high - low < 0.02 * truth
 
 
-@pytest.mark.slow
 def test_sampled_answers_are_right_as_often_as_expected(make_dataset) -> None:
     made = make_dataset(contrasts=(0.04, 0.08), repeats=40)
     expected = score(made.path, PyramidObserver())

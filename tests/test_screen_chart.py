@@ -26,7 +26,7 @@ def srgb(code: np.ndarray) -> np.ndarray:
     return 100.0 * np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
 
 
-@pytest.fixture(scope="module", params=[1, pytest.param(-1, marks=pytest.mark.slow)], ids=["bright", "dark"])
+@pytest.fixture(scope="module", params=[1, -1], ids=["bright", "dark"])
 def made(request, tmp_path_factory) -> tuple[Path, Chart]:
     folder = tmp_path_factory.mktemp("chart") / "made"
     asked = {"distance_m": 10, "sizes_mrad": [1, 2], "contrasts": CONTRASTS, "polarity": request.param}

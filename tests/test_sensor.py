@@ -50,10 +50,6 @@ def test_what_may_be_left_out_has_the_documented_default(tmp_path):
         optics=replace(OPTICS, blur_sigma_mrad=0.0), detector=DETECTOR, display=replace(DISPLAY, blur_sigma_px=0.0)
     )
     assert load(tmp_path, text) == expected
-    assert expected.noise == Noise(
-        distribution="uniform", netd_mk=None, fixed_pattern_ratio=0.0, frames_integrated=1
-    )
-    assert (expected.electronics.blur_sigma_px, expected.display.gain, expected.name) == (0.0, 1.0, "unnamed")
 
 
 POSITIVE = ["0.0", "-1.0", "nan", "inf"], "number from 1e-12 to 1e\\+12"
@@ -84,14 +80,6 @@ def test_a_value_out_of_range_is_named(tmp_path, table, line, value, expected):
     key = line.split(" = ")[0]
     match = rf"^.*SENSOR\.toml: \[{table}\]: {key}: found {value}, expected a {expected}$"
     with pytest.raises(SettingsError, match=match):
-        load(tmp_path, STAR.replace(line, f"{key} = {value}"))
-
-
-@pytest.mark.parametrize(("table", "line"), RANGES)
-@pytest.mark.parametrize("value", ['"much"', "true", "[1.0]"])
-def test_a_value_of_the_wrong_type_is_named(tmp_path, table, line, value):
-    key = line.split(" = ")[0]
-    with pytest.raises(SettingsError, match=rf"^.*SENSOR\.toml: \[{table}\]: {key}: found .*expected [^\n]*$"):
         load(tmp_path, STAR.replace(line, f"{key} = {value}"))
 
 
@@ -147,7 +135,6 @@ def test_an_unknown_key_names_the_nearest(tmp_path, table, line):
         ("aperture_mm", "measured_units = 1.0\naperture_mm", r"\[optics\]: unknown key 'measured_units'$"),
         ("frames_integrated = 6", "frames_integrated = 6.5", r"\[noise\]: frames_integrated: found 6.5"),
         ("[optics]", "[optics", "not valid TOML"),
-        ("[optics]", "[optic]", r"unknown key 'optic'; the nearest valid one is 'optics'$"),
         ("gain = 1.0", "gain = " + "[" * 2000 + "]" * 2000, "not valid TOML: .*nested too deep"),
         ("gain = 1.0", "gain = " + "9" * 5000, "not valid TOML: .*whole number of too many digits"),
         ("star", "st\udce4r", r"not UTF-8 \(byte \d+\)$"),
