@@ -86,7 +86,6 @@ def test_patches_and_square_of_a_monitor_are_drawn_where_and_as_it_says(folder) 
     assert len(runs) > 2 and set(runs.tolist()) == {8}
 
 
-@pytest.mark.slow
 def test_a_sheet_of_paper_has_edges_and_a_wedge_too(tmp_path) -> None:
     asked = {"distance_m": 10, "sizes_mrad": [1], "contrasts": [0.2, 0.8], "repeats": 1}
     chart = tod.chart("print", out=tmp_path / "chart", camera_page=True, **asked)

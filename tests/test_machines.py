@@ -132,6 +132,8 @@ def test_a_network_for_pictures_of_any_size_keeps_the_contract(tmp_path: Path) -
     assert tod.check_observer(f"onnx:{path}") == []
     with pytest.raises(SettingsError, match="is an observer in a file, expected the name of a class"):
         tod.find_observer(f"onnx:{path}")
+    with pytest.raises(SettingsError, match="found 'onnx:', expected onnx:FILE"):
+        tod.check_observer("onnx:")
 
 
 @pytest.mark.parametrize(("gain", "efficiency"), [(1.0, 1.0), (2.0, 4.0), (0.5, 0.25)])

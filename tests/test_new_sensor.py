@@ -80,9 +80,19 @@ def test_results_in_an_encoding_that_is_not_known_are_refused(tmp_path, encoding
 @pytest.mark.parametrize("preset", ["emva_basler", "boson"])
 def test_a_preset_names_its_source(tmp_path, preset):
     text = ss.new_sensor(preset=preset, pitch_um=6.45, f_number=1.4, focal_length_mm=20.0)
-    assert "# Source: " in text
     (tmp_path / "new.toml").write_text(text, encoding="utf-8")
-    assert ss.load_sensor(tmp_path / "new.toml").optics.f_number == 1.4
+    sensor = ss.load_sensor(tmp_path / "new.toml")
+    assert sensor.optics.f_number == 1.4
+    source = text.partition("# Source: ")[2].partition("\n\n")[0].replace(",", "").replace("\n# ", " ")
+    figures = {float(number) for number in re.findall(r"\d+(?:\.\d+)?", source)}
+    if preset == "boson":
+        own = tomllib.loads(ss.new_sensor(preset=preset, focal_length_mm=14.0))
+        assert {own["noise"]["netd_mk"], own["detector"]["pitch_um"], own["optics"]["f_number"]} <= figures
+        return
+    photons, saturation_photons = sensor.photons, 30957
+    assert {100 * photons.quantum_efficiency, photons.system_gain_dn_per_electron, photons.bits} <= figures
+    assert {photons.dark_noise_electrons, photons.dsnu_electrons, photons.prnu_percent} <= figures
+    assert photons.full_well_electrons == pytest.approx(saturation_photons * 0.4525, rel=1e-4)
 
 
 @pytest.mark.parametrize(

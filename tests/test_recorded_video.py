@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import struct
 from fractions import Fraction
+from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -267,6 +269,16 @@ def test_a_video_that_cannot_be_read_is_refused(tmp_path, name, make, message):
 )
 def test_pixel_formats_that_are_not_read(name):
     assert (video.pixel_format(name) is None) == (name != "gray")
+
+
+def test_a_matrix_that_is_not_declared_is_that_of_hd_from_720_rows_on():
+    layout = video.pixel_format("yuv420p")
+    for height, number in ((719, 6), (720, 1)):
+        assert video._matrix(Path("a.mkv"), Mock(colorspace=2, height=height), layout) == number
+    with pytest.raises(
+        tod.FrameError, match=r"colour matrix 8 \(Rec\. H\.273\), expected one of \[1, 5, 6, 7, 9\]"
+    ):
+        video._matrix(Path("a.mkv"), Mock(colorspace=8, height=720), layout)
 
 
 def test_a_folder_of_videos_is_several_recordings(tmp_path):

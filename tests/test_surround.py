@@ -11,13 +11,26 @@ import pytest
 import todframes as tod
 from todframes.enhancement.brightening import background_factor
 from todframes.frames.memory import memory_dataset
-from todframes.frames.surround import SurroundSums, TrianglePlace, surround_window
+from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, surround_window
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.score import score_dataset
 
 SIDE, SIZE_PX, PITCH_MRAD = 96, 10.0, 0.25
 THRESHOLD = 0.077
 """About that of the naked eye for 2.5 mrad."""
+
+
+def test_contrast_beyond_the_background_is_shown_as_background() -> None:
+    plane = np.zeros((5, 5))
+    plane[0, 0], plane[0, 1] = 50.0, 5.0  # 50 cd/m² at column 6, and 5 more every 2 pixels
+    surface = Surface(plane, (4, 6), 2.0, ((2, 9), (3, 8)), ((0, 12), (0, 12)), 0.0)
+    row, column = np.mgrid[1:11, 2:10]
+    light = 1.2 * (50.0 + 2.5 * (column - 6))
+    inside = (row >= 2) & (row < 9) & (column >= 3) & (column < 8)
+    assert surface.contrast(light, 1, 2) == pytest.approx(np.where(inside, 0.2, 0.0), abs=1e-12)
+    assert (surface.has(np.arange(1.0, 11.0), np.arange(2.0, 10.0)) == inside).all()
+    within = surface.contrast(light[2:7, 2:5], 3, 4)
+    assert within == pytest.approx(np.full((5, 3), 0.2))
 
 
 def frames(spoil=lambda luminance: luminance, *, noise=0.0, blur_px=0.0):
