@@ -21,6 +21,7 @@ from todframes.camera.mtf_table import (
     MAPPER_PER_CYC_PER_PIXEL,
     NYQUIST_CYC_PER_PIXEL,
     RADIAL,
+    UNITS,
     EdgeRecord,
     Ends,
     FrequencyUnit,
@@ -49,12 +50,6 @@ if TYPE_CHECKING:
 
     from todframes.display.display import Display
     from todframes.parameters import PathLike
-
-UNITS: dict[FrequencyUnit, str] = {
-    "cyc_per_pixel": "cycles/pixel",
-    "cyc_per_mrad": "cycles/mrad",
-    "cyc_per_mm": "cycles/mm",
-}
 
 LINE_COLOURS = {"red": COLOURS[5], "green": COLOURS[2], "blue": COLOURS[0], "tangential": COLOURS[4]}
 """Colours of curves; of others they follow in the order of `COLOURS`."""

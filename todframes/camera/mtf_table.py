@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 from msgspec import Struct
@@ -23,11 +23,9 @@ if TYPE_CHECKING:
 
 FrequencyUnit = Literal["cyc_per_pixel", "cyc_per_mrad", "cyc_per_mm"]
 
-FREQUENCIES: dict[str, FrequencyUnit] = {
-    "frequency_cyc_per_pixel": "cyc_per_pixel",
-    "frequency_cyc_per_mrad": "cyc_per_mrad",
-    "frequency_cyc_per_mm": "cyc_per_mm",
-}
+UNITS: dict[FrequencyUnit, str] = {unit: unit.replace("cyc_per_", "cycles/") for unit in get_args(FrequencyUnit)}
+
+FREQUENCIES = {f"frequency_{unit}": unit for unit in UNITS}
 """Columns of the frequency, of which a table has one, and their units."""
 
 RADIAL, DIRECTIONS = "mtf", ("mtf_tangential", "mtf_sagittal")
