@@ -300,28 +300,13 @@ def fits_on_curves(
         threshold = factor / size
         alpha = threshold / math.sqrt(math.log2(3.0))
         levels = [threshold * 2.0**k for k in (-1.0, -0.5, 0.0, 0.5, 1.0)]
-        fits.append(
-            {
-                "group": {name: size},
-                "level": level,
-                "status": "ok",
-                "threshold": threshold,
-                "threshold_ci95": [threshold / 1.1, threshold * 1.1],
-                "points_threshold": 1.05 * threshold,
-                "p_correct": 0.75,
-                "alpha": alpha,
-                "beta": 2.0,
-                "gamma": 0.25,
-                "delta": 0.0,
-                "n_trials": 200,
-                "points": [
-                    {"level": x, "n_trials": 40, "p_correct": 1.0 - 0.75 * 2.0 ** -((x / alpha) ** 2.0)}
-                    for x in levels
-                ],
-                "p_correct_error_bound": 3e-4,
-                **more,
-            }
-        )
+        fit = {"group": {name: size}, "level": level, "status": "ok", "p_correct": 0.75, "threshold": threshold}
+        fit |= {"threshold_ci95": [threshold / 1.1, threshold * 1.1], "points_threshold": 1.05 * threshold}
+        fit |= {"alpha": alpha, "beta": 2.0, "gamma": 0.25, "delta": 0.0, "n_trials": 200}
+        fit["points"] = [
+            {"level": x, "n_trials": 40, "p_correct": 1.0 - 0.75 * 2.0 ** -((x / alpha) ** 2.0)} for x in levels
+        ]
+        fits.append(fit | {"p_correct_error_bound": 3e-4} | more)
     return fits
 
 

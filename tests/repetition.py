@@ -38,20 +38,8 @@ def repetition_bound(
     2/(π³cr³)·(1 + 3/(8(πcr)²)), c the cut-off. A repetition, moved nearer by its reach and seven standard
     deviations of the Gaussian, adds at most its area times that.
 
-    Parameters
-    ----------
-    area_mrad2 : float
-        Area of the repeated part of the scene.
-    reach_mrad : float
-        Distance from the scene's place to its end, plus the detector's width.
-    field_mrad : float
-        Side of the square around the scene's place in which the bound holds.
-    period_mrad : float
-        Distance between repetitions.
-
-    Returns
-    -------
-    float, at most 1
+    `area_mrad2` is that of the repeated part of the scene, `reach_mrad` the distance from the scene's place to its
+    end plus the detector's width. The bound holds in a square of side `field_mrad` around that place.
     """
     cut_off = optics.cut_off_cyc_per_mrad
     repetition = np.abs(np.arange(-8, 9))

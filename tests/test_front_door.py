@@ -280,12 +280,6 @@ def test_observers_that_are_none(name: str, message: str) -> None:
         tod.find_observer(name)
 
 
-def test_result_of_the_least_fields() -> None:
-    fit = {"group": {}, "level": "contrast", "status": "ok", "p_correct": 0.75, "threshold": 0.2}
-    content = json.dumps({"schema": 1, "command": "score", "fits": [fit]}).encode()
-    assert read_result(content, "result").thresholds[0].threshold_ci95 is None
-
-
 FLAG = re.compile(r"(?<![-\w`])--[a-z]")
 FLAG_OR_ARGUMENT = re.compile(r"--[a-z]|\bargument\s*\.")
 WHOLE_COMMAND = re.compile(r"(todframes|sensor-sim) [a-z-]+ .*--")
