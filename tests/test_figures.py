@@ -228,6 +228,7 @@ def test_advice_limits_and_worth_have_bars_crosses_and_intervals() -> None:
     known = {"sensor": "a", "parameter": "noise.netd_mk", "unit": "mK", "own_value": 30.0, "level": "snr"}
     axes = drawn(Result.made("limit", 0.0, target=0.25, limits=limits, **known))
     assert points(axes) == {"0.5 mrad": [[10.0, 0.1], [40.0, 0.4]]} and legend(axes) == ["0.5 mrad"]
+    assert axes.get_xscale() == axes.get_yscale() == "log"
     assert unnamed(axes) == [[[20.0, 0.25]], [[0.0, 0.25], [1.0, 0.25]]]
 
     factors = [("a", 4.0, 2.0, (1.5, 3.0)), ("a", 6.0, 1.2, (1.1, None)), ("b", 4.0, None, (None, None))]
@@ -266,14 +267,11 @@ def cells(axes: Axes) -> list[float]:
 
 def test_a_sweep_has_its_curves_map_and_front() -> None:
     result = swept(GRID, {"threshold_snr": SNR})
-    # A design with one threshold has no line.
-    third, quarter = 1 / 6, 1 / 4
-    curves = [(3.0, 4.0), (6.0, 8.0), (1.0, 2.0)]
-    assert segments(result.plot_tod()) == [[[third, six], [quarter, four]] for six, four in curves]
+    curves = [(3.0, 4.0), (6.0, 8.0), (1.0, 2.0)]  # a design with one threshold has none
+    assert segments(result.plot_tod()) == [[[1 / 6, six], [1 / 4, four]] for six, four in curves]
     assert result.plot_tod().collections[0].get_array().tolist() == [10.0, 10.0, 20.0]
     assert [cells(result.plot_map(size)) for size in (0, 1)] == [[4.0, 2.0, 8.0, -1.0], [3.0, 1.0, 6.0, 2.0]]
-    titles = [one.title for one in result.figures()]
-    assert titles == ["Map at 4 detectors", "Map at 6 detectors", "TOD curves"]
+    assert [one.title for one in result.figures()] == ["Map at 4 detectors", "Map at 6 detectors", "TOD curves"]
     (problem,) = result.tables()[1].records
     assert [problem[key] for key in ("status", "thresholds", "first_design")] == ["never_reached", 1, 4]
     # A longer range is better where a third key hides designs behind one another.
@@ -286,8 +284,10 @@ def test_a_sweep_has_its_curves_map_and_front() -> None:
     assert longest.figures()[0].title == "Map of range"
     assert "The range of 1 design is beyond the smallest size, at 4.00 km or more" in " ".join(longest.sentences())
     on_front = {"on_front": [1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0]}
-    traded = swept(GRID, {"threshold_snr": SNR} | on_front, "optics.aperture_mm")
+    keys = ("optics.aperture_mm", "noise.netd_mk")
+    traded, three = (swept(GRID, {"threshold_snr": SNR} | on_front, *keys[:n]) for n in (1, 2))
     axes = traded.plot_front()
+    assert [one.plot_front().lines[0].get_linestyle() for one in (traded, three)] == ["-", "None"]
     assert axes.collections[0].get_offsets().tolist() == [[10.0, 4.0], [10.0, 8.0], [20.0, 2.0]]
     assert points(axes) == {"trade-off front": [[10.0, 4.0], [20.0, 2.0]]}
     assert [one["design"] for one in traded.tables()[0].records] == [3, 1]
