@@ -322,6 +322,18 @@ def lloyd_mrtd_mk(frequency_cyc_per_mrad: ArrayLike, sensor: Sensor, *, snr: flo
     return np.asarray(of_noise * falls * sensor.detector.width_mrad / math.sqrt(noise.frames_integrated))
 
 
+def lloyd_settings(sensor: Sensor, *, snr: float) -> Json:
+    """Return the constants of `lloyd_mrtd_mk`."""
+    return {
+        "factor": LLOYD_FACTOR,
+        "snr": snr,
+        "netd_mk": sensor.noise.netd_mk,
+        "alpha_mrad": sensor.detector.width_mrad,
+        "beta_mrad": sensor.detector.width_mrad,
+        "frames": sensor.noise.frames_integrated,
+    }
+
+
 def system_mtf(frequency_cyc_per_mrad: FloatArray, sensor: Sensor) -> FloatArray:
     """Return the transfer along x of all stages: optics, detector, sample & hold, electronics and display."""
     of = stages(frequency_cyc_per_mrad, sensor=sensor)
@@ -482,25 +494,10 @@ def mrtd(
 
     judge, settings = described(observer)
     sensor = sensor_of(sensor)
-    if not 0.5 < p_correct < 1.0:
-        raise SettingsError(
-            f"{argument.p_correct}: found {p_correct!r}, expected a proportion above 0.5, which guessing gives, "
-            "and below 1"
-        )
+    _check(p_correct, lloyd_snr=lloyd_snr, ttp_delta_t_k=ttp_delta_t_k, ttp_width_deg=ttp_width_deg)
     convert(direction, Direction, argument.direction)
-    for name, value in (
-        ("lloyd_snr", lloyd_snr),
-        ("ttp_delta_t_k", ttp_delta_t_k),
-        ("ttp_width_deg", ttp_width_deg),
-    ):
-        check_positive(name, value)
     check_positive(argument.tolerance, tolerance)
-    of_nyquist = sorted(float(frequency) for frequency in frequency_nyquist)
-    if not of_nyquist or len(set(of_nyquist)) < len(of_nyquist):
-        listed = ", ".join(f"{frequency:g}" for frequency in of_nyquist) or "none"
-        raise SettingsError(
-            f"{argument.frequency_nyquist}: found {listed}, expected one frequency or more, each once"
-        )
+    of_nyquist = _in_order(frequency_nyquist)
     nyquist = sensor.detector.nyquist_cyc_per_mrad
     chains = [
         BarChain(sensor, judge, frequency * nyquist, against=against, direction=direction)
@@ -523,20 +520,12 @@ def mrtd(
             sensor, size_detectors=size_detectors, rng=seed, examples=False, progress=progress, **shown
         )
         tod, warnings = triangles.fits, (*warnings, *triangles.warnings)
-    noise = sensor.noise
     settings |= {
         "against": against,
         "direction": direction,
         "p_correct": p_correct,
         "tolerance": tolerance,
-        "lloyd": {
-            "factor": LLOYD_FACTOR,
-            "snr": lloyd_snr,
-            "netd_mk": noise.netd_mk,
-            "alpha_mrad": sensor.detector.width_mrad,
-            "beta_mrad": sensor.detector.width_mrad,
-            "frames": noise.frames_integrated,
-        },
+        "lloyd": lloyd_settings(sensor, snr=lloyd_snr),
         "sensor": sensor_settings(sensor),
     }
     return Result.made(
@@ -550,7 +539,7 @@ def mrtd(
         bars=tuple(bars),
         tod=tod,
         ttp=None
-        if noise.netd_mk is None
+        if sensor.noise.netd_mk is None
         else sensor_ttp(
             sensor,
             delta_t_k=ttp_delta_t_k,
@@ -559,3 +548,25 @@ def mrtd(
             settings=ttp or TtpSettings(),
         ),
     )
+
+
+def _check(p_correct: float, **positive: float) -> None:
+    """Raise SettingsError if bars have no threshold at a proportion correct, or a value is not above 0."""
+    if not 0.5 < p_correct < 1.0:
+        raise SettingsError(
+            f"{argument.p_correct}: found {p_correct!r}, expected a proportion above 0.5, which guessing gives, "
+            "and below 1"
+        )
+    for name, value in positive.items():
+        check_positive(name, value)
+
+
+def _in_order(frequency_nyquist: Sequence[float]) -> list[float]:
+    """Return frequencies in rising order; SettingsError if there is none, or one is there twice."""
+    of_nyquist = sorted(float(frequency) for frequency in frequency_nyquist)
+    if not of_nyquist or len(set(of_nyquist)) < len(of_nyquist):
+        listed = ", ".join(f"{frequency:g}" for frequency in of_nyquist) or "none"
+        raise SettingsError(
+            f"{argument.frequency_nyquist}: found {listed}, expected one frequency or more, each once"
+        )
+    return of_nyquist

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from sensor_sim.chain.sensor import Sensor, sensor_of
@@ -26,6 +27,9 @@ from todframes.parameters import (
 )
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from sensor_sim.chain.simulation import SimulatedTrial
     from sensor_sim.frames.dataset import Written
     from todframes.jobs.work import Engine
     from todframes.parameters import PathLike
@@ -142,24 +146,17 @@ def simulate(
     seed = seed_of(rng)
     from sensor_sim.chain.simulation import Filming, plan_trials
     from sensor_sim.frames.dataset import write_dataset
-    from sensor_sim.thresholds.sizes import chosen_sizes, given_sizes, smallest_size
+    from sensor_sim.thresholds.sizes import given_sizes
     from todframes.base.output import new_folder
     from todframes.jobs.run import continued, opened_run
 
     sensor = sensor_of(sensor)
-    levels, others = (snr, contrast) if sensor.level == "snr" else (contrast, snr)
-    if len(others) or not len(levels):
-        why = 'has no [noise] with model = "photon"' if sensor.level == "snr" else "counts photons"
-        expected = getattr(argument, sensor.level)
-        raise SettingsError(f"{sensor.level}: the sensor {why}; expected levels as {expected} and no others")
-    sizes = given_sizes(sensor, size_detectors, size_mrad)
-    if not sizes:
-        judge, _ = described("pyramid")
-        sizes = chosen_sizes(sensor, judge, smallest_size(sensor, judge))
+    levels = _levels(sensor, snr, contrast)
+    sizes = given_sizes(sensor, size_detectors, size_mrad) or _sizes_for_pyramid(sensor)
     filming = None
     if motion_mrad_per_s is not None or warm_up_frames:
         filming = Filming(float(motion_mrad_per_s or 0.0), warm_up_frames).checked()
-    planned = plan_trials(sizes, [float(level) for level in levels], trials, sensor.level)
+    planned = plan_trials(sizes, levels, trials, sensor.level)
     scenery = None
     if background is not None:
         from sensor_sim.chain.scenery import Scenery
@@ -167,7 +164,7 @@ def simulate(
 
         if stages:
             raise SettingsError(f"{argument.stages}: found it with {argument.background}, expected one of the two")
-        notes: list[str] = []
+        note = partial(_note, tell)
         scenery = Scenery.opened(
             sensor,
             background,
@@ -177,16 +174,11 @@ def simulate(
             turns=turns,
             seed=seed,
             farthest_detectors=0.0 if filming is None else float(abs(filming.travel_detectors(sensor)).max()),
-            note=notes.append,
+            note=note,
         )
         planned = plan_on_scenes(planned, scenery)
         if trials % scenery.balanced:
-            notes.append(
-                f"{trials} trials are no multiple of {scenery.balanced}: the turns of scenes are not balanced"
-            )
-        if tell is not None:
-            for note in notes:
-                tell(f"note: {note}")
+            note(f"{trials} trials are no multiple of {scenery.balanced}: the turns of scenes are not balanced")
     with (
         continued(new_folder, str(out), restart=restart, keep_store=keep_store, tell=tell) as (folder, store),
         opened_run(workers, cluster, store, progress) as run,
@@ -203,9 +195,36 @@ def simulate(
             run=run,
         )
         if stages:
-            from sensor_sim.chain.pictures import write_stages
-
-            # The picture shows the trial with the most visible triangle.
-            clearest = max(planned, key=lambda trial: (trial.level, trial.size_detectors))
-            write_stages(folder / "stages", sensor, clearest, seed=seed)
+            _write_clearest(folder / "stages", sensor, planned, seed)
     return written
+
+
+def _levels(sensor: Sensor, snr: Sequence[float], contrast: Sequence[float]) -> list[float]:
+    """Return the levels of a sensor; SettingsError if there is none, or those of the other kind are given."""
+    levels, others = (snr, contrast) if sensor.level == "snr" else (contrast, snr)
+    if len(others) or not len(levels):
+        why = 'has no [noise] with model = "photon"' if sensor.level == "snr" else "counts photons"
+        expected = getattr(argument, sensor.level)
+        raise SettingsError(f"{sensor.level}: the sensor {why}; expected levels as {expected} and no others")
+    return [float(level) for level in levels]
+
+
+def _sizes_for_pyramid(sensor: Sensor) -> list[float]:
+    """Return the sizes that suit a sensor and the paper's observer."""
+    from sensor_sim.thresholds.sizes import chosen_sizes, smallest_size
+
+    judge, _ = described("pyramid")
+    return chosen_sizes(sensor, judge, smallest_size(sensor, judge))
+
+
+def _note(tell: Callable[[str], None] | None, text: str) -> None:
+    if tell is not None:
+        tell(f"note: {text}")
+
+
+def _write_clearest(folder: Path, sensor: Sensor, planned: Sequence[SimulatedTrial], seed: int) -> None:
+    """Write the stages of the trial with the most visible triangle."""
+    from sensor_sim.chain.pictures import write_stages
+
+    clearest = max(planned, key=lambda trial: (trial.level, trial.size_detectors))
+    write_stages(folder, sensor, clearest, seed=seed)
