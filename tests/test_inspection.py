@@ -168,7 +168,6 @@ TOP_55 = replace(DISPLAY, white_luminance_cd_m2=55.0)
 
 
 SPOILT = {
-    "background_mismatch": {"display": replace(DISPLAY, background_luminance_cd_m2=45.0)},
     "background_mismatch with vignetting": {
         "spoil": lambda luminance, _: luminance * BOWL,
         "display": replace(DISPLAY, background_luminance_cd_m2="border"),
@@ -189,7 +188,6 @@ SPOILT = {
     "position_scatter": {"scatter": 1.0},
     "size_mismatch": {"size": 1.3},
     "size_unit": {"size_mrad": 0.1},
-    "mixed_frame_sizes": {"spoil": lambda luminance, k: np.pad(luminance, 4 * (k % 2), constant_values=50.0)},
     "saturated": {"spoil": lambda light, _: coded(np.minimum(light / 55.0, 1.0), np.uint8), "display": TOP_55},
     "crushed": {"spoil": lambda light, _: coded(np.maximum(light - 50.0, 0.0) / 109.0, np.uint16), "noise": 0.002},
     "coarse_codes": {"spoil": lambda light, _: coded(light / 200.0, np.uint8, 16), "display": BRIGHT},

@@ -217,7 +217,6 @@ REFUSED = {
     ("print", "--reflectances=none.csv"): "none.csv: no such file",
     ("print", "--background-reflectance=0.9"): "which is black or paper; expected a value between 0.04 and 0.85",
     ("print", "--black-reflectance=0.9"): "found 0.9, expected less than --paper-reflectance (0.85)",
-    ("print", "--width-px=9"): "--width-px: is given, but a print chart has none; it is for screen",
     ("thermal", "--sizes-mrad=0.05"): "0.5 mm, whose corners cannot be cut; expected at least 1 mm (0.1 mrad)",
     ("thermal", "--plate-mm=10"): "found 10, expected at least 50: five sizes of the largest triangle (10 mm)",
     ("thermal", "--delta-t-k=0"): "--contrasts or --delta-t-k: found 0.0",

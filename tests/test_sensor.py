@@ -106,15 +106,11 @@ def test_an_unknown_key_names_the_nearest(tmp_path, table, line):
 @pytest.mark.parametrize(
     ("old", "new", "match"),
     [
-        ("\naperture_mm", "\napperture_mm", r"\[optics\]: unknown key 'apperture_mm'; .* 'aperture_mm'$"),
-        ("fixed_pattern_ratio", "fixed_pattern", r"\[noise\]: unknown key .* 'fixed_pattern_ratio'$"),
         ("[electronics]", "[electronic]", r"unknown key 'electronic'; the nearest valid one is 'electronics'$"),
-        ("schema = 1", "scheme = 1", r"unknown key 'scheme'; the nearest valid one is 'schema'$"),
         ("schema = 1", "schema = 2", r"schema: found 2, expected 1$"),
         ("schema = 1", "schema = true", r"schema: found True, expected 1$"),
         ("schema = 1", "", r"schema: found None, expected 1$"),
         ('name = "star-like"', "name = 3", r"name: found 3, expected text$"),
-        ('name = "star-like"', "optics = 3", r"not valid TOML"),
         ('"uniform"', '"triangular"', r"\[noise\]: distribution: found 'triangular'"),
         (
             "width_mrad = 0.0681",
@@ -134,9 +130,6 @@ def test_an_unknown_key_names_the_nearest(tmp_path, table, line):
         ("netd_mk = 16.0", "couple_netd = true", r"\[noise\]: couple_netd: needs netd_mk, which is missing$"),
         ("aperture_mm", "measured_units = 1.0\naperture_mm", r"\[optics\]: unknown key 'measured_units'$"),
         ("frames_integrated = 6", "frames_integrated = 6.5", r"\[noise\]: frames_integrated: found 6.5"),
-        ("[optics]", "[optics", "not valid TOML"),
-        ("gain = 1.0", "gain = " + "[" * 2000 + "]" * 2000, "not valid TOML: .*nested too deep"),
-        ("gain = 1.0", "gain = " + "9" * 5000, "not valid TOML: .*whole number of too many digits"),
         ("star", "st\udce4r", r"not UTF-8 \(byte \d+\)$"),
     ],
 )
