@@ -24,6 +24,9 @@ NEXT = """async () => {
     if (found) return found.dataset.trial ?? found.id;
   }
 }"""
+# The next triangle of the check may point the same way.
+NEXT_TRIANGLE = """void (window.nextTriangle = new Promise((done) => new MutationObserver(() => done())
+  .observe(document.getElementById("check-triangle"), { attributes: true })))"""
 # A person needs the pauses between trials, and the time to read "Correct"; this one does not.
 HURRY = "const wait = setTimeout; window.setTimeout = (call, time) => wait(call, time < 1000 ? 0 : time);"
 
@@ -69,9 +72,10 @@ def understand(page: Any) -> None:
         directions.append(direction)
         if number == 1:
             wrong = next(one for one in KEYS if one != direction)
+            page.evaluate(NEXT_TRIANGLE)
             page.click(f"#check [data-response={wrong}]")
             wait_until(page, f"document.getElementById('check-said').textContent.includes('points {direction}')")
-            page.wait_for_timeout(2000)  # the next one may point the same way
+            page.evaluate("window.nextTriangle")
         else:
             page.keyboard.press(KEYS[direction])
             is_next = f"document.getElementById('check-triangle').dataset.direction !== '{direction}'"

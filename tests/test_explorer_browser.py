@@ -51,6 +51,11 @@ WIDTHS = (390, 1280)
 IS_DRAWN = "(({ asked, sequence }) => asked === sequence)(document.querySelector('#curve').dataset)"
 """Whether the curve that is drawn is that of the present state."""
 
+FITS = """(width) => [innerWidth, document.documentElement.scrollWidth].every((one) => one === width) &&
+  [...document.querySelectorAll(".chart")].filter((one) => one.checkVisibility())
+    .every((one) => one.clientWidth === one.querySelector("canvas").clientWidth)"""
+"""Whether the page is as wide as the window, and each chart as its place, which follows in a later frame."""
+
 PAPERS: dict[Literal["light", "dark"], str] = {"light": "rgb(255, 255, 255)", "dark": "rgb(20, 23, 27)"}
 IMPOSSIBLE = (
     ("detector.width_mrad", "0.9", "Found 0.9, expected at most pitch_mrad"),
@@ -447,13 +452,8 @@ def test_nothing_scrolls_sideways(explore) -> None:
         page.set_viewport_size({"width": width, "height": 844})
         for scheme, paper in PAPERS.items():
             page.emulate_media(color_scheme=scheme)
-            page.wait_for_timeout(50)  # the charts follow in the next frame
-            assert page.evaluate("[innerWidth, document.documentElement.scrollWidth]") == [width, width]
+            wait_until(page, FITS, width)
             assert page.evaluate("getComputedStyle(document.documentElement).backgroundColor") == paper
-            charts = page.locator(".chart:visible").evaluate_all(
-                "(charts) => charts.map((one) => [one.clientWidth, one.querySelector('canvas').clientWidth])"
-            )
-            assert all(host == drawn for host, drawn in charts), charts
 
 
 def test_impossible_values_have_a_line_at_their_field(explore) -> None:
@@ -691,8 +691,7 @@ def test_a_camera_that_counts_photons_has_its_own_sliders_and_its_range(open_pag
         rows = list(csv.reader(downloaded(page, "#csv")[1].decode().splitlines()))
         assert len({len(row) for row in rows}) == 1 and len(rows) > 2
         page.set_viewport_size({"width": WIDTHS[0], "height": 844})
-        page.wait_for_timeout(50)
-        assert page.evaluate("document.documentElement.scrollWidth") == WIDTHS[0]
+        wait_until(page, FITS, WIDTHS[0])
         assert page.locator("#range-chart").bounding_box()["width"] > 300
         # A sensor without NETD or photons has no range, and the page says why.
         painted(page, lambda: page.locator("#presets").select_option(label=VISIBLE), "refined")
