@@ -162,8 +162,8 @@ def test_doubled_saturated_and_quantised_frames_are_told(tmp_path):
     frames = np.clip(rng.normal(250, 5, (6, 20, 30)), 0, 255).round().astype(np.uint8)
     frames[3] = frames[2]
     codes = {one.code: one.message for one in noise_of(tmp_path / "a.npy", frames).warnings}
-    assert list(codes) == ["doubled_frames", "saturated"]
-    assert codes["doubled_frames"].startswith("1 of 6 frames repeat the frame before")
+    assert list(codes) == ["doubled_frames", "saturated"] and codes["doubled_frames"].startswith("1 of 6 frames ")
+    assert codes["saturated"].startswith(f"{100 * np.isin(frames, (0, 255)).mean():.2g} % of the values are")
     quiet = rng.normal(100, 0.3, (6, 20, 30)).round().astype(np.uint8)
     assert [one.code for one in noise_of(tmp_path / "a.npy", quiet).warnings] == ["quantised"]
 
@@ -220,7 +220,9 @@ def test_patches_give_the_signal_transfer(tmp_path, todframes):
     frames = scene + rng.normal(0, 1, scene.shape) + rng.normal(0, 2, (30, *scene.shape))
     np.save(tmp_path / "a.npy", frames)
     places = {(25 * k, 0, 25, 20): level for k, level in enumerate(levels)}
-    noise = tod.noise(tmp_path / "a.npy", patches=places).measured
+    result = tod.noise(tmp_path / "a.npy", patches=places)
+    noise, (*_, table) = result.measured, result.tables()
+    assert [one["fixed_pattern"] for one in table.records] == [one.fixed.sd for one in noise.patches]
     # A mean of 500 pixels has the SD √(1 + 4/30) / √500 = 0.048; the gain's is that over √Σ(x − x̄)² = 53.6: 9e-4.
     assert noise.signal_transfer.gain == pytest.approx(3, abs=4 * 9e-4)
     assert noise.signal_transfer.offset == pytest.approx(100, abs=4 * 0.05)
@@ -230,9 +232,8 @@ def test_patches_give_the_signal_transfer(tmp_path, todframes):
     for one, level in zip(noise.patches[1:], levels[1:], strict=True):
         # The noise of a pixel is √5, its fixed part known to 1 / √(2 · 499) = 3 %.
         assert one.snr == pytest.approx(3 * (level - 10) / math.sqrt(5), rel=0.05)
-    given = [
-        text for place, level in places.items() for text in ("--patch", ",".join(map(str, place)) + f"={level}")
-    ]
+    pairs = [(",".join(map(str, place)), level) for place, level in places.items()]
+    given = [text for place, level in pairs for text in ("--patch", f"{place}={level}")]
     status, out, _ = todframes("noise", tmp_path / "a.npy", *given, "--json")
     assert status == 0 and json.loads(out)["noise"]["signal_transfer"]["gain"] == noise.signal_transfer.gain
     with pytest.raises(tod.SettingsError, match=r"patches: found levels \[5.0\], expected at least two different"):
