@@ -205,16 +205,11 @@ def scenes(
     seed = seed_of(rng)
     sizes = distinct_numbers(argument.size_mrad, size_mrad)
     contrasts = distinct_numbers(argument.contrast, contrast)
-    if polarity not in (1, -1):
-        raise SettingsError(f"polarity: found {polarity!r}, expected 1 or -1")
-    if turns not in (1, 4, 8):
-        raise SettingsError(f"{argument.turns}: found {turns!r}, expected 1, 4 or 8")
+    _check(polarity, turns, blur_px)
     most = max(MOST_TRIALS // (len(sizes) * len(contrasts)), 1)
     for name, number in {argument.windows: windows, argument.frames: frames, argument.trials: trials}.items():
         if number is not None:
             check_whole(name, number, 1, most)
-    if not 0.0 <= blur_px <= 1e3:
-        raise SettingsError(f"{argument.blur_px}: found {blur_px!r}, expected 0 to 1000 pixels")
     experiment = Experiment(level="contrast", group_by=("size_mrad",), places=places)
     shown = find_display(display)
     stage = _Stage.of(shown.display, contrasts, polarity, blur_px, dim)
@@ -237,16 +232,7 @@ def scenes(
     shown_turns = TURNS[:turns]
     step = balanced(len(backgrounds_of[0]), shown_turns)
     n_trials = math.ceil(LEAST_TRIALS / step) * step if trials is None else trials
-    if n_trials % step:
-        notes.append(
-            f"{n_trials} trials of each size and contrast are no multiple of {step}: the turns of the "
-            f"{len(backgrounds_of[0])} backgrounds are not balanced"
-        )
-    elif math.isqrt(places) ** 2 != places and len(shown_turns) > 1:
-        notes.append(
-            f"{places} places fill no square: the triangle has another place in each turn, and the turns are not "
-            "balanced"
-        )
+    notes += _unbalanced(n_trials, step, len(backgrounds_of[0]), places if len(shown_turns) > 1 else 1)
     rows: list[dict[str, str]] = []
     own: list[_OwnOrientation] = []
     with new_folder(str(out)) as folder:
@@ -278,6 +264,31 @@ def scenes(
         own_orientation_left=math.sqrt(np.mean(np.square([one.own_orientation_left for one in own]))),
         notes=tuple(notes),
     )
+
+
+def _check(polarity: int, turns: int, blur_px: float) -> None:
+    """Raise SettingsError if a value is out of its range."""
+    if polarity not in (1, -1):
+        raise SettingsError(f"polarity: found {polarity!r}, expected 1 or -1")
+    if turns not in (1, 4, 8):
+        raise SettingsError(f"{argument.turns}: found {turns!r}, expected 1, 4 or 8")
+    if not 0.0 <= blur_px <= 1e3:
+        raise SettingsError(f"{argument.blur_px}: found {blur_px!r}, expected 0 to 1000 pixels")
+
+
+def _unbalanced(n_trials: int, step: int, n_backgrounds: int, places: int) -> list[str]:
+    """Return a note why turns are not balanced: trials are no multiple of `step`, or places no square; or none."""
+    if n_trials % step:
+        return [
+            f"{n_trials} trials of each size and contrast are no multiple of {step}: the turns of the "
+            f"{n_backgrounds} backgrounds are not balanced"
+        ]
+    if math.isqrt(places) ** 2 != places:
+        return [
+            f"{places} places fill no square: the triangle has another place in each turn, and the turns are not "
+            "balanced"
+        ]
+    return []
 
 
 def _layout(size_mrad: float, pitch_mrad: float, places: int, step_mrad: float | None) -> Layout:
