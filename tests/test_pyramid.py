@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from todframes.observers.laplacian_pyramid import LaplacianPyramid
+from todframes.observers.laplacian_pyramid import LaplacianPyramid, framed
 
 shapes = st.tuples(st.integers(1, 70), st.integers(1, 70))
 kernels = st.one_of(st.sampled_from([0.375, 0.4]), st.floats(0.0, 1.0))
@@ -67,6 +67,13 @@ def test_uniform_image_has_no_bands(shape: tuple[int, int], kernel_a: float) -> 
     # Five taps that sum to 1 within an ulp each, along two axes, on a value of 3.
     assert max(np.abs(band).max() for band in bands) < 1e-14
     assert np.allclose(residual, 3.0, rtol=1e-14)
+
+
+def test_the_middle_of_an_image_has_zeros_beyond_its_edges() -> None:
+    image = np.arange(25.0).reshape(5, 5)
+    for half in range(5):
+        middle = slice(4 - half, 5 + half)
+        assert np.array_equal(framed(image, half), np.pad(image, 2)[middle, middle])
 
 
 def test_input_is_left_alone() -> None:
