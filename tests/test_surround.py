@@ -34,14 +34,14 @@ def test_contrast_beyond_the_background_is_shown_as_background() -> None:
 
 
 def frames(spoil=lambda luminance: luminance, *, noise=0.0, blur_px=0.0):
-    """Triangles of five contrasts in four orientations, near the middle."""
+    """Triangles of five contrasts in four orientations, to the right of the middle and above it."""
     from scipy.ndimage import gaussian_filter
 
     rng = np.random.default_rng(0)
     found, orientation, level, position = [], [], [], []
     for contrast in THRESHOLD * np.array([0.6, 0.8, 1.0, 1.4, 2.0]):
         for turn in tod.ORIENTATIONS:
-            x, y = (SIDE - 1) / 2 + rng.uniform(-0.5, 0.5, 2)
+            x, y = (SIDE - 1) / 2 + rng.uniform(-0.5, 0.5, 2) + (6.0, -7.0)
             triangle = tod.coverage((SIDE, SIDE), size_px=SIZE_PX, x_px=x, y_px=y, orientation=turn)
             shown = 1.0 + contrast * (gaussian_filter(triangle, blur_px) if blur_px else triangle)
             found.append(spoil(50.0 * (shown + noise * rng.normal(size=shown.shape))).astype(np.float32))
