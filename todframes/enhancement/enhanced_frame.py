@@ -375,36 +375,30 @@ class TrialReader:
     def _errors(
         self, dataset: Dataset, frame: FrameReference, picture: EnhancedImage
     ) -> tuple[float | None, float | None]:
-        """Return the squared error and the SSIM of a picture; None without a frame to compare it with."""
+        """Compute the mean squared error in (cd/m²)² and the mean structural similarity (SSIM) of a picture to the
+        frame without noise; None without such a frame of the same size. SSIM, as in Wang et al. 2004, IEEE Trans.
+        Image Process. 13, 600, is None for a side of fewer than 11 pixels.
+        """
         path = dataset.reference_path(frame)
         if path is None:
             return None, None
         reference = self._reference_luminance(path, dataset.max_frame_mb)
         if picture.values.shape[:2] != reference.shape:
             return None, None
-        return squared_error_and_ssim(picture.luminance(), reference, data_range=self.screen.data_range_cd_m2)
+        from skimage.metrics import structural_similarity  # its mean_squared_error loads all of scipy.stats
+
+        luminance, data_range = picture.luminance(), self.screen.data_range_cd_m2
+        error = float(np.mean(np.square(reference - luminance)))
+        if min(luminance.shape) < 11:  # the side of the Gaussian window, 3.5 standard deviations of 1.5 pixels
+            return error, None
+        how = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+        ssim = structural_similarity(reference, luminance, data_range=data_range, **how)
+        return error, float(ssim)
 
     @keeps_last(16)
     def _reference_luminance(self, path: Location, max_frame_mb: int) -> FloatArray:
         with of_frame(path):
             return self.screen.display.luminance(read_frame(path, max_frame_mb=max_frame_mb).values)
-
-
-def squared_error_and_ssim(
-    image: FloatArray, reference: FloatArray, *, data_range: float
-) -> tuple[float, float | None]:
-    """Compute the mean squared error in (cd/m²)² and the mean structural similarity of two images in cd/m². SSIM,
-    as in Wang et al. 2004, IEEE Trans. Image Process. 13, 600, is None for a side of fewer than 11 pixels.
-    """
-    from skimage.metrics import structural_similarity  # its mean_squared_error loads all of scipy.stats
-
-    error = float(np.mean(np.square(reference - image)))
-    if min(image.shape) < 11:  # the side of the Gaussian window, 3.5 standard deviations of 1.5 pixels
-        return error, None
-    ssim = structural_similarity(
-        reference, image, data_range=data_range, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
-    )
-    return error, float(ssim)
 
 
 def check_warm_up_there(dataset: Dataset, trial: Trial, algorithms: Sequence[Enhancement]) -> None:
