@@ -257,17 +257,16 @@ def test_a_work_that_a_worker_cannot_load_is_one_line(local: ClusterEngine) -> N
 
 @dask
 def test_a_dead_worker_costs_what_it_had_in_flight(local: ClusterEngine, tmp_path: Path) -> None:
-    def call(item: int) -> tuple[int, int]:
+    def call(item: int) -> int:
         time.sleep(0.002)
         if item in (100, 900) and not (flag := tmp_path / str(item)).exists():
-            flag.touch()
+            flag.write_text(str(os.getpid()))
             os.kill(os.getpid(), signal.SIGKILL)
-        return item**2, os.getpid()
+        return item**2
 
-    found = results_of(local, Calls(call), range(1500))
-    assert {number: square for number, (square, _) in found.items()} == squares(1500)
-    assert len(list(tmp_path.iterdir())) == 2
-    assert len({process for _, process in found.values()}) > 2  # the new ones have received the work
+    assert results_of(local, Calls(call), range(1500)) == squares(1500)
+    # Two processes have died: either both of the first two, or one that took the place of another.
+    assert len({flag.read_text() for flag in tmp_path.iterdir()}) == 2
 
 
 @dask
