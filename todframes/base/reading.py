@@ -63,8 +63,6 @@ WarmUpFrames = Annotated[int, msgspec.Meta(ge=0, le=MOST_WARM_UP)]
 
 SETTINGS_SUFFIX = ".toml"
 """End of the names of files of settings; any other text is the name of a file of the package."""
-FIELDS_FOUND = "\0fields"
-"""Key of the number of fields in a row of `read_csv` that has more or fewer fields than the header."""
 
 
 def read_file(path: Location, *, most_mb: int) -> bytes:
@@ -582,10 +580,25 @@ def read_described(path: Location, kind: str, schema: int) -> tuple[dict[str, An
     return table, texts
 
 
-def read_csv(path: Location, *, most_rows: int | None = MAX_ROWS) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the rows of a CSV file as they are read, each with its place, file and line; first a row with all keys
-    and empty values. DataError if the file cannot be read or is not CSV, two columns have the same name, or there
-    are more rows than `most_rows`, empty lines included.
+class TableRow(NamedTuple):
+    """A row of a CSV file: its place, file and line, and its texts by column. `problem` is a message if it has
+    more or fewer fields than the header, else "".
+    """
+
+    where: str
+    texts: Mapping[str, str]
+    problem: str = ""
+
+    def numbers(self, columns: Iterable[str], *, positive: bool = False) -> list[float]:
+        """Return the numbers in some columns; DataError names the column whose text is no finite number, or not
+        above 0 if they have to be `positive`."""
+        return [number(self.texts[name], f"{self.where}: {name}", positive=positive) for name in columns]
+
+
+def read_csv(path: Location, *, most_rows: int | None = MAX_ROWS) -> Iterator[TableRow]:
+    """Yield the rows of a CSV file as they are read; first a row with all keys and empty values. DataError if the
+    file cannot be read or is not CSV, two columns have the same name, or there are more rows than `most_rows`,
+    empty lines included.
     """
     lines, name_of_file = _lines(path, most_mb=MAX_CSV_MB), str(path)
     reader = csv.reader(lines, strict=True)
@@ -600,33 +613,20 @@ def read_csv(path: Location, *, most_rows: int | None = MAX_ROWS) -> Iterator[tu
         for name, count in Counter(header).items():
             if count > 1:
                 raise DataError(f"{path}: found column {name!r} {count} times, expected once")
-        yield str(path), dict.fromkeys(header, "")
+        yield TableRow(name_of_file, dict.fromkeys(header, ""))
         for n_rows, fields_found in enumerate(reader, 1):
             if most_rows is not None and n_rows > most_rows:
                 raise DataError(f"{path}: found more than {most_rows} rows, expected at most that many")
             if not fields_found:
                 continue  # an empty line
-            row = dict(zip(header, fields_found, strict=False))
-            where = f"{name_of_file}, line {reader.line_num}"
+            where, problem = f"{name_of_file}, line {reader.line_num}", ""
             if len(fields_found) != len(header):
-                row[FIELDS_FOUND] = str(len(fields_found))
-            yield where, row
+                problem = f"{where}: found {len(fields_found)} fields, expected {len(header)} as in the header"
+            yield TableRow(where, dict(zip(header, fields_found, strict=False)), problem)
     except csv.Error as error:
         raise DataError(f"{path}, line {reader.line_num}: not valid CSV ({error})") from None
     finally:
         lines.close()
-
-
-class TableRow(NamedTuple):
-    """A row of a CSV file: its place, file and line, and its texts by column."""
-
-    where: str
-    texts: Mapping[str, str]
-
-    def numbers(self, columns: Iterable[str], *, positive: bool = False) -> list[float]:
-        """Return the numbers in some columns; DataError names the column whose text is no finite number, or not
-        above 0 if they have to be `positive`."""
-        return [number(self.texts[name], f"{self.where}: {name}", positive=positive) for name in columns]
 
 
 def read_table(path: Location, needed: Iterable[str] = ()) -> tuple[tuple[str, ...], Iterator[TableRow]]:
@@ -634,13 +634,14 @@ def read_table(path: Location, needed: Iterable[str] = ()) -> tuple[tuple[str, .
     column is missing; on the way, if a row has more or fewer fields than the header.
     """
     rows = read_csv(path)
-    _, header = next(rows)
+    header = next(rows).texts
     check_columns(header, needed, path)
 
     def checked() -> Iterator[TableRow]:
-        for where, row in rows:
-            check_fields(row, len(header), where)
-            yield TableRow(where, row)
+        for row in rows:
+            if row.problem:
+                raise DataError(row.problem)
+            yield row
 
     return tuple(header), checked()
 
@@ -677,12 +678,6 @@ def check_columns(header: Iterable[str], needed: Iterable[str], path: Location) 
             shown = ", ".join(map(_shortened, found[:COLUMNS_SHOWN])) or "none"
             more = f" and {len(found) - COLUMNS_SHOWN} more" if len(found) > COLUMNS_SHOWN else ""
             raise DataError(f"{path}: column {name!r} is missing; found {shown}{more}{hint}")
-
-
-def check_fields(row: Mapping[str, str], n_columns: int, where: str) -> None:
-    """Raise DataError if a row of `read_csv` has more or fewer fields than the header."""
-    if FIELDS_FOUND in row:
-        raise DataError(f"{where}: found {row[FIELDS_FOUND]} fields, expected {n_columns} as in the header")
 
 
 def number(text: str, where: str, *, positive: bool = False) -> float:

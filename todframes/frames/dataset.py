@@ -14,7 +14,6 @@ from msgspec import Meta
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.base.reading import (
     check_columns,
-    check_fields,
     check_time,
     check_values,
     convert,
@@ -371,11 +370,11 @@ class Manifest:
         assert self.folder is not None
         path_inside(self.folder, self.path.name, f"{self.path}:")
         rows = read_csv(self.path, most_rows=MOST_ROWS)
-        _, header = next(rows)
-        self.check_columns(header)
-        for number_of_row, (where, row) in enumerate(rows):
+        self.check_columns(next(rows).texts)
+        for number_of_row, (where, row, problem) in enumerate(rows):
             try:
-                check_fields(row, len(header), where)
+                if problem:
+                    raise DataError(problem)
                 self.add(row, where, number_of_row)
             except DataError as error:
                 if len(self.bad_rows) == MOST_BAD_ROWS:

@@ -345,7 +345,7 @@ def read_counts(path: Path) -> list[tuple[dict[str, float | str], NDArray[np.flo
     names = [name for name in header if name not in COUNT_COLUMNS]
     groups: dict[tuple[float | str, ...], list[list[float]]] = {}
     for row in rows:
-        where, texts = row
+        where, texts, _ = row
         level, n_correct, n_trials = values = row.numbers(COUNT_COLUMNS)
         if level <= 0:
             raise DataError(f"{where}: level: found {level:g}, expected > 0")
