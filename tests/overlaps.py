@@ -39,7 +39,7 @@ def weights_at(sensor: ss.Sensor, readout: Readout, field: int, x: float, y: flo
         )
         for at in (y, x)
     )
-    on_display = rows.T @ readout.deviations @ columns
+    on_display = rows.T @ np.stack([np.rot90(readout.deviations[0], -k) for k in range(4)]) @ columns
     pixels = shown.pixels_per_detector
     return on_display.reshape(4, field, pixels, field, pixels).sum(axis=(2, 4)).reshape(4, -1)
 

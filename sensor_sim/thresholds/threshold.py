@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import plan_curve
-from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.thresholds.sharing import NOTHING, Shared
 from todframes.observers.interface import Observer
@@ -43,5 +42,7 @@ def threshold_at(
     search |= {"p_correct": p_correct, "tolerance": tolerance, "seed": seed}
     if places == 1:
         return Computed(predict_threshold(chain, **search), chain)
+    from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
+
     unknown = UnknownPlaceChain(sensor, observer, size_detectors, places)
     return Computed(predict_at_unknown_place(unknown, chain, **search), unknown)

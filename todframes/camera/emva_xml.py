@@ -34,7 +34,6 @@ with Path(__file__).with_name("emva_results.csv").open(encoding="utf-8", newline
     LEAVES = [Leaf(*row) for row in list(csv.reader(_file))[1:]]
 """Quantities of a result, in the order of the file."""
 
-
 Results = Mapping[str, float | int | None]
 """Results by the names in `LEAVES`, in their units; those that are not known are None or missing."""
 

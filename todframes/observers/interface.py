@@ -64,7 +64,6 @@ BACKGROUND = "background"
 PYRAMID_LEVELS = "pyramid levels"
 """Name of what most observers omit."""
 
-
 P = ParamSpec("P")
 S = TypeVar("S")
 T = TypeVar("T")
