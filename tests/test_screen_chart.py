@@ -13,6 +13,7 @@ from conftest import error_line
 import todframes as tod
 from todframes.base.errors import OutputError, SettingsError
 from todframes.charts.layout import Chart, page_of, read_chart
+from todframes.charts.words import chart_table
 from todframes.display.dither import TILE, blue_noise, dithered
 
 PITCH_MM = 0.25
@@ -46,6 +47,7 @@ def test_all_triangles_equally_often_and_each_once_in_a_block(made) -> None:
     shown = [(one.size_mrad, one.contrast, one.orientation) for page in chart.pages for one in page.triangles]
     assert len(shown) == len(chart.pages) == 2 * len(CONTRASTS) * 4 * 2
     assert set(Counter(shown).values()) == {2}
+    assert [record["triangles"] for record in chart_table(chart).records] == [4 * 2] * 2 * len(CONTRASTS)
     first, second = shown[:24], shown[24:]
     assert set(first) == set(second) and len(set(first)) == 24
     assert first != second

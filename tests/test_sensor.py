@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,6 +82,8 @@ def test_a_value_out_of_range_is_named(tmp_path, table, line, value, expected):
     match = rf"^.*SENSOR\.toml: \[{table}\]: {key}: found {value}, expected a {expected}$"
     with pytest.raises(SettingsError, match=match):
         load(tmp_path, STAR.replace(line, f"{key} = {value}"))
+    with pytest.raises(SettingsError, match=f"^{key}: found {value}, expected a {expected}$"):
+        replace(getattr(SENSOR, table), **tomllib.loads(f"{key} = {value}"))
 
 
 @pytest.mark.parametrize(
