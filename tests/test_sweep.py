@@ -459,9 +459,7 @@ def test_keys_that_set_nothing_are_refused_by_the_call() -> None:
         ss.sweep(CAMERA, size_detectors=[4], design=[{"optics.aperture_mm": 9.0}, {"noise.netd_mk": 9.0}])
     with pytest.raises(SettingsError, match="found designs and also keys to vary"):
         ss.sweep(CAMERA, size_detectors=[4], design=[{"noise.netd_mk": 9.0}], vary={"noise.netd_mk": [1.0]})
-    with pytest.raises(
-        SettingsError, match=r"vary noise\.netd_mk: found \['low'\], expected numbers or a"
-    ):
+    with pytest.raises(SettingsError, match=r"vary noise\.netd_mk: found \['low'\], expected numbers or a"):
         ss.sweep(CAMERA, size_detectors=[4], vary={"noise.netd_mk": ["low"]})
     with pytest.raises(SettingsError, match=r"vary noise\.netd_mk: found a value twice"):
         ss.sweep(CAMERA, size_detectors=[4], vary={"noise.netd_mk": [1.0, 1.0]})
