@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -37,20 +37,27 @@ class SummedNoise(NamedTuple):
     find_fourth_cumulants: Callable[[], FloatArray] | None
 
 
-def summed_noise(turned: Sequence[Bands], noise_sd: float, excess_kurtosis: float) -> SummedNoise:
+def summed_noise(
+    upright: Bands, turned: Callable[[Bands, int], Bands], noise_sd: float, excess_kurtosis: float
+) -> SummedNoise:
     """Sum independent noise of standard deviation `noise_sd` and an excess kurtosis, with the weights of template
-    deviations: those of the upright triangle, turned by none to three quarters.
+    deviations: those of the upright triangle, `turned` by none to three quarters. Two of these are held at once.
     """
-    kurtosis = excess_kurtosis * _participation(turned) if excess_kurtosis else 0.0
+    products, participation = [sum(map(inner_product, upright, upright))], 0.0
+    for quarter_turns in (1, 2):
+        other = turned(upright, quarter_turns)
+        products.append(sum(map(inner_product, upright, other)))
+        if excess_kurtosis:
+            participation = max(participation, _participation(upright, other))
+    kurtosis = excess_kurtosis * participation
 
     def find_fourth_cumulants() -> FloatArray:
-        rows = [np.concatenate([band.ravel() for band in bands]) for bands in turned]
+        rows = [np.concatenate([band.ravel() for band in turned(upright, turns)]) for turns in range(4)]
         return fourth_cumulants(noise_sd * np.array(rows), excess_kurtosis=excess_kurtosis)
 
     is_gaussian = abs(kurtosis) <= LEAST_KURTOSIS
     # A circulant matrix by symmetry.
-    same, beside, opposite = (sum(map(inner_product, turned[0], turned[k])) for k in range(3))
-    row = noise_sd**2 * np.array([same, beside, opposite, beside])
+    row = noise_sd**2 * np.array([*products, products[1]])
     covariance = np.array([np.roll(row, k) for k in range(4)])
     return SummedNoise(covariance, kurtosis, None if is_gaussian else find_fourth_cumulants)
 
@@ -60,16 +67,15 @@ def summed_variance(weights: Bands, noise_sd: float) -> float:
     return noise_sd**2 * sum(map(inner_product, weights, weights))
 
 
-def _participation(turned: Sequence[Bands]) -> float:
-    """Compute Σw⁴ / (Σw²)² of the weights of a score difference, the larger of the two kinds."""
-    largest = 0.0
-    for other in turned[1:3]:
-        squares = [np.square(a - b) for a, b in zip(turned[0], other, strict=True)]
-        total = sum(float(band.sum()) for band in squares)
-        if total > 0.0:
-            shares = [band / total for band in squares]
-            largest = max(largest, sum(map(inner_product, shares, shares)))
-    return largest
+def _participation(weights: Bands, others: Bands) -> float:
+    """Compute Σw⁴ / (Σw²)² of the differences of weights; 0 if there are none."""
+    squares = [np.square(a - b) for a, b in zip(weights, others, strict=True)]
+    total = sum(float(band.sum()) for band in squares)
+    if not total > 0.0:
+        return 0.0
+    for band in squares:
+        band /= total
+    return sum(map(inner_product, squares, squares))
 
 
 def fourth_cumulants(factor: ArrayLike, *, excess_kurtosis: float) -> FloatArray:

@@ -50,7 +50,8 @@ class NeuronObserver(Observer):
         needs.
         """
         image = self._upright(stimulus)
-        return self._expected(image - mean_of_turns(image))
+        image -= mean_of_turns(image)
+        return self._expected(image)
 
     def turned(self, bands: Bands, quarter_turns: int) -> Bands:
         """Compute the activity that an image turned clockwise causes, from that of the image. The grid's middle is
@@ -84,15 +85,15 @@ class NeuronObserver(Observer):
         deviations.
         """
         upright, noise_sd = self._template_deviation(stimulus), self.settings.noise_sd
-        folded, turned = self._fold(upright), [upright]
-        for _ in range(3):
-            turned.append(self.turned(turned[-1], 1))
+        kurtosis = 0.0 if is_gaussian else self.noise_excess_kurtosis
+        noise = summed_noise(upright, self.turned, noise_sd, kurtosis)
+        folded = self._fold(upright)
         return Readout(
             grid=self.grid(stimulus),
             find_common=lambda: self._fold(self._common_template(stimulus)),
             deviations=np.stack([np.rot90(folded, -k) for k in range(n)]),
             find_common_variance=lambda: summed_variance(self._common_template(stimulus), noise_sd),
-            **summed_noise(turned, noise_sd, 0.0 if is_gaussian else self.noise_excess_kurtosis)._asdict(),
+            **noise._asdict(),
         )
 
     def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection | None:

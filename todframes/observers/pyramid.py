@@ -310,4 +310,6 @@ class PyramidObserver(NeuronObserver):
         """Return the bands times their gain, with or without the residual."""
         if not self.settings.include_residual:
             bands.pop()
-        return tuple(self.settings.gain_of(k) * band for k, band in enumerate(bands))
+        for k, band in enumerate(bands):
+            band *= self.settings.gain_of(k)
+        return tuple(bands)
