@@ -31,6 +31,7 @@ from todframes.experiment.person import (
 from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
 from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset
+from todframes.frames.files import write_frame
 from todframes.observers.oriented import OrientedObserver
 from todframes.results.result import read_result
 from todframes.scoring.retina_view import Shown, retina_image
@@ -335,6 +336,16 @@ def test_observers_whose_noise_cannot_be_fitted(observer, blur_is_free: bool, me
         noise_observers(observer, Stimulus(1.0), blur_is_free=blur_is_free)
 
 
+def test_frames_without_a_triangle_are_refused(small: Path, tmp_path: Path) -> None:
+    for path in small.rglob("*.exr"):
+        write_frame(path, np.full((64, 64), 50.0))
+    seen_session(small, tmp_path / "answers")
+    with pytest.raises(tod.DataError, match="the model sees no difference between the four triangles in any"):
+        tod.calibrate(small, tmp_path / "answers")
+    with pytest.raises(tod.SettingsError, match="free: found 'bend', expected lapse or blur"):
+        tod.calibrate(small, tmp_path / "answers", free=["bend"])
+
+
 @pytest.mark.parametrize("observer", [OrientedObserver(orientations=4), tod.HotellingObserver()])
 def test_other_linear_observers(observer) -> None:
     (one,), _ = noise_observers(observer, Stimulus(1.0), blur_is_free=False)
@@ -576,6 +587,7 @@ def change_the_manifest(path: Path) -> None:
         (lambda path: sidecar_path(path).unlink(), [], 1, "no answers"),
         (change_the_manifest, [], 1, "the answers are to another dataset"),
         (str, ["--subject", "zz"], 1, "found no subject 'zz', expected one of a1"),
+        (str, ["--observer=csf", "--set=luminance_cd_m2=background"], 2, "found background, which is not known"),
         (str, ["--internal-noise", "0.5"], 2, "No such option '--internal-noise'"),
         (str, ["--free", "everything"], 2, "'everything' is not one of 'lapse', 'blur'"),
     ],

@@ -585,6 +585,11 @@ def test_a_gap_before_a_trial(tmp_path: Path) -> None:
     data = load_dataset(manifest(tmp_path, rows))
     with pytest.raises(FrameError, match=r"5\.exr: comes 0\.2 s after the frame before it .* expected 0\.1 s"):
         compare_observers(data, [PyramidObserver()], [find_enhancement("temporal_mean:before=3")])
+    for number, side in enumerate((48, 48, 40)):
+        write_frame(tmp_path / f"{number}.exr", np.full((side, side), 0.5))
+    data = load_dataset(manifest(tmp_path, [row(n, judged=int(n == 2)) for n in range(3)]))
+    with pytest.raises(FrameError, match=r"2\.exr: has 40 × 40 pixels, expected 48 × 48 as the first frame that"):
+        compare_observers(data, [PyramidObserver()], [find_enhancement("temporal_mean:before=2")])
 
 
 @pytest.mark.slow

@@ -193,3 +193,5 @@ def test_a_mistyped_command_has_a_hint(capsys) -> None:
     assert capsys.readouterr().err == "error: No such command 'scor'. Did you mean 'score'?\n"
     assert run(sensor_cli, ["xyz"]) == 2
     assert capsys.readouterr().err == "error: No such command 'xyz'.\n"
+    assert run(cli, ["--", "--xyz"]) == 2
+    assert capsys.readouterr().err == "error: No such option '--xyz'.\n"

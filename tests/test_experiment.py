@@ -522,6 +522,7 @@ def test_datasets_that_the_files_cannot_hold_are_refused(make_dataset, out, chan
         with open_sitting(data, out):
             return
     refused(error, message, data, out)
+    refused(SettingsError, "found frames in memory, expected a dataset", replace(data, manifest_sha256=None), out)
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,8 @@ from todframes.recordings.recording import CodeRange, RecordedFrame, Recording
 from todframes.stimulus import Orientation
 
 CHART = film.make_chart()
+WARM = replace(CHART.pages[0], triangles=(replace(CHART.pages[0].triangles[0], contrast=None, delta_t_k=0.5),))
+THERMAL = replace(CHART, kind="thermal", screen=None, markers=None, pages=(WARM,))
 RATE = 30.0
 FRAMES_PER_CLIP = 6
 
@@ -338,6 +340,7 @@ def test_the_time_that_whole_frames_allow_is_told(tmp_path: Path, chart: Path, p
     ("settings", "match"),
     [
         ({"schedule": "s.csv"}, "found both, expected one"),
+        ({"chart": "thermal.toml"}, "a thermal chart has no markers; give schedule, and the places found"),
         ({"integration_time_s": 0.0}, "expected a time > 0"),
         ({"integration_time_s": "1 min"}, "expected a time > 0"),
         ({"value_range": (2.0, 1.0)}, "the lower one first"),
@@ -348,8 +351,9 @@ def test_the_time_that_whole_frames_allow_is_told(tmp_path: Path, chart: Path, p
 )
 def test_settings_that_are_refused(tmp_path: Path, chart: Path, settings: dict, match: str) -> None:
     path = saved(tmp_path, np.zeros((1, 8, 8), np.uint8))
+    write_chart(tmp_path / "thermal.toml", THERMAL)
     with pytest.raises(SettingsError, match=match):
-        imported(path, chart, **settings)
+        imported(path, tmp_path / settings.pop("chart", chart), **settings)
 
 
 def test_values_without_a_white_need_a_range(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:

@@ -12,10 +12,12 @@ import pytest
 import triangles
 from click.testing import CliRunner
 from numpy.typing import NDArray
+from test_frames import write_exr
 
 import todframes as tod
-from todframes.base.errors import DataError, SettingsError
+from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.cli.main import cli
+from todframes.diagnosis import whole_frames
 from todframes.diagnosis.locate import locate_triangles, location_warnings
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import write_frame
@@ -124,6 +126,23 @@ def test_frames_of_one_pixel_are_refused(make_dataset, size_mrad: float, wanted:
         write_frame(made.frame(number), np.full((1, 1), 50.0 + number))
     made.save()
     with pytest.raises(DataError, match=wanted):
+        locate_triangles(load_dataset(made.path))
+
+
+def test_frames_that_cannot_be_searched_are_refused(make_dataset, monkeypatch) -> None:
+    data, places = recording(np.random.default_rng(10), (23.5, 23.5), repeats=1, spoil=lambda of, n: of * (n > 0))
+    with pytest.raises(FrameError, match=r"frame 0: background luminance around the .* is 0 cd/m², expected > 0"):
+        locate_triangles(placed_at(data, places), locate="each")
+    places[0] = 1e4
+    with pytest.raises(FrameError, match=r"frame 0: found the triangle at x_px 1e\+04, .* on the 48 × 48 pixels"):
+        locate_triangles(placed_at(data, places), locate="each")
+    monkeypatch.setattr(whole_frames, "MOST_BLOCKS", 2000)
+    with pytest.raises(FrameError, match="48 × 48 pixels are too many to find a triangle of 8 pixels among them"):
+        locate_triangles(data)
+    made = make_dataset()
+    part = {"x": 2, "y": 2, "full_width": 16, "full_height": 16}
+    write_exr(made.frame(0), (np.full((8, 8, 1), 50.0, np.float16), ("Y",), part))
+    with pytest.raises(FrameError, match="has no pixels in part of the frame; its triangle cannot be located"):
         locate_triangles(load_dataset(made.path))
 
 

@@ -182,14 +182,15 @@ class Commands(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Return the command that the first argument names; an error names the nearest one."""
+        name = args[0]  # click may empty the list
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError:
-            if args[0].startswith("-"):
+            if name.startswith("-"):
                 raise
-            near = get_close_matches(args[0], self.list_commands(ctx), 1)
+            near = get_close_matches(name, self.list_commands(ctx), 1)
             hint = f" Did you mean {near[0]!r}?" if near else ""
-            raise click.UsageError(f"No such command {args[0]!r}.{hint}", ctx) from None
+            raise click.UsageError(f"No such command {name!r}.{hint}", ctx) from None
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that the context names."""

@@ -127,7 +127,8 @@ def _measured(
         noise = surface.noise_cd_m2 * sums.surround.block_px / ring
     background = ring if rule == "surround" else declared_background(rule, sums.luminance, frame)
     if not (background > 0.0 and ring > 0.0):
-        raise FrameError(file.path, "there is no background")
+        found = f"background luminance around the triangle is {min(background, ring):g} cd/m²"
+        raise FrameError(file.path, f"{found}, expected > 0")
     with np.errstate(divide="ignore", invalid="ignore"):
         even = np.where(known & (np.asarray(even_cd_m2) > 0.0), means / even_cd_m2 - 1.0, 0.0)
     seen = np.where(known, means / background - 1.0, 0.0)
@@ -172,7 +173,8 @@ class _WindowSums:
             )
         ))  # fmt: skip
         if triangle.size_px > 2 * max(header.height, header.width) or min(b - a for a, b in window) < 1:
-            raise FrameError(file.path, "the triangle does not lie on the frame")
+            at = f"found the triangle at x_px {triangle.x_px:.4g}, y_px {triangle.y_px:.4g}"
+            raise FrameError(file.path, f"{at}, expected it on the {header.width} × {header.height} pixels")
         self.blocks = _BlockMeans(triangle, reach_px, middle_px or (triangle.x_px, triangle.y_px))
         self.surround, self.luminance = SurroundSums(triangle, window), LuminanceFound()
         self.codes = _CodeCounts(triangle)

@@ -194,11 +194,11 @@ class Atmosphere:
 
 
 def _check_table(ranges: tuple[float, ...], transmission: tuple[float, ...]) -> None:
-    if len(transmission) != len(ranges) or not ranges:
-        raise SettingsError(f"transmission: found {len(transmission)} values, expected {len(ranges)}, one a range")
-    if not (np.diff(ranges) > 0.0).all():
+    if not ranges or not (np.diff(ranges) > 0.0).all():
         few = ", ".join(f"{one:g}" for one in ranges[:4]) + " …" * (len(ranges) > 4)
-        raise SettingsError(f"range_km: found {few}, expected rising ranges")
+        raise SettingsError(f"range_km: found {few or 'none'}, expected rising ranges")
+    if len(transmission) != len(ranges):
+        raise SettingsError(f"transmission: found {len(transmission)} values, expected {len(ranges)}, one a range")
     for k in np.flatnonzero(np.diff(transmission) > 0.0)[:1].tolist():
         raise SettingsError(
             f"transmission: grows from {transmission[k]:.3g} at {ranges[k]:g} km to "

@@ -94,7 +94,7 @@ class Target:
     delta_t_sd_k: Annotated[float, Meta(ge=0.0, le=1e3)] = 0.0
     contrast: Annotated[float, Meta(ge=-1.0, le=100.0)] | None = None
     reflectance: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
-    background_reflectance: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    background_reflectance: Annotated[float, Meta(gt=0.0, le=1.0)] | None = None
     cycles: CriterionName | Mapping[str, Cycles] = "stanag"
     k: Mapping[str, Divisor] | None = None
     cycles_per_size: Annotated[float, Meta(ge=0.1, le=10.0)] | None = None
@@ -120,8 +120,6 @@ class Target:
         if (self.reflectance is None) != (self.background_reflectance is None):
             missing = "reflectance" if self.reflectance is None else "background_reflectance"
             raise SettingsError(f"{missing}: is missing, expected both reflectances or none")
-        if self.background_reflectance == 0.0:
-            raise SettingsError("background_reflectance: found 0, expected a number > 0")
         named = ("delta_t_k", "contrast", "reflectance")
         given = [name for name in named if getattr(self, name) is not None]
         if len(given) != 1:
