@@ -537,6 +537,7 @@ REFUSED_SETTINGS = [
     (in_sight(TRIANGLES, replace(NATO, k={"seen": 3.0}, search_time_s=2.0)), "search_time_s: is given but not"),
     (of_bars(k=3.0), "k: is given but not used: .* is a curve of bars"),
     (of_bars(cycles_per_size=1.0), "cycles_per_size: is given but not used: .* is a curve of bars"),
+    (of_bars(magnification=2.0), "is a table of one curve in the field, expected no group and no magnification"),
     (of_bars(cycles="1,x"), "cycles: found '1,x', expected a name, or numbers with commas between them"),
     (of_result(cycles="johnson"), r"cycles: is given but not used: .* curve of triangles, without"),
     (of_result(magnification=-1.0), r"magnification: found -1\.0, expected a number > 0"),
@@ -548,7 +549,6 @@ REFUSED_SETTINGS = [
     ),
 ]
 REFUSED_DATA = [
-    (of_bars(magnification=2.0), "is a table of one curve in the field, expected no group and no magnification"),
     (in_sight(COARSE, tod.Target(size_m=0.01, delta_t_k=2.0)), r"target of 0\.01 m is smaller than the curve's"),
     (of_result({"level": "snr"}), "found thresholds in snr, expected one of .*netd_mk in the table"),
     (

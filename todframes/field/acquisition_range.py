@@ -485,7 +485,7 @@ def _curve(
         where = in_utf8(str(result))
         if where.endswith(".csv"):
             if group or magnification is not None:
-                raise DataError(
+                raise SettingsError(
                     f"{where}: is a table of one curve in the field, expected no group and no magnification"
                 )
             return read_curve(Path(result)), ()
