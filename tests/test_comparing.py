@@ -497,6 +497,7 @@ def test_an_algorithm_that_fails_with_one_frame(make_dataset) -> None:
         (["median"], {"fit": FitSettings(resamples=0)}, "resamples: found 0, expected 40 or more"),
         (["median", "none", "median"], {}, "enhance 'median': found twice, expected once"),
         ([], {}, "enhance: found none, expected one algorithm or more"),
+        (["median"], {"observer": []}, "observer: found none, expected one or several"),
         (3, {}, "enhance: found 3, expected the name of an algorithm or a function"),
         ([None], {}, "enhance: found None, expected the name of an algorithm or a function"),
         (["median"], {"observer": [OBSERVER, CsfObserver(centre="bounding_box")]},

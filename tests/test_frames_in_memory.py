@@ -15,6 +15,8 @@ SAMPLES = Path(__file__).parent.parent / "sample_frames"
 SIDE = 48
 LINEAR = {"eotf": "linear", "pixel_pitch_mrad": 0.3, "background_luminance_cd_m2": 50.0}
 DISPLAY = tod.Display(white_luminance_cd_m2=1.0, **LINEAR)
+ADAPTED = tod.find_observer("csf")(luminance_cd_m2="background")
+GLARE = {"display": replace(DISPLAY, background_luminance_cd_m2=1e7), "observer": ADAPTED}
 
 
 def frame(orientation="up", contrast=0.2):
@@ -87,10 +89,14 @@ def test_any_iterable_and_a_page_with_examples():
         ([frame()], {"polarity": 2}, r"frame 0: polarity: found '2', expected 1 or -1"),
         ([frame()], {"position": (np.inf, 1.0)}, r"frame 0: x_px: found 'inf', expected a finite number"),
         ([frame()] * 2, {"trial": ["a", "a"], "level": [0.1, 0.2]}, r"frame 1: contrast: found 0.2, expected"),
+        ([frame()], {"clip": "a", "time_s": 0, "judged": 0}, "judged: found no frame that is judged, expected"),
+        ([frame()], {"observer": 3}, "observer: found builtins:int, expected an object of a subclass"),
+        ([frame()], {"on_error": "ignore"}, "on_error: found 'ignore', expected stop or skip"),
+        ([frame()], GLARE, r"the background of the display: luminance_cd_m2: found 10000000\.0, expected a"),
     ],
 )
 def test_arguments_that_cannot_be(frames, changes, message):
-    with pytest.raises(tod.DataError, match=message):
+    with pytest.raises((tod.DataError, tod.SettingsError), match=message):
         scored(frames, **changes)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import pickle
 import re
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,10 @@ from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.naked_eye import acuity, contrast_threshold, proportion_correct
 from todframes.stimulus import Orientation, Stimulus
+from todframes.studies.accuracy.measure import find_scenes
 
 
 def registered() -> list[str]:
-    from importlib.metadata import entry_points
-
     return sorted({entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)})
 
 
@@ -196,6 +196,9 @@ def test_what_an_observer_need_not_do() -> None:
     )
     with pytest.raises(SettingsError, match="it is not linear; the probability of its answers cannot be computed"):
         observer.linear_readout(stimulus)
+    without = with_readout(find_common_variance=lambda _: None)()
+    with pytest.raises(SettingsError, match="its readout has no find_common_variance, expected one: the place of"):
+        tod.naked_eye(size_mrad=1.0, observer=without, places=2)
 
 
 def test_the_last_four_readouts_are_kept_and_not_pickled() -> None:
@@ -373,6 +376,14 @@ def test_criterion_is_met_at_the_threshold() -> None:
 def test_bad_settings(name: str, changes: dict, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         find_observer(name)(**changes)
+
+
+def test_what_is_registered_and_cannot_be_loaded_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    lost = EntryPoint("lost", "no_such_module:Lost", ENTRY_POINT_GROUP)
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: [lost])
+    for find in (find_observer, lambda name: find_scenes([name])):
+        with pytest.raises(SettingsError, match=r"'lost' cannot be loaded \(No module named 'no_such_module'\)"):
+            find("lost")
 
 
 def test_too_large_a_triangle_says_so() -> None:

@@ -172,6 +172,9 @@ def test_times_are_those_of_the_file(tmp_path):
     assert [one.time_s for one in recording.frames()] == pytest.approx(np.array(times_ms) / 1000)
     (recording,) = open_recordings(tmp_path / "a.mkv", frames_per_second=10)
     assert [one.time_s for one in recording.frames()] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    encode(tmp_path / "b.mkv", [[one] for one in grey16(3)], "gray16le", times_ms=[0, 40, 40])
+    with pytest.raises(tod.DataError, match=r"frame 2 has the time 0\.04 s, expected one after 0\.04 s; give"):
+        list(open_recordings(tmp_path / "b.mkv")[0].frames())
 
 
 def black(n_frames):
@@ -189,6 +192,11 @@ def test_frames_without_times_are_refused_unless_a_rate_is_given(tmp_path):
         list(recording.frames())
     (recording,) = open_recordings(tmp_path / "a.h264", frames_per_second=50)
     assert [one.time_s for one in recording.frames()] == [0, 0.02, 0.04]
+    small = [[plane[::2, : plane.shape[1] // 4 * 2] for plane in black(1)[0]]]
+    other = encode(tmp_path / "b.h264", small, "yuv420p", codec="libx264", shape=(ROWS // 2, 34)).read_bytes()
+    (tmp_path / "a.h264").write_bytes((tmp_path / "a.h264").read_bytes() + other)
+    with pytest.raises(tod.FrameError, match="frame 3 has 34 x 24 pixels, yuv420p: not as the first; 3 frames"):
+        list(recording.frames())
 
 
 UPRIGHT, TURNED = (1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0), (0, 1 << 16, 0, -1 << 16, 0, 0, 0, 0)
@@ -234,6 +242,11 @@ def half_of_mp4(path):
     path.write_bytes(whole[: len(whole) // 2])
 
 
+def without_frames(path):
+    whole = encode(path, [[one] for one in grey16(2)], "gray16le").read_bytes()
+    path.write_bytes(whole[: whole.index(b"\x1fC\xb6u") + 12])  # the start of a cluster of frames
+
+
 def unknown_codec(path):
     codec = b"V_FFV1" if path.suffix == ".mkv" else b"FFV1"
     whole = encode(path, [[one] for one in grey16(2)], "gray16le").read_bytes()
@@ -252,6 +265,7 @@ PLAYLIST = "#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1/a.ts\n"
     ("name", "make", "message"),
     [
         ("b.mp4", half_of_mp4, r"b\.mp4: .*; is the file truncated\?"),
+        ("b.mkv", without_frames, r"no frame can be decoded; is the file truncated\?"),
         ("a.mkv", unknown_codec, "FFmpeg has no decoder for its video; convert it without loss"),
         ("a.avi", unknown_codec, "FFmpeg has no decoder for its video; convert it without loss"),
         ("b.avi", one_bit, r"pixel format \w+, expected grey, Y'CbCr or R'G'B' of 8 to 16 bits"),

@@ -24,7 +24,7 @@ import OpenImageIO as oiio
 import pytest
 import tifffile
 from PIL import Image
-from test_frames import png_bytes
+from test_frames import png_bytes, write_exr
 
 import todframes as tod
 from todframes.base.errors import DataError
@@ -726,10 +726,22 @@ def damaged_tiff(folder):
 
 COUNTS = scene(3)
 ONE = COUNTS[0]
+SMALL = np.ones((4, 4, 1), np.float16), "Y", {"full_width": 9}
 
 
 def holding(image):
     return fff(ONE, image=image)
+
+
+def with_bytes(at, data):
+    return fff(ONE)[:at] + data + fff(ONE)[at + len(data) :]
+
+
+def huge_jpeg(folder):
+    segment = b"FLIR\0\1\0\0" + fff(ONE)
+    path = write(folder / "a.jpg", b"\xff\xd8\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment)
+    os.truncate(path, radiometric.MAX_JPEG_MB * 2**20 + 1)
+    return path
 
 
 BAD_FILES = {
@@ -776,6 +788,10 @@ BAD_FILES = {
     "escapes in header": ("a.npy", lambda: npy_with_header(b"{'descr': '<\\d'}"), "the header of the array is"),
     "long header": ("a.npy", lambda: npy_with_header(b" " * 70_000, b"\2\0"), "found a header of 70000 bytes"),
     "version of npy": ("a.npy", lambda: npy_with_header(b"{}", b"\4\0"), "found version"),
+    "pnm": ("a.pgm", lambda: b"P5 +7 5 9 " + bytes(35), r"found the PNM header b'P5 \+7 .*, expected digits"),
+    "no counts in fff": ("a.fff", lambda: with_bytes(31, b"\1"), "the record of type 1 is missing, expected one"),
+    "order of fff": ("a.fff", lambda: with_bytes(1152, b"77"), "a record starts with b'77', expected 2 as a"),
+    "start of mkv": ("a.mkv", lambda: b"\x1a\x45\xdf\xa3", "cannot be opened as video: .* is the file truncated"),
 }
 
 BAD_TIMES = {
@@ -819,6 +835,10 @@ BAD = {
     "no data of raw": (lambda d: zero_dng(d, 0), "all values are 0, as if the sensor's data were missing"),
     "last rows of raw": (lambda d: zero_dng(d, 40), "rows 40 to 63 are 0, as if the sensor's data were missing"),
     "nan": (lambda d: saved(d, np.full((2, 3, 4), np.nan)), "frame 0: 12 values are no numbers"),
+    "two in npz": (lambda d: (np.savez(d / "a.npz", a=ONE, b=ONE), d / "a.npz")[1], "found arrays a, b, expected"),
+    "fortran": (lambda d: saved(d, np.asfortranarray(COUNTS)), "in Fortran order; save numpy.ascontiguousarray"),
+    "window": (lambda d: (write_exr(d / "a.exr", SMALL), d / "a.exr")[1], "the data window covers only a part of"),
+    "huge jpeg": (huge_jpeg, "has more than 256 MB, expected one JPEG"),
     "npz by bzip2": (partial(zipped_by, method=zipfile.ZIP_BZIP2), "by method 12 of zip files, expected that of"),
 }
 BAD |= {
@@ -852,6 +872,8 @@ def test_bad_recordings_are_told_in_one_line(tmp_path, case):
 def test_no_paths_and_bad_rates_are_refused(tmp_path):
     with pytest.raises(tod.DataError, match="found no path"):
         open_recordings([])
+    with pytest.raises(tod.DataError, match="recording: an array: 3 values are no numbers"):
+        tod.noise(np.full((3, 1, 1), np.nan))
     for rate in (0, 1e308):
         with pytest.raises(tod.SettingsError, match=r"frames_per_second: found .*, expected a number from 1e-09"):
             open_recordings(tmp_path, frames_per_second=rate)

@@ -109,7 +109,12 @@ def test_without_noise_the_largest_is_answered_and_equals_share() -> None:
         (np.zeros((2, 4)), np.eye(8), r"covariance has shape \(8, 8\), expected \(4, 4\) or \(2, 4, 2, 4\)"),
         (np.zeros((2, 4)), np.diag([1.0, 1.0, 1.0, 1e-6]), "expected about the same of all four"),
         (np.zeros((2, 4)), np.diag(np.r_[np.ones(4), 2.0 * np.ones(4)]).reshape(2, 4, 2, 4), "places that differ"),
-        (np.zeros((2, 4)), (3.0 * np.ones((8, 8)) - 2.5).reshape(2, 4, 2, 4) - 2.0, "not finite|covariance"),
+        (np.zeros((2, 4)), np.full((2, 4, 2, 4), -1.5), r"smallest eigenvalue of covariance\[0\] is -6, expected"),
+        (
+            np.zeros((2, 4)),
+            np.kron([[1, -1.5], [-1.5, 1]], np.eye(4)).reshape(2, 4, 2, 4),
+            r"value of -0\.5, exp",
+        ),
     ],
 )
 def test_bad_scores_and_covariances(score: np.ndarray, covariance: np.ndarray, message: str) -> None:
@@ -144,6 +149,8 @@ def test_places_share_noise_if_one_pyramid_sees_both() -> None:
     near, far = ([(0.0, 0.0), (distance, 0.0)] for distance in (offset[0], 3.0))
     assert joint_noise_covariance(observer, observer.readout(SMALL), SMALL, near) is not None
     assert joint_noise_covariance(observer, observer.readout(SMALL), SMALL, far) is None
+    with pytest.raises(SettingsError, match=r"places: found 257 at a distance of 0\.01 mrad, .*at most 256"):
+        joint_noise_covariance(observer, observer.readout(SMALL), SMALL, [(0.01 * k, 0.0) for k in range(257)])
 
 
 def placed(

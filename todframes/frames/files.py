@@ -654,7 +654,7 @@ def _pnm_maximum(path: Path) -> int:
         return 255  # OpenImageIO makes 0 and 255 of the two values of a bitmap
     numbers = re.match(rb"P[2356](?:\s|#[^\n]*\n)+\d+(?:\s|#[^\n]*\n)+\d+(?:\s|#[^\n]*\n)+(\d+)\s", start)
     if numbers is None:
-        raise FrameError(path, "the header of the PNM has no largest value in its first 4096 bytes")
+        raise FrameError(path, f"found the PNM header {start[:32]!r}, expected digits alone in its three numbers")
     return int(numbers[1])
 
 

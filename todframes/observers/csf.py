@@ -297,8 +297,7 @@ class CsfObserver(NeuronObserver):
         weights = ideal_weights(covariance, expected, MOST_STEPS)
         if weights is None:
             raise SettingsError(
-                f"external_noise_deg: found {self.settings.external_noise_deg:g}, whose ideal template is not "
-                f"found in {MOST_STEPS} steps; expected less noise"
+                f"template: the ideal one is not found in {MOST_STEPS} steps; expected less external noise"
             )
         return weights
 
