@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+import todframes as tod
 from todframes.base.errors import SettingsError
 from todframes.charts import layout as markers
 from todframes.charts.layout import (
@@ -58,6 +59,14 @@ CHART = Chart(
     markers=MARKERS,
     screen=SCREEN,
 )
+THERMAL = replace(
+    CHART,
+    kind="thermal",
+    screen=None,
+    markers=None,
+    polarity=-1,
+    pages=(Page(number=0, triangles=(replace(TRIANGLE, contrast=None, delta_t_k=-0.25),)),),
+)
 TEXT = chart_toml(CHART)
 
 
@@ -66,14 +75,7 @@ TEXT = chart_toml(CHART)
     [
         CHART,
         replace(CHART, seed=7, pages=CHART.pages[:1]).with_key(),
-        replace(
-            CHART,
-            kind="thermal",
-            screen=None,
-            markers=None,
-            polarity=-1,
-            pages=(Page(number=0, triangles=(replace(TRIANGLE, contrast=None, delta_t_k=-0.25),)),),
-        ),
+        THERMAL,
         replace(CHART, kind="print", screen=None),
     ],
     ids=["screen", "key", "thermal", "print"],
@@ -125,6 +127,9 @@ def test_key_depends_on_the_content_alone() -> None:
         ('eotf = "srgb"', 'eotf = "gamma"', "screen: gamma: is missing"),
         ('eotf = "srgb"', 'eotf = "lut"\nlut = [[0.0], [1.0]]', r"lut\[0\]: found \[0.0\], expected a list of"),
         ('eotf = "srgb"', 'eotf = "lut"\nlut = ["a"]', r"lut\[0\]: found 'a', expected a list of 2 values"),
+        ('eotf = "srgb"', 'eotf = "lut"\nlut = [[0.0, 1.0], [0.0, 2.0]]', "lut: code_value does not rise"),
+        ("contrast = 0.1}", "delta_t_k = 0.1}", r'pages\[0\]: contrast is missing with kind = "screen"'),
+        (TEXT[TEXT.index("[markers]") : TEXT.index("[[pages]]")], "", r"\[markers\]: expected it unless kind ="),
         ("[screen]", "[markers]", "not valid TOML"),
         ("y_mm = 135.0", "y_mm = 335.0", r"pages\[0\]: found a triangle beyond the page"),
     ],
@@ -141,6 +146,9 @@ def test_a_wrong_chart_is_refused(old: str, new: str, message: str, tmp_path: Pa
 def test_no_chart_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"chart\.toml: no such file"):
         read_chart(tmp_path)
+    write_chart(tmp_path / "chart.toml", THERMAL)
+    with pytest.raises(SettingsError, match="has no markers; name its parts of the frame with boxes"):
+        tod.mtf(np.zeros((9, 9)), chart=tmp_path)
     (tmp_path / "chart.toml").write_text("schema = 1\npages = 3\n", encoding="utf-8")
     with pytest.raises(SettingsError, match=r"(is missing|pages: found 3, expected a list)"):
         read_chart(tmp_path)

@@ -156,6 +156,7 @@ def test_a_display_that_is_not_there(dataset_with, lines: str, wanted: str) -> N
         (("eotf", "eof"), r"\[display\]: unknown key 'eof'; the nearest valid one is 'eotf'"),
         (('"srgb"', '"sRGB"'), r"eotf: found 'sRGB', .*; write srgb"),
         (("[display]", ""), r"unknown key 'eotf'"),
+        ((MONITOR[MONITOR.index("[display]") :], ""), r"monitor\.toml: table \[display\] is missing"),
         (("white", "black"), r"\[display\]: white_luminance_cd_m2 is missing"),
         (("pixel_pitch_mrad = 0.25", ""), r"pixel_pitch_mrad: is missing"),
         (('eotf = "srgb"', 'eotf = "lut"\nlut = "../lut.csv"'), r"lut \.\./lut\.csv lies outside"),

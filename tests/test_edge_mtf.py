@@ -114,6 +114,7 @@ NOISE = np.random.default_rng(1).normal(0.0, 0.1, (72, 72))
         # A square wave of ±0.5 pixels.
         (torn(AN_EDGE), r"departs from a smooth curve by 0\.(4[5-9]|5[0-5]) pixels, expected at most 0.15; is it"),
         (AN_EDGE + NOISE, "noise of 1.*% of the contrast leaves MTF50 at .*average frames"),
+        (np.indices((72, 72)).sum(0) % 2 * 1.0, "found no edge that follows a smooth curve, expected one that is"),
         (AN_EDGE[:, 26:46], "found an edge with 9.[0-9] pixels beside it, expected at least 10 on both sides"),
     ],
 )
@@ -178,6 +179,14 @@ def test_dead_pixels_on_the_edge_change_nothing_that_noise_would_not():
 
 
 def test_a_saturated_edge_and_a_box_outside_are_one_line(tmp_path, capsys):
+    for picture, display, message in (
+        (0.0 * AN_EDGE, None, "found no edge: all values are the same"),
+        (np.tile(np.arange(72.0), (72, 1)), None, "found no straight edge of at least 40 pixels that stands"),
+        (torn(AN_EDGE), None, "no edge can be measured: box .*: found an edge that departs from a smooth curve"),
+        (AN_EDGE, "srgb_monitor", "display: array has values without a white, expected code values"),
+    ):
+        with pytest.raises(tod.TodframesError, match=message):
+            tod.mtf(picture, display=display)
     image = edge_image((72, 72), 5.0, gaussian(0.6), low=40.0, high=300.0)
     np.save(tmp_path / "a.npy", np.clip(image, 0, 255).astype(np.uint8))
     assert run(cli, ["mtf", str(tmp_path / "a.npy"), "--box", "0,0,72,72"]) == 1
@@ -185,12 +194,10 @@ def test_a_saturated_edge_and_a_box_outside_are_one_line(tmp_path, capsys):
     for given, message in (
         ("10,0,72,72", "a.npy: box 10,0,72,72: expected x, y, width, height of at least 20 x 20 pixels within"),
         ("1,2,3", "error: --box: found '1,2,3', expected whole numbers as X,Y,W,H"),
+        ("0,0,72,72 --chart x.toml", "error: --box: is given with --chart, expected one of them"),
     ):
-        assert run(cli, ["mtf", str(tmp_path / "a.npy"), "--box", given]) == 2
+        assert run(cli, ["mtf", str(tmp_path / "a.npy"), "--box", *given.split()]) == 2
         assert message in capsys.readouterr().err
-    np.save(tmp_path / "b.npy", np.zeros((72, 72), np.float32) + np.arange(72))
-    assert run(cli, ["mtf", str(tmp_path / "b.npy")]) == 1
-    assert "b.npy: found no straight edge of at least 40 pixels that stands alone" in capsys.readouterr().err
 
 
 def square(angle_deg, sigma_px, rng):

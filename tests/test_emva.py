@@ -83,6 +83,7 @@ def test_written_results_come_back(tmp_path: Path) -> None:
         (r"45.1356082834", "145", "sensitivity/QE: found 145, expected a number > 0 up to 100 %"),
         ("$DN/e^-$", "mV/e", "sensitivity/K: found the unit 'mV/e', expected 'DN/e\\^-'"),
         ("sigma_d>", "sigma_e>", "found no sensitivity/sigma_d, expected one"),
+        ("<info>", "<info><bits><Value>12.5</Value></bits>", "info/bits: found 12.5, expected a whole number"),
         ("0.551787767644", "-1", "spatial/DSNU1288: found -1, expected a number of 0 or more"),
     ],
 )
@@ -413,6 +414,7 @@ def test_xml_of_a_measurement_is_the_camera_of_its_sensor_toml(tmp_path: Path) -
         ({"bright": lambda x: x[:0], "dark": lambda x: x[:0]}, "found neither of a descriptor and bright and"),
         ({"bits": lambda _: 40}, "bits: found 40, expected 1 to 32"),
         ({"photons": lambda x: [-x[0], *x[1:]]}, "photons: found -2000, 5000, 10000, 16000, expected numbers > 0"),
+        ({"bright": lambda x: [x[0], *(one[[0, 0]] for one in x[1:])]}, "its temporal variance is not above that"),
         ({"bright": lambda x: [one // 100 for one in x]}, "expected brighter frames; are they exchanged"),
     ],
 )

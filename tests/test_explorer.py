@@ -35,7 +35,7 @@ from matplotlib.figure import Figure
 import sensor_sim as ss
 from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.pictures import trial_stages
-from sensor_sim.chain.sensor import NOISE_MODELS, TABLES, sensor_from, sensor_settings, sensor_toml
+from sensor_sim.chain.sensor import NOISE_MODELS, TABLES, Noise, sensor_from, sensor_settings, sensor_toml
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.cli import cli
 from sensor_sim.explorer import routes
@@ -520,6 +520,10 @@ def test_what_cannot_be_asked_is_refused_with_its_key():
         with pytest.raises(SettingsError, match=r"found|unknown key") as found:
             faked().curve(asked(**wrong), lambda: True)
         assert error_of(found.value)["key"] == key
+    with pytest.raises(SettingsError, match="target: is missing; the explorer was started without it"):
+        faked().range_of(routes.RangeAsked(TABLES_SENT, []))
+    with pytest.raises(SettingsError, match=r"target: needs noise\.netd_mk of the sensor"):
+        ss.explore(replace(SENSOR, noise=Noise()), target="nato", atmosphere="mwir_5km", open_browser=False)
 
 
 @pytest.mark.slow

@@ -309,6 +309,8 @@ def test_impossible_and_never_reached_designs_look_different_on_the_map() -> Non
         {"optics.aperture_mm": [10.0, 11.0, 20.0, 21.0], "noise.netd_mk": [1.0, 2.0, 3.0, 4.0]}, status
     )
     assert [len(one.get_offsets()) for one in scattered.plot_map().collections] == [1] * 4
+    with pytest.raises(tod.DataError, match="plot_map: found no threshold at this size"):
+        swept(GRID, {"threshold_snr": [None] * 8}).plot_map()
 
 
 def test_one_varied_number_has_a_line_for_each_size() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -226,9 +227,18 @@ def test_a_result_of_another_kind_is_refused(photon_camera):
 def test_a_range_and_groups_without_sizes_have_no_worth(photon_camera, comparison):
     with pytest.raises(SettingsError, match="limit: found range, expected light, aperture, netd or a key"):
         ss.worth(comparison, photon_camera, limit="range")
-    of_lenses = read_result(comparison.to_json().replace(b'"size_detectors"', b'"lens"'), "result")
-    with pytest.raises(DataError, match="found groups without size_mrad or size_detectors"):
-        ss.worth(of_lenses, photon_camera)
+    written, sensor = comparison.to_json(), ss.load_sensor(photon_camera)
+    for content, changes, message in (
+        (written.replace(b'"size_detectors"', b'"lens"'), {}, "found groups without size_mrad or size_detectors"),
+        (
+            re.sub(rb'("ratio": )[\d.]+', rb"\1null", written),
+            {},
+            "found no ratio of thresholds, expected at least",
+        ),
+        (written, {"blur_sigma_mrad": 5.0}, "the sensor has no threshold at 6 detectors, expected one"),
+    ):
+        with pytest.raises(DataError, match=message):
+            ss.worth(read_result(content, "result"), replace(sensor, optics=replace(sensor.optics, **changes)))
 
 
 @pytest.mark.weekly

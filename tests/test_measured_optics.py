@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
 import pytest
+import tifffile
 from scipy.signal import fftconvolve
 
 import sensor_sim as ss
@@ -39,10 +39,7 @@ def write_table(
 
 
 def write_psf(path: Path, values: np.ndarray) -> None:
-    file = oiio.ImageOutput.create(str(path))
-    file.open(str(path), oiio.ImageSpec(values.shape[1], values.shape[0], 1, "float"))
-    file.write_image(np.ascontiguousarray(values[..., None], dtype=np.float32))
-    file.close()
+    tifffile.imwrite(path, values.astype(np.float32))
 
 
 def pupil_autocorrelation(ratio: float, waves: float, shift: float, n: int = 1200) -> float:
@@ -230,6 +227,8 @@ WRONG_OPTICS = {
     "off centre": (psf_with((7, 10)), BY_PSF, r"centroid 3\.0 samples right of and 0\.0 below its middle"),
     "too coarse": (np.pad([[1.0]], 7), BY_PSF, "passes 1 at half a cycle per sample, expected at most 0.05"),
     "cut off": (np.full((15, 15), 1.0 / 225.0), BY_PSF, r"25 % of its light in the outermost samples"),
+    "a film": (np.stack([MIDDLE] * 2), BY_PSF, r"psf\.tif has several images, expected one"),
+    "two pixels": (np.full((2, 1), 0.5), BY_PSF, r"has the shape \(2, 1\), expected one channel of 3 to 2048"),
     "negative": (MIDDLE - 1e-3 * np.eye(15), BY_PSF, "expected none below 0"),
 }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -41,6 +42,7 @@ DISPLAY = tod.Display(
     pixel_pitch_mrad=PITCH_MRAD,
     background_luminance_cd_m2="surround",
 )
+FALLING = replace(DISPLAY, eotf="lut", gamma=None, lut=LuminanceTable(np.array([0.0, 1.0]), np.array([9.0, 5.0])))
 
 
 def textured(side: int = 160, seed: int = 1, low: float = 0.2, high: float = 0.9) -> np.ndarray:
@@ -265,6 +267,7 @@ def hostile(tmp_path: Path) -> Path:
         ("good.png", {"blur_px": -1.0}, "blur_px: found -1.0, expected 0 to 1000 pixels"),
         ("good.png", {"frames": 0}, "frames: found 0, expected a whole number from 1 to 1000000"),
         ("good.png", {"contrast": [0.1, 0.2], "trials": 10**8}, "trials: found 100000000, .* from 1 to 500000"),
+        ("good.png", {"display": FALLING}, "its luminance does not rise with the code value, expected one that"),
         ("good.png", {"polarity": 2}, "polarity: found 2, expected 1 or -1"),
     ],
 )

@@ -14,6 +14,7 @@ import todframes as tod
 from todframes.base.errors import OutputError, SettingsError
 from todframes.charts.layout import Chart, page_of, read_chart
 from todframes.charts.words import chart_table
+from todframes.display.display import LuminanceTable
 from todframes.display.dither import TILE, blue_noise, dithered
 
 PITCH_MM = 0.25
@@ -62,6 +63,8 @@ def test_markers_name_page_and_chart_and_stand_where_it_says(made) -> None:
         centres = np.array([found[of_corner[k]][0].mean(axis=0) for k in range(4)])
         # Corners are found to whole pixels, so a centre to half of one.
         assert np.abs((centres + 0.5) * PITCH_MM - chart.markers.centres_mm).max() <= 0.5 * PITCH_MM
+    with pytest.raises(tod.DataError, match=r"page \d+ has no patches; name parts of the frame with patches"):
+        tod.noise(np.stack([cv2.imread(str(folder / page.file), -1)] * 2), chart=folder)
 
 
 def test_markers_in_the_corners_alone_can_be_asked_for(tmp_path) -> None:
@@ -71,8 +74,16 @@ def test_markers_in_the_corners_alone_can_be_asked_for(tmp_path) -> None:
     )
     assert not chart.markers.borders and not paper.markers.borders
     assert "borders" not in (tmp_path / "s" / "chart.toml").read_text()
-    with pytest.raises(SettingsError, match="markers: found 'all'"):
-        tod.chart("screen", out=tmp_path / "t", distance_m=5, sizes_mrad=[1], markers="all", **MONITOR)
+    falling, short = (LuminanceTable(np.array(x), np.array(y)) for x, y in (([0, 1], [9, 5]), ([0.1, 1], [5, 9])))
+    for asked, message in (
+        ({"markers": "all"}, "markers: found 'all'"),
+        ({"sizes_mrad": []}, "sizes_mrad: found none, expected at least one"),
+        ({"eotf": "gamma", "gamma": 1000.0}, "eotf: found luminances that do not rise with the code value"),
+        ({"eotf": "lut", "lut": falling}, "lut: found luminances that do not rise with the code value"),
+        ({"eotf": "lut", "lut": short}, r"lut: code_value runs from 0\.1 to 1, expected 0 to 1 for the pages"),
+    ):
+        with pytest.raises(SettingsError, match=message):
+            tod.chart("screen", out=tmp_path / "t", **{"distance_m": 5, "sizes_mrad": [1], **MONITOR, **asked})
 
 
 def test_triangles_have_the_contrast_place_and_orientation_that_the_chart_states(made) -> None:

@@ -366,11 +366,13 @@ def test_sizes_and_ratios(sensor_file, tmp_path, values, message):
     assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml"}
 
 
-def test_a_size_too_large_for_the_optics_names_the_size_and_the_limit(fails):
+def test_a_size_too_large_for_the_optics_names_the_size_and_the_limit(fails, sensor_file):
     """The spectrum grows with the field. 47 detectors are the limit that the message gives for any larger size."""
     camera = Path(__file__).parents[1] / "sample_frames" / "staring_camera.toml"
     fails("curve", camera, "--size-detectors", 48, wanted=("--size-detectors: found 48, expected at most 47",))
     assert not field_sampler(load_sensor(camera), 47.0).sharp
+    sensor_with(sensor_file, changed("display", "pixels_per_detector", "1000"))
+    fails(*OF_SIMULATE.format(sensor=sensor_file, out="x").split(), wanted=("frame of .* pixels, expected at",))
 
 
 OF_SIMULATE = "simulate {sensor} --size-detectors 3 --snr 4 --trials 4 -o {out}"

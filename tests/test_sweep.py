@@ -20,7 +20,7 @@ from conftest import error_line
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.measured import MeasuredPsf
-from sensor_sim.chain.sensor import TABLES, Optics, PhotonNoise, part_of, sensor_from
+from sensor_sim.chain.sensor import TABLES, Noise, Optics, PhotonNoise, part_of, sensor_from
 from sensor_sim.sweeps.designs import Base, grid, latin_hypercube, make_designs, numeric_keys
 from sensor_sim.sweeps.goals import acuity, front
 from sensor_sim.sweeps.sweep import missed_tolerance
@@ -216,7 +216,9 @@ VARIED = ("--vary", "noise.netd_mk=1:3:3")
         (("--vary", "optics.aperture_mm=nan:5:3"), "expected finite numbers"),
         (("--vary", "optics.aperture_mm=1:2:2000000"), "designs: found 2000000, expected at most 100000"),
         (("--vary", "noise.frames_integrated=1:3:7"), "some values are the same whole number"),
+        (("--vary", "noise.netd_mk=1:3:2:4"), "found '1:3:2:4', expected FROM:TO:N or"),
         ((*VARIED, *VARIED), "found noise.netd_mk twice"),
+        ((*VARIED, "--minimise", "delta_t_mk", "--maximise", "delta_t_mk"), "found a column twice"),
         ((*VARIED, "--sample", "4"), "N is that of the sample"),
         ((*VARIED, "--minimise", "netd"), "minimise: unknown key 'netd'"),
         ((*VARIED, "--minimise", "acuity_mrad"), "needs an SNR or ΔT for the acuity"),
@@ -341,12 +343,17 @@ def test_parquet_is_the_table(swept, tmp_path: Path) -> None:
 def test_one_key_and_one_size_have_a_line() -> None:
     designs = [{"noise.netd_mk": 10.0}, {"noise.netd_mk": 20.0}]
     result = ss.sweep(small_camera(), size_detectors=[5], design=designs, tolerance=ROUGH)
-    with pytest.raises(tod.DataError, match="plot_map: found one key that varies"):
-        result.plot_map()
-    with pytest.raises(tod.DataError, match="plot_front: found one column"):
-        result.plot_front()
-    with pytest.raises(tod.DataError, match="plot_tod: found no design with thresholds at two or more sizes"):
-        result.plot_tod()
+    for draw, message in (
+        (result.plot_map, "plot_map: found one key that varies"),
+        (result.plot_front, "plot_front: found one column"),
+        (result.plot_tod, "plot_tod: found no design with thresholds at two or more sizes"),
+        (
+            result.plot_range_map,
+            "plot_range_map: found no range, expected a target and an atmosphere, and smaller",
+        ),
+    ):
+        with pytest.raises(tod.DataError, match=message):
+            draw()
 
 
 def test_the_netd_follows_aperture_and_detectors_where_it_is_coupled() -> None:
@@ -375,15 +382,6 @@ def test_nothing_is_said_of_the_netd_where_the_light_is_the_same_or_the_netd_var
     ):
         result = ss.sweep(small_camera(), size_detectors=[6], vary=vary, tolerance=ROUGH)
         assert "couple_netd" not in " ".join(result.sentences())
-
-
-def test_a_netd_that_cannot_be_coupled_is_refused() -> None:
-    asked: dict[str, Any] = {"size_detectors": [6], "couple_netd": True}
-    with pytest.raises(SettingsError, match=r"^couple_netd: found noise\.netd_mk among the keys"):
-        ss.sweep(small_camera(), vary={"noise.netd_mk": [16.0]}, **asked)
-    without = replace(small_camera(), noise=replace(small_camera().noise, netd_mk=None))
-    with pytest.raises(SettingsError, match=r"^couple_netd: needs noise\.netd_mk of the sensor$"):
-        ss.sweep(without, vary={"optics.aperture_mm": [220.0]}, **asked)
 
 
 def cameras() -> dict[str, ss.Sensor]:
@@ -452,14 +450,33 @@ def test_designs_without_a_threshold_at_the_first_size_have_the_reason(sensor_si
     assert f"No design has a threshold ΔT at 1 detectors, which orders designs; {advice}." in out
 
 
-def test_keys_that_set_nothing_are_refused_by_the_call() -> None:
-    with pytest.raises(SettingsError, match="size_detectors: found a value twice in 4, 4"):
-        ss.sweep(CAMERA, size_detectors=[4, 4], vary={"noise.netd_mk": [1.0]})
-    with pytest.raises(SettingsError, match=r"design 2: found keys noise\.netd_mk, expected optics.aperture_mm"):
-        ss.sweep(CAMERA, size_detectors=[4], design=[{"optics.aperture_mm": 9.0}, {"noise.netd_mk": 9.0}])
-    with pytest.raises(SettingsError, match="found designs and also keys to vary"):
-        ss.sweep(CAMERA, size_detectors=[4], design=[{"noise.netd_mk": 9.0}], vary={"noise.netd_mk": [1.0]})
-    with pytest.raises(SettingsError, match=r"vary noise\.netd_mk: found \['low'\], expected numbers or a"):
-        ss.sweep(CAMERA, size_detectors=[4], vary={"noise.netd_mk": ["low"]})
-    with pytest.raises(SettingsError, match=r"vary noise\.netd_mk: found a value twice"):
-        ss.sweep(CAMERA, size_detectors=[4], vary={"noise.netd_mk": [1.0, 1.0]})
+NETD: dict[str, Any] = {"vary": {"noise.netd_mk": [1.0]}}
+NO_NETD = {"sensor": replace(small_camera(), noise=Noise()), "vary": {"optics.aperture_mm": [9.0]}}
+OF_PHOTONS: dict[str, Any] = {"sensor": cameras()["photons"], "vary": {"noise.exposure_ms": [5.0]}}
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        (NETD | {"size_detectors": [4, 4]}, "size_detectors: found a value twice in 4, 4"),
+        ({"design": [{"optics.aperture_mm": 9.0}, {"noise.netd_mk": 9.0}]}, "design 2: found keys noise.netd_mk"),
+        (NETD | {"design": [{"noise.netd_mk": 9.0}]}, "found designs and also keys to vary"),
+        ({"design": "a\0.csv"}, r"'a\\x00\.csv': cannot be read \(embedded null"),
+        ({"vary": {"noise.netd_mk": ["low"]}}, r"vary noise\.netd_mk: found \['low'\], expected numbers or a"),
+        ({"vary": {"noise.netd_mk": [1.0, 1.0]}}, r"vary noise\.netd_mk: found a value twice"),
+        ({"vary": {"noise.netd_mk": [1.0, math.inf]}}, r"found \[1\.0, inf\], expected one or more finite"),
+        ({"vary": {"noise.frames_integrated": [1.5]}}, r"found \[1\.5\], expected whole numbers"),
+        (NETD | {"sample": 3}, r"found \[1\.0\], expected FROM:TO or FROM:TO:log for a sample"),
+        (NO_NETD | {"acuity_delta_t_mk": 5.0}, r"acuity_delta_t_mk: needs noise\.netd_mk of the sensor"),
+        (NO_NETD | {"minimise": ["delta_t_mk"]}, r"minimise: found delta_t_mk, which needs noise\.netd_mk"),
+        (NO_NETD | {"target": "nato", "atmosphere": "mwir_5km"}, r"target: needs noise\.netd_mk of the sensor"),
+        (NO_NETD | {"couple_netd": True}, r"^couple_netd: needs noise\.netd_mk of the sensor$"),
+        (NETD | {"couple_netd": True}, r"^couple_netd: found noise\.netd_mk among the keys"),
+        ({"vary": {"noise.netd_mk": "1:3"}, "sample": 0}, "sample: found 0, expected 1 or more designs"),
+        (OF_PHOTONS | {"acuity_snr": 1.0}, "found an SNR or a ΔT for a camera that counts photons, expected none"),
+        (OF_PHOTONS | {"places": 4}, "places: found 4 for a camera that counts photons, expected 1"),
+    ],
+)
+def test_what_a_sweep_cannot_do_is_refused_by_the_call(asked: dict[str, Any], message: str) -> None:
+    with pytest.raises(tod.TodframesError, match=message):
+        ss.sweep(**{"sensor": CAMERA, "size_detectors": [4]} | asked)

@@ -306,7 +306,7 @@ def measure_emva(
     """
     for what, stacks in (("bright", bright), ("dark", dark)):
         if not stacks:
-            raise DataError(f"noise: found no {what} stack, expected one or more")
+            raise DataError(f"{source}: found no {what} stack, expected one or more")
     full_scale = bright[0].recording.full_scale if bits is None else float(2**bits - 1)
     of_dark = [_measured(stack, region, full_scale, None, progress) for stack in dark]
     darkest = min(stack.mean for stack in of_dark)

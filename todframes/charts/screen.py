@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.errors import SettingsError, argument
 from todframes.charts.design import (
     FIELD_PER_SIZE,
     SURROUND_PER_SIZE,
@@ -168,13 +168,15 @@ def make_screen_chart(
 
 def _luminance_of_code(screen: Screen) -> FloatArray:
     white = 2**screen.bits - 1
+    lut = screen.lut
+    if lut is not None and (lut.code_value[0], lut.code_value[-1]) != (0.0, 1.0):
+        ends = f"{lut.code_value[0]:g} to {lut.code_value[-1]:g}"
+        raise SettingsError(f"lut: code_value runs from {ends}, expected 0 to 1 for the pages of a chart")
     code = np.arange(white + 1.0) / white
-    try:
-        luminance = screen.display.luminance(code[:, np.newaxis, np.newaxis])[:, 0]
-    except DataError as error:
-        raise SettingsError(f"eotf: {error}") from None
+    luminance = screen.display.luminance(code[:, np.newaxis, np.newaxis])[:, 0]
     if not (np.diff(luminance) > 0.0).all():
-        raise SettingsError("lut: found luminances that do not rise with the code value, expected them to")
+        name = "eotf" if lut is None else "lut"
+        raise SettingsError(f"{name}: found luminances that do not rise with the code value, expected them to")
     return luminance
 
 
