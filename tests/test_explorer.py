@@ -520,8 +520,6 @@ def test_what_cannot_be_asked_is_refused_with_its_key():
         with pytest.raises(SettingsError, match=r"found|unknown key") as found:
             faked().curve(asked(**wrong), lambda: True)
         assert error_of(found.value)["key"] == key
-    with pytest.raises(SettingsError, match="target: is missing; the explorer was started without it"):
-        faked().range_of(routes.RangeAsked(TABLES_SENT, []))
     with pytest.raises(SettingsError, match=r"target: needs noise\.netd_mk of the sensor"):
         ss.explore(replace(SENSOR, noise=Noise()), target="nato", atmosphere="mwir_5km", open_browser=False)
 

@@ -77,7 +77,6 @@ def test_markers_in_the_corners_alone_can_be_asked_for(tmp_path) -> None:
     falling, short = (LuminanceTable(np.array(x), np.array(y)) for x, y in (([0, 1], [9, 5]), ([0.1, 1], [5, 9])))
     for asked, message in (
         ({"markers": "all"}, "markers: found 'all'"),
-        ({"sizes_mrad": []}, "sizes_mrad: found none, expected at least one"),
         ({"eotf": "gamma", "gamma": 1000.0}, "eotf: found luminances that do not rise with the code value"),
         ({"eotf": "lut", "lut": falling}, "lut: found luminances that do not rise with the code value"),
         ({"eotf": "lut", "lut": short}, r"lut: code_value runs from 0\.1 to 1, expected 0 to 1 for the pages"),

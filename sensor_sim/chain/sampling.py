@@ -188,9 +188,6 @@ class PatternSampler:
         """Return a sampler of a field that is smaller by an even number of detectors, with the same middle and
         samples.
         """
-        if field_detectors > self._whole_field or (self._whole_field - field_detectors) % 2:
-            expected = f"{self._whole_field} or less by an even number"
-            raise SettingsError(f"field_detectors: found {field_detectors}, expected {expected}")
         narrow = copy.copy(self)
         narrow._field = field_detectors
         return narrow
