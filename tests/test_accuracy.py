@@ -377,8 +377,11 @@ def test_out(todframes, tmp_path: Path):
 
 
 @pytest.mark.usefixtures("_only_known")
-def test_without_recorded_frames(todframes, monkeypatch, tmp_path: Path):
+def test_without_recorded_frames(todframes, monkeypatch, tmp_path: Path, make_dataset):
     """Left out of all scenes with a remark; an error where they are asked for."""
+    status, out, err = todframes("accuracy", "--dataset", make_dataset(contrasts=(0.01,)).path)
+    assert (status, out) == (1, "")
+    assert "the scene has no threshold (too_few_levels); expected one that is ok" in err and err.count("\n") == 1
     monkeypatch.chdir(tmp_path)
     status, out, err = todframes("accuracy", "--time", "0.05", "--json")
     assert status == 0

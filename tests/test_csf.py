@@ -168,6 +168,12 @@ def test_a_field_of_too_many_samples_says_so() -> None:
         CsfObserver(retina_pitch_mrad=0.01).grid(Stimulus(19.0))
 
 
+def test_an_ideal_template_that_is_not_found_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("todframes.observers.csf.MOST_STEPS", 50)
+    with pytest.raises(SettingsError, match="template: the ideal one is not found in 50 steps; expected less"):
+        CsfObserver(template="ideal", external_noise_deg=1e6).readout(Stimulus(0.3))
+
+
 def test_an_ideal_template_is_the_best_for_its_noise() -> None:
     """Signal over noise of a frame with that noise, by brute force: K as a matrix, of small images.
 

@@ -17,6 +17,7 @@ LINEAR = {"eotf": "linear", "pixel_pitch_mrad": 0.3, "background_luminance_cd_m2
 DISPLAY = tod.Display(white_luminance_cd_m2=1.0, **LINEAR)
 ADAPTED = tod.find_observer("csf")(luminance_cd_m2="background")
 GLARE = {"display": replace(DISPLAY, background_luminance_cd_m2=1e7), "observer": ADAPTED}
+UNSEEN = GLARE | {"display": replace(DISPLAY, background_luminance_cd_m2="border")}
 
 
 def frame(orientation="up", contrast=0.2):
@@ -92,6 +93,7 @@ def test_any_iterable_and_a_page_with_examples():
         ([frame()], {"clip": "a", "time_s": 0, "judged": 0}, "judged: found no frame that is judged, expected"),
         ([frame()], {"observer": 3}, "observer: found builtins:int, expected an object of a subclass"),
         ([frame()], {"on_error": "ignore"}, "on_error: found 'ignore', expected stop or skip"),
+        ([frame() * np.nan], UNSEEN, "luminance_cd_m2: found background, which no frame shows; expected a number"),
         ([frame()], GLARE, r"the background of the display: luminance_cd_m2: found 10000000\.0, expected a"),
     ],
 )
