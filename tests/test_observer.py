@@ -196,9 +196,8 @@ def test_what_an_observer_need_not_do() -> None:
     )
     with pytest.raises(SettingsError, match="it is not linear; the probability of its answers cannot be computed"):
         observer.linear_readout(stimulus)
-    without = with_readout(find_common_variance=lambda _: None)()
     with pytest.raises(SettingsError, match="its readout has no find_common_variance, expected one: the place of"):
-        tod.naked_eye(size_mrad=1.0, observer=without, places=2)
+        tod.naked_eye(size_mrad=1.0, observer=with_readout(find_common_variance=lambda _: None)(), places=2)
 
 
 def test_the_last_four_readouts_are_kept_and_not_pickled() -> None:
