@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import permutations
 
@@ -111,6 +112,10 @@ def test_optics_are_matched_at_nyquist() -> None:
     assert found.sample_pitch_mrad == pytest.approx(pitch)
     assert found.display_blur_mrad == pytest.approx(5 * display.pixel_pitch_mrad)
     assert found.internal_noise == 0.25
+    diffracted = replace(sensor, optics=Optics(aperture_mm=8.0, wavelength_um=4.0))  # nothing beyond 2 cycles/mrad
+    at_half = 2.0 / math.pi * (math.acos(0.5) - 0.5 * math.sqrt(0.75))  # of a circular aperture
+    blur_mrad = math.sqrt(-math.log(at_half) / 2.0) / math.pi
+    assert matched_settings(diffracted).presample_blur_mrad == pytest.approx(10.0 * pitch * blur_mrad, rel=1e-9)
 
 
 @pytest.mark.parametrize(
