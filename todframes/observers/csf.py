@@ -23,11 +23,13 @@ from todframes.observers.eye import MRAD_PER_DEG, pupil_of, sensitivity_ratio
 from todframes.observers.interface import (
     MODELFEST_CD_M2,
     REFERENCE_AGE_YEARS,
+    Detection,
     EyeSettings,
     OmittedWeights,
+    Readout,
     keeps_last,
 )
-from todframes.observers.internal_noise import Bands
+from todframes.observers.internal_noise import Bands, summed_variance
 from todframes.observers.laplacian_pyramid import framed
 from todframes.observers.neurons import NeuronObserver, ideal_weights
 from todframes.observers.retina import RetinaGrid
@@ -199,7 +201,7 @@ class CsfObserver(NeuronObserver):
         They are of low frequency: beyond the field there is nothing of the triangle.
         """
         coarse = type(self)(replace(self.settings, retina_pitch_mrad=LARGEST_PITCH_MRAD), wider=self._wider)
-        small, large = coarse._folded(stimulus), coarse.with_extra_level()._folded(stimulus)
+        small, large = coarse.make_readout(stimulus), coarse.with_extra_level().make_readout(stimulus)
         kept = np.array([framed(image, large.grid.side // 2) for image in small.deviations])
         noise = large.noise_covariance - small.noise_covariance
         return OmittedWeights(large.grid, kept, large.deviations - kept, noise)
@@ -301,8 +303,18 @@ class CsfObserver(NeuronObserver):
             )
         return weights
 
+    def make_readout(self, stimulus: Stimulus) -> Readout:
+        """Fold filter, aperture and templates onto the retina."""
+        return self._folded(stimulus, self._template_deviation(stimulus), self._fold)
+
     def _fold(self, bands: Bands) -> FloatArray:
+        """Compute the weights on the retina of weights of the activity: the adjoint of `activity`."""
         return self._filtered(bands[0] * self._aperture(len(bands[0])))
+
+    def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection:
+        """Fold the observer of a pattern onto the middle of its retina; see `Observer.detection`."""
+        weights = self.pattern_template(pattern, self.grid(Stimulus(width_mrad)).side)
+        return Detection(framed(self._fold(weights), half_width), summed_variance(weights, self.settings.noise_sd))
 
 
 def _interpolated(frequency: FloatArray, spectrum: FloatArray) -> FloatArray:

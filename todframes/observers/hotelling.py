@@ -17,7 +17,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
@@ -163,6 +163,9 @@ class HotellingObserver(PyramidObserver):
         used = self._informative(upright)
         return self._ideal(tuple(map(np.multiply, upright, used)), used, self.grid(stimulus))
 
+    def _readout_deviation(self, stimulus: Stimulus, dtype: DTypeLike) -> Bands:
+        return tuple(band.astype(dtype) for band in self._template_deviation(stimulus))
+
     def _informative(self, upright: Bands) -> tuple[NDArray[np.bool_], ...]:
         share = self.settings.informative_share
         # Opposite quarters first: the sum is then the same, to the last bit, for the four images of a neuron.
@@ -190,7 +193,7 @@ class HotellingObserver(PyramidObserver):
         transfer = self.postsample_mtf(*self._frequencies(np.empty((grid.side,) * 2)))
 
         def covariance(weights: Bands) -> Bands:
-            on_retina = self._fold(weights)
+            on_retina = self._fold(weights, grid)
             noise = self.activity(mirror_filtered(mirror_filtered_adjoint(on_retina, transfer), transfer))
             return tuple(
                 internal * band + external * (of_samples * neurons)

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 
+BORDER = 4
+"""Number of zeros around the part that is not zero: the filters of the pyramid reach two samples."""
+
 
 @dataclass(frozen=True, slots=True)
 class LaplacianPyramid:
@@ -39,6 +42,44 @@ class LaplacianPyramid:
         for band in reversed(bands[:-1]):
             image = band + self.reduce_adjoint(image - self.expand_adjoint(band), band.shape)
         return np.array(image)
+
+    def build_middle(self, image: NDArray[Any], half: int) -> list[NDArray[Any]]:
+        """Compute the bands and the residual of an image that is zero except in its middle, each in its own
+        square, with odd sides, beyond which it is zero. The middle, float32 or float64, has an odd side and
+        `BORDER` samples of zeros on each side or more; the whole image reaches `half` samples to each side, a
+        multiple of 2 ** levels.
+        """
+        bands = []
+        for level in range(self.levels):
+            reduced: NDArray[Any] = np.asarray(self.reduce(image), dtype=image.dtype)
+            bands.append(image - np.asarray(self.expand(reduced, image.shape), dtype=image.dtype))
+            # What is not zero reaches two samples further, that is one of the next level.
+            needed = min(even_half(image.shape[0] // 4 + BORDER), half >> (level + 1))
+            image = framed(reduced, max(needed, reduced.shape[0] // 2))
+        return [*bands, image.copy()]
+
+    def adjoint_middle(self, bands: Sequence[NDArray[Any]], half: int, half_width: int) -> NDArray[Any]:
+        """Compute the middle, `half_width` samples to each side, of `adjoint` of bands that are zero beyond their
+        squares, as from `build_middle`, for a whole image of `half` samples to each side.
+        """
+        wanted = [even_half(half_width)]
+        for _ in bands[1:]:
+            wanted.append(even_half(wanted[-1] / 2.0 + 2.0))
+        # Near the border it is the whole image, as the border is mirrored.
+        wanted = [needed if needed < (half >> level) - 6 else half >> level for level, needed in enumerate(wanted)]
+        image = framed(bands[-1], wanted[-1])
+        for level in range(len(bands) - 2, -1, -1):
+            band, needed = bands[level], wanted[level]
+            expanded_adjoint = np.asarray(self.expand_adjoint(band), dtype=band.dtype)
+            difference = image - framed(expanded_adjoint, wanted[level + 1])
+            if needed == half >> level:
+                image = np.asarray(self.reduce_adjoint(difference, (2 * needed + 1,) * 2), dtype=band.dtype)
+            else:  # away from the border it is EXPAND less its gain
+                wider = 2 * wanted[level + 1]
+                expanded = np.asarray(self.expand(difference, (2 * wider + 1,) * 2), dtype=band.dtype)
+                image = 0.25 * framed(expanded, needed)
+            image = image + framed(band, needed)
+        return framed(image, half_width)
 
     def reduce(self, image: FloatArray) -> FloatArray:
         """Filter and keep every second sample: (n + 1) // 2 along each axis (REDUCE)."""
@@ -79,6 +120,11 @@ class LaplacianPyramid:
         # cv2.pyrUp is wrong in the last row and column of odd sizes; a plain separable filter is exact.
         filtered = cv2.sepFilter2D(image, cv2.CV_64F, along_x, along_y, borderType=cv2.BORDER_REFLECT_101)
         return np.asarray(filtered)
+
+
+def even_half(half: float) -> int:
+    """Return the half-width of a square, rounded up to an even number: its REDUCE has a middle sample too."""
+    return 2 * math.ceil(half / 2.0)
 
 
 def framed(image: NDArray[Any], half: int) -> NDArray[Any]:

@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.observers.interface import Detection, Observer, Readout, keeps_last
+from todframes.observers.interface import Observer, Readout, keeps_last
 from todframes.observers.internal_noise import Bands, inner_product, summed_noise, summed_variance
 from todframes.observers.laplacian_pyramid import framed
-from todframes.observers.retina import mean_of_turns, triangle_on
+from todframes.observers.retina import RetinaGrid, mean_of_turns, triangle_on
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 
@@ -68,38 +68,37 @@ class NeuronObserver(Observer):
             for turns in range(4)
         )
 
-    def _upright(self, stimulus: Stimulus) -> FloatArray:
-        """Draw the upright triangle, times its polarity, on the retina's middle."""
-        return stimulus.polarity * triangle_on(self.grid(stimulus), stimulus.size_mrad, centre=self.centre)
+    def _upright(self, stimulus: Stimulus, half: int | None = None) -> FloatArray:
+        """Draw the upright triangle, times its polarity, on the retina's middle: by default on all of it."""
+        grid = self.grid(stimulus)
+        if half is not None:
+            grid = RetinaGrid(2 * half + 1, grid.pitch_mrad)
+        return stimulus.polarity * triangle_on(grid, stimulus.size_mrad, centre=self.centre)
 
-    def _fold(self, bands: Bands) -> FloatArray:
-        """Compute the weights on the retina of weights of neurons: the adjoint of `activity`."""
-        raise NotImplementedError
-
-    def make_readout(self, stimulus: Stimulus) -> Readout | None:
-        """Fold neurons and templates onto the retina."""
-        return self._folded(stimulus)
-
-    def _folded(self, stimulus: Stimulus, *, n: int = 4, is_gaussian: bool = False) -> Readout:
-        """Make the readout with the noise of all neurons, which may be taken as Gaussian. It has the first `n`
-        deviations.
+    def _folded(
+        self,
+        stimulus: Stimulus,
+        upright: Bands,
+        fold: Callable[[Bands], FloatArray],
+        *,
+        n: int = 4,
+        is_gaussian: bool = False,
+    ) -> Readout:
+        """Make the readout of the upright triangle's template deviation, with the noise of all neurons, which may
+        be taken as Gaussian. It has the first `n` deviations.
         """
-        upright, noise_sd = self._template_deviation(stimulus), self.settings.noise_sd
-        kurtosis = 0.0 if is_gaussian else self.noise_excess_kurtosis
-        noise = summed_noise(upright, self.turned, noise_sd, kurtosis)
-        folded = self._fold(upright)
+        noise_sd, kurtosis = self.settings.noise_sd, 0.0 if is_gaussian else self.noise_excess_kurtosis
+        # In single precision the sums would be no covariance.
+        double = tuple(band.astype(np.float64, copy=False) for band in upright)
+        noise = summed_noise(double, self.turned, noise_sd, kurtosis)
+        folded = fold(upright)
         return Readout(
-            grid=self.grid(stimulus),
-            find_common=lambda: self._fold(self._common_template(stimulus)),
+            grid=RetinaGrid(len(folded), self.grid(stimulus).pitch_mrad),
+            find_common=lambda: fold(self._common_template(stimulus)),
             deviations=np.stack([np.rot90(folded, -k) for k in range(n)]),
             find_common_variance=lambda: summed_variance(self._common_template(stimulus), noise_sd),
             **noise._asdict(),
         )
-
-    def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection | None:
-        """Fold the observer of a pattern onto the middle of its retina; see `Observer.detection`."""
-        weights = self.pattern_template(pattern, self.grid(Stimulus(width_mrad)).side)
-        return Detection(framed(self._fold(weights), half_width), summed_variance(weights, self.settings.noise_sd))
 
     def noisy_activity(self, contrast: FloatArray, rng: np.random.Generator | None) -> Bands:
         """Compute the activity with noise on every neuron, or without it if `rng` is None."""

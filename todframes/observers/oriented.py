@@ -12,12 +12,14 @@ from dataclasses import dataclass, fields
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.observers.gabor_pyramid import GaborPyramid, Phases
 from todframes.observers.interface import Detection, Readout
 from todframes.observers.internal_noise import Bands
+from todframes.observers.laplacian_pyramid import framed
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Stimulus
@@ -141,16 +143,24 @@ class OrientedObserver(PyramidObserver):
         turned = [self.turned(bands, turns) for turns in range(4)]
         return tuple(np.asarray(sum(same) / 4.0) for same in zip(*turned, strict=True))
 
+    def _readout_deviation(self, stimulus: Stimulus, dtype: DTypeLike) -> Bands:
+        return tuple(band.astype(dtype) for band in self._template_deviation(stimulus))
+
     def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection | None:
         """Fold the observer of a pattern as `PyramidObserver` does; None with complex cells."""
         return None if self.settings.complex_cells else super().detection(pattern, width_mrad, half_width)
 
-    def _fold(self, bands: Bands) -> FloatArray:
-        weights, side = [self.settings.gain_of(k) * band for k, band in enumerate(bands)], bands[0].shape[-1]
-        filters = self._filters(side)
+    def _expected_middle(self, image: FloatArray, side: int, dtype: DTypeLike) -> Bands:
+        expected = self._expected(framed(image, side // 2))
+        return tuple(band.astype(dtype) for band in expected)
+
+    def _fold(self, bands: Bands, grid: RetinaGrid, half_width: int | None = None) -> FloatArray:
+        weights = [self.settings.gain_of(k) * band for k, band in enumerate(bands)]
+        filters = self._filters(grid.side)
         if not self.settings.include_residual:
-            weights.append(np.zeros((side // 2**filters.levels + 1,) * 2))
-        return self._before_eye(filters.adjoint(weights))
+            weights.append(np.zeros((grid.side // 2**filters.levels + 1,) * 2))
+        folded = self._before_eye(filters.adjoint(weights))
+        return folded if half_width is None else framed(folded, half_width)
 
     def _filters(self, side: int) -> GaborPyramid:
         return self.settings.filters((side - 1).bit_length() - 3)  # side = 4 · 2^levels + 1

@@ -1,9 +1,9 @@
 """The model observer: a Laplacian pyramid, noise on every neuron, correlation with four templates.
 
 Everything from contrast to scores is linear, so the pyramid and the templates fold into one weight image an answer
-(`Readout`), and the noise on thousands of neurons into the covariance of four scores. The literal path
-(`PyramidObserver.respond`), with images through all bands, is the definition with which tests compare the folded
-one.
+(`Readout`), and the noise on thousands of neurons into the covariance of four scores. Only the part about the
+triangle, where they are not zero, is folded. The literal path (`PyramidObserver.respond`), with whole images
+through all bands, is the definition with which tests compare the folded one.
 
 Hogervorst et al. 2001, section 4.
 """
@@ -12,27 +12,30 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from msgspec import Meta
+from numpy.typing import DTypeLike
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
-from todframes.observers.interface import EyeSettings, OmittedWeights, Readout, keeps_last
-from todframes.observers.internal_noise import UNIFORM_EXCESS_KURTOSIS, Bands, inner_product
-from todframes.observers.laplacian_pyramid import LaplacianPyramid
+from todframes.observers.interface import Detection, EyeSettings, OmittedWeights, Readout, keeps_last
+from todframes.observers.internal_noise import UNIFORM_EXCESS_KURTOSIS, Bands, inner_product, summed_variance
+from todframes.observers.laplacian_pyramid import BORDER, LaplacianPyramid, even_half, framed
 from todframes.observers.neurons import NeuronObserver
 from todframes.observers.retina import (
     RetinaGrid,
     gaussian_blur,
+    mean_of_turns,
     mirror_filtered,
     mirror_filtered_adjoint,
     mirrored_frequencies,
     triangle_on,
 )
-from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Stimulus
+from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, Stimulus, vertices
 
 MOST_LEVELS = 11
 """Largest number of levels. A retina image then takes half a GB."""
@@ -277,10 +280,19 @@ class PyramidObserver(NeuronObserver):
     def readout_within(self, stimulus: Stimulus, half_width: int | None) -> Readout:
         """Return the readout with the deviations of the first score alone, of which the others are turns. With a
         `half_width` it is rough: the observer sees so many samples on each side of the retina's middle one, at
-        most, with Gaussian noise.
+        most; in single precision, and with Gaussian noise.
         """
-        readout = self._folded(stimulus, n=1, is_gaussian=half_width is not None)
-        return readout if half_width is None else readout.cropped(min(half_width, readout.grid.side // 2))
+        grid, is_rough = self.grid(stimulus), half_width is not None
+        half = grid.side // 2 if half_width is None else min(half_width, grid.side // 2)
+        fold = partial(self._fold, grid=grid, half_width=half)
+        upright = self._readout_deviation(stimulus, np.float32 if is_rough else np.float64)
+        return self._folded(stimulus, upright, fold, n=1, is_gaussian=is_rough)
+
+    def make_readout(self, stimulus: Stimulus) -> Readout | None:
+        """Fold pyramid and templates onto the retina."""
+        grid = self.grid(stimulus)
+        fold = partial(self._fold, grid=grid, half_width=grid.side // 2)
+        return self._folded(stimulus, self._readout_deviation(stimulus, np.float64), fold)
 
     def noise_between_places(self, stimulus: Stimulus, offset_mrad: tuple[float, float]) -> FloatArray | None:
         """Compute the covariance of the noise on the scores of two places: the same neurons see both.
@@ -297,11 +309,47 @@ class PyramidObserver(NeuronObserver):
         products = [[sum(map(inner_product, t, other)) for other in there] for t in self.templates(stimulus)]
         return self.settings.noise_sd**2 * np.array(products)
 
-    def _fold(self, bands: Bands) -> FloatArray:
+    def _readout_deviation(self, stimulus: Stimulus, dtype: DTypeLike) -> Bands:
+        """Compute `_template_deviation` where it is not zero: each band in its own square.
+
+        The template of a triangle is zero beyond its blurred corners, and so are its fine bands: for a triangle of
+        60 retina samples or more this takes half the time, or less.
+        """
+        settings, side = self.settings, self.grid(stimulus).side
+        corners = vertices(
+            size=stimulus.size_mrad / settings.retina_pitch_mrad, orientation=Orientation.UP, centre=self.centre
+        )
+        reach = float(np.abs(corners).max()) + 8.0 * settings.template_blur_samples + 2.0 + BORDER
+        image = self._upright(stimulus, even_half(min(reach, side // 2)))
+        return self._expected_middle(image - mean_of_turns(image), side, dtype)
+
+    def _expected_middle(self, image: FloatArray, side: int, dtype: DTypeLike) -> Bands:
+        """Compute the expected activity for the middle of an image, each band where it is not zero."""
+        if self.settings.eye_mtf != "none":  # what an eye sees of it reaches far
+            return tuple(band.astype(dtype) for band in self._expected(framed(image, side // 2)))
+        blurred = gaussian_blur(image, self.settings.template_blur_samples)
+        return self._as_activity(self._pyramid(side).build_middle(blurred.astype(dtype), side // 2))
+
+    def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection | None:
+        """Fold the observer of a pattern onto the middle of its retina; see `Observer.detection`."""
+        grid = self.grid(Stimulus(width_mrad))
+        around = 8.0 * self.settings.template_blur_samples + 2.0 + BORDER
+        half = even_half(min(len(pattern) // 2 + around, grid.side // 2))
+        expected = self._expected_middle(framed(pattern, half), grid.side, np.float64)
+        return Detection(self._fold(expected, grid, half_width), summed_variance(expected, self.settings.noise_sd))
+
+    def _fold(self, bands: Bands, grid: RetinaGrid, half_width: int | None = None) -> FloatArray:
+        """Compute the weights on the retina, or its middle, of weights of neurons: the adjoint of `activity`.
+
+        Bands may be given where they are not zero, each in its own square.
+        """
         weights = [self.settings.gain_of(k) * band for k, band in enumerate(bands)]
         if not self.settings.include_residual:
-            weights.append(np.zeros((5, 5)))
-        return self._before_eye(self._pyramid(len(bands[0])).adjoint(weights))
+            weights.append(np.zeros((1, 1), weights[0].dtype))
+        half = grid.side // 2
+        needed = half if half_width is None or self.settings.eye_mtf != "none" else half_width
+        folded = self._before_eye(self._pyramid(grid.side).adjoint_middle(weights, half, needed))
+        return folded if half_width is None or needed == half_width else framed(folded, half_width)
 
     def _pyramid(self, side: int) -> LaplacianPyramid:
         return LaplacianPyramid((side - 1).bit_length() - 3, self.settings.kernel_a)  # side = 4 · 2^levels + 1
