@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_predict import UNDER_SAMPLED
 
-from sensor_sim.chain.sensor import Detector, Optics, Sensor, SensorDisplay
 from sensor_sim.studies.accuracy import STAR_LIKE, Camera
 from sensor_sim.thresholds.curve_plan import full_plan
 from sensor_sim.thresholds.predict import REPLICATES, FoldedChain, Phases, predict_threshold
@@ -180,17 +180,6 @@ def test_errors_of_a_closed_form(known):
     assert other["threshold_change"] == pytest.approx(math.log(1.01))
 
 
-UNDER_SAMPLED = Sensor(
-    optics=Optics(aperture_mm=100.0, wavelength_um=10.0),
-    detector=Detector(pitch_mrad=0.2, width_mrad=0.2),
-    display=SensorDisplay(
-        pixels_per_detector=4,
-        pixel_pitch_mm=0.25,
-        viewing_distance_mm=1500.0,
-        background_luminance_cd_m2=50.0,
-        blur_sigma_px=1.0,
-    ),
-)
 CAMERA = Camera("camera", "", "", "snr", sensor=UNDER_SAMPLED, size_detectors=3.0, converged_bound=1e-3)
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import statistics
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
-from bench_scoring import make_dataset
+from bench_scoring import linked
 from timing import Row
 
 from todframes.frames.dataset import load_dataset
@@ -18,7 +17,7 @@ from todframes.jobs.work import Engine, LocalEngine
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.score import score_dataset
 
-N_DISTINCT, N_TRIALS = 40, 4000
+N_TRIALS = 4000
 PAIRS = 3
 
 
@@ -39,10 +38,7 @@ def speed_up(run: Callable[[Engine], object], cluster: Engine) -> tuple[float, f
 def rows() -> list[Row]:
     """All ratios of this file."""
     with tempfile.TemporaryDirectory() as name, open_engine("local:2", 1) as cluster:
-        folder = Path(name, "frames")
-        make_dataset(folder, N_DISTINCT, "png")
-        _repeat(folder, N_TRIALS // N_DISTINCT)
-        dataset = load_dataset(folder)
+        dataset = load_dataset(linked(Path(name), N_TRIALS))
 
         def score(engine: Engine) -> None:
             score_dataset(dataset, PyramidObserver(), run=Run(engine))
@@ -50,17 +46,3 @@ def rows() -> list[Row]:
         ratio, local_s = speed_up(score, cluster)
         about = f"score {N_TRIALS} PNG frames of {local_s / N_TRIALS * 1e3:.1f} ms"
     return [Row(f"{about}, two workers ÷ twice one process", ratio / 2, ">= 0.9")]
-
-
-def _repeat(folder: Path, times: int) -> None:
-    """Show each frame of a dataset several times, by links to its file."""
-    manifest = folder / "manifest.csv"
-    header, *lines = list(csv.reader(manifest.read_text(encoding="utf-8").splitlines()))
-    with manifest.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        for number in range(times):
-            for frame, *others in lines:
-                link = frame.replace("/", f"/{number}_")
-                (folder / link).hardlink_to(folder / frame)
-                writer.writerow([link, *others])

@@ -13,7 +13,7 @@ from timing import Row, best_s, cpu_ratio, paired_ratio, process
 
 from todframes.diagnosis.inspection import inspect
 from todframes.frames.dataset import load_dataset
-from todframes.frames.files import write_frame
+from todframes.frames.files import frame_sha256, write_frame
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.score import score_dataset
@@ -88,6 +88,24 @@ def make_dataset(
         writer.writerow(["frame", "orientation", "size_mrad", "contrast", "x_px", "y_px"])
         for number in range(n_frames):
             writer.writerow([f"frames/{number:05}.{suffix}", *rows[number % DISTINCT]])
+
+
+def linked(path: Path, n_trials: int, *, side: int = SIDE, size_mrad: float = SIZE_MRAD) -> Path:
+    """Write a dataset of links to a few PNG files, with checksums."""
+    kinds = path / "kinds"
+    make_dataset(kinds, DISTINCT, "png", side=side, size_mrad=size_mrad)
+    header, *rows = (kinds / "manifest.csv").read_text(encoding="utf-8").splitlines()
+    (kinds / "dataset.toml").rename(path / "dataset.toml")
+    checksums = [frame_sha256(kinds / row.partition(",")[0]) for row in rows]
+    with (path / "manifest.csv").open("w") as manifest:
+        manifest.write(f"{header},sha256\n")
+        for number in range(n_trials):
+            frame, _, row = rows[number % DISTINCT].partition(",")
+            name = f"frames/{number // 1000:04d}/trial_{number:07d}.png"
+            (path / name).parent.mkdir(parents=True, exist_ok=True)
+            (path / name).hardlink_to(kinds / frame)
+            manifest.write(f"{name},{row},{checksums[number % DISTINCT]}\n")
+    return path
 
 
 def rows() -> list[Row]:
