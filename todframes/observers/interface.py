@@ -622,10 +622,11 @@ def described(
     if isinstance(observer, str):
         name, observer = observer, observer_named(observer)
     else:
-        name = _name(type(observer))
         if not isinstance(observer, Observer):
-            raise SettingsError(f"observer: found {name}, expected an object of a subclass of todframes.Observer")
-        name = observer.own_name or name
+            raise SettingsError(
+                f"observer: found {observer!r:.80}, expected an object of a subclass of todframes.Observer"
+            )
+        name = observer.own_name or _name(type(observer))
     if find_background is not None:
         observer = adapted(observer, find_background)
     return observer, {"observer": name, **settings_json(observer)}
