@@ -460,7 +460,7 @@ OF_PHOTONS: dict[str, Any] = {"sensor": cameras()["photons"], "vary": {"noise.ex
         (NETD | {"size_detectors": [4, 4]}, "size_detectors: found a value twice in 4, 4"),
         ({"design": [{"optics.aperture_mm": 9.0}, {"noise.netd_mk": 9.0}]}, "design 2: found keys noise.netd_mk"),
         (NETD | {"design": [{"noise.netd_mk": 9.0}]}, "found designs and also keys to vary"),
-        ({"design": "a\0.csv"}, r"'a\\x00\.csv': cannot be read \(embedded null"),
+        ({"design": "a\0.csv"}, r"'a\\x00\.csv': cannot be read \(.*embedded null"),
         ({"vary": {"noise.netd_mk": ["low"]}}, r"vary noise\.netd_mk: found \['low'\], expected numbers or a"),
         ({"vary": {"noise.netd_mk": [1.0, 1.0]}}, r"vary noise\.netd_mk: found a value twice"),
         ({"vary": {"noise.netd_mk": [1.0, math.inf]}}, r"found \[1\.0, inf\], expected one or more finite"),
