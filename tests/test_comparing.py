@@ -16,7 +16,7 @@ from skimage.metrics import peak_signal_noise_ratio
 import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement import builtin
-from todframes.enhancement.compare import compare_observers, parts_of
+from todframes.enhancement.compare import compare_observers, holm, parts_of
 from todframes.enhancement.comparison import (
     Algorithm,
     ContrastPoint,
@@ -581,6 +581,106 @@ def test_disagreements_come_first() -> None:
     assert [line.split(": ")[:2] for line in lines[2:]] == [
         [who, name] for who in ("pyramid", "csf") for name in ("blur", "sharpen", "same")
     ]
+
+
+def algorithm_of(thresholds: list[float | None], *ratios: Ratio, grouped: bool = True, **more) -> Algorithm:
+    """An algorithm with a threshold for each size of 1, 2, … mrad; None is never reached."""
+    fits = tuple(
+        Fit(
+            group={"size_mrad": float(number)} if grouped else {},
+            level="contrast",
+            status="ok" if threshold else "never_reached",
+            threshold=threshold,
+            p_correct=0.75,
+        )
+        for number, threshold in enumerate(thresholds, 1)
+    )
+    ratios = tuple(structs.replace(ratio, group=fit.group) for ratio, fit in zip(ratios, fits, strict=False))
+    return Algorithm(**{"name": "blur", "verdict": "better"} | more, fits=fits, ratios=ratios)
+
+
+@pytest.mark.parametrize(
+    ("of_gain", "amount"),
+    [
+        ((0.8, 0.99), "more than"),
+        ((0.8, 1.0), "no more than"),
+        ((1.0, None), "no more than"),
+        ((None, 1.2), "no more than"),
+        ((1.1, 1.3), "less than"),
+    ],
+)
+def test_the_paragraph_of_an_algorithm(of_gain, amount) -> None:
+    each = (Ratio(verdict="better", ratio=0.5), Ratio(verdict="worse", ratio=1.5), Ratio(verdict="lost"))
+    whole = {"ratio": 0.9, "ratio_ci95": (0.7, None), "contrast_gain": 2.0, "beyond_gain": 0.95}
+    overall = Ratio(verdict="mixed", **whole, beyond_gain_ci95=of_gain)
+    more = {"overall": overall, "verdict": "mixed", "disagrees": ("psnr", "ssim"), "psnr_change_db": -1.54}
+    found = algorithm_of([0.1, 0.3, None], *each, **more, ssim_change=0.0101)
+    (text,) = comparisons([("", JudgedBy(settings={}, algorithms=(algorithm_of([0.2, 0.2, None]), found)))])
+    interval = {(0.8, 0.99): "0.800 to 0.990", (0.8, 1.0): "0.800 to 1.00", (1.0, None): "from 1.00, open above"}
+    interval |= {(None, 1.2): "open below, to 1.20", (1.1, 1.3): "1.10 to 1.30"}
+    assert text == (
+        "blur: mixed; the threshold contrast is 0.900 times that without it (95 % interval from 0.700, open above)"
+        ", in the geometric mean of all groups; better at 1 mrad; worse at 2 mrad. It does "
+        f"{amount} its contrast gain of 2.00: the threshold is 0.950 times that of a plain gain of as much (95 % "
+        f"interval {interval[of_gain]}). At 3 mrad 75 % correct is never reached with it or without. The usual "
+        "measures disagree: PSNR changes by −1.5 dB and SSIM by +0.010."
+    )
+    alone = algorithm_of([None], Ratio(verdict="worse", contrast_gain=2.0, beyond_gain=0.9), grouped=False)
+    judged = JudgedBy(settings={}, algorithms=(algorithm_of([0.2], grouped=False), alone))
+    expected = "csf: blur: better. 75 % correct is never reached with it and is reached without."
+    assert comparisons([("csf", judged)]) == (expected,)
+
+
+@pytest.mark.parametrize(
+    ("near", "errors", "is_reported"),
+    [
+        *(
+            (11.0, (0.0, 0.0), False),
+            (11.01, (0.0, 0.0), True),
+            (9.0, (0.1, 0.1), False),
+            (8.9, (0.1, None), True),
+        ),
+        *(
+            (25.0, (3.0, 4.0), False),
+            (25.5, (3.0, 4.0), True),
+            (None, (0.0, 0.0), False),
+            (-9.0, (0.1, 0.1), False),
+        ),
+    ],
+)
+def test_a_gain_that_is_another_at_the_threshold_is_reported(near, errors, is_reported) -> None:
+    """10 at the highest level; a tenth of it may be missing, and three standard errors, √(3² + 4²) · 3 = 15."""
+    gains = ((0.1, near, errors[0]), (0.4, 10.0, 0.0), (0.8, 10.0, errors[1]))
+    points = tuple(ContrastPoint(level, level, 0.0, gain, error) for level, gain, error in gains)
+    of_gain = Ratio(verdict="better", beyond_gain=0.9)
+    made = algorithm_of([0.18], of_gain, contrast_responses=(ContrastResponse(points=points),))
+    found = [(one.code, one.group, one.found, one.expected) for one in not_proportional([made])]
+    group = {"algorithm": "blur", "size_mrad": 1.0}
+    assert found == [("not_proportional", group, near, 10.0)] * is_reported
+    for _, other in (
+        ("threshold", algorithm_of([None], of_gain)),
+        ("plain gain", algorithm_of([0.1], Ratio(verdict="a"))),
+    ):
+        assert not [*not_proportional([structs.replace(other, contrast_responses=made.contrast_responses)])]
+
+
+def test_what_an_algorithm_does_to_frames_is_reported() -> None:
+    edges, differences = (None, 1.019, 1.021, 0.981, 0.979, 1.0), (None, 0.0, 0.0, 0.0, 0.0, 0.054)
+    each = zip(edges, differences, strict=True)
+    found = [*frame_warnings([Algorithm(name="a", edge_factor=x, repeat_difference=y) for x, y in each])]
+    assert [(one.code, one.found, one.expected) for one in found] == [
+        ("edge_brightness", 1.021, 1.0),
+        ("edge_brightness", 0.979, 1.0),
+        ("not_repeatable", 0.054, 0.0),
+    ]
+    shown = ("of a frame 2.1 % brighter, as", "of a frame 2.1 % darker, as", "differ by up to 5.4 % of their mean")
+    assert all(
+        text in one.message and one.group == {"algorithm": "a"} for text, one in zip(shown, found, strict=True)
+    )
+    assert holm([0.01, 0.04, 0.03, 0.5]).tolist() == pytest.approx(
+        [0.04, 0.09, 0.09, 0.5]
+    )  # · 4, 2, 3, 1; none falls
+    assert holm([0.4, 0.6]).tolist() == pytest.approx([0.8, 0.8])
 
 
 def on_scenes(make_dataset, n_scenes: int, name: str = "dataset", repeats: int = 4, **more):

@@ -14,6 +14,7 @@ from scipy.special import ndtr
 
 import todframes as tod
 from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, NYQUIST, measure_edge
+from todframes.camera.measure_mtf import HOW_MEASURED
 from todframes.camera.mtf_table import read_mtf_mapper, read_mtf_table
 from todframes.camera.slanted_edges import find_edges
 from todframes.cli.console import run
@@ -232,12 +233,21 @@ def test_colours_and_files_have_the_same_numbers(tmp_path):
         # The standard error at Nyquist is 0.25 % · π · √(32 pixels / 72 rows) = 0.5 %: four of them.
         assert np.abs(found.mtf.others[name][: NYQUIST + 1] - expected).max() < 0.02
     assert found.mtf.n_frames == 2
-    assert [one.colour for one in found.mtf.edges] == ["luma", "red", "green", "blue"]
+    assert [(one.edge, one.colour) for one in found.mtf.edges] == [
+        (1, c) for c in ("luma", "red", "green", "blue")
+    ]
+    for edge in found.mtf.edges:  # levels of 1,000 pixels with noise of 0.35
+        assert (edge.dark, edge.bright) == (pytest.approx(40, abs=0.3), pytest.approx(200, abs=0.3))
+    assert found.sentences()[-2:] == [
+        "Mean of 1 edge in 2 frames.",
+        "The values were taken as proportional to light.",
+    ]
+    assert found.data.remarks() == [HOW_MEASURED]
     curves, boxes, profiles = axes = [Figure().subplots() for _ in range(3)]
     for one, figure in zip(axes, found.data.figures(), strict=True):
         figure.draw(one)
     np.testing.assert_array_equal(curves.lines[0].get_ydata(), found.mtf.mtf)
-    assert (len(boxes.patches), len(profiles.lines)) == (1, 1)
+    assert (boxes.patches[0].get_bbox().bounds, len(profiles.lines)) == ((-0.5, -0.5, 72, 72), 1)
     for name in ("mtf.csv", "edge_sfr_values.txt"):
         (tmp_path / name).write_bytes(found.data.files()[name])
         again = tod.mtf(tmp_path / name)

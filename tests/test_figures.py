@@ -80,6 +80,13 @@ def test_tod_curves_have_thresholds_intervals_and_open_ends() -> None:
     assert unnamed(axes, ":") == [[[0.5, 0.2], [0.5, axes.get_ylim()[1]]]]
     assert [tick.get_text() for tick in axes.child_axes[0].get_xticklabels()] == ["2", "1"]  # 1 / size = 0.5 and 1
     assert legend(drawn(fitted(*fits[:2]))) == []
+    note = "Threshold contrast at 75 % correct against 1 / size."
+    assert fitted(*fits).figures()[0].note == (
+        f"{note} Filled: within the levels shown; open: extrapolated. Vertical lines are 95 % intervals, dotted "
+        "where the data leave an end open."
+    )
+    computed = [fit(size, 0.4, n_trials=0, threshold_ci95=(0.3, 0.5)) for size in (1.0, 2.0)]
+    assert fitted(*computed).figures()[0].note == f"{note} Vertical lines are 95 % intervals."
     heated = [fit(size, snr, level="snr", delta_t_mk=20.0 * snr) for size, snr in ((1.0, 2.0), (2.0, 1.0))]
     right = drawn(fitted(*heated)).child_axes[1]
     right.figure.draw_without_rendering()

@@ -35,6 +35,25 @@ def test_a_table_keeps_its_unit_and_its_numbers(written, unit):
     assert list(table.curves) == ["mtf"] and not table.stops_early
 
 
+def test_a_table_in_words_and_numbers(written):
+    """On straight lines: 0.5 at 0.2 + 0.4/6, 0.1 at 0.2 + 0.4 · 5/6, and 0.15 at Nyquist."""
+    result = tod.mtf(written(f"{F},{BAND}", "0,1,1,1", "0.2,0.6,0.5,0.7", "0.6,0,0,0"))
+    assert result.sentences() == [
+        "MTF50 0.267 (0.200 to 0.314) cycles/pixel.",
+        "MTF 0.150 (0.125 to 0.175) at the Nyquist frequency, 0.5 cycles/pixel.",
+        "MTF10 0.533 (0.520 to 0.543) cycles/pixel.",
+        "Patterns beyond Nyquist are aliased, down to 0.467 cycles/pixel.",
+        "Nyquist limits the resolution: 100 pixels are 100 effective.",
+    ]
+    some, whole = result.tables()
+    head, rule = "| cycles/pixel | mtf | lower | upper |", "| ---: | ---: | ---: | ---: |"
+    rows = ["| 0.0000 | 1.000 | 1.000 | 1.000 |", "| 0.2000 | 0.600 | 0.500 | 0.700 |"]
+    assert some.markdown().splitlines() == [head, rule, *rows, "| 0.6000 | 0.000 | 0.000 | 0.000 |"]
+    assert (whole.title, whole.records, result.data.remarks()) == ("All frequencies", some.records, [])
+    stays = tod.mtf(written(f"{F.replace('pixel', 'mm')},mtf", "0,1", "40,0.6"))
+    assert stays.sentences() == ["The MTF stays above 0.5 up to 40.0 cycles/mm."]
+
+
 def test_tangential_and_sagittal(written):
     path = written("frequency_cyc_per_mm,mtf_tangential,mtf_sagittal", "10,0.9,0.95", "40,0.2,0.5")
     table = read_mtf_table(path)
@@ -98,6 +117,9 @@ def test_files_of_mtf_mapper(written, n):
     values = " ".join(f"{one:.6f}" for one in mtf)
     table, edges = read_mtf_mapper(written(f"5.25 {values} ", "", f"-3 {values}", name="raw_sfr_values.txt"))
     assert [(one.edge, one.angle_deg, one.x_px) for one in edges] == [(1, 5.25, None), (2, -3.0, None)]
+    # Half is reached at 20 ln 2 of 64 steps; on the line between two values 1e-4 later.
+    assert edges[1].mtf50_cyc_per_pixel == pytest.approx(20.0 * np.log(2.0) / 64, rel=3e-4)
+    assert edges[1].mtf_at_nyquist == pytest.approx(np.exp(-1.6), abs=1e-6)
     np.testing.assert_array_equal(table.frequency, np.arange(n) / 64)
     for name in ("edge 1", "edge 2"):
         np.testing.assert_allclose(table.curves[name], mtf, atol=5.1e-7)  # six decimals

@@ -22,8 +22,8 @@ from todframes.base.reading import shipped_names
 from todframes.field.acquisition import TaskRange, acquire, cycles_ratio, transfer_probability, with_search
 from todframes.field.acquisition_range import range_words
 from todframes.field.atmosphere import FOLDER as AIRS
-from todframes.field.atmosphere import find_atmosphere
-from todframes.field.measured_curve import _slope_error
+from todframes.field.atmosphere import find_atmosphere, thermal_extinction_per_km
+from todframes.field.measured_curve import _ln_sd, _psychometric, _slope_error
 from todframes.field.target import FOLDER as TARGETS
 from todframes.field.target import find_target
 from todframes.field.threshold_curve import Psychometric, ThresholdCurve
@@ -119,17 +119,18 @@ def test_proportion_correct_of_a_tod() -> None:
         assert np.interp(expected, curve_of.range_km, curve_of.probability) == pytest.approx(p, abs=2e-3)
 
 
-def test_error_of_a_slope_is_that_of_the_likelihood() -> None:
+@pytest.mark.parametrize(("guess", "lapse"), [(0.25, 0.01), (0.0, 0.0)])
+def test_error_of_a_slope_is_that_of_the_likelihood(guess, lapse) -> None:
     """Covariance of ln threshold and ln β, from second differences of the likelihood of the expected counts."""
-    levels, n, beta, lapse = np.geomspace(0.5, 2.0, 6), 40, 2.2, 0.01
+    levels, n, beta = np.geomspace(0.5, 2.0, 6), 40, 2.2
 
     def halves(p: float) -> float:
-        return math.log2((0.75 - lapse) / (1.0 - lapse - p))
+        return math.log2((1.0 - guess - lapse) / (1.0 - lapse - p))
 
     def proportions(ln_threshold: float, ln_beta: float):
         slope = math.exp(ln_beta)
         alpha = math.exp(ln_threshold) / halves(0.75) ** (1.0 / slope)
-        return 1.0 - lapse - (0.75 - lapse) * 2.0 ** -((levels / alpha) ** slope)
+        return 1.0 - lapse - (1.0 - guess - lapse) * 2.0 ** -((levels / alpha) ** slope)
 
     right = n * proportions(0.0, math.log(beta))
 
@@ -144,7 +145,7 @@ def test_error_of_a_slope_is_that_of_the_likelihood() -> None:
     sd = np.sqrt(np.diag(covariance))
     points = tuple(FitPoint(*one) for one in zip(levels, [n] * 6, right / n, strict=True))
     known = {"group": {}, "level": "contrast", "status": "ok", "threshold": 1.0, "p_correct": 0.75}
-    known |= {"beta": beta, "guess_rate": 0.25, "lapse_rate": lapse, "n_trials": 6 * n, "points": points}
+    known |= {"beta": beta, "guess_rate": guess, "lapse_rate": lapse, "n_trials": 6 * n, "points": points}
     fit = tod.Fit(**known, alpha=halves(0.75) ** (-1.0 / beta))
     # Second differences err by h² of the fourth derivative, 1e-5, and by rounding / h², 1e-8 of the largest term.
     slope_sd, correlation = _slope_error(fit)
@@ -153,6 +154,52 @@ def test_error_of_a_slope_is_that_of_the_likelihood() -> None:
     ends = np.exp(2.0 * 1.959964 * sd[0] * np.array([-1.0, 1.0]))
     twice = msgspec.structs.replace(fit, threshold_ci95=tuple(ends))
     assert _slope_error(twice)[0] == pytest.approx(2.0 * sd[1], rel=1e-4)
+    # A slope that answers at one level leave open has the error of the others, and no correlation.
+    alone = msgspec.structs.replace(fit, points=points[:1], lapse_rate=None)
+    shape = _psychometric([fit, alone, msgspec.structs.replace(fit, n_trials=0)])
+    found = [shape.beta, shape.lapse_rate, shape.ln_beta_sd, shape.correlation]
+    expected = [[beta] * 3, [lapse, 0.0, lapse], [slope_sd, slope_sd, 0.0], [correlation, 0.0, 0.0]]
+    np.testing.assert_allclose(found, expected)
+    assert (shape.guess_rate, shape.p_correct, _psychometric([alone])) == (guess, 0.75, None)
+
+
+def test_computed_points_and_open_ends_of_a_measured_curve() -> None:
+    """β of points on 1 − 3/4 · 2^−(x^β), of which those near the guess rate and near 1 count for nothing."""
+    levels = np.array([0.3, 0.5, 0.8, 1.2, 3.0])
+    p = 1.0 - 0.75 * 2.0 ** -(levels**1.7) + np.array([-0.02, 0.0, 0.0, 0.0, -0.01])
+    known = {"group": {}, "level": "contrast", "status": "ok", "p_correct": 0.8, "threshold": 2.0}
+    computed = tod.Fit(**known, points=tuple(FitPoint(*one) for one in zip(levels, [0] * 5, p, strict=True)))
+    assert p[0] < 0.3 and p[-1] > 0.97
+    shape = _psychometric([computed])
+    assert shape.beta == pytest.approx([1.7]) and shape.guess_rate == 0.25
+    assert shape.lapse_rate == shape.ln_beta_sd == shape.correlation == [0.0]
+    for points in (computed.points[2:3] * 2, (FitPoint(0.5, 0, 0.8), FitPoint(0.8, 0, 0.5))):
+        assert _psychometric([computed, msgspec.structs.replace(computed, points=points)]) is None
+    each = (
+        {"threshold_ci95": (1.0, None)},
+        {"threshold_numerical_error": 0.2},
+        {},
+        {"threshold_ci95": (1.9, 2.2)},
+    )
+    fits = [tod.Fit(**known, **one) for one in each]
+    below, above = [math.log(2.0), math.log(1.1), math.log(2.0), math.log(2.0 / 1.9)], [*np.log([2, 1.1, 2, 1.1])]
+    np.testing.assert_allclose(_ln_sd(fits), np.array([below, above]) / ndtri(0.975), rtol=1e-9)
+    assert _ln_sd(fits[2:3]) is None
+
+
+def test_haze_of_humid_air_falls_with_visibility() -> None:
+    """RET without vapour, by hand: three straight lines, each up to its end, and a constant."""
+    for km, haze in (
+        (2.4, 0.46662),
+        (2.5, 0.45),
+        (5.9, 0.23648),
+        (6.0, 0.23),
+        (9.9, 0.152),
+        (10, 0.15),
+        (99, 0.15),
+    ):
+        humid = {"relative_humidity": 0.0, "air_temperature_c": 20.0}
+        assert thermal_extinction_per_km(visibility_km=km, **humid) == pytest.approx(haze, rel=1e-12)
 
 
 def test_what_limits_is_the_change_of_range() -> None:
@@ -292,8 +339,9 @@ def test_targets_of_the_package() -> None:
     assert shipped_names(TARGETS) == ("nato", "nato_daylight", "person", "r46")
     for name in shipped_names(TARGETS):
         assert find_target(name).source
-    assert dict(find_target("nato").n50_cycles) == {"detection": 1.0, "recognition": 3.0, "identification": 6.0}
-    assert dict(replace(NATO, cycles="johnson").n50_cycles)["identification"] == 6.4
+    assert find_target("nato").n50_cycles == {"detection": 1.0, "recognition": 3.0, "identification": 6.0}
+    johnson = {"detection": 1.0, "recognition": 4.0, "identification": 6.4}
+    assert replace(NATO, cycles="johnson").n50_cycles == johnson
     assert tod.Target(size_m=1.0, reflectance=0.1, background_reflectance=0.4).signal == pytest.approx(0.75)
     assert tod.Target(size_m=1.0, delta_t_k=-3.0, delta_t_sd_k=4.0).signal == 5.0
 
@@ -394,6 +442,42 @@ def test_a_terminal_of_80_columns_shows_each_status(air, tmp_path, monkeypatch, 
     )
 
 
+def test_tables_and_words_are_those_of_the_closed_form(table) -> None:
+    """The logarithms of ΔT / a are shared out: b f for resolution, σ R for air; together ln 100 = 4.605."""
+    table.write_text(
+        "frequency_cyc_per_mrad,mrtd_k\n" + "".join(f"{f},{A_K * math.exp(f)}\n" for f in FREQUENCIES)
+    )
+    found = tod.acquisition_range(table, target=replace(NATO, cycles={"seen": 3.0}), atmosphere=BEER)
+    whole, rows = math.log(100.0), []
+    for p in (0.5, 0.75, 0.9):
+        ratio = cycles_ratio(p)
+        km = whole / (SIGMA_PER_KM + ratio * 3.0 / 2.3)
+        gains = " | ".join(f"{10 * part / whole:#.2g}" for part in (1.0, ratio * 3 * km / 2.3, SIGMA_PER_KM * km))
+        rows.append(f"| seen | 3.00 | {p:.3f} | {km:.3f} | – | resolution | {gains} | ok |")
+    ranges, probability, settings = found.tables()
+    assert ranges.title == "Range: target, 2.3 m, ΔT 2 K; air"
+    head, _, *lines = ranges.markdown().splitlines()
+    assert head.startswith(
+        "| task | N50 | P | range (km) | 95 % interval | limited by | 10 % contrast | 10 % resol"
+    )
+    assert head.endswith(" | 10 % clear air | status |") and lines == rows
+    # 1.15 times the range at 50 % in 121 steps; at the 60th 1.7456 km, 4.256 cycles/mrad and 1.869 N50.
+    shown = probability.markdown().splitlines()
+    assert (len(shown), probability.title) == (123, "Probability against range")
+    assert shown[0] == "| task | range (km) | P | 95 % interval | off the curve | limited by |"
+    assert shown[61] == "| seen | 1.75 | 0.925 | – |  | resolution |"
+    values = dict(row.values() for row in settings.records)
+    of_target = {"target.size_m": 2.3, "target.delta_t_k": 2.0, "target.delta_t_sd_k": 0.0}
+    assert values == of_target | {"target.cycles": {"seen": 3.0}, "atmosphere.extinction_per_km": 0.2}
+    assert found.sentences() == [
+        "At 50 %, seen: 3.06 km.",
+        "What limits seen: resolution. In range, 10 % more contrast gains 2.2 %, resolution gains 8.7 %, clear "
+        "air gains 1.3 %.",
+        "N50: 3 line pairs on the target (your own).",
+        "The curve has no errors (ci95_low, ci95_high), so the ranges have no interval.",
+    ]
+
+
 def test_figures_show_the_contrast_that_arrives_the_thresholds_and_the_ranges(table) -> None:
     found = tod.acquisition_range(table, target=NATO, atmosphere=BEER)
     by_size = tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER)
@@ -418,6 +502,16 @@ def test_figures_show_the_contrast_that_arrives_the_thresholds_and_the_ranges(ta
     k, ranges = curve.get_data()
     np.testing.assert_allclose(ranges, np.log(100.0) / (SIGMA_PER_KM + B_MRAD * np.array(k) / 2.3), rtol=1e-9)
     assert (k[0], k[-1], own.get_xdata()[0]) == (1.0, pytest.approx(16.0), 3.0)
+    assert len(against_k.collections) == 1 and probability.get_ylabel() == "probability"
+    titles = ["Probability against range", "Contrast at the aperture", "Range at 75 % correct against k"]
+    files = ["probability.png", "crossing.png", "range_against_k.png"]
+    assert [(one.title, one.file) for one in by_size.figures()] == list(zip(titles, files, strict=True))
+    notes = [" ".join((one.note.split(". ")[0], one.note.split(". ")[-1])) for one in by_size.figures()]
+    assert notes == [
+        "Bands: 95 %, from the errors of the curve Dotted: the curve ends there, and the probability is a bound.",
+        "Falling: the contrast that arrives A task can be done up to their crossing.",
+        "No public value of k exists: the range is as good as the k that you have validated Vertical: yours.",
+    ]
 
 
 def test_units_of_a_table_are_those_of_its_header(table, tmp_path) -> None:

@@ -1,7 +1,10 @@
 """Settings: one check by annotations, for files, options and Python."""
 
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -10,7 +13,8 @@ from msgspec import Meta
 
 import todframes as tod
 from sensor_sim.chain.sensor import Detector, Electronics, Motion, Noise, Optics, PhotonNoise, Scene, SensorDisplay
-from todframes.base.errors import SettingsError
+from todframes.base import reading
+from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import check_values, from_table
 from todframes.charts.design import Design
 from todframes.charts.layout import Chart, Edge, Markers, Page, Patch, Point, Screen, Triangle
@@ -116,3 +120,92 @@ def test_values_get_the_annotated_types() -> None:
 def test_an_observer_made_in_python_is_checked() -> None:
     with pytest.raises(SettingsError, match=r"^include_residual: found 'no', expected true or false$"):
         tod.PyramidObserver(include_residual="no")
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "expected"),
+    [
+        ("toml_value", ("[1, 2.5]",), [1, 2.5]),
+        ("toml_value", (" a b ",), "a b"),
+        ("number_or_text", (" -1e3 ",), -1000.0),
+        ("number_or_text", ("1_0",), "1_0"),
+        ("number_or_text", (" inf",), "inf"),
+        ("number", (" 2.5 ", "a"), 2.5),
+        ("check_time", ("a", -1e12), -1e12),
+        ("distinct_numbers", ("a", (3, 0.5)), [3.0, 0.5]),
+        ("without_schema", ({"schema": 2, "size": 3}, 2, ["size"], "a"), {"size": 3}),
+        ("spelling_hint", ("sRGB 1", ["linear", "srgb1"]), "; write srgb1"),
+        ("parse_toml", (f"a{'.a' * 16} = {2**63 - 1}\n# {'.' * 500}", "a"), None),
+        ("parse_toml", (f"b = {-(2**63)}", "a"), {"b": -(2**63)}),
+        ("toml_literal", ({"a": True, "b": None, "c": ["é\x7f", (1,)]},), '{a = true, c = ["é\\u007f", [1]]}'),
+        (
+            "toml_text",
+            ({"t": {"x": 1, "y": [{"z": 2}, {}]}, "n": None, "a": "b", "l": [{"u": 1}, {"u": {"v": 2}}]},),
+            'a = "b"\n\n[t]\nx = 1\ny = [\n  {z = 2},\n  {},\n]\n\n[[l]]\nu = 1\n\n[[l]]\nu = {v = 2}\n',
+        ),
+    ],
+)  # fmt: skip
+def test_values_as_files_have_them(name: str, arguments: tuple[Any, ...], expected: object) -> None:
+    found = getattr(reading, name)(*arguments)
+    assert expected is None or found == expected
+
+
+TABLE = ["level,n", "1,2", "", '"3",4', "5", "6,x"]
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "message"),
+    [
+        ("toml_value", ("1\nb = 2",), "1\nb = 2"),
+        ("number", ("1,5", "a"), "a: found '1,5', expected a finite number, with a point, not a comma"),
+        ("number", ("1,5x", "a"), "a: found '1,5x', expected a finite number"),
+        ("check_time", ("a", 1.1e12), "a: found 1.1e+12 s, expected a time from -1e+12 to 1e+12 s"),
+        ("check_time", ("a", math.nan), "a: found nan s, expected a time from -1e+12 to 1e+12 s"),
+        ("check_whole", ("a", 4, 5, 9), "a: found 4, expected a whole number from 5 to 9"),
+        ("check_positive", ("a", 0.0), "a: found 0.0, expected a finite number > 0"),
+        ("distinct_numbers", ("a", ()), "a: found no values, expected at least one"),
+        ("distinct_numbers", ("a", (1, 0.5, 1)), "a: found a value twice in 1, 0.5, 1, expected each once"),
+        ("without_schema", ({"schema": 1}, 2, [], "a"), "a: schema: found 1, expected 2"),
+        ("without_schema", ({"x": 1}, 2, [], "a"), "a: unknown key 'x'; the nearest valid one is 'schema'"),
+        ("check_keys", (["x" * 101], [], "a"), f"a: unknown key '{'x' * 100}…'"),
+        ("check_columns", (["A", "c"], ["c", "a"], "f"), "f: column 'a' is missing; found A, c; write a, not A"),
+        ("check_columns", ([*"abcdefghijklmnopqrstu"], ["z"], "f"),
+         "f: column 'z' is missing; found a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p, q, r, s, t and 1 more"),
+        ("parse_toml", (f"# {'.' * 501}", "f"), "f: not valid TOML: line 1 has more than 500 dots"),
+        ("parse_toml", (f"b.c={2**63}", "f"), "f: not valid TOML: b.c: found a whole number of more than 64 bits"),
+        ("parse_toml", (f"a{'.a' * 17} = 1", "f"), "f: not valid TOML: nested more than 16 deep"),
+        ("path_inside", ("/d", "a\0", "f"), "f: found 'a\\x00', expected a path"),
+        ("path_inside", ("/d", "../d2/a", "f"),
+         "f ../d2/a lies outside of the dataset: it is /d2/a, expected a file in /d; copy it there"),
+        ("settings_path", ("Nato", reading.Path(tod.__file__).parent / "field" / "targets", "target"),
+         "target: found 'Nato', expected the name of a file that ends with .toml, or one of nato, "
+         "nato_daylight, person, r46; write nato"),
+    ],
+)  # fmt: skip
+def test_values_that_files_must_not_have(name: str, arguments: tuple[Any, ...], message: str) -> None:
+    with pytest.raises((ValueError, DataError), match=f"^{re.escape(message)}$"):
+        getattr(reading, name)(*arguments)
+
+
+def test_rows_of_a_csv_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\ufeff" + "\n".join(TABLE), encoding="utf-8")
+    header, *rows = reading.read_csv(path, most_rows=5)
+    texts = [("1", "2"), ("3", "4"), ("5",), ("6", "x")]
+    named = [dict(zip(("level", "n"), row, strict=False)) for row in texts]
+    assert header == (str(path), {"level": "", "n": ""}, "")
+    problems = ["", "", f"{path}, line 5: found 1 fields, expected 2 as in the header", ""]
+    lines = [f"{path}, line {number}" for number in (2, 4, 5, 6)]
+    assert rows == list(zip(lines, named, problems, strict=True))
+    assert rows[1].numbers(["n", "level"]) == [4.0, 3.0]
+    with pytest.raises(DataError, match=r"line 6: n: found 'x', expected a finite number > 0$"):
+        rows[3].numbers(["level", "n"], positive=True)
+    for read, message in (
+        (lambda: list(reading.read_csv(path, most_rows=4)), "a.csv: found more than 4 rows, expected"),
+        (lambda: reading.read_numbers(path, ["level"]), "line 5: found 1 fields, expected 2 as in the header$"),
+        (lambda: reading.read_table(path, ["m"]), "a.csv: column 'm' is missing; found level, n$"),
+        (lambda: reading.read_text(tmp_path, most_mb=1), ": is a folder, expected a file$"),
+        (lambda: reading.read_text(tmp_path / "b\0", most_mb=1), r"b.x00': cannot be read \("),
+    ):
+        with pytest.raises(DataError, match=message):
+            read()

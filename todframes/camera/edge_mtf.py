@@ -260,7 +260,7 @@ class _Esf(NamedTuple):
         return np.asarray(scale / BLOCK_ROWS * (blocks.T @ blocks))
 
 
-def _binned(distance: FloatArray, along: FloatArray, values: FloatArray, uniform_px: float, where: str) -> _Esf:
+def _binned(distance: FloatArray, along: FloatArray, values: FloatArray, uniform_px: float) -> _Esf:
     """Return the means of values in bins of their distance; empty bins are left out."""
     ends = [0.0]
     while ends[-1] < np.abs(distance).max():
@@ -270,8 +270,6 @@ def _binned(distance: FloatArray, along: FloatArray, values: FloatArray, uniform
         np.digitize(distance, np.concatenate([-half[::-1], [0.0], half])), return_inverse=True, return_counts=True
     )
     nodes, means = (np.bincount(bins, quantity) / counts for quantity in (distance, values))
-    if len(nodes) < 8:
-        raise DataError(f"{where}found too few pixels at the edge for a profile, expected a larger box")
     slopes = np.zeros(len(nodes))
     slopes[1:-1] = (means[2:] - means[:-2]) / (nodes[2:] - nodes[:-2])
     off = distance - nodes[bins]
@@ -322,7 +320,7 @@ def _fitted(values: FloatArray, curve: _Curve, box: Box, step_px: float, where: 
     for n_left in range(5, -1, -1):
         distance, s = curve.distance(x, y)
         used = (np.abs(distance) <= widest_px) & is_alive
-        esf = _binned(distance[used], s[used], (values.ravel() - light)[used], uniform_px, where)
+        esf = _binned(distance[used], s[used], (values.ravel() - light)[used], uniform_px)
         _check_gaps(esf, uniform_px, curve, where)
         levels = _levels(esf, tail_px, terms)
         contrast, noise_sd = float(levels[CONTRAST] @ esf.means), float(esf.residual.std())

@@ -156,7 +156,7 @@ def _ln_sd(fits: Sequence[Fit]) -> np.ndarray | None:
 def _psychometric(fits: Sequence[Fit]) -> Psychometric | None:
     """Return the psychometric functions, fitted or through computed points; None if one has none."""
     slopes = [one.beta if one.beta is not None else _slope_of_points(one) for one in fits]
-    if not fits or any(one is None for one in slopes):
+    if any(one is None for one in slopes):
         return None
     errors = [_slope_error(one) if one.beta is not None and one.n_trials else (0.0, 0.0) for one in fits]
     known = [one for one in errors if one is not None]
