@@ -40,6 +40,7 @@ FILES = {
     "a.pgm": image,
     "a.jp2": image,
     "a.npy": lambda path: np.save(path, COUNTS),
+    "colour.npy": lambda path: np.save(path, np.ones((1, 250, 300, 3))),
     "a.npz": lambda path: np.savez_compressed(path, COUNTS),
     "a.dng": lambda path: dng(path, COUNTS, black=0, white=1000, mosaic=False),
     "a.fff": lambda path: path.write_bytes(fff(COUNTS)),

@@ -222,19 +222,28 @@ def test_interlaced_and_turned_videos_are_warned_about(tmp_path):
             lambda whole: whole[: len(whole) // 2] + RNG.bytes(400) + whole[len(whole) // 2 + 400 :],
             r"frame \d+ (is damaged|cannot be decoded).*; \d+ frames before are good",
         ),
+        (
+            lambda whole: (
+                whole[: len(whole) // 2] + bytes([whole[len(whole) // 2] ^ 1]) + whole[len(whole) // 2 + 1 :]
+            ),
+            r"frame 5 is damaged; 5 frames before are good$",
+        ),
     ],
-    ids=["truncated", "damaged"],
+    ids=["truncated", "damaged", "one bit"],
 )
 def test_a_damaged_video_tells_how_many_frames_are_good(tmp_path, damage, message):
     values = grey16(12)
     whole = encode(tmp_path / "a.mkv", [[one] for one in values], "gray16le").read_bytes()
+    assert open_recordings(tmp_path / "a.mkv")[0].n_frames == 12
     (tmp_path / "b.mkv").write_bytes(damage(whole))
+    logged = (av.logging.get_level(), av.logging.get_skip_repeated())
     (recording,) = open_recordings(tmp_path / "b.mkv")
     frames, good = recording.frames(), []
     with pytest.raises(tod.FrameError, match=message) as caught:
         good.extend(one.values for one in frames)
     assert int(re.search(r"(\d+) frames", str(caught.value))[1]) == len(good) > 3
     np.testing.assert_array_equal(good, values[: len(good)])
+    assert (av.logging.get_level(), av.logging.get_skip_repeated()) == logged
 
 
 def half_of_mp4(path):
@@ -264,7 +273,11 @@ PLAYLIST = "#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1/a.ts\n"
 @pytest.mark.parametrize(
     ("name", "make", "message"),
     [
-        ("b.mp4", half_of_mp4, r"b\.mp4: .*; is the file truncated\?"),
+        (
+            "b.mp4",
+            half_of_mp4,
+            r"b\.mp4: has no video stream; is the file truncated\?",
+        ),
         ("b.mkv", without_frames, r"no frame can be decoded; is the file truncated\?"),
         ("a.mkv", unknown_codec, "FFmpeg has no decoder for its video; convert it without loss"),
         ("a.avi", unknown_codec, "FFmpeg has no decoder for its video; convert it without loss"),
@@ -278,11 +291,20 @@ def test_a_video_that_cannot_be_read_is_refused(tmp_path, name, make, message):
         open_recordings(tmp_path / name)
 
 
-@pytest.mark.parametrize(
-    "name", ["pal8", "yuv420", "gray", "grayf32le", "bayer_rggb8", "xyz12le", "yuv443p", "gbrpf32le"]
-)
-def test_pixel_formats_that_are_not_read(name):
-    assert (video.pixel_format(name) is None) == (name != "gray")
+def test_names_of_pixel_formats():
+    for name in ("pal8", "yuv420", "gray420p", "grayf32le", "bayer_rggb8", "xyz12le", "yuv443p", "gbrpf32le"):
+        assert video.pixel_format(name) is None
+    for name, expected in {
+        "gray": ("gray", 8, "u1", (1, 1)),
+        "gray10be": ("gray", 10, ">u2", (1, 1)),
+        "yuvj420p": ("yuv", 8, "u1", (2, 2)),
+        "yuva422p10le": ("yuv", 10, "<u2", (2, 1)),
+        "yuv440p12be": ("yuv", 12, ">u2", (1, 2)),
+        "yuv411p": ("yuv", 8, "u1", (4, 1)),
+        "yuv410p": ("yuv", 8, "u1", (4, 4)),
+        "gbrap16le": ("gbrp", 16, "<u2", (1, 1)),
+    }.items():
+        assert video.pixel_format(name) == expected
 
 
 def test_a_matrix_that_is_not_declared_is_that_of_hd_from_720_rows_on():

@@ -27,13 +27,13 @@ from PIL import Image
 from test_frames import png_bytes, write_exr
 
 import todframes as tod
-from todframes.base.errors import DataError
+from todframes.base.errors import DataError, SettingsError, in_command
 from todframes.camera.noise3d import measure_noise
 from todframes.camera.slanted_edges import measure_mtf
 from todframes.recordings import radiometric, raw
 from todframes.recordings.arrays import memory_recording
-from todframes.recordings.opening import ENTRY_POINT_GROUP, open_recordings
-from todframes.recordings.recording import natural_order
+from todframes.recordings.opening import ENTRY_POINT_GROUP, one_recording, open_recordings
+from todframes.recordings.recording import check_size, code_range, files_in, natural_order
 
 RNG = np.random.default_rng(13)
 
@@ -125,6 +125,20 @@ def test_a_folder_is_one_sequence_in_natural_order(tmp_path):
     assert len(list(recording.frames())) == 3  # again from the start
 
 
+def test_pictures_are_one_sequence_where_the_first_of_them_stands(tmp_path):
+    for number, name in enumerate(("b.npy", "d.npy", "e.npy")):
+        np.save(tmp_path / name, np.full((number + 1, 4, 5), number, np.uint8))
+    two_pngs(tmp_path, names=("9.png", "10.png"))
+    given = [tmp_path / name for name in ("b.npy", "10.png", "d.npy", "9.png", "e.npy")]
+    shown = [(one.path.name, [frame.source for frame in one.frames()]) for one in open_recordings(given)]
+    assert [name for name, _ in shown] == ["b.npy", "9.png", "d.npy", "e.npy"]
+    assert shown[1][1] == ["9.png", "10.png"] and [len(sources) for _, sources in shown] == [1, 2, 2, 3]
+    assert one_recording(given[2], "here").n_frames == 2
+    names = ", ".join(str(tmp_path / name) for name in ("b.npy", "9.png", "d.npy"))
+    with pytest.raises(DataError, match=re.escape(f"here: found 4 recordings ({names} …), expected one")):
+        one_recording(given, "here")
+
+
 def test_another_package_may_register_a_reader(tmp_path, monkeypatch):
     page = (Path(__file__).parents[1] / "docs" / "recordings.md").read_text(encoding="utf-8")
     mine, registered = ModuleType("my_camera"), [*entry_points(group=ENTRY_POINT_GROUP)]
@@ -142,10 +156,14 @@ def test_another_package_may_register_a_reader(tmp_path, monkeypatch):
     with pytest.raises(tod.FrameError, match=r"9\.tif: has no 4 x 3 pixels"):
         open_recordings(tmp_path)
     registered.append(EntryPoint("b", "no_such_module", ENTRY_POINT_GROUP))
-    registered_again = [*registered]
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: registered_again)
-    with pytest.raises(tod.SettingsError, match=r"reader b: cannot be imported \(ModuleNotFoundError"):
-        open_recordings(tmp_path)
+    without_arrays = [entry for entry in registered if entry.name != "array"]
+    for entries, message in (
+        ([*registered], r"reader b: cannot be imported \(ModuleNotFoundError"),
+        (without_arrays[:-1], "reader array: is not registered; install todframes again"),
+    ):
+        monkeypatch.setattr("importlib.metadata.entry_points", lambda _entries=entries, **_: _entries)
+        with pytest.raises(tod.SettingsError, match=message):
+            open_recordings(tmp_path)
 
 
 def test_natural_order_of_names_with_and_without_numbers():
@@ -158,7 +176,10 @@ def test_natural_order_of_names_with_and_without_numbers():
     ("name", "attribute", "rate"),
     [
         ("a.dpx", ("dpx:FrameRate", 25.0), 25.0),
+        ("a.dpx", ("dpx:TemporalFrameRate", 0.5), 0.5),
         ("a.exr", ("FramesPerSecond", "rational", (30000, 1001)), 30000 / 1001),
+        ("a.exr", ("FramesPerSecond", "rational", (0, 1)), None),
+        ("a.exr", ("FramesPerSecond", "rational", (25, 0)), None),
     ],
 )
 def test_the_frame_rate_comes_from_the_file(tmp_path, name, attribute, rate):
@@ -271,12 +292,14 @@ def photograph(path, second, fraction=""):
 
 
 def test_photographs_have_the_times_of_their_exif(tmp_path):
-    for number, (second, fraction) in enumerate([(1, "50"), (1, "75"), (3, "125"), (4, "5")]):
+    for number, (second, fraction) in enumerate([(1, "50"), (2, ""), (2, "75"), (3, "250"), (4, "01")]):
         photograph(tmp_path / f"{number}.jpg", second, fraction)
     (recording,) = open_recordings(tmp_path)
-    assert [one.time_s for one in recording.frames()] == [0.0, 0.25, 1.625, 3.0]
+    assert [one.time_s for one in recording.frames()] == [0.0, 0.5, 1.25, 1.75, 2.51]
+    # Usual is 0.625 s: no frame is missing in 0.76 s. One is from 1.5 times as much on.
+    assert recording.frames_per_second == pytest.approx(4 / 2.51)
     (faster,) = open_recordings(tmp_path, frames_per_second=10)
-    assert [one.time_s for one in faster.frames()] == [0.0, 0.1, 0.2, 0.3]
+    assert [one.time_s for one in faster.frames()] == [0.0, 0.1, 0.2, 0.3, 0.4]
 
 
 def test_photographs_of_the_same_second_have_no_times(tmp_path):
@@ -355,6 +378,27 @@ def test_camera_raw_is_the_mean_of_the_two_greens_of_a_cell(tmp_path):
     # Pattern R G / G B; a mean of two integers of 16 bits is exact in 32-bit floats.
     expected = (values[0::2, 1::2].astype(float) + values[1::2, 0::2]) / 2
     np.testing.assert_array_equal(next(recording.frames()).values, expected)
+    dng(tmp_path / "b.dng", values, black=600, white=16383)
+    (both,) = open_recordings([tmp_path / "b.dng", tmp_path / "a.dng"])
+    assert (both.path.name, both.zero, both.n_frames) == ("a.dng", 512, 2)
+
+
+@pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG", "one"])
+def test_the_greens_of_each_pattern_are_found(pattern):
+    """LibRaw numbers colours as R G B G. A last row or column that makes no whole cell is left out."""
+    sensor = RNG.integers(1, 16000, (7, 5)).astype(np.uint16)
+    numbers = [[0, 1], [3, 2]] if pattern == "one" else np.reshape(["R_BG".find(one) for one in pattern], (2, 2))
+    n_colours = 1 if pattern == "one" else 3
+    film = Mock(
+        **{"raw_type.name": "Flat"}, num_colors=n_colours, raw_pattern=np.array(numbers), color_desc=b"RGBG"
+    )
+    film.raw_image_visible, film.raw_colors_visible = sensor, np.tile(numbers, (4, 3))[:7, :5]
+    values, colours = raw._values(Path("a.dng"), film)
+    at = [(row, column) for row in (0, 1) for column in (0, 1) if pattern[2 * row + column :][:1] == "G"]
+    mean = sum(sensor[row:6:2, column:4:2].astype(float) for row, column in at) / 2
+    np.testing.assert_array_equal(values, sensor if pattern == "one" else mean)
+    assert colours == ([0] if pattern == "one" else [3, 3])
+    assert values.flags.writeable and not np.shares_memory(values, sensor)
 
 
 def test_camera_raw_that_is_no_mosaic_is_refused():
@@ -382,11 +426,12 @@ def fff(counts, *, order="<", planck=(364058.0, 1428.0, 1.0, -228, 1.0), emissiv
     struct.pack_into(f"{order}2I", camera, 0x384, *divmod(moment_ms, 1000))
     data = struct.pack(f"{order}3H", 2, counts.shape[1], counts.shape[0]).ljust(32, b"\0")
     data += counts.astype(f"{order}u2").tobytes() if image is None else image
-    header = b"FFF\0" + b"house".ljust(16, b"\0") + struct.pack(">4I", 101, 64, 2, 0)
+    version = 100 if order == "<" else 199  # the least and the largest one that is read
+    header = b"FFF\0" + b"house".ljust(16, b"\0") + struct.pack(f"{order}4I", version, 64, 2, 0)
     table = b""
     place = 64 + 2 * 32
     for kind, record in ((32, camera), (1, data)):
-        table += struct.pack(">2HIIIIIII", kind, 0, 100, 0, place, len(record), 0, 0, 0)
+        table += struct.pack(f"{order}2HIIIIIII", kind, 0, 100, 0, place, len(record), 0, 0, 0)
         place += len(record)
     return header.ljust(64, b"\0") + table + bytes(camera) + data
 
@@ -422,6 +467,35 @@ def test_temperatures_of_a_black_body_invert_its_counts(tmp_path):
     # The relative rounding of a few operations, 1e-15, times counts / (counts per kelvin) < 1e3 K.
     np.testing.assert_allclose(radiometry.celsius(seen), celsius, rtol=0, atol=1e-11)
     assert np.isnan(radiometry.celsius(-1e6))
+
+
+def test_a_count_is_worth_what_the_first_file_of_a_folder_says(tmp_path):
+    assert radiometric.mk_per_count_of(memory_recording(COUNTS, frames_per_second=None), 13_000) is None
+    for number in (10, 9):
+        (tmp_path / f"{number}.fff").write_bytes(fff(ONE, planck=(number * 40_000.0, 1428.0, 1.0, -228, 0.5)))
+    # Of a black body, counts = r1 / (r2 (exp(b / T) - f)) - o. One count at 13,000 of them.
+    below, above = (1428 / np.log(9 * 40_000 / 0.5 / (counts - 228) + 1) for counts in (12_999.5, 13_000.5))
+    for path in (tmp_path, tmp_path / "9.fff"):
+        found = radiometric.mk_per_count_of(*open_recordings(path), 13_000)
+        assert found == pytest.approx(1000 * (above - below), rel=1e-6)
+    (tmp_path / "9.fff").write_bytes(with_bytes(64, b"\0\0"))  # without constants and time
+    (recording,) = open_recordings(tmp_path / "9.fff")
+    assert (radiometric.mk_per_count_of(recording, 13_000), next(recording.frames()).time_s) == (None, None)
+
+
+@pytest.mark.parametrize(("n_bytes", "has_constants", "has_time"), [
+    (0x38C, True, True), (0x38B, True, False), (0x310, True, False), (0x30F, False, False),
+])  # fmt: skip
+def test_the_record_of_the_camera_may_be_short(tmp_path, n_bytes, has_constants, has_time):
+    data = bytearray(fff(ONE, moment_ms=5_000))
+    struct.pack_into("<I", data, 64 + 16, n_bytes)
+    path = write(tmp_path / "a.fff", data)
+    assert radiometric.read_header(path, 256).times_s == ((5.0,) if has_time else None)
+    if has_constants:
+        assert radiometric.read_radiometry(path).b == 1428
+    else:
+        with pytest.raises(tod.FrameError, match="the record of type 32 has 783 bytes, expected 784 or more"):
+            radiometric.read_radiometry(path)
 
 
 REAL = Path(__file__).parent / "recordings"
@@ -482,6 +556,8 @@ def test_counts_compressed_as_png_come_back_in_either_byte_order(tmp_path, swapp
     (counts,) = scene()
     (tmp_path / "a.fff").write_bytes(fff(counts, image=png(counts.byteswap() if swapped else counts)))
     np.testing.assert_array_equal(values_of(tmp_path / "a.fff"), counts[np.newaxis])
+    (tmp_path / "a.fff").write_bytes(fff(counts, image=png(np.full_like(counts, 0x3412))))
+    assert (values_of(tmp_path / "a.fff") == 0x1234).all()  # either is as smooth: the low byte comes first
 
 
 def test_all_frames_of_a_csq_come_back_with_their_times(tmp_path):
@@ -505,14 +581,16 @@ def test_radiometric_files_of_a_folder_have_the_times_of_their_frames(tmp_path):
     assert not recording.warnings
 
 
-def ptw(counts, times_s, *, header=(3476, 1016), words=None, n_frames=None, scaled=0):
+def ptw(counts, times_s, *, header=(3476, 1016), words=None, n_frames=None, scaled=0, double=0):
     """Build a film of Cedip by hand: a main header, and a header before each frame."""
     n_header, n_frame_header = header
     _, rows, columns = counts.shape
+    n_frames = len(counts) if n_frames is None else n_frames
     main = bytearray(b"CED\0\0" + b"5.60\0\x1a".ljust(n_header - 5, b"\0"))
     words = n_frame_header // 2 + rows * columns if words is None else words
-    struct.pack_into("<5i", main, 11, n_header, n_frame_header, words, rows * columns, n_frames or len(counts))
+    struct.pack_into("<5i", main, 11, n_header, n_frame_header, words, rows * columns, n_frames)
     struct.pack_into("<H", main, 277, scaled)
+    main[2105] = double
     struct.pack_into("<3H", main, 377, columns, rows, 14)
     struct.pack_into("<f", main, 403, 0.01)  # the camera's period: the film may have fewer frames
     film = bytes(main)
@@ -521,21 +599,27 @@ def ptw(counts, times_s, *, header=(3476, 1016), words=None, n_frames=None, scal
         milliseconds = round(1000 * time_s)
         second, minute, hour = milliseconds // 1000 % 60, milliseconds // 60_000 % 60, milliseconds // 3_600_000
         own[80:84] = bytes([minute, hour % 24, milliseconds % 1000 // 10, second])
-        own[160] = milliseconds % 10
+        own[160:161] = bytes([milliseconds % 10])[: n_frame_header - 160]
         film += bytes(own) + values.astype("<u2").tobytes()
     return film
 
 
 def test_a_film_of_cedip_comes_back_with_its_times_across_midnight(tmp_path):
     counts = RNG.integers(0, 2**14, (5, 24, 30)).astype(np.uint16)
-    (tmp_path / "a.ptw").write_bytes(ptw(counts, 86_399.925 + 0.03 * np.arange(5)))
-    (recording,) = open_recordings(tmp_path / "a.ptw")
+    film = ptw(counts, 86_399.969 + 0.03 * np.arange(5), header=(2106, 162))
+    (recording,) = open_recordings(write(tmp_path / "a.ptw", film))
     frames = list(recording.frames())
     assert (recording.unit, recording.full_scale, recording.n_frames) == ("counts", None, 5)
     np.testing.assert_array_equal([one.values for one in frames], counts)
     assert [one.time_s for one in frames] == pytest.approx([0, 0.03, 0.06, 0.09, 0.12], abs=1e-9)
     assert recording.frames_per_second == pytest.approx(1 / 0.03)
     assert open_recordings(tmp_path / "a.ptw", frames_per_second=100)[0].frames_per_second == 100
+    for at, value in ((80, 60), (81, 24), (82, 100), (83, 60), (160, 10)):  # no time of day
+        write(tmp_path / "b.ptw", film[: 2106 + at] + bytes([value]) + film[2107 + at :])
+        assert open_recordings(tmp_path / "b.ptw")[0].frames_per_second is None
+    for times_s, n_header in ((np.zeros(5), 162), (1.0 + np.arange(5), 160)):
+        write(tmp_path / "b.ptw", ptw(counts, times_s, header=(2106, n_header)))
+        assert next(open_recordings(tmp_path / "b.ptw")[0].frames()).time_s is None
 
 
 def test_a_real_film_of_cedip_is_read_as_by_pyradi():
@@ -558,12 +642,12 @@ def test_a_real_thermal_tiff_is_read_as_by_opencv():
 
 
 def arrays_of(kind, dtype):
-    shape = {"one": (4, 6), "sequence": (3, 4, 6), "colour": (3, 4, 6, 3)}[kind]
+    shape = {"one": (4, 6), "line": (1, 6), "sequence": (3, 4, 6), "colour": (3, 4, 6, 3)}[kind]
     return (RNG.random(shape) * 200).astype(dtype)
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".npz"])
-@pytest.mark.parametrize("kind", ["one", "sequence", "colour"])
+@pytest.mark.parametrize("kind", ["one", "line", "sequence", "colour"])
 @pytest.mark.parametrize("dtype", ["u1", ">u2", "i2", "f2", "f4", "f8"])
 def test_arrays_come_back(tmp_path, suffix, kind, dtype):
     values = arrays_of(kind, dtype)
@@ -574,9 +658,14 @@ def test_arrays_come_back(tmp_path, suffix, kind, dtype):
         np.savez_compressed(path, values)
     (recording,) = open_recordings(path)
     expected = values if values.dtype.kind == "u" else values.astype(np.float32)
-    np.testing.assert_array_equal(values_of(path), expected if values.ndim > 2 else expected[np.newaxis])
-    assert recording.full_scale == (np.iinfo(values.dtype).max if values.dtype.kind == "u" else None)
-    assert recording.is_colour == (kind == "colour")
+    expected = expected if values.ndim > 2 else expected[np.newaxis]
+    for found in (recording, memory_recording(values, frames_per_second=20)):
+        np.testing.assert_array_equal([frame.values for frame in found.frames()], expected)
+        assert {frame.values.dtype.name for frame in found.frames()} == {expected.dtype.name}
+        assert found.full_scale == (np.iinfo(values.dtype).max if values.dtype.kind == "u" else None)
+        assert (found.is_colour, found.shape) == (kind == "colour", expected.shape[1:3])
+        assert (found.n_frames, found.unit) == (len(expected), "code")
+    assert [frame.time_s for frame in found.frames()] == [0.0, 0.05, 0.1][: len(expected)]
 
 
 def write(path, data):
@@ -599,6 +688,16 @@ def damaged_npz(folder, seed):
     middle = len(content) // 2
     content[middle : middle + 40] = np.random.default_rng(seed).bytes(40)
     return write(folder / "a.npz", bytes(content))
+
+
+def short_npz(folder):
+    """An archive that says that its array has three frames, where two are."""
+    whole = saved(folder, COUNTS).read_bytes()
+    with zipfile.ZipFile(folder / "a.npz", "w") as archive:
+        archive.writestr("a.npy", whole[: -ONE.nbytes])
+    content = bytearray((folder / "a.npz").read_bytes())
+    struct.pack_into("<I", content, content.index(b"PK\1\2") + 24, len(whole))
+    return write(folder / "a.npz", content)
 
 
 def zipped_by(folder, method):
@@ -628,7 +727,7 @@ def seq(*frames, **settings):
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("gap", [b"", b"\0" * 100_000])
+@pytest.mark.parametrize("gap", [b"", b"\0" * (2**16 - 3), b"\0" * (2**16 - 1), b"\0" * 2**17])
 def test_all_frames_of_a_seq_come_back(tmp_path, order, gap):
     counts = RNG.integers(0, 65536, (5, 40, 50)).astype(np.uint16)
     counts[1, 0, :2] = np.frombuffer(b"FFF\0", "<u2")  # the mark of a container within the counts of another
@@ -647,9 +746,9 @@ def damaged(image):
     return image[:middle] + bytes(byte ^ 0xA5 for byte in image[middle : middle + 8]) + image[middle + 8 :]
 
 
-def two_pngs(folder, columns=60):
-    tod.write_frame(folder / "a.png", RNG.random((40, 60)))
-    tod.write_frame(folder / "b.png", RNG.random((40, columns)))
+def two_pngs(folder, columns=60, names=("a.png", "b.png")):
+    for name, n in zip(names, (60, columns), strict=True):
+        tod.write_frame(folder / name, RNG.random((40, n)))
     return folder
 
 
@@ -708,8 +807,8 @@ def cv2_pages(path, *shapes):
     cv2.imwritemulti(str(path), [np.zeros(shape, np.uint8) for shape in shapes])
 
 
-def npy_claiming(shape, descr="<u2"):
-    text = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode()
+def npy_claiming(shape, fortran_order=False):
+    text = repr({"descr": "<u2", "fortran_order": fortran_order, "shape": shape}).encode()
     text += b" " * (118 - len(text) - 1) + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
 
@@ -749,11 +848,12 @@ BAD_FILES = {
     "text": ("a.txt", lambda: b"hello", r"starts with b'hello', expected an image"),
     "huge npy": ("a.npy", lambda: npy_claiming((10**9, 512, 640)) + b"\0" * 9, "is it truncated?"),
     "huge frame": ("a.npy", lambda: npy_claiming((3, 32000, 32000)), "decodes to 7813 MB a frame"),
-    "wide npy": ("a.npy", lambda: npy_claiming((3, 4, 10**9)), "expected sides of 1 to 32768"),
+    "tall npy": ("a.npy", lambda: npy_claiming((3, 32769, 4)), "found 4 x 32769 pixels, expected sides of 1 to"),
+    "wide npy": ("a.npy", lambda: npy_claiming((3, 4, 10**9)), "found 1000000000 x 4 pixels, expected sides of"),
     "header of npy": ("a.npy", lambda: b"\x93NUMPY\x01\x00\xff\xff{", "header of the array is damaged"),
     "vector": ("a.npy", lambda: npy_claiming((8,)), r"shape \(8,\), expected \(frames, rows"),
     "zip": ("a.npz", lambda: b"PK\x03\x04abc", "cannot be read as a NumPy array"),
-    "no raw": ("a.dng", lambda: b"II*\0abcdefgh", "cannot be read as camera raw"),
+    "no raw": ("a.dng", lambda: b"II*\0abcdefgh", "cannot be read as camera raw: Input/output error$"),
     "fff header": ("a.fff", lambda: b"FFF\0abc", "the header of the container is truncated"),
     "fff": ("a.fff", lambda: fff(np.zeros((40, 50)))[:-7], "reaches beyond the file: truncated"),
     "seq": ("a.seq", lambda: seq(*np.zeros((3, 40, 50)))[:-7], r"frame 2 \(those before are good\): record 1"),
@@ -763,15 +863,38 @@ BAD_FILES = {
         "frame 1: found 60 x 40 pixels, expected 50 x 40 pixels as in frame 0",
     ),
     "damaged png in fff": ("a.fff", lambda: holding(damaged(png(ONE))), "the PNG is damaged: chunk b'IDAT'"),
+    "cut table of fff": ("a.fff", lambda: with_bytes(64, b"\0\0")[:127], "the record of type 1 is missing, exp"),
+    "version 99 of fff": (
+        "a.fff",
+        lambda: with_bytes(20, b"\x63"),
+        "the version of the container is none of ours",
+    ),
+    "version 200 of fff": (
+        "a.fff",
+        lambda: with_bytes(20, b"\xc8"),
+        "of the container is none of ours, expected 1",
+    ),
+    "start of png in fff": (
+        "a.fff",
+        lambda: holding(png(ONE)[:25]),
+        "found 25 bytes of counts, expected 4000: tr",
+    ),
+    "header of png in fff": ("a.fff", lambda: holding(png(ONE)[:26]), "the PNG is truncated or damaged: a chunk"),
+    "start of jpeg-ls": ("a.csq", lambda: holding(jpeg_ls(ONE)[:11]), "found 11 bytes of counts, expected 4000"),
+    "header of jpeg-ls": ("a.csq", lambda: holding(jpeg_ls(ONE)[:12]), "the JPEG-LS image has no end: truncated"),
+    "nothing in fff": ("a.fff", lambda: holding(b""), "found 0 bytes of counts, expected 4000: truncated, or com"),
+    "flat fff": ("a.fff", lambda: fff(ONE[:0]), "found 50 x 0 pixels, expected sides of 1 to 32768"),
     "cut png in seq": ("a.seq", lambda: fff(ONE) + holding(png(ONE)[:-20]), r"frame 1 \(those before are"),
     "png of another size": ("a.fff", lambda: holding(png(ONE[:-1])), "its counts are a PNG of 50 x 39 pixels"),
     "jpeg-ls of another size": ("a.csq", lambda: holding(jpeg_ls(ONE[:-1])), "its counts are a JPEG-LS of 50"),
     "cut jpeg-ls": ("a.csq", lambda: fff(ONE) + holding(jpeg_ls(ONE)[:-200]), r"frame 1 \(those before are"),
-    "short jpeg-ls": ("a.csq", lambda: holding(jpeg_ls(ONE)[:200] + b"\xff\xd9"), "the JPEG-LS image"),
+    "short jpeg-ls": ("a.csq", lambda: holding(jpeg_ls(ONE)[:200] + b"\xff\xd9"), "JPEG-LS image is damaged"),
     "jpeg in fff": ("a.fff", lambda: holding(b"\xff\xd8\xff\xe0" + bytes(99)), "found 103 bytes of counts"),
     "ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2])[:-1], "found 2 whole frames, expected 3: truncated"),
     "header of ptw": ("a.ptw", lambda: b"CED\0" + bytes(99), "the main header has 103 bytes, expected 2106 or"),
     "step of ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], words=2000), "3 frames of 4000, expected 2106 or"),
+    "no frame of ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], n_frames=0), "3476 bytes, and 0 frames of 5016"),
+    "double ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], double=1), "scaled or in double precision, expected"),
     "scaled ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], scaled=1), "its values are scaled or in double"),
     "frames of ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], n_frames=2**31 - 1), "found 3 whole frames"),
     "open brace": (
@@ -786,19 +909,23 @@ BAD_FILES = {
     ),
     "deep header": ("a.npy", lambda: npy_with_header(b"[" * 9000), "the header of the array is damaged"),
     "escapes in header": ("a.npy", lambda: npy_with_header(b"{'descr': '<\\d'}"), "the header of the array is"),
-    "long header": ("a.npy", lambda: npy_with_header(b" " * 70_000, b"\2\0"), "found a header of 70000 bytes"),
+    "long header": ("a.npy", lambda: npy_with_header(b" " * 2**16, b"\2\0"), "found a header of 65536 bytes"),
     "version of npy": ("a.npy", lambda: npy_with_header(b"{}", b"\4\0"), "found version"),
     "pnm": ("a.pgm", lambda: b"P5 +7 5 9 " + bytes(35), r"found the PNM header b'P5 \+7 .*, expected digits"),
-    "no counts in fff": ("a.fff", lambda: with_bytes(31, b"\1"), "the record of type 1 is missing, expected one"),
+    "no counts in fff": ("a.fff", lambda: with_bytes(28, b"\1"), "the record of type 1 is missing, expected one"),
     "order of fff": ("a.fff", lambda: with_bytes(1152, b"77"), "a record starts with b'77', expected 2 as a"),
-    "start of mkv": ("a.mkv", lambda: b"\x1a\x45\xdf\xa3", "cannot be opened as video: .* is the file truncated"),
+    "start of mkv": (
+        "a.mkv",
+        lambda: b"\x1a\x45\xdf\xa3",
+        "as video: Invalid data found when processing input; is",
+    ),
 }
 
 BAD_TIMES = {
     "times of other files": ("a1.png,1 a2.png,2 b.png,3", "times.csv, line 4: file: found b.png, but .* has"),
     "times twice": ("a1.png,1 a1.png,2", "times.csv, line 3: file: found a1.png, a second time, expected each"),
     "times of some": ("a1.png,1 a2.png,2", "times.csv: found no time of a10.png, expected one of each file"),
-    "times that go back": ("a1.png,1 a2.png,3 a10.png,2", "times.csv: found 3 s for a2.png and 2 s for"),
+    "times that stand": ("a1.png,1 a2.png,3 a10.png,3", "times.csv: found 3 s for a2.png and 3 s for a10.png"),
     "times without end": ("a1.png,-1e308 a2.png,1e308", r"times.csv, line 2: time_s: found -1e\+308 s"),
     "times that are no numbers": ("a1.png,soon", "times.csv, line 2: time_s: found 'soon'"),
 }
@@ -838,6 +965,7 @@ BAD = {
     "two in npz": (lambda d: (np.savez(d / "a.npz", a=ONE, b=ONE), d / "a.npz")[1], "found arrays a, b, expected"),
     "fortran": (lambda d: saved(d, np.asfortranarray(COUNTS)), "in Fortran order; save numpy.ascontiguousarray"),
     "window": (lambda d: (write_exr(d / "a.exr", SMALL), d / "a.exr")[1], "the data window covers only a part of"),
+    "short npz": (short_npz, "is truncated: 2 frames are good, expected 3"),
     "huge jpeg": (huge_jpeg, "has more than 256 MB, expected one JPEG"),
     "npz by bzip2": (partial(zipped_by, method=zipfile.ZIP_BZIP2), "by method 12 of zip files, expected that of"),
 }
@@ -872,11 +1000,42 @@ def test_bad_recordings_are_told_in_one_line(tmp_path, case):
 def test_no_paths_and_bad_rates_are_refused(tmp_path):
     with pytest.raises(tod.DataError, match="found no path"):
         open_recordings([])
-    with pytest.raises(tod.DataError, match="recording: an array: 3 values are no numbers"):
-        tod.noise(np.full((3, 1, 1), np.nan))
+    for values, message in (
+        (np.full((3, 1, 1), np.nan), "3 values are no numbers"),
+        (np.zeros((3, 4), int), "found values of type int64, expected one of uint8, uint16, int16, float16, fl"),
+    ):
+        with pytest.raises(tod.DataError, match=f"recording: an array: {message}"):
+            tod.noise(values)
+    with pytest.raises(tod.DataError, match="gone: cannot be read: No such file or directory"):
+        files_in(tmp_path / "gone")
     for rate in (0, 1e308):
         with pytest.raises(tod.SettingsError, match=r"frames_per_second: found .*, expected a number from 1e-09"):
             open_recordings(tmp_path, frames_per_second=rate)
+
+
+def test_frames_have_at_least_eight_bytes_a_pixel(tmp_path):
+    for shape in ((1, 32768), (32768, 1), (16, 8192)):
+        check_size(tmp_path, shape, 1)
+    for shape, message in (((1, 32769), "found 32769 x 1 pixels"), ((16, 8193), "decodes to 2 MB a frame, exp")):
+        with pytest.raises(tod.FrameError, match=message):
+            check_size(tmp_path, shape, 1)
+    written = write(tmp_path / "a.npy", npy_claiming((1, 5, 1), fortran_order=True) + bytes(10))
+    assert values_of(written).shape == (1, 5, 1)  # in either order alike
+
+
+def test_the_range_is_the_one_asked_for_or_that_of_the_recording():
+    counts, grey = (memory_recording(COUNTS.astype(one), frames_per_second=None) for one in ("f4", "u2"))
+    grey = replace(grey, zero=16.0)
+    assert code_range(counts, (0.5, 2.5)) == (0.5, 2.5) and code_range(grey, None) == (16.0, 65535.0)
+    for recording, asked, message in (
+        *((counts, asked, "--range: found .*, expected LOW:HIGH, the lower") for asked in ((1, 1), (1, np.inf))),
+        (grey, (-np.inf, 1), "--range: found -inf:1, expected LOW:HIGH, the lower one first"),
+        (counts, None, "^array: has values without a black and a white, expected --range LOW:HIGH, the values"),
+        (replace(counts, unit="counts"), None, "^array: has counts without a black"),
+        (replace(counts, unit="celsius"), None, "^array: has temperatures without a black"),
+    ):
+        with pytest.raises(SettingsError, match=message), in_command():
+            code_range(recording, asked)
 
 
 @pytest.mark.parametrize(

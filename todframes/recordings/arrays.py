@@ -117,11 +117,12 @@ def _opened(path: Path, max_frame_mb: int) -> Iterator[tuple[IO[bytes], _Layout]
             if len(members) != 1:
                 names = ", ".join(member.filename.removesuffix(".npy") for member in members)[:200] or "none"
                 raise FrameError(path, f"found arrays {names}, expected one")
-            if members[0].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                found = f"the array is compressed by method {members[0].compress_type} of zip files"
+            (array,) = members
+            if array.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                found = f"the array is compressed by method {array.compress_type} of zip files"
                 raise FrameError(path, f"{found}, expected that of numpy.savez_compressed or none")
-            with archive.open(members[0]) as member:
-                yield member, _layout(path, member, members[0].file_size, max_frame_mb)
+            with archive.open(array) as member:
+                yield member, _layout(path, member, array.file_size, max_frame_mb)
     except FrameError:
         raise
     except DAMAGE as error:

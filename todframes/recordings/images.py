@@ -58,7 +58,7 @@ def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
         for _ in file.pages():
             stored = file.read().stored
             values = stored if stored.dtype.kind == "u" else stored.astype(np.float32, copy=False)
-            yield values[..., 0] if values.shape[2] == 1 else values
+            yield values.squeeze(2) if values.shape[2] == 1 else values
 
 
 def _time_s(attributes: Mapping[str, str]) -> float | None:

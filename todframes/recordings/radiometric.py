@@ -71,9 +71,8 @@ class Radiometry(NamedTuple):
 
     def celsius(self, counts: ArrayLike) -> FloatArray:
         """Return the temperatures of objects with these counts, any shape; NaN where no temperature has them."""
-        counts = np.asarray(counts, np.float64)
         reflected = (1 - self.emissivity) * self.counts_of(self.reflected_celsius)
-        radiance = (counts - reflected) / self.emissivity + self.o
+        radiance = np.subtract(counts, reflected) / self.emissivity + self.o
         with np.errstate(divide="ignore", invalid="ignore"):
             kelvin = self.b / np.log(self.r1 / (self.r2 * radiance) + self.f)
         return np.where(radiance > 0, kelvin + ABSOLUTE_ZERO_CELSIUS, np.nan)
@@ -130,8 +129,6 @@ def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[np.uint16]]:
         for container in _containers(path, file):
             counts = _counts(path, file, container, max_frame_mb)
             data = _bytes_at(file, counts.begin, counts.length)
-            if len(data) < counts.length:
-                raise FrameError(path, f"{_frame(container.number)}the counts are truncated")
             yield _values(path, counts, data, _frame(container.number), max_frame_mb)
 
 
@@ -221,14 +218,11 @@ def _containers(path: Path, file: BinaryIO) -> Iterator[_Container]:
 
 def _next_container(file: BinaryIO, begin: int) -> int | None:
     """Return where the next container after a position begins; None if there is none."""
-    overlap = len(FFF_STARTS[0]) - 1
-    while chunk := _bytes_at(file, begin, 2**16):
+    while len(chunk := _bytes_at(file, begin, 2**16)) > 3:
         starts = [at for start in FFF_STARTS if (at := chunk.find(start)) >= 0]
         if starts:
             return begin + min(starts)
-        if len(chunk) <= overlap:
-            break
-        begin += len(chunk) - overlap
+        begin += len(chunk) - 3  # the first bytes of a mark may end it
     return None
 
 
@@ -244,11 +238,11 @@ def _frame(number: int) -> str:
 
 def _record(path: Path, container: _Container, kind: int, smallest: int) -> tuple[int, int]:
     """Return where a record begins, and its length. FrameError if there is none of at least the smallest size."""
-    begin, length = container.records.get(kind, (0, -1))
-    if length < smallest:
-        found = f"has {length} bytes, expected {smallest} or more" if length >= 0 else "is missing, expected one"
+    record = container.records.get(kind)
+    if record is None or record[1] < smallest:
+        found = f"has {record[1]} bytes, expected {smallest} or more" if record else "is missing, expected one"
         raise FrameError(path, f"{_frame(container.number)}the record of type {kind} {found}")
-    return begin, length
+    return record
 
 
 Storage = Literal["<u2", ">u2", "PNG", "JPEG-LS"]

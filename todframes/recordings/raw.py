@@ -71,7 +71,7 @@ def _opened(path: Path, max_frame_mb: int) -> Iterator[rawpy.RawPy]:
             check_decoded_size(path, 2 * raw.sizes.raw_width * raw.sizes.raw_height, max_frame_mb)
             yield raw
     except (rawpy.LibRawError, OSError) as error:
-        reason = error.args[0] if error.args else error
+        reason = error.args[-1] if error.args else error  # of an OSError, its number comes first
         reason = reason.decode() if isinstance(reason, bytes) else reason
         raise FrameError(path, f"cannot be read as camera raw: {reason}") from None
 
@@ -97,7 +97,7 @@ def _values(path: Path, raw: rawpy.RawPy) -> tuple[NDArray[Any], list[int]]:
 def _check_all_there(path: Path, sensor: NDArray[Any]) -> None:
     """Raise FrameError if the last rows are 0 throughout: LibRaw says nothing of data that are missing."""
     n_rows = len(sensor)
-    n_there = next((row + 1 for row in range(n_rows - 1, -1, -1) if sensor[row].any()), 0)
+    n_there = int(np.flatnonzero(sensor.any(axis=1)).max(initial=-1)) + 1
     if n_there < n_rows:
         what = "all values are 0" if n_there == 0 else f"rows {n_there} to {n_rows - 1} are 0"
         raise FrameError(path, f"{what}, as if the sensor's data were missing; copy the file again")

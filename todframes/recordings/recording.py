@@ -177,9 +177,9 @@ def check_rate(frames_per_second: float | None) -> float | None:
 def natural_order(paths: Iterable[P]) -> list[P]:
     """Sort paths by name with numbers in order of size: frame_9 before frame_10."""
 
-    def key(path: P) -> tuple[list[tuple[int, str]], str]:
-        parts = re.split(r"(\d+)", str(path))
-        return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts], str(path)
+    def key(path: P) -> tuple[list[int | str], str]:
+        parts = re.split(r"(\d+)", str(path))  # texts and numbers by turns
+        return [int(part) if part.isdecimal() else part for part in parts], str(path)
 
     return sorted(paths, key=key)
 

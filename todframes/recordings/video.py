@@ -192,8 +192,6 @@ def _opened(path: Path, max_frame_mb: int) -> Iterator[tuple[InputContainer, Vid
         if stream.codec_context is None:
             raise FrameError(path, "FFmpeg has no decoder for its video; convert it without loss (FFV1)")
         _check_pixels(path, complaints, max_frame_mb)
-        n_pixels = stream.codec_context.width * stream.codec_context.height
-        check_decoded_size(path, BYTES_PER_PIXEL * n_pixels, max_frame_mb)
         stream.codec_context.options = options
         # Threads for whole frames would log errors about later frames, and at any time: a file closed while
         # one of them waits for Python's lock would never be closed.
@@ -257,7 +255,7 @@ def _frames(
     max_frame_mb: int,
 ) -> Iterator[RecordedFrame]:
     with _opened(path, max_frame_mb) as (container, stream):
-        number, last_s = 0, None
+        last_s = None
         longest_s = 1.0 / float(stream.average_rate) if stream.average_rate else 0.0
         for number, frame in enumerate(_decoded(path, container, stream, max_frame_mb)):
             if (frame.height, frame.width) != shape or pixel_format(frame.format.name) != layout:
@@ -307,7 +305,7 @@ def decoded_jpeg_ls(path: Path, data: bytes, shape: tuple[int, int], max_frame_m
                 frames = [*decoder.decode(av.Packet(image)), *decoder.decode(None)]
             except (av.FFmpegError, ValueError) as error:
                 raise FrameError(path, f"the JPEG-LS image cannot be decoded ({_reason(error)})") from None
-        if complaints or len(frames) != 1 or frames[0].is_corrupt:
+        if complaints or len(frames) != 1 or any(frame.is_corrupt for frame in frames):
             raise FrameError(path, "the JPEG-LS image is damaged")
         (frame,) = frames
         if (frame.height, frame.width, frame.format.name) != (*shape, "gray16le"):
@@ -392,11 +390,9 @@ def _rgb(planes: Sequence[NDArray[Any]], layout: PixelFormat, scale: Levels, mat
 def _plane(frame: VideoFrame, number: int, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Copy a plane of a frame, without the padding at the ends of rows."""
     plane = frame.planes[number]
-    rows = np.frombuffer(memoryview(plane), np.uint8)[: plane.height * plane.line_size].reshape(
-        plane.height, plane.line_size
-    )
-    used = np.ascontiguousarray(rows[:, : plane.width * dtype.itemsize])
-    return used.view(dtype).astype(dtype.newbyteorder("="), copy=used.base is not None)
+    rows = np.frombuffer(memoryview(plane), np.uint8).reshape(plane.height, plane.line_size)
+    used = rows[:, : plane.width * dtype.itemsize].copy()
+    return used.view(dtype).astype(dtype.newbyteorder("="), copy=False)
 
 
 def _reason(error: Exception) -> str:
