@@ -16,6 +16,7 @@ from independent_camera import Chart as FilmedChart
 import todframes as tod
 from todframes.base.errors import DataError, SettingsError
 from todframes.camera.filmed_page import _moved_px
+from todframes.charts.design import camera_content
 from todframes.charts.layout import Chart, Edge, Page, read_chart
 from todframes.cli.console import run
 from todframes.cli.main import cli
@@ -84,6 +85,46 @@ def test_patches_and_square_of_a_monitor_are_drawn_where_and_as_it_says(folder) 
     starts = upper.argmax(axis=1)
     runs = np.diff(np.flatnonzero(np.diff(starts)))
     assert len(runs) > 2 and set(runs.tolist()) == {8}
+
+
+@pytest.mark.parametrize(
+    ("area", "background", "square", "codes", "columns"),
+    [
+        # Light of 4 + 2 code. Three times 104 is 312 of 404; three times 164 is more than 0.9 of white.
+        ((7.0, 11.0, 160.0, 60.0), 50, 154, [50, *range(0, 201, 20)], 4),
+        ((7.0, 11.0, 160.0, 60.0), 80, 25, [80, *range(0, 201, 20)], 4),
+        ((0.0, 3.0, 100.0, 80.0), 50, 154, [50, *range(0, 201, 20)], 3),
+    ],
+)
+def test_square_and_wedge_fill_their_area(area, background, square, codes, columns) -> None:
+    left, top, width, height = area
+    light = 4.0 + 2.0 * np.arange(201)
+    made = camera_content(area, light, "luminance_cd_m2", background, "first.png")
+    assert (made.square_code, made.patch_codes) == (square, codes)
+    assert (made.page.number, made.page.file, made.page.triangles) == (0, "first.png", ())
+    # The square has half the side of its surround, which is as high as the area, or 45 % of its width.
+    side = min(height, 0.45 * width)
+    centre, turn = left + side / 2 + 1j * (top + height / 2), (8 + 1j) / abs(8 + 1j)
+    corners = centre + side / 4 * turn * np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j])
+    np.testing.assert_allclose(made.square_mm @ [1, 1j], corners, rtol=1e-12)
+    np.testing.assert_allclose(
+        [one.ends_mm @ [1, 1j] for one in made.page.edges], np.stack([corners, np.roll(corners, -1)], 1)
+    )
+    assert {round(one.free_mm, 9) for one in made.page.edges} == {round(side / 2 - np.ptp(corners.real) / 2, 9)}
+    # Rows of patches go to and fro at the right of it.
+    wide, high = (width - side) / columns, height / (12 // columns)
+    at = [divmod(k, columns) for k in range(12)]
+    at = [(row, column if row % 2 == 0 else columns - 1 - column) for row, column in at]
+    expected = [(left + side + column * wide, top + row * high, wide, high) for row, column in at]
+    np.testing.assert_allclose(made.patches_mm, expected)
+    np.testing.assert_allclose(
+        [(one.x_mm, one.y_mm, one.width_mm, one.height_mm, one.luminance_cd_m2) for one in made.page.patches],
+        [(x + w / 2, y + h / 2, w, h, light[code]) for (x, y, w, h), code in zip(expected, codes, strict=True)],
+    )
+    rounded = camera_content(area, light, "luminance_cd_m2", background, "first.png", step_mm=0.7).patches_mm
+    borders = np.array(rounded) / 0.7
+    np.testing.assert_allclose(borders, np.rint(borders), atol=1e-9)
+    assert np.abs(np.array(rounded)[:, :2] - np.array(expected)[:, :2]).max() <= 0.35
 
 
 def test_a_sheet_of_paper_has_edges_and_a_wedge_too(tmp_path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,8 +13,10 @@ import pytest
 import todframes as tod
 from todframes.base.errors import SettingsError
 from todframes.charts import layout as markers
+from todframes.charts.design import Design
 from todframes.charts.layout import (
     Chart,
+    Edge,
     Markers,
     Page,
     Patch,
@@ -24,6 +27,9 @@ from todframes.charts.layout import (
     read_chart,
     write_chart,
 )
+from todframes.charts.print import Paper
+from todframes.charts.thermal import Plate
+from todframes.charts.words import chart_remarks, chart_table
 from todframes.stimulus import Orientation
 
 SCREEN = Screen(
@@ -83,6 +89,74 @@ TEXT = chart_toml(CHART)
 def test_what_is_written_is_read(chart: Chart, tmp_path: Path) -> None:
     write_chart(tmp_path / "chart.toml", chart)
     assert read_chart(tmp_path) == read_chart(tmp_path / "chart.toml") == chart
+
+
+def test_a_chart_in_words() -> None:
+    common = {"size_mrad": 2.0, "size_mm": 20.0, "size_px": 80.0}
+    plain, dithered = CHART.pages
+    large = replace(TRIANGLE, size_mrad=1.0, size_mm=10.0, contrast=0.8, contrast_asked=0.8007)
+    triangles = (dithered.triangles[0], TRIANGLE, large, TRIANGLE)
+    pages = tuple(replace(plain, number=k, triangles=(one,)) for k, one in enumerate(triangles))
+    table = chart_table(replace(CHART, pages=pages))
+    assert table.title == f"{CHART.name}: 4 pages"
+    assert list(table.records) == [
+        {"size_mrad": 1.0, "size_mm": 10.0, "size_px": 40.0, "contrast": 0.8, "dithered": False, "triangles": 1},
+        common | {"contrast": 0.1, "dithered": False, "triangles": 2},
+        common | {"contrast": 1 / 3, "contrast_asked": 0.3, "dithered": True, "triangles": 1},
+    ]
+    assert [one.key for one in table.columns if one.is_name] == ["size_mrad"]
+    hole = {"size_mrad": 2.0, "size_mm": 20.0, "delta_t_k": -0.25, "triangles": 1}
+    assert list(chart_table(THERMAL).records) == [hole | {"side_mm": pytest.approx(20 * 2 / 3**0.25)}]
+    slow = replace(SCREEN, page_duration_s=90.0)
+    remarks = chart_remarks(replace(CHART, screen=slow, pages=(plain, *pages[1:])))
+    assert remarks == ["play.html shows the pages in 6.0 minutes."]
+    shown = chart_remarks(replace(CHART, screen=replace(slow, bits=10)))
+    assert [one.partition(" ")[0] for one in shown] == ["play.html", "Dithered", "The"]
+    assert "in 3.0 minutes" in shown[0]
+
+
+@pytest.mark.parametrize(
+    ("part", "changes"),
+    [
+        (Point(x_mm=1.0, y_mm=1.0), {"y_mm": -1.0}),
+        (MARKERS, {"side_mm": 0.0}),
+        (TRIANGLE, {"size_mm": 0.0}),
+        (CHART.pages[1].patches[0], {"width_mm": 0.0}),
+        (Edge(x1_mm=0.0, y1_mm=0.0, x2_mm=1.0, y2_mm=0.0, free_mm=1.0), {"free_mm": 0.0}),
+        (CHART.pages[0], {"number": 62_500}),
+        (SCREEN, {"width_px": 32_769}),
+        (CHART, {"key": 250}),
+        (Plate(plate_mm=9.0), {"plate_mm": 0.5}),
+        (Paper(), {"margin_mm": 1001.0}),
+        (Design(distance_m=1.0, sizes_mrad=(1.0,), levels=(1.0,)), {"repeats": 0}),
+    ],
+    ids=lambda one: type(one).__name__,
+)
+def test_each_part_checks_its_ranges(part: Any, changes: dict[str, float]) -> None:
+    ((name, value),) = changes.items()
+    with pytest.raises(SettingsError, match=f"{name}: found {value}"):
+        replace(part, **changes)
+
+
+def test_what_lies_on_the_edge_of_a_page_is_on_it() -> None:
+    corner = Edge(x1_mm=480.0, y1_mm=0.0, x2_mm=0.0, y2_mm=270.0, free_mm=1.0)
+    camera, triangle = Page(number=1, file="a.png", edges=(corner,)), replace(TRIANGLE, x_mm=480.0, y_mm=270.0)
+    chart = replace(CHART, pages=(replace(CHART.pages[0], triangles=(triangle,)), camera))
+    assert (chart.has_camera_page, chart.level, THERMAL.level) == (True, "contrast", "delta_t_k")
+    for name in ("x1_mm", "y2_mm"):
+        beyond = replace(camera, edges=(replace(corner, **{name: 480.1}),))
+        with pytest.raises(
+            SettingsError, match=r"pages\[1\]: found an edge beyond the page, expected its ends on"
+        ):
+            replace(chart, pages=(chart.pages[0], beyond))
+    sides = {"bottom_left": Point(x_mm=20.0, y_mm=250.0), "top_right": Point(x_mm=460.0, y_mm=20.0)}
+    assert replace(CHART, markers=replace(MARKERS, **sides)).markers.side_mm == 40.0
+    with pytest.raises(SettingsError, match=r"pages\[0\]: borders: found \(0,\), expected numbers below 0"):
+        replace(THERMAL, pages=(replace(THERMAL.pages[0], borders=(0,)),))
+    assert THERMAL.drawn_markers(THERMAL.pages[0]) == []
+    number, centre = CHART.drawn_markers(CHART.pages[1])[4]
+    assert centre.tolist() == [310.0, 240.0]
+    np.testing.assert_array_equal(number, markers.page_markers(1, 0, n_borders=2)[5])
 
 
 def test_key_depends_on_the_content_alone() -> None:
@@ -203,6 +277,10 @@ def test_markers_along_the_borders_keep_the_middle_free(free_mm: float) -> None:
     corners = Markers.in_corners(width_mm=480.0, height_mm=270.0, module_mm=5.0, margin_mm=5.0)
     laid = corners.with_borders(free_mm=free_mm, step_mm=0.25)
     assert len(laid.borders) == (4 if free_mm == 300.0 else 8)
+    for step_mm in (0.25, 0.7):
+        steps = (corners.with_borders(free_mm=free_mm, step_mm=step_mm).all_centres_mm[4:] - 27.5) / step_mm
+        steps = np.minimum(steps, [425.0, 215.0] / np.array(step_mm) - steps)
+        np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
     assert laid.borders_beside(free_mm) == tuple(range(len(laid.borders)))
     middle, reach_mm = np.array([240.0, 135.0]), 22.5  # half a marker and its white border
     gaps = np.abs(laid.all_centres_mm - middle).max(axis=1) - reach_mm - free_mm / 2.0

@@ -15,6 +15,7 @@ import pytest
 from conftest import error_line
 
 import todframes as tod
+from todframes.charts import print as print_chart
 from todframes.charts.layout import Chart, Triangle, page_of, read_chart
 from todframes.importing.schedule import read_schedule
 
@@ -70,11 +71,11 @@ def pdf_paths(content: bytes) -> tuple[list[tuple[float, ...]], list[list[np.nda
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> tuple[Path, Chart]:
     folder = tmp_path_factory.mktemp("chart") / "made"
-    asked = {"distance_m": 10, "sizes_mrad": [1, 2], "contrasts": CONTRASTS, "repeats": 2}
+    asked = {"distance_m": 10, "sizes_mrad": [1, 2], "contrasts": CONTRASTS, "repeats": 2, "name": "no $^{ TeX"}
     return folder, tod.chart("print", out=folder, paper_width_mm=400, paper_height_mm=280, **asked)
 
 
-def test_sheets_are_in_true_millimetres(made) -> None:
+def test_sheets_have_the_lengths_and_greys_that_are_stated(made) -> None:
     folder, chart = made
     assert read_chart(folder) == chart
     boxes, pages = pdf_paths((folder / "chart.pdf").read_bytes())
@@ -82,28 +83,36 @@ def test_sheets_are_in_true_millimetres(made) -> None:
     # Matplotlib writes six digits.
     assert np.allclose(boxes, [0.0, 0.0, 400.0, 280.0], atol=1e-3)
     for page, paths in zip(chart.pages, pages, strict=True):
+        assert len({one.size_mrad for one in page.triangles}) == 1
         root = ElementTree.parse(folder / page.file).getroot()
         assert (root.get("width"), root.get("height")) == ("400mm", "280mm")
-        for kind, drawn in (("svg", [one for one, _ in polygons(folder / page.file)]), ("pdf", paths)):
-            found = [one[:3] for one in drawn if len(one) == 3]
-            assert len(found) == len(page.triangles), kind
-            for one in page.triangles:
-                assert sum(same_triangle(path, one, 1e-3) for path in found) == 1
-
-
-def test_greys_have_the_contrasts_that_are_stated(made) -> None:
-    folder, chart = made
-    for page in chart.pages:
         drawn = polygons(folder / page.file)
         background = reflectance(drawn[0][1])
+        of_pdf = [one[:3] for one in paths if len(one) == 3]
+        triangles = [(path, fill) for path, fill in drawn if len(path) == 3]
+        assert len(of_pdf) == len(triangles) == len(page.triangles)
         for one in page.triangles:
-            (fill,) = [fill for path, fill in drawn if len(path) == 3 and same_triangle(path, one, 1e-3)]
+            assert sum(same_triangle(path, one, 1e-3) for path in of_pdf) == 1
+            (fill,) = [fill for path, fill in triangles if same_triangle(path, one, 1e-3)]
             assert reflectance(fill) / background - 1.0 == pytest.approx(one.contrast, rel=1e-5)
             # Half a step of a code value is 1.2 % of the background here.
             assert one.contrast == pytest.approx(one.contrast_asked or one.contrast, abs=0.013)
+            # Neighbours stay out of its field also when blurred, or larger by perspective.
+            middle, square = np.array([one.x_mm, one.y_mm]), one.size_mm * np.array([[-1, -1], [1, 1]])
+            field, wide = middle + 2.5 * square, middle + 2.9 * square
+            grey = drawn[0][0]  # An SVG has five decimals.
+            assert (field[0] >= grey.min(axis=0) - 1e-5).all() and (field[1] <= grey.max(axis=0) + 1e-5).all()
+            for other in page.triangles:
+                inside = (corners_mm(other) > wide[0]) & (corners_mm(other) < wide[1])
+                assert inside.all(axis=1).any() == (other is one)
         for patch in page.patches:
             at = [fill for path, fill in drawn if np.allclose(path.mean(axis=0), [patch.x_mm, patch.y_mm])]
             assert reflectance(at[0]) == pytest.approx(patch.reflectance, rel=1e-5)
+    shown = Counter(
+        (one.size_mrad, one.contrast, one.orientation) for page in chart.pages for one in page.triangles
+    )
+    assert len(shown) == 2 * len(CONTRASTS) * 4 and set(shown.values()) == {2}
+    assert max(len(page.triangles) for page in chart.pages) > 1
 
 
 def reflectance(fill: str) -> float:
@@ -112,29 +121,46 @@ def reflectance(fill: str) -> float:
     return 0.04 + 0.81 * (code / 12.92 if code <= 0.04045 else ((code + 0.055) / 1.055) ** 2.4)
 
 
-def test_each_triangle_has_its_background_to_itself(made) -> None:
-    folder, chart = made
-    for page in chart.pages:
-        grey = polygons(folder / page.file)[0][0]
-        for one in page.triangles:
-            field = np.array([one.x_mm, one.y_mm]) + 2.5 * one.size_mm * np.array([[-1, -1], [1, 1]])
-            # An SVG has five decimals.
-            assert (field[0] >= grey.min(axis=0) - 1e-5).all() and (field[1] <= grey.max(axis=0) + 1e-5).all()
-            # Neighbours stay out of it also when blurred, or larger by perspective.
-            wide = np.array([one.x_mm, one.y_mm]) + 2.9 * one.size_mm * np.array([[-1, -1], [1, 1]])
-            for other in page.triangles:
-                inside = (corners_mm(other) > wide[0]) & (corners_mm(other) < wide[1])
-                assert inside.all(axis=1).any() == (other is one)
+PARTS = {
+    # margin 10, a marker of 8 % of 280 mm, 22.4, of 7 modules of 3.2; bands of 9 modules, 28.8, and 2 beside each.
+    # The ruler may reach to two thirds of the way between markers, 24.4 + 2/3 * 351.2, less half a band and 2.
+    (400, 280): (
+        (28.8, 10, 40.8, 380, 198.4),
+        [(40.8, 142.8), (216.4, 142.8)],
+        [(40.8, 200), (273.6, 85.6)],
+        [(200, 24.4), (257.2, 255.6)],
+    ),
+    # Modules of 2: 19 + 2/3 * 112 - 11 leaves 52.67 from 30 on for a ruler of 50, beside which the marker stands.
+    (150, 90, 14): ((18, 10, 30, 130, 30), [(30, 34), (86, 34)], [(30, 50), (102, 18)], [(75, 19), (91, 71)]),
+    # 60 are too few for a ruler and a marker, and 50 are enough for a ruler.
+    (120, 61, 14): ((18, 10, 30, 100, 1), [(30, 60)], [(30, 60)], []),
+    (110, 90, 14): ((18, 10, 30, 90, 30), [(30, 50)], [(30, 50)], []),
+}
 
 
-def test_each_condition_equally_often_and_sheets_of_one_size(made) -> None:
-    _, chart = made
-    shown = Counter(
-        (one.size_mrad, one.contrast, one.orientation) for page in chart.pages for one in page.triangles
-    )
-    assert len(shown) == 2 * len(CONTRASTS) * 4 and set(shown.values()) == {2}
-    assert all(len({one.size_mrad for one in page.triangles}) == 1 for page in chart.pages)
-    assert max(len(page.triangles) for page in chart.pages) > 1
+@pytest.mark.parametrize("paper", PARTS)
+def test_the_parts_of_a_sheet(paper) -> None:
+    asked = dict(zip(("paper_width_mm", "paper_height_mm", "marker_mm"), paper, strict=False))
+    sheet = print_chart._sheet(print_chart.Paper(**asked))
+    field, above, below, borders = PARTS[paper]
+    found = (sheet.band_mm, sheet.left_mm, sheet.top_mm, sheet.width_mm, sheet.height_mm)
+    assert found == pytest.approx(field)
+    assert np.allclose(sheet.above_mm, above) and np.allclose(sheet.below_mm, below)
+    assert [(one.x_mm, one.y_mm) for one in sheet.markers.borders] == [pytest.approx(one) for one in borders]
+    assert sheet.ruler_mm == (200 if paper == (400, 280) else 50)
+    patches = print_chart._patches(sheet, print_chart.Paper(**asked), [k / 12 for k in range(12)])
+    n = 12 // len(above)
+    assert [(one.x_mm, one.y_mm, one.width_mm, one.height_mm) for one in patches] == [
+        pytest.approx((left + (k + 0.5) * width / n, 10 + 0.35 * field[0], width / n, 0.7 * field[0]))
+        for left, width in above
+        for k in range(n)
+    ]
+    ruler, *ticks = (np.array(one.corners_mm) for one in print_chart._ruler(sheet))
+    top = sheet.top_mm + sheet.height_mm + 2
+    assert np.allclose(ruler[[0, 2]], [(below[0][0], top + 3), (below[0][0] + sheet.ruler_mm, top + 3.2)])
+    assert np.allclose([one[[0, 2]] for one in ticks], [
+        [(below[0][0] + at, top), (below[0][0] + at + 0.2, top + 3)] for at in np.arange(0, sheet.ruler_mm + 1, 10)
+    ])  # fmt: skip
 
 
 def test_markers_and_ruler(made) -> None:
@@ -156,8 +182,19 @@ def test_markers_and_ruler(made) -> None:
         for path, _ in [(path, fill) for path, fill in drawn if fill == "rgb(255,255,255)"]:
             in_marker = np.abs(path[:, None] - chart.markers.all_centres_mm).max(axis=(0, 2)).min()
             assert in_marker <= chart.markers.side_mm * 5 / 14 + 1e-4 or len(np.unique(path, axis=0)) == 4
-        ticks = sorted(path[0, 0] for path, _ in drawn if np.allclose(np.ptp(path, axis=0), [0.2, 3.0]))
-        assert np.allclose(np.diff(ticks), 10.0) and len(ticks) == 21
+        # Programs may show a line where two rectangles meet: a white one covers the middle of each such line.
+        white = np.array(
+            [(*path.min(axis=0), *path.max(axis=0)) for path, fill in drawn if fill == "rgb(255,255,255)"]
+        )
+        for bits, centre in chart.drawn_markers(page):
+            for turned, step in ((bits, (3.2, 0)), (bits.T, (0, 3.2))):
+                at = np.argwhere(turned[:, :-1] & turned[:, 1:])[:, :: 1 if step[1] else -1] - 3
+                x, y = (centre + 3.2 * at + np.array(step) / 2).T[..., None]
+                assert (
+                    ((white[:, 0] < x) & (x < white[:, 2]) & (white[:, 1] < y) & (y < white[:, 3]))
+                    .any(axis=1)
+                    .all()
+                )
 
 
 def boxes_of_text(path: Path) -> list[np.ndarray]:
@@ -182,6 +219,14 @@ def test_nothing_covers_anything_else(made) -> None:
                        for a, b in (("x", "y"), ("width", "height")))  # fmt: skip
     boxes += [np.array([middle - half, middle + half]) for middle, half in zip(middles, halves / 2, strict=True)]
     boxes += [np.array([path.min(axis=0), path.max(axis=0)]) for path in (grey, ruler)]
+    words = [one.text for one in ElementTree.parse(folder / page.file).getroot().iter(f"{SVG}text")]
+    assert words[:12] == [str(code) for code in (154, *np.linspace(0, 255, 11).round().astype(int))]
+    assert " ".join(words[12:]) == (
+        "200 mm from the first to the last mark. Print at 100 %, without fitting to the page. "
+        f"no $^{{ TeX, key {chart.key}: sheet 1 of {len(chart.pages)}, for a distance of 10 m; 1 mrad = 10 mm "
+        "Contrasts of 8-bit greys: 0.012 to 1.8, nominal. Numbers at the patches are code values; measure the "
+        "patches."
+    )
     text = boxes_of_text(folder / page.file)
     assert len(text) > len(page.patches) == 12 and min(np.ptp(one, axis=0)[1] for one in text) > 2.0
     for k, one in enumerate(boxes + text):
@@ -203,10 +248,11 @@ def test_measured_reflectances(tmp_path: Path) -> None:
     assert polygons(tmp_path / "c" / "sheets" / "00.svg")[0][1] == "rgb(100,100,100)"
 
 
+DIM = "--background-reflectance=0.045"
 REFUSED = {
-    ("print", "--contrasts=5"): "--contrasts: found 5, expected 0.012 to 1.82, which the paper's greys have",
-    # At codes 153 and 154 it is 0.2980 and 0.3017, and 0.04 is 0.867 less.
-    ("print", "--contrasts=0.9 --polarity=-1"): "--contrasts: found -0.9, expected 0.012 to 0.867, which",
+    # By sRGB, codes 17 to 19 reflect 0.04454, 0.04490 and 0.04527, and 0.04 is 0.109 less.
+    ("print", DIM + " --contrasts=18"): "found 18, expected 0.0084 to 17.9, which the paper's greys have",
+    ("print", DIM + " --contrasts=0.2 --polarity=-1"): "--contrasts: found -0.2, expected 0.008 to 0.109, which",
     ("print", "--contrasts=0.1,0.101"): "printed grey (code value 162); expected --contrasts at least 0.012 apart",
     ("print", "--sizes-mrad=8"): "needs 400 mm; the paper has 211.9 mm; expected at most 4.24 mrad, larger paper",
     ("print", "--sizes-mrad=0.1"): "1 mm, in which the printer's dots show; expected at least 2 mm (0.2 mrad)",
@@ -216,7 +262,7 @@ REFUSED = {
     ("print", "--paper=60,60"): "found 60 × 60, too small for markers of 4.8 mm and margins of 10 mm",
     ("print", "--reflectances=none.csv"): "none.csv: no such file",
     ("print", "--background-reflectance=0.9"): "which is black or paper; expected a value between 0.04 and 0.85",
-    ("print", "--black-reflectance=0.9"): "found 0.9, expected less than --paper-reflectance (0.85)",
+    ("print", "--black-reflectance=0.85"): "found 0.85, expected less than --paper-reflectance (0.85)",
     ("thermal", "--sizes-mrad=0.05"): "0.5 mm, whose corners cannot be cut; expected at least 1 mm (0.1 mrad)",
     ("thermal", "--plate-mm=10"): "found 10, expected at least 50: five sizes of the largest triangle (10 mm)",
     ("thermal", "--delta-t-k=0"): "--contrasts or --delta-t-k: found 0.0",
@@ -285,6 +331,7 @@ def test_settings_are_balanced_and_change_the_plate_once(plates) -> None:
     shown = [(float(row["size_mrad"]), -float(row["delta_t_k"]), row["orientation"]) for row in rows]
     in_chart = [page.triangles[0] for page in chart.pages]
     assert shown == [(one.size_mrad, one.delta_t_k, one.orientation) for one in in_chart]
+    assert {level for _, level, _ in shown} == {-0.1, -0.5, -2.0} and {row["polarity"] for row in rows} == {"-1"}
     assert set(Counter(shown).values()) == {2} and len(set(shown)) == 24
     assert len({size for size, _, _ in shown[:24]}) == len({size for size, _, _ in shown[24:]}) == 1
     for first in range(0, 48, 4):  # the black body keeps its temperature for all four orientations
@@ -325,5 +372,5 @@ def test_commands_say_what_to_do(tmp_path: Path, todframes) -> None:
     status, shown, _ = todframes(
         "chart", "--for=screen", *given, "--contrasts=0.0013", *monitor, "-o", tmp_path / "c"
     )
-    assert status == 0 and "play.html shows the pages in 0.1 minutes." in shown  # 4 pages of 2 s
+    assert status == 0 and "play.html shows the pages in 0.1 minutes." in shown  # 4 pages of 1 s
     assert "Dithered triangles mix pixels of two" in shown and "The PNG files have 16 bits" in shown

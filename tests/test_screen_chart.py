@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import json
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -13,7 +16,6 @@ from conftest import error_line
 import todframes as tod
 from todframes.base.errors import OutputError, SettingsError
 from todframes.charts.layout import Chart, page_of, read_chart
-from todframes.charts.words import chart_table
 from todframes.display.display import LuminanceTable
 from todframes.display.dither import TILE, blue_noise, dithered
 
@@ -32,6 +34,7 @@ def srgb(code: np.ndarray) -> np.ndarray:
 def made(request, tmp_path_factory) -> tuple[Path, Chart]:
     folder = tmp_path_factory.mktemp("chart") / "made"
     asked = {"distance_m": 10, "sizes_mrad": [1, 2], "contrasts": CONTRASTS, "polarity": request.param}
+    asked["name"] = "a <chart>"
     return folder, tod.chart("screen", out=folder, repeats=2, **asked, **MONITOR)
 
 
@@ -41,6 +44,14 @@ def test_written_is_what_was_returned(made) -> None:
     assert sorted(path.name for path in folder.iterdir()) == ["chart.toml", "pages", "play.html"]
     files = sorted(path.relative_to(folder).as_posix() for path in (folder / "pages").iterdir())
     assert files == [page.file for page in chart.pages]
+    player = (folder / "play.html").read_text(encoding="utf-8")
+    assert player.startswith("<!DOCTYPE html>") and player.endswith("</html>\n") and "{{" not in player
+    assert "<title>a &lt;chart&gt;" in player
+    grey = "rgb(137, 137, 137)"  # of a quarter of white by sRGB
+    settings = {"width_px": 640, "height_px": 481, "page_duration_s": 1.0, "bits": 8, "background": grey}
+    assert json.dumps(settings) in player
+    shown = re.findall(r'^"([\w+/=]+)",$', player, re.MULTILINE)
+    assert [base64.b64decode(one) for one in shown] == [(folder / one).read_bytes() for one in files]
 
 
 def test_all_triangles_equally_often_and_each_once_in_a_block(made) -> None:
@@ -48,7 +59,6 @@ def test_all_triangles_equally_often_and_each_once_in_a_block(made) -> None:
     shown = [(one.size_mrad, one.contrast, one.orientation) for page in chart.pages for one in page.triangles]
     assert len(shown) == len(chart.pages) == 2 * len(CONTRASTS) * 4 * 2
     assert set(Counter(shown).values()) == {2}
-    assert [record["triangles"] for record in chart_table(chart).records] == [4 * 2] * 2 * len(CONTRASTS)
     first, second = shown[:24], shown[24:]
     assert set(first) == set(second) and len(set(first)) == 24
     assert first != second
@@ -208,7 +218,9 @@ def test_the_seed_gives_the_order(tmp_path: Path) -> None:
 
 
 REFUSED = {
-    "--sizes-mrad=8": "8 mrad at 10 m are 80 mm, and with the background that the observer needs 400 mm",
+    # Markers of 63 pixels of 0.25 mm, 12.375 mm from the edges; their white border ends 57.5 mm from the middle.
+    "--sizes-mrad=8": "8 mrad at 10 m are 80 mm, and with the background that the observer needs 400 mm; the page "
+    "has 115 mm between its edges and markers; expected at most 2.3 mrad, or a smaller distance",
     "--sizes-mrad=0.1": "1 mm, 4 pixels of the monitor, whose edges are then too coarse; expected at least 2 mm",
     "--sizes-mrad=1,1": "--sizes-mrad: found 1.0, 1.0, expected each value once",
     "--sizes-mrad=": "--sizes-mrad: found '', expected numbers",

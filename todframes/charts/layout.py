@@ -540,4 +540,4 @@ def marker_bits(marker: int, dictionary: str = DICTIONARY) -> NDArray[np.bool_]:
     import cv2
 
     of_opencv = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary.upper()}"))
-    return np.asarray(cv2.aruco.generateImageMarker(of_opencv, marker, MODULES)) > 0
+    return np.asarray(cv2.aruco.generateImageMarker(of_opencv, marker, MODULES), np.bool_)

@@ -357,8 +357,8 @@ def _ruler(sheet: _Sheet) -> list[Shape]:
 
 def _text(chart: Chart, page: Page, sheet: _Sheet, contrasts: str) -> list[Shape]:
     """Return the text in the last part of the band below: beside the ruler, or below it."""
-    sizes = [f"{triangle.size_mrad:g} mrad = {triangle.size_mm:.4g} mm" for triangle in page.triangles[:1]]
-    content = sizes[0] if sizes else "slanted edges and a grey wedge, to measure the camera"
+    sizes = (f"{triangle.size_mrad:g} mrad = {triangle.size_mm:.4g} mm" for triangle in page.triangles)
+    content = next(sizes, "slanted edges and a grey wedge, to measure the camera")
     lines = [
         f"{sheet.ruler_mm:g} mm from the first to the last mark. Print at 100 %, without fitting to the page.",
         f"{chart.name}, key {chart.key}: sheet {page.number + 1} of {len(chart.pages)}, for a distance of "
